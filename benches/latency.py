@@ -26,8 +26,8 @@ import numpy as np
 
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.make_pilot import make_pilot
+from companion.parts.mavlink.commands import PilotTower
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
-from companion.parts.mavlink.operator import PilotTower
 from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
 from companion.settings.load import load as load_settings
 from companion.settings.service import RestartOptions

@@ -4,11 +4,11 @@ Every reporter (log, MQTT, Prometheus, MAVLink) reads the same `HealthSnapshot`.
 """
 
 import math
+from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from companion.base.delays import Delays
 from companion.base.mission import ENDED
 from companion.base.observer import Decision, FrameTimes
 from companion.base.response_in_use import ResponseInUse
@@ -23,6 +23,61 @@ NIS_WINDOW = 200
 """Number of comparisons in the mean NIS of one source: one second of attitude at 200 Hz, seven seconds of a camera."""
 NORMALIZED_NIS_MAX = 20.0
 """Upper limit of one measurement's normalized NIS in that mean, so that a single outlier does not dominate it."""
+
+
+SILENT_S = 2.0
+"""An input that has not arrived for this long counts as missing; the slowest one, the vehicle's status, comes at 1 Hz."""
+SHIP_PLACE, SHIP_SILENT_S = "ShipPlace", 15.0
+"""The flow of the ship's places, where a source of them is set. AIS reports come every 10 s from a ship that lies still."""
+GIMBAL = "GimbalAttitude"
+"""The flow of the gimbal's attitudes, where a gimbal carries the camera."""
+_NEEDED = {
+    "VehicleStatus": "status from the vehicle",
+    "Attitude": "attitude from the vehicle",
+    "Frame": "frames from the camera",
+    GIMBAL: "attitude from the gimbal",
+}
+"""Flows of `Health` without which no landing begins, with the words for the operator."""
+EDGES_S = (
+    0.0002, 0.0005, 0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.015, 0.02, 0.03, 0.05, 0.075, 0.1, 0.15, 0.25, 0.5, 1.0,
+)  # fmt: skip
+"""Upper edges of the histogram's buckets, s; longer durations lie above the last."""
+
+
+@dataclass(slots=True)
+class Delays:
+    """The durations of one stage, seconds; quantiles are of the newest `capacity`."""
+
+    capacity: int = 600
+    count: int = 0
+    """Number of durations since the start."""
+    sum_s: float = 0.0
+    """Sum of all of them."""
+    buckets: list[int] = field(default_factory=lambda: [0] * (len(EDGES_S) + 1))
+    """Number of durations up to each edge and above the one before; the last is above all edges."""
+    _values: list[float] = field(default_factory=list)
+    _next: int = 0
+
+    def add(self, seconds: float) -> None:
+        self.count += 1
+        self.sum_s += seconds
+        self.buckets[bisect_left(EDGES_S, seconds)] += 1
+        if len(self._values) < self.capacity:
+            self._values.append(seconds)
+        else:
+            self._values[self._next] = seconds
+            self._next = (self._next + 1) % self.capacity
+
+    def quantile(self, q: float) -> float | None:
+        """Return the q-quantile, seconds; None before the first value."""
+        return self.quantiles(q)[0]
+
+    def quantiles(self, *qs: float) -> tuple[float | None, ...]:
+        """Return several quantiles, seconds, and sort only once."""
+        if not self._values:
+            return (None,) * len(qs)
+        ordered = sorted(self._values)
+        return tuple(ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in qs)
 
 
 @dataclass(slots=True)
@@ -120,7 +175,7 @@ class StageState:
     sum_s: float = 0.0
     """Sum of all durations."""
     buckets: tuple[int, ...] = ()
-    """Number of durations by bucket of `delays.EDGES_S`; the last lies above all edges."""
+    """Number of durations by bucket of `EDGES_S`; the last lies above all edges."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,3 +418,22 @@ class Health:
 def _state(part: PartHealth, now: MonoNs) -> PartState:
     age_s = 0.0 if part.since is None else seconds_between(part.since, now)
     return PartState(part.up, age_s, part.restarts, part.last_error, part.vital)
+
+
+def missing_inputs(health: HealthSnapshot) -> tuple[str, ...]:
+    """Return what is missing, such as "no frames from the camera for 12 s"; empty if every input arrives."""
+    out = []
+    for flow, words in _NEEDED.items():
+        if flow == GIMBAL and flow not in health.awaited:
+            continue
+        state = health.flows.get(flow)
+        if state is None or state.age_s is None:
+            out.append(f"no {words} yet")
+        elif state.age_s > SILENT_S:
+            out.append(f"no {words} for {state.age_s:.0f} s")
+    place = health.flows.get(SHIP_PLACE)
+    if place is None and SHIP_PLACE in health.awaited:
+        out.append("no place from the ship yet")
+    elif place is not None and place.age_s is not None and place.age_s > SHIP_SILENT_S:
+        out.append(f"no place from the ship for {place.age_s:.0f} s")
+    return tuple(out)

@@ -16,8 +16,7 @@ import socket
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from companion.base.health import Health, HealthSnapshot
-from companion.base.missing_inputs import missing_inputs
+from companion.base.health import Health, HealthSnapshot, missing_inputs
 from companion.base.observer import Decision, NullObserver
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict

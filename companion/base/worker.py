@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 from estimator.contracts.errors import Recoverable
 
 WAITING = 4
-"""Number of calls that may wait behind one that does not return."""
 
 T = TypeVar("T")
 
@@ -23,10 +22,11 @@ class Worker:
 
     Args:
         name: the name of the thread.
+        waiting: the number of calls that may wait behind one that does not return.
     """
 
-    def __init__(self, name: str) -> None:
-        self._calls: Queue[Callable[[], None] | None] = Queue(maxsize=WAITING)
+    def __init__(self, name: str, waiting: int = WAITING) -> None:
+        self._calls: Queue[Callable[[], None] | None] = Queue(maxsize=waiting)
         self._awaited = 0
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
@@ -37,10 +37,10 @@ class Worker:
         return self._awaited > 0
 
     async def run(self, function: Callable[..., T], *args: Any) -> T:
-        """Run the function on the thread and return its result. After a cancellation the call goes on by itself.
+        """Run the function on the thread and return its result. It is carried out even if the caller is cancelled meanwhile.
 
         Raises:
-            Recoverable: `WAITING` calls wait behind one that does not return.
+            Recoverable: too many calls wait behind one that does not return.
             Whatever the function raises.
         """
         loop = asyncio.get_running_loop()
@@ -55,8 +55,6 @@ class Worker:
                 future.set_result(result)  # type: ignore[arg-type]
 
         def call() -> None:
-            if future.cancelled():
-                return
             result, error = None, None
             try:
                 result = function(*args)

@@ -20,7 +20,7 @@ from companion.cli import report_option
 from companion.cli.progress import ProgressObserver
 from companion.facts.records import TruthRecord
 from companion.guidance.pilot import Pilot
-from companion.parts.mavlink import operator
+from companion.parts.mavlink.commands import LandingProgress
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.frame_video import VideoImage
@@ -47,23 +47,19 @@ _LEAD_S = 0.05
 class _Deaf:
     """An operator that refuses every command."""
 
-    def begin(self) -> str | None:
+    def start(self) -> str | None:
         return _REFUSAL
 
-    def pause(self) -> str | None:
-        return _REFUSAL
+    pause = abort = clear = start
 
-    def abort(self) -> str | None:
-        return _REFUSAL
-
-    def choose_path(self, path: PathName) -> str | None:
+    def steer_by(self, path: PathName) -> str | None:
         return f"{_REFUSAL}, not even of {path}"
 
     def record(self, on: bool) -> str | None:
         return _REFUSAL if on else None
 
-    def progress(self) -> operator.LandingProgress:
-        return operator.LandingProgress(None)
+    def progress(self) -> LandingProgress:
+        return LandingProgress(None)
 
 
 class _Newest(NullObserver):

@@ -55,8 +55,7 @@ def run(args: argparse.Namespace) -> int:
         BadInput: an option or the settings file is wrong, or a secret cannot be read.
     """
     from companion.parts.mqtt.connection import BrokerEndpoint
-    from companion.parts.mqtt.topics import Topics
-    from companion.settings.links import MqttSettings
+    from companion.parts.mqtt.messages import Topics
     from companion.settings.load import load
 
     if args.config is not None:
@@ -101,8 +100,8 @@ class _Watch:
     """Subscribe to the broker and show what arrives."""
 
     def __init__(self, endpoint: BrokerEndpoint, drone: str | None, out: TextIO, live: bool) -> None:
-        from companion.parts.mqtt.topics import ROOT
-        from companion.parts.mqtt.watch_model import WatchModel
+        from companion.parts.mqtt.messages import ROOT
+        from companion.parts.mqtt.watch import WatchModel
 
         self._endpoint = endpoint
         self._model = WatchModel(drone)
@@ -163,7 +162,7 @@ class _Watch:
             await asyncio.sleep(_BACK_OFF_S)
 
     def _take(self, topic: str, payload: bytes) -> None:
-        from companion.parts.mqtt.watch_view import line
+        from companion.parts.mqtt.watch import line
 
         now_s = time.monotonic()
         update = self._model.on_message(topic, payload, now_s)
@@ -176,7 +175,7 @@ class _Watch:
             self._write(line(drone, event) + "\n")
 
     async def _draw(self) -> None:
-        from companion.parts.mqtt.watch_view import screen
+        from companion.parts.mqtt.watch import screen
 
         while True:
             width, height = shutil.get_terminal_size()

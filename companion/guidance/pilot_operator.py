@@ -1,6 +1,7 @@
 """The operations of one sender on the pilot: each goes through the arbiter, and returns why it is refused or None."""
 
 from collections.abc import Callable
+from typing import Protocol
 
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
 from companion.facts.wire import OrderAnswer, OrderRequest
@@ -8,6 +9,22 @@ from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.guidance.pilot import Pilot
 from estimator.contracts.estimates import PathName
 from estimator.contracts.ports import Clock
+
+
+class Operated(Protocol):
+    """The operations that MQTT and MAVLink offer; each returns None if it was carried out, else the reason why it cannot be."""
+
+    def start(self) -> str | None: ...
+
+    def pause(self) -> str | None: ...
+
+    def abort(self) -> str | None: ...
+
+    def clear(self) -> str | None: ...
+
+    def steer_by(self, path: PathName) -> str | None: ...
+
+    def record(self, on: bool) -> str | None: ...
 
 
 class PilotOperator:

@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from companion.base import memory
-from companion.base.beside import RestartablePart
+from companion.base.containment import RestartablePart
 from companion.base.event_loop import heeded
-from companion.base.health import Health
+from companion.base.health import SHIP_PLACE, Health
 from companion.base.liveness import Manager, Pulse, watchdog_interval_s
 from companion.base.loop_lag import LoopWatch
-from companion.base.missing_inputs import SHIP_PLACE
 from companion.base.mission import FlightOutcome
 from companion.base.observer import NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource

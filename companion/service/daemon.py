@@ -17,9 +17,8 @@ from functools import partial
 from typing import Protocol
 
 from companion.base.containment import Audience
-from companion.base.health import Health
+from companion.base.health import SHIP_PLACE, Health, missing_inputs
 from companion.base.memory import GroundedCollector, no_full_collections
-from companion.base.missing_inputs import SHIP_PLACE, missing_inputs
 from companion.base.mission import FAULTS, FlightOutcome
 from companion.base.observer import Decision, FrameTimes, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder

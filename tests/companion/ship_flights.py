@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from companion.base.missing_inputs import missing_inputs
+from companion.base.health import missing_inputs
 from companion.base.mission import State
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot

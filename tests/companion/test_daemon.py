@@ -4,12 +4,13 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from typing import Any
 
 import numpy as np
 import pytest
 
 from companion.base.mission import FlightOutcome
-from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.observer import Decision, NullObserver
 from companion.facts import encode
 from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
@@ -30,6 +31,7 @@ from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig
+from tests.fly import ObservedCalls
 from tests.support.clocks import PatientClock
 from tests.support.waiting import until
 
@@ -78,37 +80,32 @@ class FakeVehicle:
         self.frames.offer(Frame(Stamp(after(now, -late_s), now, 0.001, "sim"), seq, px))
 
 
-class Diary(NullObserver):
-    def __init__(self) -> None:
-        self.frames: list[ProcessedFrame] = []
-        self.decisions: list[Decision] = []
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        self.frames.append(processed)
-
-    def on_decision(self, decision: Decision) -> None:
-        self.decisions.append(decision)
-
-
 def daemon_of(
-    open_link: Callable[[], AbstractAsyncContextManager[VehicleLink]], *, once: bool = False, diary: NullObserver | None = None
+    open_link: Callable[[], AbstractAsyncContextManager[VehicleLink]],
+    diary: NullObserver | None = None,
+    *,
+    pilot: Pilot | None = None,
+    **setup: Any,
 ) -> Daemon:
-    pilot = Pilot(EYES, EstimatorOptions(), GuidanceOptions())
-    return Daemon(
-        open_link,
-        pilot,
-        CLOCK,
-        DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, once=once),
-        observers=[] if diary is None else [diary],
-    )
+    pilot = pilot or Pilot(EYES, EstimatorOptions(), GuidanceOptions())
+    observers = [] if diary is None else [diary]
+    return Daemon(open_link, pilot, CLOCK, DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, **setup), observers=observers)
 
 
-async def test_every_frame_offered_ends_in_exactly_one_verdict() -> None:
-    vehicle, diary = FakeVehicle(), Diary()
-    daemon = daemon_of(vehicle.open, diary=diary)
+@asynccontextmanager
+async def running(daemon: Daemon, vehicle: FakeVehicle) -> AsyncIterator[None]:
+    """Run a daemon from when the vehicle is open until the context ends."""
     async with asyncio.TaskGroup() as group:
         group.create_task(daemon.run())
         await until(lambda: vehicle.opened == 1)
+        yield
+        daemon.stop()
+
+
+async def test_every_frame_offered_ends_in_exactly_one_verdict() -> None:
+    vehicle, diary = FakeVehicle(), ObservedCalls()
+    daemon = daemon_of(vehicle.open, diary)
+    async with running(daemon, vehicle):
         vehicle.film(0)
         await until(lambda: daemon.health.frames[Verdict.NO_ATTITUDE] == 1)
         vehicle.say(flying=True)
@@ -120,7 +117,6 @@ async def test_every_frame_offered_ends_in_exactly_one_verdict() -> None:
             if seq % 3:
                 await asyncio.sleep(0.01)
         await until(lambda: daemon.health.frames.total() == vehicle.frames.offered)
-        daemon.stop()
     assert vehicle.frames.offered == 60
     assert daemon.health.frames.total() == 60
     assert daemon.health.frames[Verdict.REPLACED] == vehicle.frames.replaced > 0
@@ -143,18 +139,15 @@ async def test_every_frame_offered_ends_in_exactly_one_verdict() -> None:
 
 
 async def test_a_frame_waits_for_an_attitude_that_is_still_in_a_socket() -> None:
-    vehicle, diary = FakeVehicle(), Diary()
-    daemon = daemon_of(vehicle.open, diary=diary)
-    async with asyncio.TaskGroup() as group:
-        group.create_task(daemon.run())
-        await until(lambda: vehicle.opened == 1)
+    vehicle, diary = FakeVehicle(), ObservedCalls()
+    daemon = daemon_of(vehicle.open, diary)
+    async with running(daemon, vehicle):
         vehicle.say(flying=True)
         await asyncio.sleep(0.1)
         vehicle.film(1, late_s=0.0)  # its exposure lies beyond what the newest attitude reaches, and no sample is queued
         await asyncio.sleep(0.01)
         vehicle.say(flying=True)
         await until(lambda: daemon.health.frames.total() == 1)
-        daemon.stop()
     assert daemon.health.frames == {Verdict.NO_PAD: 1}
 
 
@@ -174,19 +167,16 @@ class CountingPilot(Pilot):
 
 
 async def test_samples_are_taken_together_and_none_waits_while_guidance_decides() -> None:
-    vehicle, diary = FakeVehicle(), Diary()
+    vehicle, diary = FakeVehicle(), ObservedCalls()
     pilot = CountingPilot(EYES, EstimatorOptions(), GuidanceOptions())
     pilot.vehicle_link = vehicle
-    daemon = Daemon(vehicle.open, pilot, CLOCK, DaemonSetup(RestartOptions(), 50.0), observers=[diary])
-    async with asyncio.TaskGroup() as group:
-        group.create_task(daemon.run())
-        await until(lambda: vehicle.opened == 1)
+    daemon = daemon_of(vehicle.open, diary, pilot=pilot)
+    async with running(daemon, vehicle):
         for _ in range(200):
             vehicle.say(flying=True)
             await asyncio.sleep(0)
         decided = len(diary.decisions)
         await until(lambda: len(diary.decisions) >= decided + 2)
-        daemon.stop()
     assert daemon.health.flows["Attitude"].count == 200
     assert pilot.given <= 3 + 2 * len(diary.decisions), "or the loop wakes for each datagram"
     assert pilot.given < 100
@@ -204,10 +194,8 @@ class FusionDiary(NullObserver):
 @pytest.mark.parametrize("diary", [None, FusionDiary()])
 async def test_every_result_of_a_sample_is_in_the_health_that_is_read(diary: FusionDiary | None) -> None:
     vehicle = FakeVehicle()
-    daemon = daemon_of(vehicle.open, diary=diary)
-    async with asyncio.TaskGroup() as group:
-        group.create_task(daemon.run())
-        await until(lambda: vehicle.opened == 1)
+    daemon = daemon_of(vehicle.open, diary)
+    async with running(daemon, vehicle):
         for n in (70, 140, 210):
             for _ in range(70):
                 vehicle.say(flying=True)
@@ -219,7 +207,6 @@ async def test_every_result_of_a_sample_is_in_the_health_that_is_read(diary: Fus
             output = daemon.health.snapshot()
             assert sum(output.inputs["Attitude"].values()) == n
             assert [sum(one.verdicts.values()) for one in output.fusion] == [n]
-        daemon.stop()
     assert diary is None or diary.received_at == sorted(diary.received_at)
 
 
@@ -233,36 +220,29 @@ class SlowPilot(Pilot):
 
 async def test_a_slow_machine_leaves_frames_out_and_counts_them() -> None:
     vehicle = FakeVehicle()
-    pilot = SlowPilot(EYES, EstimatorOptions(), GuidanceOptions())
-    daemon = Daemon(vehicle.open, pilot, CLOCK, DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, core_fraction=0.4))
-    async with asyncio.TaskGroup() as group:
-        group.create_task(daemon.run())
-        await until(lambda: vehicle.opened == 1)
+    daemon = daemon_of(vehicle.open, pilot=SlowPilot(EYES, EstimatorOptions(), GuidanceOptions()), core_fraction=0.4)
+    async with running(daemon, vehicle):
         for seq in range(1, 60):
             vehicle.say(flying=True)
             vehicle.film(seq)
             await asyncio.sleep(0.01)
         await until(lambda: daemon.health.frames.total() == vehicle.frames.offered)
-        daemon.stop()
     frames = daemon.health.frames
     assert frames[Verdict.SKIPPED] > frames[Verdict.NO_PAD] > 0
     assert frames.total() == 59
 
 
 async def test_a_lost_vehicle_comes_back_alone_while_guidance_goes_on() -> None:
-    vehicle, diary = FakeVehicle(), Diary()
-    daemon = daemon_of(vehicle.open, diary=diary)
-    async with asyncio.TaskGroup() as group:
-        group.create_task(daemon.run())
-        await until(lambda: vehicle.opened == 1)
+    vehicle, diary = FakeVehicle(), ObservedCalls()
+    daemon = daemon_of(vehicle.open, diary)
+    async with running(daemon, vehicle):
         vehicle.samples.fail(Recoverable("unplugged"))
         await until(lambda: vehicle.opened == 2)
         rounds = len(diary.decisions)
         vehicle.say(flying=True)
         await until(lambda: len(diary.decisions) > rounds + 3 and Hover() in vehicle.commands)
         assert not vehicle.released, "one that is opened again holds the drone meanwhile"
-        daemon.stop()
-        assert vehicle.released
+    assert vehicle.released
     assert daemon.health.parts["vehicle"].restarts == 1
     assert daemon.health.parts["vehicle"].last_error == "unplugged"
     assert daemon.health.parts["guidance"].restarts == 0
@@ -313,9 +293,8 @@ async def test_a_bug_of_ours_is_loud_and_leaves_the_vehicle_in_its_hover(monkeyp
     assert vehicle.left_hovering == 1
 
 
-async def test_it_ends_with_the_flight_when_ordered() -> None:
+async def test_it_ends_with_the_flight_when_ordered_or_when_it_is_cancelled_and_closes_the_vehicle() -> None:
     vehicle = FakeVehicle()
-    daemon = daemon_of(vehicle.open, once=True)
 
     async def feed() -> None:
         await until(lambda: vehicle.opened == 1)
@@ -324,25 +303,19 @@ async def test_it_ends_with_the_flight_when_ordered() -> None:
         vehicle.say(flying=False)
 
     async with asyncio.timeout(60):
-        outcome, _ = await asyncio.gather(daemon.run(), feed())
-    assert outcome is FlightOutcome.LANDED_BY_OTHERS
-    assert vehicle.left_hovering == 1
-
-
-async def test_cancelling_it_closes_the_vehicle() -> None:
-    vehicle = FakeVehicle()
+        outcome, _ = await asyncio.gather(daemon_of(vehicle.open, once=True).run(), feed())
+    assert (outcome, vehicle.left_hovering) == (FlightOutcome.LANDED_BY_OTHERS, 1)
     task = asyncio.ensure_future(daemon_of(vehicle.open).run())
-    await until(lambda: vehicle.opened == 1)
+    await until(lambda: vehicle.opened == 2)
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
         await task
-    assert vehicle.left_hovering == 1
+    assert vehicle.left_hovering == 2
 
 
 async def test_the_log_names_the_part_that_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
     vehicle = FakeVehicle()
-    pilot = Pilot(EYES, EstimatorOptions(), GuidanceOptions())
-    daemon = Daemon(vehicle.open, pilot, CLOCK, DaemonSetup(RestartOptions(), 50.0, health_period_s=0.05))  # fmt: skip
+    daemon = daemon_of(vehicle.open, health_period_s=0.05)
 
     def said(text: str) -> bool:
         return any(text in record.getMessage() and record.levelname == "WARNING" for record in caplog.records)

@@ -7,8 +7,7 @@ import logging
 import pytest
 from aiohttp import web
 
-from companion.base.connection_limits import ConnectionLimits, listen
-from companion.base.http_server import make_runner
+from companion.base.http_server import ConnectionLimits, listen, make_runner
 from tests.support.waiting import PATIENCE_S
 
 

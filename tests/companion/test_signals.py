@@ -46,28 +46,7 @@ def ended(process: subprocess.Popen[str], *numbers: int, pause_s: float = 0.4) -
 
 
 ENDLESS = {
-    "a task that swallows every cancellation": """
-async def stubborn():
-    while True:
-        with contextlib.suppress(asyncio.CancelledError):
-            await asyncio.sleep(3600)
-async def main():
-    task = asyncio.create_task(stubborn(), name="stubborn")
-    await asyncio.sleep(0)
-    say("ready")
-    await asyncio.Event().wait()
-program(lambda: run(main()))
-""",
-    "a main task that does": """
-async def main():
-    asyncio.current_task().set_name("stubborn")
-    say("ready")
-    while True:
-        with contextlib.suppress(asyncio.CancelledError):
-            await asyncio.sleep(3600)
-program(lambda: run(main()))
-""",
-    "a group that waits for one": """
+    "a group that waits for a task that swallows every cancellation": """
 async def stubborn():
     while True:
         with contextlib.suppress(asyncio.CancelledError):
@@ -112,24 +91,12 @@ program(lambda: run(main()))
 def work():
     threading.Thread(target=time.sleep, args=(3600,)).start()
     say("ready")
-    time.sleep(3600)
-program(work)
-""",
-    "a plain program": """
-def work():
-    say("ready")
     while True:
         sum(range(10000))
 program(work)
 """,
 }
 HELD = {
-    "the main thread inside a library": """
-def work():
-    threading.Timer(0.3, say, ("ready",)).start()  # from another thread: this one is inside the library by then
-    hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)
-program(work)
-""",
     "the event loop's thread inside a library": """
 async def main():
     threading.Timer(0.3, say, ("ready",)).start()  # from another thread: this one is inside the library by then
@@ -161,7 +128,8 @@ def test_a_task_that_does_not_end_is_named_and_abandoned(what: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("what", "number"), [*((what, signal.SIGTERM) for what in sorted(BUSY)), ("a plain program", signal.SIGINT)]
+    ("what", "number"),
+    [*((what, signal.SIGTERM) for what in sorted(BUSY)), ("any thread that Python would join", signal.SIGINT)],
 )
 def test_a_busy_thread_holds_nothing_up(what: str, number: signal.Signals) -> None:
     with python(HEAD + BUSY[what], stderr=subprocess.PIPE) as process:
@@ -191,44 +159,20 @@ def test_standard_error_that_nobody_reads_holds_nothing_up() -> None:
         assert process.wait(PATIENCE_S) == 143
 
 
-def test_what_was_begun_is_cleared_away_and_no_exception_crosses_the_loop() -> None:
-    source = """
-async def part():
-    try:
-        await asyncio.Event().wait()
-    except asyncio.CancelledError:
-        say("cancelled")
-        raise
-async def main():
-    loop = asyncio.get_running_loop()
-    loop.set_exception_handler(lambda _, context: say("LOOP", context))
-    try:
-        async with asyncio.TaskGroup() as group:
-            group.create_task(part())
-            await asyncio.sleep(0)
-            say("ready")
-    finally:
-        await asyncio.sleep(0.01)
-        say("hovered")
-program(lambda: run(main()))
-"""
-    with python(HEAD + source, stderr=subprocess.PIPE) as process:
-        assert line(process) == "ready"
-        assert ended(process, signal.SIGTERM) == (143, ["cancelled", "hovered"])
-
-
 AFTER_EXIT = """
 async def part():
     sys.exit(0)
 async def main():
+    loop = asyncio.get_running_loop()
+    loop.set_exception_handler(lambda _, context: say("LOOP", context))
     part_of_it = asyncio.create_task(part())
-    asyncio.get_running_loop().call_soon(sys.exit, 3)
+    loop.call_soon(sys.exit, 3)
     await asyncio.sleep(0.05)
     say("ready")
     try:
         await asyncio.Event().wait()
     finally:
-        asyncio.get_running_loop().call_soon(sys.exit, 4)
+        loop.call_soon(sys.exit, 4)
         await asyncio.sleep(0.01)
         say("hovered")
 program(lambda: run(main()))
@@ -256,34 +200,26 @@ program(lambda: run(main()))
 """
 
 
-def test_a_signal_that_is_heeded_ends_the_program_its_own_way() -> None:
-    with python(HEAD + HEEDING, "0.01", stderr=subprocess.PIPE) as process:
+@pytest.mark.parametrize(
+    ("seconds", "numbers", "pause_s", "code", "output"),
+    [
+        ("0.01", (signal.SIGTERM,), 0.0, 0, ["done"]),
+        ("2.5", (signal.SIGINT,), 0.0, 0, ["done"]),
+        ("3600", (signal.SIGTERM,), 0.0, 143, None),
+        ("3600", (signal.SIGINT, signal.SIGTERM), 0.4, 143, []),
+        ("3600", (signal.SIGINT, signal.SIGINT), 0.4, 130, []),
+        ("0.3", (signal.SIGINT, signal.SIGINT), 0.0, 0, ["done"]),
+    ],
+    ids=["heeded", "time after ctrl-c", "none after SIGTERM", "second", "second ctrl-c", "a copy by two ways"],
+)
+def test_a_signal_that_is_heeded_ends_the_program_its_own_way_and_a_second_one_at_once(seconds, numbers, pause_s, code, output):
+    with python(HEAD + HEEDING, seconds, stderr=subprocess.PIPE) as process:
         assert line(process) == "ready"
         process.send_signal(signal.SIGUSR1)
         assert line(process) == "begun"
-        assert ended(process, signal.SIGTERM) == (0, ["done"])
-
-
-def test_after_ctrl_c_there_is_time_and_after_sigterm_there_is_none() -> None:
-    with python(HEAD + HEEDING, "2.5", stderr=subprocess.PIPE) as process:
-        assert line(process) == "ready"
-        assert ended(process, signal.SIGINT) == (0, ["done"])
-    with python(HEAD + HEEDING, "3600", stderr=subprocess.PIPE) as process:
-        assert line(process) == "ready"
-        assert ended(process, signal.SIGTERM)[0] == 143
-
-
-@pytest.mark.parametrize("second", [signal.SIGTERM, signal.SIGINT])
-def test_a_second_signal_ends_it_at_once(second: signal.Signals) -> None:
-    with python(HEAD + HEEDING, "3600", stderr=subprocess.PIPE) as process:
-        assert line(process) == "ready"
-        assert ended(process, signal.SIGINT, second) == (128 + second, [])
-
-
-def test_a_signal_that_comes_twice_by_two_ways_is_one() -> None:
-    with python(HEAD + HEEDING, "0.3", stderr=subprocess.PIPE) as process:
-        assert line(process) == "ready"
-        assert ended(process, signal.SIGINT, signal.SIGINT, pause_s=0.0) == (0, ["done"])
+        found = ended(process, *numbers, pause_s=pause_s)
+        assert found[0] == code
+        assert output is None or found[1] == output
 
 
 def test_what_a_forked_worker_receives_does_not_end_its_parent() -> None:
@@ -351,24 +287,21 @@ links = "udpin://127.0.0.1:0"
     return str(file)
 
 
-@pytest.mark.parametrize(("command", "moment_s"), [("run", 0.5), ("simulate", 2.0)])
-def test_sigterm_at_any_moment_on_a_busy_machine(command: str, moment_s: float, rig: str) -> None:
+@pytest.mark.parametrize(("command", "moment_s"), [("run", 0.5), ("simulate", 2.0), ("run", None)])
+def test_sigterm_at_any_moment_on_a_busy_machine(command: str, moment_s: float | None, rig: str) -> None:
+    """End a command at a moment, or, if none is given, while it ends already."""
     words = {"run": ["run", "--config", rig], "simulate": ["simulate", "demo", "--json"]}[command]
     with burners(2), started(decklander(*words), stderr=subprocess.PIPE) as process:
-        time.sleep(moment_s)
-        code, output = ended(process, signal.SIGTERM)
-    assert code in (0, 143, -signal.SIGTERM)  # before anything was begun Python's own answer is as good
-    assert not any("Traceback" in words for words in output), f"after {moment_s:.2f} s"
-
-
-def test_sigterm_while_it_ends_already(rig: str) -> None:
-    with burners(2), started(decklander("run", "--config", rig), stderr=subprocess.PIPE) as process:
         assert process.stderr is not None
-        while "trying again" not in (words := process.stderr.readline()):  # it runs, and lacks its drone
-            assert words
-        code, output = ended(process, signal.SIGINT, signal.SIGTERM, pause_s=0.02)
-    assert code in (0, 143)
-    assert not any("Traceback" in words for words in output)
+        if moment_s is None:
+            while "trying again" not in (words_of := process.stderr.readline()):
+                assert words_of
+            code, output = ended(process, signal.SIGINT, signal.SIGTERM, pause_s=0.02)
+        else:
+            time.sleep(moment_s)
+            code, output = ended(process, signal.SIGTERM)
+    assert code in (0, 143, -signal.SIGTERM)  # before anything was begun Python's own answer is as good
+    assert not any("Traceback" in words for words in output), f"after {moment_s} s"
 
 
 def test_semaphores_that_are_in_use_at_the_end_do_not_leak() -> None:

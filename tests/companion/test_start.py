@@ -14,7 +14,8 @@ from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.service import RestartOptions
 from estimator.options import EstimatorOptions
-from tests.companion.test_daemon import CLOCK, EYES, Diary, FakeVehicle
+from tests.companion.test_daemon import CLOCK, EYES, FakeVehicle
+from tests.fly import ObservedCalls
 from tests.support.waiting import until
 
 LATER = ("av", "cv2", "email", "importlib.metadata", "msgspec.inspect", "numpy.ma", "estimator.vision.tracker")
@@ -49,7 +50,7 @@ def test_the_first_guidance_cycle_waits_for_nothing_that_it_does_not_need(tmp_pa
     assert done.stdout == "\n"
 
 
-class Order(Diary):
+class Order(ObservedCalls):
     """Notes decisions into a list that the preparation of vision shares."""
 
     def __init__(self, order: list[str]) -> None:

@@ -4,7 +4,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,49 +15,22 @@ from companion.base.supervise import run
 from companion.parts.mqtt.commands import CommandHandler
 from companion.parts.mqtt.connection import BrokerEndpoint
 from companion.parts.mqtt.encode import PendingEvent
+from companion.parts.mqtt.messages import Topics
 from companion.parts.mqtt.outbox import Outbox
 from companion.parts.mqtt.part import MqttPart
 from companion.parts.mqtt.spool import Spool
-from companion.parts.mqtt.topics import Topics
 from companion.settings import files
 from companion.settings.links import MqttSettings
 from companion.settings.service import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Command, Velocity
-from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
+from tests.support.fake_operator import FakeOperator
 
 SESSION = "0123456789ab"
 RUN = "fedcba9876543210fedcba9876543210"
-
-
-@dataclass
-class FakeOperator:
-    """Does what it is told unless `cannot` is set."""
-
-    done: list[str] = field(default_factory=list)
-    cannot: str | None = None
-
-    def _do(self, what: str) -> str | None:
-        if self.cannot is None:
-            self.done.append(what)
-        return self.cannot
-
-    def start(self) -> str | None:
-        return self._do("start")
-
-    def pause(self) -> str | None:
-        return self._do("pause")
-
-    def abort(self) -> str | None:
-        return self._do("abort")
-
-    def steer_by(self, path: PathName) -> str | None:
-        return self._do(f"path {path}")
-
-    def record(self, on: bool) -> str | None:
-        return self._do(f"record {on}")
 
 
 def estimate_at(at: MonoNs, height_m: float = 2.0) -> RelativeState:
@@ -100,7 +73,7 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
     clock = SystemClock()
     health, topics, operator = Health(clock), Topics(settings.drone), FakeOperator()
     spool = Spool(folder, settings.spool_max_kib * 1024)
-    outbox = Outbox(spool, session, topics.event, settings.spool_fsync)
+    outbox = Outbox(spool, session, topics.of("event"), settings.spool_fsync)
     command_handler = CommandHandler(
         topics, session, operator, RUN, files.key(settings.command_key_file, "mqtt", "command_key_file")
     )

@@ -12,9 +12,8 @@ import aiohttp
 import numpy as np
 from msgspec import structs
 
-from companion.base.connection_limits import ConnectionLimits
 from companion.base.health import Health
-from companion.base.http_server import HttpServer
+from companion.base.http_server import ConnectionLimits, HttpServer
 from companion.base.observer import ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.guidance.make_pilot import make_pilot

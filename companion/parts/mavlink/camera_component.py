@@ -13,9 +13,9 @@ import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
-from importlib import metadata
 from typing import Protocol, TypeAlias
 
+from companion.base.version import version
 from companion.parts.mavlink.commands import ACCEPTED, UNSUPPORTED, Offered
 from companion.settings.links import VideoStreamOptions
 from drivers.mavlink.access import AccessLevel, Source
@@ -145,8 +145,8 @@ def _bytes(name: str) -> list[int]:
 def _version() -> int:
     """Return the program's version as the message packs it: patch, minor and major from the third byte down."""
     try:
-        major, minor, patch = (int(part) for part in metadata.version("decklander").split(".")[:3])
-    except (metadata.PackageNotFoundError, ValueError):
+        major, minor, patch = (int(part) for part in version().split(".")[:3])
+    except ValueError:
         return 0
     return (patch & 0xFF) << 16 | (minor & 0xFF) << 8 | (major & 0xFF)
 

@@ -19,13 +19,21 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
-from companion.parts.mavlink.operator import PATHS, Operator
+from companion.base.mission import FlightOutcome
+from companion.base.orders import OrderSender, OrderSource
+from companion.guidance.pilot import Pilot
+from companion.guidance.pilot_operator import Operated, PilotOperator
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import Links, ReceivedMessage
+from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
+PATHS: tuple[PathName, ...] = ("median_mean", "dead_reckoning", "ekf", "constant_velocity")
+"""Estimator paths by the number that a command carries."""
 ACCEPTED, DENIED, UNSUPPORTED = int(mav.MAV_RESULT_ACCEPTED), int(mav.MAV_RESULT_DENIED), int(mav.MAV_RESULT_UNSUPPORTED)
 FAILED, IN_PROGRESS = int(mav.MAV_RESULT_FAILED), int(mav.MAV_RESULT_IN_PROGRESS)
 CANCELLED = 6
@@ -45,6 +53,62 @@ _HEARTBEAT_BOUNDS_S = 0.2, 2.0
 """A component whose HEARTBEAT comes more rarely counts as lost; whoever is behind the autopilot's router may not request that."""
 
 Params = tuple[float, float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class LandingProgress:
+    """The progress of the landing that was requested."""
+
+    percent: int | None
+    """The progress in percent, 0..100; None if it is not known."""
+    landed: bool | None = None
+    """The result: None while the landing goes on, True if the vehicle landed on the pad, False if it ended otherwise."""
+    called_off: bool = False
+    """True if the operator ended the landing."""
+
+
+class Operator(Operated, Protocol):
+    """The operations that a ground station may request, and how far the landing is."""
+
+    def progress(self) -> LandingProgress: ...
+
+
+class PilotTower(PilotOperator):
+    """Commands the pilot for ground stations.
+
+    Args:
+        believe: returns the steering path's newest belief.
+        recording: switches the recorder; None if there is no recorder.
+    """
+
+    def __init__(
+        self,
+        pilot: Pilot,
+        believe: Callable[[], RelativeState | None],
+        clock: Clock,
+        recording: Callable[[bool], str | None] | None = None,
+    ) -> None:
+        super().__init__(pilot, OrderSender(OrderSource.MAVLINK), clock, recording)
+        self._believe = believe
+        self._from_m: float | None = None
+
+    def start(self) -> str | None:
+        refusal = super().start()
+        if refusal is None:
+            self._from_m = None
+        return refusal
+
+    def progress(self) -> LandingProgress:
+        """Return the progress of the landing, by the height that is left."""
+        outcome = self._pilot.outcome
+        if outcome is not None:
+            called_off = outcome is FlightOutcome.ABORTED
+            return LandingProgress(None, None if called_off else outcome is FlightOutcome.LANDED, called_off)
+        belief = self._believe()
+        if belief is None or belief.height_m <= 0:
+            return LandingProgress(None)
+        self._from_m = max(belief.height_m, self._from_m or 0.0)
+        return LandingProgress(round(100.0 * (1.0 - belief.height_m / self._from_m)))
 
 
 class Offered:
@@ -187,7 +251,7 @@ class CommandServer:
         self.refusal = None
         first = params[0]
         if command == mav.MAV_CMD_NAV_LAND:
-            result = self._handler(self._operator.begin())
+            result = self._handler(self._operator.start())
             if result == ACCEPTED:
                 self._running = _Running(command, sender, now)
                 result = IN_PROGRESS
@@ -195,13 +259,13 @@ class CommandServer:
         if command == mav.MAV_CMD_DO_PAUSE_CONTINUE:
             if first not in (0.0, 1.0):
                 return self._denied(f"pause or continue, not {first:g}"), []
-            return self._handler(self._operator.begin() if first else self._operator.pause()), []
+            return self._handler(self._operator.start() if first else self._operator.pause()), []
         if command == mav.MAV_CMD_DO_GO_AROUND:
             return self._handler(self._operator.abort()), []
         if command == mav.MAV_CMD_USER_1:
             if not math.isfinite(first) or first not in range(len(PATHS)):
                 return self._denied(f"no estimator path {first:g}"), []
-            return self._handler(self._operator.choose_path(PATHS[int(first)])), []
+            return self._handler(self._operator.steer_by(PATHS[int(first)])), []
         if command in (mav.MAV_CMD_LOGGING_START, mav.MAV_CMD_LOGGING_STOP):
             return self._handler(self._operator.record(command == mav.MAV_CMD_LOGGING_START)), []
         return self._about_messages(command, params, now)

@@ -12,19 +12,18 @@ The component lives inside the vehicle's context and is not vital itself: a faul
 
 import logging
 import math
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from importlib import metadata
 
 from companion.base.health import Health
 from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
-from companion.parts.mavlink.commands import CommandServer, Offered, Refusals
+from companion.base.version import version
+from companion.parts.mavlink.commands import CommandServer, Offered, Operator, Refusals
 from companion.parts.mavlink.computer import ComputerReader, computer_status
-from companion.parts.mavlink.operator import Operator
-from companion.parts.mavlink.outputs import MavSeverity, Outputs, StatusTexts
+from companion.parts.mavlink.outputs import AutopilotView, MavSeverity, Outputs, StatusTexts
 from companion.parts.mavlink.parameters import ParameterServer, Store
 from companion.parts.mavlink.target_track import TargetTrack
 from companion.settings.links import OutputOptions
@@ -32,8 +31,6 @@ from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
 from drivers.mavlink.links import Links, ReceivedMessage
-from drivers.mavlink.samples import LocalPosition
-from drivers.mavlink.vehicle import Condition, Stack
 from drivers.reconnect import running_beside
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.ports import Clock
@@ -93,34 +90,6 @@ class ComponentOptions:
         for name in ("pad_radius_m", "stale_s", "tick_s", "heartbeat_s", "guidance_silence_s"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
-
-
-@dataclass(frozen=True, slots=True)
-class _View:
-    """The view of the autopilot that `Outputs` reads."""
-
-    autopilot: Autopilot
-
-    @property
-    def stack(self) -> Stack:
-        identity = self.autopilot.identity
-        return Stack.OTHER if identity is None else identity.stack
-
-    @property
-    def condition(self) -> Condition:
-        return self.autopilot.condition
-
-    @property
-    def positions(self) -> tuple[LocalPosition, ...]:
-        return self.autopilot.positions
-
-    @property
-    def round_trip_s(self) -> float | None:
-        return None if self.autopilot.sync is None else self.autopilot.sync.round_trip_s
-
-    @property
-    def parameter_values(self) -> Mapping[str, float]:
-        return {} if self.autopilot.parameters is None else self.autopilot.parameters.values
 
 
 class Component(NullObserver):
@@ -199,7 +168,7 @@ class Component(NullObserver):
         if processed.verdict is Verdict.FUSED and self._autopilot is not None and self._autopilot.unclear is None:
             now = self._clock.now()
             self._update_belief(now)
-            self._send(self.outputs.target(now, _View(self._autopilot), self._sighted))
+            self._send(self.outputs.target(now, AutopilotView.of(self._autopilot), self._sighted))
 
     def on_decision(self, decision: Decision) -> None:
         self._decided = decision.at
@@ -275,7 +244,7 @@ class Component(NullObserver):
     def _tell_target(self, now: MonoNs) -> None:
         if self._autopilot is not None and self._autopilot.connected and self._autopilot.unclear is None:
             self._update_belief(now)
-            view = _View(self._autopilot)
+            view = AutopilotView.of(self._autopilot)
             self._autopilot.take_ranges(not self.outputs.sends_ranges(view))
             self._send(self.outputs.due(now, view, self._sighted))
 
@@ -287,7 +256,7 @@ class Component(NullObserver):
     @property
     def sends_ranges(self) -> bool:
         """True if the component serves as the autopilot's rangefinder."""
-        return self._autopilot is not None and self.outputs.sends_ranges(_View(self._autopilot))
+        return self._autopilot is not None and self.outputs.sends_ranges(AutopilotView.of(self._autopilot))
 
     @property
     def _sighted(self) -> MonoNs | None:
@@ -331,7 +300,7 @@ class Component(NullObserver):
 
     def _information(self, now: MonoNs) -> Message:
         return ComponentInformationBasic(
-            now // 1_000_000 & 0xFFFFFFFF, _CAPABILITIES, 0, "Decklander", "companion", _version(), "", ""
+            now // 1_000_000 & 0xFFFFFFFF, _CAPABILITIES, 0, "Decklander", "companion", version(), "", ""
         )
 
     def _value(self, now: MonoNs) -> Message | None:
@@ -347,26 +316,18 @@ class Component(NullObserver):
         belief = self._belief
         if belief is None:
             return 0.0 if name == "dl_seen" else None
-        if name == "dl_seen":
-            return float(belief.age_s(now) <= self._o.stale_s)
-        if name == "dl_age":
-            return belief.age_s(now)
-        if name == "dl_height":
-            return belief.height_m
-        if name == "dl_lateral":
-            return belief.lateral_m
-        return math.sqrt(max(float(belief.cov[0, 0] + belief.cov[1, 1]) / 2.0, 0.0))
+        figures = {
+            "dl_seen": float(belief.age_s(now) <= self._o.stale_s),
+            "dl_age": belief.age_s(now),
+            "dl_sigma": math.sqrt(max(float(belief.cov[0, 0] + belief.cov[1, 1]) / 2.0, 0.0)),
+            "dl_height": belief.height_m,
+            "dl_lateral": belief.lateral_m,
+        }
+        return figures[name]
 
 
 _VALUES = ("dl_seen", "dl_age", "dl_sigma", "dl_height", "dl_lateral")
 """NAMED_VALUE_FLOAT, at most ten characters: seen lately (1 or 0), s since then, m of one horizontal sigma, m, m."""
-
-
-def _version() -> str:
-    try:
-        return metadata.version("decklander")
-    except metadata.PackageNotFoundError:
-        return ""
 
 
 @asynccontextmanager

@@ -12,13 +12,11 @@ from typing import NoReturn, Protocol
 import numpy as np
 from msgspec import structs
 
-from companion.base.health import Health
-from companion.base.missing_inputs import GIMBAL
+from companion.base.health import GIMBAL, Health
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.camera_component import ShowCamera, showing
-from companion.parts.mavlink.commands import link_counters
+from companion.parts.mavlink.commands import PilotTower, link_counters
 from companion.parts.mavlink.component import Component, ComponentOptions, speaking
-from companion.parts.mavlink.operator import PilotTower
 from companion.parts.mavlink.parameters import Tunables
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.model import Settings

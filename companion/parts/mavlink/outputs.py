@@ -1,16 +1,18 @@
 """The messages about the pad that each kind of autopilot obeys, the texts for the pilot, and when each is sent. No I/O."""
 
+from __future__ import annotations
+
 import math
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
 
 import numpy as np
 
 from companion.parts.mavlink.target_track import TargetSample, TargetTrack, lag_locked, position_at
 from companion.settings.links import OutputOptions
+from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, TargetRelative, mav
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Condition, Stack
@@ -157,23 +159,27 @@ _MAVLINK_RANGEFINDER = 10.0
 """The RNGFNDx_TYPE of a rangefinder that reads DISTANCE_SENSOR."""
 
 
-class AutopilotView(Protocol):
+@dataclass(frozen=True, slots=True)
+class AutopilotView:
     """The part of the autopilot's state that `Outputs` reads."""
 
-    @property
-    def stack(self) -> Stack: ...
+    stack: Stack
+    condition: Condition
+    positions: tuple[LocalPosition, ...]
+    round_trip_s: float | None
+    parameter_values: Mapping[str, float]
 
-    @property
-    def condition(self) -> Condition: ...
-
-    @property
-    def positions(self) -> tuple[LocalPosition, ...]: ...
-
-    @property
-    def round_trip_s(self) -> float | None: ...
-
-    @property
-    def parameter_values(self) -> Mapping[str, float]: ...
+    @staticmethod
+    def of(autopilot: Autopilot) -> AutopilotView:
+        """Return the present view of an autopilot."""
+        identity, sync, parameters = autopilot.identity, autopilot.sync, autopilot.parameters
+        return AutopilotView(
+            Stack.OTHER if identity is None else identity.stack,
+            autopilot.condition,
+            autopilot.positions,
+            None if sync is None else sync.round_trip_s,
+            {} if parameters is None else parameters.values,
+        )
 
 
 class Outputs:

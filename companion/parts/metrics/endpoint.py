@@ -3,7 +3,7 @@
 import asyncio
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import accumulate
 
 from aiohttp import web
@@ -12,12 +12,16 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4 as CONTENT_TYP
 from prometheus_client.exposition import generate_latest
 from prometheus_client.registry import Collector, CollectorRegistry
 
-from companion.base.delays import EDGES_S
-from companion.base.health import Health, HealthSnapshot, MissionHealth
+from companion.base.health import EDGES_S, Health, HealthSnapshot, MissionHealth
 from companion.base.http_server import HttpServer
 from companion.base.liveness import stuck
 
 __all__ = ["CONTENT_TYPE", "text"]
+
+
+Samples = Iterable[tuple[Sequence[str], float | None]]
+_Row = tuple[type[CounterMetricFamily | GaugeMetricFamily], str, str, tuple[str, ...], Samples]
+"""Kind of a family, its name, its description, the names of its labels, and its samples by their labels."""
 
 
 class _Snapshot(Collector):
@@ -25,7 +29,7 @@ class _Snapshot(Collector):
         self._health = health
 
     def collect(self) -> Iterator[Metric]:
-        yield from families(self._health)
+        return families(self._health)
 
 
 def text(health: HealthSnapshot) -> bytes:
@@ -37,121 +41,82 @@ def text(health: HealthSnapshot) -> bytes:
 
 def families(health: HealthSnapshot) -> Iterator[Metric]:
     """Yield the metric families of a snapshot; an unknown value has no sample."""
-    flight = GaugeMetricFamily("decklander_flight_up", "Whether the parts that the flight needs are up.")
-    if any(part.vital for part in health.parts.values()):
-        flight.add_metric([], float(health.flight_up))
-    yield flight
-    up = GaugeMetricFamily("decklander_part_up", "Whether a supervised part runs.", labels=["part"])
-    since = GaugeMetricFamily("decklander_part_age_seconds", "Since the part came up or went down.", labels=["part"])
-    restarts = CounterMetricFamily("decklander_part_failures", "How often the part failed.", labels=["part"])
-    for part, state in health.parts.items():
-        up.add_metric([part], float(state.up))
-        since.add_metric([part], state.age_s)
-        restarts.add_metric([part], state.restarts)
-    yield from (up, since, restarts)
-
-    items = CounterMetricFamily("decklander_items", "Data that came by, by kind.", labels=["kind"])
-    ages = GaugeMetricFamily("decklander_item_age_seconds", "Since the last of its kind.", labels=["kind"])
-    rates = GaugeMetricFamily("decklander_item_rate_hertz", "How many of a kind a second, over the newest.", labels=["kind"])
-    for kind, flow in health.flows.items():
-        items.add_metric([kind], flow.count)
-        if flow.age_s is not None:
-            ages.add_metric([kind], flow.age_s)
-        if flow.rate_hz is not None:
-            rates.add_metric([kind], flow.rate_hz)
-    yield from (items, ages, rates)
-
-    frames = CounterMetricFamily("decklander_frames", "What became of each frame; exactly one verdict each.", labels=["verdict"])
-    for verdict, n in health.frames.items():
-        frames.add_metric([verdict], n)
-    inputs = CounterMetricFamily("decklander_inputs", "What became of each measurement.", labels=["kind", "verdict"])
-    for kind, tally in health.inputs.items():
-        for verdict, n in tally.items():
-            inputs.add_metric([kind, verdict], n)
-    yield from (frames, inputs)
-
-    results = CounterMetricFamily(
-        "decklander_fusion",
-        "What became of each measurement on each path of the estimator.",
-        labels=["path", "source", "verdict"],
-    )
-    ratios = GaugeMetricFamily(
-        "decklander_innovation_test_ratio",
-        "NIS over the gate's limit of the newest measurement that was compared with a prediction; above 1 the gate refuses.",
-        labels=["path", "source"],
-    )
-    nis = GaugeMetricFamily(
-        "decklander_normalized_nis_mean",
-        "Recent mean of NIS over the number of components; 1 when the estimator's covariance is honest.",
-        labels=["path", "source"],
-    )
-    for fusion in health.fusion:
-        of = [fusion.path, fusion.source]
-        for verdict, n in fusion.verdicts.items():
-            results.add_metric([*of, verdict], n)
-        if fusion.test_ratio is not None:
-            ratios.add_metric(of, fusion.test_ratio)
-        if fusion.nis_mean is not None:
-            nis.add_metric(of, fusion.nis_mean)
-    yield from (results, ratios, nis)
-
-    stages = GaugeMetricFamily(
-        "decklander_stage_seconds", "How long a stage takes, quantiles of its newest runs.", labels=["stage", "quantile"]
-    )
-    runs = CounterMetricFamily("decklander_stage_runs", "How often a stage ran.", labels=["stage"])
-    for name, stage in health.stages.items():
-        runs.add_metric([name], stage.count)
-        for quantile, value in (("0.5", stage.p50_s), ("0.99", stage.p99_s)):
-            if value is not None:
-                stages.add_metric([name, quantile], value)
-    yield from (stages, runs, _durations(health))
-
-    yield from _mission(health.mission)
-
-    counts = GaugeMetricFamily("decklander_count", "What the parts count for themselves.", labels=["part", "name"])
-    for part, values in health.counters.items():
-        for name, number in values.items():
-            counts.add_metric([part, name], number)
-    yield counts
-
-
-def _durations(health: HealthSnapshot) -> Metric:
-    family = HistogramMetricFamily(
+    for kind, name, words, labels, samples in (*_of_service(health), *_of_mission(health.mission)):
+        family = kind(name, words, labels=labels)
+        for values, number in samples:
+            if number is not None:
+                family.add_metric(values, number)
+        yield family
+    durations = HistogramMetricFamily(
         "decklander_stage_duration_seconds", "How long a stage took, each run since the start.", labels=["stage"]
     )
     edges = [*map(str, EDGES_S), "+Inf"]
-    for name, stage in health.stages.items():
-        family.add_metric([name], list(zip(edges, accumulate(stage.buckets), strict=True)), stage.sum_s)
-    return family
+    for stage, times in health.stages.items():
+        durations.add_metric([stage], list(zip(edges, accumulate(times.buckets), strict=True)), times.sum_s)
+    yield durations
 
 
-def _mission(mission: MissionHealth) -> Iterator[Metric]:
-    phase = GaugeMetricFamily("decklander_phase", "1 for the present state of the mission.", labels=["phase"])
-    if mission.phase:
-        phase.add_metric([mission.phase], 1.0)
-    yield phase
+def _of_service(health: HealthSnapshot) -> Iterator[_Row]:
+    counter, gauge = CounterMetricFamily, GaugeMetricFamily
+    known = any(part.vital for part in health.parts.values())
+    flight = float(health.flight_up) if known else None
+    yield gauge, "decklander_flight_up", "Whether the parts that the flight needs are up.", (), [((), flight)]
+    parts = health.parts.items()
+    words = "Whether a supervised part runs."
+    yield gauge, "decklander_part_up", words, ("part",), [((name,), float(part.up)) for name, part in parts]
+    words = "Since the part came up or went down."
+    yield gauge, "decklander_part_age_seconds", words, ("part",), [((name,), p.age_s) for name, p in parts]
+    words = "How often the part failed."
+    yield counter, "decklander_part_failures", words, ("part",), [((name,), part.restarts) for name, part in parts]
+
+    flows = health.flows.items()
+    yield counter, "decklander_items", "Data that came by, by kind.", ("kind",), [((kind,), flow.count) for kind, flow in flows]
+    words = "Since the last of its kind."
+    yield gauge, "decklander_item_age_seconds", words, ("kind",), [((kind,), flow.age_s) for kind, flow in flows]
+    words = "How many of a kind a second, over the newest."
+    yield gauge, "decklander_item_rate_hertz", words, ("kind",), [((kind,), flow.rate_hz) for kind, flow in flows]
+
+    words = "What became of each frame; exactly one verdict each."
+    yield counter, "decklander_frames", words, ("verdict",), [((verdict,), n) for verdict, n in health.frames.items()]
+    inputs = (((kind, verdict), n) for kind, tally in health.inputs.items() for verdict, n in tally.items())
+    yield counter, "decklander_inputs", "What became of each measurement.", ("kind", "verdict"), inputs
+
+    of, results = ("path", "source"), health.fusion
+    words = "What became of each measurement on each path of the estimator."
+    verdicts = (((f.path, f.source, verdict), n) for f in results for verdict, n in f.verdicts.items())
+    yield counter, "decklander_fusion", words, (*of, "verdict"), verdicts
+    words = "NIS over the gate's limit of the newest measurement that was compared with a prediction; above 1 the gate refuses."
+    yield gauge, "decklander_innovation_test_ratio", words, of, [((f.path, f.source), f.test_ratio) for f in results]
+    words = "Recent mean of NIS over the number of components; 1 when the estimator's covariance is honest."
+    yield gauge, "decklander_normalized_nis_mean", words, of, [((f.path, f.source), f.nis_mean) for f in results]
+
+    stages = health.stages.items()
+    quantiles = (((name, q), value) for name, s in stages for q, value in (("0.5", s.p50_s), ("0.99", s.p99_s)))
+    words = "How long a stage takes, quantiles of its newest runs."
+    yield gauge, "decklander_stage_seconds", words, ("stage", "quantile"), quantiles
+    words = "How often a stage ran."
+    yield counter, "decklander_stage_runs", words, ("stage",), [((name,), stage.count) for name, stage in stages]
+    counts = (((part, name), n) for part, values in health.counters.items() for name, n in values.items())
+    yield gauge, "decklander_count", "What the parts count for themselves.", ("part", "name"), counts
+
+
+def _of_mission(mission: MissionHealth) -> Iterator[_Row]:
+    counter, gauge = CounterMetricFamily, GaugeMetricFamily
+    phase = [((mission.phase,), 1.0)] if mission.phase else []
+    yield gauge, "decklander_phase", "1 for the present state of the mission.", ("phase",), phase
     delay_s, longer_s = (None, None) if mission.response is None else (mission.response.delay_s, mission.response.longer_s)
-    numbers = (
+    for name, words, value in (
         ("decklander_height_metres", "Height over the pad by the steering estimate.", mission.height_m),
         ("decklander_error_metres", "Horizontal distance from the pad's centre by the steering estimate.", mission.error_m),
         ("decklander_battery_ratio", "The vehicle's charge, 0 to 1.", mission.battery),
         ("decklander_response_delay_seconds", "Delay of the vehicle's tilt that is flown with, once identified.", delay_s),
         ("decklander_response_longer_seconds", "By how much that is longer than the response file says.", longer_s),
-    )
-    for name, words, value in numbers:
-        family = GaugeMetricFamily(name, words)
-        if value is not None:
-            family.add_metric([], value)
-        yield family
-    changes = CounterMetricFamily(
-        "decklander_transitions", "Changes of the mission's state, with event and cause.", labels=["from", "to", "event", "cause"]
-    )
-    for labels, n in mission.transitions.items():
-        changes.add_metric(labels, n)
-    flights = CounterMetricFamily("decklander_flights", "Ended flights by outcome.", labels=["outcome"])
-    for outcome, n in mission.flights.items():
-        flights.add_metric([outcome], n)
-    yield from (changes, flights)
+    ):
+        yield gauge, name, words, (), [((), value)]
+    words, labels = "Changes of the mission's state, with event and cause.", ("from", "to", "event", "cause")
+    yield counter, "decklander_transitions", words, labels, mission.transitions.items()
+    words = "Ended flights by outcome."
+    yield counter, "decklander_flights", words, ("outcome",), [((name,), n) for name, n in mission.flights.items()]
 
 
 _PAGE_S = 0.2

@@ -17,11 +17,12 @@ import math
 import re
 from collections import Counter, OrderedDict
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, TypeVar, cast
 
 import msgspec
 import numpy as np
 
+from companion.guidance.pilot_operator import Operated
 from companion.parts.mqtt.messages import (
     AbortCommand,
     ClearCommand,
@@ -33,23 +34,41 @@ from companion.parts.mqtt.messages import (
     SetRecordingCommand,
     ShipReport,
     StartCommand,
+    Topics,
 )
-from companion.parts.mqtt.topics import Topics
 from drivers.nmea.sentences import COV_SPEED, HEADING_SIGMA_RAD
-from estimator.contracts.estimates import PathName
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 
+log = logging.getLogger(__name__)
+
+LONGEST_BYTES = 4096
+REPORT_MAX_BYTES = 1024
+FARTHEST_S = 60.0
+"""The longest time that a command may stay valid, s."""
+REMEMBERED = 4096
+"""The number of answers kept for repeated commands: more than can arrive while one of them is still valid."""
+_STAMP_SIGMA_S = 0.2
+"""Standard deviation of the report's instant: its sender knows the drone's clock by messages that took their time to it."""
 _SIGNED = re.compile(rb"([0-9a-f]{64}) (.+)", re.DOTALL)
 
+T = TypeVar("T")
+Samples = list[GeoFix | VesselReport]
 
-class Unsigned(ValueError):
-    """The payload carries no signature at all."""
 
+class RefusedMessage(ValueError):
+    """A message is not obeyed.
 
-class Forged(ValueError):
-    """The signature does not match this topic, command and key."""
+    Args:
+        reason: the reason in one word, by which refusals are counted.
+        text: the reason for the sender.
+    """
+
+    def __init__(self, reason: Refusal | Literal["ahead", "not_newer"], text: str = "") -> None:
+        super().__init__(text)
+        self.reason = reason
+        self.text = text
 
 
 def signed(key: bytes, topic: str, command: bytes) -> bytes:
@@ -61,14 +80,13 @@ def verified(key: bytes, topic: str, payload: bytes) -> bytes:
     """Return the command in JSON.
 
     Raises:
-        Unsigned: the payload does not begin with a signature.
-        Forged: the signature is wrong.
+        RefusedMessage: the payload does not begin with a signature, or with one that is wrong.
     """
     match = _SIGNED.fullmatch(payload)
     if match is None:
-        raise Unsigned
+        raise RefusedMessage("unsigned", "commands are signed here: the signature, a space, the command")
     if not hmac.compare_digest(match[1], _digits(key, topic, match[2])):
-        raise Forged
+        raise RefusedMessage("bad_signature", "the signature is not that of this topic, command and key")
     return match[2]
 
 
@@ -76,29 +94,24 @@ def _digits(key: bytes, topic: str, command: bytes) -> bytes:
     return hmac.new(key, topic.encode() + b"\n" + command, hashlib.sha256).hexdigest().encode()
 
 
-LONGEST_BYTES = 4096
-FARTHEST_S = 60.0
-"""The longest time that a command may stay valid, s."""
-REMEMBERED = 4096
-"""The number of answers kept for repeated commands: more than can arrive while one of them is still valid."""
-
-_decoder = msgspec.json.Decoder(Command)
+def _opened(payload: bytes, topic: str, key: bytes | None, longest_bytes: int) -> bytes:
+    if len(payload) > longest_bytes:
+        raise RefusedMessage("too_long", f"{len(payload)} bytes, at most {longest_bytes} are read")
+    return payload if key is None else verified(key, topic, payload)
 
 
-class Operated(Protocol):
-    """The pilot's operations for an operator; each returns None if it was carried out, else the reason why it cannot be."""
+def _decoded(payload: bytes, decoder: msgspec.json.Decoder[T]) -> T:
+    try:
+        return decoder.decode(payload)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as why:
+        raise RefusedMessage("malformed", str(why)[:200]) from why
 
-    def start(self) -> str | None: ...
 
-    def pause(self) -> str | None: ...
-
-    def abort(self) -> str | None: ...
-
-    def clear(self) -> str | None: ...
-
-    def steer_by(self, path: PathName) -> str | None: ...
-
-    def record(self, on: bool) -> str | None: ...
+def _check_run(named: str, run: str, retained: bool) -> None:
+    if retained:
+        raise RefusedMessage("retained", "a retained command is never carried out")
+    if not hmac.compare_digest(named.encode(errors="replace"), run.encode()):
+        raise RefusedMessage("other_run", "meant for another run of the service")
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +141,9 @@ class CommandHandler:
     operated: Operated
     run: str
     key: bytes | None = field(default=None, repr=False)
-    _answered: OrderedDict[str, HandledCommand] = field(default_factory=OrderedDict)
+    _answered: OrderedDict[str, CommandReply] = field(default_factory=OrderedDict)
     counts: Counter[str] = field(default_factory=Counter)
+    _decoder: msgspec.json.Decoder[Command] = field(default_factory=lambda: msgspec.json.Decoder(Command), repr=False)
 
     def take(self, payload: bytes, now: MonoNs, *, retained: bool = False, reply_to: str | None = None) -> HandledCommand:
         """Check one message, and carry it out if every check passes.
@@ -138,92 +152,66 @@ class CommandHandler:
             retained: whether the broker had retained the message; its sender may be long gone.
             reply_to: the response topic of MQTT 5, used if the command itself names none.
         """
-        handled = self._handle(payload, now, retained, reply_to)
-        self.counts["repeated" if handled.repeated else handled.reply.reason or "accepted"] += 1
-        return handled
-
-    def _handle(self, payload: bytes, now: MonoNs, retained: bool, reply_to: str | None) -> HandledCommand:
-        def refuse(
-            reason: Refusal, words: str, of: str | None = None, name: str | None = None, to: str | None = None
-        ) -> HandledCommand:
-            answer = CommandReply(session=self.session, at_ns=now, id=of, accepted=False, reason=reason, text=words)
-            return HandledCommand(answer, to or self.topics.reply, name)
-
-        if len(payload) > LONGEST_BYTES:
-            return refuse("too_long", f"{len(payload)} bytes, at most {LONGEST_BYTES} are read")
-        if self.key is not None:
-            try:
-                payload = verified(self.key, self.topics.command, payload)
-            except Unsigned:
-                return refuse("unsigned", "commands are signed here: the signature, a space, the command")
-            except Forged:
-                return refuse("bad_signature", "the signature is not that of this topic, command and key")
+        to, identifier, name, remembered = self.topics.of("reply"), None, None, False
+        refused: RefusedMessage | None = None
         try:
-            command = _decoder.decode(payload)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as why:
-            return refuse("malformed", str(why)[:200], _id_in(payload))
-        name = command.__struct_config__.tag
-        assert isinstance(name, str)
-        wished = command.reply_to or reply_to
-        if wished is not None and not self.topics.allows_reply(wished):
-            return refuse("reply_elsewhere", f"answers go to {self.topics.reply} or one name below it", command.id, name)
-        to = wished or self.topics.reply
-        if (known := self._answered.get(command.id)) is not None:
-            return HandledCommand(known.reply, to, name, repeated=True)
-        if retained:
-            handled = refuse("retained", "a retained command is never carried out", command.id, name, to)
-        elif not hmac.compare_digest(command.run.encode(errors="replace"), self.run.encode()):
-            handled = refuse("other_run", "meant for another run of the service", command.id, name, to)
-        elif command.expires_ns < now:
-            late_s = seconds_between(MonoNs(command.expires_ns), now)
-            handled = refuse("expired", f"came {late_s:.3g} s after it had expired", command.id, name, to)
-        elif command.expires_ns > after(now, FARTHEST_S):
-            handled = refuse("expiry_too_far", f"it may expire {FARTHEST_S:.0f} s from now at most", command.id, name, to)
-        elif (cannot := self._carry_out(command)) is not None:
-            handled = refuse("not_possible", cannot, command.id, name, to)
-        else:
-            done = CommandReply(session=self.session, at_ns=now, id=command.id, accepted=True, reason=None, text=f"{name} done")
-            handled = HandledCommand(done, to, name)
-        self._answered[command.id] = handled
-        if len(self._answered) > REMEMBERED:
-            self._answered.popitem(last=False)
-        return handled
+            body = _opened(payload, self.topics.of("command"), self.key, LONGEST_BYTES)
+            identifier = _id_in(body)
+            command = _decoded(body, self._decoder)
+            name = str(command.__struct_config__.tag)
+            wished = command.reply_to or reply_to
+            if wished is not None and not self.topics.allows_reply(wished):
+                raise RefusedMessage("reply_elsewhere", f"answers go to {to} or one name below it")
+            to = wished or to
+            if (known := self._answered.get(command.id)) is not None:
+                self.counts["repeated"] += 1
+                return HandledCommand(known, to, name, repeated=True)
+            remembered = True
+            _check_run(command.run, self.run, retained)
+            self._carry_out(command, now)
+        except RefusedMessage as why:
+            refused = why
+        reason = None if refused is None else cast(Refusal, refused.reason)
+        text = f"{name} done" if refused is None else refused.text
+        reply = CommandReply(session=self.session, at_ns=now, id=identifier, accepted=refused is None, reason=reason, text=text)
+        if remembered and identifier is not None:
+            self._answered[identifier] = reply
+            if len(self._answered) > REMEMBERED:
+                self._answered.popitem(last=False)
+        self.counts[reason or "accepted"] += 1
+        return HandledCommand(reply, to, name)
 
-    def _carry_out(self, command: Command) -> str | None:
+    def _carry_out(self, command: Command, now: MonoNs) -> None:
+        if command.expires_ns < now:
+            late_s = seconds_between(MonoNs(command.expires_ns), now)
+            raise RefusedMessage("expired", f"came {late_s:.3g} s after it had expired")
+        if command.expires_ns > after(now, FARTHEST_S):
+            raise RefusedMessage("expiry_too_far", f"it may expire {FARTHEST_S:.0f} s from now at most")
         match command:
             case StartCommand():
-                return self.operated.start()
+                cannot = self.operated.start()
             case PauseCommand():
-                return self.operated.pause()
+                cannot = self.operated.pause()
             case AbortCommand():
-                return self.operated.abort()
+                cannot = self.operated.abort()
             case ClearCommand():
-                return self.operated.clear()
+                cannot = self.operated.clear()
             case SetPathCommand():
-                return self.operated.steer_by(command.path)
+                cannot = self.operated.steer_by(command.path)
             case SetRecordingCommand():
-                return self.operated.record(command.on)
+                cannot = self.operated.record(command.on)
+        if cannot is not None:
+            raise RefusedMessage("not_possible", cannot)
 
 
 def _id_in(payload: bytes) -> str | None:
-    """Return the id of a command that is otherwise malformed, so that its sender can recognize the command."""
+    """Return the id of a command, which may be malformed otherwise, so that its sender can recognize the command."""
     try:
         data = msgspec.json.decode(payload)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
     found = data.get("id") if isinstance(data, dict) else None
     return found if isinstance(found, str) and len(found) <= 64 else None
-
-
-log = logging.getLogger(__name__)
-
-REPORT_MAX_BYTES = 1024
-_STAMP_SIGMA_S = 0.2
-"""Standard deviation of the report's instant: its sender knows the drone's clock by messages that took their time to it."""
-
-_report_decoder = msgspec.json.Decoder(ShipReport)
-
-Samples = list[GeoFix | VesselReport]
 
 
 @dataclass(slots=True)
@@ -241,48 +229,26 @@ class ShipReportReader:
     counts: Counter[str] = field(default_factory=Counter)
     """The number of reports by `taken`, or by the reason why they were refused."""
     _newest_ns: int = -1
+    _decoder: msgspec.json.Decoder[ShipReport] = field(default_factory=lambda: msgspec.json.Decoder(ShipReport), repr=False)
 
     def samples(self, payload: bytes, received_at: MonoNs, *, retained: bool = False) -> Samples:
         """Return the samples in one message; none if it is refused, which is counted and logged once for each reason."""
         try:
-            out = self._samples(payload, received_at, retained)
-        except _Refused as why:
-            reason = str(why)
-            if reason not in self.counts:
-                log.warning("a report of the ship was refused (%s); the next ones are counted only", reason.replace("_", " "))
-            self.counts[reason] += 1
+            report = _decoded(_opened(payload, self.topics.of("vessel"), self.key, REPORT_MAX_BYTES), self._decoder)
+            _check_run(report.run, self.run, retained)
+            if report.at_ns > received_at:
+                raise RefusedMessage("ahead")
+            if report.at_ns <= self._newest_ns:
+                raise RefusedMessage("not_newer")
+        except RefusedMessage as why:
+            if why.reason not in self.counts:
+                words = why.reason.replace("_", " ")
+                log.warning("a report of the ship was refused (%s); the next ones are counted only", words)
+            self.counts[why.reason] += 1
             return []
-        self.counts["taken"] += 1
-        return out
-
-    def _samples(self, payload: bytes, received_at: MonoNs, retained: bool) -> Samples:
-        if len(payload) > REPORT_MAX_BYTES:
-            raise _Refused("too_long")
-        if self.key is not None:
-            try:
-                payload = verified(self.key, self.topics.vessel, payload)
-            except Unsigned:
-                raise _Refused("unsigned") from None
-            except Forged:
-                raise _Refused("bad_signature") from None
-        try:
-            report = _report_decoder.decode(payload)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            raise _Refused("malformed") from None
-        if retained:
-            raise _Refused("retained")
-        if not hmac.compare_digest(report.run.encode(errors="replace"), self.run.encode()):
-            raise _Refused("other_run")
-        if report.at_ns > received_at:
-            raise _Refused("ahead")
-        if report.at_ns <= self._newest_ns:
-            raise _Refused("not_newer")
         self._newest_ns = report.at_ns
+        self.counts["taken"] += 1
         return _samples(report, Stamp(MonoNs(report.at_ns), received_at, _STAMP_SIGMA_S, "synced"))
-
-
-class _Refused(Exception):
-    """A report is not taken; the text is the name of the counter."""
 
 
 def _samples(report: ShipReport, stamp: Stamp) -> Samples:

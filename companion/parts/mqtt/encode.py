@@ -1,20 +1,24 @@
 """Encode the service's state as the messages that it publishes, and find the changes that are worth an event. No I/O."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 from companion.base.health import FusionState, HealthSnapshot
 from companion.base.mission import StateChange
 from companion.base.observer import Decision, ProcessedFrame
 from companion.base.orders import HandledOrder
-from companion.base.response_in_use import ResponseInUse
 from companion.facts import encode as facts
-from companion.parts.mqtt.messages import FusionMessage, HealthMessage, SightingMessage, SourceReport, StateMessage
+from companion.parts.mqtt.messages import (
+    EventData,
+    EventKind,
+    FusionMessage,
+    HealthMessage,
+    SightingMessage,
+    SourceReport,
+    StateMessage,
+)
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
-
-Kind = Literal["service", "phase", "vehicle", "pad", "part", "command", "limit"]
 
 LOST_AFTER_S = 1.0
 """The time without a sighting after which the pad counts as lost, s."""
@@ -26,14 +30,14 @@ class PendingEvent:
     """An event that has no number yet."""
 
     at: MonoNs
-    kind: Kind
+    kind: EventKind
     text: str
-    data: Mapping[str, str | float | bool | None] = field(default_factory=dict)
+    data: EventData = field(default_factory=dict)
 
 
-def _changed(change: StateChange, place: Mapping[str, str | float | bool | None]) -> PendingEvent:
+def _changed(change: StateChange, place: EventData) -> PendingEvent:
     why = change.reason
-    data: dict[str, str | float | bool | None] = {
+    data: EventData = {
         "from": change.source.value,
         "to": change.target.value,
         "event": change.event.name.lower(),
@@ -41,26 +45,13 @@ def _changed(change: StateChange, place: Mapping[str, str | float | bool | None]
         "measured": why.measured,
         "limit": why.limit,
         "detail": why.detail if why.detail is None or isinstance(why.detail, str) else why.detail.name.lower(),
-        **place,
     }
-    return PendingEvent(change.at, "phase", f"{change.target.value}: {why.text}", data)
-
-
-def _response(at: MonoNs, of: ResponseInUse) -> PendingEvent:
-    data: dict[str, str | float | bool | None] = {
-        "response": of.state.value,
-        "delay_s": of.delay_s,
-        "sigma_s": of.sigma_s,
-        "longer_s": of.longer_s,
-        "frequency": of.shape.frequency,
-        "damping": of.shape.damping,
-    }
-    return PendingEvent(at, "vehicle", of.text, data)
+    return PendingEvent(change.at, "phase", f"{change.target.value}: {why.text}", data | place)
 
 
 def order_event(handled: HandledOrder) -> PendingEvent:
     """Return the event of a person's order and its answer."""
-    data: dict[str, str | float | bool | None] = {
+    data: EventData = {
         "command": handled.order.value,
         "source": handled.sender.source.value,
         "sender": handled.sender.name,
@@ -84,27 +75,22 @@ class Changes:
     _parts: dict[str, tuple[bool, int]] = field(default_factory=dict)
 
     def decision(self, decision: Decision) -> list[PendingEvent]:
-        """Return an event for a new phase of guidance, and one for limits that begin or end."""
-        response = [] if decision.response is None else [_response(decision.at, decision.response)]
-        return [*self._new_phase(decision), *self._new_limit(decision), *response]
-
-    def _new_limit(self, decision: Decision) -> list[PendingEvent]:
-        before, self._limit = self._limit, decision.limit
-        if before == decision.limit:
-            return []
-        return [PendingEvent(decision.at, "limit", decision.limit or "no limit any more", {"limit": decision.limit or None})]
-
-    def _new_phase(self, decision: Decision) -> list[PendingEvent]:
-        """Return an event for each change of the mission's state, or for a phase that another pilot has entered."""
+        """Return events for changes of the mission's state, for limits that begin or end, and for a response found in flight."""
+        at, belief, found = decision.at, decision.belief, []
         before, self._phase = self._phase, decision.phase
-        place: dict[str, str | float | bool | None] = {}
-        if decision.belief is not None:
-            place = {"height_m": decision.belief.height_m, "lateral_m": decision.belief.lateral_m}
+        place: EventData = {} if belief is None else {"height_m": belief.height_m, "lateral_m": belief.lateral_m}
         if decision.transitions:
-            return [_changed(change, place) for change in decision.transitions]
-        if before == decision.phase:
-            return []
-        return [PendingEvent(decision.at, "phase", decision.phase, {"from": before, "to": decision.phase, **place})]
+            found = [_changed(change, place) for change in decision.transitions]
+        elif before != decision.phase:  # of a pilot that has no table of states
+            found = [PendingEvent(at, "phase", decision.phase, {"from": before, "to": decision.phase, **place})]
+        if decision.limit != self._limit:
+            self._limit = decision.limit
+            found.append(PendingEvent(at, "limit", decision.limit or "no limit any more", {"limit": decision.limit or None}))
+        if (response := decision.response) is not None:
+            data: EventData = {name: getattr(response, name) for name in ("delay_s", "sigma_s", "longer_s")}
+            data |= {"response": response.state.value, "frequency": response.shape.frequency, "damping": response.shape.damping}
+            found.append(PendingEvent(at, "vehicle", response.text, data))
+        return found
 
     def vehicle(self, status: VehicleStatus) -> list[PendingEvent]:
         """Return events for a new mode of the vehicle, an emergency or a low battery."""
@@ -141,7 +127,7 @@ class Changes:
         for name, part in health.parts.items():
             up, restarts = self._parts.get(name, (True, 0))
             self._parts[name] = (part.up, part.restarts)
-            data: dict[str, str | float | bool | None] = {"part": name, "up": part.up, "restarts": part.restarts}
+            data: EventData = {"part": name, "up": part.up, "restarts": part.restarts}
             if part.restarts > restarts:
                 data["error"] = part.last_error
                 found.append(PendingEvent(health.at, "part", f"{name} failed: {part.last_error}", data))

@@ -1,11 +1,14 @@
-"""The messages on MQTT: one immutable struct for each, JSON on the wire (UTF-8, SI units and radians).
+"""The topics `decklander/v2/<drone>/...`, and their messages: one immutable struct each, JSON (UTF-8, SI units and radians).
 
-Times are `*_ns`: nanoseconds of the drone's monotonic clock, comparable within one `session` (one run of the service).
-What a flight reports has the fields that recordings have (`companion.facts`); unknown values are null or left out.
+A fleet shares a broker; the version in the topics changes when a meaning does. Times are `*_ns`: nanoseconds of the drone's
+monotonic clock, comparable within one `session` (one run of the service). What a flight reports has the fields that recordings
+have (`companion.facts`); unknown values are null or left out.
 """
 
 import json
-from typing import Annotated, Literal
+import re
+from dataclasses import dataclass
+from typing import Annotated, Literal, get_args
 
 import msgspec
 from msgspec import Meta, Struct
@@ -13,7 +16,43 @@ from msgspec import Meta, Struct
 from companion.facts.records import BeliefRecord, DecisionRecord, DetectionRecord, FusionRecord, HealthRecord, StatusRecord
 from estimator.contracts.estimates import PathName
 
+ROOT = "decklander/v2"
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
+EventKind = Literal["service", "phase", "vehicle", "pad", "part", "command", "limit"]
+EventData = dict[str, str | float | bool | None]
 CommandId = Annotated[str, Meta(min_length=1, max_length=64)]
+
+
+@dataclass(frozen=True, slots=True)
+class Topics:
+    """The subtree of one drone.
+
+    Raises:
+        ValueError: a name that is not 1 to 64 letters, digits, - and _.
+    """
+
+    drone: str
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.drone):
+            raise ValueError(f"not a name of a drone: {self.drone!r}")
+
+    def of(self, leaf: str) -> str:
+        """Return the topic of a leaf of `PUBLISHED`, or of `command` or `vessel`, to which the drone subscribes."""
+        return f"{ROOT}/{self.drone}/{leaf}"
+
+    def allows_reply(self, topic: str) -> bool:
+        """Return whether `topic` is `reply` or one name below it: nobody can make us publish an answer elsewhere."""
+        below = topic.removeprefix(self.of("reply") + "/")
+        return topic == self.of("reply") or (below != topic and _NAME.fullmatch(below) is not None)
+
+
+def split(topic: str) -> tuple[str, str] | None:
+    """Return (drone, leaf) of a topic of ours, or None for any other."""
+    parts = topic.split("/", 3)
+    if len(parts) != 4 or "/".join(parts[:2]) != ROOT or not _NAME.fullmatch(parts[2]):
+        return None
+    return parts[2], parts[3]
 
 
 class Message(Struct, frozen=True, kw_only=True):
@@ -85,10 +124,10 @@ class EventMessage(Message, frozen=True, kw_only=True):
     id: str
     spool: str
     sequence: int
-    kind: Literal["service", "phase", "vehicle", "pad", "part", "command", "limit"]
+    kind: EventKind
     text: str
     """Description of the event in English."""
-    data: dict[str, str | float | bool | None]
+    data: EventData
 
 
 class OperatorNotice(Message, frozen=True, kw_only=True):
@@ -221,8 +260,7 @@ def decode(leaf: str, payload: bytes) -> Message | None:
 
 def schema() -> str:
     """Return the JSON Schema of every message under `$defs`, with one property per line."""
-    commands = (StartCommand, PauseCommand, AbortCommand, ClearCommand, SetPathCommand, SetRecordingCommand)
-    models = (*PUBLISHED.values(), *commands, ShipReport)
+    models = (*PUBLISHED.values(), *get_args(Command), ShipReport)
     _, definitions = msgspec.json.schema_components(models, ref_template="#/$defs/{name}")
     whole = []
     for name, definition in sorted(definitions.items()):

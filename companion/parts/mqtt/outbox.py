@@ -5,81 +5,15 @@ Only a separate thread uses the disk, so a slow card delays nothing but the even
 
 import asyncio
 import logging
-import queue
-import threading
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from typing import TypeVar
+from collections.abc import Mapping
 
+from companion.base.worker import Worker
 from companion.parts.mqtt.connection import Connection
 from companion.parts.mqtt.encode import PendingEvent
 from companion.parts.mqtt.messages import EventMessage, encode
-from companion.parts.mqtt.spool import Fsync, Record, Spool
+from companion.parts.mqtt.spool import Fsync, Spool
 from drivers.mailbox import Line
 from estimator.contracts.errors import Recoverable
-
-T = TypeVar("T")
-
-_WAITING = 64
-"""The most tasks that may wait; few do at a time, because a caller waits for its task."""
-
-
-class DiskThread:
-    """Runs tasks one after the other, in the order in which they were submitted.
-
-    `concurrent.futures` would be joined when the interpreter ends, however long the disk takes; a daemon thread is not.
-    """
-
-    def __init__(self, name: str) -> None:
-        self._work: queue.Queue[Callable[[], None] | None] = queue.Queue(_WAITING)
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-
-    async def do(self, work: Callable[[], T]) -> T:
-        """Return what `work` returns, or raise what it raises. It is carried out even if the caller is cancelled.
-
-        Raises:
-            Recoverable: too many tasks wait for the disk already.
-        """
-        if not self._thread.ident:
-            self._thread.start()
-        loop = asyncio.get_running_loop()
-        done: asyncio.Future[T] = loop.create_future()
-
-        def carry_out() -> None:
-            outcome: T | None = None
-            error: BaseException | None = None
-            try:
-                outcome = work()
-            except BaseException as why:
-                error = why
-            # The loop may have ended in the meantime.
-            with suppress(RuntimeError):
-                loop.call_soon_threadsafe(_settle, done, outcome, error)
-
-        try:
-            self._work.put_nowait(carry_out)
-        except queue.Full as why:
-            raise Recoverable(f"the disk stands still: {_WAITING} pieces of work wait for it") from why
-        return await asyncio.shield(done)
-
-    def end(self) -> None:
-        """End the thread after the tasks that were submitted."""
-        with suppress(queue.Full):
-            self._work.put_nowait(None)
-
-    def _run(self) -> None:
-        while (work := self._work.get()) is not None:
-            work()
-
-
-def _settle(done: asyncio.Future[T], outcome: T | None, error: BaseException | None) -> None:
-    if done.done():
-        return
-    if error is not None:
-        done.set_exception(error)
-    else:
-        done.set_result(outcome)  # type: ignore[arg-type]
-
 
 log = logging.getLogger(__name__)
 
@@ -102,7 +36,7 @@ class Outbox:
         self._fsync = fsync
         self._line: Line[PendingEvent] = Line(LINE)
         self._more = asyncio.Event()
-        self._disk = DiskThread("spool")
+        self._disk = Worker("spool", waiting=64)
         self._unsynced = False
         self.delivered = 0
         self.refused = 0
@@ -132,7 +66,7 @@ class Outbox:
                     event = await self._line.get()
             except TimeoutError:
                 self._unsynced = False
-                await self._disk.do(self._spool.sync)
+                await self._disk.run(self._spool.sync)
                 continue
             await self._append([event, *await self._waiting()])
 
@@ -163,17 +97,17 @@ class Outbox:
         Raises:
             aiomqtt.MqttError: the broker failed.
         """
-        records = await self._disk.do(lambda: self._spool.peek(BATCH))
+        records = await self._disk.run(self._spool.peek, BATCH)
         if not records:
             return 0
         refusals = connection.refusals
         async with asyncio.TaskGroup() as group:
             for record in records:
-                group.create_task(self._publish(connection, record))
+                group.create_task(connection.publish_message(self._topic, record.body, qos=1))
         if connection.refusals > refusals:
             self.refused += connection.refusals - refusals
             return 0
-        await self._disk.do(lambda: self._spool.deliver(records[-1].number))
+        await self._disk.run(self._spool.deliver, records[-1].number)
         self.delivered += len(records)
         return len(records)
 
@@ -182,21 +116,17 @@ class Outbox:
         try:
             async with asyncio.timeout(_CLOSE_S):
                 await self.flush()
-                await self._disk.do(self._spool.close)
+                await self._disk.run(self._spool.close)
         except (TimeoutError, Recoverable):
             log.error("mqtt.spool: the disk took nothing for %.1f s; %d events may be lost", _CLOSE_S, self._spool.waiting)
-        self._disk.end()
-
-    async def _publish(self, connection: Connection, record: Record) -> None:
-        await connection.publish_message(self._topic, record.body, qos=1)
+        self._disk.close()
 
     async def _waiting(self) -> list[PendingEvent]:
         """Return all queued events without a pause, so that no cancellation can come between taking and spooling them."""
         return [await self._line.get() for _ in range(len(self._line))]
 
     async def _append(self, events: list[PendingEvent]) -> None:
-        always = self._fsync == "always"
-        await self._disk.do(lambda: self._append_now(events, always))
+        await self._disk.run(self._append_now, events, self._fsync == "always")
         self._unsynced = self._fsync == "second"
         self._more.set()
 

@@ -29,10 +29,9 @@ from companion.parts.mqtt import encode as encoding
 from companion.parts.mqtt.commands import CommandHandler, ShipReportReader
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, client_id, connect
 from companion.parts.mqtt.encode import Changes, PendingEvent, order_event
-from companion.parts.mqtt.messages import Message, OperatorNotice, StatusMessage, encode
+from companion.parts.mqtt.messages import EventData, Message, OperatorNotice, StatusMessage, Topics, encode
 from companion.parts.mqtt.outbox import Outbox
 from companion.parts.mqtt.spool import Spool
-from companion.parts.mqtt.topics import Topics
 from companion.settings import files
 from companion.settings.links import MqttSettings
 from drivers.mailbox import Line
@@ -167,7 +166,7 @@ class MqttPart:
         self._broker_down = True
 
     async def _connection(self) -> None:
-        will = aiomqtt.Will(self._topics.status, encode(self._status("lost")), qos=1, retain=True)
+        will = aiomqtt.Will(self._topics.of("status"), encode(self._status("lost")), qos=1, retain=True)
         async with connect(self._endpoint, self._client_id, will) as connection:
             try:
                 with connection.explained():
@@ -178,36 +177,37 @@ class MqttPart:
 
     async def _converse(self, connection: Connection) -> None:
         if self._settings.commands != "off":
-            await connection.subscribe_to(self._topics.command, qos=1)
+            await connection.subscribe_to(self._topics.of("command"), qos=1)
             notice = OperatorNotice(
                 session=self._session, at_ns=self._clock.now(), run=self._command_handler.run, commands=self._settings.commands
             )
-            await connection.publish_message(self._topics.operator, encode(notice), qos=1, retain=True)
+            await connection.publish_message(self._topics.of("operator"), encode(notice), qos=1, retain=True)
             if self._ship is not None:
-                await connection.subscribe_to(self._topics.vessel, qos=1)
+                await connection.subscribe_to(self._topics.of("vessel"), qos=1)
         with suppress(Recoverable):  # who may not read it learns of no namesake
-            await connection.subscribe_to(self._topics.status, qos=0)
+            await connection.subscribe_to(self._topics.of("status"), qos=0)
         await self._publish_status(connection)
         self._counts["connections"] += 1
         self._broker_down = False
         self._health.up(BROKER)
         log.info("connected to broker %s:%d", self._endpoint.host, self._endpoint.port)
         s = self._settings
+        newest: tuple[tuple[str, float, Callable[[], Message | None]], ...] = (
+            ("state", s.state_hz, self._newest_state),
+            ("sighting", s.sighting_hz, self._newest_sighting),
+            ("fusion", s.sighting_hz, self._newest_fusion),
+            ("health", s.health_hz, lambda: encoding.health(self._session, self._health.snapshot())),
+        )
         async with asyncio.TaskGroup() as group:
             group.create_task(self._outbox.deliver(connection))
             group.create_task(self._take_publications(connection))
             group.create_task(self._renew_status(connection))
-            for leaf, rate_hz, newest in (
-                ("state", s.state_hz, self._newest_state),
-                ("sighting", s.sighting_hz, self._newest_sighting),
-                ("fusion", s.sighting_hz, self._newest_fusion),
-                ("health", s.health_hz, self._newest_health),
-            ):
+            for leaf, rate_hz, make in newest:
                 if rate_hz > 0:
-                    group.create_task(self._publish_periodically(connection, leaf, rate_hz, newest))
+                    group.create_task(self._publish_periodically(connection, leaf, rate_hz, make))
 
     async def _publish_status(self, connection: Connection) -> None:
-        await connection.publish_message(self._topics.status, encode(self._status("up")), qos=1, retain=True)
+        await connection.publish_message(self._topics.of("status"), encode(self._status("up")), qos=1, retain=True)
 
     async def _renew_status(self, connection: Connection) -> NoReturn:
         """Publish the status again when the wall clock was set, and now and then for a broker that lost what it retained."""
@@ -268,15 +268,12 @@ class MqttPart:
         before, self._results_reported = self._results_reported, counted
         return None if counted == before else encoding.fusion(self._session, self._health.now(), states)
 
-    def _newest_health(self) -> Message:
-        return encoding.health(self._session, self._health.snapshot())
-
     async def _take_publications(self, connection: Connection) -> None:
         most = self._settings.commands_max_hz
         recent: dict[bool, deque[MonoNs]] = {False: deque(maxlen=most), True: deque(maxlen=most)}
         async for publication in connection.publications():
-            now, of_ship = self._clock.now(), publication.topic == self._topics.vessel
-            if publication.topic == self._topics.status:
+            now, of_ship = self._clock.now(), publication.topic == self._topics.of("vessel")
+            if publication.topic == self._topics.of("status"):
                 self._hear_status(publication, now)
                 continue
             before = recent[of_ship]
@@ -284,16 +281,12 @@ class MqttPart:
                 self._counts["floods"] += 1
                 raise Recoverable(f"flooded: more than {most} {'reports of the ship' if of_ship else 'commands'} a second")
             before.append(now)
-            if of_ship:
-                self._take_report(publication, now)
-            elif self._settings.commands != "off":
+            if not of_ship and self._settings.commands != "off":
                 await self._take(connection, publication, now)
-
-    def _take_report(self, publication: Publication, now: MonoNs) -> None:
-        if self._ship is not None:
-            reader, line = self._ship
-            for sample in reader.samples(publication.payload, now, retained=publication.retained):
-                line.offer(sample)
+            elif of_ship and self._ship is not None:
+                reader, line = self._ship
+                for sample in reader.samples(publication.payload, now, retained=publication.retained):
+                    line.offer(sample)
 
     async def _take(self, connection: Connection, publication: Publication, now: MonoNs) -> None:
         handled = self._command_handler.take(
@@ -302,9 +295,7 @@ class MqttPart:
         reply = handled.reply
         if handled.command is not None and not handled.repeated:
             words = f"command {handled.command} " + ("accepted" if reply.accepted else f"refused: {reply.text}")
-            data: dict[str, str | float | bool | None] = {
-                "command": handled.command, "id": reply.id, "accepted": reply.accepted, "reason": reply.reason,
-            }  # fmt: skip
+            data: EventData = {"command": handled.command, "id": reply.id, "accepted": reply.accepted, "reason": reply.reason}
             log.info("%s", words)
             self._outbox.put(PendingEvent(now, "command", words, data))
         await connection.publish_message(handled.topic, encode(reply), qos=1, correlation=publication.correlation)
@@ -317,7 +308,7 @@ class MqttPart:
                 await self._outbox.flush()
                 while await self._outbox.deliver_batch(connection):
                     pass
-                await connection.publish_message(self._topics.status, encode(self._status("stopped")), qos=1, retain=True)
+                await connection.publish_message(self._topics.of("status"), encode(self._status("stopped")), qos=1, retain=True)
         except* (TimeoutError, aiomqtt.MqttError) as group:
             log.info("the broker did not acknowledge the disconnect: %s", in_words(group))
 
@@ -358,7 +349,7 @@ def make_mqtt(
     session, topics = uuid.uuid4().hex[:12], Topics(settings.drone)
     endpoint = BrokerEndpoint.of(settings)
     spool = Spool(spool_folder(settings), settings.spool_max_kib * 1024)
-    outbox = Outbox(spool, session, topics.event, settings.spool_fsync)
+    outbox = Outbox(spool, session, topics.of("event"), settings.spool_fsync)
     operator = PilotOperator(pilot, OrderSender(OrderSource.MQTT), clock, recording)
     key = files.key(settings.command_key_file, "mqtt", "command_key_file")
     run = secrets.token_hex(16)

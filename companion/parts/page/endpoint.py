@@ -11,31 +11,29 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from aiohttp import WSMsgType, web
+from msgspec import structs
 from numpy.typing import NDArray
 
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
 from companion.base.mission import FAULTS, FLOWN
-from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.things import ThingReport, things_of
 from companion.base.worker import Worker
+from companion.facts import encode as facts
 from companion.facts.wire import OrderRequest, RequestRefused, SticksRequest
 from companion.guidance.advice import advice
 from companion.guidance.flight_state import FlightWatch
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
-from companion.parts.page import recordings
 from companion.parts.page.access import own_names, refused_origin
-from companion.parts.page.file_answer import assets, send_file
+from companion.parts.page.file_answer import assets
 from companion.parts.page.messages import (
     MESSAGE_MAX,
-    DownloadRequest,
     DrawnNotice,
     Level,
     LoginRequest,
@@ -47,16 +45,12 @@ from companion.parts.page.messages import (
     PictureHeader,
     PictureLine,
     PictureRequest,
-    RecordingsRequest,
-    ReportRequest,
     picture_message,
     request_in,
     text_of,
 )
-from companion.parts.page.recordings import Recordings, ReportMaker
-from companion.parts.page.state import AHEAD_S, HORIZONS_S, jpeg, page_health, picture_lines, place, video_quality
-from companion.parts.page.tool_messages import ToolRequest
-from companion.parts.page.viewer import PageViewer
+from companion.parts.page.state import AHEAD_S, HORIZONS_S, jpeg, page_health, picture_lines, video_quality
+from companion.parts.page.viewer import PageViewer, Tool
 from companion.recording.frame_encoder import FrameEncoder, codec_name
 from companion.tools.report.expected_place import camera_lean
 from drivers.mailbox import Latest
@@ -84,22 +78,6 @@ _EVENTS = 60
 """Events that are kept for a browser that comes later."""
 
 
-class Tool(Protocol):
-    """Something that the page offers beside the flight: work that takes time or the link is done only on the ground."""
-
-    kinds: tuple[type, ...]
-    """The requests that it answers."""
-
-    def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
-        """Take a request and return at once; the answer goes to the viewer, now or later."""
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        """Look at a frame; it must be quick."""
-
-    async def run(self) -> None:
-        """Work until cancelled."""
-
-
 def flying(pilot: Pilot) -> bool:
     """Return whether the vehicle reports that it flies."""
     status = pilot.vehicle
@@ -111,7 +89,7 @@ class PageEndpoint(NullObserver):
 
     Args:
         vehicle: the vehicle's name for the page.
-        recordings: the recorder's folder.
+        counts: the counters of the page.
         tools: what the page offers beside the flight.
     """
 
@@ -122,7 +100,7 @@ class PageEndpoint(NullObserver):
         health: Health,
         clock: Clock,
         vehicle: str,
-        recordings: Path,
+        counts: Counter[str],
         tools: Sequence[Tool] = (),
     ) -> None:
         settings, camera = server.settings, pilot.camera
@@ -134,8 +112,6 @@ class PageEndpoint(NullObserver):
         self._vehicle = vehicle
         self._h264 = settings.picture_codec == "h264" and camera.width % 2 == camera.height % 2 == 0 and has_pyav()
         self._tools = tuple(tools)
-        self._recordings = Recordings(recordings, clock)
-        self._reports = ReportMaker(recordings, lambda: flying(pilot))
         self._flight = FlightWatch(pilot, clock)
         self._attitude: Attitude | None = None
         self._things: tuple[ThingReport, ...] = ()
@@ -145,12 +121,10 @@ class PageEndpoint(NullObserver):
         self._frames: Latest[ProcessedFrame] = Latest()
         self._offered: MonoNs | None = None
         self._events: deque[PageEvent] = deque(maxlen=_EVENTS)
-        self._counts: Counter[str] = Counter()
+        self._counts = counts
         self._began = clock.now()
         health.counters("page", lambda: self._counts)
         server.serve("/operator", self._operate)
-        server.serve("/recordings/{ticket}", self._recording)
-        server.serve("/reports/{ticket}", self._report)
         for path, asset in assets().items():
             server.serve(path, asset.answer)
 
@@ -187,8 +161,6 @@ class PageEndpoint(NullObserver):
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._send_states())
                 group.create_task(self._send_pictures(worker))
-                group.create_task(self._recordings.run())
-                group.create_task(self._reports.run())
                 for tool in self._tools:
                     group.create_task(tool.run())
         finally:
@@ -209,12 +181,6 @@ class PageEndpoint(NullObserver):
                 # A frame that is lost to the browser's decoder would be missing in all that follow: it asks again.
                 encodes = request.codec == "h264" and self._h264
                 viewer.begin_pictures(FrameEncoder(video_quality(self._settings)) if encodes else None)
-            case RecordingsRequest():
-                self._recordings.list_for(viewer)
-            case DownloadRequest():
-                viewer.tell(self._recordings.ticket(request.name, flying=flying(self._pilot)))
-            case ReportRequest():
-                self._reports.ask(viewer, request.name)
             case LoginRequest():
                 return "this page is logged in already"
             case _:
@@ -222,22 +188,6 @@ class PageEndpoint(NullObserver):
                     if isinstance(request, tool.kinds):
                         tool.ask(viewer, request)
         return None
-
-    async def _recording(self, request: web.Request) -> web.StreamResponse:
-        name = self._recordings.redeem(request.match_info["ticket"])
-        if name is None:
-            return web.Response(status=404, text="this address holds once, and only for a short time\n")
-        self._counts["downloads"] += 1
-        self._server.limits.lift(request.transport)
-        return await self._recordings.send(request, name)
-
-    async def _report(self, request: web.Request) -> web.StreamResponse:
-        path = self._reports.path(request.match_info["ticket"])
-        if path is None:
-            return web.Response(status=404, text="this report is no longer kept; ask for it again on the page\n")
-        self._counts["reports"] += 1
-        self._server.limits.lift(request.transport)
-        return await send_file(request, path, recordings.HEADERS)
 
     async def _operate(self, request: web.Request) -> web.StreamResponse:
         names = own_names(self._settings)
@@ -315,7 +265,7 @@ class PageEndpoint(NullObserver):
     def _tell_states(self) -> None:
         now, decision = self._clock.now(), self._flight.decision
         belief = None if decision is None else decision.belief
-        where = None if belief is None else place(belief, self._pilot.estimator.forecast(now, HORIZONS_S), now)
+        ahead = None if belief is None else self._pilot.estimator.forecast(now, HORIZONS_S)
         roll = pitch = None
         if self._attitude is not None and seconds_between(self._attitude.stamp.received_at, now) < _ATTITUDE_S:
             roll, pitch, _ = self._attitude.R_ned_body.rpy_rad
@@ -327,7 +277,8 @@ class PageEndpoint(NullObserver):
                     **{name: getattr(flight, name) for name in flight.__struct_fields__},
                     at_s=seconds_between(self._began, now),
                     landing=decision is not None and decision.phase in _LANDING_PHASES,
-                    place=where,
+                    belief=None if belief is None else structs.replace(facts.belief(belief), details=[]),
+                    deck=None if ahead is None else facts.deck(DeckOutlook.of(ahead)),
                     things=self._things if looks else (),
                     roll_rad=roll,
                     pitch_rad=pitch,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import math
 import tomllib
+from collections import Counter
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,9 +20,8 @@ from companion.base.http_server import HttpServer
 from companion.base.observer import ProcessedFrame
 from companion.base.worker import Worker
 from companion.guidance.pilot import Pilot
-from companion.parts.page.endpoint import PageEndpoint, Tool, flying
-from companion.parts.page.settings_tool import ARMED, NO_FILE, SettingsTool
-from companion.parts.page.tool_messages import (
+from companion.parts.page.endpoint import PageEndpoint, flying
+from companion.parts.page.messages import (
     CalibrationReport,
     CalibrationRequest,
     ExaminedReport,
@@ -28,7 +29,9 @@ from companion.parts.page.tool_messages import (
     PageFinding,
     ToolRequest,
 )
-from companion.parts.page.viewer import PageViewer
+from companion.parts.page.recordings import Recordings, ReportMaker
+from companion.parts.page.settings_tool import ARMED, NO_FILE, SettingsTool
+from companion.parts.page.viewer import PageViewer, Tool
 from companion.settings.model import Settings
 from companion.settings.settings_file import SettingsFile
 from companion.tools.calibrate.board import Board
@@ -65,7 +68,7 @@ class _Run:
     ended: bool = False
 
 
-class CalibrationTool:
+class CalibrationTool(Tool):
     """See the module's docstring.
 
     Args:
@@ -74,7 +77,7 @@ class CalibrationTool:
         armed: whether its motors are armed, as far as it says so.
     """
 
-    kinds: tuple[type, ...] = (CalibrationRequest,)
+    kinds = (CalibrationRequest,)
 
     def __init__(
         self, pilot: Pilot, clock: Clock, file: SettingsFile | None, flying: Callable[[], bool], armed: Callable[[], bool]
@@ -106,8 +109,7 @@ class CalibrationTool:
             self._frames.offer(processed.frame.px)
 
     async def run(self) -> None:
-        worker = Worker("page calibration")
-        try:
+        with closing(Worker("page calibration")) as worker:
             async for px in self._frames:
                 run = self._run
                 if run is None or run.ended:
@@ -123,8 +125,6 @@ class CalibrationTool:
                 if not run.ended:
                     run.ended = state.complete
                     self._tell(run, "complete" if run.ended else "")
-        finally:
-            worker.close()
 
     def _begin(self, viewer: PageViewer, request: CalibrationRequest) -> CalibrationReport:
         if self._flying():
@@ -206,14 +206,14 @@ _AGAIN_S = 5.0
 """A younger diagnosis is used again."""
 
 
-class DoctorTool:
+class DoctorTool(Tool):
     """See the module's docstring.
 
     Args:
         flying: whether the vehicle flies now.
     """
 
-    kinds: tuple[type, ...] = (ExamineRequest,)
+    kinds = (ExamineRequest,)
 
     def __init__(self, examiner: LiveExaminer, clock: Clock, flying: Callable[[], bool]) -> None:
         self._examiner = examiner
@@ -233,9 +233,6 @@ class DoctorTool:
             if viewer not in self._waiting:
                 self._waiting.append(viewer)
             self._asked.set()
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        pass
 
     async def run(self) -> None:
         while True:
@@ -298,9 +295,12 @@ def make_page(
         return found is not None and found.condition.armed is True
 
     file = None if settings_file is None else SettingsFile(settings_file)
-    tools: list[Tool] = [
+    folder, counts = Path(settings.recorder.folder), Counter[str]()
+    tools = (
         DoctorTool(LiveExaminer(settings, health, clock, autopilot, in_flight), clock, in_flight),
         SettingsTool(settings, file, in_flight, armed),
         CalibrationTool(pilot, clock, file, in_flight, armed),
-    ]
-    return PageEndpoint(server, pilot, health, clock, vehicle, Path(settings.recorder.folder), tools)
+        Recordings(server, folder, clock, in_flight, counts),
+        ReportMaker(server, folder, in_flight, counts),
+    )
+    return PageEndpoint(server, pilot, health, clock, vehicle, counts, tools)

@@ -11,17 +11,28 @@ import shutil
 import stat
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from types import MappingProxyType
 
 from aiohttp import web
 
+from companion.base.http_server import HttpServer
 from companion.base.worker import Worker
 from companion.parts.page.file_answer import send_file
-from companion.parts.page.messages import DownloadAnswer, RecordingFile, RecordingList, ReportAnswer
-from companion.parts.page.viewer import PageViewer
+from companion.parts.page.messages import (
+    DownloadAnswer,
+    DownloadRequest,
+    RecordingFile,
+    RecordingList,
+    RecordingsRequest,
+    ReportAnswer,
+    ReportRequest,
+    ToolRequest,
+)
+from companion.parts.page.viewer import PageViewer, Tool
 from drivers.mailbox import Line
 from estimator.contracts.errors import in_words, unusable
 from estimator.contracts.ports import Clock
@@ -51,23 +62,31 @@ _OOM_SCORE = 500
 """If memory runs short the kernel ends the report, not the service."""
 
 
-class ReportMaker:
+class ReportMaker(Tool):
     """Makes the reports of recordings, one at a time.
 
     Args:
         folder: the recorder's folder.
         flying: whether the vehicle flies now.
+        counts: the counters of the page.
     """
 
-    def __init__(self, folder: Path, flying: Callable[[], bool]) -> None:
+    kinds = (ReportRequest,)
+
+    def __init__(self, server: HttpServer, folder: Path, flying: Callable[[], bool], counts: Counter[str]) -> None:
+        self._server = server
         self._folder = folder
         self._flying = flying
+        self._counts = counts
         self._asked: Line[tuple[PageViewer, str]] = Line(_WAITING)
         self._made: dict[str, Path] = {}
         self._under_way = False
+        server.serve("/reports/{ticket}", self._serve)
 
-    def ask(self, viewer: PageViewer, name: str) -> None:
+    def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
         """Make a report of a recording soon and send the viewer its address, or at once the reason for none."""
+        assert isinstance(request, ReportRequest)
+        name = request.name
         refusal = self._refusal(name)
         if refusal is not None:
             viewer.tell(ReportAnswer(name=name, address=None, text=refusal))
@@ -76,9 +95,13 @@ class ReportMaker:
         viewer.tell(ReportAnswer(name=name, address=None, text="waits for another one" if waits else "is being made"))
         self._asked.offer((viewer, name))
 
-    def path(self, ticket: str) -> Path | None:
-        """Return the report that an address names; None if there is none, or no longer."""
-        return self._made.get(ticket)
+    async def _serve(self, request: web.Request) -> web.StreamResponse:
+        path = self._made.get(request.match_info["ticket"])
+        if path is None:
+            return web.Response(status=404, text="this report is no longer kept; ask for it again on the page\n")
+        self._counts["reports"] += 1
+        self._server.limits.lift(request.transport)
+        return await send_file(request, path, HEADERS)
 
     async def run(self) -> None:
         """Make reports, one after another, until cancelled; then they are deleted."""
@@ -186,76 +209,83 @@ def is_recording_name(name: str) -> bool:
     return _NAME.fullmatch(name) is not None
 
 
-class Recordings:
+class Recordings(Tool):
     """See the module's docstring.
 
     Args:
         folder: the recorder's folder; it may be missing.
+        flying: whether the vehicle flies now.
+        counts: the counters of the page.
     """
 
-    def __init__(self, folder: Path, clock: Clock) -> None:
+    kinds = (RecordingsRequest, DownloadRequest)
+
+    def __init__(self, server: HttpServer, folder: Path, clock: Clock, flying: Callable[[], bool], counts: Counter[str]) -> None:
+        self._server = server
         self._folder = folder
         self._clock = clock
+        self._flying = flying
+        self._counts = counts
         self._tickets: dict[str, tuple[str, MonoNs]] = {}
         self._under_way = 0
         self._asked: Line[PageViewer] = Line(_WAITING)
+        server.serve("/recordings/{ticket}", self._serve)
 
-    def list_for(self, viewer: PageViewer) -> None:
-        """Send a viewer the list of recordings soon."""
-        self._asked.offer(viewer)
+    def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
+        """Send a viewer the list of recordings soon, or at once the address of one."""
+        if isinstance(request, DownloadRequest):
+            viewer.tell(self._ticket(request.name))
+        else:
+            self._asked.offer(viewer)
 
     async def run(self) -> None:
         """List recordings for those who ask, until cancelled."""
-        worker = Worker("page lists")
-        try:
+        with closing(Worker("page lists")) as worker:
             async for viewer in self._asked:
-                viewer.tell(await worker.run(self.listed))
-        finally:
-            worker.close()
+                viewer.tell(await worker.run(recordings_in, self._folder))
 
-    def listed(self) -> RecordingList:
-        """Return the newest recordings. It reads the disk, so it belongs on a thread."""
-        try:
-            found = [(path, _status(path)) for path in self._folder.iterdir() if is_recording_name(path.name)]
-        except FileNotFoundError:
-            return RecordingList(files=(), fault="")
-        except OSError as why:
-            return RecordingList(files=(), fault=str(unusable(str(self._folder), why)))
-        files = [
-            RecordingFile(name=path.name, size_bytes=status.st_size, unix_s=status.st_mtime)
-            for path, status in found
-            if status is not None and stat.S_ISREG(status.st_mode)
-        ]
-        return RecordingList(files=tuple(sorted(files, key=lambda file: -file.unix_s)[:_LISTED]), fault="")
-
-    def ticket(self, name: str, *, flying: bool) -> DownloadAnswer:
+    def _ticket(self, name: str) -> DownloadAnswer:
         """Return an address that holds once and for a short time, or why there is none."""
-        if flying:
-            return DownloadAnswer(name=name, address=None, text=IN_FLIGHT)
-        if not is_recording_name(name):
-            return DownloadAnswer(name=name, address=None, text=NO_NAME)
-        if self._under_way >= _DOWNLOADS:
-            return DownloadAnswer(name=name, address=None, text=f"{_DOWNLOADS} downloads are under way already")
+        refusal = IN_FLIGHT if self._flying() else None if is_recording_name(name) else NO_NAME
+        if refusal is None and self._under_way >= _DOWNLOADS:
+            refusal = f"{_DOWNLOADS} downloads are under way already"
+        if refusal is not None:
+            return DownloadAnswer(name=name, address=None, text=refusal)
         while len(self._tickets) >= _TICKETS:
             self._tickets.pop(next(iter(self._tickets)))
         ticket = secrets.token_urlsafe(24)
         self._tickets[ticket] = name, self._clock.now()
         return DownloadAnswer(name=name, address=f"/recordings/{ticket}", text="")
 
-    def redeem(self, ticket: str) -> str | None:
-        """Return the name of the recording that a ticket is for, and void the ticket; None if it is none or too old."""
-        name, given = self._tickets.pop(ticket, ("", None))
-        fresh = given is not None and seconds_between(given, self._clock.now()) <= _TICKET_S
-        return name if fresh and self._under_way < _DOWNLOADS else None
-
-    async def send(self, request: web.Request, name: str) -> web.StreamResponse:
-        """Send a recording as far as it is written at this moment."""
+    async def _serve(self, request: web.Request) -> web.StreamResponse:
+        """Send the recording that a ticket is for, as far as it is written at this moment, and void the ticket."""
+        name, given = self._tickets.pop(request.match_info["ticket"], ("", None))
+        if given is None or seconds_between(given, self._clock.now()) > _TICKET_S or self._under_way >= _DOWNLOADS:
+            return web.Response(status=404, text="this address holds once, and only for a short time\n")
+        self._counts["downloads"] += 1
+        self._server.limits.lift(request.transport)
         headers = {"Content-Disposition": f'attachment; filename="{name}"', "Content-Type": "application/octet-stream"}
         self._under_way += 1
         try:
             return await send_file(request, self._folder / name, headers)
         finally:
             self._under_way -= 1
+
+
+def recordings_in(folder: Path) -> RecordingList:
+    """Return the newest recordings of a folder. It reads the disk, so it belongs on a thread."""
+    try:
+        found = [(path, _status(path)) for path in folder.iterdir() if is_recording_name(path.name)]
+    except FileNotFoundError:
+        return RecordingList(files=(), fault="")
+    except OSError as why:
+        return RecordingList(files=(), fault=str(unusable(str(folder), why)))
+    files = [
+        RecordingFile(name=path.name, size_bytes=status.st_size, unix_s=status.st_mtime)
+        for path, status in found
+        if status is not None and stat.S_ISREG(status.st_mode)
+    ]
+    return RecordingList(files=tuple(sorted(files, key=lambda file: -file.unix_s)[:_LISTED]), fault="")
 
 
 def _status(path: Path) -> os.stat_result | None:

@@ -9,14 +9,14 @@ import logging
 import re
 import tomllib
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from typing import Any
 
 import msgspec
 
-from companion.base.observer import ProcessedFrame
 from companion.base.worker import Worker
-from companion.parts.page.tool_messages import SavedSettings, SaveSettingsRequest, SettingsRequest, SettingsText, ToolRequest
-from companion.parts.page.viewer import PageViewer
+from companion.parts.page.messages import SavedSettings, SaveSettingsRequest, SettingsRequest, SettingsText, ToolRequest
+from companion.parts.page.viewer import PageViewer, Tool
 from companion.settings import schema
 from companion.settings.load import complete, from_file
 from companion.settings.model import Settings, in_file
@@ -48,7 +48,7 @@ _NO_PATH = re.compile(r"[^/\\]*|/dev/[\w/-]+|(?:rtsps?|https?|udp|tcp)://\S+")
 """A changed text may name what is shipped, a file beside the settings, a device or a stream."""
 
 
-class SettingsTool:
+class SettingsTool(Tool):
     """See the module's docstring.
 
     Args:
@@ -58,7 +58,7 @@ class SettingsTool:
         armed: whether its motors are armed, as far as it says so.
     """
 
-    kinds: tuple[type, ...] = (SettingsRequest, SaveSettingsRequest)
+    kinds = (SettingsRequest, SaveSettingsRequest)
 
     def __init__(
         self, in_force: Settings, file: SettingsFile | None, flying: Callable[[], bool], armed: Callable[[], bool]
@@ -72,12 +72,8 @@ class SettingsTool:
     def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
         self._asked.offer((viewer, request))
 
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        pass
-
     async def run(self) -> None:
-        worker = Worker("page settings")
-        try:
+        with closing(Worker("page settings")) as worker:
             async for viewer, request in self._asked:
                 if not isinstance(request, SaveSettingsRequest):
                     viewer.tell(await worker.run(self._shown))
@@ -85,8 +81,6 @@ class SettingsTool:
                     viewer.tell(SavedSettings(saved=False, text=IN_FLIGHT if self._flying() else ARMED))
                 else:
                     viewer.tell(await worker.run(self._saved, request, str(viewer.sender)))
-        finally:
-            worker.close()
 
     def _shown(self) -> SettingsText:
         in_force = masked(schema.toml(self._in_force))

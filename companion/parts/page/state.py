@@ -1,4 +1,4 @@
-"""State of the flight that the page shows: the place of drone and deck, faults, the live picture. Values in, values out."""
+"""State of the flight that the page shows: faults, the live picture. Values in, values out."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -7,17 +7,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.base.health import HealthSnapshot
+from companion.base.health import HealthSnapshot, missing_inputs
 from companion.base.liveness import stuck
-from companion.base.missing_inputs import missing_inputs
 from companion.base.observer import Decision, ProcessedFrame
-from companion.parts.page.messages import HealthCause, Level, PageHealth, PictureLine, PlaceReport
+from companion.parts.page.messages import HealthCause, Level, PageHealth, PictureLine
 from companion.recording.frame_encoder import VideoQuality
 from companion.settings.links import HttpSettings
 from companion.tools.report.overlay import pad_lines
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.time import MonoNs
 from estimator.ekf import Forecast
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
@@ -117,39 +115,6 @@ HORIZONS_S = tuple(0.25 * k for k in range(13))
 """Instants at which the deck's height is shown ahead, s."""
 _FLOWS = (("Frame", "camera"), ("Attitude", "attitude"), ("VehicleStatus", "status"))
 _STAGES = (("look", "vision"), ("exposure_to_command", "exposure to command"), ("guidance_late", "guidance late"))
-
-
-def place(belief: RelativeState, ahead: Forecast | None, now: MonoNs) -> PlaceReport:
-    """Return the drone's place against the pad, in the pad's axes with z up."""
-    yaw_rad = belief.yaw_rad or 0.0
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    turn = np.array([[c, -s], [s, c]])  # level to pad: the body's forward points to (cos yaw, sin yaw)
-    x, y = (-(turn @ belief.d_body_pad_level[:2])).tolist()
-    vx, vy = (-(turn @ belief.v_pad_level[:2])).tolist()
-    cov = turn @ belief.cov[:2, :2] @ turn.T
-    deck: tuple[tuple[float, float, float], ...] = ()
-    if ahead is not None:
-        rises = ahead.deck_height_m - ahead.deck_height_m[0]
-        deck = tuple(zip(ahead.horizons_s.tolist(), _rounded(rises), _rounded(ahead.sigma_deck_height_m), strict=True))
-    return PlaceReport(
-        x_m=round(x, 4),
-        y_m=round(y, 4),
-        z_m=round(belief.height_m, 4),
-        v_m_s=(round(vx, 3), round(vy, 3), round(float(belief.v_pad_level[2]), 3)),
-        heading_known=belief.yaw_rad is not None,
-        heading_rad=round(yaw_rad, 4),
-        cov_m2=(float(cov[0, 0]), float(cov[0, 1]), float(cov[1, 1])),
-        sigma_z_m=round(math.sqrt(max(0.0, float(belief.cov[2, 2]))), 4),
-        age_s=round(belief.age_s(now), 2),
-        consistent=belief.consistent,
-        deck_roll_rad=None if ahead is None else round(float(ahead.roll_rad[0]), 4),
-        deck_pitch_rad=None if ahead is None else round(float(ahead.pitch_rad[0]), 4),
-        deck_m=deck,
-    )
-
-
-def _rounded(values: np.ndarray) -> list[float]:
-    return [round(value, 3) for value in values.tolist()]
 
 
 def page_health(health: HealthSnapshot, decision: Decision | None, *, flying: bool) -> PageHealth:

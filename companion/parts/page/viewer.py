@@ -10,9 +10,10 @@ from collections.abc import Callable
 
 from aiohttp import WSMsgType, web
 
+from companion.base.observer import ProcessedFrame
 from companion.base.orders import OrderSender
 from companion.facts.wire import RequestRefused
-from companion.parts.page.messages import PageRequest, PageState, ToPage, request_in, text_of
+from companion.parts.page.messages import PageRequest, PageState, ToolRequest, ToPage, request_in, text_of
 from companion.recording.frame_encoder import FrameEncoder
 from drivers.mailbox import Latest, Line
 from estimator.contracts.ports import Clock
@@ -132,3 +133,20 @@ class PageViewer:
         floods = len(self._recent) == self._recent.maxlen and seconds_between(self._recent[0], now) < 1.0
         self._recent.append(now)
         return floods
+
+
+class Tool:
+    """Something that the page offers beside the flight: work that takes time or the link is done only on the ground."""
+
+    kinds: tuple[type, ...] = ()
+    """The requests that it answers."""
+
+    def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
+        """Take a request and return at once; the answer goes to the viewer, now or later."""
+        raise NotImplementedError
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        """Look at a frame; it must be quick."""
+
+    async def run(self) -> None:
+        """Work until cancelled."""

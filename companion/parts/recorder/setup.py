@@ -7,8 +7,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from companion.base.beside import RestartablePart
-from companion.base.containment import CallGuard
+from companion.base.containment import CallGuard, RestartablePart
 from companion.base.health import Health
 from companion.parts.recorder.recorder import PART, Recorder
 from companion.parts.recorder.storage_policy import Folder, SingleFile

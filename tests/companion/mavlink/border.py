@@ -22,8 +22,8 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs, seconds_between
-from tests.companion.mavlink.test_component_parts import Tower
 from tests.support.clocks import PatientClock
+from tests.support.fake_operator import FakeOperator
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"
@@ -84,7 +84,7 @@ class Border:
     """
 
     def __init__(
-        self, autopilot: Autopilot, component: Component, bridge: VehicleBridge, tower: Tower, clock: PatientClock
+        self, autopilot: Autopilot, component: Component, bridge: VehicleBridge, tower: FakeOperator, clock: PatientClock
     ) -> None:
         self.autopilot, self.component, self.bridge, self.tower = autopilot, component, bridge, tower
         self.clock = clock
@@ -155,7 +155,7 @@ class Border:
 @asynccontextmanager
 async def bordered(*more_links: str, clock: PatientClock | None = None, **options: Any) -> AsyncIterator[Border]:
     """Yield the service's MAVLink side with its autopilot found on the first of its links."""
-    clock, tower = clock or PatientClock(), Tower()
+    clock, tower = clock or PatientClock(), FakeOperator()
     pad = np.array([0.3, -0.2, 4.0])
 
     def believe(now: MonoNs) -> RelativeState:

@@ -21,8 +21,8 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Range
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.companion.mavlink.test_component_parts import Tower
 from tests.support.clocks import PatientClock
+from tests.support.fake_operator import FakeOperator
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"
@@ -36,7 +36,7 @@ class Stage:
     component: Component
     autopilot: Autopilot
     fake: MiniatureAutopilot
-    tower: Tower
+    tower: FakeOperator
     applied: list[Settings] = field(default_factory=list)
     sick: str | None = None
     seen: bool = True
@@ -75,7 +75,7 @@ async def staged(
         restart_most_s=0.1,
     )
     stage: Stage
-    tower = Tower()
+    tower = FakeOperator()
     applied: list[Settings] = []
     component = Component(
         component_options,

@@ -46,7 +46,7 @@ async def test_an_unknown_peer_s_commands_and_parameters_are_not_obeyed(stranger
         for source in ((66, 1), STATION, AUTOPILOT, US):
             await border.send(*EVERY_COMMAND, wire=stranger, source=source)
         await asyncio.sleep(0.05)
-        assert border.tower.handlers == []
+        assert border.tower.done == []
         assert setting(border) == before
         assert border.answers(stranger) == [], "not even an answer: its address may be another's"
         await border.alive()
@@ -128,7 +128,7 @@ async def test_the_ship_s_reports_come_from_one_port(stranger: socket.socket) ->
 async def test_what_a_router_forwards_from_the_autopilot_s_own_port_is_obeyed() -> None:
     async with bordered() as border:
         await border.send(command_message(193, 0), source=STATION)
-        assert border.tower.handlers == ["pause"]
+        assert border.tower.done == ["pause"]
 
 
 async def test_a_named_operator_is_obeyed_and_reported_from_its_first_port_alone(stranger: socket.socket) -> None:
@@ -136,9 +136,9 @@ async def test_a_named_operator_is_obeyed_and_reported_from_its_first_port_alone
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
             station.setblocking(False)
             await border.send(command_message(193, 0), wire=station, source=STATION)
-            assert border.tower.handlers == ["pause"]
+            assert border.tower.done == ["pause"]
             await border.send(command_message(191), wire=stranger, source=STATION)
-            assert border.tower.handlers == ["pause"]
+            assert border.tower.done == ["pause"]
             assert (193, ACCEPTED) in {(m.command, m.result) for m in border.answers(station) if m.get_type() == "COMMAND_ACK"}
             await border.told_of_the_pad()
             assert "LANDING_TARGET" in {m.get_type() for m in border.answers(station)}
@@ -158,7 +158,7 @@ async def test_a_peer_that_may_not_command_is_answered_and_reported_once(caplog:
             answers = [m for m in border.answers(station) if m.get_type() == "COMMAND_ACK"]
             assert {m.command for m in answers} == {21, 193, 191, 31010, 2510, 2511, 511, 512}
             assert {m.result for m in answers} == {DENIED}
-            assert border.tower.handlers == []
+            assert border.tower.done == []
             assert setting(border) == before
             assert border.component.refusals.counts == {"COMMAND_LONG": 24, "PARAM_SET": 3}
             reported = [r.getMessage() for r in caplog.records if "is no operator" in r.getMessage()]

@@ -8,18 +8,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import companion.settings.load as settings_of
-from companion.parts.mavlink.commands import ACCEPTED, CANCELLED, DENIED, FAILED, IN_PROGRESS, UNSUPPORTED, CommandServer, Offered
+from companion.parts.mavlink.commands import (
+    ACCEPTED,
+    CANCELLED,
+    DENIED,
+    FAILED,
+    IN_PROGRESS,
+    UNSUPPORTED,
+    CommandServer,
+    LandingProgress,
+    Offered,
+)
 from companion.parts.mavlink.computer import Computer, ComputerReader, computer_status
-from companion.parts.mavlink.operator import LandingProgress
 from companion.parts.mavlink.outputs import MavSeverity, StatusTexts
 from companion.parts.mavlink.parameters import NAMES, ParameterServer, Tunables
 from companion.settings.model import Settings
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
 from tests.support.descriptors import no_descriptors
+from tests.support.fake_operator import FakeOperator
 
 S = 1_000_000_000
 US, STATION = (7, 191), (255, 190)
@@ -29,44 +38,12 @@ def at(seconds: float) -> MonoNs:
     return MonoNs(round(seconds * S) + 50 * S)
 
 
-class Tower:
-    """An operator that remembers what it was asked."""
-
-    def __init__(self) -> None:
-        self.handlers: list[str] = []
-        self.refusal: str | None = None
-        self.state = LandingProgress(None)
-
-    def _handler(self, name: str) -> str | None:
-        if self.refusal is None:
-            self.handlers.append(name)
-        return self.refusal
-
-    def begin(self) -> str | None:
-        return self._handler("begin")
-
-    def pause(self) -> str | None:
-        return self._handler("pause")
-
-    def abort(self) -> str | None:
-        return self._handler("abort")
-
-    def choose_path(self, path: PathName) -> str | None:
-        return self._handler(f"path {path}")
-
-    def record(self, on: bool) -> str | None:
-        return self._handler(f"record {on}")
-
-    def progress(self) -> LandingProgress:
-        return self.state
-
-
 def long(command: int, *params: float, confirmation: int = 0, target: tuple[int, int] = US) -> Message:
     padded = [*params, 0, 0, 0, 0, 0, 0, 0][:7]
     return mav.MAVLink_command_long_message(*target, command, confirmation, *padded)
 
 
-def server(tower: Tower) -> CommandServer:
+def server(tower: FakeOperator) -> CommandServer:
     offered = Offered({1: lambda now: None, 2: lambda now: mav.MAVLink_heartbeat_message(1, 2, 3, 4, 5, 3)}, {2: 1.0})
     return CommandServer(tower, offered)
 
@@ -79,78 +56,64 @@ def acks(messages: list[Message]) -> list[tuple[int, int, int]]:
 
 
 @pytest.mark.parametrize(
-    ("command", "params", "handler"),
+    ("command", "params", "result", "done"),
     [
-        (193, (0,), "pause"),
-        (193, (1,), "begin"),
-        (191, (), "abort"),
-        (31010, (0,), "path median_mean"),
-        (31010, (2,), "path ekf"),
-        (2510, (), "record True"),
-        (2511, (), "record False"),
+        (193, (0,), ACCEPTED, ["pause"]),
+        (193, (1,), ACCEPTED, ["start"]),
+        (191, (), ACCEPTED, ["abort"]),
+        (31010, (0,), ACCEPTED, ["path median_mean"]),
+        (31010, (2,), ACCEPTED, ["path ekf"]),
+        (2510, (), ACCEPTED, ["record True"]),
+        (2511, (), ACCEPTED, ["record False"]),
+        (193, (7,), DENIED, []),
+        (193, (math.nan,), DENIED, []),
+        (31010, (9,), DENIED, []),
+        (31010, (0.5,), DENIED, []),
+        (400, (1,), UNSUPPORTED, []),
+        (512, (math.nan,), UNSUPPORTED, []),
+        (512, (1,), FAILED, []),
+        (511, (2, -5), DENIED, []),
+        (510, (-1,), DENIED, []),
     ],
 )
 @pytest.mark.parametrize("kind", ["long", "int"])
-def test_commands_are_done_and_answered_to_who_gave_them(command, params, handler, kind):
-    tower = Tower()
+def test_a_command_is_done_once_or_refused_and_answered_to_who_gave_it(command, params, result, done, kind):
+    tower = FakeOperator()
     message = long(command, *params)
     if kind == "int":
         first = [*params, 0.0, 0.0, 0.0, 0.0][:4]
         message = mav.MAVLink_command_int_message(*US, 0, command, 0, 0, *first, 0, 0, 0.0)
     (ack,) = server(tower).on_message(message, STATION, US, at(0))
-    assert (ack.command, ack.result, ack.target_system, ack.target_component) == (command, ACCEPTED, *STATION)
-    assert tower.handlers == [handler]
-
-
-@pytest.mark.parametrize(
-    ("command", "params", "result"),
-    [
-        (193, (7,), DENIED),
-        (193, (math.nan,), DENIED),
-        (31010, (9,), DENIED),
-        (31010, (0.5,), DENIED),
-        (31010, (math.nan,), DENIED),
-        (400, (1,), UNSUPPORTED),
-        (512, (9999,), UNSUPPORTED),
-        (512, (math.nan,), UNSUPPORTED),
-        (512, (1,), FAILED),
-        (511, (2, -5), DENIED),
-        (510, (-1,), DENIED),
-    ],
-)
-def test_what_cannot_be_done_is_answered_too(command: int, params: tuple[float, ...], result: int) -> None:
-    tower = Tower()
-    (ack,) = server(tower).on_message(long(command, *params), STATION, US, at(0))
-    assert ack.result == result
-    assert tower.handlers == []
+    assert (ack.command, ack.result, ack.target_system, ack.target_component) == (command, result, *STATION)
+    assert tower.done == done
 
 
 @settings(max_examples=100)
 @given(st.integers(0, 65535), st.lists(st.floats(width=32), min_size=7, max_size=7))
 def test_every_command_is_answered_exactly_once(command: int, params: list[float]) -> None:
-    assert len(acks(server(Tower()).on_message(long(command, *params), STATION, US, at(0)))) == 1
+    assert len(acks(server(FakeOperator()).on_message(long(command, *params), STATION, US, at(0)))) == 1
 
 
 def test_a_repeat_is_answered_and_not_done_again() -> None:
-    tower = Tower()
+    tower = FakeOperator()
     commands = server(tower)
     commands.on_message(long(193, 0), STATION, US, at(0))
     assert acks(commands.on_message(long(193, 0, confirmation=1), STATION, US, at(0.5))) == [(193, ACCEPTED, 0)]
-    assert tower.handlers == ["pause"]
+    assert tower.done == ["pause"]
     commands.on_message(long(193, 1, confirmation=1), STATION, US, at(1.0))
     commands.on_message(long(193, 0), STATION, US, at(1.5))
-    assert tower.handlers == ["pause", "begin", "pause"], "another parameter, or given anew, is another command"
+    assert tower.done == ["pause", "start", "pause"], "another parameter, or given anew, is another command"
 
 
 def test_a_sender_that_repeats_without_counting_is_understood() -> None:
-    tower = Tower()
+    tower = FakeOperator()
     commands = server(tower)
     for n in range(3):
         assert acks(commands.on_message(long(2510), STATION, US, at(0.3 * n))) == [(2510, ACCEPTED, 0)]
-    assert tower.handlers == ["record True"]
+    assert tower.done == ["record True"]
     commands.on_message(long(2510), STATION, US, at(3.0))
     commands.on_message(long(2510), (254, 190), US, at(3.1))
-    assert tower.handlers == ["record True"] * 3, "later, or from another, it is a command of its own"
+    assert tower.done == ["record True"] * 3, "later, or from another, it is a command of its own"
     for n in range(3):
         assert len(commands.on_message(long(512, 2), STATION, US, at(4 + 0.1 * n))) == 2, (
             "a message is sent as often as asked for"
@@ -158,7 +121,7 @@ def test_a_sender_that_repeats_without_counting_is_understood() -> None:
 
 
 def test_a_landing_reports_until_it_ends() -> None:
-    tower = Tower()
+    tower = FakeOperator()
     commands = server(tower)
     tower.state = LandingProgress(0)
     assert acks(commands.on_message(long(21), STATION, US, at(0))) == [(21, IN_PROGRESS, 0)]
@@ -171,31 +134,25 @@ def test_a_landing_reports_until_it_ends() -> None:
     tower.state = LandingProgress(100, landed=True)
     assert acks(commands.due(at(2.3))) == [(21, ACCEPTED, 0)]
     assert commands.due(at(9)) == []
-    assert tower.handlers == ["begin"]
+    assert tower.done == ["start"]
 
 
 @pytest.mark.parametrize(
     ("end", "result"), [(LandingProgress(None, landed=False), FAILED), (LandingProgress(None, called_off=True), CANCELLED)]
 )
 def test_a_landing_that_did_not_come_about(end: LandingProgress, result: int) -> None:
-    tower = Tower()
+    tower = FakeOperator()
     commands = server(tower)
     commands.on_message(long(21), STATION, US, at(0))
     tower.state = end
     assert acks(commands.due(at(1))) == [(21, result, 0)]
-
-
-def test_a_refusal_gives_the_reason() -> None:
-    tower = Tower()
-    tower.refusal = "no recorder"
-    commands = server(tower)
-    (ack,) = commands.on_message(long(2510), STATION, US, at(0))
-    assert ack.result == mav.MAV_RESULT_TEMPORARILY_REJECTED
-    assert commands.refusal == "no recorder"
+    tower.cannot = "no recorder"
+    (ack,) = commands.on_message(long(2510), STATION, US, at(2))
+    assert (ack.result, commands.refusal) == (mav.MAV_RESULT_TEMPORARILY_REJECTED, "no recorder")
 
 
 def test_messages_on_request_and_at_intervals() -> None:
-    commands = server(Tower())
+    commands = server(FakeOperator())
     offered = commands._offered
     ack, beat = commands.on_message(long(512, 2), STATION, US, at(0))
     assert (ack.result, beat.get_type()) == (ACCEPTED, "HEARTBEAT")
@@ -215,36 +172,8 @@ def test_messages_on_request_and_at_intervals() -> None:
 # Parameters
 
 
-@pytest.fixture
-def tunables() -> tuple[Tunables, list[Settings]]:
-    applied: list[Settings] = []
-    return Tunables(settings_of.load("sim"), applied.append), applied
-
-
-def test_every_tunable_is_a_number_of_the_settings_under_a_name_that_fits() -> None:
-    tuned = Tunables(settings_of.load("sim"), lambda s: None)
-    for name in NAMES:
-        assert len(name) <= 16
-        assert math.isfinite(tuned.get(name))
-        tuned.set(name, tuned.get(name))
-    assert len(set(NAMES.values())) == len(NAMES)
-
-
-def test_a_value_in_range_is_put_into_force_and_one_out_of_range_changes_nothing(tunables):
-    tuned, applied = tunables
-    tuned.set("PID_H_KP", 1.25)
-    assert applied[-1].guidance.pid.horizontal.kp == 1.25
-    assert applied[-1].guidance.pid.vertical.kp == tuned.settings.guidance.pid.vertical.kp
-    with pytest.raises(BadInput, match="kp"):
-        tuned.set("PID_H_KP", -1.0)
-    with pytest.raises(BadInput, match="too short"):
-        tuned.set("COMMIT_RATE", 0.12)
-    assert tuned.get("PID_H_KP") == 1.25
-    assert len(applied) == 1
-
-
-def values(messages: list[Message]) -> dict[str, float]:
-    return {m.param_id.decode() if isinstance(m.param_id, bytes) else m.param_id: m.param_value for m in messages}
+def values(messages: list[Message]) -> list[float]:
+    return [m.param_value for m in messages]
 
 
 def wired(message: Message) -> Message:
@@ -252,33 +181,38 @@ def wired(message: Message) -> Message:
     return got
 
 
-def test_reading_by_name_and_by_number(tunables: tuple[Tunables, list[Settings]]) -> None:
-    tuned, _ = tunables
+def test_every_tunable_is_a_number_of_the_settings_under_a_name_that_fits() -> None:
+    tuned = Tunables(settings_of.load("sim"), lambda s: None)
     params = ParameterServer(tuned)
-    (one,) = params.on_message(wired(mav.MAVLink_param_request_read_message(*US, b"CONE_RATE", -1)), US)
-    assert one.param_value == pytest.approx(tuned.get("CONE_RATE"))
-    (same,) = params.on_message(wired(mav.MAVLink_param_request_read_message(*US, b"", one.param_index)), US)
-    assert same.param_id == one.param_id
-    for name, index in ((b"NO_SUCH", -1), (b"", 999)):
-        assert params.on_message(wired(mav.MAVLink_param_request_read_message(*US, name, index)), US) == []
+    for name in NAMES:
+        assert len(name) <= 16
+        tuned.set(name, tuned.get(name))
+        (one,) = params.on_message(wired(mav.MAVLink_param_request_read_message(*US, name.encode(), -1)), US)
+        assert one.param_value == pytest.approx(tuned.get(name))
+        (same,) = params.on_message(wired(mav.MAVLink_param_request_read_message(*US, b"", one.param_index)), US)
+        assert same.param_id == one.param_id
+    assert len(set(NAMES.values())) == len(NAMES)
+    for unknown, index in ((b"NO_SUCH", -1), (b"", 999)):
+        assert params.on_message(wired(mav.MAVLink_param_request_read_message(*US, unknown, index)), US) == []
 
 
-def test_setting_reports_the_value_in_force_to_everyone(tunables: tuple[Tunables, list[Settings]]) -> None:
-    tuned, applied = tunables
+def test_a_value_in_range_is_put_into_force_and_reported_and_any_other_changes_nothing() -> None:
+    applied: list[Settings] = []
+    tuned = Tunables(settings_of.load("sim"), applied.append)
     params = ParameterServer(tuned)
 
     def put(name: bytes, value: float, kind: int = 9, target: tuple[int, int] = US) -> list[Message]:
         return params.on_message(wired(mav.MAVLink_param_set_message(*target, name, value, kind)), US)
 
-    (reported,) = put(b"PID_H_KP", 0.3)
-    assert reported.param_value == pytest.approx(0.3)
+    assert values(put(b"PID_H_KP", 0.3)) == pytest.approx([0.3])
     assert applied[-1].guidance.pid.horizontal.kp == 0.3, "not 0.30000001192"
-    for bad in (99.0, math.nan, math.inf):
-        (reported,) = put(b"PID_H_KP", bad)
-        assert reported.param_value == pytest.approx(0.3)
+    assert applied[-1].guidance.pid.vertical.kp == tuned.settings.guidance.pid.vertical.kp
+    for bad in (99.0, -1.0, math.nan, math.inf):
+        assert values(put(b"PID_H_KP", bad)) == pytest.approx([0.3])
         assert params.refused
-    (reported,) = put(b"PID_H_KP", 1.0, kind=6)
-    assert reported.param_value == pytest.approx(0.3)
+    assert values(put(b"PID_H_KP", 1.0, kind=6)) == pytest.approx([0.3])
+    with pytest.raises(BadInput, match="too short"):
+        tuned.set("COMMIT_RATE", 0.12)
     assert put(b"NO_SUCH", 1.0) == []
     assert put(b"PID_H_KP", 1.0, target=(7, 1)) == []
     assert put(b"PID_H_KP", 1.0, target=(7, 0)) == [], "setting is never for everyone"

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from companion.parts.mavlink.camera_component import CameraComponent, Send, showing
-from companion.parts.mavlink.operator import LandingProgress
+from companion.parts.mavlink.commands import LandingProgress
 from companion.parts.mavlink.parameters import NAMES
 from companion.settings.links import VideoStreamOptions
 from companion.settings.load import camera_model, load
@@ -75,7 +75,7 @@ async def test_mavsdk_discovers_receives_and_commands_us() -> None:
         assert (await command(direct, 31010, param1=1))["result"] == 0
         assert (await command(direct, 31010, param1=7))["result"] == 2
         assert (await command(direct, 400, param1=1))["result"] == 3
-        assert stage.tower.handlers == ["pause", "path dead_reckoning"]
+        assert stage.tower.done == ["pause", "path dead_reckoning"]
 
 
 async def test_a_landing_commanded_by_mavsdk_is_answered_when_it_is_over() -> None:
@@ -87,7 +87,7 @@ async def test_a_landing_commanded_by_mavsdk_is_answered_when_it_is_over() -> No
         try:
             await asyncio.sleep(1.5)
             assert not landing.done()
-            assert stage.tower.handlers == ["begin"]
+            assert stage.tower.done == ["start"]
             stage.tower.state = LandingProgress(100, landed=True)
             async with asyncio.timeout(60):
                 assert (await landing)["result"] == 0

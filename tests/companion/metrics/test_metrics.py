@@ -11,9 +11,8 @@ import aiohttp
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from companion.base.connection_limits import ConnectionLimits
 from companion.base.health import Health
-from companion.base.http_server import HttpServer
+from companion.base.http_server import ConnectionLimits, HttpServer
 from companion.base.supervise import run
 from companion.parts.metrics.endpoint import MetricsEndpoint, text
 from companion.settings.links import HttpSettings

@@ -1,8 +1,8 @@
 """The spool against a model: whatever happens in between, nothing changes place or vanishes uncounted."""
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from hypothesis import given, settings
@@ -31,7 +31,8 @@ class AgainstAModel(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.folder = _new_folder()
+        self.temporary = TemporaryDirectory()
+        self.folder = Path(self.temporary.name)
         self.spool = Spool(self.folder, 8 * 200)
         self.model: list[bytes] = []
         self.told = 0
@@ -72,21 +73,11 @@ class AgainstAModel(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         self.spool.close()
+        self.temporary.cleanup()
 
 
-_folders: Iterator[Path]
-
-
-def _new_folder() -> Path:
-    return next(_folders)
-
-
-def test_it_is_a_queue_that_survives_being_opened_again(tmp_path: Path) -> None:
-    global _folders
-    _folders = (tmp_path / str(k) for k in range(10**6))
-    machine = AgainstAModel.TestCase
-    machine.settings = settings(max_examples=25, stateful_step_count=20)
-    machine("runTest").runTest()
+TestAgainstAModel = AgainstAModel.TestCase
+TestAgainstAModel.settings = settings(max_examples=25, stateful_step_count=20)
 
 
 @given(cut=st.integers(1, 60), junk=st.binary(max_size=40))

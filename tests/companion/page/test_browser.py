@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs, to_builtins
 
+from companion.facts import encode as facts
 from estimator.contracts.commands import CutMotors, Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs
@@ -151,6 +153,16 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
             }"""
         )
         scale = radius / service.pilot.pad.disc_radius_m
+        # Nose 90 degrees clockwise of the arrow, the pad 2 m ahead of it: the drone is 2 m to port of the pad.
+        across = structs.replace(
+            service.believed, d_body_pad_level=np.array([2.0, 0.0, 3.0]), v_pad_level=np.array([0.1, -0.2, 0.3]),
+            yaw_rad=np.pi / 2, cov=np.diag([0.04, 0.01, 0.09, 1.0, 1.0, 1.0, 0.01]),
+        )  # fmt: skip
+        state = {"belief": to_builtins(facts.belief(across)), "deck": None}
+        place = await one.page.evaluate("async (state) => (await import('/place.js')).placeOf(state)", state)
+        assert (place["x_m"], place["y_m"], place["z_m"]) == pytest.approx((0.0, -2.0, 3.0), abs=1e-6)
+        assert place["v_m_s"] == pytest.approx((-0.2, -0.1, 0.3), abs=1e-6), "ahead of the nose is to starboard of the arrow"
+        assert place["cov_m2"] == pytest.approx((0.01, 0.0, 0.04), abs=1e-9)
         assert (x / scale, y / scale) == pytest.approx((-0.15, -0.1), abs=0.01), "to port of the arrow, which points up"
         await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "h264", timeout=WAIT_MS)
         assert "accepted" in await one.press("begin")

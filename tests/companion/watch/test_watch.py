@@ -16,10 +16,8 @@ from companion.base.health import Health
 from companion.base.observer import Decision
 from companion.cli import main as cli
 from companion.parts.mqtt import encode, messages
-from companion.parts.mqtt.messages import EventMessage, StatusMessage
-from companion.parts.mqtt.topics import Topics
-from companion.parts.mqtt.watch_model import DRONES, WatchModel
-from companion.parts.mqtt.watch_view import line, screen
+from companion.parts.mqtt.messages import EventMessage, StatusMessage, Topics
+from companion.parts.mqtt.watch import DRONES, WatchModel, line, screen
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
@@ -94,7 +92,7 @@ def test_what_does_not_fit_beside_goes_below() -> None:
 
 def test_commands_of_others_are_not_the_drones_words() -> None:
     model = full()
-    model.on_message(Topics("deck").command, b"{}", 0.0)
+    model.on_message(Topics("deck").of("command"), b"{}", 0.0)
     assert model.drones["deck"].malformed == 0
     model.on_message(Topics("deck").of("state"), b"{}", 0.0)
     assert model.drones["deck"].malformed == 1
@@ -124,7 +122,7 @@ def test_a_fleet_is_a_table_above_the_first_by_name() -> None:
         "messages and kB a second"
     )
     only = WatchModel("deck")
-    assert only.on_message(Topics("aft").status, messages.encode(online()), 0.0) is None
+    assert only.on_message(Topics("aft").of("status"), messages.encode(online()), 0.0) is None
     assert only.ignored == 1
 
 
@@ -161,7 +159,7 @@ def test_nothing_on_the_broker_can_break_the_screen_or_steer_the_terminal(text, 
 def test_a_crowd_of_names_is_bounded() -> None:
     model = WatchModel()
     for k in range(DRONES + 10):
-        model.on_message(Topics(f"d{k}").status, messages.encode(online()), 0.0)
+        model.on_message(Topics(f"d{k}").of("status"), messages.encode(online()), 0.0)
     assert (len(model.drones), model.ignored) == (DRONES, 10)
 
 

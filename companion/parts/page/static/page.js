@@ -8,7 +8,7 @@ import { Plots } from "./plots.js";
 import { RecordingsList } from "./recordings.js";
 import { SettingsEditor } from "./settings.js";
 import { Sticks } from "./sticks.js";
-import { Above, Side } from "./place.js";
+import { Above, placeOf, Side } from "./place.js";
 import * as telling from "./telling.js";
 import { $ } from "./elements.js";
 
@@ -75,6 +75,7 @@ link.on("welcome", (message) => {
   orders.enable(true);
 });
 link.on("state", (message) => {
+  message.place = placeOf(message);
   telling.state(message);
   orders.state(message);
   sticks.state(message);

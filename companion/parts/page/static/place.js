@@ -18,6 +18,26 @@ function put(element, attributes) {
   for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, typeof value === "number" ? value.toFixed(2) : value);
 }
 
+// The place of the drone in the pad's axes: x along the arrow, y to starboard of it, z up. The estimate has the pad in the drone's
+// own level axes; its forward points to (cos yaw, sin yaw), or along the arrow if the heading against it is not known.
+export function placeOf({ belief, deck }) {
+  if (belief === null) return null;
+  const heading_rad = belief.yaw_rad ?? 0;
+  const [c, s] = [Math.cos(heading_rad), Math.sin(heading_rad)];
+  const turned = ([forward, right]) => [s * right - c * forward, -s * forward - c * right];
+  const [x_m, y_m] = turned(belief.d_body_pad_level);
+  const [xx, xy, yy] = [belief.cov[0], belief.cov[1], belief.cov[8]];
+  return {
+    x_m, y_m, z_m: belief.height_m, heading_rad, heading_known: belief.yaw_rad !== undefined, consistent: belief.consistent,
+    v_m_s: [...turned(belief.v_pad_level), belief.v_pad_level[2]],
+    cov_m2: [c * c * xx - 2 * c * s * xy + s * s * yy, c * s * (xx - yy) + (c * c - s * s) * xy, s * s * xx + 2 * c * s * xy + c * c * yy],
+    sigma_z_m: Math.sqrt(Math.max(0, belief.cov[16])),
+    deck_roll_rad: deck?.roll_rad[0] ?? null,
+    deck_pitch_rad: deck?.pitch_rad[0] ?? null,
+    deck_m: deck?.horizons_s.map((ahead_s, i) => [ahead_s, deck.height_m[i] - deck.height_m[0], deck.sigma_height_m[i]]) ?? [],
+  };
+}
+
 const points = (list) => list.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" ");
 
 class View {
