@@ -160,8 +160,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "drivers/ardrone/velocity_loop.py": ("tests/drivers/test_velocity_loop.py", "tests/drivers/test_command_streamer.py"),
     "drivers/ardrone/custody.py": ("tests/drivers/test_custody.py", "tests/drivers/test_command_streamer.py"),
     "drivers/mavlink/setpoint_streamer.py": (
-        "tests/drivers/mavlink/test_setpoint_landings.py",
-        "tests/drivers/mavlink/test_setpoint_streamer.py",
+        "tests/drivers/mavlink/test_setpoints.py",
         "tests/drivers/mavlink/test_custody.py",
     ),
 }

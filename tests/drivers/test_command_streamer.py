@@ -98,13 +98,6 @@ def test_a_climb_is_flown_without_a_fresh_measurement_by_the_tilt_that_holds_aga
     assert cockpit.counters.hover_for_blindness == 1
 
 
-def test_the_watchdog_bit_is_answered(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.LANDED, nd.NavdataState.COM_WATCHDOG)
-    assert cockpit.sends(1) == [at.ComWdg(), GROUND, HOVER]
-    cockpit.hears(2, nd.ControlState.LANDED)
-    assert cockpit.sends(3) == [GROUND, HOVER]
-
-
 @pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
 def test_whoever_ordered_a_landing_calls_it_off_unless_it_is_about_to_end(cockpit, altitude_m, sent):
     for t, (landing, ends) in ((0, (Land(persistent=True), Hover(calls_off=True))), (1000, (Land(), FORWARD))):

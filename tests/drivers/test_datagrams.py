@@ -99,14 +99,3 @@ def test_a_broken_socket_is_reported_by_check_and_not_by_take(ends: Ends) -> Non
         ends.waiting.check()
     with pytest.raises(Recoverable):
         ends.waiting.send(b"hello")
-
-
-def test_an_error_of_the_receiver_is_raised_by_check_alone(ends: Ends) -> None:
-    def receiver(data: bytes, at: MonoNs) -> None:
-        raise ZeroDivisionError
-
-    waiting = WaitingDatagrams(ends.own, SystemClock(), receiver)
-    ends.sent(b"a")
-    waiting.take()
-    with pytest.raises(ZeroDivisionError):
-        waiting.check()

@@ -1,6 +1,8 @@
-"""A mailbox loses nothing it does not count, whoever is cancelled and whenever."""
+"""A mailbox loses nothing it does not count, whoever is cancelled; the reconnect loop rests, ends and logs little."""
 
 import asyncio
+import logging
+import math
 from typing import Any
 
 import pytest
@@ -8,27 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.mailbox import Latest, Line
-from estimator.contracts.errors import Recoverable
+from drivers.reconnect import BackOff, reconnect
+from estimator.contracts.errors import BadInput, Recoverable
+from tests.support.clocks import SleepingClock
 
 BOXES = [Latest, lambda: Line(4)]
-
-
-async def test_latest_hands_over_the_newest_and_counts_what_it_replaced():
-    box = Latest[int]()
-    assert box.offer(1) is None
-    assert box.offer(2) == 1
-    assert box.offer(3) == 2
-    assert await box.get() == 3
-    assert (box.offered, box.replaced) == (3, 2)
-
-
-async def test_line_keeps_order_and_counts_what_it_dropped():
-    line = Line[int](3)
-    for i in range(5):
-        line.offer(i)
-    assert len(line) == 3
-    assert [await line.get() for _ in range(3)] == [2, 3, 4]
-    assert (line.offered, line.dropped) == (5, 2)
 
 
 async def test_what_waits_in_a_line_is_read_together_and_then_its_error():
@@ -121,36 +107,83 @@ def test_every_item_is_read_dropped_or_still_there(script, capacity):
     asyncio.run(play())
 
 
-async def test_what_waits_is_taken_in_order_and_leaves_an_empty_line():
-    line = Line[int](3)
-    for i in range(5):
+def test_what_waits_or_has_come_elsewhere_is_taken_in_order_and_then_the_error():
+    socket = [4]
+    line = Line[int](3, lambda: [line.offer(socket.pop()) for _ in list(socket)])
+    for i in range(4):
         line.offer(i)
+    line.check()
     assert line.waiting() == [2, 3, 4]
-    assert line.waiting() == []
-    line.offer(5)
-    assert await line.get() == 5
-
-
-async def test_what_has_come_elsewhere_is_fetched_before_what_waits_is_taken():
-    socket = [1, 2]
-
-    def fetch() -> None:
-        while socket:
-            line.offer(socket.pop(0))
-
-    line = Line[int](3, fetch)
-    assert len(line) == 0
-    assert line.waiting() == [1, 2]
-    socket.append(3)
-    assert line.waiting() == [3]
-
-
-def test_a_line_that_has_failed_reports_it_when_nothing_is_left():
-    line = Line[int](3)
-    line.check()
-    line.offer(1)
     line.fail(Recoverable("gone"))
-    line.check()
-    assert line.waiting() == [1]
+    assert line.waiting() == []
     with pytest.raises(Recoverable, match="gone"):
         line.check()
+
+
+class Body:
+    """Fails as the list says: an error, or a number of seconds to be up before it fails. It returns when the list is over."""
+
+    def __init__(self, clock: SleepingClock, runs: list[BaseException | float]) -> None:
+        self.clock, self.runs = clock, runs
+
+    async def __call__(self) -> None:
+        if not self.runs:
+            return
+        run = self.runs.pop(0)
+        if isinstance(run, BaseException):
+            raise run
+        self.clock.advance(run)
+        raise OSError("unplugged")
+
+
+BACK_OFF = BackOff(0.5, 4.0, healthy_after_s=10.0)
+
+
+async def test_rests_grow_to_the_cap_and_begin_again_after_a_healthy_run() -> None:
+    clock, failures = SleepingClock(), list[Any]()
+    body = Body(clock, [*[Recoverable("absent")] * 6, 9.9, 10.0, Recoverable("absent")])
+    await reconnect("camera", body, BACK_OFF, clock, failures.append)
+    assert clock.slept == [0.5, 1.0, 2.0, 4.0, 4.0, 4.0, 4.0, 0.5, 1.0]
+    assert len(failures) == 9
+
+
+async def test_an_absent_device_is_logged_twice_in_an_hour_and_once_when_it_is_back(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "drivers.reconnect")
+    clock = SleepingClock()
+    await reconnect("camera", Body(clock, [*[Recoverable("absent")] * 900, 11.0]), BACK_OFF, clock)
+    assert clock.t > 3600e9 - 4e9
+    assert caplog.messages == [
+        "camera: absent; trying again",
+        "camera: still absent; trying every 4 s until it comes back",
+        "camera: up again after 900 failed attempts",
+        "camera: unplugged; trying again",
+    ]
+
+
+BUG_IN_GROUP = ExceptionGroup("both", [Recoverable("absent"), ValueError("a bug")])
+
+
+@pytest.mark.parametrize("error", [BadInput("no such size"), ValueError("a bug"), BUG_IN_GROUP, asyncio.CancelledError()])
+async def test_any_other_error_passes_through_as_it_is(error: BaseException) -> None:
+    with pytest.raises(type(error)) as raised:
+        await reconnect("camera", Body(SleepingClock(), [Recoverable("absent"), error]), BACK_OFF, SleepingClock())
+    if isinstance(raised.value, ExceptionGroup):
+        assert [type(e) for e in raised.value.exceptions] == [ValueError]
+    else:
+        assert raised.value is error or isinstance(error, asyncio.CancelledError)
+
+
+async def test_jitter_shortens_each_rest_by_at_most_its_part() -> None:
+    clock = SleepingClock()
+    await reconnect("broker", Body(clock, [Recoverable("refused")] * 50), BackOff(1.0, 1.0, 10.0, jitter=0.5), clock)
+    assert all(0.5 <= s <= 1.0 for s in clock.slept)
+    assert len({round(s, 6) for s in clock.slept}) > 25
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [(0.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 2.0, -1.0), (1.0, 2.0, 1.0, 0.5), (1.0, 2.0, 1.0, 2.0, 1.0), (math.nan, 1.0, 1.0)],
+)
+def test_a_back_off_out_of_range_is_refused(numbers: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="a back-off needs"):
+        BackOff(*numbers)

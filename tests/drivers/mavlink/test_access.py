@@ -18,17 +18,19 @@ def level(access: Access, source: Source, ids: tuple[int, int], seconds: float =
     return access.level(source, ids, ns(seconds), asked_for=source[1] is None, signed=signed)
 
 
-def test_by_default_nobody_may_command() -> None:
-    access = Access(NamedSenders())
-    for ids in (STATION, AUTOPILOT, SHIP, (66, 1)):
-        assert level(access, A, ids) is AccessLevel.UNKNOWN
-        assert level(access, CABLE, ids) is AccessLevel.PEER, "spoken to since we were told to connect there"
-
-
-def test_whoever_is_received_where_the_autopilot_is_may_command() -> None:
-    access = Access(NamedSenders(), autopilot=(A, AUTOPILOT))
-    assert level(access, A, STATION) is AccessLevel.OPERATOR
-    assert level(access, B, STATION) is AccessLevel.UNKNOWN
+@pytest.mark.parametrize(
+    ("access", "source", "ids", "expected"),
+    [
+        *((Access(NamedSenders()), A, ids, AccessLevel.UNKNOWN) for ids in (STATION, AUTOPILOT, SHIP, (66, 1))),
+        (Access(NamedSenders()), CABLE, STATION, AccessLevel.PEER),
+        (Access(NamedSenders(), autopilot=(A, AUTOPILOT)), A, STATION, AccessLevel.OPERATOR),
+        (Access(NamedSenders(), autopilot=(A, AUTOPILOT)), B, STATION, AccessLevel.UNKNOWN),
+        (Access(NamedSenders(reporters=frozenset({17}))), A, SHIP, AccessLevel.REPORTER),
+        (Access(NamedSenders(reporters=frozenset({17}))), CABLE, SHIP, AccessLevel.PEER),
+    ],
+)
+def test_by_default_nobody_may_command(access: Access, source: Source, ids: tuple[int, int], expected: AccessLevel) -> None:
+    assert level(access, source, ids) is expected
 
 
 @pytest.mark.parametrize("signed", [False, True])
@@ -49,13 +51,6 @@ def test_a_named_system_is_held_to_its_peer_until_that_one_falls_silent() -> Non
     assert level(access, B, STATION, 58.0) is AccessLevel.UNKNOWN
     assert level(access, B, STATION, 60.0) is AccessLevel.OPERATOR
     assert access.refused["impostor"] == 3
-
-
-def test_a_ship_is_listened_to_and_may_not_command() -> None:
-    access = Access(NamedSenders(reporters=frozenset({17})))
-    assert level(access, A, SHIP) is AccessLevel.REPORTER
-    assert level(access, B, SHIP) is AccessLevel.UNKNOWN
-    assert level(Access(NamedSenders(reporters=frozenset({17}))), CABLE, SHIP) is AccessLevel.PEER
 
 
 def test_an_unknown_peer_that_stays_is_reported_once_with_the_cure(caplog: pytest.LogCaptureFixture) -> None:

@@ -124,17 +124,6 @@ async def test_silence_is_reported_and_everything_is_requested_again() -> None:
         assert autopilot.parameters.values == {"PLND_LAG": pytest.approx(0.02)}
 
 
-async def test_a_reboot_is_noticed_and_streams_are_requested_again() -> None:
-    fake = MiniatureAutopilot()
-    async with flown(fake) as autopilot:
-        await until(lambda: autopilot.sync is not None and autopilot.sync.locked)
-        await until(lambda: autopilot.attitude is not None)
-        asked = fake.commands[511]
-        fake.epoch_ns -= 3_000_000_000
-        await until(lambda: fake.commands[511] > asked)
-        await until(lambda: autopilot.sync is not None and autopilot.sync.locked)
-
-
 async def test_others_are_not_mistaken_for_the_autopilot() -> None:
     ship = MiniatureAutopilot(system=17)
     ship.heartbeat = lambda: mav.MAVLink_heartbeat_message(11, 3, 0, 0, 4, 3)  # type: ignore[method-assign]

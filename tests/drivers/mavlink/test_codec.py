@@ -1,16 +1,26 @@
-"""Framing, sequence numbers, signatures: nothing on the wire raises, nothing intact is lost."""
+"""Framing, sequence numbers, signatures, messages of our own, long texts: nothing on the wire raises, nothing intact is lost."""
 
 import hashlib
 import itertools
 import struct
+import xml.etree.ElementTree as Xml
+from pathlib import Path
 
+import pymavlink
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.mavlink.codec import Codec
-from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.dialect import (
+    Message,
+    TargetRelative,
+    TimeSyncV2,
+    crc_extra_of,
+    mav,
+)
 from drivers.mavlink.signing import EPOCH_S, Signing, SigningKey, SigningTimes
+from drivers.mavlink.vehicle import CHUNK, LOST, JoinedTexts
 
 KEY = SigningKey(bytes(range(32)))
 
@@ -72,21 +82,13 @@ def test_an_unknown_message_is_counted_and_accepted_only_between_frames() -> Non
     codec = Codec(1, 1)
     assert codec.feed(bytes(frame) + stream(1)[0])[0].get_type() == "ATTITUDE"
     assert codec.counters.unknown == 1
-    codec = Codec(1, 1)
-    assert len(codec.feed(bytes(frame[:-2]) + stream(1)[0] + b"\0")) == 1
-
-
-def test_mavlink_1_is_received_and_mavlink_2_is_spoken() -> None:
     old = attitude(5).pack(mav.MAVLink(None, srcSystem=1, srcComponent=1), force_mavlink1=True)
-    codec = Codec(1, 1)
     assert times(codec.feed(old)) == [5]
     assert codec.counters.old_version == 1
-    assert codec.pack(attitude(1))[0] == 0xFD
-
-
-def test_what_does_not_fit_the_wire_is_the_callers_error() -> None:
     with pytest.raises(ValueError, match=r"ATTITUDE\.time_boot_ms does not fit"):
-        Codec(1, 1).pack(mav.MAVLink_attitude_message(-1, 0, 0, 0, 0, 0, 0))
+        codec.pack(mav.MAVLink_attitude_message(-1, 0, 0, 0, 0, 0, 0))
+    codec = Codec(1, 1)
+    assert len(codec.feed(bytes(frame[:-2]) + stream(1)[0] + b"\0")) == 1
 
 
 def test_the_signature_is_the_published_one() -> None:
@@ -125,3 +127,83 @@ def test_a_message_that_never_ends_is_not_waited_for_with_growing_memory() -> No
     for _ in range(500):
         assert codec.feed(b"\xfd\xff\x01" + bytes(2000)) == []
         assert len(codec._buffer) <= 280, "the longest message there is"
+
+
+DEFINITIONS = Path(pymavlink.__file__).parent / "dialects/v20"
+
+
+def test_the_crc_seed_of_every_message_of_common_comes_out_as_generated() -> None:
+    checked = 0
+    for file in ("common.xml", "standard.xml", "minimal.xml"):
+        for message in Xml.parse(DEFINITIONS / file).getroot().iter("message"):
+            fields: list[tuple[str, str]] = []
+            for child in message:
+                if child.tag == "extensions":
+                    break
+                if child.tag == "field":
+                    fields.append((child.attrib["type"].replace("_mavlink_version", ""), child.attrib["name"]))
+            generated = mav.mavlink_map[int(message.attrib["id"])]
+            assert crc_extra_of(message.attrib["name"], fields) == generated.crc_extra, message.attrib["name"]
+            checked += 1
+    assert checked > 200
+
+
+def test_a_defined_message_crosses_the_wire_field_by_field() -> None:
+    sent = TargetRelative(
+        timestamp=2**40 + 5, id=3, frame=1, x=1.5, y=-2.25, z=3.125, pos_std=[0.25, 0.5, 0.75], yaw_std=0.125,
+        q_target=[1.0, 2.0, 3.0, 4.0], q_sensor=[5.0, 6.0, 7.0, 8.0], type=3,
+    )  # fmt: skip
+    data = Codec(7, 191).pack(sent)
+    (got,) = Codec(1, 1).feed(data)
+    assert got.to_dict() == sent.to_dict()
+    assert data[10:30].hex() == "0500000000010000" + "0000c03f" + "000010c0" + "00004840", "uint64 first, then the floats"
+
+
+def test_timesync_has_targets_and_receives_those_without() -> None:
+    assert TimeSyncV2.crc_extra == 34
+    data = Codec(1, 1).pack(TimeSyncV2(5, -6, 7, 191))
+    (got,) = Codec(1, 1).feed(data)
+    assert (got.tc1, got.ts1, got.target_system, got.target_component) == (5, -6, 7, 191)
+    (old,) = Codec(1, 1).feed(Codec(1, 1).pack(mav.MAVLink_timesync_message(5, 6)))
+    assert (old.tc1, old.ts1, old.target_system, old.target_component) == (5, 6, 0, 0)
+
+
+PX4, COPTER = (1, 1), (2, 1)
+
+
+def chunks(text: str, number: int) -> list[Message]:
+    """Return the chunks as an autopilot sends them: a full last chunk is followed by an empty one."""
+    return [
+        mav.MAVLink_statustext_message(2, text[k * CHUNK : (k + 1) * CHUNK].encode(), number, k)
+        for k in range(len(text) // CHUNK + 1)
+    ]
+
+
+def joined(message: Message) -> Message:
+    """Return the texts after a passage through the wire."""
+    sender = mav.MAVLink(None, srcSystem=1, srcComponent=1)
+    return mav.MAVLink(None).decode(bytearray(message.pack(sender)))
+
+
+@given(st.lists(st.text("abcdefgh ", min_size=0, max_size=220), min_size=1, max_size=6))
+def test_texts_of_two_senders_come_out_as_they_were(words: list[str]) -> None:
+    texts, out = JoinedTexts(), []
+    streams = [[joined(m) for n, w in enumerate(words, 1) for m in chunks(w, n)] for _ in (PX4, COPTER)]
+    for pair in zip(*streams, strict=True):
+        for sender, message in zip((PX4, COPTER), pair, strict=True):
+            out += [(sender, text) for _, text in texts.on_message(message, sender)]
+    for sender in (PX4, COPTER):
+        assert [text for who, text in out if who == sender] == words
+
+
+def test_a_lost_chunk_leaves_a_mark_and_costs_no_other_text() -> None:
+    a, b, c = (joined(m) for m in chunks("x" * 50 + "y" * 50 + "z", 3))
+    assert JoinedTexts().on_message(c, PX4) == [(2, f"{LOST}{LOST}z")]
+    texts = JoinedTexts()
+    texts.on_message(a, PX4)
+    assert texts.on_message(c, PX4) == [(2, "x" * 50 + LOST + "z")]
+    texts.on_message(a, PX4)
+    texts.on_message(b, PX4)
+    plain = joined(mav.MAVLink_statustext_message(6, b"armed"))
+    assert texts.on_message(plain, PX4) == [(2, "x" * 50 + "y" * 50 + LOST), (6, "armed")]
+    assert texts.on_message(plain, PX4) == [(6, "armed")]

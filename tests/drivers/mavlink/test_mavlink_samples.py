@@ -27,14 +27,11 @@ def attitude(yaw_deg: float, roll_deg: float = 3.0, pitch_deg: float = -5.0) -> 
     return mav.MAVLink_attitude_quaternion_message(4000, *q, 0.0, 0.0, 0.0)
 
 
-def test_attitude() -> None:
-    (sample,) = sampler().samples(attitude(70.0), NOW)
-    assert isinstance(sample, Attitude)
-    assert np.degrees(sample.R_ned_body.rpy_rad) == pytest.approx((3.0, -5.0, 70.0))
-
-
 def test_attitude_in_angles_where_no_quaternion_comes() -> None:
     s = sampler()
+    (quaternion,) = sampler().samples(attitude(70.0), NOW)
+    assert isinstance(quaternion, Attitude)
+    assert np.degrees(quaternion.R_ned_body.rpy_rad) == pytest.approx((3.0, -5.0, 70.0))
     angles = mav.MAVLink_attitude_message(4000, *np.radians((3.0, -5.0, 70.0)), 0.1, 0.2, 0.3)
     (sample,) = s.samples(angles, NOW)
     assert isinstance(sample, Attitude)
@@ -108,20 +105,6 @@ def test_the_limit_of_the_tilt_is_in_the_status(stack: Stack, values: dict[str, 
     assert s.status(NOW, link_ok=True).tilt_max_deg == pytest.approx(tilt_deg)
 
 
-def test_a_delay_is_of_inertial_readings_alone() -> None:
-    for s, message in (
-        (sampler(), mav.MAVLink_raw_imu_message(4_000_000, 100, -200, -1000, 10, -20, 30, 0, 0, 0)),
-        (sampler(Stack.PX4), mav.MAVLink_highres_imu_message(4_000_000, 0, 0, -9.8, 0, 0, 0, 0, 0, 0, 1013, 0, 0, 20, 0x23F)),
-    ):
-        s.inertial_delay_s = 0.0125
-        (imu, *others) = s.samples(message, NOW)
-        others += s.samples(attitude(70.0), NOW)
-        assert isinstance(imu, Imu)
-        assert imu.stamp.received_at == NOW
-        assert {o.stamp.measured_at - imu.stamp.measured_at for o in others} <= {12_500_000, 13_000_000}
-        assert others
-
-
 def distance(cm: int, **fields: Any) -> Any:
     given = {"orientation": 25, "covariance": 4, "signal_quality": 0} | fields
     return mav.MAVLink_distance_sensor_message(4000, 20, 4000, cm, 0, 1, **given)
@@ -191,7 +174,12 @@ def test_the_vessel_reports_its_velocity_and_bow() -> None:
     assert isinstance(sample, VesselReport)
     assert sample.v_vessel_ned == pytest.approx((1.5, -2.5, 0.5))
     assert sample.heading_rad == pytest.approx(math.radians(123.45))
-    (sample,) = sampler().vessel(mav.MAVLink_global_position_int_message(4000, 0, 0, 3, 4, 150, -250, 50, 65535), NOW)
+    (own,) = sampler().samples(mav.MAVLink_global_position_int_message(4000, *place, 150, -250, 50, 0), NOW)
+    assert isinstance(own, GeoFix)
+    assert (own.whose, own.place) == ("vehicle", fix.place)
+    nowhere = mav.MAVLink_global_position_int_message(4000, 0, 0, 3, 4, 150, -250, 50, 65535)
+    assert sampler().samples(nowhere, NOW) == []
+    (sample,) = sampler().vessel(nowhere, NOW)
     assert isinstance(sample, VesselReport), "0 N 0 E is where receivers without a fix are"
     assert sample.heading_rad is None
 
@@ -216,23 +204,6 @@ def test_a_follow_target_is_the_ship_s_place_and_velocity_as_far_as_it_reports_i
     for wrong in ({"alt": math.nan}, {"vel": [math.inf, 0, 0]}, {"lat": 910_000_000}):
         assert s.vessel(follow_target(**wrong), NOW) == []
     assert s.refused == {"FOLLOW_TARGET": 3}
-
-
-def test_a_ship_s_report_that_comes_10_s_late_reports_it_for_minutes() -> None:
-    s = sampler()
-    for n in range(30):
-        s.vessel(follow_target(timestamp=1000 * n), MonoNs(NOW + n * 10**9))
-    for n in range(30, 90):
-        fix, _ = s.vessel(follow_target(timestamp=1000 * n), MonoNs(NOW + (n + 10) * 10**9))
-        assert fix.stamp.delay_s == pytest.approx(10.0, abs=0.1)
-
-
-def test_the_vehicle_s_own_place_is_a_sample() -> None:
-    message = mav.MAVLink_global_position_int_message(4000, 543_210_000, 102_030_000, 12_500, 4, 150, -250, 50, 0)
-    (fix,) = sampler().samples(message, NOW)
-    assert isinstance(fix, GeoFix)
-    assert (fix.whose, fix.place.height_m) == ("vehicle", 12.5)
-    assert sampler().samples(mav.MAVLink_global_position_int_message(4000, 0, 0, 12_500, 4, 0, 0, 0, 0), NOW) == []
 
 
 def test_what_is_not_finite_is_refused_and_counted() -> None:

@@ -173,19 +173,6 @@ async def test_of_two_that_fly_the_chosen_one_is_commanded(monkeypatch: pytest.M
         assert not autopilot.id_conflicts
 
 
-async def test_an_id_that_changed_with_a_reboot_is_taken(monkeypatch, caplog):
-    monkeypatch.setattr(roster, "MOVED_S", 0.3)
-    before, after = MiniatureAutopilot(system=7), MiniatureAutopilot(system=1, epoch_ns=2_000_000_000)
-    async with routed() as (autopilot, _, url):
-        async with before.talking_to(url):
-            await until(lambda: autopilot.attitude is not None)
-        async with after.talking_to(url):
-            await until(lambda: autopilot.identity is not None and autopilot.identity.system == 1)
-            await until(lambda: autopilot.attitude is not None and autopilot.condition.flying is True)
-            assert autopilot.links.identity == (1, 191)
-    assert any("system 1 is taken in place of system 7, which is silent" in line for line in caplog.messages)
-
-
 async def test_another_program_with_our_ids_is_named_and_an_echo_is_none() -> None:
     fake = MiniatureAutopilot()
     async with routed() as (autopilot, router, url), fake.talking_to(url):

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from drivers.ardrone import control
 from sitl.ardrone.config import KEYS, Answer, Configuration, Ids, tilting
+from tests.drivers.captures import CAPTURES, needs_captures
 from tests.sitl.test_vehicle_files import shipped_vehicle
 
 MINE = Ids("ca0000d1", "ca0000d3", "ca0000d2")
@@ -90,13 +91,6 @@ def test_custom_ids_list_is_in_the_form_the_sdk_reads() -> None:
     assert "ca0000d3,deck pilot" in lines[lines.index("[profiles]") : lines.index("[sessions]")]
 
 
-def test_dump_reads_back_whole() -> None:
-    config = Configuration({"navdata_port": 40001})
-    read = control.parse(control.render(config.dump()))
-    assert read == config.dump()
-    assert read["network:navdata_port"] == "40001"
-
-
 @settings(max_examples=200)
 @given(st.lists(st.tuples(st.sampled_from([*KEYS, "custom:session_id", "nope"]), st.text(max_size=12)), max_size=8))
 def test_no_value_breaks_the_table(writes: list[tuple[str, str]]) -> None:
@@ -105,5 +99,28 @@ def test_no_value_breaks_the_table(writes: list[tuple[str, str]]) -> None:
         config.set(name, value, MINE)
     read = config.dump()
     assert list(read) == list(KEYS)
+    assert control.parse(control.render(read) + b"general:late = 1\n") == read, "what follows the NUL is not of this text"
     assert 0.0 <= config.number("control:euler_angle_max") <= 0.52
     assert config.number("general:com_watchdog") >= 1
+
+
+@needs_captures
+def test_a_real_configuration() -> None:
+    text = (CAPTURES / "config_port5559_ardrone1.txt").read_bytes()
+    reported = control.parse(text)
+    assert len(reported) == len([line for line in text.splitlines() if b"=" in line])
+    assert reported["general:navdata_options"] == "65537"
+    assert reported["general:soft_build_date"] == "2011-07-13 09:52"
+    assert reported["network:passkey"] == ""
+    assert reported["network:owner_mac"] == "00:00:00:00:00:00"
+    assert control.boolean(reported["general:navdata_demo"]) is True
+    assert control.vector(reported["control:accs_offset"]) == (-2235.3198, 1924.7540, 2084.4270)
+    assert control.number(reported["control:euler_angle_max"]) == pytest.approx(0.15)
+    assert control.render(reported).rstrip(b"\0").split() == text.split()
+
+
+@given(st.binary(max_size=300))
+def test_garbage_never_raises_and_costs_no_line(garbage: bytes) -> None:
+    control.parse(garbage)
+    reported = control.parse(garbage.replace(b"\0", b"") + b"\ngeneral:a = 1\n")
+    assert reported["general:a"] == "1"

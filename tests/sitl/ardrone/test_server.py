@@ -19,7 +19,7 @@ from estimator.contracts.errors import BadInput
 from sitl.ardrone.navdata_from_world import further_fields
 from sitl.emulators.ardrone import truth_log
 from sitl.emulators.ardrone.server import ArDroneServer, Ports
-from sitl.faults.kinds import FrameStream, LinkLost, NavdataStream
+from sitl.faults.kinds import FrameStream, LinkLost
 from sitl.world.world import World
 from tests.sitl.ardrone.peer import Peer, Watcher
 from tests.sitl.ardrone.point_mass import PointMass
@@ -29,7 +29,6 @@ from tests.support.waiting import PATIENCE_S, until
 HOST = "127.0.0.1"
 ANY = Ports(0, 0, 0, 0)
 FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
-LAND = at.Ref(at.REF_BASE)
 
 
 def serving(world: PointMass, **options: Any) -> ArDroneServer:
@@ -123,38 +122,6 @@ async def test_full_navdata_holds_what_the_sensors_read(server: ArDroneServer, p
     assert set(further) <= {name for layout in LAYOUTS.values() for name in layout.fields}
 
 
-async def test_it_takes_off_flies_and_lands(peer: Peer, world: PointMass) -> None:
-    peer.ask()
-    await peer.configure("general:navdata_demo", "FALSE")
-    async with peer.talking(FLY, at.Pcmd(0, 0.9, 0.9, 0.9, 0.9)):
-        up = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
-        assert up.state & NavdataState.FLYING
-        await asyncio.sleep(0.1)
-        assert abs(world.v).max() < 1e-9, "flag 0 holds the place whatever the sticks say"
-    async with peer.talking(LAND):
-        down = await peer.until(lambda n: n.control_state is ControlState.LANDED)
-    assert not down.state & NavdataState.FLYING
-
-
-async def test_silence_makes_it_hover_and_land(server: ArDroneServer, peer: Peer, world: PointMass) -> None:
-    peer.ask()
-    await peer.configure("general:com_watchdog", "1")
-    await peer.configure("general:navdata_demo", "FALSE")
-    async with peer.talking(at.ComWdg(), FLY, at.Pcmd(1, 0.0, -0.3, 0.0, 0.0)):
-        flying = await peer.until(lambda n: n.control_state is ControlState.FLYING)
-        assert not flying.state & NavdataState.COM_WATCHDOG
-    hovering = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
-    assert hovering.state & NavdataState.COM_WATCHDOG
-    landing = await peer.until(lambda n: n.control_state is ControlState.LANDING)
-    # By the drone's own clock, from the last command on that it took: a busy machine receives and says late.
-    spoken_us = server._drone_clock.microseconds(server.drone.state._received_at or world.now)
-    hovered_us, landing_us = (us for n in (hovering, landing) if (us := n.time_us) is not None)
-    assert 1.0e6 <= hovered_us - spoken_us < 1.1e6
-    assert 0.9e6 < landing_us - hovered_us < 1.1e6
-    landed = await peer.until(lambda n: n.control_state is ControlState.LANDED)
-    assert landed.state & NavdataState.COMMUNICATION_LOST
-
-
 async def test_video_is_pave_with_h264_of_what_the_camera_sees(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
     peer.say(at.Config("video:video_channel", "1"))
     await until(lambda: server.drone.state.config["video:video_channel"] == "1")
@@ -243,23 +210,6 @@ async def test_garbage_on_every_port_hurts_nobody(server: ArDroneServer, peer: P
     assert server.counters["navdata_request_refused"] > 60
 
 
-async def test_faults_silence_what_they_name(server: ArDroneServer, peer: Peer, world: PointMass, stack: ExitStack) -> None:
-    watcher = Watcher(HOST, server.ports)
-    stack.callback(watcher.close)
-    peer.ask()
-    await peer.configure("general:navdata_demo", "FALSE")
-    await watcher.frame()
-    world.failing.now = [NavdataStream(at_s=0.0, dropped_fraction=1.0), FrameStream(at_s=0.0, dropped_fraction=1.0)]
-    sent, before = (0, 0), (-1, -1)
-    while sent != before:  # what was under way comes yet
-        before = sent
-        await asyncio.sleep(0.3)
-        sent = server.counters["navdata_sent"], server.counters["video_sent"]
-    world.failing.now = []
-    await until(lambda: server.counters["navdata_sent"] > sent[0] + 20 and server.counters["video_sent"] > sent[1])
-    assert (await watcher.frame()).header.frame_number >= 1
-
-
 async def test_truth_log_reports_where_it_was(tmp_path: Path, stack: ExitStack) -> None:
     world, path = PointMass(SystemClock().now(), height_m=2.0), tmp_path / "truth.jsonl"
     began = SystemClock().now()
@@ -301,16 +251,11 @@ async def test_a_bug_inside_takes_the_body_down(world: PointMass, monkeypatch: p
             await asyncio.sleep(PATIENCE_S)
 
 
-async def test_wrong_stamps_late_frames_and_a_lost_link_reach_the_wire(server: ArDroneServer, world: PointMass) -> None:
-    with ExitStack() as stack:
-        peer = Peer(HOST, server.ports)
-        stack.callback(peer.close)
-        watcher = Watcher(HOST, server.ports)
-        stack.callback(watcher.close)
-        await meets_every_fault(server, world, peer, watcher)
-
-
-async def meets_every_fault(server: ArDroneServer, world: PointMass, peer: Peer, watcher: Watcher) -> None:
+async def test_wrong_stamps_late_frames_and_a_lost_link_reach_the_wire(
+    server: ArDroneServer, world: PointMass, peer: Peer, stack: ExitStack
+) -> None:
+    watcher = Watcher(HOST, server.ports)
+    stack.callback(watcher.close)
     peer.ask()
     await peer.configure("general:navdata_demo", "FALSE")
     true_ms = (await watcher.frame()).header.timestamp_ms

@@ -106,34 +106,6 @@ def test_a_client_that_comes_back_in_time_keeps_flying_and_clears_the_bit_itself
     assert list(drone.tick(ns(4.6), VehiclePhase.FLYING)) == []
 
 
-def test_bootstrap_and_handshake(pilot: Pilot) -> None:
-    assert NavdataState.NAVDATA_BOOTSTRAP in pilot.word()
-    pilot.say(at.Config("general:navdata_demo", "TRUE"))
-    word = pilot.word()
-    assert NavdataState.COMMAND_ACK in word
-    assert NavdataState.NAVDATA_DEMO in word
-    assert NavdataState.NAVDATA_BOOTSTRAP not in word
-    pilot.say(at.ComWdg())
-    assert NavdataState.COMMAND_ACK in pilot.word(), "only CTRL 5 clears it"
-    pilot.say(at.Ctrl(5))
-    assert NavdataState.COMMAND_ACK not in pilot.word()
-    pilot.say(at.Config("general:navdata_demo", "FALSE"))
-    assert NavdataState.NAVDATA_DEMO not in pilot.word()
-    pilot.say(at.Config("general:wings", "2"))
-    assert pilot.drone.counters["config_unknown_key"] == 1
-    assert pilot.drone.counters["config_during_ack"] == 1
-
-
-def test_ids_hold_for_the_next_command_only(pilot: Pilot) -> None:
-    mine = at.ConfigIds("CA0000D1", "00000000", "00000000")
-    pilot.say(at.Config("custom:session_id", "ca0000d1"))
-    pilot.say(mine, at.Config("video:video_channel", "1"))
-    assert pilot.drone.config["video:video_channel"] == "1"
-    pilot.say(mine, at.ComWdg(), at.Config("video:video_channel", "0"))
-    assert pilot.drone.config["video:video_channel"] == "1"
-    assert pilot.drone.counters["config_wrong_ids"] == 1
-
-
 def test_limits_are_passed_on_when_they_may_have_changed(pilot: Pilot) -> None:
     assert pilot.say(at.Config("control:euler_angle_max", "0.3")) == [RefAction.APPLY_LIMITS]
     assert pilot.say(at.Config("control:outdoor", "TRUE")) == [RefAction.APPLY_LIMITS]
