@@ -67,27 +67,25 @@ def crc_extra_of(name: str, fields: list[tuple[str, str]]) -> int:
     return (int(crc.crc) & 0xFF) ^ (int(crc.crc) >> 8)
 
 
-def define(
-    msg_id: int,
-    name: str,
-    fields: list[tuple[str, str]],
-    extensions: list[tuple[str, str]] | None = None,
-    *,
-    replace: bool = False,
-) -> Any:
+def _fields_of(text: str) -> list[tuple[str, str]]:
+    """Return the (type, name) of each field of a definition."""
+    return [(kind, name) for kind, _, name in (field.strip().partition(" ") for field in text.split(",") if field.strip())]
+
+
+def define(msg_id: int, name: str, definition: str, extension: str = "", *, replace: bool = False) -> Any:
     """Return a new message class like those of the dialect, and register it with the dialect's parser.
 
     Args:
         msg_id: number of the message.
         name: name of the message.
-        fields: (type, name) of each field in the order of the definition, types as the definition writes them ("float[3]").
-        extensions: the fields after `<extensions/>`; they are numbers and 0 if a sender leaves them out.
+        definition: type and name of each field with commas between, types as mavlink.io writes them ("float[3] vel").
+        extension: likewise the fields after `<extensions/>`; they are numbers and 0 if a sender leaves them out.
         replace: whether to replace a message of the dialect.
 
     Raises:
         ValueError: the dialect already has a message of that number and `replace` is False, or its CRC seed differs.
     """
-    extensions = extensions or []
+    fields, extensions = _fields_of(definition), _fields_of(extension)
     known = mav.mavlink_map.get(msg_id)
     seed = crc_extra_of(name, fields)
     if known is not None and not (replace and known.crc_extra == seed):
@@ -156,90 +154,34 @@ def unfit_field(message: Message) -> str:
     return "?"
 
 
-TimeSyncV2 = define(
-    111,
-    "TIMESYNC",
-    [("int64_t", "tc1"), ("int64_t", "ts1")],
-    [("uint8_t", "target_system"), ("uint8_t", "target_component")],
-    replace=True,
-)
-
+TimeSyncV2 = define(111, "TIMESYNC", "int64_t tc1, int64_t ts1", "uint8_t target_system, uint8_t target_component", replace=True)
 MountStatus = define(
     158,
     "MOUNT_STATUS",
-    [
-        ("uint8_t", "target_system"),
-        ("uint8_t", "target_component"),
-        ("int32_t", "pointing_a"),
-        ("int32_t", "pointing_b"),
-        ("int32_t", "pointing_c"),
-    ],
-    [("uint8_t", "mount_mode")],
+    "uint8_t target_system, uint8_t target_component, int32_t pointing_a, int32_t pointing_b, int32_t pointing_c",
+    "uint8_t mount_mode",
 )
-
 ComponentInformationBasic = define(
     396,
     "COMPONENT_INFORMATION_BASIC",
-    [
-        ("uint32_t", "time_boot_ms"),
-        ("uint64_t", "capabilities"),
-        ("uint32_t", "time_manufacture_s"),
-        ("char[32]", "vendor_name"),
-        ("char[32]", "model_name"),
-        ("char[24]", "software_version"),
-        ("char[24]", "hardware_version"),
-        ("char[32]", "serial_number"),
-    ],
+    "uint32_t time_boot_ms, uint64_t capabilities, uint32_t time_manufacture_s, char[32] vendor_name, char[32] model_name, "
+    "char[24] software_version, char[24] hardware_version, char[32] serial_number",
 )
-
 Event = define(
     410,
     "EVENT",
-    [
-        ("uint8_t", "destination_component"),
-        ("uint8_t", "destination_system"),
-        ("uint32_t", "id"),
-        ("uint32_t", "event_time_boot_ms"),
-        ("uint16_t", "sequence"),
-        ("uint8_t", "log_levels"),
-        ("uint8_t[40]", "arguments"),
-    ],
+    "uint8_t destination_component, uint8_t destination_system, uint32_t id, uint32_t event_time_boot_ms, uint16_t sequence, "
+    "uint8_t log_levels, uint8_t[40] arguments",
 )
-
 TargetAbsolute = define(
     510,
     "TARGET_ABSOLUTE",
-    [
-        ("uint64_t", "timestamp"),
-        ("uint8_t", "id"),
-        ("uint8_t", "sensor_capabilities"),
-        ("int32_t", "lat"),
-        ("int32_t", "lon"),
-        ("float", "alt"),
-        ("float[3]", "vel"),
-        ("float[3]", "acc"),
-        ("float[4]", "q_target"),
-        ("float[3]", "rates"),
-        ("float[2]", "position_std"),
-        ("float[3]", "vel_std"),
-        ("float[3]", "acc_std"),
-    ],
+    "uint64_t timestamp, uint8_t id, uint8_t sensor_capabilities, int32_t lat, int32_t lon, float alt, float[3] vel, "
+    "float[3] acc, float[4] q_target, float[3] rates, float[2] position_std, float[3] vel_std, float[3] acc_std",
 )
-
 TargetRelative = define(
     511,
     "TARGET_RELATIVE",
-    [
-        ("uint64_t", "timestamp"),
-        ("uint8_t", "id"),
-        ("uint8_t", "frame"),
-        ("float", "x"),
-        ("float", "y"),
-        ("float", "z"),
-        ("float[3]", "pos_std"),
-        ("float", "yaw_std"),
-        ("float[4]", "q_target"),
-        ("float[4]", "q_sensor"),
-        ("uint8_t", "type"),
-    ],
+    "uint64_t timestamp, uint8_t id, uint8_t frame, float x, float y, float z, float[3] pos_std, float yaw_std, "
+    "float[4] q_target, float[4] q_sensor, uint8_t type",
 )

@@ -175,8 +175,8 @@ async def test_a_connection_is_lost_and_found_again_alone(channel: str) -> None:
     fake.clips = video()
     async with linked(fake, **PATIENT) as drone:
         await until(lambda: drone.counters.control_reads == 1)
-        fake.drop(list(fake.video_writers if channel == "video" else fake.control_writers))
         frames = drone.counters.frames
+        (fake.drop_video if channel == "video" else fake.text.drop)()
         found = {"video": lambda: drone.counters.frames > frames, "control": lambda: drone.counters.control_reads == 2}
         await until(found[channel])
         assert drone.counters.restarts[channel] >= 1
@@ -188,7 +188,7 @@ async def test_a_key_that_reads_back_wrongly_is_requested_again() -> None:
     async with linked(fake) as drone:
         await until(lambda: drone.counters.control_reads == 1)
         fake.configuration["video:video_channel"] = "0"
-        fake.drop(list(fake.control_writers))
+        fake.text.drop()
         await until(lambda: drone.counters.config_mismatches == 1)
         await until(lambda: drone.counters.control_reads >= 3)
         assert fake.configuration["video:video_channel"] == "1"
@@ -199,9 +199,9 @@ async def test_silent_navdata_is_requested_again_and_commands_go_on() -> None:
     fake = FakeArDrone()
     async with linked(fake) as drone:
         await until(lambda: drone.ready)
-        asked, sent = fake.openings, len(fake.commands)
+        asked, sent = fake.counters["navdata_request"], len(fake.commands)
         fake.silent = True
-        await until(lambda: fake.openings > asked)
+        await until(lambda: fake.counters["navdata_request"] > asked)
         await until(lambda: drone.counters.restarts["navdata"] >= 1)
         assert drone.counters.navdata_silences >= 2
         received = drone.counters.samples

@@ -1,28 +1,19 @@
 """A drone in miniature on loopback: the four ports, acknowledge bit, watchdog and bootstrap, and a record of what it was told."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager, suppress
+from collections import Counter
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from typing import Any
 
 from drivers.ardrone import at, control
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.refusal import Refusal
+from drivers.clock import SystemClock
+from sitl.emulators.ardrone.sockets import DatagramPort, StreamPort
 
 HOST = "127.0.0.1"
-
-
-class _Udp(asyncio.DatagramProtocol):
-    def __init__(self, received: Callable[[bytes, Any], None]) -> None:
-        self.received = received
-        self.transport: Any = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self.transport = transport
-
-    def datagram_received(self, data: bytes, addr: Any) -> None:
-        self.received(data, addr)
 
 
 class FakeArDrone:
@@ -38,23 +29,21 @@ class FakeArDrone:
         self.configuration = {"general:num_version_soft": "2.4.8"}
         self.configured_in_order: list[str] = []
         self.ids_before_config: list[at.ConfigIds | None] = []
-        self.openings = 0
-        self.client: Any = None
+        self.counters: Counter[str] = Counter()
+        """What the ports count."""
         self.silent = False
         self.deaf_to_config = False
         self.forces_ref = True
         self.clips: list[bytes] = []
         self.video_pause_s = 0.004
-        self.video_connections = 0
-        self.control_connections = 0
         self.video_writers: list[asyncio.StreamWriter] = []
-        self.control_writers: list[asyncio.StreamWriter] = []
         self.vx_mm_s = 0.0
         self.altitude_mm = 900
+        self.text = StreamPort("control", self.counters, clients_max=8, backlog_max=1 << 16)
+        """The port of the configuration."""
         self._handlers: list[Any] = []
         self._ids: at.ConfigIds | None = None
-        self._navdata: _Udp | None = None
-        self._at: _Udp | None = None
+        self._navdata = DatagramPort("navdata", SystemClock().now, self.counters, backlog_max=1 << 16)
 
     def of(self, kind: type[Any]) -> list[Any]:
         """Return every command of a kind so far."""
@@ -81,16 +70,6 @@ class FakeArDrone:
         )  # fmt: skip
         return nd.encode(navdata)
 
-    def tick(self) -> None:
-        """Send one navdata datagram."""
-        if self.client is not None and not self.silent and self._navdata is not None:
-            self._navdata.transport.sendto(self.datagram(), self.client)
-
-    def _opened(self, data: bytes, addr: Any) -> None:
-        if data[:1] == b"\x01":
-            self.openings += 1
-            self.client = addr
-
     def _on_datagram(self, data: bytes, addr: Any) -> None:
         for result in at.decode(data):
             if isinstance(result, Refusal):
@@ -111,8 +90,7 @@ class FakeArDrone:
         elif isinstance(command, at.Ctrl) and command.mode == at.CTRL_ACK:
             self.state &= ~(nd.NavdataState.COMMAND_ACK | nd.NavdataState.NAVDATA_BOOTSTRAP)
         elif isinstance(command, at.Ctrl) and command.mode == at.CTRL_CONFIGURATION:
-            for writer in self.control_writers:
-                writer.write(control.render(self.configuration))
+            self.text.send(control.render(self.configuration))
         elif isinstance(command, at.ComWdg):
             self.state &= ~nd.NavdataState.COM_WATCHDOG
         elif isinstance(command, at.Ref) and self.forces_ref:
@@ -125,7 +103,6 @@ class FakeArDrone:
         self._ids = None
 
     async def _video(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.video_connections += 1
         self.video_writers.append(writer)
         self._handlers.append(asyncio.current_task())
         with suppress(OSError):
@@ -137,58 +114,39 @@ class FakeArDrone:
             await reader.read()
         writer.close()
 
-    async def _controlled(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.control_connections += 1
-        self.control_writers.append(writer)
-        self._handlers.append(asyncio.current_task())
-        with suppress(OSError):
-            await reader.read()
-        self.control_writers.remove(writer)
-        writer.close()
-
-    def drop(self, writers: list[asyncio.StreamWriter]) -> None:
-        """Cut these connections."""
-        for writer in writers:
+    def drop_video(self) -> None:
+        """Cut the connections of the video."""
+        for writer in self.video_writers:
             writer.close()
 
     @asynccontextmanager
     async def on_loopback(self, **options: Any) -> AsyncIterator[ArDroneOptions]:
         """Serve; yields options that lead here, patient for milliseconds only."""
-        loop = asyncio.get_running_loop()
-        navdata_transport, self._navdata = await loop.create_datagram_endpoint(lambda: _Udp(self._opened), (HOST, 0))
-        at_transport, self._at = await loop.create_datagram_endpoint(lambda: _Udp(self._on_datagram), (HOST, 0))
+        at_port = DatagramPort("at", SystemClock().now, self.counters, take=self._on_datagram)
         video = await asyncio.start_server(self._video, HOST, 0)
-        controlled = await asyncio.start_server(self._controlled, HOST, 0)
-        fast: dict[str, Any] = {
-            "host": HOST,
-            "navdata_port": navdata_transport.get_extra_info("sockname")[1],
-            "at_port": at_transport.get_extra_info("sockname")[1],
-            "video_port": video.sockets[0].getsockname()[1],
-            "control_port": controlled.sockets[0].getsockname()[1],
-            "command_period_s": 0.01,
-            "navdata_silence_s": 0.1,
-            "reopen_after_s": 0.4,
-            "video_silence_s": 0.3,
-            "config_timeout_s": 0.5,
-            "restart_first_s": 0.02,
-            "restart_most_s": 0.1,
-            "video_settle_s": 0.0,
-        }
-        ticker = asyncio.create_task(self._run())
-        try:
-            yield ArDroneOptions(**(fast | options))
-        finally:
-            ticker.cancel()
-            with suppress(asyncio.CancelledError):
-                await ticker
-            self.drop([*self.video_writers, *self.control_writers])
-            await asyncio.gather(*self._handlers)
-            for server in (video, controlled):
-                server.close()
-                await server.wait_closed()
-            navdata_transport.close()
-            at_transport.close()
-            await asyncio.sleep(0)
+        async with AsyncExitStack() as stack, video:
+            fast: dict[str, Any] = {
+                "host": HOST,
+                "navdata_port": await self._navdata.listen(HOST, 0, stack),
+                "at_port": await at_port.listen(HOST, 0, stack),
+                "video_port": video.sockets[0].getsockname()[1],
+                "control_port": await self.text.listen(HOST, 0, stack),
+                "command_period_s": 0.01,
+                "navdata_silence_s": 0.1,
+                "reopen_after_s": 0.4,
+                "video_silence_s": 0.3,
+                "config_timeout_s": 0.5,
+                "restart_first_s": 0.02,
+                "restart_most_s": 0.1,
+                "video_settle_s": 0.0,
+            }
+            ticker = asyncio.create_task(self._run())
+            try:
+                yield ArDroneOptions(**(fast | options))
+            finally:
+                ticker.cancel()
+                self.drop_video()
+                await asyncio.gather(ticker, *self._handlers, return_exceptions=True)
 
     async def _run(self) -> None:
         loop, before = asyncio.get_running_loop(), asyncio.get_running_loop().time()
@@ -196,4 +154,5 @@ class FakeArDrone:
             await asyncio.sleep(0.005)
             before, slept_us = loop.time(), round(1e6 * (loop.time() - before))
             self.clock_us += max(0, slept_us - 5_000)  # a busy machine sleeps longer, and a drone's clock goes on
-            self.tick()
+            if self._navdata.busy and not self.silent:
+                self._navdata.send(self.datagram())

@@ -86,6 +86,7 @@ class DatagramPort(asyncio.DatagramProtocol):
         if data not in _UNICAST:
             self._count("request_refused")
             return
+        self._count("request")
         if self._clients.pop(addr, None) is None:
             self._count("client")
         self._clients[addr] = self._now()
@@ -151,7 +152,7 @@ class StreamPort:
             OSError: the port is taken.
         """
         server = await asyncio.start_server(self._serve, host, port)
-        stack.callback(self._drop)
+        stack.callback(self.drop)
         stack.callback(server.close)
         return int(server.sockets[0].getsockname()[1])
 
@@ -180,7 +181,7 @@ class StreamPort:
             return
         if len(self._clients) >= self._clients_max:
             self._count("client_replaced")
-            self._drop()
+            self.drop()
         self._count("client")
         self._clients.add(transport)
         try:
@@ -191,7 +192,8 @@ class StreamPort:
             self._clients.discard(transport)
             transport.abort()
 
-    def _drop(self) -> None:
+    def drop(self) -> None:
+        """Cut all connections."""
         for transport in self._clients:
             transport.abort()
         self._clients.clear()
