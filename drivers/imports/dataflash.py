@@ -154,7 +154,7 @@ class PartedLog:
             paths = [Path(self._folder.name) / f"{n}.bin" for n in range(len(parts))]
             for part, described in zip(paths, parts, strict=True):
                 part.write_bytes(described)
-        self._open = TextLog if is_text else DataflashLog
+        self._reader = DFReader.DFReader_text if is_text else DataflashLog
         self._paths = paths
         self._log: Any = None
         try:
@@ -164,8 +164,10 @@ class PartedLog:
             raise
 
     def _next(self) -> None:
+        # A reader whose file cannot be read is at hand all the same, to be closed.
+        self._log = self._reader.__new__(self._reader)
         with contextlib.redirect_stdout(self._printed), contextlib.redirect_stderr(self._printed):
-            self._log = self._open(str(self._paths.pop(0)))
+            self._log.__init__(str(self._paths.pop(0)))
 
     def recv_match(self, type: list[str]) -> Any:
         """Return the next message of these types, None at the end."""
@@ -174,13 +176,12 @@ class PartedLog:
                 message = self._log.recv_match(type=type)
             if message is not None or not self._paths:
                 return message
-            self._log.close()
+            _close(self._log)
             self._next()
 
     def close(self) -> None:
         """Close the files, and report damage."""
-        if self._log is not None:
-            self._log.close()
+        _close(self._log)
         if self._folder is not None:
             self._folder.cleanup()
         if lines := [line for line in self._printed.getvalue().splitlines() if line.strip()]:
@@ -188,53 +189,21 @@ class PartedLog:
 
     def give_up(self, why: BaseException) -> None:
         """Close the files after an error whose stack frames still refer to them."""
-        if self._log is not None:
-            self._log.give_up(why)
+        traceback.clear_frames(why.__traceback__)
+        _close(self._log)
         if self._folder is not None:
             self._folder.cleanup()
 
 
-class TextLog(DFReader.DFReader_text):  # type: ignore[misc]
-    """A reader of the text form."""
-
-    def __init__(self, filename: str) -> None:
-        try:
-            super().__init__(filename)
-        except BaseException as why:
-            self.give_up(why)
-            raise
-
-    def give_up(self, why: BaseException) -> None:
-        """Close the file after an error whose stack frames still refer to it."""
-        _give_up(self, why)
-
-    def close(self) -> None:
-        """Close the file, which pymavlink leaves open."""
-        for name in ("data_map", "filehandle"):
-            if (opened := getattr(self, name, None)) is not None:
-                opened.close()
-
-
-def _give_up(log: Any, why: BaseException) -> None:
-    traceback.clear_frames(why.__traceback__)
+def _close(log: Any) -> None:
+    """Close the files of a reader of pymavlink, which leaves some open."""
     for name in ("filehandle", "data_map"):
         if (opened := getattr(log, name, None)) is not None:
             opened.close()
 
 
 class DataflashLog(DFReader.DFReader_binary):  # type: ignore[misc]
-    """A reader that ends at a message of length 0, at which pymavlink's own loops forever, and closes unreadable files."""
-
-    def __init__(self, filename: str) -> None:
-        try:
-            super().__init__(filename)
-        except BaseException as why:
-            self.give_up(why)
-            raise
-
-    def give_up(self, why: BaseException) -> None:
-        """Close the file after an error whose stack frames still refer to it."""
-        _give_up(self, why)
+    """A reader that ends at a message of length 0, at which pymavlink's own loops forever."""
 
     def _parse_next(self) -> Any:
         before = self.offset
