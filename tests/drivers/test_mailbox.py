@@ -109,7 +109,12 @@ def test_every_item_is_read_dropped_or_still_there(script, capacity):
 
 def test_what_waits_or_has_come_elsewhere_is_taken_in_order_and_then_the_error():
     socket = [4]
-    line = Line[int](3, lambda: [line.offer(socket.pop()) for _ in list(socket)])
+
+    def fetch() -> None:
+        while socket:
+            line.offer(socket.pop())
+
+    line = Line[int](3, fetch)
     for i in range(4):
         line.offer(i)
     line.check()
