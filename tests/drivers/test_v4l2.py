@@ -6,11 +6,14 @@ The same driver on a real kernel device: qualification/v4l2_vm.
 import asyncio
 import errno
 import os
+import shutil
 import socket
+import subprocess
 import threading
 from collections import deque
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import av
@@ -21,11 +24,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from drivers.camera import v4l2_kernel
+from drivers.camera import v4l2_kernel as kernel
 from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
+from drivers.camera.exposure_options import ExposureOptions
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import CameraCounters, CameraLost, VideoSource
 from drivers.camera.v4l2 import CaptureDevice, V4l2Channel, cameras, find, kernel_stamp
-from drivers.camera.v4l2_device import Buffer, DrivenExposure
+from drivers.camera.v4l2_device import Buffer, DrivenExposure, KernelExposure
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, stands_alone, to_bgr
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
@@ -45,14 +51,14 @@ def image(shift: int = 0) -> NDArray[np.uint8]:
     return np.roll(px, shift, axis=1)
 
 
-def h264(n: int) -> list[bytes]:
+def h264(n: int, px: NDArray[np.uint8] | None = None) -> list[bytes]:
     """Access units in Annex B, an IDR first and then none."""
     codec = av.CodecContext.create("libx264", "w")
     codec.width, codec.height, codec.pix_fmt, codec.time_base = W, H, "yuv420p", Fraction(1, 30)
     codec.options = {"preset": "ultrafast", "tune": "zerolatency", "g": "1000", "x264-params": "repeat-headers=1"}
     units = []
     for i in range(n):
-        frame = av.VideoFrame.from_ndarray(image(4 * i), format="bgr24")
+        frame = av.VideoFrame.from_ndarray(image(4 * i) if px is None else px, format="bgr24")
         frame.pts = i
         units += [bytes(p) for p in codec.encode(frame)]
     return units
@@ -301,53 +307,33 @@ async def test_h264_waits_for_an_image_that_stands_alone_after_any_damage(damage
     assert camera.counters.frames_waiting >= 2
 
 
-@pytest.mark.parametrize("form", ["YUYV", "NV12", "GREY", "MJPG", "H264"])
-def test_formats_come_out_as_the_image_that_went_in(form: str) -> None:
-    px = image()
-    pad = 8  # bytes at the end of each line that are not of the frame
-    if form == "YUYV":
-        lines = cv2.cvtColor(px, cv2.COLOR_BGR2YUV_YUY2).reshape(H, 2 * W)
-    elif form == "NV12":
-        i420 = cv2.cvtColor(px, cv2.COLOR_BGR2YUV_I420)
-        u, v = (i420[H + i * H // 4 : H + (i + 1) * H // 4].reshape(H // 2, W // 2) for i in (0, 1))
-        lines = np.vstack([i420[:H], np.stack([u, v], axis=2).reshape(H // 2, W)])
-    else:
-        lines = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
-    data = np.pad(lines, ((0, 0), (0, pad)), constant_values=77).tobytes()
-    if form == "MJPG":
-        data = cv2.imencode(".jpg", px, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes() + bytes(100)
-    layout = FrameLayout(form, W, H, lines.shape[1] + pad)
-    out = H264Decoder().decode(h264(1)[0], layout) if form == "H264" else to_bgr(data, layout)
-    assert out is not None
-    wanted = cv2.cvtColor(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR) if form == "GREY" else px
-    away = np.abs(out.astype(int) - wanted)
-    assert np.median(away) <= 3
-    assert np.percentile(away, 80) <= 8
-
-
 @pytest.mark.parametrize(("form", "w", "h", "stride"), [
-    ("YUYV", W, H, 0), ("GREY", W, H, 0), ("NV12", W, H, 0), ("YUYV", 63, 47, 128), ("NV12", 63, 47, 64), ("NV12", 63, 47, 63),
-    ("NV12", 64, 47, 72), ("GREY", 63, 47, 0),
+    ("YUYV", W, H, 0), ("GREY", W, H, 0), ("NV12", W, H, 0), ("YUYV", W, H, 2 * W + 8), ("NV12", W, H, W + 8),
+    ("GREY", W, H, W + 8), ("YUYV", 63, 47, 128), ("NV12", 63, 47, 64), ("NV12", 63, 47, 63), ("NV12", 64, 47, 72),
+    ("GREY", 63, 47, 0), ("MJPG", W, H, 0), ("H264", W, H, 0),
 ])  # fmt: skip
-def test_odd_sizes_and_strides_of_zero_are_read_where_their_meaning_is_clear(form: str, w: int, h: int, stride: int) -> None:
+def test_formats_of_any_size_and_stride_come_out_as_the_image_that_went_in(form: str, w: int, h: int, stride: int) -> None:
     px = np.full((H, W, 3), 128, np.uint8)
     px[:, W // 2 :] = (60, 40, 210)
-    grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
+    lines = grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
     if form == "YUYV":
         lines = cv2.cvtColor(px, cv2.COLOR_BGR2YUV_YUY2).reshape(H, 2 * W)[:h]
     elif form == "NV12":
         i420 = cv2.cvtColor(px, cv2.COLOR_BGR2YUV_I420)
         u, v = (i420[H + i * H // 4 : H + (i + 1) * H // 4].reshape(H // 2, W // 2) for i in (0, 1))
         lines = np.vstack([i420[:h], np.stack([u, v], axis=2).reshape(H // 2, W)[: (h + 1) // 2]])
-    else:
+    elif form == "GREY":
         lines = grey[:h, :w]
     wide = stride or lines.shape[1]
-    data = np.pad(lines, ((0, 0), (0, max(0, wide - lines.shape[1]))))[:, :wide].tobytes()
-    out = to_bgr(data, FrameLayout(form, w, h, stride))
+    data = np.pad(lines, ((0, 0), (0, max(0, wide - lines.shape[1]))), constant_values=77)[:, :wide].tobytes()
+    if form == "MJPG":
+        data = cv2.imencode(".jpg", px, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes() + bytes(100)
+    layout = FrameLayout(form, w, h, stride)
+    out = H264Decoder().decode(h264(1, px)[0], layout) if form == "H264" else to_bgr(data, layout)
     assert out is not None
     wanted = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR) if form == "GREY" else px
     assert out.shape == (h, w, 3)
-    assert np.percentile(np.abs(out.astype(int) - wanted[:h, :w]), 95) <= 6
+    assert np.percentile(np.abs(out.astype(int) - wanted[:h, :w]), 80 if form == "H264" else 95) <= 8
 
 
 @pytest.mark.parametrize(("form", "stride"), [("GREY", W - 1), ("YUYV", 2 * W - 2), ("NV12", 1)])
@@ -458,3 +444,95 @@ def test_a_camera_that_is_plugged_out_while_it_is_looked_for_is_absent(tmp_path,
 
     monkeypatch.setattr(os, call, gone)
     assert find("usb", cameras((by_id,), sysfs, tmp_path)) is None
+
+
+CALLS = (
+    "QUERYCAP", "ENUM_FMT", "S_FMT", "REQBUFS", "QUERYBUF", "QBUF", "DQBUF", "STREAMON", "STREAMOFF", "G_PARM", "S_PARM",
+    "G_CTRL", "S_CTRL", "QUERYMENU", "G_EXT_CTRLS", "S_EXT_CTRLS", "QUERY_EXT_CTRL",
+)  # fmt: skip
+STRUCTS = {
+    "v4l2_capability": kernel.Capability, "v4l2_fmtdesc": kernel.FormatDescription, "v4l2_pix_format": kernel.PixelFormat,
+    "v4l2_format": kernel.Format, "v4l2_requestbuffers": kernel.RequestBuffers, "v4l2_buffer": kernel.KernelBuffer,
+    "v4l2_control": kernel.ControlValue, "v4l2_query_ext_ctrl": kernel.VideoControl, "v4l2_querymenu": kernel.MenuEntry,
+    "v4l2_ext_control": kernel.WideControl, "v4l2_ext_controls": kernel.WideControls,
+}  # fmt: skip
+
+
+def test_a_call_has_the_number_that_the_documentation_gives() -> None:
+    assert (kernel.QUERYCAP, kernel.S_FMT, kernel.DQBUF, kernel.STREAMON) == (0x80685600, 0xC0D05605, 0xC0585611, 0x40045612)
+
+
+def test_the_calls_and_structs_are_those_of_the_kernel_s_header(tmp_path: Path) -> None:
+    if shutil.which("cc") is None or not Path("/usr/include/linux/videodev2.h").is_file():
+        pytest.skip("there is no compiler, or no header of the kernel")
+    lines = [f'printf("VIDIOC_{name} %lu\\n", (unsigned long)VIDIOC_{name});' for name in CALLS]
+    wanted = {f"VIDIOC_{name}": getattr(kernel, name) for name in CALLS}
+    for name, ours in STRUCTS.items():
+        for field in (field[0] for field in ours._fields_):
+            lines.append(f'printf("{name}.{field} %zu\\n", offsetof(struct {name}, {field}));')
+            wanted[f"{name}.{field}"] = getattr(ours, field).offset
+    lines.append('printf("parm %zu\\n", offsetof(struct v4l2_streamparm, parm.capture.timeperframe));')
+    wanted["parm"] = kernel.StreamParameters.numerator.offset
+    source = tmp_path / "layout.c"
+    source.write_text(
+        "#include <linux/videodev2.h>\n#include <stddef.h>\n#include <stdio.h>\nint main(void) {\n"
+        + "\n".join(lines)
+        + "\nreturn 0; }\n"
+    )
+    subprocess.run(["cc", str(source), "-o", str(tmp_path / "layout")], check=True)
+    output = subprocess.run([str(tmp_path / "layout")], capture_output=True, text=True, check=True).stdout
+    assert {line.split()[0]: int(line.split()[1]) for line in output.splitlines()} == wanted
+
+
+def test_a_pixel_format_is_its_letters() -> None:
+    assert kernel.fourcc(0x56595559) == "YUYV"
+    assert kernel.fourcc(0x20363159) == "Y16"
+    assert kernel.fourcc(0xB6363159) == "Y166"
+
+
+_MODE, _TIME = 0x009A0901, 0x009A0902
+
+
+def controls(_: int) -> list[SimpleNamespace]:
+    usual = {"minimum": 1, "maximum": 5000, "step": 1, "type": 1, "name": b"control"}
+    return [SimpleNamespace(id=number, **usual) for number in (_MODE, _TIME)]
+
+
+@pytest.fixture
+def values(monkeypatch: pytest.MonkeyPatch) -> dict[int, int]:
+    """Return the values of the device's controls, by number."""
+    held = {_MODE: 3, _TIME: 156}
+    monkeypatch.setattr(v4l2_kernel, "controls", controls)
+    monkeypatch.setattr(v4l2_kernel, "control_value", lambda _fd, number, _type: held[number])
+    monkeypatch.setattr(v4l2_kernel, "set_control", lambda _fd, number, value, _type: held.update({number: value}))
+    return held
+
+
+def refuse_times(monkeypatch: pytest.MonkeyPatch, held: dict[int, int], code: int) -> None:
+    def set_control(_fd: int, number: int, value: int, _type: int) -> None:
+        if number == _TIME:
+            raise OSError(code, "refused")
+        held[number] = value
+
+    monkeypatch.setattr(v4l2_kernel, "set_control", set_control)
+
+
+def test_a_camera_that_refuses_a_time_when_it_is_opened_gives_frames_with_the_one_it_holds(values, monkeypatch):
+    """A camera that is lost in flight and comes back stubborn must not stay lost."""
+    refuse_times(monkeypatch, values, errno.EILSEQ)
+    exposure = KernelExposure(3, "/dev/video0", ExposureOptions(mode="pad"), 30.0)
+    assert (exposure.held.exposure_s, exposure.held.gain) == (pytest.approx(0.0156), 1.0)
+    assert values[_MODE] == 1
+
+
+def test_a_camera_that_is_gone_while_its_exposure_is_taken_over_is_gone(values, monkeypatch):
+    refuse_times(monkeypatch, values, errno.ENODEV)
+    with pytest.raises(OSError, match="refused"):
+        KernelExposure(3, "/dev/video0", ExposureOptions(mode="pad"), 30.0)
+
+
+def test_an_exposure_longer_than_the_frame_allows_is_cut_when_it_is_taken_over(values: dict[int, int]) -> None:
+    values[_TIME] = 5000
+    exposure = KernelExposure(3, "/dev/video0", ExposureOptions(mode="pad"), 30.0)
+    assert exposure.held.exposure_s == pytest.approx(1e-4 * values[_TIME])
+    assert values[_TIME] == 266

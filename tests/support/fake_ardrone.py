@@ -30,7 +30,7 @@ class FakeArDrone:
         self.configured_in_order: list[str] = []
         self.ids_before_config: list[at.ConfigIds | None] = []
         self.counters: Counter[str] = Counter()
-        """What the ports count."""
+        """The counters of its ports."""
         self.silent = False
         self.deaf_to_config = False
         self.forces_ref = True

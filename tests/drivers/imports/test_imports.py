@@ -1,20 +1,29 @@
-"""Recordings of others: real logs and captures read with the right axes, units and times, or refused in one line."""
+"""Recordings of others: read with the right axes, units and times, distinguished by content, or refused in one line."""
 
 import gc
 import itertools
 import struct
+import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from drivers.imports import ardrone_capture, dataflash, px4_ulog, video
+from drivers.imports import ardrone_capture, dataflash, image_folder, px4_ulog, tlog, video
+from drivers.imports.kinds import FileKind, kind_of
+from drivers.imports.log_history import parameters_of
+from drivers.imports.stamps import Tell, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
+from tests.support import foreign_logs as made
 
 DATA = Path(__file__).parents[3] / "../shared/data"
 ULOG, DATAFLASH = DATA / "mavlink/px4_sample.ulg", DATA / "mavlink/arducopter_flight.bin"
@@ -193,3 +202,311 @@ def test_a_dataflash_log_that_is_refused_is_closed(content: bytes, tmp_path: Pat
     left = [link for link in Path("/proc/self/fd").iterdir() if link.is_symlink() and link.resolve() == path.resolve()]
     assert left == []
     gc.collect()  # a file that was not closed says so here, which is an error in these tests
+
+
+BEGAN, STEP = 20_000_000, 100_000
+TIMES = [BEGAN + STEP * n for n in range(50)]
+HEIGHTS = [5.0 - 0.09 * n for n in range(50)]
+PARAMETERS = {
+    "copter.param": "#NOTE: 24.11.2026 quad\r\nSYSID_THISMAV,1\r\nGUID_TIMEOUT,0.2\r\nINS_ACCOFFS_X,-0.01325\r\n",
+    "copter.parm": "SYSID_THISMAV    1.000000\nGUID_TIMEOUT     0.200000\nINS_ACCOFFS_X    -0.013250\n",
+    "px4.params": "# Stack: PX4 Pro\n# Version: 1.15.4 \n#\n1\t1\tMAV_SYS_ID\t1\t6\n1\t1\tCOM_DISARM_LAND\t9.0000000000\t9\n",
+}
+
+
+def heard(read: Callable[[Path, Tell], Iterable[Sample]], path: Path, data: bytes) -> tuple[list[Sample], str]:
+    """Return the samples of a file with these bytes, and what was told of it."""
+    path.write_bytes(data)
+    reported: list[str] = []
+    samples = list(read(path, reported.append))
+    assert [s.stamp.received_at for s in samples] == sorted(s.stamp.received_at for s in samples)
+    return samples, "; ".join(reported)
+
+
+def heights(samples: Iterable[Sample]) -> tuple[list[float], list[float]]:
+    ranges = [s for s in samples if isinstance(s, Range)]
+    return [s.stamp.measured_at * 1e-9 for s in ranges], [s.range_m for s in ranges]
+
+
+@pytest.mark.parametrize("write", [made.dataflash, made.text_dataflash])
+def test_both_forms_of_a_dataflash_log_give_the_height_below_and_not_the_wall_ahead(write, tmp_path):
+    samples, reported = heard(dataflash.read, tmp_path / "log", write(made.flight(TIMES, HEIGHTS, forward_m=8.0)))
+    at, found = heights(samples)
+    assert found == pytest.approx(HEIGHTS, abs=0.011)
+    assert np.diff(at) == pytest.approx(0.1)
+    assert sum(isinstance(s, Imu) for s in samples) == 50
+    assert reported == ""
+    assert dataflash.read_history(tmp_path / "log").parameters["GUID_TIMEOUT"] == pytest.approx(0.2)
+
+
+def test_of_two_that_look_down_the_better_one_is_read(tmp_path: Path) -> None:
+    rows = made.flight(TIMES, HEIGHTS)
+    rows += [("RFND", (at + 3000, 1, 7.0, 2 if n % 5 else 4, 25)) for n, at in enumerate(TIMES)]
+    samples, reported = heard(dataflash.read, tmp_path / "log", made.dataflash(rows))
+    assert heights(samples)[1] == pytest.approx(HEIGHTS, abs=0.011)
+    assert "2 rangefinders look down" in reported
+
+
+@pytest.mark.parametrize(
+    ("form", "columns", "values"),
+    [
+        ("Qffffff", "TimeUS,DesPitch,Pitch,DesRoll,Roll,DesYaw,Yaw", (0.0, -1.0, 0.0, 1.0, 90.0, 90.0)),
+        ("Qfff", "TimeUS,Roll,Pitch,Yaw", (1.0, -1.0, 90.0)),
+    ],
+)
+def test_a_message_that_is_described_anew_is_read_by_what_holds_there(form, columns, values, tmp_path, capsys):
+    data = made.dataflash(made.flight(TIMES, HEIGHTS)) + made.described("ATT", form, columns)
+    data += b"".join(made.message("ATT", form, (TIMES[-1] + STEP * n, *values)) for n in range(1, 51))
+    samples, reported = heard(dataflash.read, tmp_path / "log", data)
+    angles = np.degrees([s.R_ned_body.rpy_rad for s in samples if isinstance(s, Attitude)])
+    assert angles == pytest.approx(np.tile([1.0, -1.0, 90.0], (100, 1)), abs=1e-3)
+    assert reported == capsys.readouterr().out == ""
+
+
+def test_the_second_imu_is_read_where_the_first_is_switched_off(tmp_path: Path) -> None:
+    rows = [(name, (v[0], 1, *v[2:]) if name == "IMU" else v) for name, v in made.flight(TIMES, HEIGHTS)]
+    samples, reported = heard(dataflash.read, tmp_path / "log", made.dataflash(rows))
+    assert sum(isinstance(s, Imu) for s in samples) == 50
+    assert "number 1" in reported
+
+
+@pytest.mark.parametrize(
+    ("times", "lasts_s", "said"),
+    [
+        ([t - 500_000 * (n >= 25) for n, t in enumerate(TIMES)], 4.9, "went back by about 0.4"),
+        ([t - 19_000_000 * (n >= 25) for n, t in enumerate(TIMES)], 4.9, "went back by about 18.9"),
+        ([t + 40_000_000_000 * (n >= 25) for n, t in enumerate(TIMES)], 4.9, "went ahead by 40000 s"),
+        ([t + 2**60 * (n == 25) for n, t in enumerate(TIMES)], 4.9, "stamps are absurd"),
+        ([t + 60_000_000 * (n >= 25) for n, t in enumerate(TIMES)], 64.9, ""),
+    ],
+)
+def test_a_log_whose_clock_steps_goes_on_and_reports_it(times: list[int], lasts_s: float, said: str, tmp_path: Path) -> None:
+    samples, reported = heard(dataflash.read, tmp_path / "log", made.dataflash(made.flight(times, HEIGHTS)))
+    at, found = heights(samples)
+    assert all(np.diff(found) < 0), "it falls all the time"
+    assert all(np.diff(at) > 0)
+    assert at[-1] - at[0] == pytest.approx(lasts_s, abs=0.35)
+    assert said in reported
+    assert dataflash.read_history(tmp_path / "log").history.lasted_s <= lasts_s + 0.1
+
+
+@given(st.lists(st.one_of(st.integers(0, 10**9), st.integers(-(2**63), 2**64)), max_size=60))
+@settings(max_examples=80)
+def test_any_stamps_make_a_time_that_begins_at_zero(stamps: list[int]) -> None:
+    out = timeline(stamps)
+    assert len(out) == len(stamps)
+    assert all(at is None or at >= 0 for at in out)
+
+
+def test_a_px4_log_begins_where_its_header_says_and_reads_the_sensor_that_looks_down(tmp_path: Path) -> None:
+    samples, reported = heard(px4_ulog.read, tmp_path / "log", made.px4_flight(BEGAN, retained_us=BEGAN - 10_000_000))
+    at, found = heights(samples)
+    assert found == pytest.approx(HEIGHTS, abs=1e-5)
+    assert (at[0], at[-1]) == pytest.approx((0.0, 4.9))
+    assert not any(isinstance(s, VehicleStatus) for s in samples)
+    assert reported == ""
+    assert px4_ulog.read_history(tmp_path / "log").history.lasted_s == pytest.approx(4.9, abs=0.01)
+    lost = made.px4_flight(BEGAN, foreign=made.ULOG_GAP)
+    assert "0.70 s are lost, the first after 2.5 s" in heard(px4_ulog.read, tmp_path / "log", lost)[1]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_foreign_bytes_in_a_px4_log_are_left_out_and_reported(seed, tmp_path, capsys):
+    foreign = np.random.default_rng(seed).bytes(50 + 90 * seed)
+    samples, reported = heard(px4_ulog.read, tmp_path / "log", made.px4_flight(BEGAN, foreign=foreign))
+    assert sum(isinstance(s, Attitude) for s in samples) >= 49
+    assert "damaged" in reported
+    assert capsys.readouterr().out == ""
+
+
+def test_a_telemetry_log_gives_samples_and_parameters(tmp_path: Path) -> None:
+    data = made.telemetry_log()
+    samples, reported = heard(tlog.read, tmp_path / "log", data)
+    at, found = heights(samples)
+    assert found == pytest.approx([5.0 - 0.04 * n for n in range(50)])
+    assert np.diff(at) == pytest.approx(0.05, abs=0.002)
+    assert reported == ""
+    assert tlog.read_history(tmp_path / "log").parameters == {"GUID_TIMEOUT": pytest.approx(0.2)}
+    cut, reported = heard(tlog.read, tmp_path / "log", data[:900] + b"\x12\x34" * 30 + data[960:])
+    assert len(cut) > 60
+    assert "damaged" in reported
+
+
+def test_files_of_parameters_of_each_station_are_read(tmp_path: Path) -> None:
+    for name, text in PARAMETERS.items():
+        (tmp_path / name).write_text(text, newline="")
+        log = parameters_of(tmp_path / name)
+        assert log.stack == ("PX4" if "px4" in name else "ArduPilot")
+        assert kind_of(tmp_path / name) is FileKind.PARAMETERS
+    assert log.parameters == {"MAV_SYS_ID": 1.0, "COM_DISARM_LAND": 9.0}
+    assert log.firmware == (1, 15, 4)
+    gimbal = PARAMETERS["px4.params"] + "1\t154\tCOM_DISARM_LAND\t2\t9\n"
+    for text, said in (
+        (gimbal, ""), (gimbal + "2\t1\tMAV_SYS_ID\t2\t6\n", "several vehicles"), ("A_B,1\nA_B,2\n", "A_B stands in it twice"),
+        ("GUID_TIMEOUT,0,2\nLAND_SPEED,50\n", "decimal commas"), ("@include base.parm\nA_B 1\n", "base.parm"),
+    ):  # fmt: skip
+        (tmp_path / "odd.param").write_text(text)
+        if said:
+            with pytest.raises(BadInput, match=said):
+                parameters_of(tmp_path / "odd.param")
+        else:
+            assert parameters_of(tmp_path / "odd.param").parameters == {"MAV_SYS_ID": 1.0, "COM_DISARM_LAND": 9.0}
+
+
+CAPTURE = [1_000_000_000 + 5000 * n for n in range(300)]
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (CAPTURE, ""),
+        ([t - 400_000 * (n > 150) for n, t in enumerate(CAPTURE)], "went back"),
+        ([t if n < 150 else (n - 150) * 5000 for n, t in enumerate(CAPTURE)], "went back"),
+        ([t - 30_000 * (n == 150) for n, t in enumerate(CAPTURE)], ""),
+        ([(2047_500_000 + n * 5000) % 2048_000_000 for n in range(300)], ""),
+    ],
+)
+def test_a_capture_of_navdata_lasts_as_long_as_it_did(times: list[int], said: str, tmp_path: Path) -> None:
+    data = b"".join(made.navdata(n + 1, t) for n, t in enumerate(times))
+    samples, reported = heard(ardrone_capture.samples, tmp_path / "navdata", data)
+    assert samples[-1].stamp.measured_at * 1e-9 == pytest.approx(1.5, abs=0.05)
+    assert (reported == "") == (said == "")
+    assert said in reported
+
+
+NMEA = "".join(made.sentence(f"GPGGA,1015{n:02d}.00,5423.41,N,01010.22,E,1,09,0.9,4.0,M,42.1,M,,") for n in range(60))
+FILES = {
+    FileKind.DATAFLASH: made.dataflash(made.flight(TIMES, HEIGHTS)),
+    FileKind.ULOG: made.px4_flight(BEGAN),
+    FileKind.TLOG: made.telemetry_log(),
+    FileKind.NAVDATA: made.navdata(1, 5000),
+    FileKind.SENTENCES: NMEA.encode(),
+    FileKind.PARAMETERS: PARAMETERS["copter.parm"].encode(),
+    FileKind.TABLE: b"time_s,roll_deg,pitch_deg\n0,1,2\n",
+    FileKind.TEXT: b"a log of the bridge\n" * 20,
+    FileKind.ROS_BAG: b"#ROSBAG V2.0\n\0\1\2",
+    FileKind.MCAP: b"\x89MCAP0\r\n\x01" + (28).to_bytes(8, "little") + b"\4\0\0\0ros1\x10\0\0\0somebody's writer",
+    FileKind.RECORDING: b"\x89MCAP0\r\n\x01" + (18).to_bytes(8, "little") + b"\0\0\0\0\x0a\0\0\0decklander",
+    FileKind.MAVLINK: b"\xfd\2" + bytes(12) + b"\xfe\1" + bytes(7) + b"\xfd\0" + bytes(10) + b"\xfe\0" + bytes(6),
+    FileKind.OTHER: b"\0\0\0\x1cftypisom\0\0\2\0",
+}
+READERS = {
+    FileKind.DATAFLASH: (dataflash.read, dataflash.read_history), FileKind.ULOG: (px4_ulog.read, px4_ulog.read_history),
+    FileKind.TLOG: (tlog.read, tlog.read_history), FileKind.NAVDATA: (ardrone_capture.samples,),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_a_file_is_what_its_content_says_whatever_its_name(kind: FileKind, tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_bytes(FILES[kind])
+    assert kind_of(path) is kind
+
+
+@given(st.sampled_from(sorted(READERS, key=lambda k: k.name)), st.data())
+@settings(max_examples=60, deadline=None)
+def test_damage_ends_in_a_refusal_or_in_samples_in_order(kind: FileKind, draw: st.DataObject) -> None:
+    data = bytearray(FILES[kind])
+    for _ in range(draw.draw(st.integers(1, 4))):
+        at = draw.draw(st.integers(0, len(data) - 1))
+        size = draw.draw(st.integers(1, 300))
+        how = draw.draw(st.sampled_from(["cut", "double", "overwrite", "huge", "end"]))
+        if how == "cut":
+            del data[at : at + size]
+        elif how == "double":
+            data[at:at] = data[at : at + size]
+        elif how == "overwrite":
+            data[at : at + size] = draw.draw(st.binary(min_size=size, max_size=size))
+        elif how == "huge":
+            data[at : at + 8] = b"\xff" * 8
+        else:
+            del data[at:]
+        if not data:
+            return
+    with tempfile.TemporaryDirectory() as folder:
+        _read_all(kind, Path(folder) / "log", bytes(data))
+
+
+def _read_all(kind: FileKind, path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    for read in READERS[kind]:
+        reported: list[str] = []
+        try:
+            found = read(path, reported.append)
+        except BadInput:
+            continue
+        if isinstance(found, list):
+            instants = [s.stamp.received_at for s in found]
+            assert instants == sorted(instants)
+            assert not instants or instants[-1] - instants[0] < 4 * 3600e9
+
+
+def _images(folder: Path, names: Iterable[str]) -> None:
+    folder.mkdir()
+    for n, name in enumerate(names):
+        px = np.full((24, 32, 3), 10 * n, np.uint8)
+        (folder / name).write_bytes(cv2.imencode(Path(name).suffix, px)[1].tobytes())
+
+
+def _at_s(folder: Path) -> tuple[list[float], list[int], str]:
+    """Return the instants of a folder's frames, the grey of each over ten, and what was told."""
+    reported: list[str] = []
+    frames = list(image_folder.frames(folder, tell=reported.append))
+    return [f.stamp.measured_at * 1e-9 for f in frames], [int(f.px[0, 0, 0]) // 10 for f in frames], "; ".join(reported)
+
+
+def image_name(form: str, s: float) -> str:
+    made_by = form.format(s=s, ms=1e3 * s, us=1e6 * s, n=1e9 * s, day=datetime.fromtimestamp(s, UTC))
+    return made_by if made_by.endswith((".png", ".bmp")) else f"{made_by[:-3]}.png"  # milliseconds
+
+
+@pytest.mark.parametrize(
+    "name", ["{n:.0f}.png", "frame07_{s:.3f}.png", "{ms:.0f}.bmp", "image-1_{us:.0f}.png", "cam0_{day:%Y%m%d%H%M%S%f}"]
+)
+def test_the_names_of_images_tell_their_times(name: str, tmp_path: Path) -> None:
+    at = [1_700_000_000.0 + 0.25 * n for n in range(5)]
+    _images(tmp_path / "f", [image_name(name, s) for s in at])
+    assert kind_of(tmp_path / "f") is FileKind.IMAGES
+    seconds, greys, reported = _at_s(tmp_path / "f")
+    assert seconds == pytest.approx([0.25 * n for n in range(5)], abs=1e-6)
+    assert greys == [0, 1, 2, 3, 4]
+    assert reported == ""
+
+
+@pytest.mark.parametrize(("head", "row"), [
+    ("#timestamp [ns],filename", "{ns:.0f},{name}"), ("time_s,source", "{s:.2f},{name}"),
+    ("# timestamp filename", "{s:.2f} rgb/{name}"),
+    ("name;t (ms)", "{name};{ms:.1f}"), ("file,stamp", "\"{name}\",{s:.2f}"), ("frame,time_s,source", "7,{s:.2f},{name}"),
+    ("name,x,y,time [msec]", "{name},1.5,-2,{ms:.0f}"), ("", "{unix:.2f} rgb/{name} {unix:.2f} d.png"),
+    ("name,time", "{name},2026-11-25T10:00:{s:06.3f}Z"), ("time_s,source", "{s:.6e},{name}"),
+    ("source;time_s", "{name};{comma}"),
+])  # fmt: skip
+def test_a_table_reports_the_times_of_images(head: str, row: str, tmp_path: Path) -> None:
+    names = [f"{n}.png" for n in (3, 1, 4, 0, 2)]
+    _images(tmp_path / "f", names)
+    lines = [head]
+    for n, name in enumerate(names):
+        s = 7.5 + 0.5 * n
+        lines.append(row.format(s=s, ms=1e3 * s, ns=1e9 * s, unix=1.4e9 + s, comma=f"{s:.2f}".replace(".", ","), name=name))
+    (tmp_path / "f" / "times.csv").write_text("\r\n".join(lines[:-1]) + "\n")
+    seconds, greys, reported = _at_s(tmp_path / "f")
+    assert seconds == pytest.approx([0.0, 0.5, 1.0, 1.5])
+    assert greys == [0, 1, 2, 3]
+    assert "1 of 5 images have no time" in reported
+
+
+def test_images_without_times_damaged_ones_and_twins_are_named(tmp_path: Path) -> None:
+    _images(tmp_path / "counted", [f"img{n:04d}.png" for n in range(3)])
+    _images(tmp_path / "kitti", [f"{n:010d}.png" for n in range(3)])
+    for name in ("counted", "kitti"):
+        with pytest.raises(BadInput, match="put a table"):
+            list(image_folder.frames(tmp_path / name))
+    (tmp_path / "kitti" / "a.csv").write_text("".join(f"{n},{0.05 * n},{n:010d}.png\n" for n in range(3)))
+    with pytest.raises(BadInput, match="no head says which"):
+        list(image_folder.frames(tmp_path / "kitti"))
+    _images(tmp_path / "f", [f"{n}_{1_700_000_000 + n // 2 * 2}.png" for n in range(6)])
+    (tmp_path / "f" / "4_1700000004.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    seconds, _, reported = _at_s(tmp_path / "f")
+    assert seconds == pytest.approx([0.0, 2.0, 4.0])
+    assert "the time of the one before" in reported
+    assert "4_1700000004.png" in reported
