@@ -128,7 +128,6 @@ SLOW = (
     "tests/drivers/test_video.py",
     "tests/companion/test_fusion_records.py",
     "tests/companion/mqtt/test_outage.py",
-    "tests/sitl/campaign/test_soak_flights.py",
     "tests/sitl/test_corrupted.py",
     "tests/sitl/test_weather.py",
     "tests/study/test_gym.py",

@@ -9,8 +9,8 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from companion.base.signals import Stopped
 from companion.cli import perception_option
@@ -19,14 +19,15 @@ from companion.settings.load import shipped
 from companion.tools.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput, unusable
 from estimator.pipeline import RelativeEstimator
-from sitl.campaign.code import code_version
-from sitl.campaign.figures import VariedPoint, as_json, by_scenario, by_value, in_columns, in_rows, varied_point
+from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_columns, in_rows, in_words, tallies_of
 from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis, refuse_repeated
 from sitl.campaign.plan import (
     AnyPlan,
     CampaignPlan,
     Job,
     SetPlan,
+    code_version,
+    digest_of,
     is_set,
     load_set,
     make_plan,
@@ -36,20 +37,10 @@ from sitl.campaign.plan import (
     shipped_sets,
     unpacked,
 )
-from sitl.campaign.random_faults import WORST, Cases, FaultTally, fly_with_random_faults
+from sitl.campaign.random_faults import Cases, FaultTally, fly_with_random_faults
 from sitl.campaign.report import AXES, MAP, REPORT, render_map, render_report
 from sitl.campaign.soak import SoakOptions, soak
-from sitl.campaign.store import (
-    FLIGHTS,
-    FolderStore,
-    Session,
-    flights_in,
-    manifest_of,
-    manifest_of_plan,
-    wall_s_in,
-    write_whole,
-)
-from sitl.campaign.summary import CampaignTally, in_words
+from sitl.campaign.store import FLIGHTS, FolderStore, flights_in, fly_left, manifest_of, manifest_of_plan, wall_s_in, write_whole
 from sitl.campaign.task import Flight, Flyer, fly_flight, job_of
 from sitl.campaign.workers import ClusterWorkers, LocalWorkers
 from sitl.flight.one_flight import perception_level, settings_for
@@ -164,9 +155,8 @@ def run(args: argparse.Namespace) -> int:
     with closing(_store(args, plan, seeds)) as store:
         try:
             with _workforce(args, plan, workers) as workforce:
-                session = Session(workforce, store)
                 jobs = [Job(seed, point, name) for name in _names(plan) for seed in seeds for point in points]
-                _fly_left(args, plan, store, session, jobs, _by(args, min(workers, len(jobs))))
+                _fly_left(args, store, workforce, jobs, _by(args, min(workers, len(jobs))))
         except Stopped:
             kept = len(store.keys())
             sys.stderr.write(f"{kept} flights are kept in {store.place}; the same command goes on from there\n")
@@ -256,17 +246,17 @@ def _design(args: argparse.Namespace, plan: CampaignPlan, given: Overridable) ->
     points = factorial(axes)
     for point in points:
         given.with_values(point, "--vary")
-    return plan.with_design(described("factorial", axes)), points
+    return replace(plan, design=described("factorial", axes)), points
 
 
 def _with_random_faults(args: argparse.Namespace, plan: CampaignPlan, scenario: Scenario) -> CampaignPlan:
     """Return the plan with faults that each seed draws; raises BadInput where there can be none."""
     with_random_faults(scenario, args.seed, plan.perception)
-    return plan.with_design(described("random faults", []))
+    return replace(plan, design=described("random faults", []))
 
 
 def _store(args: argparse.Namespace, plan: AnyPlan, seeds: range) -> FolderStore:
-    folder = Path(args.out) if args.out else Path("campaigns") / f"{Path(plan.name).stem}-{plan.digest()}"
+    folder = Path(args.out) if args.out else Path("campaigns") / f"{Path(plan.name).stem}-{digest_of(plan)}"
     return FolderStore(folder, plan, seeds)
 
 
@@ -287,7 +277,7 @@ def _by(args: argparse.Namespace, workers: int) -> str:
 
 
 def _fly_left(
-    args: argparse.Namespace, plan: AnyPlan, store: FolderStore, session: Session, jobs: Sequence[Job], by: str
+    args: argparse.Namespace, store: FolderStore, workforce: LocalWorkers | ClusterWorkers, jobs: Sequence[Job], by: str
 ) -> None:
     asked = {job.key for job in jobs}
     left = len(asked - store.keys())
@@ -304,25 +294,19 @@ def _fly_left(
                 _say(flight)
             progress.take(flight["grade"] == "failed")
 
-        session.fly(jobs, on_flight)
+        fly_left(workforce.results, store, jobs, on_flight)
 
 
 def _conclude(args: argparse.Namespace, plan: AnyPlan, store: FolderStore, asked: set[str]) -> int:
-    counted = CampaignTally()
-    points: list[VariedPoint] = []
-    shared: dict[tuple[Any, ...], dict[str, Any]] = {}  # of a million flights at nine points nine values are kept
-    for flight in _asked(store, asked):
-        counted.take(flight)
-        if "varied" in flight:
-            varied, good, error_m = varied_point(flight)
-            points.append((shared.setdefault(tuple(varied.values()), varied), good, error_m))
-    effects = by_value(points)
-    summary = {**counted.summary(plan.name, plan.perception, store.wall_s()), "out": store.place}
-    each = by_scenario(plan.identity()["members"], _asked(store, asked)) if isinstance(plan, SetPlan) else []
+    tallies = tallies_of(_asked(store, asked))
+    effects = effects_of(tallies)
+    whole = added(tallies.values())
+    summary = {**whole.summary(plan.name, plan.perception, store.wall_s()), "out": store.place}
+    each = by_scenario(plan.identity()["members"], tallies) if isinstance(plan, SetPlan) else []
     if each:
-        summary["scenarios"] = [one.as_json() for one in each]
+        summary["scenarios"] = each
     if effects:
-        summary["varied"] = {effect.key: as_json(effect) for effect in effects}
+        summary["varied"] = effects
     files = []
     tally = None
     if args.faults is not None:
@@ -344,7 +328,7 @@ def _conclude(args: argparse.Namespace, plan: AnyPlan, store: FolderStore, asked
         sys.stdout.write(f"{in_rows(effects)}\n" if effects else "")
         sys.stdout.write("" if tally is None else f"{tally.in_words()}\n")
         sys.stdout.write(f"{in_words(summary)}\nresults: {', '.join([store.place, *files])}\n")
-    return 0 if counted.failed == 0 else 1
+    return 0 if whole.counts["failed"] == 0 else 1
 
 
 def _cases(plan: AnyPlan, store: FolderStore, tally: FaultTally) -> list[str]:

@@ -1,82 +1,87 @@
-"""The numbers that a campaign prints and its report shows, from its flights, alone or seed by seed beside another campaign."""
+"""The figures of a campaign: flights are tallied by scenario and varied values, and summary, tables and pages add the tallies up.
 
+What is counted of a flight is in four tables: `COUNTS`, `VALUES`, `KINDS` and, for the comparison of two campaigns, `FIGURES`.
+"""
+
+import hashlib
 import math
+import re
+from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from sitl.campaign.summary import CampaignTally, cause_of, severity, wilson
-from sitl.campaign.task import Flight, error_m, job_of
+from sitl.campaign.overrides import Point
+from sitl.campaign.task import ERROR, Flight, error_m, job_of
 
+_Z95 = 1.959963984540054
+"""Quantile of the standard normal distribution for 95 % between both tails."""
+_HASH_BITS = 128
+UNSAFE_MAX = 100
+"""Number of unsafe flights that are named, and of others that failed; the rest is counted."""
 WORST = 10
+_PRINTED = 10
 _CELLS = 8
 """Cells to a side of a map whose points lie on no grid."""
+_RESAMPLES = 2000
 
 
-VariedPoint = tuple[dict[str, Any], bool, float]
-"""Varied values of a flight, whether it was good, and its standing error in m (nan without a landing on the pad)."""
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a probability, (0, 1) without trials.
+
+    Source: E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927), 209-212.
+    """
+    if trials == 0:
+        return 0.0, 1.0
+    p, n, z2 = successes / trials, trials, _Z95**2
+    middle = (p + z2 / (2 * n)) / (1 + z2 / n)
+    half = _Z95 * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n)) / (1 + z2 / n)
+    # At the ends the interval touches them exactly, which rounding would miss.
+    return (0.0 if successes == 0 else middle - half), (1.0 if successes == trials else middle + half)
 
 
-def varied_point(flight: Flight) -> VariedPoint:
-    """Return what the figures of varied keys need of a flight."""
-    stands_m = error_m(flight) if flight["landed_on_pad"] else float("nan")
-    return flight["varied"], flight["grade"] != "failed", stands_m
+def _unsafe(flight: Flight, *begins: str) -> bool:
+    return any(line.startswith(begins) for line in flight["unsafe"])
 
 
-@dataclass(slots=True)
-class CampaignFigures:
-    """Figures of a campaign's flights for a report."""
-
-    tally: CampaignTally = field(default_factory=CampaignTally)
-    causes: dict[str, int] = field(default_factory=dict)
-    worst: list[Flight] = field(default_factory=list)
-    """The worst flights, the worst first."""
-    place_m: list[tuple[float, float, bool]] = field(default_factory=list)
-    """Place of each flight that touched the deck: along the arrow, to starboard, and whether the flight was good."""
-    lateral_m: list[float] = field(default_factory=list)
-    vertical_m_s: list[float] = field(default_factory=list)
-    sliding_m_s: list[float] = field(default_factory=list)
-    duration_s: list[float] = field(default_factory=list)
-    points: list[VariedPoint] = field(default_factory=list)
-
-    def take(self, flight: Flight) -> None:
-        """Add a flight."""
-        self.tally.take(flight)
-        good = flight["grade"] != "failed"
-        if not good:
-            cause = cause_of(flight)
-            self.causes[cause] = self.causes.get(cause, 0) + 1
-        touch = flight["touchdown"]
-        if touch is not None and touch["surface"] != "water":
-            if (place := (flight.get("standing") or touch).get("p_pad_m")) is not None:
-                self.place_m.append((place[0], place[1], good))
-            self.vertical_m_s.append(touch["vertical_speed_m_s"])
-            self.sliding_m_s.append(touch["lateral_speed_m_s"])
-        if flight["landed_on_pad"]:
-            self.lateral_m.append(error_m(flight))
-            self.duration_s.append(flight["duration_s"])
-        if "varied" in flight:
-            self.points.append(varied_point(flight))
-        self.worst.append(flight)
-        if len(self.worst) >= 20 * WORST:
-            self.trim()
-
-    def trim(self) -> None:
-        """Keep the worst flights only."""
-        self.worst = sorted(self.worst, key=_badness, reverse=True)[:WORST]
+RULES: tuple[tuple[str, Callable[[Flight], bool]], ...] = (
+    ("the flight raised an error", lambda f: f["outcome"] == ERROR),
+    ("the service died in flight", lambda f: _unsafe(f, "the service died")),
+    ("in the water", lambda f: bool(f["in_water"])),
+    ("came down without sight of the pad", lambda f: _unsafe(f, "came down")),
+    (
+        "struck the deck beside the pad, then landed on the pad",
+        lambda f: bool(f["landed_on_pad"]) and any(not contact["on_pad"] for contact in f["contacts"]),
+    ),
+    ("a person was overruled", lambda f: _unsafe(f, "a person ordered", "nobody ordered it")),
+    ("touched the pad harder than it bears", lambda f: _unsafe(f, "a foot struck the pad", "touched the pad")),
+    ("landed beside the pad", lambda f: f["outcome"] == "landed" and f["touchdown"] is not None and not f["touchdown"]["on_pad"]),
+    ("struck the deck beside the pad and did not land", lambda f: any(not contact["on_pad"] for contact in f["contacts"])),
+    ("gave up, though it should land", lambda f: f["outcome"] == "gave up"),
+    ("time ran out", lambda f: f["outcome"] == "time ran out"),
+)
+"""Name of the cause, and whether it fits a failed flight; in order of severity. The first rule that fits names the cause."""
 
 
-def figures_of(flights: Iterable[Flight]) -> CampaignFigures:
-    """Return the figures of flights."""
-    out = CampaignFigures()
-    for flight in flights:
-        out.take(flight)
-    out.trim()
-    return out
+def cause_of(flight: Flight) -> str:
+    """Return the cause of a failed flight."""
+    for name, fits in RULES:
+        if fits(flight):
+            # Why the pilot gave up, without the figures that differ from flight to flight.
+            reason = re.sub(r" (at|after|for) -?\d+(\.\d+)? \w+", "", str(flight["refused"] or "").partition(";")[0])
+            return f"{name}: {reason}" if reason and name.startswith("gave up") else name
+    return f"ended otherwise: {flight['outcome']}"
+
+
+def severity(flight: Flight) -> int:
+    """Return how bad a flight's end is: 0 for none, else the more the earlier its rule."""
+    if flight["grade"] != "failed":
+        return 0
+    return next((len(RULES) - place + 1 for place, (_, fits) in enumerate(RULES) if fits(flight)), 1)
 
 
 def _badness(flight: Flight) -> tuple[float, ...]:
@@ -86,24 +91,269 @@ def _badness(flight: Flight) -> tuple[float, ...]:
     return severity(flight), flight["contacts_outside_commit"], lateral_m, speed, flight["duration_s"], -flight["seed"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Effect:
-    """Success against one varied key."""
-
-    key: str
-    values: list[Any]
-    counts: list[int]
-    """Number of flights at each value."""
-    shares: F64
-    """The share of good flights at each value, with its 95 % interval from `low` to `high`."""
-    low: F64
-    high: F64
-    lateral_m: F64
-    """Median standing error at each value, nan where nothing landed."""
+def _landed(of: Callable[[Flight], float]) -> Callable[[Flight], float | None]:
+    return lambda f: of(f) if f["landed_on_pad"] else None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SuccessMap:
+def _touched(name: str) -> Callable[[Flight], float | None]:
+    return lambda f: f["touchdown"][name] if _on_deck(f) else None
+
+
+def _on_deck(flight: Flight) -> bool:
+    return flight["touchdown"] is not None and flight["touchdown"]["surface"] != "water"
+
+
+def _named_sensors(flight: Flight) -> set[str]:
+    return {one["text"].removeprefix("the ").split()[0] for one in flight.get("named", ())}
+
+
+def _afterwards(flight: Flight) -> list[str]:
+    later = flight.get("afterwards")
+    return [] if later is None else ["in the water" if later["in_water"] else later["vehicle_phase"]]
+
+
+def _refusal(flight: Flight) -> list[str]:
+    """Return why it gave up, without what stands in brackets and the figures that differ from flight to flight."""
+    if flight["landed_on_pad"] or not flight["refused"]:
+        return []
+    reason = flight["refused"].partition(";")[0]
+    return [re.sub(r"\s*\([^)]*\)|\s(by|at|after|for|within) -?\d+(\.\d+)? \S+", "", reason)[:60]]
+
+
+COUNTS: Mapping[str, Callable[[Flight], int]] = {
+    "runs": lambda f: 1,
+    "on_pad": lambda f: f["grade"] == "on pad",
+    "refused": lambda f: f["grade"] == "refused rightly",
+    "failed": lambda f: f["grade"] == "failed",
+    "errors": lambda f: f["outcome"] == ERROR,
+    "contacts_outside_commit": lambda f: f["contacts_outside_commit"],
+    "in_water": lambda f: f["in_water"],
+    "unsafe": lambda f: bool(f["unsafe"]),
+    "naming": lambda f: bool(_named_sensors(f)),
+}
+VALUES: Mapping[str, Callable[[Flight], float | None]] = {
+    "lateral_m": _landed(lambda f: f["touchdown"]["lateral_m"]),
+    "standing_m": _landed(error_m),
+    "slid_m": _landed(lambda f: (f.get("standing") or {}).get("slid_m", 0.0)),
+    "duration_s": _landed(lambda f: f["duration_s"]),
+    "vertical_m_s": _touched("vertical_speed_m_s"),
+    "sliding_m_s": _touched("lateral_speed_m_s"),
+}
+"""The values whose quantiles and distributions are shown; None where a flight has none."""
+KINDS: Mapping[str, Callable[[Flight], Iterable[str]]] = {
+    "causes": lambda f: [cause_of(f)] if f["grade"] == "failed" else [],
+    "after_refusal": _afterwards,
+    "named_sensors": _named_sensors,
+    "refusals": _refusal,
+}
+"""Things that are counted by their words."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """The figures of some flights. None depends on the order in which they come, and two tallies can be added."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    values: dict[str, "array[float]"] = field(default_factory=lambda: {name: array("d") for name in VALUES})
+    kinds: dict[str, Counter[str]] = field(default_factory=lambda: {name: Counter() for name in KINDS})
+    flown_s: float = 0.0
+    cpu_s: float = 0.0
+    place_m: list[tuple[float, float, bool]] = field(default_factory=list)
+    """Place of each flight that touched the deck: along the arrow, to starboard, and whether the flight was good."""
+    named: dict[str, list[dict[str, Any]]] = field(default_factory=lambda: {"unsafe": [], "because": []})
+    """The first unsafe flights by scenario and seed with what was unsafe, and the first others that failed with why."""
+    worst: list[Flight] = field(default_factory=list)
+    """The worst flights, the worst first."""
+    _hash: int = 0
+
+    def take(self, flight: Flight) -> None:
+        """Count a flight."""
+        for name, count in COUNTS.items():
+            self.counts[name] += count(flight)
+        for name, of in VALUES.items():
+            if (value := of(flight)) is not None:
+                self.values[name].append(value)
+        for name, words in KINDS.items():
+            self.kinds[name].update(words(flight))
+        self.flown_s += flight["duration_s"]
+        self.cpu_s += flight["cpu_s"]
+        good = flight["grade"] != "failed"
+        if _on_deck(flight) and (place := (flight.get("standing") or flight["touchdown"]).get("p_pad_m")) is not None:
+            self.place_m.append((place[0], place[1], good))
+        if flight["unsafe"] or not good:
+            reason = "unsafe" if flight["unsafe"] else "because"
+            keys = ("scenario", "seed", "varied", reason)
+            self.named[reason].append({key: flight[key] for key in keys if key in flight})
+        self.worst.append(flight)
+        own = hashlib.blake2b(f"{job_of(flight).key} {flight['hash']}".encode(), digest_size=_HASH_BITS // 8).digest()
+        self._hash = (self._hash + int.from_bytes(own)) % 2**_HASH_BITS
+        if len(self.worst) >= 20 * WORST:
+            self.trim()
+
+    def add(self, other: "Tally") -> None:
+        """Add the flights of another tally."""
+        self.counts.update(other.counts)
+        for name in VALUES:
+            self.values[name].extend(other.values[name])
+        for name in KINDS:
+            self.kinds[name].update(other.kinds[name])
+        for reason, flights in other.named.items():
+            self.named[reason] += flights
+        self.flown_s, self.cpu_s = self.flown_s + other.flown_s, self.cpu_s + other.cpu_s
+        self.place_m += other.place_m
+        self.worst += other.worst
+        self._hash = (self._hash + other._hash) % 2**_HASH_BITS
+        self.trim()
+
+    def trim(self) -> None:
+        """Keep the flights that are named, and the worst, only."""
+        for flights in self.named.values():
+            flights.sort(key=lambda f: (f["scenario"], f["seed"], str(f.get("varied", ""))))
+            del flights[UNSAFE_MAX:]
+        self.worst.sort(key=_badness, reverse=True)
+        del self.worst[WORST:]
+
+    @property
+    def hash(self) -> str:
+        """The hash of all flights, the same in whatever order and wherever they were flown."""
+        return f"{self._hash:0{_HASH_BITS // 4}x}"
+
+    @property
+    def good(self) -> int:
+        """Number of flights that landed on the pad or refused rightly."""
+        return self.counts["runs"] - self.counts["failed"]
+
+    def quantile(self, name: str, q: float) -> float | None:
+        """Return a quantile of one of `VALUES`; None without values."""
+        return round(float(np.quantile(self.values[name], q)), 4) if self.values[name] else None
+
+    def summary(self, scenario: str, perception: str, wall_s: float) -> dict[str, Any]:
+        """Return the summary as plain values: lengths in m, times in s."""
+        c = self.counts
+        return {
+            "scenario": scenario,
+            "perception": perception,
+            **{name: c[name] for name in ("runs", "on_pad", "refused", "failed", "errors")},
+            "on_pad_interval": [round(x, 6) for x in wilson(c["on_pad"], c["runs"])],
+            "lateral_median_m": self.quantile("lateral_m", 0.5),
+            "lateral_p95_m": self.quantile("lateral_m", 0.95),
+            "standing_median_m": self.quantile("standing_m", 0.5),
+            "standing_p95_m": self.quantile("standing_m", 0.95),
+            "standing_worst_m": self.quantile("standing_m", 1.0),
+            "slid_p95_m": self.quantile("slid_m", 0.95),
+            "after_refusal": dict(sorted(self.kinds["after_refusal"].items())),
+            "flights_naming_a_sensor": c["naming"],
+            "named_sensors": dict(sorted(self.kinds["named_sensors"].items())),
+            **{name: c[name] for name in ("contacts_outside_commit", "in_water", "unsafe")},
+            "unsafe_flights": self.named["unsafe"],
+            "failed_flights": self.named["because"],
+            "flown_s": round(self.flown_s, 1),
+            "wall_s": round(wall_s, 2),
+            "cpu_s": round(self.cpu_s, 2),
+            "hash": self.hash,
+        }
+
+
+Tallies = Mapping[tuple[str, Point], Tally]
+"""The tallies of a campaign by scenario and varied values."""
+
+
+def tallies_of(flights: Iterable[Flight]) -> dict[tuple[str, Point], Tally]:
+    """Return the tallies of flights."""
+    out: dict[tuple[str, Point], Tally] = {}
+    for flight in flights:
+        out.setdefault((flight["scenario"], tuple(flight.get("varied", {}).items())), Tally()).take(flight)
+    return out
+
+
+def added(tallies: Iterable[Tally]) -> Tally:
+    """Return the sum of tallies."""
+    out = Tally()
+    for tally in tallies:
+        out.add(tally)
+    return out
+
+
+def in_words(summary: dict[str, Any]) -> str:
+    """Return the summary in a few lines for people."""
+    low, high = summary["on_pad_interval"]
+    lines = [
+        f"{summary['runs']} flights of {summary['scenario']} ({summary['perception']}): {summary['on_pad']} on the pad "
+        f"({100 * low:.1f} to {100 * high:.1f} %), {summary['refused']} refused rightly, {summary['failed']} failed"
+        + (f", {summary['errors']} of them by an error" if summary["errors"] else "")
+    ]
+    if summary["lateral_median_m"] is not None:
+        median, p95, worst, contact, contact_p95, slid = (
+            f"{100 * summary[key]:.1f}"
+            for key in (
+                *("standing_median_m", "standing_p95_m", "standing_worst_m"),
+                *("lateral_median_m", "lateral_p95_m", "slid_p95_m"),
+            )
+        )
+        lines.append(
+            f"standing error {median} cm median, {p95} cm in 95 %, {worst} cm worst; at the contact {contact} and "
+            f"{contact_p95} cm; slid {slid} cm in 95 %"
+        )
+    if summary["after_refusal"]:
+        counts = ", ".join(f"{n} {what}" for what, n in summary["after_refusal"].items())
+        lines.append(f"60 s after the refusal: {counts}")
+    sensors = ", ".join(f"{sensor} in {n}" for sensor, n in summary["named_sensors"].items())
+    lines.append(f"flights in which a sensor was named: {summary['flights_naming_a_sensor']}{f' ({sensors})' if sensors else ''}")
+    lines.append(
+        f"contacts outside commit {summary['contacts_outside_commit']}, flights in the water {summary['in_water']}, "
+        f"unsafe flights {summary['unsafe']}"
+    )
+    named = summary["unsafe_flights"][:_PRINTED]
+    lines += [f"UNSAFE {name_of(flight)}: {'; '.join(flight['unsafe'])}" for flight in named]
+    if summary["unsafe"] > len(named):
+        lines.append(f"and {summary['unsafe'] - len(named)} more unsafe flights; --json and the report name up to {UNSAFE_MAX}")
+    named = summary["failed_flights"][:_PRINTED]
+    lines += [f"FAILED {name_of(flight)}: {flight['because']}" for flight in named]
+    if (more := summary["failed"] - summary["unsafe"] - len(named)) > 0:
+        lines.append(f"and {more} more that failed; --json names up to {UNSAFE_MAX}")
+    wall_s = max(1e-9, summary["wall_s"])
+    lines.append(
+        f"{summary['flown_s'] / 3600:.2f} h flown in {wall_s:.1f} s, {summary['cpu_s']:.1f} s of CPU, "
+        f"{60 * summary['runs'] / wall_s:.1f} flights a minute"
+    )
+    lines.append(f"hash {summary['hash']}")
+    return "\n".join(lines)
+
+
+def name_of(flight: Mapping[str, Any]) -> str:
+    """Return the words by which a flight of a campaign is found again."""
+    varied = "".join(f", {key} {value}" for key, value in flight.get("varied", {}).items())
+    return f"{flight['scenario']} seed {flight['seed']}{varied}"
+
+
+def effect_of(tallies: Tallies, key: str) -> list[dict[str, Any]]:
+    """Return how success depends on one varied key, over all values of the others: plain values for each value of the key.
+
+    Shares of good flights are 0 to 1, with their 95 % interval; the median standing error is in m, None where nothing landed.
+    """
+    labels, place = _cells([dict(point)[key] for _, point in tallies])
+    rows = []
+    for n, value in enumerate(labels):
+        cell = added(tally for tally, at in zip(tallies.values(), place, strict=True) if at == n)
+        runs = cell.counts["runs"]
+        rows.append(
+            {
+                "value": value,
+                "runs": runs,
+                "good": round(cell.good / max(1, runs), 6),
+                "good_interval": [round(x, 6) for x in wilson(cell.good, runs)],
+                "lateral_median_m": cell.quantile("standing_m", 0.5),
+            }
+        )
+    return rows
+
+
+def effects_of(tallies: Tallies) -> dict[str, list[dict[str, Any]]]:
+    """Return the effect of each varied key; empty where nothing is varied."""
+    return {key: effect_of(tallies, key) for key, _ in next((point for _, point in tallies), ())}
+
+
+class SuccessMap(NamedTuple):
     """Success against two varied keys: `shares[j, i]` at the j-th value of `y_key` and the i-th of `x_key`."""
 
     x_key: str
@@ -112,33 +362,17 @@ class SuccessMap:
     y: list[str]
     shares: F64
     """The (len(y), len(x)) shares of good flights, nan without flights."""
-    counts: F64
 
 
-def effect_of(points: Sequence[VariedPoint], key: str) -> Effect:
-    """Return how success depends on one key, over all values of the others."""
-    labels, place = _cells([point[key] for point, _, _ in points])
-    good = np.array([ok for _, ok, _ in points])
-    lateral = np.array([m for _, _, m in points])
-    counts = [int(np.sum(place == n)) for n in range(len(labels))]
-    hits = [int(np.sum(good[place == n])) for n in range(len(labels))]
-    bands = np.array([wilson(h, c) for h, c in zip(hits, counts, strict=True)])
-    landed = [lateral[(place == n) & np.isfinite(lateral)] for n in range(len(labels))]
-    medians = np.array([np.median(some) if len(some) else np.nan for some in landed])
-    return Effect(key, labels, counts, np.array(hits) / np.maximum(1, counts), bands[:, 0], bands[:, 1], medians)
-
-
-def map_of(points: Sequence[VariedPoint], x_key: str, y_key: str) -> SuccessMap:
-    """Return how success depends on two keys, over all values of the others."""
-    x, i = _cells([point[x_key] for point, _, _ in points])
-    y, j = _cells([point[y_key] for point, _, _ in points])
-    good = np.array([ok for _, ok, _ in points], dtype=float)
-    counts, hits = np.zeros((len(y), len(x))), np.zeros((len(y), len(x)))
-    np.add.at(counts, (j, i), 1.0)
-    np.add.at(hits, (j, i), good)
+def map_of(tallies: Tallies, x_key: str, y_key: str) -> SuccessMap:
+    """Return how success depends on two varied keys, over all values of the others."""
+    x, i = _cells([dict(point)[x_key] for _, point in tallies])
+    y, j = _cells([dict(point)[y_key] for _, point in tallies])
+    counts, good = np.zeros((len(y), len(x))), np.zeros((len(y), len(x)))
+    np.add.at(counts, (j, i), [tally.counts["runs"] for tally in tallies.values()])
+    np.add.at(good, (j, i), [tally.good for tally in tallies.values()])
     with np.errstate(invalid="ignore"):
-        shares = hits / counts
-    return SuccessMap(x_key, y_key, [_label(v) for v in x], [_label(v) for v in y], shares, counts)
+        return SuccessMap(x_key, y_key, list(map(_label, x)), list(map(_label, y)), good / counts)
 
 
 def _cells(values: Sequence[Any]) -> tuple[list[Any], np.ndarray[Any, np.dtype[np.intp]]]:
@@ -155,9 +389,6 @@ def _cells(values: Sequence[Any]) -> tuple[list[Any], np.ndarray[Any, np.dtype[n
 
 def _label(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-_RESAMPLES = 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,18 +414,14 @@ class PairedDifference:
         return self.low > 0.0 or self.high < 0.0
 
 
-def _touch(name: str) -> Callable[[Flight], float | None]:
-    return lambda f: f["touchdown"][name] if f["landed_on_pad"] else None
-
-
 FIGURES: tuple[tuple[str, str, Callable[[Flight], float | None]], ...] = (
-    ("on the pad", "share", lambda f: float(f["grade"] == "on pad")),
-    ("failed", "share", lambda f: float(f["grade"] == "failed")),
-    ("standing error", "m", lambda f: error_m(f) if f["landed_on_pad"] else None),
-    ("speed into the deck", "m/s", _touch("vertical_speed_m_s")),
-    ("speed along the deck", "m/s", _touch("lateral_speed_m_s")),
+    ("on the pad", "share", COUNTS["on_pad"]),
+    ("failed", "share", COUNTS["failed"]),
+    ("standing error", "m", VALUES["standing_m"]),
+    ("speed into the deck", "m/s", _landed(lambda f: f["touchdown"]["vertical_speed_m_s"])),
+    ("speed along the deck", "m/s", _landed(lambda f: f["touchdown"]["lateral_speed_m_s"])),
     ("duration", "s", lambda f: f["duration_s"]),
-    ("contacts outside commit", "", lambda f: float(f["contacts_outside_commit"])),
+    ("contacts outside commit", "", COUNTS["contacts_outside_commit"]),
 )
 
 
@@ -223,6 +450,64 @@ def bootstrap_interval(values: F64, seed: int = 0) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def by_scenario(members: Mapping[str, Any], tallies: Tallies) -> list[dict[str, Any]]:
+    """Return the counts and the causes of failures of each scenario of a set as plain values, in the order of the set.
+
+    Args:
+        members: of the campaign's manifest: the scenario and the perception of each, by name.
+    """
+    rows = []
+    for name, member in members.items():
+        tally = added(tally for (scenario, _), tally in tallies.items() if scenario == name)
+        counted = ("runs", "on_pad", "refused", "failed", "contacts_outside_commit", "in_water", "unsafe")
+        rows.append(
+            {
+                "scenario": name,
+                "expect": member["scenario"].get("expect", "land"),
+                "perception": member["perception"],
+                **{count: tally.counts[count] for count in counted},
+                "causes": dict(tally.kinds["causes"]),
+            }
+        )
+    return rows
+
+
+HEADINGS = ("scenario", "expected", "by", "flights", "on pad", "refused", "failed", "outside commit", "water", "unsafe", "why")
+TEXTS = (0, 1, 2, len(HEADINGS) - 1)
+"""Numbers of the columns that hold text."""
+
+
+def cells_of(row: Mapping[str, Any]) -> list[str]:
+    """Return the cells of a scenario's line, as `HEADINGS`; the most frequent cause of failures is named first."""
+    *cells, causes = {**row, "expect": row["expect"].replace("_", " ")}.values()
+    why = "; ".join(f"{n} {cause}" if n > 1 else cause for cause, n in Counter(causes).most_common())
+    return [*map(str, cells), why]
+
+
+def in_columns(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return a table for a terminal, a line for each scenario."""
+    return columns([HEADINGS, *map(cells_of, rows)], TEXTS)
+
+
+def in_rows(effects: Mapping[str, Iterable[Mapping[str, Any]]]) -> str:
+    """Return a table for each varied key, a line for each value."""
+    return "\n".join(
+        columns([(key, "flights", "good", "95 % interval", "error, median"), *map(_effect_cells, rows)], ())
+        for key, rows in effects.items()
+    )
+
+
+def _effect_cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+    error = row["lateral_median_m"]
+    return (
+        _label(row["value"]),
+        str(row["runs"]),
+        f"{100 * row['good']:.0f} %",
+        "{:.0f} to {:.0f} %".format(*(100 * share for share in row["good_interval"])),
+        "-" if error is None else f"{100 * error:.1f} cm",
+    )
+
+
 def columns(lines: Sequence[Sequence[str]], texts: Collection[int]) -> str:
     """Return lines of as many cells each, aligned.
 
@@ -237,121 +522,3 @@ def columns(lines: Sequence[Sequence[str]], texts: Collection[int]) -> str:
         ).rstrip()
         for line in lines
     )
-
-
-@dataclass(slots=True)
-class ScenarioTally:
-    """The outcomes of one scenario of a set."""
-
-    name: str
-    expect: str
-    perception: str
-    runs: int = 0
-    on_pad: int = 0
-    refused: int = 0
-    failed: int = 0
-    contacts_outside_commit: int = 0
-    in_water: int = 0
-    unsafe: int = 0
-    """Number of flights in which something was unsafe."""
-    why: Counter[str] = field(default_factory=Counter)
-    """Causes of the failures."""
-
-    def take(self, flight: Flight) -> None:
-        """Count a flight."""
-        self.runs += 1
-        self.on_pad += flight["grade"] == "on pad"
-        self.refused += flight["grade"] == "refused rightly"
-        self.contacts_outside_commit += flight["contacts_outside_commit"]
-        self.in_water += flight["in_water"]
-        self.unsafe += bool(flight["unsafe"])
-        if flight["grade"] == "failed":
-            self.failed += 1
-            self.why[cause_of(flight)] += 1
-
-    @property
-    def causes(self) -> str:
-        """The causes of the failures, the most frequent first; empty where none failed."""
-        return "; ".join(f"{n} {cause}" if n > 1 else cause for cause, n in self.why.most_common())
-
-    def as_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {
-            "scenario": self.name,
-            "expect": self.expect,
-            "perception": self.perception,
-            "runs": self.runs,
-            "on_pad": self.on_pad,
-            "refused": self.refused,
-            "failed": self.failed,
-            "contacts_outside_commit": self.contacts_outside_commit,
-            "in_water": self.in_water,
-            "unsafe": self.unsafe,
-            "causes": dict(self.why),
-        }
-
-
-HEADINGS = ("scenario", "expected", "by", "flights", "on pad", "refused", "failed", "outside commit", "water", "unsafe", "why")
-
-
-def by_scenario(members: Mapping[str, Any], flights: Iterable[Flight]) -> list[ScenarioTally]:
-    """Return the outcomes of each scenario of a set, in the order of the set.
-
-    Args:
-        members: of the campaign's manifest: the scenario and the perception of each, by name.
-    """
-    out = {name: ScenarioTally(name, m["scenario"].get("expect", "land"), m["perception"]) for name, m in members.items()}
-    for flight in flights:
-        out[flight["scenario"]].take(flight)
-    return list(out.values())
-
-
-def row(t: ScenarioTally) -> tuple[str, ...]:
-    """Return the cells of a scenario's line, as `HEADINGS`."""
-    counts = (t.runs, t.on_pad, t.refused, t.failed, t.contacts_outside_commit, t.in_water, t.unsafe)
-    return (t.name, t.expect.replace("_", " "), t.perception, *map(str, counts), t.causes)
-
-
-def in_columns(tallies: Iterable[ScenarioTally]) -> str:
-    """Return a table for a terminal, a line for each scenario."""
-    return columns([HEADINGS, *map(row, tallies)], texts=(0, 1, 2, len(HEADINGS) - 1))
-
-
-def by_value(points: list[VariedPoint]) -> list[Effect]:
-    """Return how success depends on each varied key, over all values of the others."""
-    return [effect_of(points, key) for key in points[0][0]] if points else []
-
-
-def as_json(effect: Effect) -> list[dict[str, Any]]:
-    """Return plain values, an object for each value of the key: shares of good flights are 0 to 1, errors in m."""
-    rows = zip(effect.values, effect.counts, effect.shares, effect.low, effect.high, effect.lateral_m, strict=True)
-    return [
-        {
-            "value": value,
-            "runs": runs,
-            "good": round(float(share), 6),
-            "good_interval": [round(float(low), 6), round(float(high), 6)],
-            "lateral_median_m": None if math.isnan(error_m) else round(float(error_m), 4),
-        }
-        for value, runs, share, low, high, error_m in rows
-    ]
-
-
-def in_rows(effects: Iterable[Effect]) -> str:
-    """Return a table for each key, a line for each value."""
-    return "\n".join(
-        columns([(effect.key, "flights", "good", "95 % interval", "error, median"), *_rows(effect)], ()) for effect in effects
-    )
-
-
-def _rows(effect: Effect) -> list[tuple[str, ...]]:
-    return [
-        (
-            f"{row['value']:g}" if isinstance(row["value"], float) else str(row["value"]),
-            str(row["runs"]),
-            f"{100 * row['good']:.0f} %",
-            "{:.0f} to {:.0f} %".format(*(100 * share for share in row["good_interval"])),
-            "-" if row["lateral_median_m"] is None else f"{100 * row['lateral_median_m']:.1f} cm",
-        )
-        for row in as_json(effect)
-    ]

@@ -3,7 +3,7 @@
 import gc
 import os
 import resource
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
@@ -16,6 +16,12 @@ from estimator.contracts.errors import SetupImpossible
 
 GROWTH_MAX = 0.01
 """Share by which memory may grow after warm-up."""
+WARM_UP_SHARE, WARM_UP_MOST_S = 0.2, 900.0
+"""Warm-up as a share of the run, and its limit: textures, caches and the allocator's arenas are filled by then."""
+WARM_UP_FLIGHTS = 30
+"""Number of flights after which the faults have gone most ways through the code once, and its caches and arenas are full."""
+_READINGS_MIN = 8
+"""Number of readings after warm-up that show a trend."""
 _PAGE = resource.getpagesize()
 
 
@@ -48,17 +54,10 @@ def give_back() -> float:
     Raises:
         SetupImpossible: there is no /proc.
     """
-    before_mib = _resident_mib()
+    before_mib = read(0.0, 0, None).memory_mib
     gc.collect()
     memory.give_back()
     return before_mib
-
-
-def _resident_mib() -> float:
-    try:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * _PAGE / 2**20
-    except OSError as why:
-        raise SetupImpossible(f"a soak reads /proc, which is not there: {why.strerror}") from why
 
 
 def read(at_s: float, flights: int, tasks: int | None, before_mib: float | None = None) -> Reading:
@@ -70,14 +69,14 @@ def read(at_s: float, flights: int, tasks: int | None, before_mib: float | None 
     Raises:
         SetupImpossible: there is no /proc.
     """
-    memory_mib = _resident_mib()
     try:
-        descriptors = len(os.listdir("/proc/self/fd")) - 1
-        threads = len(os.listdir("/proc/self/task"))
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        descriptors, threads = len(os.listdir("/proc/self/fd")) - 1, len(os.listdir("/proc/self/task"))
     except OSError as why:
         raise SetupImpossible(f"a soak reads /proc, which is not there: {why.strerror}") from why
     spent = resource.getrusage(resource.RUSAGE_SELF)
-    return Reading(at_s, flights, memory_mib, descriptors, threads, tasks, spent.ru_utime + spent.ru_stime, before_mib)
+    cpu_s = spent.ru_utime + spent.ru_stime
+    return Reading(at_s, flights, pages * _PAGE / 2**20, descriptors, threads, tasks, cpu_s, before_mib)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,53 +104,72 @@ class Findings:
     flights: int
     readings: int
     """Number of readings after warm-up."""
-    memory_mib: Trend
-    descriptors: Trend
-    threads: Trend
-    tasks: Trend | None
     cpu_share: float
     """CPU load after warm-up, in shares of one core."""
+    memory_mib: Trend
+    counted: dict[str, Trend | None]
+    """Trends of descriptors, threads and tasks; None for tasks without a loop."""
 
     @property
     def faults(self) -> list[str]:
         """Return what grew and must not, in words."""
-        output = []
-        if self.memory_mib.growth >= GROWTH_MAX:
-            first, last = self.memory_mib.first, self.memory_mib.last
-            output.append(f"memory grew by {self.memory_mib.growth:.1%} ({first:.1f} to {last:.1f} MiB)")
-        counted = {"descriptors": self.descriptors, "threads": self.threads, "tasks": self.tasks}
-        for name, trend in counted.items():
+        output, m = [], self.memory_mib
+        if m.growth >= GROWTH_MAX:
+            output.append(f"memory grew by {m.growth:.1%} ({m.first:.1f} to {m.last:.1f} MiB)")
+        for name, trend in self.counted.items():
             if trend is not None and trend.last > trend.first:
                 output.append(f"{name} grew from {trend.first:g} to {trend.last:g}")
         return output
 
     def as_json(self) -> dict[str, Any]:
-        return {**asdict(self), "memory_growth": self.memory_mib.growth, "faults": self.faults}
+        """Return plain values."""
+        values = asdict(self)
+        return {**values, **values.pop("counted"), "memory_growth": self.memory_mib.growth, "faults": self.faults}
+
+    def in_words(self, virtual: bool) -> list[str]:
+        """Return a line for each quantity."""
+        m = self.memory_mib
+        lines = [
+            f"memory     {m.first:.1f} to {m.last:.1f} MiB ({m.growth:+.2%}, most {m.most:.1f}) after {self.warm_up_s:.0f} s"
+        ]
+        for name, trend in self.counted.items():
+            if trend is not None:
+                lines.append(f"{name:<10} {trend.first:g} to {trend.last:g} (most {trend.most:g})")
+        return [*lines, f"CPU        {self.cpu_share:.0%} of a core" + (", as fast as it goes" if virtual else "")]
 
 
 def findings(readings: Sequence[Reading], warm_up_s: float) -> Findings | None:
     """Return the trends; None while fewer than eight readings are past the warm-up."""
     after = [r for r in readings if r.at_s >= warm_up_s]
-    if len(after) < 8:
+    if len(after) < _READINGS_MIN:
         return None
-    tasks = [r.tasks for r in after if r.tasks is not None]
+    hours = (np.array([r.at_s for r in after]) - after[0].at_s) / 3600.0
+
+    def trend(name: str) -> Trend | None:
+        values = [getattr(r, name) for r in after]
+        if None in values:
+            return None
+        slope = float(np.polyfit(hours, values, 1)[0]) if hours[-1] > 0.0 else 0.0
+        quarter = len(values) // 4
+        return Trend(float(median(values[:quarter])), float(median(values[-quarter:])), float(max(values)), slope)
+
     wall_s = after[-1].at_s - after[0].at_s
+    memory_mib = trend("memory_mib")
+    assert memory_mib is not None
     return Findings(
         duration_s=readings[-1].at_s,
         warm_up_s=warm_up_s,
         flights=readings[-1].flights,
         readings=len(after),
-        memory_mib=_trend(after, lambda r: r.memory_mib),
-        descriptors=_trend(after, lambda r: r.descriptors),
-        threads=_trend(after, lambda r: r.threads),
-        tasks=_trend(after, lambda r: r.tasks or 0) if len(tasks) == len(after) else None,
         cpu_share=(after[-1].cpu_s - after[0].cpu_s) / wall_s if wall_s > 0 else 0.0,
+        memory_mib=memory_mib,
+        counted={name: trend(name) for name in ("descriptors", "threads", "tasks")},
     )
 
 
-def _trend(readings: Sequence[Reading], of: Callable[[Reading], float]) -> Trend:
-    values = [float(of(r)) for r in readings]
-    hours = np.array([r.at_s for r in readings]) / 3600.0
-    slope = float(np.polyfit(hours - hours[0], values, 1)[0]) if hours[-1] > hours[0] else 0.0
-    quarter = max(1, len(values) // 4)
-    return Trend(median(values[:quarter]), median(values[-quarter:]), max(values), slope)
+def warm_up_s(readings: Sequence[Reading]) -> float:
+    """Return the length of the warm-up: a share of the run, and in a long one at least its first `WARM_UP_FLIGHTS` flights."""
+    usual_s = min(WARM_UP_MOST_S, WARM_UP_SHARE * readings[-1].at_s)
+    if readings[-1].flights < 2 * WARM_UP_FLIGHTS:
+        return usual_s
+    return max(usual_s, next(reading.at_s for reading in readings if reading.flights >= WARM_UP_FLIGHTS))

@@ -1,4 +1,4 @@
-"""Plan of a campaign: a scenario or a named set, settings, a level of perception and the values that are varied.
+"""Plan of a campaign: a scenario or a named set, settings, a level of perception, the values that are varied, and the code.
 
 What each scenario of a set (configs/scenarios/sets) expects is written in its own file.
 """
@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+import platform
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import cv2
 import msgspec
+import numpy as np
 from msgspec import Meta, Struct
 
 from companion.settings.load import SHIPPED, read_toml, shipped
@@ -25,7 +29,6 @@ from companion.settings.overrides import plain
 from companion.settings.schema import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, text
-from sitl.campaign.code import code_version
 from sitl.campaign.overrides import Overridable, Point
 from sitl.flight.one_flight import Perception, perception_level
 from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
@@ -122,6 +125,47 @@ def _path_of(name_or_path: str) -> Path:
     return SHIPPED / _FOLDER / f"{name_or_path}.toml" if name_or_path in shipped_sets() else Path(name_or_path)
 
 
+_PACKAGES = ("companion", "configs", "drivers", "estimator", "sitl")
+_SOURCES = (".py", ".toml", ".npz", ".c", ".h")
+
+
+@cache
+def code_version() -> dict[str, str]:
+    """Return what a flight's result depends on beside its scenario, seed and settings, by name."""
+    return {
+        "sources": sources_digest(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+        "machine": platform.machine(),
+    }
+
+
+def sources_digest() -> str:
+    """Return a digest of the names and contents of all source files of the installed packages."""
+    digest = hashlib.blake2b(digest_size=16)
+    for package in _PACKAGES:
+        spec = find_spec(package)
+        assert spec is not None
+        assert spec.submodule_search_locations is not None
+        root = Path(next(iter(spec.submodule_search_locations)))
+        for path in sorted(root.rglob("*")):
+            if path.suffix in _SOURCES:
+                content = path.read_bytes()
+                digest.update(f"{package}/{path.relative_to(root).as_posix()}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()
+
+
+def differences(ours: dict[str, str], other: dict[str, str]) -> str:
+    """Return what differs between two versions of the code, in words; empty where they agree."""
+    words = []
+    for name in sorted(ours.keys() | other.keys()):
+        one, two = ours.get(name, "none"), other.get(name, "none")
+        if one != two:
+            words.append(f"{name} {two[:12]} instead of {one[:12]}")
+    return ", ".join(words)
+
+
 FORMAT = 1
 """Version of the campaign folder."""
 
@@ -165,14 +209,8 @@ class CampaignPlan:
 
     def base(self) -> bytes:
         """Return what a worker needs beside a job, as JSON."""
-        own: dict[str, Any] = {
-            "name": self.name,
-            "scenario": self.scenario,
-            "settings": self.settings,
-            "perception": self.perception,
-        }
-        own["perception_model"] = self.perception_model
-        return canonical(own).encode()
+        own = ("name", "scenario", "settings", "perception", "perception_model")
+        return canonical({name: getattr(self, name) for name in own}).encode()
 
     def identity(self) -> dict[str, Any]:
         """Return what two runs must share to be one campaign, and what a report says of it."""
@@ -187,14 +225,6 @@ class CampaignPlan:
             "files": self.files,
             "code": code_version(),
         }
-
-    def digest(self) -> str:
-        """Return a digest of the identity, which names the campaign's default folder."""
-        return digest_of(self.identity())
-
-    def with_design(self, design: Mapping[str, Any]) -> CampaignPlan:
-        """Return the plan with another description of its points."""
-        return replace(self, design=design)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,18 +263,14 @@ class SetPlan:
             "members": {name: {key: one[key] for key in own} for name, one in each.items()},
         }
 
-    def digest(self) -> str:
-        """Return a digest of the identity, which names the campaign's default folder."""
-        return digest_of(self.identity())
-
 
 AnyPlan = CampaignPlan | SetPlan
 """Plan of a campaign: one scenario or a set of them."""
 
 
-def digest_of(identity: Mapping[str, Any]) -> str:
-    """Return a short digest of an identity."""
-    return hashlib.blake2b(canonical(identity).encode(), digest_size=4).hexdigest()
+def digest_of(plan: AnyPlan) -> str:
+    """Return a short digest of a plan's identity, which names the campaign's default folder."""
+    return hashlib.blake2b(canonical(plan.identity()).encode(), digest_size=4).hexdigest()
 
 
 def make_plan(
@@ -264,27 +290,26 @@ def make_plan(
         BadInput: a camera or pad file is missing or has a fault, or as `sitl.scenario.scenario.refuse_gimbal`.
     """
     refuse_gimbal(scenario)
-    files: dict[str, str] = {}
+    named: list[tuple[str, Path]] = []
     tables = plain(scenario), plain(settings)
     for whose, table in zip(("scenario", "settings"), tables, strict=True):
         for key, part in table.items():
             if isinstance(part, dict) and isinstance(file := part.get("file"), str):
                 path = Path(file)
-                for behind, one in files_from(path):
-                    files[f"{whose}: {key}{behind}"] = hashlib.blake2b(one.read_bytes(), digest_size=8).hexdigest()
+                named += [(f"{whose}: {key}{behind}", one) for behind, one in files_from(path)]
                 if path.suffix == ".toml" and path.parent.parent == SHIPPED:
                     part["file"] = path.stem
     if scenario.vessel.motion:
-        moved = Path(scenario.vessel.motion)
-        files["scenario: vessel.motion"] = hashlib.blake2b(moved.read_bytes(), digest_size=8).hexdigest()
+        named.append(("scenario: vessel.motion", Path(scenario.vessel.motion)))
     if settings.guidance.controller == "policy" and (path := Path(settings.guidance.policy_file)).is_file():
-        files["settings: guidance.policy_file"] = hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
+        named.append(("settings: guidance.policy_file", path))
+    if perception_model is not None and (path := Path(perception_model)).is_file():
+        named.append(("perception model", path))
+    files = {label: hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest() for label, path in named}
     camera_model(scenario)
     pad_model(scenario)
     camera_of_settings(settings)
     pad_of_settings(settings)
-    if perception_model is not None and (path := Path(perception_model)).is_file():
-        files["perception model"] = hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
     return CampaignPlan(name, tables[0], tables[1], perception, perception_model, {}, files, options)
 
 

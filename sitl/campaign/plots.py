@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,9 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
 from estimator.vision.regions import outlines_of, part_of
-from sitl.campaign.figures import Effect, SuccessMap
+from sitl.campaign.figures import SuccessMap, wilson
 from sitl.campaign.growth import Reading
-from sitl.campaign.soak_flights import Class, Flown, by_fault, fault_of
-from sitl.campaign.summary import wilson
+from sitl.campaign.soak import Class, Flown, fault_of
 
 INK, FAINT = "#010203", "#040506"
 """Stand-ins for the page's own colours."""
@@ -159,24 +158,27 @@ def _steps(ax: Axes, values: F64, colour: str, width: float) -> None:
     ax.step(np.r_[ordered[0], ordered], np.r_[0.0, shares], where="post", color=colour, linewidth=width)
 
 
-def effect(of: Effect) -> str:
-    """Draw success and standing error against one varied key."""
+def effect(key: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """Draw success and standing error against one varied key; the rows are those of `effect_of`."""
+    values = [row["value"] for row in rows]
+    low, high = np.array([row["good_interval"] for row in rows]).T
+    error_m = np.array([row["lateral_median_m"] for row in rows], dtype=float)
 
     def draw(figure: Figure) -> None:
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
-        numeric = not any(isinstance(value, str | bool) for value in of.values)
-        x = np.array(of.values, dtype=float) if numeric else np.arange(len(of.values), dtype=float)
-        top.fill_between(x, of.low, of.high, color=_GOOD, alpha=0.22, linewidth=0)
-        top.plot(x, of.shares, "o-", color=_GOOD, markersize=4)
+        numeric = not any(isinstance(value, str | bool) for value in values)
+        x = np.array(values, dtype=float) if numeric else np.arange(len(values), dtype=float)
+        top.fill_between(x, low, high, color=_GOOD, alpha=0.22, linewidth=0)
+        top.plot(x, [row["good"] for row in rows], "o-", color=_GOOD, markersize=4)
         top.set(ylim=(-0.02, 1.04), ylabel="good flights")
         top.yaxis.set_major_formatter(PercentFormatter(1.0))
-        bottom.plot(x, 100.0 * of.lateral_m, "s-", color=_BLUE, markersize=4)
-        bottom.set(ylabel="error, cm", xlabel=of.key)
-        bottom.set_ylim(0.0, 115.0 * float(np.nanmax(of.lateral_m)) if np.isfinite(of.lateral_m).any() else 1.0)
+        bottom.plot(x, 100.0 * error_m, "s-", color=_BLUE, markersize=4)
+        bottom.set(ylabel="error, cm", xlabel=key)
+        bottom.set_ylim(0.0, 115.0 * float(np.nanmax(error_m)) if np.isfinite(error_m).any() else 1.0)
         if not numeric:
-            bottom.set_xticks(x, [str(value) for value in of.values])
+            bottom.set_xticks(x, [str(value) for value in values])
 
-    return svg(draw, _WIDTH_IN, 3.8, f"effect-{_id(of.key)}")
+    return svg(draw, _WIDTH_IN, 3.8, f"effect-{_id(key)}")
 
 
 def success_map(of: SuccessMap) -> str:
@@ -208,7 +210,7 @@ def soak(path: Path, readings: Sequence[Reading], flights: Sequence[Flown]) -> N
     Raises:
         BadInput: the file cannot be written.
     """
-    names = sorted(by_fault(flights), reverse=True)
+    names = sorted({fault_of(flight.title) for flight in flights}, reverse=True)
     rows_in = max(4.0, _FAULT_ROW_IN * len(names))
     figure = Figure(figsize=(11, 5.0 + rows_in), layout="constrained")
     memory, counts, outcomes = figure.subplots(3, 1, height_ratios=[3.0, 2.0, rows_in])

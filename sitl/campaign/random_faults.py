@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.settings.model import Settings
-from sitl.campaign.summary import name_of
+from sitl.campaign.figures import WORST, name_of
 from sitl.campaign.task import ERROR, Flight, fly_flight
 from sitl.faults.drawn import simpler
 from sitl.faults.kinds import AnyFault
@@ -18,8 +18,6 @@ from sitl.flight.one_flight import Perception
 from sitl.scenario.scenario import Scenario
 from sitl.scenario.with_fault import as_toml, with_faults, with_random_faults
 
-WORST = 10
-"""Number of flights that are named for each measure, and of cases that are written."""
 _SHRINKING_FLIGHTS = 12
 """Largest number of flights in which a case is made smaller."""
 Fails = Callable[[Sequence[AnyFault]], bool]

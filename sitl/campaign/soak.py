@@ -1,47 +1,152 @@
-"""A soak: repeated landings in one process, each graded, while memory, descriptors, threads and tasks are watched for leaks."""
+"""Repeated landings in one process, each graded, while memory, descriptors, threads and tasks are watched for leaks.
+
+Flights that the machine was too slow for do not count as failures.
+"""
 
 import asyncio
 import json
+import shlex
 import sys
+import tempfile
 import time
+import weakref
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
+from enum import Enum
 from io import FileIO
 from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import msgspec
 
 from companion.base import event_loop
 from companion.base.health import Health
+from companion.base.mission import REFUSALS, FlightOutcome
 from companion.base.signals import Stopped
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.service.assemble import make_daemon
-from companion.settings.mission import TryOptions
 from companion.settings.model import Settings
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
-from sitl.campaign.growth import Findings, Reading, findings, give_back, read
+from sitl.campaign.growth import Reading, findings, give_back, read, warm_up_s
 from sitl.campaign.plan import CampaignPlan
-from sitl.campaign.soak_flights import Class, Flown, Outcomes, Records, real, virtual
+from sitl.flight.ending import Load
+from sitl.flight.grade import AtEnd, Grade, grade
 from sitl.flight.one_flight import FlyOptions, fly
 from sitl.perception.levels import perceive, represents
 from sitl.scenario.scenario import Scenario
 from sitl.scenario.with_fault import faulty
 
-WARM_UP_SHARE, WARM_UP_MOST_S = 0.2, 900.0
-"""Warm-up as a share of the run, and its limit: textures, caches and the allocator's arenas are filled by then."""
-WARM_UP_FLIGHTS = 30
-"""Number of flights after which the faults have gone most ways through the code once, and its caches and arenas are full."""
+T = TypeVar("T")
+STARVED_MAX = 0.5
+"""Share of the flights that may go unjudged before the run itself means nothing."""
 OPERATOR_WAIT_S = 15.0
 """Longest wait of the pilot for an operator: nobody is there, and a scenario's time must not end before the wait."""
 _READ_EACH_S = 5.0
 _SAY_EACH_S = 60.0
 _DECIDED_S = 2
 """Seconds in which the pilot learns that a flight has ended; the next flight begins later."""
+
+
+class Class(Enum):
+    """The outcome of a flight in a soak."""
+
+    ON_PAD = Grade.ON_PAD.value
+    REFUSED_RIGHTLY = Grade.REFUSED_RIGHTLY.value
+    FAILED = Grade.FAILED.value
+    STARVED = "not judged: the machine was too slow"
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """One flight."""
+
+    at_s: float
+    """Wall time from the beginning of the soak to the end of the flight."""
+    seed: int
+    title: str
+    """The scenario's title, with its fault behind a semicolon."""
+    worth: Class
+    because: str
+    duration_s: float
+
+
+def fault_of(title: str) -> str:
+    """Return the fault of a flight, which its scenario's title names last."""
+    return title.rpartition("; ")[2]
+
+
+def real(
+    at_s: float,
+    said: dict[str, Any],
+    outcome: FlightOutcome | None,
+    frames: Counter[Verdict],
+    guidance_late_s: float | None = None,
+) -> Flown:
+    """Return the result of a flight in real time.
+
+    Args:
+        said: the line of `sitl.emulators.ardrone.serve` about it.
+        outcome: the pilot's outcome when the flight had ended.
+        frames: what the daemon made of its frames.
+        guidance_late_s: median of what guidance cycles came late at the end of the flight, seconds.
+    """
+    if said["ended"] == "time is up" and outcome not in REFUSALS:
+        outcome = None  # the simulator switched the drone off in the air, which the pilot takes for an emergency
+    landed_m = said["lateral_m"] if said["on_pad"] else None
+    worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], AtEnd(left_alone=said["left_alone"]))
+    load = Load(said["duration_s"], said["frames_sent"], said["stood_still_s"], frames, guidance_late_s)
+    kind = Class(worth.value)
+    if kind is Class.FAILED and (slow := load.starved()) is not None:
+        kind, because = Class.STARVED, f"{slow} ({because})"
+    return Flown(at_s, said["seed"], said["title"], kind, because, said["duration_s"])
+
+
+class Records(Generic[T]):
+    """Records in the order in which they came, in a temporary file.
+
+    What the run remembers of itself must not look like growth of what it watches: a day of flights is thousands of records of
+    half a kilobyte, some per cent of the process' memory. If the temporary folder is full, later records are kept in memory, and
+    stderr says so once.
+
+    Args:
+        kind: the type of the records, a dataclass.
+    """
+
+    def __init__(self, kind: type[T]) -> None:
+        self._encoder, self._decoder = msgspec.json.Encoder(), msgspec.json.Decoder(kind)
+        self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - it lives as long as the records
+        weakref.finalize(self, self._file.close)
+        self._written = 0
+        self._rest: list[T] = []
+
+    def append(self, record: T) -> None:
+        """Add a record."""
+        if not self._rest:
+            try:
+                whole = self._encoder.encode(record) + b"\n"
+                if self._file.write(whole) == len(whole):
+                    self._written += 1
+                    return
+                why = "no space left"
+            except OSError as error:
+                why = error.strerror or str(error)
+            sys.stderr.write(f"{tempfile.gettempdir()}: {why}; the run keeps its further records in memory\n")
+        self._rest.append(record)
+
+    def __len__(self) -> int:
+        return self._written + len(self._rest)
+
+    def __iter__(self) -> Iterator[T]:
+        # A place of its own in the file, so that records may come while one reads.
+        with open(f"/proc/self/fd/{self._file.fileno()}", "rb") as lines:
+            for _, line in zip(range(self._written), lines, strict=False):
+                yield self._decoder.decode(line)
+        yield from self._rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,28 +177,23 @@ class SoakOptions:
 class Tally:
     """The flights and the resource readings so far."""
 
+    flights: list[Flown] | Records[Flown] = field(default_factory=lambda: Records(Flown))
+    readings: Records[Reading] = field(default_factory=lambda: Records(Reading))
     began: float = field(default_factory=time.monotonic)
     endings: Counter[str] = field(default_factory=Counter)
-    outcomes: Outcomes = field(default_factory=lambda: Outcomes(Records(Flown)))
     flown_s: float = 0.0
-    readings: Records[Reading] = field(default_factory=lambda: Records(Reading))
     file: FileIO | None = None
     """File for the readings, written without a buffer: a run that is killed keeps its readings."""
     _said: float = 0.0
 
-    @property
-    def flights(self) -> int:
-        return self.endings.total()
-
-    @property
-    def on_pad(self) -> int:
-        """Number of flights that landed on the pad."""
-        return self.outcomes.count(Class.ON_PAD)
+    def count(self, worth: Class) -> int:
+        """Return the number of flights of one class."""
+        return sum(flight.worth is worth for flight in self.flights)
 
     def flown(self, ending: str, flight: Flown) -> None:
         """Add a flight that has ended."""
         self.endings[ending] += 1
-        self.outcomes.flights.append(flight)
+        self.flights.append(flight)
 
     def take(self, tasks: int | None, quiet: bool, before_mib: float | None = None) -> None:
         """Take a reading of the process, and print a line about it every minute.
@@ -101,7 +201,7 @@ class Tally:
         Args:
             before_mib: what `give_back` returned just before; None where it was not called.
         """
-        reading = read(time.monotonic() - self.began, self.flights, tasks, before_mib)
+        reading = read(time.monotonic() - self.began, len(self.flights), tasks, before_mib)
         self.readings.append(reading)
         if self.file is not None:
             try:
@@ -112,10 +212,54 @@ class Tally:
         if not quiet and reading.at_s - self._said >= _SAY_EACH_S:
             self._said = reading.at_s
             sys.stderr.write(
-                f"{reading.at_s / 60:5.0f} min  {self.flights} flights, {self.on_pad} on the pad, "
-                f"{self.outcomes.count(Class.FAILED)} failed  {reading.memory_mib:.1f} MiB  "
+                f"{reading.at_s / 60:5.0f} min  {len(self.flights)} flights, {self.count(Class.ON_PAD)} on the pad, "
+                f"{self.count(Class.FAILED)} failed  {reading.memory_mib:.1f} MiB  "
                 f"{reading.descriptors} descriptors  {reading.threads} threads\n"
             )
+
+    def faults(self, failed_max: int) -> list[str]:
+        """Return why the flights make the run fail; empty if they do not."""
+        output = []
+        failed, starved = self.count(Class.FAILED), self.count(Class.STARVED)
+        if failed > failed_max:
+            output.append(f"{failed} of {len(self.flights)} flights failed" + (f", more than {failed_max}" if failed_max else ""))
+        if starved > STARVED_MAX * len(self.flights):
+            output.append(f"this machine was too slow for {starved} of {len(self.flights)} flights, so the run shows nothing")
+        return output
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the counts by class and by ending, and every flight."""
+        return {
+            "flights": len(self.flights),
+            "on_pad": self.count(Class.ON_PAD),
+            "endings": dict(self.endings),
+            "flown_s": self.flown_s,
+            "classes": {worth.name.lower(): self.count(worth) for worth in Class},
+            "outcomes": [{**asdict(flight), "worth": flight.worth.value} for flight in self.flights],
+        }
+
+    def in_words(self, scenario: str, options: Sequence[str] = ()) -> list[str]:
+        """Return lines of counts, and a line for each flight that failed or was not judged.
+
+        Args:
+            scenario: the name of the scenario.
+            options: the options, beside fault and seed, that the first failed one needs to fail again.
+        """
+        endings = ", ".join(f"{n} {name}" for name, n in sorted(self.endings.items()))
+        counts = ", ".join(f"{n} {worth.value}" for worth in Class if (n := self.count(worth)))
+        lines = [
+            f"{len(self.flights)} flights in {self.flown_s / 3600:.2f} h: {endings}",
+            f"outcomes   {counts or 'none'}",
+        ]
+        for flight in self.flights:
+            if flight.worth in (Class.FAILED, Class.STARVED):
+                lines.append(f"  seed {flight.seed}, {fault_of(flight.title)}: {flight.worth.value}: {flight.because}")
+        failed = next((flight for flight in self.flights if flight.worth is Class.FAILED and "; " in flight.title), None)
+        if failed is not None:
+            words = ["decklander", "campaign", scenario, "--soak", "--virtual", "--runs", "1", "--seed", str(failed.seed)]
+            again = shlex.join([*words, "--fault", fault_of(failed.title), *options])
+            lines.append(f"  to fly the first failed one again: {again}")
+        return lines
 
 
 def soak(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings: Settings) -> int:
@@ -134,9 +278,9 @@ def soak(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings:
         perceive(plan.perception, plan.perception_model).refuse(every.faults)
     settings = flown_settings(settings)
     if options.plot is not None:
-        _writable("--plot", options.plot)
+        _opened("--plot", options.plot, "ab").close()
     interrupted: Stopped | None = None
-    with nullcontext() if options.readings is None else _opened(options.readings) as file:
+    with nullcontext() if options.readings is None else _opened("--readings", options.readings, "wb") as file:
         tally = Tally(file=file)
         try:
             if options.virtual:
@@ -145,18 +289,24 @@ def soak(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings:
                 event_loop.run(_really(options, plan.name, settings, tally))
         except Stopped as why:
             interrupted = why
-    found = None
     readings = list(tally.readings)
-    if readings:
-        found = findings(readings, warm_up_s(readings))
-    _say(options, plan, tally, found)
+    found = findings(readings, warm_up_s(readings)) if readings else None
+    faults = tally.faults(options.failed_max)
+    if options.json:
+        printed = {**tally.as_json(), "flight_faults": faults, "findings": None if found is None else found.as_json()}
+        sys.stdout.write(json.dumps(printed) + "\n")
+    else:
+        lines = tally.in_words(plan.name, plan.options)
+        lines += ["too short to measure growth"] if found is None else found.in_words(options.virtual)
+        lines += [f"FAULT: {fault}" for fault in [*faults, *(found.faults if found is not None else ())]]
+        sys.stdout.write("\n".join(lines) + "\n")
     if options.plot is not None:
         from sitl.campaign import plots
 
-        plots.soak(options.plot, readings, list(tally.outcomes.flights))
+        plots.soak(options.plot, readings, list(tally.flights))
     if interrupted is not None:
         raise interrupted
-    return 0 if found is not None and not found.faults and not tally.outcomes.faults(options.failed_max) else 1
+    return 0 if found is not None and not found.faults and not faults else 1
 
 
 def flown_settings(settings: Settings) -> Settings:
@@ -168,39 +318,33 @@ def flown_settings(settings: Settings) -> Settings:
     return msgspec.structs.replace(settings, service=service, guidance=guidance)
 
 
-def warm_up_s(readings: Sequence[Reading]) -> float:
-    """Return the length of the warm-up: a share of the run, and in a long one at least its first `WARM_UP_FLIGHTS` flights."""
-    usual_s = min(WARM_UP_MOST_S, WARM_UP_SHARE * readings[-1].at_s)
-    if readings[-1].flights < 2 * WARM_UP_FLIGHTS:
-        return usual_s
-    return max(usual_s, next(reading.at_s for reading in readings if reading.flights >= WARM_UP_FLIGHTS))
-
-
-def overtime_s(tries: TryOptions) -> float:
-    """Return for how long a flight may go on after its scenario's time while guidance still tries to land.
-
-    A flight is graded when it has ended; one that is cut in its third try shows nothing about the fourth.
-    """
-    return tries.landing_s
+def _opened(option: str, path: Path, mode: str) -> FileIO:
+    """Open a file without a buffer, before the first flight."""
+    try:
+        return FileIO(path, mode)
+    except OSError as why:
+        raise BadInput(f"{option}: {path}: {why.strerror or why}") from why
 
 
 def _virtually(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings: Settings, tally: Tally) -> None:
     seed = options.seed
     level = perceive(plan.perception, plan.perception_model)
-    while tally.flights < options.flights if options.flights is not None else tally.flown_s < 3600.0 * options.hours:
-        wanted = (
-            faulty(scenario, seed, possible=lambda s: represents(level, s.faults), name=options.fault)
-            if options.faults
-            else scenario
-        )
-        # A fault costs tries, and the scenario's time was chosen without it.
-        longer_s = overtime_s(settings.guidance.tries) if options.faults else 0.0
-        rarer = FlyOptions(plan.perception_model, overtime_s=longer_s)
+    # A fault costs tries, and the scenario's time was chosen without it. A flight is graded when it has ended; one that is cut in
+    # its third try shows nothing about the fourth.
+    longer_s = settings.guidance.tries.landing_s if options.faults else 0.0
+    rarer = FlyOptions(plan.perception_model, overtime_s=longer_s)
+    while len(tally.flights) < options.flights if options.flights is not None else tally.flown_s < 3600.0 * options.hours:
+        wanted = scenario
+        if options.faults:
+            wanted = faulty(scenario, seed, possible=lambda s: represents(level, s.faults), name=options.fault)
         ending = fly(plan.name, wanted, seed, settings, plan.perception, options=rarer)
-        flight = virtual(time.monotonic() - tally.began, wanted.title, ending)
+        judged = ending.judged
+        assert judged is not None
+        at_s = time.monotonic() - tally.began
+        flight = Flown(at_s, seed, wanted.title, Class(judged.grade), judged.because, ending.duration_s)
         tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
         tally.flown_s += ending.duration_s
-        del ending, flight
+        del ending, judged, flight
         tally.take(None, options.json, give_back())
         seed += 1
 
@@ -223,8 +367,7 @@ async def _really(options: SoakOptions, scenario: str, settings: Settings, tally
         ports = {f"{name}_port": port for name, port in json.loads(first)["ports"].items()}
         settings = msgspec.structs.replace(settings, vehicle=msgspec.structs.replace(settings.vehicle, **ports))
         pilot = make_pilot(settings)
-        clock = SystemClock()
-        daemon = make_daemon(settings, pilot, clock=clock)
+        daemon = make_daemon(settings, pilot, clock=SystemClock())
         tally.began = time.monotonic()
         tally.take(len(asyncio.all_tasks()), quiet=True)
         async with asyncio.TaskGroup() as group:
@@ -263,45 +406,3 @@ async def _read(tally: Tally, quiet: bool) -> None:
     while True:
         await asyncio.sleep(_READ_EACH_S)
         tally.take(len(asyncio.all_tasks()), quiet)
-
-
-def _writable(option: str, path: Path) -> None:
-    """Check before the first flight that a file can be written."""
-    try:
-        path.open("ab").close()
-    except OSError as why:
-        raise BadInput(f"{option}: {path}: {why.strerror or why}") from why
-
-
-def _opened(path: Path) -> FileIO:
-    try:
-        return path.open("wb", buffering=0)
-    except OSError as why:
-        raise BadInput(f"--readings: {path}: {why.strerror or why}") from why
-
-
-def _say(options: SoakOptions, plan: CampaignPlan, tally: Tally, found: Findings | None) -> None:
-    if options.json:
-        printed = {"flights": tally.flights, "on_pad": tally.on_pad, "endings": dict(tally.endings), "flown_s": tally.flown_s}
-        printed |= {**tally.outcomes.as_json(), "flight_faults": tally.outcomes.faults(options.failed_max)}
-        sys.stdout.write(json.dumps({**printed, "findings": None if found is None else found.as_json()}) + "\n")
-        return
-    endings = ", ".join(f"{n} {name}" for name, n in sorted(tally.endings.items()))
-    lines = [
-        f"{tally.flights} flights in {tally.flown_s / 3600:.2f} h: {endings}",
-        *tally.outcomes.in_words(plan.name, plan.options),
-    ]
-    if found is None:
-        lines.append("too short to measure growth")
-    else:
-        m = found.memory_mib
-        lines.append(
-            f"memory     {m.first:.1f} to {m.last:.1f} MiB ({m.growth:+.2%}, most {m.most:.1f}) after {found.warm_up_s:.0f} s"
-        )
-        for name, trend in (("descriptors", found.descriptors), ("threads", found.threads), ("tasks", found.tasks)):
-            if trend is not None:
-                lines.append(f"{name:<10} {trend.first:g} to {trend.last:g} (most {trend.most:g})")
-        lines.append(f"CPU        {found.cpu_share:.0%} of a core" + (", as fast as it goes" if options.virtual else ""))
-    lines += [f"FAULT: {fault}" for fault in tally.outcomes.faults(options.failed_max)]
-    lines += [f"FAULT: {fault}" for fault in found.faults] if found is not None else []
-    sys.stdout.write("\n".join(lines) + "\n")

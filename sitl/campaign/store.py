@@ -12,11 +12,10 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from estimator.contracts.errors import BadInput, Recoverable, unusable
-from sitl.campaign.code import differences
-from sitl.campaign.plan import AnyPlan, Job, SetPlan
+from sitl.campaign.plan import AnyPlan, Job, SetPlan, differences
 from sitl.campaign.task import Flight, flight_hash, job_of
 
 MANIFEST, FLIGHTS = "manifest.json", "flights.jsonl"
@@ -73,7 +72,8 @@ class FolderStore:
         Raises:
             Recoverable: they cannot be written; what was kept before still is.
         """
-        text = b"".join(line_of(flight, self._session, at_s) for flight in flights)
+        records = ({"session": self._session, "at_s": round(at_s, 3), "flight": flight} for flight in flights)
+        text = b"".join(json.dumps(record, separators=(",", ":"), allow_nan=False).encode() + b"\n" for record in records)
         try:
             written = 0
             while written < len(text):
@@ -151,23 +151,13 @@ def manifest_of(folder: Path) -> dict[str, Any]:
         BadInput: there is none, or it is damaged.
     """
     try:
-        return parse_manifest((folder / MANIFEST).read_bytes(), str(folder))
+        manifest = json.loads((folder / MANIFEST).read_bytes())
     except OSError as why:
         raise unusable(f"{folder} is no campaign's folder: {MANIFEST}", why) from why
-
-
-def parse_manifest(content: bytes, place: str) -> dict[str, Any]:
-    """Return the manifest that these bytes hold.
-
-    Raises:
-        BadInput: they hold none.
-    """
-    try:
-        manifest = json.loads(content)
     except ValueError as why:
-        raise BadInput(f"{place}: {MANIFEST} is damaged: {why}") from why
+        raise BadInput(f"{folder}: {MANIFEST} is damaged: {why}") from why
     if not isinstance(manifest, dict) or "format" not in manifest or "code" not in manifest:
-        raise BadInput(f"{place}: {MANIFEST} is not that of a campaign")
+        raise BadInput(f"{folder}: {MANIFEST} is not that of a campaign")
     return manifest
 
 
@@ -186,16 +176,6 @@ def refuse_other(place: str, manifest: Mapping[str, Any], identity: Mapping[str,
         raise BadInput(f"--out {place}: the folder holds another campaign: {what}; nothing was written")
     if other := differences(dict(identity["code"]), dict(manifest["code"])):
         raise BadInput(f"--out {place}: the campaign was begun with other code ({other}); nothing was written")
-
-
-def line_of(flight: Flight, session: int, at_s: float) -> bytes:
-    """Return the line of a kept flight."""
-    return (canonical_line({"session": session, "at_s": round(at_s, 3), "flight": flight}) + "\n").encode()
-
-
-def canonical_line(record: Mapping[str, Any]) -> str:
-    """Return compact JSON in the given order of keys."""
-    return json.dumps(record, separators=(",", ":"), allow_nan=False)
 
 
 def flights_in(path: Path) -> Iterator[Flight]:
@@ -265,37 +245,22 @@ def wall_s_in(path: Path) -> float:
     return sum(_scan(path)[1].values())
 
 
-def jobs_left(store: FolderStore, jobs: Iterator[Job]) -> Iterator[Job]:
-    """Return the jobs that are not kept yet."""
+Workforce = Callable[[Iterator[Job]], Iterator[Flight]]
+"""Flies jobs in processes of this machine, or on a cluster, and returns their results as they come, in any order."""
+
+
+def fly_left(workforce: Workforce, store: FolderStore, jobs: Iterable[Job], on_flight: Callable[[Flight], None]) -> None:
+    """Fly the jobs that are not kept yet, and keep each result with the time since the beginning of this session.
+
+    Args:
+        on_flight: receives each result after it was kept.
+
+    Raises:
+        Recoverable: the results cannot be kept, or the cluster is gone; what was kept before still is.
+        OtherCode: a worker has other code.
+    """
+    began_s = time.monotonic()
     kept = frozenset(store.keys())
-    return (job for job in jobs if job.key not in kept)
-
-
-class Workforce(Protocol):
-    """Flies jobs somewhere: in processes of this machine, or on a cluster."""
-
-    def results(self, jobs: Iterator[Job]) -> Iterator[Flight]:
-        """Fly the jobs and return their results as they come, in any order."""
-        ...
-
-
-class Session:
-    """One session of a campaign: what it flies is kept in the store with the time since its beginning."""
-
-    def __init__(self, workforce: Workforce, store: FolderStore) -> None:
-        self._workforce, self._store = workforce, store
-        self._began_s = time.monotonic()
-
-    def fly(self, jobs: Iterable[Job], on_flight: Callable[[Flight], None]) -> None:
-        """Fly the jobs that are not kept yet.
-
-        Args:
-            on_flight: receives each result after it was kept.
-
-        Raises:
-            Recoverable: the results cannot be kept, or the cluster is gone; what was kept before still is.
-            OtherCode: a worker has other code.
-        """
-        for flight in self._workforce.results(jobs_left(self._store, iter(jobs))):
-            self._store.keep([flight], time.monotonic() - self._began_s)
-            on_flight(flight)
+    for flight in workforce(job for job in jobs if job.key not in kept):
+        store.keep([flight], time.monotonic() - began_s)
+        on_flight(flight)

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput, in_words
-from sitl.campaign.code import code_version, differences
-from sitl.campaign.plan import AnyPlan, Job, canonical, unpacked
+from sitl.campaign.plan import AnyPlan, Job, canonical, code_version, differences, unpacked
 from sitl.flight.one_flight import FlyOptions, Perception, fly
 from sitl.scenario.scenario import Scenario
 
@@ -38,11 +37,15 @@ class Order(NamedTuple):
     flyer: Flyer
 
 
-def base_of(plan: AnyPlan, job: Job, known: dict[str, bytes]) -> bytes:
-    """Return what a worker needs beside a job; `known` holds that of each scenario."""
-    if job.scenario not in known:
-        known[job.scenario] = plan.of(job).base()
-    return known[job.scenario]
+def order_of(plan: AnyPlan, job: Job, code: dict[str, str], flyer: Flyer) -> Order:
+    """Return the order of a job of a plan."""
+    return Order(job, plan.of(job).base(), code, flyer)
+
+
+def lost(plan: AnyPlan, job: Job, why: str) -> Flight:
+    """Return the result of a flight whose process or worker died."""
+    own = plan.of(job)
+    return finished(failed(own.name, job, why), job, own.perception)
 
 
 def fly_flight(

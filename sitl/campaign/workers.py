@@ -22,9 +22,8 @@ from multiprocessing.connection import wait as wait_for_connections
 from typing import Any
 
 from estimator.contracts.errors import BadInput, Recoverable, in_words
-from sitl.campaign.code import code_version, differences
-from sitl.campaign.plan import AnyPlan, Job
-from sitl.campaign.task import Flight, Flyer, Order, OtherCode, base_of, failed, finished, fly_flight, fly_order
+from sitl.campaign.plan import AnyPlan, Job, code_version, differences
+from sitl.campaign.task import Flight, Flyer, OtherCode, fly_flight, fly_order, lost, order_of
 
 _ORDERS_EACH = 2
 """Orders that wait for each worker, so that none is idle between two flights."""
@@ -40,8 +39,7 @@ class LocalWorkers:
     """
 
     def __init__(self, plan: AnyPlan, code: dict[str, str], workers: int, flyer: Flyer = fly_flight) -> None:
-        self._plan, self._bases = plan, dict[str, bytes]()
-        self._code, self._workers, self._flyer = code, workers, flyer
+        self._plan, self._code, self._workers, self._flyer = plan, code, workers, flyer
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> LocalWorkers:
@@ -86,13 +84,11 @@ class LocalWorkers:
             return future.result()
         except BrokenProcessPool:
             self._end()
-            return finished(
-                failed(self._plan.of(job).name, job, "the process that flew it died"), job, self._plan.of(job).perception
-            )
+            return lost(self._plan, job, "the process that flew it died")
 
     def _submit(self, job: Job) -> tuple[Future[Flight], bool]:
         """Return the flight's future, and whether the pool was found broken."""
-        order = Order(job, base_of(self._plan, job, self._bases), self._code, self._flyer)
+        order = order_of(self._plan, job, self._code, self._flyer)
         try:
             if self._pool is None:
                 self._pool = _new_pool(self._workers)
@@ -177,8 +173,7 @@ class ClusterWorkers:
             )
         distributed: Any = importlib.import_module("distributed")
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its report is printed here, in one line
-        self._plan, self._bases = plan, dict[str, bytes]()
-        self._code, self._address, self._flyer = code, address, flyer
+        self._plan, self._code, self._address, self._flyer = plan, code, address, flyer
         self._run, self._orders = uuid.uuid4().hex[:8], 0
         try:
             self._client: Any = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
@@ -266,7 +261,7 @@ class ClusterWorkers:
             time.sleep(_POLL_S)
 
     def _submit(self, job: Job) -> Any:
-        order = Order(job, base_of(self._plan, job, self._bases), self._code, self._flyer)
+        order = order_of(self._plan, job, self._code, self._flyer)
         self._orders += 1  # a key that was cancelled stays so, and a job may be ordered again
         return self._client.submit(fly_order, order, key=f"fly-{self._run}-{self._orders}-{job.key}", pure=False)
 
@@ -276,9 +271,7 @@ class ClusterWorkers:
             return self._fetched(future)
         error = future.exception(timeout=_CONNECT_S) if future.status == "error" else None
         if type(error).__name__ == "KilledWorker":
-            return finished(
-                failed(self._plan.of(job).name, job, "the workers that flew it died"), job, self._plan.of(job).perception
-            )
+            return lost(self._plan, job, "the workers that flew it died")
         if isinstance(error, BadInput):
             raise OtherCode(f"--scheduler {self._address}: {in_words(error)}") from error
         if isinstance(error, BaseException):

@@ -9,7 +9,7 @@ import pytest
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from sitl.core.library import SIM
-from sitl.scenario.scenario import from_mapping, load
+from sitl.scenario.scenario import load
 from sitl.vehicle.airframe import Airframe
 from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.air import AirModel, GustOnce, WakingHull
@@ -142,20 +142,6 @@ def test_the_wake_is_that_of_the_air_past_the_ship_and_is_rough() -> None:
     model_wind = deficit(-5.0, 0.0, 3.0, ship_m_s=5.0)
     assert model_wind == pytest.approx(deficit(-5.0, 0.0, 3.0), abs=0.03)
     assert deficit(-5.0, 0.0, 3.0, turbulence=True) == pytest.approx(0.32 * deficit(-5.0, 0.0, 3.0), rel=0.25)
-
-
-@pytest.mark.parametrize(
-    ("data", "said"),
-    [
-        ({"wind": {"model": "dryden", "gust_sigma_m_s": 0.4}}, "wind: gust_sigma_m_s belongs to the model gauss_markov"),
-        ({"wind": {"roughness_m": 0.001}}, "wind: roughness_m belongs to the logarithmic profile"),
-        ({"wind": {"gusts": [{"at_s": 1.0, "speed_m_s": 5.0}]}}, "from_deg"),
-    ],
-)
-def test_winds_that_contradict_themselves_are_refused(data: dict[str, object], said: str) -> None:
-    with pytest.raises(BadInput, match=r"one\.toml: ") as why:
-        from_mapping({"title": "x", **data}, "one.toml")
-    assert said in str(why.value)
 
 
 def test_a_wake_needs_a_superstructure_and_dryden_takes_the_place_of_a_bases_gusts(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from sitl.sensors.sensors import Sensors
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import Airframe, Avionics, load, rotors
 from sitl.vehicle.disturbances import Wind
-from sitl.vehicle.vehicle import SEA, Vehicle, VehiclePhase
+from sitl.vehicle.vehicle import Vehicle, VehiclePhase
 from sitl.vessel.air import AirModel, GustOnce
 from sitl.vessel.contact import DeckShape, Ground
 from sitl.vessel.seakeeping import Superstructure
@@ -143,20 +143,6 @@ def test_a_flight_is_the_same_from_another_place_and_in_another_direction(
     )  # fmt: skip
 
 
-def test_the_flights_above_touch_deck_and_water_and_rest() -> None:
-    """The property means little unless its flights come where the formulae differ."""
-    met: set[tuple[str, float]] = set()
-    for start, aside in (("deck", 0.0), ("water", 4.0)):
-        v = Vehicle(Airframe(), SHAPES[0], DT, np.random.SeedSequence(3), Wind())
-        pads = moving_ground(np.random.default_rng(3), 1500)
-        v.place(pads.p_ned[0, 0] + [0.0, aside, -0.5], pads.v_ned[0, 0], 0.0)
-        v.land()
-        for i in range(1500):
-            v.step(ground(pads, i, 0.0, 0.0))
-        met |= {(start, v.touched_what), (start + " tied", v.tied)}
-    assert met == {("deck", 1.0), ("deck tied", 1.0), ("water", float(SEA)), ("water tied", 0.0)}
-
-
 @pytest.mark.parametrize("frame", [Airframe(), HEXA])
 def test_the_number_of_steps_of_a_call_changes_nothing(frame: Airframe) -> None:
     """Calls of random length against single steps: no noise is lost where a block ends, and the water is looked at as often."""
@@ -176,15 +162,3 @@ def test_the_number_of_steps_of_a_call_changes_nothing(frame: Airframe) -> None:
     for many, one in ((ours[1].state, ours[0].state), (sensed[1].state, sensed[0].state)):
         assert bytes(SIM.ffi.buffer(many)) == bytes(SIM.ffi.buffer(one))
     assert ours[0].touched_what
-
-
-def test_a_call_ends_with_the_step_of_a_contact() -> None:
-    v = Vehicle(Airframe(), SHAPES[0], DT, np.random.SeedSequence(1))
-    pads = moving_ground(np.random.default_rng(1), 2000)
-    v.place(pads.p_ned[0, 0] + [0.0, 0.0, -0.6], pads.v_ned[0, 0], 0.0)
-    v.land()
-    physics, decks, done = Physics(v, Sensors(SensorSettings(), v, np.random.SeedSequence(2)), Waves.flat()), decks_of(pads), 0
-    while not v.touched_what:
-        done += physics.run(decks, done, 2000 - done)
-    assert v.touched_s == pytest.approx(done * DT)
-    assert v.touched_phase == VehiclePhase.LANDING

@@ -15,7 +15,6 @@ from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load as load_settings
 from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
-from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import (
@@ -240,16 +239,6 @@ def test_shifted_frames_show_the_pad_where_it_is_not() -> None:
     assert not shifted.true_view
 
 
-def test_a_share_of_the_frames_is_shifted_and_the_seed_says_which() -> None:
-    def drawn(seed: int) -> list[bool]:
-        w = world(FramesShifted(at_s=0.0, right_m=2.5, fraction=0.5), seed=seed)
-        return [at(w, 0.004 * (n + 1))._aside() is not None for n in range(200)]
-
-    assert drawn(1) == drawn(1)
-    assert drawn(2) != drawn(1)
-    assert 70 <= sum(drawn(1)) <= 130
-
-
 def fly_calm(fault: Fault, seconds: float = 1.2) -> tuple[Flight, ObservedCalls]:
     calls = ObservedCalls()
     return fly_for(seconds, CALM, observers=[calls], faults=(fault,)), calls
@@ -265,14 +254,6 @@ def test_delayed_frames_come_late_with_true_stamps_and_misstamped_ones_in_time_w
     assert len(wrong.frames) > len(late.frames) + 5
     _, ahead = fly_calm(FramesMisstamped(at_s=0.5, by_s=2.0))
     assert max(f.frame.stamp.measured_at for f in ahead.frames) > 2_900_000_000
-
-
-@pytest.mark.parametrize("by_s", [-2.0, 2.0, 3600.0])
-def test_misstamped_samples_reach_the_service_with_the_wrong_stamp(by_s: float) -> None:
-    _, processed = fly_calm(NavdataMisstamped(at_s=0.5, by_s=by_s), 0.6)
-    stamps = [s.stamp.measured_at for s in processed.samples if isinstance(s, Imu)]
-    steps = np.diff(np.array(stamps)) / 1e9
-    assert steps[np.abs(steps) > 0.1] == pytest.approx([by_s], abs=0.02)
 
 
 def test_a_lost_link_carries_nothing_either_way() -> None:

@@ -9,19 +9,18 @@ from msgspec.structs import replace
 
 from companion.base.mission import FlightOutcome, State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
-from companion.cli import main as cli
 from companion.settings.load import load as load_settings
-from estimator.contracts.errors import BadInput
 from estimator.contracts.time import NS_PER_S
-from sitl.campaign.summary import CampaignTally, in_words
+from sitl.campaign.figures import in_words
 from sitl.flight.ending import Ending
 from sitl.flight.grade import Grade
-from sitl.flight.one_flight import TRUTH_EACH, FlyOptions, fly, perception_level, settings_for
+from sitl.flight.one_flight import TRUTH_EACH, FlyOptions, fly, settings_for
 from sitl.scenario.scenario import load
 from sitl.scenario.with_fault import faulty
 from sitl.world.truth import Truth
 from tests.fly import ObservedCalls, land, near, new_flight, simulate
 from tests.make import change
+from tests.sitl.campaign.fakes import tally_of
 
 
 def test_the_same_arguments_give_the_same_ending() -> None:
@@ -47,15 +46,6 @@ def test_the_settings_take_the_scenarios_camera_and_pad_unless_a_file_is_given()
     assert settings_for(scenario, "sim") == load_settings("sim")
     assert load_settings("ardrone2").guidance.start == "signal"
     assert settings_for(scenario, "ardrone2").guidance.start == "automatic", "nobody orders the landing"
-
-
-def test_an_unknown_level_of_perception_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(BadInput, match="known are pixels"):
-        perception_level("thoughts")
-    assert cli.main(["simulate", "calm", "--perception", "thoughts"]) == 2
-    output = capsys.readouterr().err
-    assert "--perception: there is no level 'thoughts'; known are pixels" in output
-    assert output.count("\n") == 1
 
 
 def test_what_is_flown_on_without_a_link_is_reported_and_is_no_blind_descent() -> None:
@@ -116,10 +106,7 @@ def test_a_campaign_counts_the_flights_in_which_a_sensor_was_named() -> None:
     (named,) = flights[1]["named"]
     assert named["text"] == "the accelerometer repeats its readings; flying without it"
     assert 1.0 < named["at_s"] < 1.3
-    counted = CampaignTally()
-    for flight in flights:
-        counted.take({**flight, "hash": ""})
-    summary = counted.summary("near", "model", 1.0)
+    summary = tally_of({**flight, "hash": ""} for flight in flights).summary("near", "model", 1.0)
     assert (summary["flights_naming_a_sensor"], summary["named_sensors"]) == (1, {"accelerometer": 1})
     assert "flights in which a sensor was named: 1 (accelerometer in 1)" in in_words(summary)
 
@@ -205,11 +192,6 @@ def test_it_waits_with_its_feet_over_the_deck_and_touches_in_the_commit_alone() 
     assert ending.good
     assert len(ending.contacts) == 1
     assert min(heights_m) > FEET_M + 0.1
-
-
-def test_with_the_feet_of_a_smaller_vehicle_it_waits_too_low() -> None:
-    _, heights_m = flown(0.045, duration_limit_s=10.5)
-    assert min(heights_m) < FEET_M + 0.1
 
 
 @pytest.mark.parametrize("seed", [7020, 7021])

@@ -1,6 +1,5 @@
 """Scenario files: what is shipped holds, and what is wrong is named with key, unit and file."""
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import inspect
 
-from companion.settings.load import SHIPPED
 from companion.settings.schema import unit_of, walk
 from estimator.contracts.errors import BadInput
 from sitl.faults.kinds import KINDS
-from sitl.scenario.scenario import Scenario, camera_model, from_mapping, load, shipped_scenarios
+from sitl.scenario.scenario import Scenario, camera_model, from_mapping, load
 from sitl.sea.sea import SEA_STATES
 
 
@@ -87,21 +85,6 @@ def test_refusals_name_the_key_and_its_unit(data: dict[str, Any], said: str) -> 
     assert text.startswith("mine.toml: ")
     assert said in text
     assert "\n" not in text
-
-
-def test_every_shipped_fault_loads_and_says_what_is_right() -> None:
-    faults = [name for name in shipped_scenarios() if name.startswith("faults/")]
-    assert len(faults) >= 15
-    for name in faults:
-        scenario = load(name)
-        assert scenario.faults, name
-        assert scenario.because, name
-        of_ship = "ship" in name or scenario.vessel.reports_hz > 0.0
-        base = tomllib.loads((SHIPPED / "scenarios" / f"{name}.toml").read_text())["base"]
-        stem = Path(base).stem
-        assert of_ship or scenario.vessel == load(f"faults/{stem}" if f"faults/{stem}" in faults else stem).vessel, (
-            "what the file does not say is the base's"
-        )
 
 
 def test_a_base_gives_what_is_not_reported_and_its_faults_come_first(tmp_path: Path) -> None:

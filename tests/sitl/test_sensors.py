@@ -142,21 +142,6 @@ def test_ultrasound_has_a_rate_a_delay_and_limits() -> None:
         assert (fly(v, s, 20)[-1].ultrasound_m is not None) is hears
 
 
-def test_reading_changes_nothing() -> None:
-    """The same seed gives the same readings to the bit, however often and whatever is asked in between."""
-    often, seldom = setup(SensorSettings(), 5), setup(SensorSettings(), 5)
-    last = fly(*often, 700)[-1]
-    v, s = seldom
-    physics, steps = Physics(v, s, Waves.flat()), 0
-    many = np.repeat(STILL_DECK, 700, axis=0)
-    while steps < 700:
-        steps += physics.run(many, steps, 700 - steps)
-    once = s.read(last.at)
-    for name in ("f_body", "w_body", "rpy_rad", "v_level_m_s", "magnetometer"):
-        assert np.array_equal(getattr(once, name), getattr(last, name)), name
-    assert (once.ultrasound_m, once.pressure_pa) == (last.ultrasound_m, last.pressure_pa)
-
-
 @pytest.mark.skipif(not RECORDED.exists(), reason="the recorded flight is not at hand")
 def test_noise_in_flight_is_that_of_the_real_drone() -> None:
     """Standard deviation above 4 Hz of a real AR.Drone's accelerometer and gyro in hover, against the settings' defaults."""

@@ -6,13 +6,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.base.mission import FlightOutcome as Outcome
 from companion.guidance.operator.precedence import ControlSituation
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.camera.camera import Exposure
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import STREAMS, OperatorActs, PictureFault, ServiceKilled, VesselReports
-from sitl.flight.grade import AtEnd, Grade, grade
 from sitl.scenario.scenario import FAULTS, Scenario, load, shipped_scenarios
 from sitl.world.world import Stick, World
 from tests.fly import fly_for
@@ -88,31 +86,9 @@ def test_a_person_takes_over_and_gives_back(fault: OperatorActs, situation: Cont
     assert early._pilot.operator.situation(early._clock.t) is ControlSituation.GUIDED
 
 
-def test_a_person_says_that_the_pad_is_clear_and_guidance_flies_on() -> None:
-    flight = fly_for(1.2, CALM, level="truth", faults=(OperatorActs(at_s=0.5, order="clear"),))
-    assert flight._pilot.operator.situation(flight._clock.t) is ControlSituation.GUIDED
-    assert flight._pilot.landing._overruled
-    assert not fly_for(0.45, CALM, level="truth", faults=(OperatorActs(at_s=0.5, order="clear"),))._pilot.landing._overruled
-
-
 def test_sticks_of_a_person_fly_the_drone() -> None:
     up, held = (
         fly_for(2.0, CALM, level="truth", faults=(OperatorActs(at_s=0.2, order="manual", climb=c),)).world.truth()
         for c in (1.0, 0.0)
     )
     assert held.p_body_ned[2] - up.p_body_ned[2] > 0.4
-
-
-def test_grades_of_holding_going_around_and_of_the_reason_of_a_refusal() -> None:
-    assert grade(None, None, (), "hold", AtEnd(held=True)) == (Grade.REFUSED_RIGHTLY, "held for the operator")
-    assert grade(Outcome.LANDED, 0.1, (), "hold")[0] is Grade.FAILED
-    assert grade(Outcome.LANDED, 0.1, (), "go_around", AtEnd(go_arounds=1))[0] is Grade.ON_PAD
-    assert grade(Outcome.LANDED, 0.1, (), "go_around")[0] is Grade.FAILED
-    assert grade(Outcome.GAVE_UP, None, (), "go_around", AtEnd(go_arounds=3))[0] is Grade.FAILED
-    assert (
-        grade(Outcome.GAVE_UP, None, (), "refuse", AtEnd(refusal=("Not found", "the pad was not found again")))[0]
-        is Grade.REFUSED_RIGHTLY
-    )
-    given, because = grade(Outcome.GAVE_UP, None, (), "refuse", AtEnd(refusal=("battery", "the pad was not found again")))
-    assert given is Grade.FAILED
-    assert because == "gave up for another reason than 'battery': the pad was not found again"

@@ -8,7 +8,7 @@ import pytest
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
-from sitl.vehicle.airframe import Airframe, Avionics, Loops
+from sitl.vehicle.airframe import Airframe, Avionics
 from sitl.vehicle.disturbances import Wind
 from sitl.vehicle.vehicle import DECK, SEA, Vehicle, VehiclePhase
 from sitl.vessel.contact import DeckShape, Ground
@@ -88,20 +88,6 @@ def test_each_stick_moves_its_own_way(yaw_rad, stick, expected):
     moved = np.array([*level, v.w_body[2]])
     assert moved @ np.array(expected) > 0.3
     assert np.abs(moved * (np.array(expected) == 0.0)).max() < 0.1
-
-
-def test_tilt_answers_as_the_thesis_loop_does() -> None:
-    """The loop with instant motors and no delay is theta'' = P (asked - theta) - D theta'."""
-    v = flying(replace(STILL, motor_lag_s=0.0, command_delay_s=0.0))
-    v.command(1.0, 0.0, 0.0, 0.0, progressive=True)
-    asked = v.limits.euler_angle_max_rad
-    p, d = Loops().tilt_p, Loops().tilt_d
-    sigma, omega = d / 2, math.sqrt(p - d * d / 4)
-    for n in range(1, 500):
-        v.step(NOWHERE)
-        t = n * DT
-        exact = asked * (1 - math.exp(-sigma * t) * (math.cos(omega * t) + sigma / omega * math.sin(omega * t)))
-        assert Rotation(v.R_ned_body).rpy_rad[0] == pytest.approx(exact, abs=0.003)
 
 
 def test_hover_stops_and_stays_against_a_new_wind() -> None:
@@ -223,17 +209,3 @@ def test_emergency_ends_on_deck_only() -> None:
     run(v, 2.0, flat_deck())
     v.leave_emergency()
     assert v.phase == VehiclePhase.LANDED
-
-
-def test_a_weak_rotor_drops_its_corner_and_a_dead_one_ends_the_flight() -> None:
-    v = flying()
-    v.rotor_health = (0.9, 1.0, 1.0, 1.0)
-    run(v, 0.3)
-    roll, pitch, _ = Rotation(v.R_ned_body).rpy_rad
-    assert roll < -0.01
-    assert pitch < -0.01
-    run(v, 5.0)
-    assert v.phase == VehiclePhase.HOVERING
-    v.rotor_health = (0.0, 1.0, 1.0, 1.0)
-    run(v, 3.0)
-    assert v.phase == VehiclePhase.EMERGENCY

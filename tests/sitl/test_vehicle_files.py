@@ -73,20 +73,6 @@ def test_a_tilt_step_has_the_frequency_and_damping_of_the_file(name: str) -> Non
     np.testing.assert_allclose(flown, model, atol=0.04 * asked)
 
 
-def test_a_hexacopter_flies_on_with_a_weak_rotor_and_rolls_away_from_a_lost_side(tmp_path: Path) -> None:
-    text = 'title = "h"\nbase = "calm"\n[vehicle]\nfile = "hexa_7kg"\n[start]\nheight_m = 8.0\n'
-    text += '[[faults]]\nkind = "weak_rotor"\nat_s = 1.0\n'
-    (tmp_path / "weak.toml").write_text(text + 'rotor = "right"\nthrust_fraction = 0.7\n')
-    (tmp_path / "lost.toml").write_text(text + 'rotor = "right"\nthrust_fraction = 0.0\n')
-    worlds = {name: World(load_scenario(tmp_path / f"{name}.toml"), 1) for name in ("weak", "lost")}
-    for world in worlds.values():
-        world.advance(MonoNs(1_400_000_000))
-    assert worlds["lost"].truth().R_ned_body.rpy_rad[0] > worlds["weak"].truth().R_ned_body.rpy_rad[0] > 0.0
-    worlds["weak"].advance(MonoNs(5_000_000_000))
-    assert abs(worlds["weak"].truth().R_ned_body.rpy_rad[0]) < 0.3
-    assert len(worlds["weak"].readings().motors_pwm) == 4, "the telemetry of an AR.Drone"
-
-
 @given(name=st.sampled_from(shipped("vehicles")), rotor=st.integers(0, 5), left=st.floats(0.8, 1.0), seed=st.integers(0, 1000))
 @settings(max_examples=12)
 def test_a_vehicle_with_a_weak_rotor_and_authority_left_flies_on_level(name: str, rotor: int, left: float, seed: int) -> None:

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from sitl.sea.sea import SEA_STATES, Waves
-from sitl.vessel.seakeeping import FERRY, OTTER, SUPPLY_SHIP, hull, responses
+from sitl.vessel.seakeeping import FERRY, OTTER, SUPPLY_SHIP, responses
 from sitl.vessel.vessel import Mooring, Vessel
 
 PERIODS = np.arange(5.0, 18.0, 0.25)
@@ -77,20 +76,3 @@ def test_times_in_equal_steps_and_any_others_give_the_same_motion() -> None:
     for name in ("eta", "eta_dot", "eta_ddot"):
         ours = getattr(vessel.motion(equal), name)[0]
         np.testing.assert_allclose(ours, [getattr(m, name)[0] for m in alone], atol=1e-11)
-
-
-def test_the_pad_stands_at_its_lever_arm() -> None:
-    vessel = Vessel(SUPPLY_SHIP, Waves.draw(SEA_STATES[5], 1), heading_rad=0.6, pad_yaw_rad=0.25)
-    p, R = vessel.pose(17.0)
-    pad = vessel.pad_at(17.0)
-    np.testing.assert_allclose(pad.p_ned, p + R @ np.array([-22.0, 0.0, -3.0]), atol=1e-12)
-    np.testing.assert_allclose(pad.R_ned, (R @ Rotation.from_rpy(0, 0, 0.25)).matrix, atol=1e-9)
-
-
-def test_bad_input_is_refused() -> None:
-    with pytest.raises(BadInput, match="hull must be one of otter, ferry, supply_ship"):
-        hull("titanic")
-    with pytest.raises(ValueError, match="speed_m_s"):
-        Vessel(FERRY, Waves.flat(), speed_m_s=-1.0)
-    with pytest.raises(ValueError, match="2 seeds for 1 vessels"):
-        Vessel(FERRY, Waves.flat(), mooring=Mooring(), seeds=[1, 2])

@@ -227,26 +227,6 @@ def test_a_turning_ships_velocities_are_those_of_its_motion(t: float, current: t
     np.testing.assert_allclose(m.w[0], w, atol=1e-5)
 
 
-def test_a_turn_leaves_what_was_before_and_meets_the_sea_on_its_new_heading() -> None:
-    waves = Waves.draw(SEA_STATES[4], [5, 6], towards_rad=2.0)
-    turning = TurningVessel(TURNING, waves, Turn(math.radians(2.0), 30.0, 10.0), heading_rad=0.7, speed_m_s=6.0)
-    straight = Vessel(TURNING, waves, heading_rad=0.7, speed_m_s=6.0)
-    t = np.linspace(0.0, 29.0, 60)
-    np.testing.assert_allclose(turning.pad(t).p_ned, straight.pad(t).p_ned, atol=2e-3)
-    late = 80.0
-    (p, _), (_, _) = turning.pose(late), turning.pose(late, 1)
-    course = turning._course.at(np.array([late]))
-    heading = 0.7 + float(course.yaw[0])
-    assert heading == pytest.approx(0.7 + math.radians(2.0) * (50.0 - 5.0))
-    # A ship that always ran on that heading and is at that place now answers the same waves alike, except for the turn's heel.
-    speed = float(course.speed[0])
-    here = p[:2] - late * speed * np.array([math.cos(heading), math.sin(heading)])
-    other = Vessel(TURNING, waves, heading_rad=heading, speed_m_s=speed, p0_ne_m=(float(here[0]), float(here[1])))
-    mine, its = turning.motion(late).eta[0], other.motion(late).eta[0]
-    mine = mine - np.eye(6)[3] * turning._heel(course.share)[0]
-    np.testing.assert_allclose(mine[2:5], its[2:5], atol=0.03 * np.abs(its[2:5]).max())
-
-
 def test_a_turn_costs_speed_and_heels_the_ship_outwards() -> None:
     """A circle of 4 lengths leaves 0.074 x 4 + 0.149 of the speed; phi = V r (KG - T/2) / (g GM)."""
     after = speed_in_turn_m_s(6.0, rate := math.radians(1.0), 82.8)

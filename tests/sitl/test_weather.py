@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, after
-from sitl.campaign.report import SEA, VEHICLE, WIND, cells_of, render_map
 from sitl.flight.afterwards import STANDS_AFTER_S, AftermathWatch
 from sitl.flight.one_flight import FlyOptions, settings_for
 from sitl.flight.referee import Errand, Referee
@@ -244,22 +243,3 @@ def test_a_boats_log_is_its_motion(tmp_path: Path) -> None:
     assert world.truth().v_pad_ned[0] == pytest.approx(0.5, abs=0.15)
     assert world.truth().v_body_ned[0] == pytest.approx(0.5, abs=0.15), "it starts with the boat"
     world.advance(MonoNs(5_000_000_000))
-
-
-def flight_of(vehicle: str, sea: int, wind: float, lateral_m: float | None) -> dict[str, Any]:
-    refused = None if lateral_m is not None else "it leans by 17.9 deg against the wind (limit 15 deg); frames: none"
-    return {
-        "varied": {VEHICLE: vehicle, SEA: sea, WIND: wind}, "unsafe": [], "landed_on_pad": lateral_m is not None,
-        "refused": refused, "touchdown": None if lateral_m is None else {"lateral_m": 9.0}, "standing": {"lateral_m": lateral_m},
-    }  # fmt: skip
-
-
-def test_a_map_shows_what_lands_how_well_and_why_not() -> None:
-    flights = [flight_of("quad", 4, 6.0, 0.02), flight_of("quad", 4, 6.0, 0.04), flight_of("quad", 4, 9.0, None)]
-    cells = cells_of(flights)
-    assert (cells["quad", 4, 6.0].on_pad, cells["quad", 4, 9.0].on_pad) == (2, 0)
-    page = render_map("weather_4", "model", flights)
-    for output in ("2/2", "3.0, 3.9 cm", "0/1", "1 refused: it leans against the wind", "sea state 4", "9 m/s"):
-        assert output in page
-    with pytest.raises(BadInput, match="a map needs flights that vary"):
-        cells_of([{"seed": 1}])

@@ -43,55 +43,6 @@ def phase_of(world: World) -> VehiclePhase:
     return world.phase
 
 
-class Pilot:
-    """Flies by the truth: follows the pad with a tilt for the velocity wanted, descends when above it, lands low."""
-
-    def __init__(self, world: World) -> None:
-        self._world, self._sum = world, np.zeros(2)
-
-    def steer(self, period_s: float) -> None:
-        t, limits = self._world.truth(), self._world.limits
-        d, v = t.d_body_pad_level[:2], -t.v_pad_level[:2]
-        error = np.clip(0.7 * d, -0.8, 0.8) - v
-        self._sum = np.clip(self._sum + 0.4 * period_s * error, -2.0, 2.0)
-        tilt = np.clip((1.4 * error + self._sum) / 9.81 / limits.euler_angle_max_rad, -1.0, 1.0)
-        lateral, height = float(np.hypot(*d)), float(t.d_body_pad_level[2])
-        sink = 0.4 if lateral < 0.15 + 0.1 * height else 0.0
-        gaz = -sink / limits.vz_max_m_s
-        self._world.stick(Stick(float(tilt[1]), float(-tilt[0]), gaz, 0.0, True))
-        if height < 0.35 and lateral < 0.15:
-            self._world.land()
-
-
-def land(world: World, limit_s: float) -> Truth:
-    pilot, period = Pilot(world), 0.02
-    for _ in range(round(limit_s / period)):
-        if world.phase == VehiclePhase.FLYING or world.phase == VehiclePhase.HOVERING:
-            pilot.steer(period)
-        run(world, period)
-        if world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY):
-            run(world, 1.0)
-            break
-    return world.truth()
-
-
-@pytest.mark.parametrize("name", ["demo", "calm", "moderate"])
-def test_a_pilot_who_knows_the_truth_lands_on_the_pad(name: str) -> None:
-    scenario = load(name)
-    truth = land(World(scenario, 3), scenario.duration_limit_s)
-    touch = truth.touchdown
-    assert truth.phase == VehiclePhase.LANDED
-    assert touch is not None
-    assert touch.on_pad
-    assert touch.surface == "pad"
-    assert touch.lateral_m < 0.25
-    assert touch.lateral_m == pytest.approx(float(np.hypot(*touch.p_body_pad[:2])))
-    assert touch.p_body_pad[2] == pytest.approx(-0.045, abs=0.04)
-    assert 0.0 < touch.vertical_speed_m_s < 0.8
-    assert abs(truth.d_body_pad_level[2] - 0.045) < 0.02
-    assert np.abs(truth.v_pad_level).max() < 0.15
-
-
 def test_starts_where_the_scenario_says() -> None:
     for heading in (0.0, 35.0, -170.0):
         start = Start(height_m=5.0, pad_forward_m=1.5, pad_right_m=2.6, heading_deg=heading)
@@ -157,25 +108,6 @@ def test_same_seed_same_flight_to_the_bit() -> None:
     assert same(one.render(), two.render())
     assert not same(one.readings(), other.readings())
     assert not same(one.truth(), other.truth())
-
-
-def test_the_image_shows_the_pad_where_the_truth_has_it() -> None:
-    """Centroid of the green paint against the projected centre of the disc."""
-    world = World(with_(load("demo"), start=Start(height_m=4.0, pad_forward_m=0.6, pad_right_m=-0.8)), 1)
-    world.stick(Stick(0.2, 0.2, 0.0, 0.0, True))
-    run(world, 0.6)
-    t, image = world.truth(), world.render()
-    assert image.px.shape == (360, 640, 3)
-    b, g, r = (image.px[..., i].astype(int) for i in range(3))
-    disc = (g > 50) & (g > 2 * b) & (g > 2 * r)
-    v, u = np.nonzero(disc)
-    points = world.pad.circle(0.36) @ t.R_ned_pad.matrix.T + t.p_pad_ned
-    in_cam = (points - t.p_body_ned) @ t.R_ned_body.matrix @ world.camera.T_body_cam.R.matrix - world.camera.T_body_cam.R.inv @ (
-        world.camera.T_body_cam.t
-    )
-    expected = world.camera.project(in_cam).mean(axis=0)
-    assert u.size > 1000
-    assert [u.mean(), v.mean()] == pytest.approx(expected, abs=2.0)
 
 
 def test_takes_off_from_a_moving_deck_and_comes_back() -> None:

@@ -19,7 +19,7 @@ from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from sitl.emulators.autopilots.lock_step import FaultyLink
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.faults.faulty_streams import VehicleStreams
-from sitl.faults.kinds import CommandStream, LinkLost, NavdataStream, StreamFault
+from sitl.faults.kinds import LinkLost, NavdataStream, StreamFault
 from sitl.faults.timer import FaultTimer
 from tests.support.clocks import PatientClock
 from tests.support.waiting import free_port, until
@@ -85,28 +85,14 @@ def lost(driver: Autopilot) -> int:
     return driver.links.all[0].counters.total("lost")
 
 
-def ages_s(samples: list[Sample]) -> list[float]:
-    """Return the ages of the samples on arrival, s. A busy machine makes any of them older, but hardly all."""
-    return [s.stamp.delay_s for s in samples if isinstance(s, Imu | Attitude | BodyVelocity)]
-
-
 async def test_without_a_fault_the_relay_changes_nothing() -> None:
     async with linked() as it:
-        samples = await it.fly(0.6)
+        await it.fly(0.6)
         assert lost(it.driver) == 0
-        assert min(ages_s(samples)) < 0.03
         it.driver.command(Velocity(np.array([0.4, 0.0, 0.0]), 0.0))
         carried = it.link.carried
         assert carried["samples in"] == carried["samples out"] > 20
         assert carried["commands in"] == carried["commands out"] > 5
-
-
-async def test_late_samples_are_reported_as_old() -> None:
-    async with linked(NavdataStream(at_s=1.0, delay_s=0.4)) as it:
-        await it.fly(0.6, begins=True)
-        samples = await it.fly(0.5)
-        assert min(ages_s(samples)) == pytest.approx(0.4, abs=0.06)
-        assert lost(it.driver) == 0
 
 
 async def test_lost_datagrams_are_counted() -> None:
@@ -135,13 +121,3 @@ async def test_a_lost_link_is_noticed_and_comes_back() -> None:
         assert await it.fly(0.5) == []
         it.timer.update(3.1, 3.0, None)
         assert len(await it.fly(0.8)) > 20
-
-
-async def test_lost_commands_never_reach_the_autopilot() -> None:
-    async with linked(CommandStream(at_s=1.0, dropped_fraction=1.0)) as it:
-        await it.fly(0.1, begins=True)
-        received = len(it.fake.messages)
-        it.driver.command(Velocity(np.array([0.4, 0.0, 0.2]), 0.0))
-        await it.fly(0.5)
-        assert len(it.fake.messages) == received
-        assert it.link.carried["commands in"] > it.link.carried["commands out"]

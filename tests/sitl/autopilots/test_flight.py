@@ -68,14 +68,6 @@ def test_a_real_program_is_landed_on_the_pad(near: str, capsys: pytest.CaptureFi
     assert json.loads(capsys.readouterr().out)["touchdown"]["lateral_m"] < 0.15
 
 
-def test_a_program_that_ends_is_reported_with_its_last_words(tmp_path, near, capsys):
-    assert simulate(near, "--binary", program(tmp_path, "echo Vehicle model not found; exit 1")) == 1
-    printed = capsys.readouterr().err
-    assert "ended with code 1" in printed
-    assert "Vehicle model not found" in printed
-    assert "docs/sitl.md" in printed
-
-
 def test_a_program_that_never_steps_leaves_no_recording(tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]) -> None:
     kept = tmp_path / "flight.mcap"
     for before in (None, b"an older one"):

@@ -20,7 +20,6 @@ from drivers.endpoint import parse_endpoint
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import LinkOptions, Links, open_links
-from estimator.contracts.errors import BadInput
 from sitl.emulators.autopilots import px4
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
@@ -134,10 +133,3 @@ async def test_a_real_program_is_landed_on_the_pad_of_a_ship_under_way(tmp_path:
     assert end.landing is not None
     assert end.landing.on_pad
     assert end.failsafes == ()
-
-
-def test_a_build_without_its_start_up_files_is_refused(tmp_path: Path) -> None:
-    binary = build(tmp_path)
-    (tmp_path / "etc" / "init.d-posix" / "rcS").unlink()
-    with pytest.raises(BadInput, match="rcS"):
-        px4.start(binary, height_m=2.0)

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import seconds_between
 from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.lock_step import CameraTiming, LockStepCamera, LockStepClock
-from sitl.emulators.autopilots.program import executable, reserved_port, running
+from sitl.emulators.autopilots.program import reserved_port, running
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import load
@@ -117,17 +117,3 @@ def test_a_reserved_port_is_nobody_elses_until_it_is_given_back(monkeypatch: pyt
             pass
     with reserved_port() as again:
         assert again == port
-
-
-async def test_what_is_no_program_of_this_machine_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "program"
-    path.write_bytes(b"\x7fELF of another machine")
-    with pytest.raises(BadInput, match="is no program"):
-        executable(str(path), "arducopter")
-    path.chmod(0o755)
-    assert executable(str(path), "arducopter") == path
-    with pytest.raises(BadInput, match=r"cannot be run.*docs/sitl.md"):
-        async with running([str(path)], tmp_path):
-            pass
-    with pytest.raises(BadInput, match="needs --binary"):
-        executable(None, "px4")

@@ -1,9 +1,7 @@
 """The physics backends against stand-ins that follow the published interfaces: flown, landed, restarted."""
 
-import asyncio
 import json
 import math
-import socket
 import struct
 from typing import Any
 
@@ -11,12 +9,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
 from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.geodesy import GeoPoint, ned_between
-from estimator.contracts.geometry import Rotation
-from sitl.emulators.autopilots.ardupilot_json import CURVE, JsonBackend, decode, serve_json
+from sitl.emulators.autopilots.ardupilot_json import CURVE, JsonBackend, decode
 from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.motors import thrust_fraction, wrench
 from sitl.emulators.autopilots.px4_hil import HilBackend, Home, SensorNoise, gnss, motors_of, sensors, serve_hil
@@ -24,7 +20,6 @@ from sitl.emulators.autopilots.stand_in.cascade import command_of
 from sitl.scenario.scenario import Scenario, load
 from sitl.sensors.gnss import ORIGIN
 from sitl.vehicle.airframe import Airframe
-from tests.sitl.autopilots.pilot import Cascade
 
 HOST = "127.0.0.1"
 REST = (0.0, 0.0, 0.0, 0.0)
@@ -38,28 +33,6 @@ def on_the_pad(name: str = "calm") -> Scenario:
 def servo_packet(frame: int, motors: tuple[float, ...], rate_hz: int = 400, channels: int = 16) -> bytes:
     pwm = [round(1000 + 1000 * m) for m in motors] + [1500] * (channels - 4)
     return struct.pack(f"<HHI{channels}H", 18458 if channels == 16 else 29569, rate_hz, frame, *pwm)
-
-
-class JsonClient:
-    """ArduPilot's side: one packet out, one line of JSON in."""
-
-    def __init__(self, port: int) -> None:
-        self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._sock.setblocking(False)
-        self._sock.connect((HOST, port))
-        self.frame = 0
-
-    async def step(self, motors: tuple[float, ...], **changes: Any) -> dict[str, Any]:
-        self.frame += 1
-        loop = asyncio.get_running_loop()
-        await loop.sock_sendall(self._sock, servo_packet(changes.get("frame", self.frame), motors))
-        async with asyncio.timeout(60):
-            data = await loop.sock_recv(self._sock, 4096)
-        assert data.endswith(b"\n")
-        return dict(json.loads(data))
-
-    def close(self) -> None:
-        self._sock.close()
 
 
 # Motors
@@ -126,41 +99,6 @@ def test_a_lost_answer_is_repeated_and_a_restart_begins_again() -> None:
     assert backend.refused == 1
 
 
-async def test_a_program_takes_off_hovers_and_lands_on_the_pad_in_lock_step() -> None:
-    backend = JsonBackend(lambda step_s: Body(on_the_pad("moderate"), 3, step_s, CURVE))
-    cascade = Cascade(Airframe(), CURVE)
-    async with serve_json(backend, HOST, 0) as port:
-        program = JsonClient(port)
-        try:
-            output = await program.step(REST)
-            body = backend.body
-            assert body is not None
-            heights = []
-            while output["timestamp"] < 16.0 and (output["timestamp"] < 4.0 or body.landing() is None):
-                t = output["timestamp"]
-                climb = 1.5 if t < 8.0 else 1.5 - 0.5 * (t - 8.0)
-                target = body.p_pad_ned + np.array([0.0, 0.0, -climb])
-                motors = cascade.motors(
-                    np.array(output["position"]),
-                    np.array(output["velocity"]),
-                    Rotation.from_quat(output["quaternion"]),
-                    np.array(output["imu"]["gyro"]),
-                    target,
-                    body.v_pad_ned,
-                )
-                output = await program.step(motors)
-                if 5.0 < t < 8.0:
-                    heights.append(body.p_pad_ned[2] - output["position"][2])
-        finally:
-            program.close()
-    assert np.mean(heights) == pytest.approx(1.5, abs=0.25)
-    landing = body.landing()
-    assert landing is not None
-    assert landing.on_deck
-    assert landing.lateral_m < 0.3
-    assert 0.0 < landing.speed_m_s < 1.0
-
-
 # PX4
 
 
@@ -201,47 +139,3 @@ async def test_a_second_flight_beside_px4_s_simulator_is_reported() -> None:
         with pytest.raises(SetupImpossible, match="another flight or simulator"):
             async with serve_hil(backend, HOST, port):
                 pass
-
-
-async def test_px4_is_nudged_until_it_runs_and_then_goes_in_lock_step() -> None:
-    backend = HilBackend(Body(on_the_pad(), 1, 0.004), seed=1)
-    cascade = Cascade(Airframe(), 0.0)
-    async with serve_hil(backend, HOST, 0) as port:
-        reader, writer = await asyncio.open_connection(HOST, port)
-        codec = Codec(1, 1)
-        received_at: list[Any] = []
-
-        async def until_sensor() -> Any:
-            async with asyncio.timeout(60):
-                while True:
-                    while received_at:
-                        m = received_at.pop(0)
-                        kinds.add(m.get_type())
-                        if m.get_type() == "HIL_SENSOR":
-                            return m
-                    received_at.extend(codec.feed(await reader.read(4096)))
-
-        kinds: set[str] = set()
-        first = await until_sensor()
-        for _ in range(20):  # PX4 boots: says nothing, and time goes on
-            last = await until_sensor()
-        assert last.time_usec > first.time_usec
-        body = backend.body
-        heights = []
-        writer.write(codec.pack(actuators(REST, armed=False)))
-        while body.t_s < 6.0:
-            await until_sensor()
-            s = body.state()
-            target = body.p_pad_ned + np.array([0.0, 0.0, -2.0])
-            motors = cascade.motors(s.p_ned, s.v_ned, s.R_ned_body, s.w_body, target, np.zeros(3))
-            stepped = body.t_s
-            writer.write(codec.pack(actuators(motors)))
-            while body.t_s == stepped and not received_at:
-                received_at.extend(codec.feed(await reader.read(4096)))
-            assert body.t_s - stepped < 0.03, "one step an answer"
-            if body.t_s > 5.0:
-                heights.append(body.p_pad_ned[2] - s.p_ned[2])
-        writer.close()
-    assert "HIL_GPS" in kinds
-    assert np.mean(heights) == pytest.approx(2.0, abs=0.2)
-    assert body.landing() is None

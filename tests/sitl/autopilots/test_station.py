@@ -112,20 +112,6 @@ def test_where_the_landing_begins_at_rest_the_start_comes_up_to_a_vehicle_that_s
     assert math.hypot(*(start - body)) < 0.7
 
 
-def test_an_unaided_autopilot_is_ordered_into_its_own_landing_mode_and_the_companion_is_not() -> None:
-    command_handler = CommandHandler(unaided=True)
-    command_handler.arm()
-    command_handler.view = replace(FAR, height_m=4.0, to_start_level=np.zeros(3), v_rel_level=np.zeros(3), turn_rad=0.0)
-    ordered = [m for m in command_handler.wait(3.0) if m.get_type() == "COMMAND_LONG"]
-    assert {(m.command, m.target_component, m.param2) for m in ordered} == {(mav.MAV_CMD_DO_SET_MODE, 1, 9.0)}
-    command_handler.on_message(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_ACCEPTED, 191))
-    assert command_handler.station.task is Task.ORDER, "nobody asked the companion"
-    command_handler.on_message(beat("land", True))
-    assert command_handler.station.task is Task.WATCH
-    assert command_handler.station.began == command_handler.now
-    assert {m.get_type() for m in command_handler.wait(2.0)} == {"HEARTBEAT"}, "the autopilot has it"
-
-
 def test_px4_is_armed_and_climbs_in_offboard_with_the_decks_velocity() -> None:
     """Its own take-off holds over the ground, and a place of zeros is a place to it."""
     command_handler = CommandHandler(Stack.PX4)

@@ -4,13 +4,14 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Iterable
 from contextlib import closing
 from pathlib import Path
 
 from companion.settings.model import Settings
-from sitl.campaign.code import code_version
-from sitl.campaign.plan import CampaignPlan, Job, make_plan, seeds_of
-from sitl.campaign.store import FolderStore, Session
+from sitl.campaign.figures import Tally, added, tallies_of
+from sitl.campaign.plan import CampaignPlan, Job, code_version, make_plan, seeds_of
+from sitl.campaign.store import FolderStore, fly_left
 from sitl.campaign.task import Flight
 from sitl.campaign.workers import LocalWorkers
 from sitl.flight.one_flight import Perception, settings_for
@@ -24,6 +25,10 @@ RAISES, KILLS = 13, 66
 def plan(name: str = "near", **over: object) -> CampaignPlan:
     scenario = near(**over)
     return make_plan(name, scenario, settings_for(scenario, None), "pixels")
+
+
+def tally_of(flights: Iterable[Flight]) -> Tally:
+    return added(tallies_of(flights).values())
 
 
 def fake_fly(
@@ -79,7 +84,7 @@ def main(folder: str, runs: str, delay_s: str = "0", workers: str = "2") -> None
         closing(FolderStore(Path(folder), own, seeds)) as store,
         LocalWorkers(own, code_version(), int(workers), fake_fly) as workforce,
     ):
-        Session(workforce, store).fly((Job(seed) for seed in seeds), lambda flight: print(flight["seed"], flush=True))
+        fly_left(workforce.results, store, map(Job, seeds), lambda flight: print(flight["seed"], flush=True))
 
 
 if __name__ == "__main__":

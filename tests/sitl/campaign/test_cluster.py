@@ -13,12 +13,10 @@ import pytest
 
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput, Recoverable
-from sitl.campaign.code import code_version
-from sitl.campaign.plan import Job
-from sitl.campaign.summary import tally
+from sitl.campaign.plan import Job, code_version
 from sitl.campaign.task import Order, OtherCode, fly_order
 from sitl.campaign.workers import ClusterWorkers
-from tests.sitl.campaign.fakes import RAISES, fake_fly, plan
+from tests.sitl.campaign.fakes import RAISES, fake_fly, plan, tally_of
 
 pytestmark = pytest.mark.slow
 
@@ -56,7 +54,7 @@ def served() -> Iterator[tuple[subprocess.Popen[str], str]]:
 def test_a_cluster_gives_the_same_results_although_a_worker_is_killed(served) -> None:
     own, (_, address) = plan(start={"height_m": 2.1}), served
     seeds = range(RAISES - 12, RAISES + 13)
-    alone = tally(fly_order(Order(Job(seed), own.base(), code_version(), fake_fly)) for seed in seeds)
+    alone = tally_of(fly_order(Order(Job(seed), own.base(), code_version(), fake_fly)) for seed in seeds)
     with worker(address, "two") as (victim, _), ClusterWorkers(own, code_version(), address, fake_fly) as cluster:
         assert cluster.threads == 2
         flights = []
@@ -65,8 +63,8 @@ def test_a_cluster_gives_the_same_results_although_a_worker_is_killed(served) ->
             if len(flights) == 5:
                 victim.kill()
     assert sorted(flight["seed"] for flight in flights) == list(seeds)
-    assert tally(flights).hash == alone.hash
-    assert tally(flights).errors == 1
+    assert tally_of(flights).hash == alone.hash
+    assert tally_of(flights).counts["errors"] == 1
 
 
 def test_orders_that_a_broken_connection_cancelled_are_given_again(served) -> None:

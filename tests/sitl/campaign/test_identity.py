@@ -1,17 +1,13 @@
 """Identity of a campaign: the files behind its files, and settings that follow the scenario."""
 
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
 from companion.settings.load import SHIPPED
-from estimator.contracts.errors import BadInput, Recoverable
-from sitl.campaign import workers as cluster
+from estimator.contracts.errors import BadInput
 from sitl.campaign.overrides import Overridable
-from sitl.campaign.plan import make_plan
-from sitl.campaign.workers import ClusterWorkers
+from sitl.campaign.plan import digest_of, make_plan
 from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load
 
@@ -37,8 +33,8 @@ def test_a_changed_recording_behind_the_vessels_file_is_another_campaign(tmp_pat
         scenario = load(recorded(tmp_path, heave_m))
         plans.append(make_plan("recorded", scenario, settings_for(scenario, None), "truth"))
     assert "scenario: vessel: recording" in plans[0].files
-    assert plans[0].digest() == plans[1].digest()
-    assert plans[0].digest() != plans[2].digest()
+    assert digest_of(plans[0]) == digest_of(plans[1])
+    assert digest_of(plans[0]) != digest_of(plans[2])
     assert {key for key in plans[0].files if plans[0].files[key] != plans[2].files[key]} == {"scenario: vessel: recording"}
 
 
@@ -77,24 +73,3 @@ def test_settings_that_follow_the_scenario_follow_its_other_vehicle_and_ship(of_
     assert (cone.feet_below_m, follow.response, settings.guidance.rendezvous.enabled) == (
         (own.guidance.cone.feet_below_m, own.guidance.follow_deck.response, False) if of_a_file else (0.25, "hexa_7kg", True)
     )
-
-
-def test_a_cluster_whose_workers_are_all_gone_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The scheduler lives and waits for workers for ever; the campaign says so instead."""
-    monkeypatch.setattr(cluster, "_LOOK_S", 0.02)
-    monkeypatch.setattr(cluster, "_WORKERLESS_S", 0.1)
-    workers: Any = ClusterWorkers.__new__(ClusterWorkers)
-    workers._address = "tcp://host:8786"
-    looks: list[int] = []
-
-    def ncores() -> dict[str, int]:
-        looks.append(1)
-        return {"tcp://one": 1} if len(looks) < 8 else {}
-
-    workers._client = SimpleNamespace(status="running", ncores=ncores)
-    with pytest.raises(
-        Recoverable, match=r"had no worker for 0.1 s; start one \(dask worker tcp://host:8786\), and the same command"
-    ):
-        workers._await(SimpleNamespace(has_ready=lambda: False))
-    assert len(looks) >= 10, "it waited while there was a worker"
-    workers._await(SimpleNamespace(has_ready=lambda: True))

@@ -4,7 +4,6 @@ import json
 import tomllib
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from hypothesis import given, settings
@@ -136,32 +135,6 @@ def test_a_drawn_fault_is_one_that_a_file_may_hold_and_the_file_flies_the_same(s
     written = from_mapping(data, "written")
     assert (written.faults, written.expect, written.unreached_contacts) == (faults, "either", drawn.unreached_contacts)
     assert drawn.unreached_contacts == any(isinstance(fault, ServiceKilled) for fault in faults)
-
-
-def test_a_written_file_is_the_scenario_that_was_flown(tmp_path: Path) -> None:
-    for seed in (5, 830_000, 830_003):
-        drawn = with_random_faults(load("calm"), seed, "model")
-        path = tmp_path / f"case-{seed}.toml"
-        path.write_text(as_toml("calm", drawn, drawn.faults, ["one", "two"]))
-        assert load(path) == drawn
-
-
-def test_several_scenarios_are_flown_with_the_same_seeds_and_each_has_its_cases(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(random_faults, "verdict_of", lambda flight_row: "unsafe")
-    monkeypatch.setattr(random_faults, "simpler", lambda faults: iter(()))
-    names = []
-    for name in ("one", "two"):
-        (tmp_path / f"{name}.toml").write_text(NEAR)
-        names.append(str(tmp_path / f"{name}.toml"))
-    out = tmp_path / "out"
-    common = ["--runs", "1", "--seed", "3", "--perception", "model", "--faults", "random", "--workers", "1"]
-    cli.main(["campaign", *names, *common, "--json", "--out", str(out)])
-    *flights, summary = map(json.loads, capsys.readouterr().out.splitlines())
-    assert sorted(flight_row["scenario"] for flight_row in flights) == names
-    assert flights[0]["faults"] == flights[1]["faults"]
-    assert summary["summary"]["random_faults"]["counts"]["unsafe"] == 2
-    assert sorted(path.name for path in out.glob("unsafe*")) == ["unsafe-one-3.toml", "unsafe-two-3.toml"]
-    assert "--perception model" in (out / "unsafe-one-3.toml").read_text()
 
 
 def flight_row(seed: int, **over: Any) -> Flight:

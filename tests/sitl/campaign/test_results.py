@@ -1,36 +1,40 @@
 """Varied keys, causes, comparison, tables and report of campaigns, on flights that cost nothing."""
 
-import math
+from collections.abc import Mapping
 from contextlib import closing
+from dataclasses import replace
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
-from sitl.campaign.code import code_version
 from sitl.campaign.figures import (
-    as_json,
+    RULES,
     bootstrap_interval,
-    by_value,
+    by_scenario,
+    cause_of,
     differences_of,
     effect_of,
-    figures_of,
+    effects_of,
+    in_columns,
     in_rows,
+    in_words,
     map_of,
-    varied_point,
+    severity,
+    tallies_of,
 )
 from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis
-from sitl.campaign.plan import Job
-from sitl.campaign.report import REPORT, fly_again, render_report
+from sitl.campaign.plan import Job, code_version
+from sitl.campaign.report import REPORT, SEA, VEHICLE, WIND, fly_again, render_map, render_report
 from sitl.campaign.store import FolderStore, flights_in, manifest_of, manifest_of_plan
-from sitl.campaign.summary import RULES, cause_of, in_words, severity, tally
 from sitl.campaign.task import Flight, Order, fly_order
 from sitl.flight.one_flight import settings_for
 from tests.fly import near
-from tests.sitl.campaign.fakes import RAISES, fake_fly, plan
+from tests.sitl.campaign.fakes import RAISES, fake_fly, plan, tally_of
 
 AT = "--vary"
 
@@ -76,103 +80,49 @@ def test_a_wrong_axis_is_refused(text: str, said: str) -> None:
     assert said in str(why.value)
 
 
-@pytest.mark.parametrize(
-    ("args", "said"),
-    [
-        (["--vary", "wind.speed_m_s=0:30:10"], "--vary: wind.speed_m_s must be a number from 0 to 25 m/s, found 30"),
-        (["--vary", "wind.speed_m_s=0:3"], "a range is LOW:HIGH:STEP"),
-        (["--vary", "wind.speed_m_s=0:3:1", "--vary", "wind.speed_m_s=4,5"], "wind.speed_m_s is given twice"),
-        (["--against", "x"], "--against goes with --report"),
-        (["--report", "--against", "nothing"], "nothing is no campaign's folder: manifest.json: No such file"),
-        (["calm"], "scenario 'calm' is listed twice"),
-        (["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "--workers does not go with --scheduler"),
-    ],
-)
-def test_wrong_use_of_variation_is_one_clear_line(args, said, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["campaign", "calm", *args]) == 2
-    err = capsys.readouterr().err
-    assert said in err
-    assert err.count("\n") == 1
-
-
-def test_a_scenario_that_an_ardrone_cannot_fly_is_refused_before_the_first_flight(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["campaign", "gimbal", "--perception", "model"]) == 2
-    assert "gimbal: an AR.Drone has none" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
 def test_each_failure_has_the_cause_of_the_first_rule_that_fits() -> None:
     fine = flown(3)
     off = {**fine["touchdown"], "surface": "deck", "on_pad": False}
-    bad = {**fine, "grade": "failed"}
-    cases = {
+    away: dict[str, Any] = {"landed_on_pad": False, "touchdown": None, "contacts": []}
+    cases: dict[str, dict[str, Any]] = {
         "the flight raised an error": flown(RAISES),
-        "the service died in flight": {**bad, "unsafe": ["the service died in flight: KeyError"]},
-        "in the water": {**bad, "in_water": True, "unsafe": ["came down 2 m"]},
-        "came down without sight of the pad": {**bad, "unsafe": ["came down 0.8 m, to 0.2 m over the deck, without true sight"]},
-        "struck the deck beside the pad, then landed on the pad": {**bad, "contacts": [off, *fine["contacts"]]},
-        "a person was overruled": {**bad, "unsafe": ["a person ordered hold, and was sent: move, still 0.4 s later"]},
-        "touched the pad harder than it bears": {**bad, "unsafe": ["a foot struck the pad at 1.29 m/s"]},
-        "landed beside the pad": {**bad, "landed_on_pad": False, "touchdown": off, "contacts": [off]},
-        "struck the deck beside the pad and did not land": {
-            **bad,
-            "landed_on_pad": False,
-            "outcome": "gave up",
-            "contacts": [off],
-        },
-        "gave up, though it should land: no pad": {
-            **bad,
-            "landed_on_pad": False,
-            "outcome": "gave up",
-            "refused": "no pad at 0.1 m; frames",
-        },
-        "time ran out": {**bad, "landed_on_pad": False, "outcome": "time ran out", "touchdown": None, "contacts": []},
+        "the service died in flight": {"unsafe": ["the service died in flight: KeyError"]},
+        "in the water": {"in_water": True, "unsafe": ["came down 2 m"]},
+        "came down without sight of the pad": {"unsafe": ["came down 0.8 m, to 0.2 m over the deck, without true sight"]},
+        "struck the deck beside the pad, then landed on the pad": {"contacts": [off, *fine["contacts"]]},
+        "a person was overruled": {"unsafe": ["a person ordered hold, and was sent: move, still 0.4 s later"]},
+        "touched the pad harder than it bears": {"unsafe": ["a foot struck the pad at 1.29 m/s"]},
+        "landed beside the pad": {"landed_on_pad": False, "touchdown": off, "contacts": [off]},
+        "struck the deck beside the pad and did not land": {**away, "outcome": "gave up", "contacts": [off]},
+        "gave up, though it should land: no pad": {**away, "outcome": "gave up", "refused": "no pad at 0.1 m; frames"},
+        "time ran out": {**away, "outcome": "time ran out"},
+        "ended otherwise: emergency": {**away, "outcome": "emergency"},
     }
-    assert [cause_of(flight) for flight in cases.values()] == list(cases)
-    order = [severity(flight) for flight in cases.values()]
+    flights = [{**fine, "grade": "failed", **differs} for differs in cases.values()]
+    assert [cause_of(flight) for flight in flights] == list(cases)
+    order = [severity(flight) for flight in flights]
     assert order == sorted(order, reverse=True)
-    assert len(cases) == len(RULES)
+    assert len(cases) == len(RULES) + 1
     assert severity(fine) == 0
-    assert cause_of({**bad, "landed_on_pad": False, "outcome": "emergency", "contacts": []}) == "ended otherwise: emergency"
 
 
-def test_unsafe_flights_are_counted_and_named() -> None:
+@pytest.mark.parametrize("unsafe", [True, False])
+def test_bad_flights_are_counted_named_and_reported(unsafe: bool) -> None:
     """A flight that landed well after a contact that nobody intended is no good flight, and one can find it again."""
-    stray = "touched the pad at 0.55 m/s along it"
-    flights = [flown(seed, (("wind.speed_m_s", 1.0),)) for seed in range(15)]
-    flights[RAISES] = flown(20)
+    why, word = "touched the pad at 0.55 m/s along it", "UNSAFE" if unsafe else "FAILED"
+    flights = [flown(seed, (("wind.speed_m_s", 1.0),)) for seed in range(12)]
     for seed in (4, 1):
-        flights[seed] |= {"grade": "failed", "unsafe": [stray], "contacts_outside_commit": 1}
-    counted = tally(reversed(flights))
-    summary = counted.summary("near", "truth", 1.0)
-    assert (summary["unsafe"], summary["failed"], summary["contacts_outside_commit"]) == (2, 2, 2)
-    assert [one["seed"] for one in summary["unsafe_flights"]] == [1, 4]
-    assert f"UNSAFE near seed 1, wind.speed_m_s 1.0: {stray}\nUNSAFE near seed 4" in in_words(summary)
-    page = render_report({**manifest_of_plan(plan(), range(15), None)}, flights, 1.0)
-    assert page.count(escape(stray)) == 2
-    assert "touched the pad harder than it bears" in page
-    many = tally({**flights[1], "seed": seed} for seed in range(2500))
-    assert (many.unsafe, [one["seed"] for one in many.unsafe_flights]) == (2500, list(range(100)))
-    assert "and 2490 more unsafe flights" in in_words(many.summary("near", "truth", 1.0))
-
-
-def test_other_failed_flights_are_named_with_why_they_failed() -> None:
-    flights = [flown(seed) for seed in range(12) if seed != RAISES]
-    flights[2] |= {"grade": "failed", "because": "gave up, though it should land"}
-    flights[3] |= {"grade": "failed", "because": "in the water", "unsafe": ["in the water"]}
-    raised = flown(RAISES)
-    summary = tally([raised, *flights]).summary("near", "truth", 1.0)
-    assert [(one["seed"], one["because"]) for one in summary["failed_flights"]] == sorted(
-        [(flights[2]["seed"], "gave up, though it should land"), (RAISES, raised["because"])]
-    )
-    output = in_words(summary)
-    assert f"FAILED near seed {RAISES}: {raised['because']}" in output
-    assert "more that failed" not in output
-    many = tally({**flights[2], "seed": seed} for seed in range(2500))
-    assert len(many.failed_flights) == 100
-    assert "and 2490 more that failed" in in_words(many.summary("near", "truth", 1.0))
+        bad = {"unsafe": [why], "contacts_outside_commit": 1} if unsafe else {"because": why}
+        flights[seed] |= {"grade": "failed", **bad}
+    summary = tally_of(reversed(flights)).summary("near", "truth", 1.0)
+    assert (summary["unsafe"], summary["failed"], summary["contacts_outside_commit"]) == (2 * unsafe, 2, 2 * unsafe)
+    assert [one["seed"] for one in summary["unsafe_flights" if unsafe else "failed_flights"]] == [1, 4]
+    assert f"{word} near seed 1, wind.speed_m_s 1.0: {why}\n{word} near seed 4" in in_words(summary)
+    page = render_report({**manifest_of_plan(plan(), range(12), None)}, flights, 1.0)
+    assert page.count(escape(why)) == 2 * unsafe
+    many = tally_of({**flights[1], "seed": seed} for seed in range(2500)).summary("near", "truth", 1.0)
+    assert [one["seed"] for one in many["unsafe_flights" if unsafe else "failed_flights"]] == list(range(100))
+    assert "and 2490 more" in in_words(many)
 
 
 def test_campaigns_are_compared_seed_by_seed() -> None:
@@ -191,38 +141,53 @@ def test_campaigns_are_compared_seed_by_seed() -> None:
     assert (low, high) == pytest.approx((noise.mean() - 1.96 * 0.05, noise.mean() + 1.96 * 0.05), abs=0.012)
 
 
+def graded(varied: Mapping[str, Any], good: bool, error_m: float | None) -> Flight:
+    """Return a flight that landed this far off, or did not land."""
+    touch = None if error_m is None else {**flown(3)["touchdown"], "lateral_m": error_m}
+    grade = "on pad" if good else "failed"
+    return {**flown(3), "varied": varied, "grade": grade, "landed_on_pad": touch is not None, "touchdown": touch}
+
+
 def test_success_against_one_and_two_keys() -> None:
-    points = [({"a": a, "b": b}, a + b < 3, 0.1 * a if a + b < 3 else math.nan) for a in range(3) for b in range(3)]
-    one = effect_of(points, "a")
-    assert one.values == [0, 1, 2]
-    assert one.shares.tolist() == pytest.approx([1.0, 2 / 3, 1 / 3])
-    assert one.lateral_m.tolist() == pytest.approx([0.0, 0.1, 0.2])
-    two = map_of(points, "a", "b")
-    assert two.shares.tolist() == [[1, 1, 1], [1, 1, 0], [1, 0, 0]]
-    scattered = [({"a": x, "b": 1.0 - x}, x < 0.5, math.nan) for x in np.linspace(0.0, 1.0, 81)]
-    assert effect_of(scattered, "a").shares.tolist() == [1, 1, 1, 1, 0, 0, 0, 0]
+    grid = [({"a": a, "b": b}, a + b < 3, 0.1 * a if a + b < 3 else None) for a in range(3) for b in range(3)]
+    tallies = tallies_of(graded(*point) for point in grid)
+    assert list(effects_of(tallies)) == ["a", "b"]
+    one = effect_of(tallies, "a")
+    assert [row["value"] for row in one] == [0, 1, 2]
+    assert [row["good"] for row in one] == pytest.approx([1.0, 2 / 3, 1 / 3], abs=1e-6)
+    assert [row["lateral_median_m"] for row in one] == pytest.approx([0.0, 0.1, 0.2])
+    assert map_of(tallies, "a", "b").shares.tolist() == [[1, 1, 1], [1, 1, 0], [1, 0, 0]]
+    scattered = tallies_of(graded({"a": x, "b": 1.0 - x}, x < 0.5, None) for x in np.linspace(0.0, 1.0, 81).tolist())
+    assert [row["good"] for row in effect_of(scattered, "a")] == [1, 1, 1, 1, 0, 0, 0, 0]
     assert np.isnan(map_of(scattered, "a", "b").shares[0, 0]), "no flight was there"
+    assert effects_of({}) == {}
 
 
-def test_success_by_value_is_a_table_and_plain_values() -> None:
+def test_success_by_value_and_by_scenario_is_a_table_and_plain_values() -> None:
     flights = [flown(seed, (("wind.speed_m_s", speed), ("vessel.moored", True))) for seed in range(4) for speed in (0.0, 7.0)]
-    wind, moored = by_value([varied_point(flight) for flight in flights])
-    assert in_rows([wind, moored]).splitlines() == [
+    tallies = tallies_of(flights)
+    effects = effects_of(tallies)
+    assert in_rows(effects).splitlines() == [
         "wind.speed_m_s  flights   good  95 % interval  error, median",
         "             0        4  100 %    51 to 100 %         2.5 cm",
         "             7        4    0 %      0 to 49 %              -",
         "vessel.moored  flights  good  95 % interval  error, median",
         "         True        8  50 %     22 to 78 %         2.5 cm",
     ]
-    assert [(row["value"], row["runs"], row["good"]) for row in as_json(wind)] == [(0.0, 4, 1.0), (7.0, 4, 0.0)]
-    assert as_json(wind)[1]["lateral_median_m"] is None
-    assert by_value([]) == []
+    wind = effects["wind.speed_m_s"]
+    assert [(row["value"], row["runs"], row["good"]) for row in wind] == [(0.0, 4, 1.0), (7.0, 4, 0.0)]
+    assert wind[1]["lateral_median_m"] is None
+    (row,) = by_scenario({"near": {"scenario": {"expect": "go_around"}, "perception": "truth"}}, tallies)
+    assert in_columns([row]).splitlines()[1] == (
+        "near      go around  truth        8       4        0       4               0      0       4  4 landed beside the pad"
+    )
+    assert row["causes"] == {"landed beside the pad": 4}
 
 
 def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = overridable()
     axes = [parse_axis(t, given, AT) for t in ("wind.speed_m_s=0:8:2", "sea.peak_period_s=4:8:2")]
-    varied = plan().with_design(described("factorial", axes))
+    varied = replace(plan(), design=described("factorial", axes))
     for name, seeds in (("now", range(6)), ("before", range(3, 9))):
         with closing(FolderStore(tmp_path / name, varied, seeds)) as store:
             for seed in seeds:
@@ -231,6 +196,7 @@ def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert cli.main(command) == 0
     assert capsys.readouterr().out == f"report: {tmp_path / 'now' / REPORT}\n"
     page = (tmp_path / "now" / REPORT).read_text()
+    whole = tally_of(flights_in(tmp_path / "now" / "flights.jsonl"))
     for output in (
         "60 of 90 on the pad",
         "landed beside the pad",
@@ -239,16 +205,27 @@ def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[st
         "One factor",
         "Two factors",
         "may be chance",
-        tally(flights_in(tmp_path / "now" / "flights.jsonl")).hash,
+        whole.hash,
     ):
         assert output in page
     assert page.count("<svg") == 1 + 1 + 4 + 2 + 1
     assert "http" not in page.replace("http://www.w3.org", ""), "the page needs nothing else"
-    worst = figures_of(flights_in(tmp_path / "now" / "flights.jsonl")).worst
-    assert len(worst) == 10
-    assert {flight["grade"] for flight in worst} == {"failed"}
+    assert [flight["grade"] for flight in whole.worst] == ["failed"] * 10
     assert cli.main(["campaign", "report", str(tmp_path)]) == 2
     assert cli.main(["campaign", "report"]) == 2
     with pytest.raises(BadInput, match="no flights yet"):
         render_report(manifest_of(tmp_path / "now"), [], 0.0)
     assert fly_again(flown(3), ("--config", "a b.toml")).endswith("--seed 3 --config 'a b.toml' --report flight-3")
+
+
+def test_a_map_shows_what_lands_how_well_and_why_not() -> None:
+    leans = "it leans by 17.9 deg against the wind (limit 15 deg); frames: none"
+    flights = [
+        graded({VEHICLE: "quad", SEA: 4, WIND: wind}, True, error_m) | {"refused": leans if error_m is None else None}
+        for wind, error_m in ((6.0, 0.02), (6.0, 0.04), (9.0, None))
+    ]
+    page = render_map("weather_4", "model", flights)
+    for output in ("2/2", "3.0, 3.9 cm", "0/1", "1 refused: it leans against the wind", "sea state 4", "9 m/s"):
+        assert output in page
+    with pytest.raises(BadInput, match="a map needs flights that vary"):
+        render_map("weather_4", "model", [flown(1)])

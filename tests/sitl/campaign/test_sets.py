@@ -10,15 +10,11 @@ import pytest
 
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
-from sitl.campaign.code import code_version
-from sitl.campaign.figures import by_scenario, in_columns
-from sitl.campaign.plan import Job, SetPlan, is_set, load_set, shipped_sets
+from sitl.campaign.plan import is_set, load_set, shipped_sets
 from sitl.campaign.report import REPORT
-from sitl.campaign.task import Order, base_of, fly_order, job_of
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load as load_scenario
 from tests.fly import NEAR
-from tests.sitl.campaign.fakes import fake_fly, plan
 
 TWO = 'title = "two"\nperception = "truth"\n[[scenario]]\nname = "near.toml"\n[[scenario]]\nname = "held.toml"\n'
 
@@ -74,62 +70,12 @@ def test_the_report_of_a_set_prints_commands_that_fly_the_same_flights_again(tmp
         assert {k: v for k, v in again.items() if k not in apart} == {k: flight[k] for k in again if k not in apart}
 
 
-def test_jobs_of_a_set_find_their_plan_and_come_back_from_their_result() -> None:
-    chosen = SetPlan("two", "Two", {"a": plan("a"), "b": plan("b", start={"height_m": 1.0})})
-    known: dict[str, bytes] = {}
-    for job in (Job(3, (), "a"), Job(3, (), "b"), Job(4, (), "b")):
-        flight = fly_order(Order(job, base_of(chosen, job, known), code_version(), fake_fly))
-        assert flight["scenario"] == job.scenario
-        assert job_of(flight) == job
-    assert set(known) == {"a", "b"}
-    assert known["a"] != known["b"]
-    other = SetPlan("two", "Two", {"a": plan("a"), "b": plan("b")})
-    assert chosen.digest() != other.digest()
-
-
-def test_the_table_counts_each_scenario_and_names_causes() -> None:
-    members = {
-        name: {"scenario": {"expect": expect}, "perception": "truth"} for name, expect in (("a", "land"), ("b", "go_around"))
-    }
-    flights = [
-        {**fly_order(Order(Job(seed), plan(name).base(), code_version(), fake_fly)), "scenario": name}
-        for name, seed in (("a", 1), ("a", 2), ("b", 3))
-    ]
-    flights[1] |= {"grade": "failed", "unsafe": ["in the water"], "in_water": True, "landed_on_pad": False}
-    a, b = by_scenario(members, flights)
-    assert (a.runs, a.on_pad, a.failed, a.in_water, a.unsafe, a.causes) == (2, 1, 1, 1, 1, "in the water")
-    assert (b.runs, b.failed, b.causes) == (1, 0, "")
-    lines = in_columns([a, b]).splitlines()
-    assert lines[1].split() == [
-        "a",
-        "land",
-        "truth",
-        "2",
-        "1",
-        "0",
-        "1",
-        str(a.contacts_outside_commit),
-        "1",
-        "1",
-        "in",
-        "the",
-        "water",
-    ]
-    assert "go around" in lines[2]
-
-
 @pytest.mark.parametrize("name", shipped_sets())
 def test_shipped_sets_load_and_every_scenario_acts_at_its_level(name: str) -> None:
     chosen, scenarios = load_set(name)
     assert is_set(name)
     for member in chosen.scenario:
         perceive(chosen.level(member)).refuse(scenarios[member.name].faults)
-
-
-def test_the_thirty_are_thirty_and_each_says_what_is_right() -> None:
-    _, scenarios = load_set("thirty_faults")
-    assert len(scenarios) >= 29
-    assert all(scenario.because and scenario.faults for scenario in scenarios.values())
 
 
 def test_a_set_may_give_its_scenarios_another_base(tmp_path: Path) -> None:
@@ -156,10 +102,3 @@ def test_what_is_wrong_with_a_set_is_named(tmp_path: Path, text: str, said: str)
         load_set(path)
     assert str(why.value).startswith(f"{path}: ")
     assert said in str(why.value)
-
-
-def test_wrong_use_of_a_set_is_one_clear_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["campaign", "thirty_faults", "--vary", "wind.speed_m_s=0:4:2"]) == 2
-    assert "--vary goes with one scenario" in capsys.readouterr().err
-    assert cli.main(["campaign", "thirty_faults", "--perception", "truth"]) == 2
-    assert "thirty_faults: faults/camera_freezes: the fault frames_frozen acts on vision" in capsys.readouterr().err
