@@ -235,14 +235,14 @@ def same_bits(a: Any, b: Any) -> bool:
     """Return whether two values are equal to the last bit of their arrays; structures and sequences are compared by members."""
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    if isinstance(a, Sequence) and isinstance(b, Sequence) and not isinstance(a, str | bytes):
+        return len(a) == len(b) and all(map(same_bits, a, b))
     if type(a) is not type(b):
         return False
     if isinstance(a, Rotation):
         return same_bits(a.matrix, b.matrix)
     if isinstance(a, Mapping):
         return a.keys() == b.keys() and all(same_bits(a[key], b[key]) for key in a)
-    if isinstance(a, Sequence) and not isinstance(a, str | bytes):
-        return len(a) == len(b) and all(map(same_bits, a, b))
     if names := getattr(a, "__struct_fields__", None) or getattr(a, "__dataclass_fields__", None):
         return all(same_bits(getattr(a, name), getattr(b, name)) for name in names)
     return bool(a == b or (a != a and b != b))

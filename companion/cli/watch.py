@@ -56,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from companion.parts.mqtt.connection import BrokerEndpoint
     from companion.parts.mqtt.messages import Topics
+    from companion.settings.links import MqttSettings
     from companion.settings.load import load
 
     if args.config is not None:

@@ -180,33 +180,30 @@ def fusion(at: MonoNs, of: FusionResult) -> rec.FusionRecord:
 
 def decision(of: Decision) -> rec.DecisionRecord:
     """Return the record of a decision."""
-    steering = None if of.belief is None else of.belief.path
-    changes, found, ahead = [transition(change) for change in of.transitions], response(of.response), deck(of.ahead)
-    if isinstance(of.command, Velocity):
-        v, turn = of.command.v_level.tolist(), of.command.yaw_rate_rad_s
-        return rec.DecisionRecord(
-            int(of.at), of.phase, steering, "velocity", v, turn, of.reason, None, None, changes, found, ahead
-        )
-    if isinstance(of.command, Lean):
-        lean = of.command
-        v, a, trim = lean.v_level.tolist(), lean.a_level.tolist(), lean.trim_level.tolist()
-        return rec.DecisionRecord(
-            int(of.at), of.phase, steering, "lean", v, lean.yaw_rate_rad_s, of.reason, a, trim, changes, found, ahead
-        )
-    simple = None if of.command is None else COMMANDS[type(of.command)]
+    command, v, turn, a, trim = of.command, None, None, None, None
+    if isinstance(command, Velocity | Lean):
+        v, turn = command.v_level.tolist(), command.yaw_rate_rad_s
+    if isinstance(command, Lean):
+        a, trim = command.a_level.tolist(), command.trim_level.tolist()
     return rec.DecisionRecord(
-        int(of.at), of.phase, steering, simple, reason=of.reason, transitions=changes, response=found, deck=ahead
+        int(of.at),
+        of.phase,
+        None if of.belief is None else of.belief.path,
+        None if command is None else COMMANDS[type(command)],
+        v,
+        turn,
+        of.reason,
+        a,
+        trim,
+        [transition(change) for change in of.transitions],
+        response(of.response),
+        deck(of.ahead),
     )
 
 
 def deck(of: DeckOutlook | None) -> rec.DeckRecord | None:
     """Return the record of a forecast of the deck."""
-    if of is None:
-        return None
-    columns = (
-        of.horizons_s, of.height_m, of.sigma_height_m, of.roll_rad, of.sigma_roll_rad, of.pitch_rad, of.sigma_pitch_rad,
-    )  # fmt: skip
-    return rec.DeckRecord(*map(list, columns))
+    return None if of is None else rec.DeckRecord(*(list(getattr(of, name)) for name in rec.DeckRecord.__struct_fields__))
 
 
 def response(of: ResponseInUse | None) -> rec.ResponseRecord | None:

@@ -1,12 +1,13 @@
 """The messages of the service's local socket: one JSON object a line, requests in, answers and states out. No I/O."""
 
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
 
 from companion.base.orders import OperatorOrder, StickPositions
 
+T = TypeVar("T")
 LINE_MAX = 1024
 """The longest line, bytes."""
 _Stick = Annotated[float, Meta(ge=-1.0, le=1.0)]
@@ -75,27 +76,28 @@ class RequestRefused(Struct, frozen=True, kw_only=True, tag_field="kind", tag="r
 
 Answer = OrderAnswer | FlightState | RequestRefused
 
-_requests = msgspec.json.Decoder(Request)
-_answers = msgspec.json.Decoder(Answer)
+_requests: msgspec.json.Decoder[Request] = msgspec.json.Decoder(Request)
+_answers: msgspec.json.Decoder[Answer] = msgspec.json.Decoder(Answer)
 _encode = msgspec.json.Encoder().encode
+
+
+def read(decoder: msgspec.json.Decoder[T], data: bytes | str) -> T | str:
+    """Return what a peer's message says, or the reason why it is none, in words. Never raises."""
+    try:
+        return decoder.decode(data)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as why:
+        return str(why)[:200]
 
 
 def request_of(line: bytes) -> Request | str:
     """Return the request in a line, or the reason why it is none. Never raises."""
-    try:
-        found: Request = _requests.decode(line)
-        return found
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as why:
-        return str(why)[:200]
+    return read(_requests, line)
 
 
 def answer_of(line: bytes) -> Answer | None:
     """Return the answer in a line of the service, or None if it is none."""
-    try:
-        found: Answer = _answers.decode(line)
-        return found
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return None
+    found = read(_answers, line)
+    return None if isinstance(found, str) else found
 
 
 def line_of(message: Request | Answer) -> bytes:

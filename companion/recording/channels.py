@@ -1,14 +1,21 @@
-"""The topics of a recording and the messages that each holds."""
+"""The topics of a recording, the messages that each holds, and their schemas.
 
-from typing import get_args
+The schemas are in the subset of JSON Schema that viewers of MCAP files read. Foxglove and Lichtblick know objects, arrays,
+numbers, integers, booleans, text and base64; no references, unions or nulls. A field that may be None is therefore left out of
+the message where it is None, and out of `required`.
+"""
+
+from typing import Any, get_args
 
 import msgspec
+from msgspec import inspect
 
 from companion.facts import records as rec
 from companion.recording import foxglove as fox
 from companion.recording.scene import SceneUpdate
 from estimator.contracts.estimates import PathName
 from estimator.contracts.fusion import Source
+from estimator.contracts.samples import Sample
 
 IMAGE, VIDEO = "/camera/image", "/camera/video"
 ANNOTATIONS, CALIBRATION = "/camera/annotations", "/camera/calibration"
@@ -39,20 +46,11 @@ def pose(path: str) -> str:
     return f"/pose/{path}"
 
 
-SAMPLES: dict[type[msgspec.Struct], str] = {
-    rec.ImuRecord: "/sample/imu",
-    rec.AttitudeRecord: "/sample/attitude",
-    rec.GimbalRecord: "/sample/gimbal",
-    rec.VelocityRecord: "/sample/velocity",
-    rec.RangeRecord: "/sample/range",
-    rec.BaroRecord: "/sample/baro",
-    rec.VesselRecord: "/sample/vessel",
-    rec.FixRecord: "/sample/fix",
-    rec.StatusRecord: "/sample/status",
-}
-
+_SAMPLE_NAMES = ("imu", "attitude", "gimbal", "velocity", "range", "baro", "vessel", "fix", "status")
+SAMPLES: dict[type[Sample], str] = {kind: f"/sample/{name}" for kind, name in zip(get_args(Sample), _SAMPLE_NAMES, strict=True)}
+"""The topic of each kind of sample, in the order of `SampleRecord`."""
 TOPICS: dict[str, type[msgspec.Struct]] = {
-    **{topic: kind for kind, topic in SAMPLES.items()},
+    **dict(zip(SAMPLES.values(), get_args(rec.SampleRecord), strict=True)),
     DETECTION: rec.DetectionRecord,
     **{belief(path): rec.BeliefRecord for path in PATHS},
     **{fusion(source): rec.FusionRecord for source in get_args(Source)},
@@ -79,3 +77,39 @@ def schema_name(kind: type[msgspec.Struct]) -> str:
     if kind.__module__ in (fox.__name__, SceneUpdate.__module__):
         return f"foxglove.{kind.__name__}"
     return f"decklander.{kind.__name__.removesuffix('Record')}"
+
+
+def json_schema(kind: type[msgspec.Struct], name: str) -> dict[str, Any]:
+    """Return the schema, called `name`, of a struct whose fields are numbers, text, bytes, lists and other structs.
+
+    Raises:
+        TypeError: a field of another type.
+    """
+    return {"title": name, **_schema(inspect.type_info(kind))}
+
+
+def _schema(of: inspect.Type) -> dict[str, Any]:
+    match of:
+        case inspect.Metadata():
+            return _schema(of.type) | dict(of.extra_json_schema or {})
+        case inspect.StructType():
+            required = [f.encode_name for f in of.fields if f.required]
+            out: dict[str, Any] = {"type": "object", "properties": {f.encode_name: _schema(f.type) for f in of.fields}}
+            return out | ({"required": required} if required else {})
+        case inspect.ListType():
+            return {"type": "array", "items": _schema(of.item_type)}
+        case inspect.UnionType():
+            kinds = [t for t in of.types if not isinstance(t, inspect.NoneType)]
+            if len(kinds) == 1:
+                return _schema(kinds[0])
+        case inspect.BytesType():
+            return {"type": "string", "contentEncoding": "base64"}
+        case inspect.StrType():
+            return {"type": "string"}
+        case inspect.BoolType():
+            return {"type": "boolean"}
+        case inspect.IntType():
+            return {"type": "integer"}
+        case inspect.FloatType():
+            return {"type": "number"}
+    raise TypeError(f"no viewer reads {of!r}")

@@ -227,9 +227,7 @@ def deck(of: rec.DeckRecord | None, at: MonoNs) -> DeckOutlook | None:
     """Return a recorded forecast of the deck, made at an instant. Raises ValueError if its columns differ in length."""
     if of is None:
         return None
-    columns = (
-        of.horizons_s, of.height_m, of.sigma_height_m, of.roll_rad, of.sigma_roll_rad, of.pitch_rad, of.sigma_pitch_rad,
-    )  # fmt: skip
+    columns = [getattr(of, name) for name in of.__struct_fields__]
     if len({len(column) for column in columns}) != 1:
         raise ValueError("a forecast of the deck has columns of different lengths")
     return DeckOutlook(at, *map(tuple, columns))

@@ -12,8 +12,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.recording.channels import TOPICS, schema_name
-from companion.recording.schema import json_schema
+from companion.facts.wire import read
+from companion.recording.channels import TOPICS, json_schema, schema_name
 
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 TEXT_MAX = 65_536
@@ -52,10 +52,8 @@ _requests: msgspec.json.Decoder[Request] = msgspec.json.Decoder(Request)
 
 def request_in(text: str) -> Request | str:
     """Return a client's request, or why it is none."""
-    try:
-        return _requests.decode(text)
-    except (msgspec.MsgspecError, UnicodeEncodeError, RecursionError) as why:
-        return f"not understood: {why}"[:200]
+    found = read(_requests, text)
+    return f"not understood: {found}"[:200] if isinstance(found, str) else found
 
 
 def server_info(name: str, session: str) -> str:

@@ -11,8 +11,7 @@ from typing import IO, Any, cast
 import msgspec
 from mcap.writer import CompressionType, IndexType, Writer
 
-from companion.recording.channels import TOPICS, schema_name
-from companion.recording.schema import json_schema
+from companion.recording.channels import TOPICS, json_schema, schema_name
 from estimator.vision.pad import Pad
 
 CHUNK_BYTES = 4 << 20

@@ -19,17 +19,7 @@ from companion.recording.scene import error_ellipsoid, fixed_scene
 from companion.settings.service import FrameForm
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.samples import (
-    Attitude,
-    Baro,
-    BodyVelocity,
-    GeoFix,
-    GimbalAttitude,
-    Imu,
-    Range,
-    VehicleStatus,
-    VesselReport,
-)
+from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
@@ -79,22 +69,12 @@ class MessageEncoder:
         A frame is a tuple of its detection record, its processed frame if the image is kept, and its detection.
         """
         t = self._time(at)
+        if isinstance(what, Sample):
+            yield channels.SAMPLES[type(what)], t, encode.sample(what)
+            if isinstance(what, Attitude) and self._due(at):
+                yield channels.TRANSFORMS, t, fox.attitude_transform(self._time(what.stamp.measured_at), what.R_ned_body)
+            return
         match what:
-            case (
-                Imu()
-                | Attitude()
-                | GimbalAttitude()
-                | BodyVelocity()
-                | Range()
-                | Baro()
-                | VesselReport()
-                | GeoFix()
-                | VehicleStatus()
-            ):
-                record = encode.sample(what)
-                yield channels.SAMPLES[type(record)], t, record
-                if isinstance(what, Attitude) and self._due(at):
-                    yield channels.TRANSFORMS, t, fox.attitude_transform(self._time(what.stamp.measured_at), what.R_ned_body)
             case (rec.DetectionRecord() as record, ProcessedFrame() | None as processed, Detection() | None as detection):
                 yield from self._frame(t, record, processed, detection)
             case FusionResult():

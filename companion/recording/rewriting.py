@@ -175,8 +175,7 @@ def _copy(recording: Recording, file: McapFile, message_encoder: MessageEncoder,
         elif cut.inputs and not isinstance(
             event, TruthRecord | FusionRecord | LinkRecord | HealthRecord | OrderRecord | Decision
         ):
-            record = encode.sample(event)
-            file.add(channels.SAMPLES[type(record)], t, record)
+            file.add(channels.SAMPLES[type(event)], t, encode.sample(event))
         elif cut.inputs and isinstance(event, TruthRecord):
             file.add(channels.TRUTH, t, event)
         else:

@@ -14,7 +14,6 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from companion.base.health import NIS_WINDOW, Health
 from companion.base.observer import NullObserver
-from companion.facts import encode
 from companion.facts.records import FusionRecord
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.metrics.endpoint import text
@@ -33,13 +32,15 @@ from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.innovations import innovation_series
 from companion.tools.report.page import render
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import COMPONENTS, FusionResult, Source
+from estimator.contracts.fusion import COMPONENTS, FusionResult
 from estimator.contracts.time import MonoNs
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
 from tests.companion.recorder_parts import ABOUT, CAMERA
+from tests.companion.test_records import result
 from tests.companion.test_report import PAD
 from tests.fly import sim_settings
+from tests.make import same_bits
 
 T = 5_000_000_000
 
@@ -49,62 +50,6 @@ class Clock:
         return MonoNs(T)
 
     async def sleep(self, seconds: float) -> None: ...
-
-
-def result(
-    source: Source = "sighting", verdict: Verdict = Verdict.FUSED, *, nis: float = 2.0, test_ratio: float = 0.1, at: int = T
-) -> FusionResult:
-    """Return a result whose numbers are all different."""
-    components = COMPONENTS[source]
-    m = len(components)
-    cov = 0.01 * np.diag(np.arange(1.0, m + 1)) + 0.001
-    received_at = MonoNs(at + 50_000_000)
-    if math.isnan(nis):
-        return FusionResult("ekf", source, verdict, MonoNs(at), received_at)
-    return FusionResult(
-        "ekf", source, verdict, MonoNs(at), received_at, 0.1 * np.arange(1.0, m + 1), cov, components, nis, test_ratio
-    )
-
-
-def same(a: FusionResult, b: FusionResult) -> bool:
-    plain = ("path", "source", "verdict", "measured_at", "received_at", "components")
-    return (
-        all(getattr(a, name) == getattr(b, name) for name in plain)
-        and np.array_equal(np.array([a.nis, a.test_ratio]), np.array([b.nis, b.test_ratio]), equal_nan=True)
-        and np.array_equal(np.atleast_1d(a.innovation), np.atleast_1d(b.innovation))  # type: ignore[arg-type]
-        and np.array_equal(np.atleast_1d(a.innovation_cov), np.atleast_1d(b.innovation_cov))  # type: ignore[arg-type]
-    )
-
-
-@pytest.mark.parametrize("source", COMPONENTS)
-@pytest.mark.parametrize("nis", [2.0, math.nan])
-def test_a_recorded_result_reads_back_to_the_bit(source: Source, nis: float) -> None:
-    if not COMPONENTS[source] and not math.isnan(nis):
-        return
-    observations = result(source, Verdict.GATED, nis=nis)
-    wire = msgspec.json.encode(encode.fusion(MonoNs(T + 1), observations))
-    read = msgspec.json.decode(wire, type=FusionRecord)
-    assert read.at_ns == T + 1
-    assert same(decode.fusion(read), observations)
-    assert b"null" not in wire, "viewers know no null"
-
-
-def test_figures_that_are_not_finite_are_left_out() -> None:
-    observations = FusionResult(
-        "ekf", "range", Verdict.SINGULAR, MonoNs(T), MonoNs(T), np.array([1.0]), np.array([[np.inf]]), ("range_m",)
-    )
-    record = encode.fusion(MonoNs(T), observations)
-    assert (record.innovation, record.innovation_cov, record.nis, record.test_ratio) == ([1.0], None, None, None)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"path": "gps"}, {"source": "sonar"}, {"verdict": "maybe"}, {"innovation": [1.0]}, {"innovation_cov": [1.0, 2.0, 3.0]}],
-)
-def test_a_damaged_record_is_refused(wrong: dict[str, object]) -> None:
-    record = msgspec.structs.replace(encode.fusion(MonoNs(T), result()), **wrong)
-    with pytest.raises(ValueError, match=r".+"):
-        decode.fusion(record)
 
 
 def test_every_result_is_recorded_but_those_of_imu_samples_that_were_taken(tmp_path: Path) -> None:
@@ -121,7 +66,7 @@ def test_every_result_is_recorded_but_those_of_imu_samples_that_were_taken(tmp_p
     recording = open_recording([path])
     read = [event for event in recording.events() if isinstance(event, FusionRecord)]
     assert [r.at_ns - T for r in read] == [0, 2, 3]
-    assert all(same(decode.fusion(a), observations[a.at_ns - T]) for a in read)
+    assert all(same_bits(decode.fusion(a), observations[a.at_ns - T]) for a in read)
     assert recording.counts[channels.fusion("imu")] == 1
     assert not recording.skipped
 
@@ -150,17 +95,17 @@ def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
     Replay(recording, pilot_of(recording, settings, None, own_camera=False, alone=True), sightings=True, observers=[again]).run()
     assert {r.source for _, r in flown.observations} >= {"sighting", "attitude", "velocity", "baro", "imu"}
     assert len(again.observations) == len(flown.observations)
-    assert all(a[0] == b[0] and same(a[1], b[1]) for a, b in zip(again.observations, flown.observations, strict=True))
+    assert all(a[0] == b[0] and same_bits(a[1], b[1]) for a, b in zip(again.observations, flown.observations, strict=True))
     recorded = [decode.fusion(e) for e in recording.events() if isinstance(e, FusionRecord)]
     expected = [r for _, r in flown.observations if r.source != "imu" or r.verdict is not Verdict.FUSED]
     assert len(recorded) == len(expected) > 200
-    assert all(same(a, b) for a, b in zip(recorded, expected, strict=True))
+    assert all(same_bits(a, b) for a, b in zip(recorded, expected, strict=True))
     for cut, left in ((Cut(), len(expected)), (Cut(inputs=True), 0)):
         part = tmp_path / "part.mcap"
         rewrite(recording, part, cut)
         found = [decode.fusion(e) for e in open_recording([part]).events() if isinstance(e, FusionRecord)]
         assert len(found) == left, "what was concluded from the inputs is none of them"
-        assert all(same(a, b) for a, b in zip(found, expected, strict=False))
+        assert all(same_bits(a, b) for a, b in zip(found, expected, strict=False))
     for (_, source), tally in flight.health.tallies.items():
         assert tally.verdicts.total() == sum(r.source == source for _, r in flown.observations), source
 

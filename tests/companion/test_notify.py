@@ -63,15 +63,9 @@ def watched(
 ) -> Daemon:
     health = Health(CLOCK)
     pulse = Pulse(Manager(address), health, CLOCK, lambda: bool(pilot.vehicle and pilot.vehicle.flying), interval_s)
-    return Daemon(
-        vehicle.open,
-        pilot,
-        CLOCK,
-        DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0),
-        observers=(*more, pulse),
-        health=health,
-        extras={"manager": pulse.run},
-    )
+    setup = DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0)
+    extras = {"manager": pulse.run}
+    return Daemon(vehicle.open, pilot, CLOCK, setup, observers=(*more, pulse), health=health, extras=extras)
 
 
 def pilot_of() -> Pilot:
@@ -181,18 +175,16 @@ def test_what_counts_as_stuck(ages: dict[str, float], frames_done: int, flying: 
     assert output is None if why is None else output is not None and output.startswith(why)
 
 
-def test_an_abstract_address_and_a_manager_that_is_gone(tmp_path: Path) -> None:
+def test_the_manager_is_found_as_systemd_writes_it_and_may_be_gone(tmp_path: Path) -> None:
     systemd = Systemd(f"@decklander-{tmp_path.name}-{id(tmp_path)}")
-    manager = Manager("@" + systemd.socket.getsockname()[1:].decode())
+    manager = Manager.of({"NOTIFY_SOCKET": "@" + systemd.socket.getsockname()[1:].decode()})
+    assert manager is not None
     manager.say(STATUS="two\nlines", READY="1")
     assert systemd.read() == [{"STATUS": "two lines", "READY": "1"}]
     systemd.socket.close()
     manager.say(WATCHDOG="1")
     assert manager.lost == 1
     manager.close()
-
-
-def test_the_environment_is_read_as_systemd_writes_it() -> None:
     assert Manager.of({}) is None
     with pytest.raises(BadInput, match="NOTIFY_SOCKET"):
         Manager.of({"NOTIFY_SOCKET": "vsock:2:1234"})

@@ -174,23 +174,15 @@ def test_a_link_that_leads_nowhere_among_the_recordings_is_stepped_over(tmp_path
     assert len(samples_of(tmp_path / "decklander-20261120T050000Z-0002.mcap")) == 200
 
 
-def dangling(path: Path) -> None:
-    path.symlink_to(path.with_name("unplugged"))
-
-
-def mend_dangling(path: Path) -> None:
-    path.with_name("unplugged").mkdir()
-
-
-def mend_file(path: Path) -> None:
-    path.unlink()
-
-
 @pytest.mark.parametrize(
     ("spoil", "mend", "why"),
     [
-        (dangling, mend_dangling, "recordings is a link to .*unplugged, which does not exist"),
-        (Path.touch, mend_file, "recordings: File exists"),
+        (
+            lambda path: path.symlink_to(path.with_name("unplugged")),
+            lambda path: path.with_name("unplugged").mkdir(),
+            "recordings is a link to .*unplugged, which does not exist",
+        ),
+        (Path.touch, Path.unlink, "recordings: File exists"),
     ],
 )
 def test_a_folder_that_cannot_be_used_is_tried_until_it_can(tmp_path, caplog, spoil, mend, why):

@@ -2,15 +2,10 @@
 
 from typing import Any
 
-import msgspec
-import pytest
-
 from companion.base.observer import Decision
 from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
-from companion.facts import encode, records
 from companion.parts.mavlink.component import Component, ComponentOptions
 from companion.parts.mavlink.outputs import MavSeverity
-from companion.recording import decode
 from estimator.contracts.time import MonoNs
 from tests.companion.metrics.test_metrics import Clock
 
@@ -23,18 +18,6 @@ ALL = (ASSUMED, KNOWN, LATER, SLOWER)
 
 def decision(response: ResponseInUse | None, at: int = 7) -> Decision:
     return Decision(MonoNs(at), "descend", None, None, response=response)
-
-
-@pytest.mark.parametrize("response", [*ALL, None])
-def test_it_is_recorded_whole(response: ResponseInUse | None) -> None:
-    wire = msgspec.json.encode(encode.decision(decision(response)))
-    read = decode.response(msgspec.json.decode(wire, type=records.DecisionRecord).response)
-    assert read == response
-
-
-def test_a_recorded_response_that_nobody_knows_is_refused() -> None:
-    with pytest.raises(ValueError, match="guessed"):
-        decode.response(records.ResponseRecord("guessed", 0.05))
 
 
 def test_the_ground_station_learns_of_a_contradiction_only() -> None:

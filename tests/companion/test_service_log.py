@@ -85,20 +85,13 @@ def test_no_kind_has_more_lines_in_a_minute_and_every_line_is_accounted_for(arri
 def test_a_flood_is_one_line_with_its_count() -> None:
     limit = KindLimit()
     assert sum(limit.admits(record(f"bad stream {n}"), 0.01 * n) for n in range(1000)) == LINES_A_MINUTE
-    assert limit.admits(record("another place", line=2), 10.0)
-    assert not list(limit.due(59.0))
     assert list(limit.due(60.0)) == [("companion.x", "940 more lines like this in 60 s: bad stream 999")]
-    assert limit.admits(record("bad stream again"), 60.1)
 
 
-def test_a_text_that_a_peer_chose_stays_on_one_line_and_cannot_control_a_terminal() -> None:
+def test_a_text_that_a_peer_chose_stays_on_one_line_and_other_peoples_loggers_are_shown_by_our_levels() -> None:
     with log_into_pipe() as (reported, reading):
         reported.handle(record("ship\n2026 ERROR forged: it landed\x1b[2J\u2028end"))
         assert read_until(reading, "end") == "WARNING companion.x: ship 2026 ERROR forged: it landed [2J end\n"
-
-
-def test_other_peoples_loggers_are_shown_by_our_levels() -> None:
-    with log_into_pipe() as (reported, reading):
         for n, (name, level) in enumerate(
             [("pymavlink.dialects", logging.ERROR), ("aiohttp.web", logging.INFO), ("libav.h264", logging.WARNING)]
         ):

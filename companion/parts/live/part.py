@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from contextlib import closing
 
 import msgspec
 from aiohttp import WSCloseCode, WSMsgType, web
@@ -29,18 +30,7 @@ from drivers.mailbox import Line
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
-from estimator.contracts.samples import (
-    Attitude,
-    Baro,
-    BodyVelocity,
-    GeoFix,
-    GimbalAttitude,
-    Imu,
-    Range,
-    Sample,
-    VehicleStatus,
-    VesselReport,
-)
+from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
@@ -56,17 +46,6 @@ _EVENTS, _FRAMES = 1024, 2
 """Events and frames that may wait for the thread: some two seconds of them, and 1.4 MB."""
 _NEVER_LIVE = frozenset({channels.TRUTH, channels.TRUE_POSE, channels.LINK})
 """Topics of the simulator and of links, which are recorded otherwise."""
-_SAMPLE_TOPICS: dict[type, frozenset[str]] = {
-    Imu: frozenset({"/sample/imu"}),
-    Attitude: frozenset({"/sample/attitude", channels.TRANSFORMS}),
-    GimbalAttitude: frozenset({"/sample/gimbal"}),
-    BodyVelocity: frozenset({"/sample/velocity"}),
-    Range: frozenset({"/sample/range"}),
-    Baro: frozenset({"/sample/baro"}),
-    VesselReport: frozenset({"/sample/vessel"}),
-    GeoFix: frozenset({"/sample/fix"}),
-    VehicleStatus: frozenset({"/sample/status"}),
-}
 
 
 def topics(settings: HttpSettings) -> tuple[str, ...]:
@@ -119,7 +98,7 @@ class LiveFeed(NullObserver):
         self._again = self._again or new
 
     def on_sample(self, sample: Sample) -> None:
-        if self._wanted and not self._wanted.isdisjoint(_SAMPLE_TOPICS[type(sample)]):
+        if channels.SAMPLES[type(sample)] in self._wanted or (type(sample) is Attitude and channels.TRANSFORMS in self._wanted):
             self._events.offer((sample.stamp.received_at, sample))
 
     def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
@@ -151,8 +130,7 @@ class LiveFeed(NullObserver):
 
     async def run(self) -> None:
         """Encode and send until cancelled."""
-        worker = Worker("foxglove")
-        try:
+        with closing(Worker("foxglove")) as worker:
             async for events in self._events.together():
                 again, self._again = self._again, False
                 # A frame that the queue dropped waits no more either: all that wait are in this batch.
@@ -160,8 +138,6 @@ class LiveFeed(NullObserver):
                 encoded = await worker.run(self._encoded, events, self._wanted, again)
                 self._counts["messages"] += len(encoded)
                 self._send(encoded)
-        finally:
-            worker.close()
 
     def _due(self, at: MonoNs) -> bool:
         due = self._shown is None or seconds_between(self._shown, at) >= 0.9 / self._settings.picture_rate_hz

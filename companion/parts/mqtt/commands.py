@@ -22,6 +22,7 @@ from typing import Literal, TypeVar, cast
 import msgspec
 import numpy as np
 
+from companion.facts.wire import read
 from companion.guidance.pilot_operator import Operated
 from companion.parts.mqtt.messages import (
     AbortCommand,
@@ -101,10 +102,10 @@ def _opened(payload: bytes, topic: str, key: bytes | None, longest_bytes: int) -
 
 
 def _decoded(payload: bytes, decoder: msgspec.json.Decoder[T]) -> T:
-    try:
-        return decoder.decode(payload)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as why:
-        raise RefusedMessage("malformed", str(why)[:200]) from why
+    found = read(decoder, payload)
+    if isinstance(found, str):
+        raise RefusedMessage("malformed", found)
+    return found
 
 
 def _check_run(named: str, run: str, retained: bool) -> None:

@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from companion.facts.records import BeliefRecord, DecisionRecord, DetectionRecord, FusionRecord, HealthRecord, StatusRecord
+from companion.facts.wire import read
 from estimator.contracts.estimates import PathName
 
 ROOT = "decklander/v2"
@@ -245,17 +246,16 @@ PUBLISHED: dict[str, type[Message]] = {
 """Last level of the topic to the type of its messages."""
 
 encode = msgspec.json.Encoder().encode
+_DECODERS = {leaf: msgspec.json.Decoder(model) for leaf, model in PUBLISHED.items()}
 
 
 def decode(leaf: str, payload: bytes) -> Message | None:
     """Return the decoded message of the drone, or None if the payload does not fit the topic `leaf`."""
-    model = PUBLISHED.get(leaf.partition("/")[0])
-    if model is None:
+    decoder = _DECODERS.get(leaf.partition("/")[0])
+    if decoder is None:
         return None
-    try:
-        return msgspec.json.decode(payload, type=model)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return None
+    found = read(decoder, payload)
+    return None if isinstance(found, str) else found
 
 
 def schema() -> str:

@@ -8,7 +8,7 @@ from msgspec import Meta, Struct
 
 from companion.base.things import ThingReport
 from companion.facts.records import BeliefRecord, DeckRecord
-from companion.facts.wire import FlightState, OrderAnswer, OrderRequest, RequestRefused, SticksRequest
+from companion.facts.wire import FlightState, OrderAnswer, OrderRequest, RequestRefused, SticksRequest, read
 
 TEXT_MAX = 1024
 """The longest message from a browser, characters, unless it brings a settings text."""
@@ -272,19 +272,15 @@ class PictureHeader(Struct, frozen=True, kw_only=True):
 ToolAnswer = ExaminedReport | SettingsText | SavedSettings | CalibrationReport | RecordingList | DownloadAnswer | ReportAnswer
 ToPage = PageWelcome | PageState | PageHealth | PageEvent | OrderAnswer | RequestRefused | ToolAnswer
 
-_requests = msgspec.json.Decoder(PageRequest)
+_requests: msgspec.json.Decoder[PageRequest] = msgspec.json.Decoder(PageRequest)
 _encode = msgspec.json.Encoder().encode
 
 
 def request_in(text: str) -> PageRequest | str:
     """Return the request in a message, or the reason why it is none. Never raises."""
-    try:
-        found: PageRequest = _requests.decode(text)
-        if len(text) > TEXT_MAX and not isinstance(found, SaveSettingsRequest):
-            return f"more than {TEXT_MAX} characters"
-        return found
-    except (msgspec.DecodeError, UnicodeError, RecursionError) as why:
-        return str(why)[:200]
+    found = read(_requests, text)
+    too_long = len(text) > TEXT_MAX and not isinstance(found, SaveSettingsRequest | str)
+    return f"more than {TEXT_MAX} characters" if too_long else found
 
 
 def text_of(message: ToPage) -> str:

@@ -5,36 +5,10 @@ import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 MB = 1_000_000
 _NAME = re.compile(r"decklander-\d{8}T\d{6}Z-\d{4}\.mcap")
-
-
-class StoragePolicy(Protocol):
-    """Chooses paths for files and reports when there is no space."""
-
-    def next_path(self) -> Path:
-        """Return a path that does not exist yet, in a folder that does. Raises OSError if there is none."""
-        ...
-
-    def tidy(self, current: Path | None) -> None:
-        """Remove surplus files, but never `current`. It never raises: a file that cannot be removed is counted."""
-        ...
-
-    def lacks_room(self, least_mb: float = 0.0) -> str | None:
-        """Return why nothing may be written now, or None if at least `least_mb` is free. Raises OSError."""
-        ...
-
-    @property
-    def max_file_bytes(self) -> int | None:
-        """The size after which a new file begins, bytes; None sets no limit."""
-        ...
-
-    @property
-    def not_removed(self) -> int:
-        """The number of times that a surplus file could not be removed."""
-        ...
 
 
 def recordings(folder: Path) -> list[Path]:
@@ -63,14 +37,17 @@ class Folder:
     delete: Literal["oldest", "uploaded"] = "oldest"
     """The files that are removed: the oldest, or the oldest of those that were uploaded (`companion.parts.recorder.upload`)."""
     not_removed: int = 0
+    """The number of times that a surplus file could not be removed."""
     _next: int = 1
     _too_much: bool = False
 
     @property
     def max_file_bytes(self) -> int | None:
+        """The size after which a new file begins, bytes; None sets no limit."""
         return round(self.max_file_mb * MB)
 
     def next_path(self) -> Path:
+        """Return a path that does not exist yet, in a folder that does. Raises OSError if there is none."""
         _made(self.path)
         # A dangling link occupies its name as well.
         while os.path.lexists(path := self.path / f"decklander-{self.started_utc}-{self._next:04d}.mcap"):
@@ -78,6 +55,7 @@ class Folder:
         return path
 
     def tidy(self, current: Path | None) -> None:
+        """Remove surplus files, but never `current`. It never raises: a file that cannot be removed is counted."""
         try:
             files = recordings(self.path)
         except OSError:
@@ -100,6 +78,7 @@ class Folder:
         self._too_much = self.delete == "uploaded" and total > self.max_total_mb * MB
 
     def lacks_room(self, least_mb: float = 0.0) -> str | None:
+        """Return why nothing may be written now, or None if at least `least_mb` is free. Raises OSError."""
         _made(self.path)
         if self._too_much:
             self.tidy(None)
@@ -134,6 +113,10 @@ class SingleFile:
 
     def lacks_room(self, least_mb: float = 0.0) -> str | None:
         return _lacking(self.path.parent, least_mb)
+
+
+StoragePolicy = Folder | SingleFile
+"""Chooses paths for files and reports when there is no space; `Folder` says what each method does."""
 
 
 def in_words(why: OSError) -> str:

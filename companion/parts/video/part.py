@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from companion.base.observer import NullObserver, ProcessedFrame
 from companion.base.worker import Worker
 from companion.guidance.pilot import Pilot
-from companion.recording.timed_frames import CLOCK_HZ, TimedFrames, prepare
+from companion.recording.frame_encoder import CLOCK_HZ, TimedFrames, prepare
 from companion.settings.links import VideoStreamOptions
 from companion.tools.report.expected_place import camera_lean
 from companion.tools.report.overlay import Overlay, annotate, annotated_size

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.recording.frame_encoder import CLOCK_HZ, TimedFrames, prepare
 from companion.recording.frame_video import VideoImage
-from companion.recording.timed_frames import CLOCK_HZ, TimedFrames, prepare
 from companion.tools.report.flight_log import FlightLog, FrameRecord
 from companion.tools.report.overlay import Overlay, annotate, annotated_size
 from companion.tools.report.plots import steering_states
