@@ -2,24 +2,11 @@
 
 from pathlib import Path
 
-_GATE = ("tests/estimator/ekf/test_gate.py",)
-_CORE = (
-    "tests/estimator/ekf/test_core.py",
-    "tests/estimator/ekf/test_process_event_bounds.py",
-    "tests/estimator/ekf/test_noise_and_inflation.py",
-)
-_BESIDE_THE_ORACLE = "tests/estimator/ekf/test_core_sightings.py"
-_SIGHTINGS = (
-    "tests/estimator/ekf/test_noise_and_inflation.py",
-    f"{_BESIDE_THE_ORACLE}::test_each_sighting_has_the_oracle_s_outcome_and_belief",
-    f"{_BESIDE_THE_ORACLE}::test_the_model_of_a_sighting_is_the_oracle_s",
-)
-_BANK = (
-    f"{_BESIDE_THE_ORACLE}::test_the_bank_learns_what_the_oracle_s_does",
-    f"{_BESIDE_THE_ORACLE}::test_each_sighting_has_the_oracle_s_outcome_and_belief",
-)
-_ANSWERS = ("tests/estimator/ekf/test_answer.py",)
-_FORECASTS = ("tests/estimator/ekf/test_forecast.py",)
+_ORACLE = "tests/estimator/ekf/test_oracle.py"
+_BEGIN = "tests/estimator/ekf/test_begin.py"
+_HISTORY = "tests/estimator/ekf/test_history.py"
+_ALGEBRA = "tests/estimator/ekf/test_algebra.py"
+_CORE_OF_FILTER = Path(__file__).parents[1] / "estimator/core/filter"
 _PIPELINE = ("tests/estimator/test_pipeline.py", "tests/estimator/test_step_samples.py", "tests/estimator/test_fusion_results.py")
 _NUMBERS = "tests/estimator/ekf/test_members_and_noise.py"
 _INTEGRITY = "tests/estimator/integrity"
@@ -50,41 +37,16 @@ _ROOMS = {
 _CORE_OF_VISION = Path(__file__).parents[1] / "estimator/core/vision"
 
 TARGETS: dict[str, tuple[str, ...]] = {
-    "estimator/core/filter/answer.c": _ANSWERS,
-    "estimator/core/filter/jacobian.c": _ANSWERS,
-    "estimator/core/filter/forecast.c": _FORECASTS,
-    "estimator/core/filter/bank_ahead.c": _FORECASTS,
-    "estimator/core/filter/run.c": (*_CORE,),
-    "estimator/core/filter/filter.c": ("tests/estimator/ekf/test_history.py",),
-    "estimator/core/filter/begin.c": ("tests/estimator/ekf/test_process_event_bounds.py",),
-    "estimator/core/filter/aiding.c": _CORE,
-    "estimator/core/filter/aiding_velocity.c": _CORE,
-    "estimator/core/filter/gathering.c": _CORE,
-    "estimator/core/filter/propagate.c": _CORE,
-    "estimator/core/base/kalman.c": (*_CORE, "tests/estimator/ekf/test_algebra.py"),
-    "estimator/core/filter/oscillator.c": _CORE,
-    "estimator/core/filter/bank.c": _BANK,
-    "estimator/core/filter/bank_weights.c": _BANK,
-    "estimator/core/filter/skill.c": (*_BANK, "tests/estimator/ekf/test_forecast.py"),
-    "estimator/core/filter/sighting.c": _SIGHTINGS,
-    "estimator/core/base/symmetric.c": ("tests/estimator/ekf/test_remove_attitude.py",),
-    "estimator/core/filter/vision_update.c": _SIGHTINGS,
-    "estimator/core/filter/gate.c": (*_GATE, *_SIGHTINGS[:3]),
-    "estimator/core/filter/deck_jolt.c": _SIGHTINGS,
-    "estimator/core/filter/vessel.c": (
-        f"{_BESIDE_THE_ORACLE}::test_each_report_of_a_vessel_has_the_oracle_s_outcome_and_belief",
-    ),
+    **{f"estimator/core/filter/{file.name}": (_ORACLE,) for file in sorted(_CORE_OF_FILTER.glob("*.c"))},
+    "estimator/core/filter/filter.c": (_HISTORY,),
+    "estimator/core/filter/begin.c": (_BEGIN, _ORACLE),
+    "estimator/core/base/kalman.c": (_ORACLE,),
+    "estimator/core/base/symmetric.c": (_ALGEBRA,),
     "estimator/core/law/law.c": _FLOWN,
     "estimator/core/law/axis.c": (*_FLOWN, "tests/companion/test_margins.py"),
     "estimator/core/law/climb.c": _FLOWN,
     "estimator/core/law/deck.c": _FLOWN,
-    "estimator/core/filter/correction.c": (*_CORE, *_SIGHTINGS[1:]),
-    "estimator/core/base/rotation.c": (
-        "tests/estimator/ekf/test_half_turn.py",
-        "tests/estimator/vision/test_sighting.py",
-        *_SIGHTINGS[1:3],
-        "tests/estimator/ekf/test_process_event_bounds.py",
-    ),
+    "estimator/core/base/rotation.c": (_ALGEBRA, "tests/estimator/vision/test_sighting.py", _ORACLE),
     "estimator/core/vision/sighting_level.c": (f"{_VISION}/test_sighting.py",),
     "estimator/core/vision/camera.c": (*_SEEN, f"{_VISION}/test_registration.py"),
     "estimator/core/vision/frame_noise.c": (f"{_VISION}/test_hard_light.py", *_SEEN),
@@ -94,15 +56,11 @@ TARGETS: dict[str, tuple[str, ...]] = {
         for file in sorted((_CORE_OF_VISION / room).glob("*.c"))
     },
     "estimator/core/vision/register/coded.c": (f"{_VISION}/test_fiducial_pads.py", *_SEEN),
-    "estimator/ekf/filter.py": (*_ANSWERS, "tests/estimator/ekf/test_history.py", "tests/estimator/test_fusion_results.py"),
-    "estimator/ekf/event.py": (
-        _NUMBERS,
-        "tests/estimator/ekf/test_process_event_bounds.py",
-        *_SIGHTINGS,
-    ),
-    "estimator/ekf/params.py": (_NUMBERS, "tests/estimator/ekf/test_process_event_bounds.py", *_CORE),
-    "estimator/ekf/forecast.py": (_NUMBERS, *_FORECASTS),
-    "estimator/ekf/deck_motion_bank.py": (_NUMBERS, *_FORECASTS, *_BANK),
+    "estimator/ekf/filter.py": (_HISTORY, "tests/estimator/test_fusion_results.py"),
+    "estimator/ekf/event.py": (_NUMBERS, _ORACLE),
+    "estimator/ekf/params.py": (_NUMBERS, _ORACLE),
+    "estimator/ekf/forecast.py": (_NUMBERS, _HISTORY),
+    "estimator/ekf/deck_motion_bank.py": (_NUMBERS, _ORACLE),
     "estimator/pad_tracker.py": ("tests/estimator/test_public_api.py",),
     "estimator/pipeline.py": ("tests/estimator/test_public_api.py", *_PIPELINE),
     "estimator/integrity/guard.py": (f"{_INTEGRITY}/test_guard.py",),

@@ -47,6 +47,7 @@ SLOW = (
     "tests/companion/test_safety.py",
     "tests/companion/test_pad_import.py",
     "tests/sitl/test_one_flight.py",
+    "tests/estimator/ekf/test_oracle.py",
     "tests/estimator/ekf/test_rough.py",
     "tests/sitl/test_flight.py",
     "tests/docs/test_guide_ardrone.py",

@@ -7,7 +7,7 @@ import pytest
 
 from estimator.ekf import EkfOptions, Filter
 from estimator.ekf.state import ACCEL_BIAS, VEL, VESSEL_VEL
-from tests.estimator.ekf.belief import newest
+from tests.estimator.ekf.core_state import newest
 from tests.make import attitude, imu, sighting, stamp, velocity
 
 BEGIN_S = 100.0

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -24,11 +25,16 @@ def part(name: str) -> Callable[..., Any]:
     """Return a function; arrays that it is given are passed as pointers to their first element."""
 
     def call(*values: Any) -> Any:
-        entry = getattr(PARTS.dlopen(CORE.file), name)
+        entry = getattr(_opened(CORE.file), name)
         kinds = PARTS.typeof(entry).args
         return entry(*(_passed(kind, value) for kind, value in zip(kinds, values, strict=True)))
 
     return call
+
+
+@cache
+def _opened(file: Any) -> Any:
+    return PARTS.dlopen(file)
 
 
 def _passed(kind: Any, value: Any) -> Any:

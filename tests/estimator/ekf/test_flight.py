@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.estimator.ekf.belief import newest
+from tests.estimator.ekf.core_state import newest
 from tests.support import mocap_flight
 
 pytestmark = pytest.mark.skipif(not mocap_flight.FOLDER.is_dir(), reason="the recorded flight with motion capture is not here")

@@ -1,5 +1,7 @@
-"""Wrong sightings are refused and never capture the filter; a filter that is wrong itself finds back."""
+"""Wrong sightings are refused and never capture the filter; a filter or a sensor that is wrong itself finds back."""
 
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -7,21 +9,39 @@ import pytest
 from msgspec import structs
 
 from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.samples import Imu, Range
-from estimator.ekf import EkfOptions, Filter
-from estimator.ekf.state import VEL_SCALE
-from tests.estimator.ekf.belief import RejectionStreak, newest
-from tests.estimator.ekf.oracle import gate
+from estimator.contracts.samples import UNKNOWN_VAR, Range
+from estimator.ekf import EkfOptions, Event, Filter
+from estimator.ekf.state import BARO_OFFSET, POS_REL, VEL, VEL_SCALE, VESSEL_VEL
+from tests.estimator.ekf.core_state import newest
+from tests.make import attitude, baro, imu, sighting, velocity
+from tests.make import ns as instant
 from tests.support.approach_settings import OPTIONS, setting
-from tests.support.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns, stamp
+from tests.support.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns
 
 CALM = Setting(seed=1, sea=2, duration_s=9.0, imu_hz=100.0, sighting_hz=20.0, attitude_hz=20.0, velocity_hz=20.0)
+OVER = replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0)
+BESIDE = replace(OVER, legs=((0.0, 2.5, 0.0, 2.0), (9.0, 2.5, 0.0, 2.0)))
+Change = Callable[[Event, float], Event]
+"""The event that a test puts in place of one that was measured at so many seconds."""
 
 
-def error_m(ekf: Filter, flight: TruthFlight, t: float) -> float:
+def fly(
+    flight: TruthFlight, change: Change = lambda event, t: event, options: EkfOptions | None = None, until_s: float = 60.0
+) -> Iterator[tuple[Filter, float, Event, Verdict]]:
+    """Yield the filter, each event's instant, the event and its verdict."""
+    ekf = Filter(options)
+    for event in events(flight):
+        if event.stamp.received_at > ns(until_s):
+            break
+        t = (event.stamp.measured_at - EPOCH_NS) * 1e-9
+        changed = change(event, t)
+        yield ekf, t, changed, ekf.put([changed])[0].verdict
+
+
+def error_m(ekf: Filter, flight: TruthFlight, t: float, by: float | np.ndarray = 0.0) -> float:
     state = ekf.at(ns(t))
     assert state is not None
-    return float(np.linalg.norm(state.d_body_pad_level - flight.relative(np.array([t]))[0][0]))
+    return float(np.linalg.norm(state.d_body_pad_level - flight.relative(np.array([t]))[0][0] - by))
 
 
 def shifted(s: Sighting, by: np.ndarray) -> Sighting:
@@ -37,10 +57,9 @@ def level(flight: TruthFlight, t_s: float, ned: np.ndarray) -> np.ndarray:
 
 def test_five_percent_wrong_sightings_never_capture_it() -> None:
     flight = TruthFlight(replace(CALM, outliers=0.05, duration_s=12.0))
-    ekf, gated, next_s, worst = Filter(), 0, 2.0, 0.0
-    for event in events(flight):
-        outcomes = ekf.put([event])
-        gated += isinstance(event, Sighting) and outcomes[0].verdict is Verdict.GATED
+    gated, next_s, worst = 0, 2.0, 0.0
+    for ekf, _, event, verdict in fly(flight):
+        gated += isinstance(event, Sighting) and verdict is Verdict.GATED
         while event.stamp.received_at > ns(next_s):
             worst = max(worst, error_m(ekf, flight, next_s))
             next_s += 0.1
@@ -50,154 +69,143 @@ def test_five_percent_wrong_sightings_never_capture_it() -> None:
 
 def test_a_false_pad_beside_the_true_one_is_refused_as_long_as_the_true_one_shows() -> None:
     flight = TruthFlight(CALM)
-    ekf, refused = Filter(), []
-    for event in events(flight):
-        wrong = isinstance(event, Sighting) and event.stamp.measured_at > ns(3.0) and event.seq % 2 == 0
-        if wrong:
-            event = shifted(event, level(flight, (event.stamp.measured_at - EPOCH_NS) * 1e-9, np.array([0.6, 0.3, 0.0])))
-        outcomes = ekf.put([event])
-        if wrong:
-            refused.append(outcomes[0].verdict is Verdict.GATED)
-    assert all(refused)
-    assert error_m(ekf, flight, 8.9) < 0.1
+
+    def is_false(event: Event, t: float) -> bool:
+        return isinstance(event, Sighting) and t > 3.0 and event.seq % 2 == 0
+
+    def change(event: Event, t: float) -> Event:
+        false = is_false(event, t) and isinstance(event, Sighting)
+        return shifted(event, level(flight, t, np.array([0.6, 0.3, 0.0]))) if false else event
+
+    flown = list(fly(flight, change))
+    assert {verdict for _, t, event, verdict in flown if is_false(event, t)} == {Verdict.GATED}
+    assert error_m(flown[-1][0], flight, 8.9) < 0.1
 
 
 def test_a_pad_that_has_moved_for_good_is_accepted_after_a_while() -> None:
-    """The way back: what was refused again and again, always alike, becomes the belief, and says so by `consistent`."""
-    flight = TruthFlight(CALM)
-    jump = np.array([0.8, -0.5, 0.2])
-    ekf, verdicts, extended = Filter(), [], False
-    for event in events(flight):
-        moved = isinstance(event, Sighting) and event.stamp.measured_at > ns(4.0)
-        t = (event.stamp.measured_at - EPOCH_NS) * 1e-9
-        outcomes = ekf.put([shifted(event, level(flight, t, jump)) if moved else event])
-        if moved:
-            verdicts.append((event.stamp.measured_at, outcomes[0].verdict))
+    """Sightings that are refused again and again, always alike, move the estimate, and `consistent` is false meanwhile."""
+    flight, jump, consistent = TruthFlight(CALM), np.array([0.8, -0.5, 0.2]), set[bool]()
+
+    def change(event: Event, t: float) -> Event:
+        return shifted(event, level(flight, t, jump)) if isinstance(event, Sighting) and t > 4.0 else event
+
+    verdicts = []
+    for ekf, t, event, verdict in fly(flight, change):
+        if isinstance(event, Sighting) and t > 4.0:
+            verdicts.append((t, verdict))
             state = ekf.at(event.stamp.received_at)
             assert state is not None
-            extended = extended or not state.consistent
-    fused_at = min(t for t, v in verdicts if v is Verdict.FUSED)
-    assert 0.5 < (fused_at - ns(4.0)) * 1e-9 < 1.5
+            consistent.add(state.consistent)
+    assert 0.5 < min(t for t, v in verdicts if v is Verdict.FUSED) - 4.0 < 1.5
     assert [v for _, v in verdicts][-20:].count(Verdict.FUSED) >= 18
-    assert extended
     state = ekf.at(ns(8.9))
     assert state is not None
-    assert state.consistent
-    truth = flight.relative(np.array([8.9]))[0][0] + level(flight, 8.9, jump)
-    assert np.linalg.norm(state.d_body_pad_level - truth) < 0.12
+    assert (consistent, state.consistent) == ({False, True}, True)
+    assert error_m(ekf, flight, 8.9, level(flight, 8.9, jump)) < 0.12
 
 
-def test_a_belief_that_drifts_away_from_what_is_seen_finds_back() -> None:
-    """Waves not learned yet, the deck rises 1.5 m/s more than believed: refused sightings agree, though each is farther."""
-    streak = RejectionStreak()
-    for k in range(8):
-        offset = np.array([0.0, 0.0, 0.3 + 1.5 * 0.1 * k])
-        streak = gate.extended(streak, k * 100_000_000, offset, 0.01**2)
-    assert streak.n == 8
-    assert gate.should_reset(streak, 50, EkfOptions())
-    far = gate.extended(streak, 8 * 100_000_000, np.array([1.5, 0.0, 1.4]), 0.01**2)
-    assert far.n == 1, "two false pads do not agree"
-
-    flight, ekf, last, longest = TruthFlight(setting(86)), Filter(OPTIONS), ns(2.0), 0.0
-    for event in events(flight):
-        outcomes = ekf.put([event])
-        if isinstance(event, Sighting) and outcomes[0].verdict is Verdict.FUSED and event.stamp.measured_at > last:
-            longest = max(longest, (event.stamp.measured_at - last) * 1e-9)
-            last = event.stamp.measured_at
-        if event.stamp.received_at > ns(10.0):
-            break
-    assert longest < 1.5
+def test_a_state_that_drifts_away_from_what_is_seen_finds_back() -> None:
+    """Waves not learned yet, the deck rises 1.5 m/s more than expected: refused sightings agree, though each is farther."""
+    flown = fly(TruthFlight(setting(86)), options=OPTIONS, until_s=10.0)
+    fused = [t for _, t, event, verdict in flown if isinstance(event, Sighting) and verdict is Verdict.FUSED and t > 2.0]
+    assert max(np.diff([2.0, *sorted(fused)])) < 1.5
 
 
 def test_a_slow_vessel_s_ground_is_not_taken_for_its_deck() -> None:
     """0.2 m/s under way, a sensor over the ground, and an accelerometer that errs by more than that within two seconds."""
-    ekf = Filter(OPTIONS)
-    for event in events(TruthFlight(setting(37))):
-        ekf.put([event])
-        if event.stamp.received_at > ns(10.0):
-            break
+    ekf = list(fly(TruthFlight(setting(37)), options=OPTIONS, until_s=10.0))[-1][0]
     assert newest(ekf).over_pad < -1.0
     assert abs(newest(ekf).x[VEL_SCALE] / setting(37).velocity_scale - 1.0) < 0.05
 
 
 def test_a_wrong_first_sighting_is_soon_overthrown() -> None:
+    def change(event: Event, t: float) -> Event:
+        return shifted(event, np.array([2.0, 2.0, 1.0])) if isinstance(event, Sighting) and event.seq == 1 else event
+
     flight = TruthFlight(CALM)
-    ekf, first = Filter(), True
-    for event in events(flight):
-        if isinstance(event, Sighting) and first:
-            event, first = shifted(event, np.array([2.0, 2.0, 1.0])), False
-        ekf.put([event])
-        if event.stamp.received_at > ns(2.0):
-            break
-    assert error_m(ekf, flight, 2.0) < 0.25
+    assert error_m(list(fly(flight, change, until_s=2.0))[-1][0], flight, 2.0) < 0.25
 
 
-def test_the_deck_edge_is_gated_and_not_accepted() -> None:
-    flight = TruthFlight(replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0))
-    ekf, beyond = Filter(), []
-    for event in events(flight):
-        if isinstance(event, Range) and event.stamp.measured_at > ns(5.0):
-            event = Range(event.stamp, event.range_m + 0.6, event.sigma_m)
-            outcomes = ekf.put([event])
-            beyond.append(outcomes[0].verdict)
-        else:
-            ekf.put([event])
-    assert set(beyond) == {Verdict.GATED}
-    assert error_m(ekf, flight, 8.9) < 0.1
+@pytest.mark.parametrize(
+    ("flown", "by_m", "verdict"), [(OVER, 0.0, Verdict.FUSED), (OVER, 0.6, Verdict.GATED), (BESIDE, 0.0, Verdict.GATED)]
+)
+def test_a_range_counts_over_the_deck_and_is_refused_beyond_its_edge(flown: Setting, by_m: float, verdict: Verdict) -> None:
+    def change(event: Event, t: float) -> Event:
+        return structs.replace(event, range_m=event.range_m + by_m) if isinstance(event, Range) and t > 5.0 else event
 
-
-def test_range_is_of_use_over_the_deck_and_refused_far_from_it() -> None:
-    over = replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0)
-    beside = replace(CALM, legs=((0.0, 2.5, 0.0, 2.0), (9.0, 2.5, 0.0, 2.0)), lively=0.2, range_hz=20.0)
-    for chosen, wanted in ((over, Verdict.FUSED), (beside, Verdict.GATED)):
-        ekf, verdicts = Filter(), []
-        for event in events(TruthFlight(chosen)):
-            outcomes = ekf.put([event])
-            if isinstance(event, Range) and event.stamp.measured_at > ns(4.0):
-                verdicts.append(outcomes[0].verdict)
-        assert verdicts.count(wanted) > 0.95 * len(verdicts)
-
-
-@pytest.mark.parametrize("confidence", [0.0, 0.04])
-def test_a_sighting_that_does_not_trust_itself_is_refused(confidence: float) -> None:
-    ekf = Filter()
-    for event in events(TruthFlight(CALM)):
-        if event.stamp.received_at > ns(1.0):
-            break
-        ekf.put([event])
-    cov = np.diag([0.01, 0.01, 0.01, 0.01])
-    seen = Sighting(stamp(1.0), 999, "selected", np.array([0.0, 0.0, 2.0]), 0.0, False, cov, confidence)
-    outcomes = ekf.put([seen])
-    assert outcomes[0].verdict is Verdict.LOW_CONFIDENCE
-
-
-def test_options_refuse_nonsense() -> None:
-    with pytest.raises(ValueError, match="asd_gyro_rad_s"):
-        EkfOptions(asd_gyro_rad_s=-1.0)
-    with pytest.raises(ValueError, match="gate_probability"):
-        EkfOptions(gate_probability=0.5)
-
-
-def test_first_imu_alone_levels_the_body() -> None:
-    ekf = Filter()
-    f = np.array([0.5, -0.3, -9.78])
-    for k in range(20):
-        outcomes = ekf.put([Imu(stamp(0.01 * k), np.zeros(3), f + 1e-6 * (k % 2))])
-    assert outcomes[0].verdict is Verdict.FUSED
-    down = newest(ekf).R.T @ np.array([0.0, 0.0, 1.0])
-    np.testing.assert_allclose(down, -f / np.linalg.norm(f), atol=1e-3)
-    assert newest(ekf).t == EPOCH_NS + 190_000_000
+    flight = TruthFlight(flown)
+    found = list(fly(flight, change))
+    verdicts = [v for _, t, event, v in found if isinstance(event, Range) and t > 5.0]
+    assert verdicts.count(verdict) > 0.95 * len(verdicts)
+    assert flown is BESIDE or error_m(found[-1][0], flight, 8.9) < 0.1
 
 
 def test_an_offset_of_the_range_sensor_is_learned_and_not_accepted() -> None:
     """An AR.Drone's ultrasound sits 3.4 cm under what motion capture calls the drone."""
-    flight = TruthFlight(replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0))
-    ekf = Filter()
-    for event in events(flight):
-        if isinstance(event, Range):
-            event = Range(event.stamp, event.range_m - 0.06, event.sigma_m)
-        ekf.put([event])
-    state = ekf.at(ns(8.9))
+
+    def change(event: Event, t: float) -> Event:
+        return structs.replace(event, range_m=event.range_m - 0.06) if isinstance(event, Range) else event
+
+    flight = TruthFlight(OVER)
+    state = list(fly(flight, change))[-1][0].at(ns(8.9))
     assert state is not None
     assert abs(dict(state.details)["range_offset_m"] + 0.06) < 0.02
     assert abs(state.d_body_pad_level[2] - flight.relative(np.array([8.9]))[0][0, 2]) < 0.02
+
+
+def test_first_imu_alone_levels_the_body() -> None:
+    ekf, f = Filter(), np.array([0.5, -0.3, -9.78])
+    verdicts = [ekf.put([imu(100.0 + 0.01 * k, f=f + 1e-6 * (k % 2))])[0].verdict for k in range(20)]
+    assert verdicts == [Verdict.FUSED] * 20
+    np.testing.assert_allclose(newest(ekf).R[2], -f / np.linalg.norm(f), atol=1e-3)
+
+
+# Sensors of a body that hovers, and jump for good
+
+
+def hover(seconds: float, ekf: Filter, since: float = 100.0, yaw: float = 0.0, forward_m_s: float = 0.0) -> Filter:
+    """Hover over a pad that stands two metres below, its arrow to the north-east, with a velocity sensor."""
+    rng = np.random.default_rng(round(10 * since))
+    for k in range(round(seconds * 50)):
+        t = since + 0.02 * k
+        ekf.put([imu(t, 1e-3 * rng.standard_normal(3), [0.0, 0.0, -9.80665] + 1e-2 * rng.standard_normal(3))])
+        ekf.put([attitude(t, yaw=yaw, var=0.005**2)])
+        if k % 5 == 0:
+            d = np.array([0.2, -0.1, 2.0]) + 0.005 * rng.standard_normal(3)
+            ekf.put([sighting(t, d, -0.7 + 0.01 * rng.standard_normal(), var=[1e-4, 1e-4, 4e-4], yaw_var=4e-4, seq=k)])
+        if k % 5 == 1:
+            v = np.array([forward_m_s, 0.0, 0.0]) + 0.01 * rng.standard_normal(3)
+            ekf.put([velocity(t, v, var=[0.02**2, 0.02**2, UNKNOWN_VAR])])
+    return ekf
+
+
+def test_an_attitude_with_a_new_north_comes_back_in_and_the_pad_stays() -> None:
+    ekf = hover(4.0, Filter())
+    before = ekf.at(instant(103.99))
+    state = hover(4.0, ekf, since=104.0, yaw=0.8).at(instant(107.99))
+    assert before is not None
+    assert state is not None
+    np.testing.assert_allclose(state.d_body_pad_level, before.d_body_pad_level, atol=0.08)
+    assert state.yaw_rad is not None
+    assert abs(state.yaw_rad + 0.7) < 0.05
+    assert abs(math.atan2(newest(ekf).R[1, 0], newest(ekf).R[0, 0]) - 0.8) < 0.1
+
+
+def test_a_velocity_that_jumps_for_good_comes_back_in_as_body_and_vessel_together() -> None:
+    ekf = hover(4.0, hover(4.0, Filter(EkfOptions(velocity_is_over="ground"))), since=104.0, forward_m_s=1.5)
+    b = newest(ekf)
+    assert abs(b.x[VEL][0] * b.x[VEL_SCALE] - 1.5) < 0.4
+    assert abs(b.x[VESSEL_VEL][0] - b.x[VEL][0]) < 0.2
+    np.testing.assert_allclose(b.x[POS_REL], [0.2, -0.1, 2.0], atol=0.05)
+
+
+def test_a_barometer_that_jumps_for_good_comes_back_in_by_its_offset() -> None:
+    ekf, verdicts = hover(2.0, Filter()), []
+    for k in range(200):
+        t = 102.0 + 0.02 * k
+        hover(0.02, ekf, since=t)
+        verdicts += [ekf.put([baro(t + 0.01, 12.0 if k < 50 else 52.0, 0.3)])[0].verdict]
+    assert Verdict.GATED in verdicts[50:60]
+    assert verdicts[-20:] == [Verdict.FUSED] * 20
+    assert abs(newest(ekf).x[BARO_OFFSET] - 50.0) < 0.5
+    assert abs(newest(ekf).x[POS_REL][2] - 2.0) < 0.05

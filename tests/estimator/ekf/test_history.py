@@ -1,4 +1,4 @@
-"""Late is as good as in order; what is too late, too new, or nothing at all is said to be so."""
+"""Late is as good as in order, together as good as one by one; what is too late or too new is refused; answers are kept."""
 
 import pickle
 from typing import Any
@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from estimator.contracts.estimates import RelativeState, Sighting, Verdict
-from estimator.contracts.samples import Baro, Imu, VehicleStatus
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.samples import Imu
+from estimator.contracts.time import MonoNs
 from estimator.ekf import EkfOptions, Filter
-from tests.estimator.ekf.belief import belief_of, newest
+from estimator.ekf.params import FilterParams
+from tests.estimator.ekf.core_state import MS, T, holding, known, newest, put, state_of
+from tests.make import baro, imu, stamp_at, status
 from tests.support.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns
 
 SETTING = Setting(seed=4, sea=4, duration_s=5.0, pose6=True, range_hz=20.0, baro_hz=10.0, imu_hz=100.0, outliers=0.05)
@@ -18,15 +20,11 @@ SETTING = Setting(seed=4, sea=4, duration_s=5.0, pose6=True, range_hz=20.0, baro
 
 def run(what: list[Any], options: EkfOptions | None = None) -> tuple[Filter, list[Verdict]]:
     ekf = Filter(options or EkfOptions())
-    verdicts = []
-    for event in what:
-        outcomes = ekf.put([event])
-        assert len(outcomes) == 1
-        verdicts.append(outcomes[0].verdict)
-    return ekf, verdicts
+    return ekf, [put(ekf, event).verdict for event in what]
 
 
-def same(one: RelativeState | None, two: RelativeState | None) -> float:
+def apart(one: RelativeState | None, two: RelativeState | None) -> float:
+    """Return the largest difference of two estimates."""
     assert one is not None
     assert two is not None
     assert one.sighted == two.sighted
@@ -40,28 +38,28 @@ def same(one: RelativeState | None, two: RelativeState | None) -> float:
 
 
 def test_late_and_shuffled_equals_in_order() -> None:
-    received_at = events(TruthFlight(SETTING))
-    in_order = sorted(received_at, key=lambda e: (e.stamp.measured_at, isinstance(e, Sighting)))
-    assert sum(a is not b for a, b in zip(received_at, in_order, strict=True)) > 100
+    received = events(TruthFlight(SETTING))
+    in_order = sorted(received, key=lambda e: (e.stamp.measured_at, isinstance(e, Sighting)))
+    assert sum(a is not b for a, b in zip(received, in_order, strict=True)) > 100
     rng = np.random.default_rng(0)
-    jumbled = sorted(received_at, key=lambda e: e.stamp.received_at + rng.uniform(0.0, 0.25e9))
+    jumbled = sorted(received, key=lambda e: e.stamp.received_at + rng.uniform(0.0, 0.25e9))
     options = EkfOptions(max_ahead_s=0.5)
     reference, _ = run(in_order, options)
-    for order in (received_at, jumbled):
+    for order in (received, jumbled):
         late, verdicts = run(order, options)
         assert Verdict.TOO_OLD not in verdicts
         for t in (4.6, 4.9, 5.1):
-            assert same(late.at(ns(t)), reference.at(ns(t))) < 1e-9
+            assert apart(late.at(ns(t)), reference.at(ns(t))) < 1e-9
 
 
 def test_events_together_are_one_after_the_other() -> None:
-    received_at = events(TruthFlight(SETTING))
-    one_by_one, verdicts = run(received_at)
+    received = events(TruthFlight(SETTING))
+    one_by_one, verdicts = run(received)
     together, rng, at = Filter(), np.random.default_rng(0), 0
     found: list[Verdict] = []
-    while at < len(received_at):
+    while at < len(received):
         n = int(rng.integers(1, 30))
-        found += [result.verdict for result in together.put(received_at[at : at + n])]
+        found += [result.verdict for result in together.put(received[at : at + n])]
         at += n
     assert found == verdicts
     assert together.save() == one_by_one.save()
@@ -69,12 +67,12 @@ def test_events_together_are_one_after_the_other() -> None:
 
 
 def test_a_saved_filter_goes_on_as_the_first_does_and_apart_from_it() -> None:
-    received_at = events(TruthFlight(SETTING))
-    half, _ = run(received_at[:600])
+    received = events(TruthFlight(SETTING))
+    half, _ = run(received[:600])
     before, saved = half.at(ns(3.0)), pickle.loads(pickle.dumps(half))
-    saved.put(received_at[600:900])
-    assert same(before, half.at(ns(3.0))) == 0.0
-    half.put(received_at[600:900])
+    saved.put(received[600:900])
+    assert apart(before, half.at(ns(3.0))) == 0.0
+    half.put(received[600:900])
     assert saved.save() == half.save()
     for cut in (0, 1, 40, len(half.save()) - 1):
         with pytest.raises(ValueError, match="saved"):
@@ -83,47 +81,65 @@ def test_a_saved_filter_goes_on_as_the_first_does_and_apart_from_it() -> None:
 
 def test_too_old_and_too_new() -> None:
     ekf, _ = run([e for e in events(TruthFlight(SETTING)) if isinstance(e, Imu)])
-    now = EPOCH_NS + 5_000_000_000
-    old = Baro(Stamp(MonoNs(now - 2_000_000_000), MonoNs(now), 0.0, "sim"), 1.0, 0.1)
-    new = Baro(Stamp(MonoNs(now + 300_000_000), MonoNs(now), 0.1, "sim"), 1.0, 0.1)
-    before = newest(ekf)
+    now, before = EPOCH_NS + 5_000_000_000, newest(ekf)
+    old, new = (baro(stamp_at(now + by_ms * MS, now, sigma_s=0.1)) for by_ms in (-2000, 300))
     assert [result.verdict for result in ekf.put([old, new])] == [Verdict.TOO_OLD, Verdict.TOO_NEW]
     assert newest(ekf).t == before.t
 
 
 def test_a_pause_of_all_streams_does_not_lock_out_what_follows() -> None:
-    received_at = events(TruthFlight(SETTING))
-    ekf, _ = run(received_at)
+    ekf, _ = run(events(TruthFlight(SETTING)))
     later = [
         e for e in events(TruthFlight(Setting(seed=4, sea=4, duration_s=15.0, imu_hz=100.0))) if e.stamp.measured_at > ns(13.0)
     ]
-    verdicts = []
-    for event in later:
-        outcomes = ekf.put([event])
-        verdicts.append((type(event), outcomes[0].verdict))
+    verdicts = [(type(event), put(ekf, event).verdict) for event in later]
     # The first few might be wrong stamps; when they agree with one another, time has passed.
     assert [v for _, v in verdicts].count(Verdict.TOO_NEW) == EkfOptions().leap_count - 1
     assert [v for kind, v in verdicts if kind is Sighting][-10:] == [Verdict.FUSED] * 10
 
 
-def test_nothing_known_is_none_and_needs_an_attitude() -> None:
-    ekf = Filter()
-    assert ekf.at(ns(0.0)) is None
-    sightings = [e for e in events(TruthFlight(SETTING)) if isinstance(e, Sighting)]
-    outcomes = ekf.put([sightings[0]])
-    assert outcomes[0].verdict is Verdict.NO_ATTITUDE
-    assert ekf.at(ns(1.0)) is None
-
-
 def test_history_is_bounded() -> None:
     ekf, _ = run(events(TruthFlight(SETTING)), EkfOptions(history_s=0.5))
     newest_at = newest(ekf).t
-    assert belief_of(ekf, newest_at - 490_000_000) is not None
-    assert belief_of(ekf, newest_at - 560_000_000) is None
+    assert state_of(ekf, newest_at - 490 * MS) is not None
+    assert state_of(ekf, newest_at - 560 * MS) is None
     assert len(ekf.save()) < 6e6
 
 
 def test_what_is_no_measurement_is_a_mistake_of_the_caller() -> None:
-    status = VehicleStatus(Stamp(MonoNs(0), MonoNs(0), 0.0, "sim"), None, "landed", None, False, True)
     with pytest.raises(TypeError, match="VehicleStatus"):
-        Filter().put([status])  # type: ignore[list-item]
+        Filter().put([status(1.0)])  # type: ignore[list-item]
+
+
+def test_an_answer_is_computed_once_until_an_event_changes_it() -> None:
+    """Vision requests the estimate at an exposure, and the guard again when the sighting comes, after some more samples."""
+    params = FilterParams(EkfOptions())
+    ekf, now = holding(known(params), params), MonoNs(T + 3 * MS)
+    ekf.put([imu(stamp_at(T + MS), (0.1, 0.0, 0.2))])
+    first = ekf.at(now)
+    assert first is not None
+    for k in range(4):
+        ekf.at(MonoNs(T + (10 + k) * MS))
+    ekf.put([imu(stamp_at(T + 4 * MS), (0.1, 0.0, 0.2))])
+    assert ekf.at(now) is first, "others requested instants of their own in between, and a sample came that is later"
+    assert ekf.motion(now)[1] is ekf.motion(now)[1]
+    ekf.put([imu(stamp_at(T + 2 * MS), (0.1, 0.0, 0.2))])
+    other = ekf.at(now)
+    assert other is not None
+    assert other is not first
+    assert not np.array_equal(other.d_body_pad_level, first.d_body_pad_level)
+    figures = tuple(first.details)
+    assert len(first.details) == len(figures) == len(dict(figures)) > 30
+    assert first.details[-2:] == figures[-2:]
+
+
+def test_a_forecast_is_of_as_many_instants_as_were_requested() -> None:
+    params = FilterParams(EkfOptions())
+    ekf, now = holding(known(params), params), MonoNs(T)
+    for horizons_s in ([], [3.0, 0.0], np.linspace(0.0, 20.0, 30)):
+        found = ekf.forecast(now, horizons_s)
+        assert found is not None
+        assert found.cov_d_level.shape == (len(horizons_s), 3, 3)
+        assert np.all(found.sigma_roll_rad >= 0.0)
+    with pytest.raises(ValueError, match="horizons"):
+        ekf.forecast(now, [-1.0])

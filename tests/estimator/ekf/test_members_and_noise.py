@@ -1,4 +1,4 @@
-"""The numbers that the core is given: the bank's members, the noise of every state, and what is read off a forecast."""
+"""The numbers that the core is given: the bank's members, the noise of every state, and what is computed from a forecast."""
 
 import math
 from typing import Any
@@ -7,50 +7,30 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Range, VesselReport
-from estimator.contracts.time import MonoNs
+from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.core.library import CORE
-from estimator.ekf import Event, Forecast, deck_motion_bank, state
+from estimator.ekf import EkfOptions, Event, Forecast, deck_motion_bank, state
 from estimator.ekf.deck_motion_bank import carrying
 from estimator.ekf.event import packed
 from estimator.ekf.forecast import log_evidence_of_rest, probability_of_motion
-from estimator.ekf.params import NOT_MEASURED_VAR
-from tests.estimator.ekf.hand import T, imu, params, sighting, stamp
+from estimator.ekf.params import FilterParams
+from tests.make import attitude, baro, imu, ns, range_down, sighting, velocity, vessel
 
 
 def test_the_members_are_every_period_damping_and_size_and_a_deck_at_rest() -> None:
     w, zeta, sigma, log_prior = deck_motion_bank._grid()
     assert w.shape == zeta.shape == log_prior.shape == (1 + 9 * 3 * 5,)
-    assert (w[0], zeta[0]) == (1.0, 0.5)
-    assert sigma.shape == (5, 136)
-    assert sigma[:, 0].tolist() == [1e-7] * 5
-    assert np.exp(log_prior).sum() == pytest.approx(1.0)
+    assert (w[0], zeta[0], sigma[:, 0].tolist()) == (1.0, 0.5, [1e-7] * 5)
     assert np.exp(log_prior[:2]) == pytest.approx([0.5, 0.5 / 135])
     assert set(log_prior[1:].tolist()) == {log_prior[1]}
-    periods = math.tau / w[1::15]
-    assert periods[[0, -1]] == pytest.approx([2.2, 14.0])
-    assert np.diff(np.log(periods)) == pytest.approx(np.full(8, math.log(14.0 / 2.2) / 8))
-    members = {(round(one, 9), z, s) for one, z, s in zip(w[1:].tolist(), zeta[1:].tolist(), sigma[0, 1:].tolist(), strict=True)}
-    assert len(members) == 135
-    assert sorted({z for _, z, _ in members}) == [0.2, 0.35, 0.55]
+    assert math.tau / w[1::15] == pytest.approx(np.geomspace(2.2, 14.0, 9))
+    assert len({(round(one, 9), z, s) for one, z, s in zip(w[1:], zeta[1:], sigma[0, 1:], strict=True)}) == 135
+    assert sorted(set(zeta[1:].tolist())) == [0.2, 0.35, 0.55]
     assert sigma[:3, 1:6].tolist() == [[0.02, 0.055, 0.15, 0.42, 1.15]] * 3
-    for tilt in sigma[3:, 1:6]:
-        assert np.degrees(tilt) == pytest.approx([0.25, 0.7, 2.0, 5.5, 15.0])
-
-
-def test_a_position_carried_by_an_imu_errs_as_its_sensors_do() -> None:
-    accel, drift, tilt = carrying(0.02, 0.003, 0.0007)
-    turn = math.sqrt(2.0) * 0.003
-    assert accel.tolist() == [0.02, 0.02, 0.02, 0.0, 0.0]
-    assert drift == pytest.approx([9.81 * turn, 9.81 * turn, 0.0007, 0.0, 0.0])
-    assert tilt == pytest.approx([turn, turn, 0.0, 0.0, 0.0])
-
-
-@pytest.mark.parametrize("rest", [0.0, 1e-5, 0.3, 0.5, 1.0])
-def test_the_evidence_of_rest_is_finite(rest: float) -> None:
-    bounded = min(max(rest, 1e-12), 1.0 - 1e-12)
-    assert log_evidence_of_rest(rest) == pytest.approx(math.log(bounded / (1.0 - bounded)), abs=1e-12)
+    assert np.degrees(sigma[3:, 1:6]) == pytest.approx(np.tile([0.25, 0.7, 2.0, 5.5, 15.0], (2, 1)))
+    # The sizes of an oscillator lie side by side: the core computes its transition once.
+    for by_size in (w[1:].reshape(27, 5), zeta[1:].reshape(27, 5)):
+        assert np.all(by_size == by_size[:, :1])
 
 
 def test_every_state_s_noise_is_its_option_squared() -> None:
@@ -62,24 +42,27 @@ def test_every_state_s_noise_is_its_option_squared() -> None:
         "mount_drift_rad_sqrt_s": (state.CAMERA_MOUNT, 0.00019), "asd_baro_offset_m": (state.BARO_OFFSET, 0.021),
         "asd_range_offset_m": (state.RANGE_OFFSET, 0.022), "asd_attitude_bias_rad_s": (state.ATT_BIAS, 0.0023),
     }  # fmt: skip
-    noise = params(
-        **{name: value for name, (_, value) in given.items()}, asd_accel_m_s2=0.31, asd_coast_m_s2=0.32, asd_coast_rad_s=0.33
-    )
+    changed: dict[str, Any] = {name: value for name, (_, value) in given.items()}
+    noise = FilterParams(EkfOptions(**changed, asd_accel_m_s2=0.31, asd_coast_m_s2=0.32, asd_coast_rad_s=0.33))
     expected = np.zeros(state.N)
     for place, value in given.values():
         expected[place] = value**2
     np.testing.assert_allclose(noise.psd, expected, rtol=1e-14)
     assert (noise.psd_accel, noise.psd_coast, noise.psd_coast_turn) == pytest.approx((0.31**2, 0.32**2, 0.33**2))
-    assert noise.not_measured_var == NOT_MEASURED_VAR == pytest.approx(0.1 * UNKNOWN_VAR)
-    for ours, theirs in zip(noise.carrying, carrying(0.31, 0.011, 0.0013), strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+    assert noise.not_measured_var == pytest.approx(0.1 * UNKNOWN_VAR)
+    turn = math.sqrt(2.0) * 0.011
+    accel, drift, tilt = noise.carrying
+    assert accel == pytest.approx([0.31, 0.31, 0.31, 0.0, 0.0])
+    assert drift == pytest.approx([9.81 * turn, 9.81 * turn, 0.0013, 0.0, 0.0])
+    assert tilt == pytest.approx([turn, turn, 0.0, 0.0, 0.0])
+    assert carrying(0.31, 0.011, 0.0013)[1].tolist() == drift.tolist()
 
 
 @pytest.mark.parametrize("probability", [0.5, 0.68, 0.8, 0.9, 0.95, 0.99])
 def test_a_band_holds_its_share_of_a_normal_quantity(probability: float) -> None:
     h, n = np.array([1.0, 2.0]), np.zeros(2)
     cov = np.stack([np.diag([4.0, 9.0, 16.0]), np.diag([1.0, 0.25, -1e-12])])
-    made = Forecast(MonoNs(0), h, np.ones((2, 3)), cov, np.zeros((2, 3)), n, n + 1.0, n + 3.0, n + 2.0, n, n + 0.1, n, n + 0.2)
+    made = Forecast(ns(0), h, np.ones((2, 3)), cov, np.zeros((2, 3)), n, n + 1.0, n + 3.0, n + 2.0, n, n + 0.1, n, n + 0.2)
     z = ndtri(0.5 + 0.5 * probability)
     for name, mean, sigma in (
         ("deck_height_m", 0.0, 1.0), ("rise_m_s", 3.0, 2.0), ("roll_rad", 0.0, 0.1), ("pitch_rad", 0.0, 0.2),
@@ -110,23 +93,22 @@ def test_neither_rest_nor_motion_is_ever_certain() -> None:
     still, prior = ((0.0, 0.0), (0.01, 0.0, 0.01)), 1.0 - 1e-12
     assert probability_of_motion(1e4, *still) == pytest.approx(math.exp(-60.0), rel=1e-9, abs=0.0)
     assert probability_of_motion(-1e4, *still, prior) < 1.0
+    for rest in (0.0, 1e-5, 0.3, 1.0):
+        bounded = min(max(rest, 1e-12), 1.0 - 1e-12)
+        assert log_evidence_of_rest(rest) == pytest.approx(math.log(bounded / (1.0 - bounded)), abs=1e-12)
 
 
 def test_the_core_s_record_of_an_event_holds_its_values_and_zeros_to_its_end() -> None:
-    zero, at = np.zeros(3), stamp(T)
-    head = CORE.ffi.offsetof("dl_event", "sample")
+    head, at = CORE.ffi.offsetof("dl_event", "sample"), 500.0
     events: list[tuple[Event, int]] = [
-        (imu(T, zero, np.ones(3)), 6),
-        (Attitude(at, Rotation.identity(), np.eye(3)), 18), (BodyVelocity(at, zero, np.eye(3)), 12),
-        (Range(at, 1.0, 0.1), 2), (Baro(at, 1.0, 0.1), 2), (VesselReport(at, zero, np.eye(3), 1.0, 0.1), 15),
+        (imu(at), 6), (attitude(at), 18), (velocity(at), 12), (range_down(at, 1.0), 2), (baro(at), 2),
+        (vessel(at, np.ones(3), 1.0), 15), (vessel(at), 0),
     ]  # fmt: skip
     for event, n in events:
         record = packed(event)
         assert len(record) == CORE.dtype("dl_event").itemsize
-        assert any(record[head + 8 * n - 8 : head + 8 * n])
+        assert n == 0 or any(record[head + 8 * n - 8 : head + 8 * n])
         assert not any(record[head + 8 * n :])
-    blind = packed(VesselReport(at, None, None, None, None))
-    assert not any(blind[head:])
-    no_pose = np.frombuffer(packed(sighting((0.0, 0.0, 2.0))), CORE.dtype("dl_event"))[0]["sample"]["sighting"]
-    assert not any(no_pose[name].any() for name in ("has_yaw", "yaw_ambiguous", "has_pose6", "yaw_rad"))
-    assert not any(no_pose[name].any() for name in ("pose_d_level", "pose_R", "pose_cov"))
+    no_pose = np.frombuffer(packed(sighting(at, yaw=None)), CORE.dtype("dl_event"))[0]["sample"]["sighting"]
+    names = ("has_yaw", "yaw_ambiguous", "has_pose6", "yaw_rad", "pose_d_level", "pose_R", "pose_cov")
+    assert not any(no_pose[name].any() for name in names)

@@ -20,7 +20,7 @@ from estimator.vision.register.fit_verification import confidence
 from estimator.vision.register.look import look
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import camera_pose, sighting_of, sighting_of_look
-from tests.estimator.ekf.oracle import so3
+from tests.estimator.ekf import oracle
 from tests.support.pad_views import RenderedView, Stage
 
 TRACK = RegistrationOptions(coarse=False)
@@ -129,8 +129,8 @@ def posed(deck: F64, off: F64) -> PadPose:
     """Return the pose in `cam` of a pad on a deck turned by (roll, pitch), with errors of place and rotation, (6,)."""
     R_level_cam = rpy_matrix(ROLL, PITCH, 0.0) @ TURNED_MOUNT.R.matrix
     lever = rpy_matrix(ROLL, PITCH, 0.0) @ TURNED_MOUNT.t
-    R = R_level_cam.T @ so3.exp(np.array([*deck, 0.0])) @ rpy_matrix(0.0, 0.0, -YAW)
-    return PadPose(Rotation(so3.exp(off[3:]) @ R), R_level_cam.T @ (PLACE - lever) + off[:3])
+    R = R_level_cam.T @ oracle.exp(np.array([*deck, 0.0])) @ rpy_matrix(0.0, 0.0, -YAW)
+    return PadPose(Rotation(oracle.exp(off[3:]) @ R), R_level_cam.T @ (PLACE - lever) + off[:3])
 
 
 def levelled(camera: Camera, deck: F64, off: F64, tilt: F64, sigma_deck: float = SIGMA_DECK) -> Sighting:
@@ -143,8 +143,8 @@ def level_errors(camera: Camera, deck: F64, off: F64, tilt: F64) -> F64:
     seen = levelled(camera, deck, off, tilt)
     assert seen.pose6 is not None
     assert seen.yaw_rad is not None
-    R = so3.exp(np.array([*deck, 0.0])) @ rpy_matrix(0.0, 0.0, -YAW)
-    turn = so3.log(seen.pose6.R_level_pad.matrix @ R.T)
+    R = oracle.exp(np.array([*deck, 0.0])) @ rpy_matrix(0.0, 0.0, -YAW)
+    turn = oracle.log(seen.pose6.R_level_pad.matrix @ R.T)
     return np.array([*(seen.d_body_pad_level - PLACE), *turn, wrap_pi(seen.yaw_rad + math.atan2(R[1, 0], R[0, 0]))])
 
 
@@ -204,7 +204,7 @@ def test_the_heading_of_a_tilted_pad_is_that_of_its_arrow_along_the_horizon(came
     assert seen.pose6 is not None
     R, rows = seen.pose6.R_level_pad.matrix, np.eye(4, 6)
     for k in range(3):
-        more, less = (so3.exp(sign * STEP * np.eye(3)[k]) @ R for sign in (1, -1))
+        more, less = (oracle.exp(sign * STEP * np.eye(3)[k]) @ R for sign in (1, -1))
         rows[3, 3 + k] = (math.atan2(less[1, 0], less[0, 0]) - math.atan2(more[1, 0], more[0, 0])) / (2.0 * STEP)
     np.testing.assert_allclose(seen.cov, rows @ seen.pose6.cov @ rows.T, rtol=1e-6, atol=1e-12)
     assert seen.yaw_rad == pytest.approx(-math.atan2(R[1, 0], R[0, 0]), abs=1e-12)
