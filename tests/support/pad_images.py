@@ -14,6 +14,8 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from estimator.vision.pad_information import paint_at
+from estimator.vision.srgb import LINEAR_LIGHT, linear_light
 
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 DECK_RGB = (110, 105, 112)
@@ -60,8 +62,9 @@ def image(
     deck_rgb: tuple[int, int, int] = DECK_RGB, gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> Frame:  # fmt: skip
     """One frame; `samples` squared sub-samples a pixel added up as light, Gaussian blur, then noise in grey levels."""
+    deck = linear_light(np.array(deck_rgb))
     px: NDArray[np.float32] = np.empty((camera.height, camera.width, 3), np.float32)
-    px[:] = _light(np.array(deck_rgb[::-1]))
+    px[:] = deck[::-1]
     T = scene.T_cam_pad(camera)
     rim = pad.circle(1.02 * pad.disc_radius_m, 256) @ T.R.matrix.T + T.t
     if np.all(rim[:, 2] > 0.02):
@@ -71,11 +74,11 @@ def image(
     else:
         low, high = np.array([0, 0]), np.array([camera.width, camera.height])
     if np.all(high > low):
-        px[low[1] : high[1], low[0] : high[0]] = _trace(low, high, T, camera, pad, samples, deck_rgb)
+        px[low[1] : high[1], low[0] : high[0]] = _trace(low, high, T, camera, pad, samples, deck)
     px *= np.array(gain[::-1], np.float32)
     if blur_px > 0.0:
         px = np.asarray(cv2.GaussianBlur(px, (0, 0), blur_px), np.float32)
-    px = np.asarray(np.interp(px, _light(np.arange(256)), np.arange(256)), np.float32)
+    px = np.asarray(np.interp(px, LINEAR_LIGHT, np.arange(256)), np.float32)
     if noise > 0.0:
         px = px + np.random.default_rng(seed).normal(0.0, noise, px.shape).astype(np.float32)
     return Frame(STAMP, 0, np.clip(np.rint(px), 0, 255).astype(np.uint8))
@@ -93,68 +96,28 @@ def errors(s: Sighting, scene: PadPlacement) -> tuple[F64, float]:
 
 
 def _trace(
-    low: NDArray[np.int_],
-    high: NDArray[np.int_],
-    T: Transform,
-    camera: Camera,
-    pad: Pad,
-    samples: int,
-    deck: tuple[int, int, int],
-) -> NDArray[np.float32]:
+    low: NDArray[np.int_], high: NDArray[np.int_], T: Transform, camera: Camera, pad: Pad, samples: int, deck: F64
+) -> F64:
     """Return the light of the pixels from `low` to before `high`. Where all around is of one paint, one sample says it."""
-    colours = pad.markings.colours
-    palette = _light(np.array([deck, colours.rim or colours.disc, colours.disc, colours.ring, colours.h], np.float32)[:, ::-1])
     rows, columns = np.mgrid[low[1] - 2 : high[1] + 2, low[0] - 2 : high[0] + 2]
-    paint, around = _seen(columns, rows, T, camera, pad), np.ones((5, 5), np.uint8)
-    inside = np.s_[2:-2, 2:-2]
+    light, around, inside = _seen(columns, rows, T, camera, pad, deck), np.ones((5, 5), np.uint8), np.s_[2:-2, 2:-2]
+    paint = np.asarray(light @ [1.0, math.pi, math.e**2], np.float32)
     mixed = (cv2.dilate(paint, around) != cv2.erode(paint, around))[inside] | (max(high - low) < _FINE_PX)
-    rows, columns, light = rows[inside], columns[inside], np.asarray(palette[paint[inside]], np.float32)
+    rows, columns, light = rows[inside], columns[inside], light[inside].copy()
     # Rows of sub-samples are shifted against one another, and columns too, so that an upright edge meets samples squared places.
     step = (np.arange(samples) + 0.5) / samples - 0.5
     u = columns[mixed][:, None, None] + step[None, None, :] + step[None, :, None] / samples
     v = rows[mixed][:, None, None] + step[None, :, None] + step[None, None, :] / samples
-    light[mixed] = palette[_seen(u, v, T, camera, pad)].mean(axis=(1, 2))
+    light[mixed] = _seen(u, v, T, camera, pad, deck).mean(axis=(1, 2))
     return light
 
 
-def _seen(u: NDArray[Any], v: NDArray[Any], T: Transform, camera: Camera, pad: Pad) -> NDArray[np.uint8]:
-    """Return the paint that points of the image (px) show."""
-    if camera.distorted:
-        rays = camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(*u.shape, 2)
-        x, y = rays[..., 0], rays[..., 1]
-    else:
-        x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
-    # The point of the ray (x, y, 1) s on the pad's plane, in pad coordinates.
-    M, t = T.R.matrix, T.R.matrix.T @ T.t
-    down = M[0, 2] * x + M[1, 2] * y + M[2, 2]
-    s = t[2] / np.where(np.abs(down) > 1e-9, down, 1e-9)
-    a = (M[0, 0] * x + M[1, 0] * y + M[2, 0]) * s - t[0]
-    b = (M[0, 1] * x + M[1, 1] * y + M[2, 1]) * s - t[1]
-    paint = _paint(a, b, pad)
-    paint[s <= 0] = 0
-    return paint
-
-
-def _paint(x: F64, y: F64, pad: Pad) -> NDArray[np.uint8]:
-    r2 = x * x + y * y
-    out = np.zeros(r2.shape, np.uint8)
-    out[r2 <= pad.disc_radius_m**2] = 1
-    out[r2 <= (pad.markings.field_radius_m) ** 2] = 2
-    out[(r2 <= pad.markings.ring_outer_m**2) & (r2 >= pad.markings.ring_inner_m**2)] = 3
-    behind_tip = pad.markings.arrow_tip_m - x
-    out[
-        (behind_tip >= 0)
-        & (behind_tip <= pad.markings.arrow_depth_m)
-        & (np.abs(y) <= behind_tip / pad.markings.arrow_depth_m * pad.markings.arrow_half_base_m)
-    ] = 3
-    half = 0.5 * pad.markings.h_width_m
-    leg = (np.abs(y) <= half) & (np.abs(y) >= half - pad.markings.leg_width_m) & (np.abs(x) <= 0.5 * pad.markings.h_length_m)
-    bar = (np.abs(y) <= half) & (np.abs(x) <= 0.5 * pad.markings.bar_width_m)
-    out[leg | bar] = 4
-    return out
-
-
-def _light(value: NDArray[np.floating] | NDArray[np.integer]) -> NDArray[np.float32]:
-    """SRGB 0..255 to linear light 0..1 (IEC 61966-2-1)."""
-    v = np.asarray(value, float) / 255.0
-    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4).astype(np.float32)
+def _seen(u: NDArray[Any], v: NDArray[Any], T: Transform, camera: Camera, pad: Pad, deck: F64) -> F64:
+    """Return the light, blue, green and red, of what points of the image (px) show."""
+    rays = np.c_[camera.rays(np.stack([u.ravel(), v.ravel()], axis=1).astype(float)), np.ones(u.size)] @ T.R.matrix
+    # The point of a ray on the pad's plane, in pad coordinates.
+    t = T.R.matrix.T @ T.t
+    s = t[2] / np.where(np.abs(rays[:, 2]) > 1e-9, rays[:, 2], 1e-9)
+    light = paint_at(pad, rays[:, :2] * s[:, None] - t[:2], deck)
+    light[s <= 0] = deck
+    return light[:, ::-1].reshape(*u.shape, 3)

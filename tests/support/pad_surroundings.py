@@ -21,7 +21,7 @@ from tests.support.pad_scenes import truth_of
 from tests.support.pad_views import PLAIN
 from tests.support.plain_light import FLAT
 
-SURROUNDINGS = ("even", "patchy", "wet", "edge of the deck", "asphalt", "sea", "shadow")
+SURROUNDINGS = ("even", "patchy", "wet", "edge of the deck", "asphalt", "sea")
 SIGMA_ATTITUDE_RAD, SIGMA_DECK_RAD = math.radians(0.5), math.radians(1.0)
 _EDGES_M = (0.48, 0.62)
 """Distances of the deck's edge from the pad's centre; the disc ends at 0.39 m."""
@@ -43,8 +43,6 @@ class SurroundedView:
     """The attitude with its errors."""
     start: PadPose
     """The truth, half a pixel off in place, size and heading at one sigma."""
-    d_body_pad_level: F64
-    yaw_rad: float
 
 
 class _Asphalt(Renderer):
@@ -74,10 +72,10 @@ def _noise_tile(seed: int, texel_m: float) -> Tile:
 _STONE_TILE, _STAIN_TILE = _noise_tile(1, _STONE_M), _noise_tile(2, 0.2)
 
 
-def _light(rng: np.random.Generator, shadow: float = 0.0, wetness: float = 0.0, wear: float = 0.06) -> Light:
+def _light(rng: np.random.Generator, wetness: float = 0.0, wear: float = 0.06) -> Light:
     return Light(
         sun_elevation_rad=float(rng.uniform(0.5, 1.5)), sun_azimuth_rad=float(rng.uniform(0.0, math.tau)),
-        drone_shadow=shadow, wetness=wetness, wear=wear,
+        drone_shadow=0.0, wetness=wetness, wear=wear,
     )  # fmt: skip
 
 
@@ -118,9 +116,7 @@ def _renderer(rng: np.random.Generator, camera: Camera, pad: Pad, name: str) -> 
         waves = Waves.draw(SEA_STATES[3], int(rng.integers(6)))
         deck = Deck(8.0, 3.0, (0.0, side * (1.5 - edge_m)))
         return _somewhere(Renderer(camera, pad, Surroundings(deck, waves), _light(rng), sensor), _moved(rng, 0.0, (_TILE_M, 0.0)))
-    light = {
-        "patchy": _light(rng, wear=0.10), "wet": _light(rng, wetness=float(rng.uniform(0.4, 1.0))), "shadow": _light(rng, 0.6),
-    }[name]  # fmt: skip
+    light = {"patchy": _light(rng, wear=0.10), "wet": _light(rng, wetness=float(rng.uniform(0.4, 1.0)))}[name]
     renderer = Renderer(camera, pad, Surroundings(deck), light, sensor)
     return _somewhere(renderer, _moved(rng, float(rng.uniform(0.0, math.tau)), (_TILE_M, _TILE_M)))
 
@@ -161,6 +157,4 @@ def surrounded_view(
     roll, pitch, _ = level.rpy_rad
     off = rng.normal(0.0, SIGMA_ATTITUDE_RAD, 2)
     prior = Orientation(roll + float(off[0]), pitch + float(off[1]), np.eye(2) * SIGMA_ATTITUDE_RAD**2, SIGMA_DECK_RAD, True)
-    arrow = (level @ mount.R @ truth.R_cam_pad).matrix[:, 0]
-    d_level = level @ (mount.R @ truth.t_cam_pad + mount.t)
-    return SurroundedView(px, truth, prior, _off(rng, camera, pad, truth, 0.5), d_level, -math.atan2(arrow[1], arrow[0]))
+    return SurroundedView(px, truth, prior, _off(rng, camera, pad, truth, 0.5))

@@ -14,7 +14,6 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.circles import EdgeCircle, Radii, blob_circles, edge_circles
-from estimator.vision.detect.colour import disc_colour, is_coloured
 from estimator.vision.detect.guesses import Outline, guesses_from, pose_about
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.hypotheses import h_markings
@@ -71,14 +70,16 @@ def test_a_disc_of_little_contrast_is_the_most_prominent_circle(u, v, radius, sh
     assert best.support > 0.8
 
 
-def test_a_plain_frame_has_no_circles_and_stripes_and_noise_none_with_much_of_an_outline() -> None:
+def test_a_plain_frame_has_no_circles_nor_areas_and_stripes_and_noise_none_with_much_of_an_outline() -> None:
     camera = sim_camera((0.0, 0.0, 0.0))
     plane, radii = Plane.of(camera, None), Radii(6.0, 1.2, 6)
-    stripes = np.asarray(60 + 120 * (np.arange(160) % 40 < 20), np.uint8)[None].repeat(90, axis=0)
-    assert edge_circles(np.full((90, 160), 77, np.uint8), 4, camera, plane, radii, 6) == []
-    noise = np.random.default_rng(1).integers(0, 256, (90, 160), np.uint8)
-    for px, most in ((np.ascontiguousarray(stripes), 0.4), (noise, 0.8)):
-        assert all(c.support < most for c in edge_circles(px, 4, camera, plane, radii, 6))
+    stripes = np.asarray(60 + 120 * (np.arange(320) % 40 < 20), np.uint8)[None].repeat(180, axis=0)
+    noise = np.random.default_rng(1).integers(0, 256, (180, 320), np.uint8)
+    for px, most, most_area in ((np.full((180, 320), 77, np.uint8), 0.0, 0.0), (stripes, 0.4, 0.0), (noise, 0.8, 0.8)):
+        grey = np.ascontiguousarray(px)
+        assert all(c.support < most for c in edge_circles(grey[:90, :160].copy(), 4, camera, plane, radii, 6))
+        areas = blob_circles(Pyramid(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)), camera, plane)  # type: ignore[arg-type]
+        assert all(c.support < most_area for c in areas)
 
 
 def discs_on_grey(camera: Camera, at: tuple[float, float], discs: tuple[tuple[float, float], ...], half: bool = False) -> U8:
@@ -98,21 +99,6 @@ def test_a_bright_circle_does_not_hide_a_dark_one_about_it() -> None:
     found = edge_circles(px, 1, camera, Plane.of(camera, None), Radii(4.5, 1.22, 5), 6)
     sizes = {circle.bright_inside: circle.radius * camera.fx for circle in found}
     assert sizes == {True: pytest.approx(5.0, abs=0.5), False: pytest.approx(9.0, abs=0.5)}
-
-
-@pytest.mark.parametrize("tilt", [(0.35, 0.1), (-0.2, 0.3), (0.0, -0.4), (-0.3, -0.25)])
-def test_the_tilt_of_a_disc_is_guessed_without_an_attitude(camera: Camera, pad: Pad, tilt: tuple[float, float]) -> None:
-    seen = shown(camera, pad, 2.0, tilt_rad=tilt)
-    frame, plane = Pyramid(seen.px), Plane.of(camera, None)
-    circles: list[EdgeCircle] = []
-    for level in (1, 2):
-        grey = np.asarray(cv2.cvtColor(frame[level], cv2.COLOR_BGR2GRAY), np.uint8)
-        circles += edge_circles(grey, 1 << level, camera, plane, Radii(5.0 * level, 1.2, 12 // level), 4)
-    guesses = [g for one in circles for g in guesses_from([one], Outline.EDGES, frame, camera, pad, plane)]
-    tilted = [g.flat for g in guesses if g.tilt_known]
-    normal = seen.truth.R_cam_pad.matrix[:, 2]
-    near = [g for g in tilted if np.linalg.norm(g.t_cam_pad - seen.truth.t_cam_pad) < 0.1]
-    assert min(math.acos(min(1.0, float(g.R_cam_pad.matrix[:, 2] @ normal))) for g in near) < 0.1
 
 
 @pytest.mark.parametrize("most", [3, 5, 60])
@@ -184,33 +170,6 @@ def test_laying_the_drawing_brings_a_rough_pose_home(camera: Camera, pad: Pad, s
     assert np.all(white > disc + 0.2)
 
 
-@pytest.mark.parametrize("light", [Light(), Light(3000.0), Light(9000.0, white_balance=(1.2, 0.8, 1.2))])
-def test_the_disc_is_the_first_circle_in_luminance_and_in_colour(camera: Camera, pad: Pad, light: Light) -> None:
-    seen = shown(camera, pad, 2.0, aside=(0.2, 0.1), light=light, tilt_rad=(0.2, -0.1))
-    plane, px = Plane.of(camera, seen.R_level_body), Pyramid(seen.px)[2]
-    colour = disc_colour(px, pad)
-    assert is_coloured(colour)
-    for image in (np.asarray(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), np.uint8), colour):
-        circle = edge_circles(image, 4, camera, plane, Radii(8.5, 1.2, 7), 1)[0]
-        poses = [
-            plane.pose(circle.centre, circle.radius, r)
-            for r in (pad.disc_radius_m, pad.markings.ring_outer_m, pad.markings.ring_inner_m)
-        ]
-        assert min(float(np.linalg.norm(p.t_cam_pad - seen.truth.t_cam_pad)) for p in poses) < 0.1
-    grey = np.asarray(cv2.cvtColor(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR), np.uint8)
-    assert not is_coloured(disc_colour(grey, pad))
-
-
-def test_a_lens_with_distortion_changes_nothing_for_the_plane() -> None:
-    bent = sim_camera((0.0, 0.0, 0.0), (-0.1, 0.02, 0.001, -0.002, 0.0))
-    R = Rotation.from_rpy(0.1, -0.2, 0.0)
-    plane = Plane.of(bent, R)
-    pose = plane.pose(np.array([0.1, -0.2]), 0.2, 0.39)
-    rim = np.array([[0.39 * math.cos(a), 0.39 * math.sin(a), 0.0] for a in np.arange(0, 6.2, 0.5)])
-    places = plane.places(bent, bent.project(pose.points(rim)))
-    assert np.allclose(np.hypot(*(places - (0.1, -0.2)).T), 0.2, atol=1e-9)
-
-
 def half_covered(camera: Camera, pad: Pad, k: int) -> tuple[PadScene, PadPose, Plane]:
     """Return a scene at 15 m, a pose 2.5 px off the true one, and the plane of the true attitude."""
     scene = pad_scene(np.random.default_rng([77, k, 150]), camera, pad, 15.0, "half covered")
@@ -270,16 +229,6 @@ def test_an_oval_is_the_most_prominent_outline_whatever_is_in_its_middle(ways, a
     assert np.sqrt(np.linalg.eigvalsh(M)[::-1]) == pytest.approx(axes, abs=1.0)
     assert best.support > 0.8
     assert best.bright_inside == (ways[0] > 100)
-
-
-def test_nothing_stands_out_of_a_plain_frame_nor_of_stripes_and_noise_that_go_on_beyond_every_window() -> None:
-    camera = sim_camera((0.0, 0.0, 0.0))
-    plane = Plane.of(camera, None)
-    assert blob_circles(Pyramid(np.full((180, 320, 3), 77, np.uint8)), camera, plane) == []
-    stripes = np.asarray(60 + 120 * (np.arange(320) % 40 < 20), np.uint8)[None, :, None].repeat(180, axis=0).repeat(3, axis=2)
-    assert blob_circles(Pyramid(np.ascontiguousarray(stripes)), camera, plane) == []
-    noise = np.random.default_rng(1).integers(0, 256, (180, 320, 3), np.uint8)
-    assert all(c.support < 0.8 for c in blob_circles(Pyramid(noise), camera, plane))
 
 
 def nearest_guess(seen: Shown, px: U8, camera: Camera, pad: Pad) -> float:

@@ -8,7 +8,6 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
-from estimator.vision.detect.colour import in_grey
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import FEATURES
 from estimator.vision.options import TrackerOptions
@@ -18,7 +17,7 @@ from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.tracker_config import FRAME_WORK
 from sitl.camera.light import Light
 from tests.support.deck_images import shown
-from tests.support.hard_light import HARD, U8, dusk, grey, hard_scene
+from tests.support.hard_light import HARD, U8, grey, hard_scene
 from tests.support.pad_scenes import PadScene, pad_scene
 
 SEED = 21
@@ -95,32 +94,3 @@ def test_a_grey_camera_is_known_and_its_codec_does_not_hide_it(camera: Camera, p
     coded = cv2.imdecode(cv2.imencode(".jpg", grey(colour, rng), [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_COLOR)
     assert Pyramid(np.asarray(coded, np.uint8)).monochrome
     assert not Pyramid(colour).monochrome, "the pad itself is its only colour, twenty pixels wide"
-
-
-def test_a_grey_frame_sees_the_paints_as_greys(camera: Camera, pad: Pad) -> None:
-    seen = in_grey(pad).markings.colours
-    assert seen.disc == (60, 60, 60)
-    assert seen.disc[0] < seen.ring[0] < seen.h[0]
-    frame = scene(camera, "grey", 5.0, 0)
-    pyramid = Pyramid(frame.px)
-    assert frame.truth is not None
-    aligned = [align(FrameView(pyramid, camera, of), frame.truth, SIGMA_TILT_RAD, 0) for of in (pad, pyramid.as_seen(pad))]
-    off = [0.0 if one is None else float(one.features[FEATURES.index("orange_place")]) for one in aligned]
-    assert off[0] < -0.3
-    assert off[1] > -0.1
-
-
-def test_noise_does_not_hide_a_part_that_all_its_samples_show(camera: Camera, pad: Pad) -> None:
-    # With the noise left in the residuals the gains of ring and edge are 0.70 and 0.31.
-    seen = pad_scene(np.random.default_rng(8), camera, pad, 10.0, "plain", tilt_rad=0.0)
-    assert seen.truth is not None
-
-    def gains(px: U8) -> tuple[float, float]:
-        aligned = align(FrameView(Pyramid(px), camera, pad), seen.truth, SIGMA_TILT_RAD, 0) if seen.truth is not None else None
-        assert aligned is not None
-        ring, edge = (float(aligned.features[FEATURES.index(name)]) for name in ("ring", "edge"))
-        return ring, edge
-
-    ring, edge = gains(dusk(0.1, 20.0)(seen.px, np.random.default_rng(9)))
-    assert ring > 1.2
-    assert edge > 0.8

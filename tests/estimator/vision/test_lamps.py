@@ -15,9 +15,8 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.core.abi import DL_WRONG_SIZE
 from estimator.core.library import CORE
-from estimator.vision import lamp_sighting, tracker
 from estimator.vision.lamp import CENTRE_PX, lamp_accuracy, points_of
-from estimator.vision.lamp_sighting import detect_lamps, is_dark, pattern_of
+from estimator.vision.lamp_sighting import detect_lamps, pattern_of
 from estimator.vision.native import image_of, native_camera, native_prior
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -177,19 +176,6 @@ def test_a_track_goes_from_paint_to_lamps_when_night_falls_and_back():
     assert [by == "lamps" for by, _ in chosen] == [False, True, True, False]
 
 
-def test_a_dark_frame_is_searched_for_lamps_first_and_a_frame_by_day_for_paint(monkeypatch: pytest.MonkeyPatch) -> None:
-    night = night_scene(np.random.default_rng([31, 0, 1]), CAMERA, LIT, 3.0, "lamps")
-    day = pad_scene(np.random.default_rng(8), CAMERA, LIT, 3.0, "plain", 0.0)
-    assert is_dark(Frame(STAMP, 0, night.px))
-    assert not is_dark(Frame(STAMP, 0, day.px))
-    measured = Attitude(STAMP, night.measured, np.eye(3) * math.radians(1.0) ** 2)
-    monkeypatch.setattr(tracker, "by_paint", lambda *_: pytest.fail("the paint was searched for"))
-    assert track(TrackerConfig(CAMERA, LIT), TrackerMemory(), Frame(STAMP, 0, night.px), measured)[0].chosen == "lamps"
-    monkeypatch.undo()
-    monkeypatch.setattr(lamp_sighting, "by_lamps", lambda *_: pytest.fail("lamps were searched for"))
-    assert track(TrackerConfig(CAMERA, LIT), TrackerMemory(), Frame(STAMP, 0, day.px), None)[0].chosen == "registration"
-
-
 def test_another_lit_pad_does_not_take_the_tracked_ones_place_but_is_reported():
     night = night_scene(np.random.default_rng([31, 0, 1]), CAMERA, LIT, 3.0, "lamps")
     measured = Attitude(STAMP, night.measured, np.eye(3) * math.radians(1.0) ** 2)
@@ -208,10 +194,6 @@ def test_another_lit_pad_does_not_take_the_tracked_ones_place_but_is_reported():
         assert other is None
         assert np.linalg.norm(at.d_body_pad_level - place) < 0.05
         assert left.lit
-
-
-def frame_of(px: np.ndarray) -> Frame:
-    return Frame(STAMP, 0, px)
 
 
 def core_answer(px: np.ndarray, spoil: tuple[str, str, float] | None = None, expected: tuple[float, ...] | None = None) -> int:
@@ -247,7 +229,7 @@ def test_an_even_frame_of_any_size_has_no_lamps(value: int, width: int, height: 
 
 def test_a_frame_of_another_size_than_the_cameras_is_refused() -> None:
     with pytest.raises(ValueError, match=r"want a frame of shape \(360, 640, 3\), got \(360, 639, 3\)"):
-        detect_lamps(frame_of(np.zeros((360, 639, 3), np.uint8)), CAMERA, LIT, LEVEL)
+        detect_lamps(Frame(STAMP, 0, np.zeros((360, 639, 3), np.uint8)), CAMERA, LIT, LEVEL)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, 0.0])
@@ -268,7 +250,7 @@ def test_thousands_of_lights_are_no_dark_deck_and_are_refused_before_they_are_se
     px[4::6, 4::6] = 255
     px[5::6, 4::6] = 200
     assert core_answer(px) == -1
-    assert detect_lamps(frame_of(px), CAMERA, LIT, LEVEL) is None
+    assert detect_lamps(Frame(STAMP, 0, px), CAMERA, LIT, LEVEL) is None
 
 
 @pytest.mark.parametrize(("member", "value"), [("lamps", 41), ("lamps", -1), ("pairs", 21), ("pair", 40), ("pair", -1)])

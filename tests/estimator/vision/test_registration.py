@@ -4,7 +4,6 @@ import csv
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from drivers.ardrone.video import AccessUnitDecoder
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
 from estimator.vision.camera import Camera
@@ -20,12 +20,13 @@ from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.register.registration import Registration, RegistrationOptions, register
+from estimator.vision.register.sighting import sighting_of
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.verified import CODED_PX
 from sitl.camera.light import Light, Sensor
 from sitl.camera.surroundings import Surroundings
 from sitl.emulators.ardrone.wire_pictures import Encoder
-from tests.support.pad_images import STAMP, sim_camera
+from tests.support.pad_images import STAMP
 from tests.support.pad_surroundings import SURROUNDINGS, surrounded_view
 from tests.support.pad_views import RenderedView, Stage, error, pad_error
 from tests.support.shipped import shipped_camera, shipped_pad
@@ -102,19 +103,6 @@ def test_motion_blur_is_seen_in_its_direction(camera: Camera, pad: Pad) -> None:
     assert np.abs(pad_error(found.pose, view.pose)[0]).max() < 1e-3
 
 
-def test_gamma_is_undone(camera: Camera, pad: Pad) -> None:
-    stage = Stage(camera, pad, sensor=Sensor(exposure_s=0.0, psf_sigma_px=1.5))
-    right, wrong = list[Any](), list[Any]()
-    for _ in range(4):
-        view = stage.view(4.0)
-        start = stage.start(view, 0.2)
-        for tone, out in ((1.0, right), (0.0, wrong)):
-            found = register(view.px, replace(camera, tone=tone), pad, start, view.orientation(), TRACK)
-            assert found is not None
-            out.append(pad_error(found.pose, view.pose)[0][2])
-    assert abs(np.mean(right)) < 0.002 < abs(np.mean(wrong))
-
-
 def test_finds_its_way_from_a_rough_start(camera: Camera, pad: Pad) -> None:
     stage = Stage(camera, pad, Surroundings())
     for height_m in (0.3, 0.6, 1.5, 4.0, 10.0):
@@ -151,32 +139,23 @@ def half_hidden(view: RenderedView, pad: Pad, camera: Camera, towards_rad: float
     return px
 
 
-@pytest.mark.parametrize("height_m", [0.8, 3.0, 6.0])
+@pytest.mark.parametrize("height_m", [0.8, 3.0, 6.0, 10.0, 14.0])
 def test_half_of_the_pad_hidden(camera: Camera, pad: Pad, height_m: float) -> None:
+    """From afar edges merge: half a disc looks like a smaller one, and the covariance includes it."""
     stage = Stage(camera, pad)
     for n in range(6):
         view = stage.view(height_m, lateral=0.02)
         px = half_hidden(view, pad, camera, n * math.tau / 6)
         found = register(px, camera, pad, stage.start(view, 0.5), view.orientation(), TRACK)
         assert found is not None
+        if found.dense:
+            assert nees(found, view) < chdtri(6, 0.0001)
+            assert found.inliers < 0.6
+            continue
         d, _ = pad_error(found.pose, view.pose)
         assert np.abs(d[:2]).max() < 2e-3 * max(1.0, height_m / 3)
         assert abs(d[2]) < 6e-3 * height_m
         assert found.inliers < 0.9
-
-
-def test_half_of_the_distant_pad_hidden_is_in_the_covariance(camera: Camera, pad: Pad) -> None:
-    """All paints are found together where edges merge. Half a disc looks like a smaller one, and the covariance includes it."""
-    stage = Stage(camera, pad)
-    for height_m in (10.0, 14.0):
-        for n in range(6):
-            view = stage.view(height_m, lateral=0.02)
-            px = half_hidden(view, pad, camera, n * math.tau / 6)
-            found = register(px, camera, pad, stage.start(view, 0.4), view.orientation(), TRACK)
-            assert found is not None
-            e = error(found.pose, view.pose)
-            assert e @ np.linalg.solve(found.cov, e) < chdtri(6, 0.0001)
-            assert found.inliers < 0.6
 
 
 @pytest.mark.parametrize("height_m", [10.0, 15.0, 20.0])
@@ -209,6 +188,8 @@ def test_what_the_edges_do_not_fix_is_uncertain(camera: Camera, pad: Pad) -> Non
     assert np.abs(pad_error(found.pose, view.pose)[0]).max() < 1e-3
     assert not found.edges[EdgeKind.H].seen
     assert found.edges[EdgeKind.DISC].seen
+    seen = sighting_of(view.frame(), found.pose, found.cov, camera, view.orientation(), found.yaw_ambiguous, 0.5)
+    assert (seen.yaw_rad, seen.yaw_ambiguous, seen.cov[3, 3]) == (None, False, UNKNOWN_YAW_VAR)
 
 
 def test_one_end_of_an_h_leg(camera: Camera, pad: Pad) -> None:
@@ -244,16 +225,6 @@ def test_an_h_alone_has_two_headings(camera: Camera, pad: Pad) -> None:
         assert found is not None
         assert found.yaw_ambiguous
         assert abs(pad_error(found.pose, view.pose.turned(turn))[1]) < 1e-3
-
-
-def test_through_a_distorting_lens(pad: Pad) -> None:
-    camera = sim_camera(distortion=(-0.25, 0.08, 0.002, -0.001, 0.0))
-    stage = Stage(camera, pad)
-    for height_m in (0.5, 1.0, 4.0, 12.0):
-        view = stage.view(height_m, lateral=0.3)
-        found = register(view.px, camera, pad, stage.start(view, 0.7), view.orientation())
-        assert found is not None
-        assert np.linalg.norm(found.pose.t_cam_pad - view.pose.t_cam_pad) < 6e-4 * height_m + 1e-4
 
 
 def test_refusals(camera: Camera, pad: Pad) -> None:
@@ -327,13 +298,6 @@ def test_a_blur_that_a_tilt_slants_does_not_turn_the_pad(camera: Camera, pad: Pa
     """Seen obliquely a round blur is an ellipse on the deck, which an H that it merges would follow."""
     off, _ = surrounded_errors(camera, pad, "even", height_m, 25.0, 14)
     assert math.degrees(math.sqrt(float((off[:, 5] ** 2).mean()))) < most_deg
-
-
-@pytest.mark.parametrize(("name", "height_m"), [("patchy", 30.0), ("wet", 20.0), ("wet", 10.0)])
-def test_the_tilt_is_no_more_certain_than_the_frame(camera: Camera, pad: Pad, name: str, height_m: float) -> None:
-    off, cov = surrounded_errors(camera, pad, name, height_m, 12.0, 16)
-    squares = off[:, 3:5] ** 2 / np.array([np.diag(c)[3:5] for c in cov])
-    assert 0.2 < float(squares.mean()) < 2.2
 
 
 @pytest.mark.parametrize("name", ["asphalt", "wet", "patchy"])

@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -12,58 +11,10 @@ from estimator.contracts.geometry import F64, Rotation, Transform, rpy_matrix, w
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
-from estimator.vision.detect.pyramid import FrameView, Pyramid
-from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.fit_verification import confidence
-from estimator.vision.register.look import look
-from estimator.vision.register.registration import RegistrationOptions
-from estimator.vision.register.sighting import camera_pose, sighting_of, sighting_of_look
+from estimator.vision.register.sighting import camera_pose, sighting_of
 from tests.estimator.ekf import oracle
-from tests.support.pad_views import RenderedView, Stage
-
-TRACK = RegistrationOptions(coarse=False)
-
-
-def believed(view: RenderedView, rng: np.random.Generator, sigma_rad: float, sigma_deck_rad: float) -> Orientation:
-    """Return the attitude as an instrument of that quality says it."""
-    roll, pitch = view.roll_rad + rng.normal(0.0, sigma_rad), view.pitch_rad + rng.normal(0.0, sigma_rad)
-    return Orientation(roll, pitch, np.eye(2) * sigma_rad**2, sigma_deck_rad, True)
-
-
-def test_a_level_deck_in_the_image_corrects_the_attitude(camera: Camera, pad: Pad) -> None:
-    """The frame's tilt over a level deck is the attitude's error, and correcting it improves the place."""
-    stage = Stage(camera, pad)
-    plain, better = [], []
-    for _ in range(10):
-        view = stage.view(1.5)
-        orientation = believed(view, stage.rng, math.radians(1.0), 1e-4)
-        found = look(FrameView(Pyramid(view.px), camera, pad), stage.start(view, 0.3), orientation, TRACK)
-        assert found is not None
-        s = sighting_of_look(view.frame(), found, confidence(found.log_odds))
-        better.append(np.linalg.norm((s.d_body_pad_level - view.d_body_pad_level)[:2]))
-        mount = camera.T_body_cam
-        by_attitude = orientation.R_level_body.matrix @ (mount.R.matrix @ found.pose.t_cam_pad + mount.t)
-        plain.append(np.linalg.norm((by_attitude - view.d_body_pad_level)[:2]))
-    assert float(np.median(better)) < 0.2 * float(np.median(plain))
-
-
-def test_no_heading_without_h_and_arrow(camera: Camera, pad: Pad) -> None:
-    stage = Stage(camera, pad)
-    view = stage.view(1.0, lateral=0.0)
-    px = view.px.copy()
-    uv = camera.project(view.pose.points(pad.circle(0.33)))
-    cv2.fillPoly(px, [np.round(uv * 16).astype(np.int32)], (0, 102, 0), cv2.LINE_AA, 4)
-    found = look(FrameView(Pyramid(px), camera, pad), view.pose, view.orientation(), TRACK)
-    assert found is not None
-    s = sighting_of_look(view.frame(), found, confidence(found.log_odds))
-    assert s.yaw_rad is None
-    assert not s.yaw_ambiguous
-    assert s.cov[3, 3] == UNKNOWN_YAW_VAR
-    assert not np.any(s.cov[3, :3])
-    assert s.confidence < 0.6
-
 
 MOUNT = Transform(Rotation.from_rpy(0.02, -0.03, 1.6), np.array([0.15, 0.02, 0.01]))
 

@@ -93,18 +93,6 @@ def test_noise_and_one_colour_raise_nothing() -> None:
             assert detect(Frame(STAMP, 0, px), None, camera, pad, colours).selected is None
 
 
-def test_green_things_elsewhere_are_not_the_pad(camera: Camera, pad: Pad) -> None:
-    """A large green sheet and a green box beside the pad: the blob with ring and H is taken."""
-    scene = PadPlacement((0.15, -0.35, 2.0), 0.3)
-    px = image(scene, camera, pad).px.copy()
-    px[0:150, 430:640] = (0, 102, 0)
-    px[250:330, 480:560] = (0, 102, 0)
-    seen = detect(Frame(STAMP, 0, px), scene.attitude(), camera, pad, SIMULATOR)
-    assert seen.chosen == "arrow"
-    assert seen.selected is not None
-    assert np.linalg.norm(errors(seen.selected, scene)[0]) < 0.01
-
-
 def test_the_edge_of_a_shadow_across_the_h_moves_little(camera: Camera, pad: Pad) -> None:
     """Half of the light gone on one side: half of the paint is then another grey there, and the darker side weighs no less."""
     scene = PadPlacement((0.16, 0.01, 0.8), 0.5)
@@ -274,64 +262,6 @@ def test_points_of_no_ellipse_give_none(xy: F64) -> None:
     assert fit_ellipse(xy) is None
 
 
-@pytest.mark.parametrize("height_m", [1.2, 3.0, 10.0])
-def test_the_disc_is_measured_without_bias(height_m: float, camera: Camera, pad: Pad) -> None:
-    """The thesis' code was off by 1.1 px in the row and 0.1 px in the column: here the mean stays below a thirtieth."""
-    rng = np.random.default_rng(1)
-    off = []
-    for i in range(6):
-        scene = PadPlacement((0.15 + rng.uniform(-0.05, 0.05), rng.uniform(-0.05, 0.05), height_m), rng.uniform(-3, 3))
-        s = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5, seed=i), scene.attitude(), camera, pad, SIMULATOR).methods[
-            "ellipse"
-        ]
-        assert s is not None
-        off.append(errors(s, scene)[0])
-    mean = np.mean(off, axis=0)
-    pixel_m = height_m / camera.fx
-    assert np.all(np.abs(mean[:2]) < pixel_m / 30)
-    assert abs(mean[2]) < 0.002 * height_m
-
-
-def test_under_tilt_the_centre_of_the_ellipse_is_not_taken_for_the_image_of_the_centre(camera: Camera, pad: Pad) -> None:
-    """The two lie 3 px apart at 1.3 m and 15 degrees, that is 1 cm on deck."""
-    scene = PadPlacement((0.0, -0.35, 1.3), 0.4, math.radians(15.0), math.radians(-6.0))
-    s = detect(image(scene, camera, pad, samples=5), scene.attitude(), camera, pad, SIMULATOR).methods["ellipse"]
-    assert s is not None
-    outline = fit_ellipse(project(pad.circle(pad.disc_radius_m), scene, camera))
-    assert outline is not None
-    naive_px = np.linalg.norm(project(np.zeros((1, 3)), scene, camera)[0] - (outline.x, outline.y))
-    assert naive_px > 2.0
-    assert np.linalg.norm(errors(s, scene)[0]) < 0.0015
-
-
-@pytest.mark.parametrize("yaw_deg", [0.0, 35.0, 90.0, 179.9, -90.0, -145.0])
-def test_the_heading_is_right_all_round(yaw_deg: float, camera: Camera, pad: Pad) -> None:
-    scene = PadPlacement((0.17, -0.02, 1.2), math.radians(yaw_deg))
-    s = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5), scene.attitude(), camera, pad, SIMULATOR).methods["arrow"]
-    assert s is not None
-    assert not s.yaw_ambiguous
-    d, yaw = errors(s, scene)
-    assert abs(math.degrees(yaw)) < 0.15
-    assert np.linalg.norm(d[:2]) < 0.001
-    assert abs(d[2]) < 0.006
-
-
-def test_the_centroid_is_one_of_paint_not_of_pixels(camera: Camera, pad: Pad) -> None:
-    """Tilted by 25 degrees at 0.8 m, the nearer half of the H covers more pixels and pulls their centroid over a pixel away."""
-    scene = PadPlacement((0.08, -0.37, 0.8), 0.3, math.radians(25.0), math.radians(-5.0))
-    frame = image(scene, camera, pad, samples=5)
-    s = detect(frame, scene.attitude(), camera, pad, SIMULATOR).methods["arrow"]
-    assert s is not None
-    true = project(np.zeros((1, 3)), scene, camera)[0]
-    seen = next(f.uv_px[0] for f in s.features if f.label == "centre")
-    h = np.asarray(frame.px.min(axis=2) > 120, np.uint8)
-    h[:, : int(true[0]) - 120] = 0
-    h[:, int(true[0]) + 120 :] = 0
-    m = cv2.moments(h, binaryImage=True)
-    assert np.linalg.norm(np.array([m["m10"], m["m01"]]) / m["m00"] - true) > 1.0
-    assert np.linalg.norm(seen - true) < 0.1
-
-
 def test_no_orange_no_arrow(camera: Camera, pad: Pad) -> None:
     """An empty mask is no estimate, not an arrow at (0, 0)."""
     scene = PadPlacement((0.15, 0.0, 1.5))
@@ -343,38 +273,25 @@ def test_no_orange_no_arrow(camera: Camera, pad: Pad) -> None:
     assert seen.methods["ellipse"] is not None
 
 
+@pytest.mark.parametrize("yaw_deg", [0.0, 20.0, 45.0, 89.0, 90.0, 135.0, -60.0, -179.0])
+@pytest.mark.parametrize(("height_m", "method"), [(0.4, "corners"), (1.0, "corners"), (1.2, "arrow"), (2.0, "corners")])
+def test_the_heading_is_right_all_round(height_m: float, method: Method, yaw_deg: float, camera: Camera, pad: Pad) -> None:
+    """That of the H up to half a turn."""
+    scene = PadPlacement((0.16, 0.01, height_m), math.radians(yaw_deg))
+    s = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5), scene.attitude(), camera, pad, SIMULATOR).methods[method]
+    assert s is not None
+    assert s.yaw_ambiguous == (method == "corners")
+    assert s.yaw_rad is not None
+    assert method == "arrow" or -math.pi / 2 - 1e-9 < s.yaw_rad <= math.pi / 2 + 1e-9
+    d, yaw = errors(s, scene)
+    assert abs(math.degrees(yaw)) < 0.2
+    assert np.linalg.norm(d[:2]) < 0.001 * max(0.7, 0.7 * height_m)
+    assert abs(d[2]) < 0.005 * height_m
+
+
 def corners_of(scene: PadPlacement, camera: Camera, pad: Pad, seed: int = 0) -> Sighting | None:
     frame = image(scene, camera, pad, blur_px=0.6, noise=1.5, seed=seed)
     return detect(frame, scene.attitude(), camera, pad, SIMULATOR).methods["corners"]
-
-
-def wedge(u: float, v: float, heading: float, inner: bool) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
-    """Return a corner at (u, v): a quarter plane of paint, or all but a quarter, turned by `heading`."""
-    n = 8
-    x = (np.arange(60 * n) + 0.5) / n - 0.5
-    dx, dy = x[None, :] - u, x[:, None] - v
-    c, s = math.cos(heading), math.sin(heading)
-    quarter = (dx * c + dy * s > 0) & (dy * c - dx * s > 0)
-    share = (~quarter if inner else quarter).reshape(60, n, 60, n).mean(axis=(1, 3)).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(share, (0, 0), 0.7), np.float32)
-
-
-@pytest.mark.parametrize("inner", [False, True])
-def test_a_corner_is_found_to_a_few_hundredths_of_a_pixel_with_its_arms(inner: bool) -> None:
-    rng = np.random.default_rng(0)
-    off: list[float] = []
-    for _ in range(12):
-        u, v, heading = *rng.uniform(27, 33, 2), rng.uniform(-3, 3)
-        share = wedge(u, v, heading, inner)
-        found = refine(share, np.rint([[u, v]]) + rng.integers(-2, 3, 2), 9.0)
-        assert len(found) == 1
-        corner = found[0]
-        assert corner.inner is inner
-        off.append(float(np.linalg.norm(corner.uv_px - (u, v))))
-        along = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
-        assert np.allclose(corner.arms, along, atol=0.03)
-    assert max(off) < 0.12
-    assert math.sqrt(np.mean(np.square(off))) < 0.05
 
 
 def test_what_is_no_right_angle_is_none() -> None:
@@ -388,21 +305,6 @@ def test_what_is_no_right_angle_is_none() -> None:
     for share in (edge, disc, line, noise):
         start = np.concatenate([candidates(share, everywhere, 12.0), [[30.0, 30.0], [30.0, 16.0]]])
         assert refine(share, start, 9.0) == []
-
-
-@pytest.mark.parametrize("yaw_deg", [0.0, 20.0, 45.0, 89.0, 90.0, 135.0, -60.0, -179.0])
-@pytest.mark.parametrize("height_m", [0.4, 1.0, 2.0])
-def test_pose_of_the_h_up_to_half_a_turn(height_m: float, yaw_deg: float, camera: Camera, pad: Pad) -> None:
-    scene = PadPlacement((0.16, 0.01, height_m), math.radians(yaw_deg))
-    s = corners_of(scene, camera, pad)
-    assert s is not None
-    assert s.yaw_ambiguous
-    assert s.yaw_rad is not None
-    assert -math.pi / 2 - 1e-9 < s.yaw_rad <= math.pi / 2 + 1e-9
-    d, yaw = errors(s, scene)
-    assert abs(math.degrees(yaw)) < 0.2
-    assert np.linalg.norm(d[:2]) < 0.0007 * max(1.0, height_m)
-    assert abs(d[2]) < 0.004 * height_m
 
 
 @pytest.mark.parametrize(
@@ -424,21 +326,6 @@ def test_two_inner_corners_do_on_the_long_side_and_on_the_short_one(place, side,
     d, yaw = errors(s, scene)
     assert np.linalg.norm(d) < 0.002
     assert abs(math.degrees(yaw)) < 0.3
-
-
-def test_corners_keep_their_fractions_of_a_pixel(camera: Camera, pad: Pad) -> None:
-    rng = np.random.default_rng(3)
-    off = []
-    for i in range(6):
-        scene = PadPlacement((0.15 + rng.uniform(-0.01, 0.01), rng.uniform(-0.01, 0.01), 0.9), rng.uniform(-3, 3))
-        s = corners_of(scene, camera, pad, seed=i)
-        assert s is not None
-        true = project(pad.markings.h_corners(), scene, camera)
-        for uv in next(f.uv_px for f in s.features if f.label == "corners"):
-            off.append(uv - true[np.argmin(np.linalg.norm(true - uv, axis=1))])
-    assert len(off) >= 60
-    assert np.all(np.abs(np.mean(off, axis=0)) < 0.02)
-    assert np.sqrt(np.mean(np.square(off))) < 0.12
 
 
 def test_a_bare_white_square_is_no_h(camera: Camera, pad: Pad) -> None:

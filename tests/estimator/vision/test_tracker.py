@@ -23,7 +23,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.options import TrackerMethod, TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.srgb import LINEAR_LIGHT, light_of_tone
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, drawn_lamps, rehearse, track
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, rehearse, track
 from sitl.camera.camera import Renderer
 from sitl.camera.light import Light, Sensor
 from sitl.camera.surroundings import Decal, Surroundings
@@ -181,15 +181,6 @@ def test_a_near_track_does_not_settle_on_the_next_edge(name: str) -> None:
     assert sure >= 23
 
 
-def test_nothing_is_seen_where_there_is_no_pad_even_where_one_is_expected() -> None:
-    view = stage().view(2.0)
-    rng = np.random.default_rng(0)
-    sea = cv2.GaussianBlur(rng.integers(20, 90, (CAMERA.height, CAMERA.width, 3), np.uint8), (0, 0), 5)
-    frame = type(view.frame())(view.frame().stamp, 0, sea)
-    seen, _ = track(tracker(), TrackerMemory(), frame, attitude_of(view), estimate_of(view))
-    assert seen.selected is None or seen.selected.confidence < 0.2
-
-
 def test_a_bare_green_disc_is_rejected_although_the_ellipse_is_sure_of_it() -> None:
     seen = shown(CAMERA, None, 3.0, decals=(Decal("green_disc", (0.1, -0.1), 0.78, 0.3, "deck"),))
     frame = Frame(STAMP, 0, seen.px)
@@ -199,19 +190,6 @@ def test_a_bare_green_disc_is_rejected_although_the_ellipse_is_sure_of_it() -> N
     assert alone.selected.confidence > 0.5
     together, _ = track(tracker(), TrackerMemory(), frame, reported)
     assert together.selected is None or together.selected.confidence < 0.2
-
-
-AT = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
-
-
-@pytest.mark.parametrize("method", ["registration", "fused"])
-def test_the_pad_is_found_where_it_was_drawn(method: str) -> None:
-    camera, pad = camera_model(SIM), pad_model(SIM)
-    found = rehearse(TrackerConfig(camera, pad, TrackerOptions(method=method, colours="simulator"))).selected  # type: ignore[arg-type]
-    assert found is not None
-    d = camera.T_body_cam.R.inv @ (found.d_body_pad_level - camera.T_body_cam.t)
-    assert np.linalg.norm(found.d_body_pad_level) == pytest.approx(5.0 * pad.disc_radius_m, rel=0.1)
-    assert np.isfinite(d).all()
 
 
 @pytest.mark.filterwarnings("error")
@@ -228,16 +206,6 @@ def test_a_pad_of_one_region_is_looked_for(region: dict[str, Any]) -> None:
     pad = Pad.from_mapping({"name": "one", "paints": {"blue": [20, 40, 255]}, "regions": [{**region, "paint": "blue"}]})
     seen = rehearse(TrackerConfig(camera_model(SIM), pad, TrackerOptions(method="fused", colours="simulator")))
     assert seen.selected is None or np.isfinite(seen.selected.cov).all()
-
-
-def test_the_lamps_of_a_lit_pad_are_found_where_they_were_drawn() -> None:
-    camera, pad = camera_model(SIM), shipped_pad("lit")
-    level = Attitude(AT, camera.T_body_cam.R.inv, 1e-4 * np.eye(3))
-    found, _ = track(TrackerConfig(camera, pad), TrackerMemory(), Frame(AT, 0, drawn_lamps(camera, pad)), level)
-    assert found.chosen == "lamps"
-    assert found.selected is not None
-    assert found.selected.confidence > 0.5
-    assert np.linalg.norm(found.selected.d_body_pad_level) == pytest.approx(5.0 * pad.disc_radius_m, rel=0.1)
 
 
 LOADED = """

@@ -17,8 +17,6 @@ from estimator.vision.detect.acquire import acquire
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, align
 from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, learn, missed
 from estimator.vision.detect.pyramid import FrameView, Pyramid
-from estimator.vision.detect.template import DISC
-from estimator.vision.detect.verification import FEATURES
 from estimator.vision.detect.verification import confidence as confidence_of_features
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -41,27 +39,6 @@ def align_at(px: np.ndarray, camera: Camera, pad: Pad, pose: PadPose) -> Aligned
     return aligned
 
 
-def named(aligned: AlignedTemplate) -> dict[str, float]:
-    return dict(zip(FEATURES, aligned.features.tolist(), strict=True))
-
-
-@pytest.mark.parametrize("height_m", [0.6, 1.5, 4.0])
-def test_each_part_painted_over_is_missed_by_name(camera: Camera, pad: Pad, height_m: float) -> None:
-    seen = shown(camera, pad, height_m)
-    uv = camera.project(seen.truth.points(np.array([[0.0, 0.18, 0.0]])))[0]
-    green = tuple(int(c) for c in seen.px[round(uv[1]), round(uv[0])])
-    paint = (green[0], green[1], green[2])
-    whole = named(align_at(seen.px, camera, pad, seen.truth))
-    no_h = named(align_at(covered(seen, camera, disc_of(0.2), paint), camera, pad, seen.truth))
-    assert no_h["h_marking"] < 0.25 * whole["h_marking"]
-    assert no_h["ring"] > 0.6 * whole["ring"]
-    band = np.concatenate([disc_of(0.31), disc_of(0.31)[:1], disc_of(0.225)[:1], disc_of(0.225)[::-1]])
-    no_ring = named(align_at(covered(seen, camera, band, paint), camera, pad, seen.truth))
-    assert no_ring["ring"] < 0.35 * whole["ring"]
-    assert no_ring["h_marking"] > 0.6 * whole["h_marking"]
-    assert abs(no_ring["arrow"]) < 0.5
-
-
 def test_confidence_falls_with_every_part_that_is_missing(camera: Camera, pad: Pad) -> None:
     seen = shown(camera, pad, 1.2)
     paint = (0, 95, 0)
@@ -77,18 +54,6 @@ def test_confidence_falls_with_every_part_that_is_missing(camera: Camera, pad: P
     assert max(values[1:]) < 0.5
     shifted = PadPose(seen.truth.R_cam_pad, seen.truth.t_cam_pad + np.array([0.05, 0.0, 0.0]))
     assert confidence_of_features(align_at(seen.px, camera, pad, shifted).features) < 0.5
-
-
-@pytest.mark.parametrize("light", [Light(3000.0), Light(9000.0), Light(white_balance=(1.2, 1.0, 0.8)), Light(exposure_ev=-2.0)])
-def test_light_that_burns_nothing_out_does_not_count(camera: Camera, pad: Pad, light: Light) -> None:
-    plain, other = (
-        named(align_at(shown(camera, pad, 1.5, light=k).px, camera, pad, shown(camera, pad, 1.5).truth)) for k in (Light(), light)
-    )
-    # A quarter of the light against the same noise costs up to log 4 of a gain that is 3.3 here.
-    kept = 0.55 if light.exposure_ev < 0.0 else 0.7
-    for part in ("h_marking", "ring", "edge", "arrow"):
-        assert other[part] > kept * plain[part]
-    assert other["orange_place"] > plain["orange_place"] - 0.15
 
 
 def test_features_are_finite_on_anything(camera: Camera, pad: Pad) -> None:
@@ -142,19 +107,6 @@ def test_a_look_is_a_registration_an_alignment_and_their_evidence(camera: Camera
     assert compared > 30
 
 
-def test_a_rough_start_is_approached_first(camera: Camera, pad: Pad) -> None:
-    for height_m in (0.5, 2.0, 8.0):
-        seen = shown(camera, pad, height_m)
-        off = PadPose(seen.truth.R_cam_pad, seen.truth.t_cam_pad + 0.04 * pad.disc_radius_m)
-        pyramid, orientation = Pyramid(seen.px), Orientation.of(Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3)))
-        found = look(FrameView(pyramid, camera, pad), off, orientation, RegistrationOptions(coarse=True))
-        one = register(seen.px, camera, pad, off, orientation, RegistrationOptions(coarse=True), pyramid=pyramid)
-        assert found is not None
-        assert one is not None
-        assert found.pose.t_cam_pad == pytest.approx(one.pose.t_cam_pad, abs=1e-9)
-        assert found.pose.t_cam_pad == pytest.approx(seen.truth.t_cam_pad, abs=2e-3 * height_m)
-
-
 def test_evidence_that_is_no_number_is_no_pad(camera: Camera, pad: Pad, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = shown(camera, pad, 1.0)
     assert looked(seen.px, camera, pad, seen.truth, seen.R_level_body) is not None
@@ -164,12 +116,6 @@ def test_evidence_that_is_no_number_is_no_pad(camera: Camera, pad: Pad, monkeypa
     # The drawing that is tracked is made from the weights once: another name makes it again.
     pad = replace(pad, name="again")
     assert looked(seen.px, camera, pad, seen.truth, seen.R_level_body) is None
-
-
-@pytest.mark.parametrize("height_m", [0.4, 1.2, 4.0, 12.0])
-def test_sure_of_the_pad(camera: Camera, pad: Pad, height_m: float) -> None:
-    seen = shown(camera, pad, height_m)
-    assert sure(seen.px, camera, pad, seen.truth, seen.R_level_body) > 0.9
 
 
 @pytest.mark.parametrize("height_m", [0.6, 1.5, 4.0])
@@ -218,17 +164,6 @@ def test_three_confident_frames_make_it_trusted_and_doubtful_ones_teach_nothing(
     disc, around = learned
     assert disc > around + 1.0, "the disc is green and the deck is not"
     assert abs(around) < 0.25
-
-
-def test_it_follows_the_light_slowly(camera: Camera, pad: Pad) -> None:
-    bright, dim = view(camera, pad, Light()), view(camera, pad, Light(exposure_ev=-1.5), 1)
-    old = taught(60, bright)
-    after_one, after_many = learn(old, dim(old), 0.97), taught(150, dim, old)
-    target = taught(1, dim).mean[DISC]
-    gap = float(np.abs(old.mean[DISC] - target).max())
-    assert gap > 0.3
-    assert np.abs(after_one.mean[DISC] - old.mean[DISC]).max() < 0.06 * gap
-    assert np.abs(after_many.mean[DISC] - target).max() < 0.15 * gap
 
 
 def test_without_the_pad_it_fades_back_to_knowing_nothing(camera: Camera, pad: Pad) -> None:
