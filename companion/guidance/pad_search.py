@@ -105,8 +105,7 @@ class PadSearch:
 
     def search(self, look: Look) -> Detection:
         """Search a frame for the pad. This may run on another thread, one call at a time: it writes only its own memory."""
-        from estimator.vision.alone import alone_in
-        from estimator.vision.tracker import TrackerMemory, track
+        from estimator.vision.tracker import TrackerMemory, alone_in, track
 
         before = self._memory or TrackerMemory()
         seen, self._memory = track(look.tracker, before, look.frame, look.attitude, look.expected)

@@ -27,8 +27,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.clear_deck import LASTS_S, DeckMemory, checked_deck
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
-from estimator.vision.detect.guesses import pose_about
-from estimator.vision.detect.heading import heading
+from estimator.vision.detect.guesses import heading, pose_about
 from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import FrameView, Pyramid
@@ -41,12 +40,11 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.ambiguity import nearest_of_four
 from estimator.vision.register.fit_verification import calibrated
-from estimator.vision.register.look import Looked
+from estimator.vision.register.look import SRGB, Looked, ToneMemory, forgotten, learnt, toned
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS
-from estimator.vision.tone import SRGB, ToneMemory, forgotten, learnt, toned
 from estimator.vision.tracker_config import TrackerConfig
 from estimator.vision.verified import CLOSE, CODED_PX, ROUGH, SURE, Verified, verified
 

@@ -26,8 +26,7 @@ from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.file_numbers import shown
 from estimator.vision.lamp import MOST, Lamp, check_lamps
 from estimator.vision.markings import Markings, Rgb, markings_of
-from estimator.vision.pad_fiducials import check_marker
-from estimator.vision.pad_rules import check_regions
+from estimator.vision.pad_rules import check_marker, check_regions
 from estimator.vision.regions import (
     PaintedArrowhead,
     PaintedLetter,

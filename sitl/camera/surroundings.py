@@ -79,7 +79,8 @@ class Decal:
         """Return the polygons ((N, 2) m, sRGB) in paint order, in the plane of the decal."""
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         turn = np.array([[c, s], [-s, c]]) * self.size_m / 2
-        return [(np.asarray(p) @ turn + self.centre_m, rgb) for p, rgb in _DRAWINGS[self.kind](self.colour)]
+        usual, parts = _DRAWINGS[self.kind]
+        return [(points @ turn + self.centre_m, rgb or self.colour or usual) for points, rgb in parts]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,71 +120,50 @@ def _h_marking(scale: float, rgb: RGB) -> list[tuple[F64, RGB]]:
     ]
 
 
-def _raft(colour: RGB | None) -> list[tuple[F64, RGB]]:
-    tube = colour or (255, 120, 20)
-    floor, canopy, seam = (60, 40, 30), (200, 80, 20), (220, 220, 210)
-    return [(_disc(1.0, 12), tube), (_disc(0.78, 12), floor), (_disc(0.62, 12), canopy), (_box(0, 0, 0.62, 0.04), seam)]
+def _quarter(n: int) -> F64:
+    a = n * math.pi / 2 + np.linspace(-0.2, 0.2, 5)
+    arc = np.stack([np.cos(a), np.sin(a)], axis=1)
+    return np.concatenate([arc, 0.55 * arc[::-1]])
 
 
-def _awning(colour: RGB | None) -> list[tuple[F64, RGB]]:
-    cloth = colour or (20, 110, 50)
-    pale = (225, 228, 215)
-    return [(_box(0, 0, 1.0, 0.7), cloth), *[(_box(0, y, 1.0, 0.07), pale) for y in (-0.42, 0.0, 0.42)]]
-
-
-def _helipad(colour: RGB | None) -> list[tuple[F64, RGB]]:
-    field = colour or (70, 95, 75)
-    yellow, white = (235, 195, 40), (240, 240, 240)
-    return [(_disc(1.0, 8), field), (_disc(0.80), yellow), (_disc(0.70), field), *_h_marking(0.55, white)]
-
-
-def _bare_h(colour: RGB | None) -> list[tuple[F64, RGB]]:
-    return [(_box(0, 0, 1.0, 1.0), colour or (10, 100, 20)), *_h_marking(0.75, (245, 245, 245))]
-
-
-def _green_disc(colour: RGB | None) -> list[tuple[F64, RGB]]:
-    return [(_disc(), colour or (0, 102, 0))]
-
-
-def _ring(colour: RGB | None) -> list[tuple[F64, RGB]]:
-    return [(_disc(), colour or (255, 149, 0)), (_disc(0.86), (110, 115, 118))]
-
-
-def _lifebuoy(colour: RGB | None) -> list[tuple[F64, RGB]]:
-    body = colour or (240, 80, 25)
-    parts: list[tuple[F64, RGB]] = [(_disc(), body)]
-    for quarter in range(4):
-        a = quarter * math.pi / 2 + np.linspace(-0.2, 0.2, 5)
-        arc = np.stack([np.cos(a), np.sin(a)], axis=1)
-        parts.append((np.concatenate([arc, 0.55 * arc[::-1]]), (240, 240, 235)))
-    return [*parts, (_disc(0.55), (20, 55, 68))]
-
-
-def _towel(colour: RGB | None) -> list[tuple[F64, RGB]]:
-    cloth, stripe, label = colour or (30, 120, 60), (250, 150, 30), (240, 240, 240)
-    return [(_box(0, 0, 1.0, 0.5), cloth), (_box(0, 0, 0.25, 0.5), stripe), (_box(0, 0, 0.1, 0.3), label)]
-
-
-def _crate(colour: RGB | None) -> list[tuple[F64, RGB]]:
-    return [(_box(0, 0, 1.0, 1.0), colour or (150, 112, 70))]
-
-
-def _rope(colour: RGB | None) -> list[tuple[F64, RGB]]:
-    return [(_box(0, 0, 1.0, 0.16), colour or (205, 190, 150))]
-
-
-_DRAWINGS = {
-    "raft": _raft,
-    "awning": _awning,
-    "helipad": _helipad,
-    "bare_h": _bare_h,
-    "green_disc": _green_disc,
-    "ring": _ring,
-    "lifebuoy": _lifebuoy,
-    "towel": _towel,
-    "crate": _crate,
-    "rope": _rope,
+_DRAWINGS: dict[str, tuple[RGB, list[tuple[F64, RGB | None]]]] = {
+    "raft": (
+        (255, 120, 20),
+        [
+            (_disc(1.0, 12), None),
+            (_disc(0.78, 12), (60, 40, 30)),
+            (_disc(0.62, 12), (200, 80, 20)),
+            (_box(0, 0, 0.62, 0.04), (220, 220, 210)),
+        ],
+    ),
+    "awning": (
+        (20, 110, 50),
+        [(_box(0, 0, 1.0, 0.7), None), *((_box(0, y, 1.0, 0.07), (225, 228, 215)) for y in (-0.42, 0.0, 0.42))],
+    ),
+    "helipad": (
+        (70, 95, 75),
+        [
+            (_disc(1.0, 8), None),
+            (_disc(0.80), (235, 195, 40)),
+            (_disc(0.70), None),
+            *_h_marking(0.55, (240, 240, 240)),
+        ],
+    ),
+    "bare_h": ((10, 100, 20), [(_box(0, 0, 1.0, 1.0), None), *_h_marking(0.75, (245, 245, 245))]),
+    "green_disc": ((0, 102, 0), [(_disc(), None)]),
+    "ring": ((255, 149, 0), [(_disc(), None), (_disc(0.86), (110, 115, 118))]),
+    "lifebuoy": (
+        (240, 80, 25),
+        [(_disc(), None), *((_quarter(n), (240, 240, 235)) for n in range(4)), (_disc(0.55), (20, 55, 68))],
+    ),
+    "towel": (
+        (30, 120, 60),
+        [(_box(0, 0, 1.0, 0.5), None), (_box(0, 0, 0.25, 0.5), (250, 150, 30)), (_box(0, 0, 0.1, 0.3), (240, 240, 240))],
+    ),
+    "crate": ((150, 112, 70), [(_box(0, 0, 1.0, 1.0), None)]),
+    "rope": ((205, 190, 150), [(_box(0, 0, 1.0, 0.16), None)]),
 }
+"""Usual colour of the main part of each decal, and polygons about its centre, in half sizes; None for the main part's colour."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

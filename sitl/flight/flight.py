@@ -49,7 +49,7 @@ from sitl.flight.grader import FlightGrader, FlightResult
 from sitl.flight.hands import BY_REMOTE, MOTORS_TURN
 from sitl.flight.person import SimulatedPerson
 from sitl.flight.vessel_reports import VesselReporter
-from sitl.perception.port import Perception, Pixels
+from sitl.perception.port import Perception
 from sitl.scenario.scenario import Scenario, camera_model
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.stage import flight_seeds
@@ -118,7 +118,7 @@ class Flight:
     ) -> None:
         cv2.setNumThreads(1)
         self.world = World(scenario, seed)
-        self._perception = perception or Pixels()
+        self._perception = perception or Perception()
         self._perception.begin(self.world)
         self.worker: RenderWorker | None = None
         """Makes the frames, where one is set before the first step; else they are made in place. The same bits either way."""

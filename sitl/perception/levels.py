@@ -8,7 +8,7 @@ covariance, so it is honest. The motion of body and deck has an error in the sam
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Any
@@ -30,14 +30,12 @@ from estimator.ekf import Forecast
 from estimator.paths import Event
 from estimator.pipeline import RelativeEstimator
 from estimator.vision.detection import Detection
-from sitl.camera.render_worker import RenderWorker
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import FrameStream, VesselReports
 from sitl.perception.draw import detection_table, root_of, symmetric
-from sitl.perception.model import DrawingPilot, Model, Scenes, model_for, refuse_pictures
-from sitl.perception.parameters import EstimateModel, PerceptionModel, load
-from sitl.perception.port import LEVELS, Level, PerceivedWorld, Perception, Pixels
-from sitl.world.truth import RenderedFrame
+from sitl.perception.model import DrawingPilot, Model, model_for
+from sitl.perception.parameters import EstimateModel, PerceptionModel
+from sitl.perception.port import LEVELS, Level, PerceivedWorld, Perception
 
 SIGMA_ACCEL_M_S2, ACCEL_TIME_S = 0.06, 4.0
 """Levelled acceleration: the tilt that the filter errs by, times g, and how fast it changes."""
@@ -199,36 +197,23 @@ def _estimate_table(model: EstimateModel) -> EstimateTable:
     return EstimateTable(model)
 
 
-class TruthLevel:
-    """The estimate is the truth with an error model of the filter.
-
-    Args:
-        model: the error model, or the name of a shipped one or a file; None for the shipped one of `vision.method`.
-    """
+class TruthLevel(Model):
+    """The estimate is the truth with an error model of the filter."""
 
     level: Level = "truth"
 
     def __init__(self, model: PerceptionModel | str | None = None) -> None:
-        self._given = load(model) if isinstance(model, str) else model
+        super().__init__(model)
         self._world: PerceivedWorld | None = None
-        self._scenes: Scenes | None = None
         self._rng = np.random.Generator(np.random.PCG64(0))
 
     def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
-        """Return a pilot that flies by the truth.
-
-        Raises:
-            BadInput: there is no error model of the settings' vision.
-        """
+        """Return a pilot that flies by the truth."""
         return make_pilot(settings, shadows, partial(TruthPilot, self, model_for(settings, self._given), settings))
 
     def refuse(self, faults: Sequence[Fault]) -> None:
-        """Refuse a fault that acts on what does not run at this level.
-
-        Raises:
-            BadInput: there is one; the text names it.
-        """
-        refuse_pictures(faults)
+        """Refuse a fault that acts on what does not run at this level."""
+        super().refuse(faults)
         for fault in faults:
             only_order = isinstance(fault, FrameStream) and not fault.delay_s and not fault.dropped_fraction
             of_filter = isinstance(fault, VesselReports) and any(
@@ -241,18 +226,10 @@ class TruthLevel:
                 )
 
     def begin(self, world: PerceivedWorld) -> None:
-        """Begin a flight.
-
-        Raises:
-            BadInput: a fault of the scenario acts on what does not run at this level.
-        """
-        self.refuse(world.scenario.faults)
-        self._world, self._scenes = world, Scenes(world.camera, world)
+        """Begin a flight in this world."""
+        super().begin(world)
+        self._world = world
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
-
-    def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
-        """Keep the scene as it is now."""
-        return world.expose(camera=self.scenes.expose)
 
     @property
     def world(self) -> PerceivedWorld:
@@ -260,13 +237,6 @@ class TruthLevel:
         if self._world is None:
             raise RuntimeError("no flight has begun")
         return self._world
-
-    @property
-    def scenes(self) -> Scenes:
-        """The exposures of the flight."""
-        if self._scenes is None:
-            raise RuntimeError("no flight has begun")
-        return self._scenes
 
     def true_motion(self) -> TrueMotion:
         """Return a source of the true motion, made uncertain, with a generator of its own."""
@@ -426,12 +396,10 @@ def perceive(level: Level, model: str | None = None) -> Perception:
     Raises:
         BadInput: the level is not known, or the error model's file is missing or has a fault.
     """
-    if level == "model":
-        return Model(model)
-    if level == "truth":
-        return TruthLevel(model)
     if level == "pixels":
-        return Pixels()
+        return Perception()
+    if level in LEVELS:
+        return Model(model) if level == "model" else TruthLevel(model)
     raise BadInput(f"there is no perception {level!r}; known are {', '.join(LEVELS)}")
 
 

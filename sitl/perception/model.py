@@ -40,7 +40,7 @@ from sitl.faults.fault import Fault
 from sitl.faults.kinds import FocalLength, LightFalls, PadCovered, PictureFault, light_stops
 from sitl.perception.draw import Chance, View, Viewer, detection_table
 from sitl.perception.parameters import PerceptionModel, load
-from sitl.perception.port import Level, PerceivedWorld
+from sitl.perception.port import Level, PerceivedWorld, Perception
 from sitl.world.truth import RenderedFrame
 
 KEPT_SCENES = 512
@@ -115,18 +115,7 @@ class Scenes:
         return self._scenes[frame.px[0, :_TOKEN, 0].tobytes()]
 
 
-def refuse_pictures(faults: Sequence[Fault]) -> None:
-    """Refuse a fault that only a rendered frame shows.
-
-    Raises:
-        BadInput: there is one; the text names it.
-    """
-    for fault in faults:
-        if isinstance(fault, PictureFault) and not isinstance(fault, MODELLED):
-            raise BadInput(f"the fault {fault.kind} is seen in rendered frames only; use --perception pixels")
-
-
-class Model:
+class Model(Perception):
     """Detections are drawn from an error model.
 
     Args:
@@ -140,29 +129,19 @@ class Model:
         self._scenes: Scenes | None = None
 
     def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
-        """Return a pilot whose detections are drawn.
-
-        Raises:
-            BadInput: there is no error model of the settings' vision.
-        """
+        """Return a pilot whose detections are drawn."""
         found = model_for(settings, self._given)
         return make_pilot(settings, shadows, partial(ModelPilot, _Detector(self, found, settings)))
 
     def refuse(self, faults: Sequence[Fault]) -> None:
-        """Refuse a fault that only a rendered frame shows; every other one acts as on rendered frames.
-
-        Raises:
-            BadInput: there is one; the text names it.
-        """
-        refuse_pictures(faults)
+        """Refuse a fault that only a rendered frame shows; every other one acts as on rendered frames."""
+        for fault in faults:
+            if isinstance(fault, PictureFault) and not isinstance(fault, MODELLED):
+                raise BadInput(f"the fault {fault.kind} is seen in rendered frames only; use --perception pixels")
 
     def begin(self, world: PerceivedWorld) -> None:
-        """Begin a flight.
-
-        Raises:
-            BadInput: as `refuse`.
-        """
-        self.refuse(world.scenario.faults)
+        """Begin a flight in this world."""
+        super().begin(world)
         self._scenes = Scenes(world.camera, world)
 
     def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:

@@ -1,4 +1,4 @@
-"""The port between a flight and the way in which it perceives the pad, and the way by rendered frames and the real vision."""
+"""The levels at which a flight perceives the pad, and the one by rendered frames and the real vision."""
 
 from collections.abc import Callable, Sequence
 from typing import Literal, Protocol
@@ -70,71 +70,40 @@ class PerceivedWorld(Protocol):
         ...
 
 
-class Perception(Protocol):
-    """One level of perception, for one flight.
+class Perception:
+    """One level of perception, for one flight: at this one every frame is rendered and searched.
 
     A flight gets the service's pilot from it, gives it the world, and exposes every frame through it; what comes back is a
     frame like any other, and the pilot takes it like any other.
     """
 
-    @property
-    def level(self) -> Level: ...
-
-    def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
-        """Return a new pilot that perceives at this level.
-
-        Raises:
-            BadInput: the camera or pad file is missing or has a fault.
-        """
-        ...
-
-    def refuse(self, faults: Sequence[Fault]) -> None:
-        """Refuse faults that this level cannot represent.
-
-        Raises:
-            BadInput: there is one; the text names it.
-        """
-        ...
-
-    def begin(self, world: PerceivedWorld) -> None:
-        """Begin a flight in this world.
-
-        Raises:
-            BadInput: the scenario has a fault that this level cannot represent; the text names it.
-        """
-        ...
-
-    def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
-        """Expose a frame now; the call that comes back makes it when it arrives."""
-        ...
-
-
-class Pixels:
-    """Every frame is rendered and searched."""
-
     level: Level = "pixels"
 
     def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
-        """Return the pilot that also flies a real drone."""
+        """Return a new pilot that perceives at this level; at this one it is the pilot that also flies a real drone.
+
+        Raises:
+            BadInput: the camera or pad file is missing or has a fault, or there is no error model of the settings' vision.
+        """
         return make_pilot(settings, shadows)
 
     def refuse(self, faults: Sequence[Fault]) -> None:
-        """Refuse corrupted sightings, which vision makes and nobody draws; every other fault acts on rendered frames.
+        """Refuse faults that this level cannot represent: corrupted sightings, which vision makes and nobody draws.
 
         Raises:
-            BadInput: there is one.
+            BadInput: there is one; the text names it.
         """
         if any(isinstance(fault, Corrupted) and fault.signal == "sighting" for fault in faults):
             raise BadInput("corrupted sightings are of drawn detections only; use --perception model")
 
     def begin(self, world: PerceivedWorld) -> None:
-        """Begin a flight.
+        """Begin a flight in this world.
 
         Raises:
-            BadInput: as `refuse`.
+            BadInput: as `refuse`, of the scenario's faults.
         """
         self.refuse(world.scenario.faults)
 
     def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
-        """Render the scene as it is now."""
+        """Expose a frame now; the call that comes back makes it when it arrives."""
         return world.expose(worker)

@@ -9,10 +9,9 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
-from sitl.camera.automatic import Automatics
 from sitl.camera.camera import Renderer
 from sitl.camera.drops import Drops
-from sitl.camera.film import Film
+from sitl.camera.film import Automatics, Film
 from sitl.camera.light import Light, Mast, Sensor
 from sitl.camera.settings import CLEAR_M
 from sitl.camera.surroundings import Deck, Surroundings

@@ -9,7 +9,6 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from companion.base.observer import Decision
@@ -18,11 +17,12 @@ from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState, Sighting
-from estimator.contracts.geometry import F64, skew
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation, roll_pitch, tilt_axes
+from estimator.vision.pose import Orientation
+from estimator.vision.register.sighting import camera_pose
 from sitl.perception.draw import View, Viewer
 from sitl.scenario.scenario import Scenario, load
 
@@ -77,10 +77,6 @@ def read(path: Path) -> Recorded:
         raise BadInput(f"{path}: holds no true attitudes: record the flight again with this version")
     name = f"{Path(facts['scenario']).stem} {facts['seed']}"
     return Recorded(path, load(facts["scenario"]), name, settings, camera, pad, truths, tuple(frames), tuple(beliefs))
-
-
-_ITERATIONS = 12
-"""Rounds in which the levelling is undone; each takes the rest down to a fifth or less."""
 
 
 class Measured(NamedTuple):
@@ -143,39 +139,14 @@ def _sample(
 
 
 def _in_camera(registered: Sighting, attitude: Attitude, camera: Camera, sigma_deck_rad: float, view: View) -> Measured:
-    """Undo `estimator.vision.register.sighting.sighting_of`: its inputs from its result and the attitude it used."""
-    pose = registered.pose6
-    assert pose is not None
-    orientation = Orientation.of(attitude, sigma_deck_rad)
-    axes, C = tilt_axes(orientation), orientation.cov_tilt
-    A = -np.array([[0.0, 1.0], [-1.0, 0.0]]) @ axes[:2]
-    gain = C @ A.T @ np.linalg.inv(A @ C @ A.T + (sigma_deck_rad**2 + 1e-12) * np.eye(2))
-    after = pose.R_level_pad.matrix
-    normal = after[:, 2]
-    turn: F64 = np.eye(3)
-    for _ in range(_ITERATIONS):
-        turn = np.asarray(cv2.Rodrigues(axes @ (gain @ normal[:2]))[0], dtype=float)
-        normal = turn.T @ after[:, 2]
-    R_level_body = roll_pitch(orientation)
-    R_level_cam = turn @ R_level_body @ camera.T_body_cam.R.matrix
-    d = pose.d_body_pad_level
-    t = R_level_cam.T @ (d - turn @ R_level_body @ camera.T_body_cam.t)
-    R = R_level_cam.T @ after
+    """Return what registration measured in the camera's axes, by undoing what made a sighting of it."""
+    seen = camera_pose(registered, camera, Orientation.of(attitude, sigma_deck_rad))
+    assert seen is not None
+    R = seen.R_cam_pad
     turned = bool(np.trace(R @ view.R_cam_pad.T) < 1.0)
     if turned:
         R = R @ np.diag([-1.0, -1.0, 1.0])
     z = max(0.05, view.height_m)
-    error = np.append((t - view.t_cam_pad) / z, np.asarray(cv2.Rodrigues(R @ view.R_cam_pad.T)[0], dtype=float).ravel())
-
-    J = np.zeros((6, 8))
-    J[:3, :3] = J[3:, 3:6] = R_level_cam
-    J[:3, 6:] = -skew(d) @ axes
-    J[3:, 6:] = axes
-    back = np.zeros((2, 6))
-    back[:, 3:] = gain @ (-skew(normal) @ R_level_cam)[:2]
-    M = np.linalg.inv(J[:, :6] + J[:, 6:] @ back)
-    left = pose.cov - J[:, 6:] @ (C - gain @ A @ C) @ J[:, 6:].T
-    cov = M @ left @ M.T
+    error = np.append((seen.t_cam_pad - view.t_cam_pad) / z, Rotation(R @ view.R_cam_pad.T).rotvec_rad)
     scale = np.array([z, z, z, 1.0, 1.0, 1.0])
-    cov = cov / np.outer(scale, scale)
-    return Measured(error, 0.5 * (cov + cov.T), turned, registered.yaw_ambiguous)
+    return Measured(error, seen.cov / np.outer(scale, scale), turned, registered.yaw_ambiguous)

@@ -16,9 +16,8 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
-from sitl.camera.automatic import Adjusted, Automatics, adjust
 from sitl.camera.camera import Exposure, Renderer
-from sitl.camera.film import Film, SimulatedExposure, Taken, VideoLink, taken_with
+from sitl.camera.film import Adjusted, Automatics, Film, SimulatedExposure, Taken, VideoLink, adjust, taken_with
 from sitl.camera.light import Light, Sensor
 from sitl.camera.render_worker import render_worker
 from sitl.camera.settings import VideoSettings

@@ -95,9 +95,7 @@ def errors(s: Sighting, scene: PadPlacement) -> tuple[F64, float]:
     return d, off
 
 
-def _trace(
-    low: NDArray[np.int_], high: NDArray[np.int_], T: Transform, camera: Camera, pad: Pad, samples: int, deck: F64
-) -> F64:
+def _trace(low: NDArray[np.int_], high: NDArray[np.int_], T: Transform, camera: Camera, pad: Pad, samples: int, deck: F64) -> F64:
     """Return the light of the pixels from `low` to before `high`. Where all around is of one paint, one sample says it."""
     rows, columns = np.mgrid[low[1] - 2 : high[1] + 2, low[0] - 2 : high[0] + 2]
     light, around, inside = _seen(columns, rows, T, camera, pad, deck), np.ones((5, 5), np.uint8), np.s_[2:-2, 2:-2]

@@ -1,17 +1,19 @@
 """Random frames with a pad and with things that only look like one, in any light: what the vision benches draw from."""
 
+import csv
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from estimator.contracts.geometry import F64, Rotation, Transform
+from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -296,13 +298,27 @@ def _exposure(
     return Exposure(float(rng.uniform(0, 100)), R_ned_body, p_body, R_ned_pad, p_pad, v, rng.normal(0, 0.1, 3))
 
 
-def photo_pose(row: dict[str, str]) -> PadPose:
-    """Return the pose of one row of the photographs' pose table."""
-    t = np.array([float(row[f"t_cam_{a}_m"]) for a in "xyz"])
-    return PadPose(Rotation.from_rotvec([float(row[f"rvec_{a}"]) for a in "xyz"]), t)
+def photographs(every: int = 1) -> Iterator[tuple[str, NDArray[np.uint8], PadPose]]:
+    """Yield name, image and hand-labelled pose of the photographs of the printed pad; skip the test if they are not here."""
+    folder = DATA / "pad_photos"
+    if not folder.is_dir():
+        pytest.skip("the photographs of the pad are not on this machine")
+    with (folder / "pose.csv").open() as file:
+        rows = list(csv.DictReader(file))[::every]
+    for row in rows:
+        t, rotvec = (np.array([float(row[key.format(a)]) for a in "xyz"]) for key in ("t_cam_{}_m", "rvec_{}"))
+        px = cv2.imread(str(folder / "images" / row["frame"]))
+        assert px is not None
+        yield row["frame"], np.asarray(px, np.uint8), PadPose(Rotation.from_rotvec(rotvec), t)
 
 
-__all__ = [
-    "PadScene", "Transform", "empty_scene", "load_camera", "load_pad", "pad_scene", "photo_pose", "ring_scene", "truth_of",
-    "visible_fraction",
-]  # fmt: skip
+def no_pads(every: int = 1) -> Iterator[tuple[str, NDArray[np.uint8], Camera]]:
+    """Yield name and image, 640 px wide, of other things, and a camera for it; skip the test if they are not here."""
+    paths = sorted([*(DATA / "sea").glob("*.jpg"), *(DATA / "not_pads").glob("*.jpg")])[::every]
+    if not paths:
+        pytest.skip("the images without a pad are not on this machine")
+    for path in paths:
+        px = np.asarray(cv2.imread(str(path)), np.uint8)
+        h = round(640 * px.shape[0] / px.shape[1])
+        px = np.asarray(cv2.resize(px, (640, h), interpolation=cv2.INTER_AREA), np.uint8)
+        yield path.name, px, Camera(640, h, 512.0, 512.0, 319.5, (h - 1) / 2, np.zeros(5), load_camera("sim").T_body_cam)

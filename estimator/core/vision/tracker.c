@@ -88,8 +88,10 @@ static int64_t scratch_of(const dl_tracker *t)
 {
     const dl_lens *c = &t->camera.lens;
     const int64_t highest = (c->width * c->height) >> (2 * DL_FRAME_LEVELS), around = 2 * (c->width + c->height) + 4;
-    const int64_t samples = larger(FINAL_SAMPLES, highest) + around;
-    const int64_t aligned = larger((int64_t)align_room(samples, 1), (int64_t)FIT_ROWS * t->row) + c->width;
+    const int64_t most = larger(FINAL_SAMPLES, highest) + around;
+    pixels from;
+    samples of;
+    const int64_t aligned = larger(align_divide(most, 1, NULL, &from, &of), (int64_t)FIT_ROWS * t->row) + c->width;
     return larger(aligned, larger(search_most(c->width, c->height), lamps_room(c)));
 }
 

@@ -19,8 +19,14 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, AlignedTemplate, align
-from estimator.vision.detect.covered import align_uncovered, turned_uncovered
+from estimator.vision.detect.alignment import (
+    SIGMA_TILT_FREE_RAD,
+    SIGMA_TILT_RAD,
+    AlignedTemplate,
+    align,
+    align_uncovered,
+    turned_uncovered,
+)
 from estimator.vision.detect.fiducials import WINDOWS_PX, WORK_FIDUCIALS, FiducialPose, fiducial_poses
 from estimator.vision.detect.guesses import Guess
 from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, WORK_GUESS, Kind, kinds

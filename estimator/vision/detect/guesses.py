@@ -1,12 +1,18 @@
 """Guess poses of the pad from circles of edges: which of its circles one may be, at which heading, and how well it fits.
 
+A heading is found by comparing the drawing at all headings at once. The frame is sampled in polar cells around the candidate's
+centre. For a given heading every cell belongs to one paint, and the score is the fraction of the variance between the paints
+(one-way analysis of variance).
+
 From afar the pad is some pixels across, and a belief that is off by two of them starts neither alignment nor the search for what
 covers a part. A pad in glare or half covered is looked for at each place about the expected one, with the whole disc and with
-each half of it (`pose_about`). The native core computes the guesses (`estimator/core/vision/search/guesses.c`, `tilt.c`).
+each half of it (`pose_about`). The native core computes the guesses (`estimator/core/vision/search/guesses.c`, `tilt.c`,
+`heading.c`).
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -23,7 +29,7 @@ from estimator.vision.detect.circles import EdgeCircle
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.template import disc_edge_m
-from estimator.vision.native import checked, tracker_of
+from estimator.vision.native import checked, image_of, native_pose, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
@@ -231,3 +237,32 @@ def _circles_about(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected
     outline = (middle + offsets[:, :2])[:, None] + radius_px * np.stack([np.cos(turns), np.sin(turns)], axis=2)
     out["outline_px"][:, : 2 * _OUTLINE] = np.nan_to_num(outline.reshape(len(offsets), -1))
     return [EdgeCircle(out[i : i + 1]) for i in range(len(out))]
+
+
+U8 = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """The best heading of the drawing at a candidate, and its score."""
+
+    turn_rad: float
+    """Angle by which the candidate's pose is to be turned about its own z axis."""
+    score: float
+    """Fraction of the variance explained, 0..1, reduced if a paint lies on the wrong side of another."""
+    arrow: float
+    """Advantage over the heading 180 degrees away, as a fraction of the variance."""
+    in_view: float
+    """Fraction of the disc's area that is inside the frame and not at the disc's edge."""
+
+
+def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F64 | None = None) -> Heading | None:
+    """Return the best heading of the drawing at a pose; None if hardly any of it is in view.
+
+    Args:
+        px: the frame, `step` times smaller than the camera's.
+        side: (2,) unit direction in x and y of `pose`: only this half of the disc is used, because the other is covered.
+    """
+    out, half = CORE.ffi.new("dl_polar_fit *"), CORE.ffi.NULL if side is None else CORE.array("double", np.array(side, float), 2)
+    found = CORE.lib.dl_search_heading(tracker_of(camera, pad), image_of(px), step, native_pose(pose), half, out)
+    return Heading(out.turn_rad, out.score, out.arrow, out.in_view) if checked(found) else None

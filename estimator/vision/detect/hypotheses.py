@@ -28,8 +28,7 @@ from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.circles import EdgeCircle, Radii, blob_circles, edge_circles
 from estimator.vision.detect.colour import disc_colour, disc_has_colour, is_coloured
-from estimator.vision.detect.guesses import MOST, Guess, Outline, guesses_from, guesses_of
-from estimator.vision.detect.heading import heading
+from estimator.vision.detect.guesses import MOST, Guess, Outline, guesses_from, guesses_of, heading
 from estimator.vision.detect.paint import PaintMemory
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import Pyramid

@@ -23,7 +23,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.pad import Pad
 from estimator.vision.pose import SIGMA_DECK_RAD, Marks, Orientation, OrientedCamera, sighting, solve
-from estimator.vision.thesis.right_angles import find_arrow, find_corners
+from estimator.vision.thesis.right_angles import Cue, find_arrow, find_corners
 from estimator.vision.thesis.segmentation import ColourSet, Segmentation, segment
 
 _POINTS = 120
@@ -117,16 +117,7 @@ def fit_ellipse(xy: F64) -> Ellipse | None:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DiscOutline:
-    """The result of the ellipse method."""
-
-    marks: Marks
-    confidence: float
-    features: tuple[Feature, ...]
-
-
-def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> DiscOutline | None:
+def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | None:
     """Return the disc's outline; None if it leaves the frame, is too small, or is no ellipse."""
     if seg.touches_border:
         return None
@@ -177,7 +168,7 @@ def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> DiscOutline 
         Feature("ellipse", "disc", view.pixels(ellipse.points(72))),
         Feature("point", "centre", centre_uv),
     )
-    return DiscOutline(Marks(uv, radius_m * unit, modes, yaw_known=False), confidence, features)
+    return Cue(Marks(uv, radius_m * unit, modes, yaw_known=False), confidence, features)
 
 
 def _goes_on_outside(seg: Segmentation, outline: Ellipse) -> bool:
@@ -313,19 +304,16 @@ def detect(
     seg = segment(frame.px, colours) if pad.markings.is_whole else None
     if seg is None:
         return Detection(None, None, MappingProxyType({"ellipse": None, "arrow": None, "corners": None}))
-    disc = find_disc(seg, view, pad)
-    arrow = find_arrow(seg, view, pad, seg.orangeness())
-    corners = find_corners(seg, view, pad)
-
-    def sighted(method: Method, marks: Marks, confidence: float, features: tuple[Feature, ...]) -> Sighting | None:
-        fix = solve(marks, view)
-        return None if fix is None else sighting(frame, method, marks, fix, confidence, features)
-
-    methods: dict[Method, Sighting | None] = {
-        "ellipse": None if disc is None else sighted("ellipse", disc.marks, disc.confidence, disc.features),
-        "arrow": None if arrow is None else sighted("arrow", arrow.marks, arrow.confidence, arrow.features),
-        "corners": None if corners is None else sighted("corners", corners.marks, corners.confidence, corners.features),
+    cues: dict[Method, Cue | None] = {
+        "ellipse": find_disc(seg, view, pad),
+        "arrow": find_arrow(seg, view, pad, seg.orangeness()),
+        "corners": find_corners(seg, view, pad),
     }
+    methods: dict[Method, Sighting | None] = dict.fromkeys(cues)
+    for method, cue in cues.items():
+        fix = None if cue is None else solve(cue.marks, view)
+        if cue is not None and fix is not None:
+            methods[method] = sighting(frame, method, cue.marks, fix, cue.confidence, cue.features)
     chosen = choose(methods, seg.touches_border)
     best = methods[chosen] if chosen is not None else None
     if best is not None:

@@ -217,13 +217,18 @@ _MIN_PAINT = 0.25
 _MAX_REACH_PX = 24.0
 
 
+Side = Literal["long", "short"]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Arrow:
-    """The result of the arrow method."""
+class Cue:
+    """The result of one method."""
 
     marks: Marks
     confidence: float
     features: tuple[Feature, ...]
+    side: Side | None = None
+    """Side of the cross-bar that the corners method's starting pair is on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,7 +239,7 @@ class _Centroid:
     perimeter_px: float
 
 
-def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F32 | None) -> Arrow | None:
+def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F32 | None) -> Cue | None:
     """Return the arrow; None if the H leaves the frame, there is no tip, or the two do not fit one another.
 
     Args:
@@ -294,7 +299,7 @@ def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F3
         Feature("point", "tip", tip_uv[None, :]),
         Feature("point", "centre", centre.uv_px[None, :]),
     )
-    return Arrow(Marks(uv, np.array([[0.0, 0.0], [pad.markings.arrow_tip_m, 0.0]]), modes), confidence, features)
+    return Cue(Marks(uv, np.array([[0.0, 0.0], [pad.markings.arrow_tip_m, 0.0]]), modes), confidence, features)
 
 
 def _centroid(seg: Segmentation, whiteness: F32, view: OrientedCamera) -> _Centroid | None:
@@ -397,21 +402,8 @@ _INNER = (2, 3, 8, 9)
 _IS_INNER = np.isin(np.arange(12), _INNER)
 """Mask of the inner corners of `Pad.h_corners`: fore port, fore starboard, aft starboard, aft port."""
 
-Side = Literal["long", "short"]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Corners:
-    """The result of the corners method."""
-
-    marks: Marks
-    confidence: float
-    features: tuple[Feature, ...]
-    side: Side
-    """Side of the cross-bar that the starting pair is on."""
-
-
-def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Corners | None:
+def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | None:
     """Return the corners of the H; None if fewer than two inner ones show or they do not fit the drawing."""
     whiteness = seg.whiteness
     if whiteness is None:
@@ -459,7 +451,7 @@ def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Corners |
         Feature("outline", "H", view.pixels(_apply(fit, drawing))),
         Feature("point", "centre", centre),
     )
-    return Corners(marks, confidence, features, side)
+    return Cue(marks, confidence, features, side)
 
 
 def side_of(a: RightAngle, b: RightAngle) -> Side | None:

@@ -52,7 +52,7 @@ from sitl.flight.afterwards import STANDS_AFTER_S, Standing, standing_of
 from sitl.flight.grader import FlightResult
 from sitl.flight.person import SimulatedPerson
 from sitl.flight.vessel_reports import VesselReporter
-from sitl.perception.port import Perception, Pixels
+from sitl.perception.port import Perception
 from sitl.scenario.scenario import Scenario, vehicle_model
 from sitl.sensors.gnss import ORIGIN
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
@@ -139,7 +139,7 @@ class AutopilotFlight:
     folder: Path
     """The program's working directory."""
     observers: Sequence[Observer] = ()
-    perception: Perception = field(default_factory=Pixels)
+    perception: Perception = field(default_factory=Perception)
     shadows: Sequence[PathName] = ()
     """Estimator paths that run beside the steering one; they do not change the flight."""
     on_start: Callable[[Health], None] | None = None

@@ -1,26 +1,21 @@
 """Acquisition from whole frames: any height, light and heading, partly hidden; and not a pad where there is none."""
 
-import csv
 import itertools
 import math
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from estimator.contracts.geometry import Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import PadCandidate, acquire
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
 from sitl.camera.light import Light
 from sitl.camera.surroundings import Decal
 from tests.support.deck_images import covered, disc_of, shown
 from tests.support.pad_claims import keeps_claim
+from tests.support.pad_scenes import no_pads, photographs
 from tests.support.shipped import shipped_camera, shipped_pad
-
-DATA = Path(__file__).parents[3] / "../shared/data"
 
 
 def best_of(candidates: list[PadCandidate]) -> PadCandidate:
@@ -130,34 +125,23 @@ def test_same_image_same_answer_and_the_image_stays_as_it_was(camera: Camera, pa
         acquire(kept[:300], camera, pad)
 
 
-@pytest.mark.skipif(not (DATA / "pad_photos").exists(), reason="no photographs of the pad here")
 def test_photographs_of_the_printed_pad() -> None:
     camera, pad = shipped_camera("photos"), shipped_pad("printed")
     half_in_view = found = 0
-    with (DATA / "pad_photos" / "pose.csv").open() as file:
-        for row in csv.DictReader(file):
-            t = np.array([float(row[f"t_cam_{a}_m"]) for a in "xyz"])
-            truth = PadPose(Rotation.from_rotvec([float(row[f"rvec_{a}"]) for a in "xyz"]), t)
-            uv = camera.project(truth.points(np.concatenate([pad.circle(r, 60) for r in (0.1, 0.2, 0.28, 0.34, 0.39)])))
-            if np.mean((uv > 0).all(axis=1) & (uv[:, 0] < 639) & (uv[:, 1] < 359)) < 0.5:
-                continue
+    for _, px, truth in photographs():
+        uv = camera.project(truth.points(np.concatenate([pad.circle(r, 60) for r in (0.1, 0.2, 0.28, 0.34, 0.39)])))
+        if np.mean((uv > 0).all(axis=1) & (uv[:, 0] < 639) & (uv[:, 1] < 359)) >= 0.5:
             half_in_view += 1
-            px = np.asarray(cv2.imread(str(DATA / "pad_photos" / "images" / row["frame"])), np.uint8)
-            candidates = acquire(px, camera, pad)
-            if candidates and candidates[0].score > 0.5:
-                found += keeps_claim(candidates[0].pose, truth, camera, pad, candidates[0].yaw_ambiguous)
+            best = next(iter(acquire(px, camera, pad)), None)
+            if best is not None and best.score > 0.5:
+                found += keeps_claim(best.pose, truth, camera, pad, best.yaw_ambiguous)
     assert half_in_view > 70
     assert found >= 0.98 * half_in_view
 
 
-@pytest.mark.skipif(not (DATA / "sea").exists(), reason="no frames without a pad here")
 def test_no_pad_on_images_of_the_sea_and_of_other_things() -> None:
-    pad = shipped_pad("thesis")
-    paths = sorted([*(DATA / "sea").glob("*.jpg"), *(DATA / "not_pads").glob("*.jpg")])
-    assert len(paths) > 35
-    for path in paths:
-        px = np.asarray(cv2.imread(str(path)), np.uint8)
-        px = np.asarray(cv2.resize(px, (640, round(640 * px.shape[0] / px.shape[1])), interpolation=cv2.INTER_AREA), np.uint8)
-        h, w = px.shape[:2]
-        camera = Camera(w, h, 0.8 * w, 0.8 * w, (w - 1) / 2, (h - 1) / 2, np.zeros(5), shipped_camera("sim").T_body_cam)
-        assert all(c.score < 0.5 for c in acquire(px, camera, pad)), path.name
+    pad, seen = shipped_pad("thesis"), 0
+    for name, px, camera in no_pads():
+        seen += 1
+        assert all(c.score < 0.5 for c in acquire(px, camera, pad)), name
+    assert seen > 35

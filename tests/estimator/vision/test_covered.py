@@ -8,8 +8,7 @@ import pytest
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import SearchMemory, acquire, align_at, search
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, cover
-from estimator.vision.detect.covered import align_uncovered, cut_at, turned_uncovered
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, align_uncovered, cover, cut_at, turned_uncovered
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose

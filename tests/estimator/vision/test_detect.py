@@ -14,8 +14,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.circles import EdgeCircle, Radii, blob_circles, edge_circles
-from estimator.vision.detect.guesses import Outline, guesses_from, pose_about
-from estimator.vision.detect.heading import heading
+from estimator.vision.detect.guesses import Outline, guesses_from, heading, pose_about
 from estimator.vision.detect.hypotheses import h_markings
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import FrameView, Pyramid

@@ -3,7 +3,6 @@
 import csv
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -27,6 +26,7 @@ from sitl.camera.light import Light, Sensor
 from sitl.camera.surroundings import Surroundings
 from sitl.emulators.ardrone.wire_pictures import Encoder
 from tests.support.pad_images import STAMP
+from tests.support.pad_scenes import DATA, photographs
 from tests.support.pad_surroundings import SURROUNDINGS, surrounded_view
 from tests.support.pad_views import RenderedView, Stage, error, pad_error
 from tests.support.shipped import shipped_camera, shipped_pad
@@ -141,7 +141,7 @@ def half_hidden(view: RenderedView, pad: Pad, camera: Camera, towards_rad: float
 
 @pytest.mark.parametrize("height_m", [0.8, 3.0, 6.0, 10.0, 14.0])
 def test_half_of_the_pad_hidden(camera: Camera, pad: Pad, height_m: float) -> None:
-    """From afar edges merge: half a disc looks like a smaller one, and the covariance includes it."""
+    """Half a distant disc, whose edges merge, looks like a smaller one, and the covariance includes it."""
     stage = Stage(camera, pad)
     for n in range(6):
         view = stage.view(height_m, lateral=0.02)
@@ -242,38 +242,26 @@ def test_refusals(camera: Camera, pad: Pad) -> None:
     assert found is None or not any(e.seen for e in found.edges.values())
 
 
-DATA = Path(__file__).parents[3] / "../shared/data/pad_photos"
-
-
-def table(name: str) -> dict[str, F64]:
-    with (DATA / name).open() as file:
-        rows = list(csv.reader(file))[1:]
-    return {row[0]: np.array([float(cell) for cell in row[1:]]) for row in rows}
-
-
-@pytest.mark.skipif(not DATA.exists(), reason="the photographs of the pad are not on this machine")
-def test_the_corners_of_the_h() -> None:
+def test_the_corners_of_the_h_in_photographs() -> None:
     camera, pad = shipped_camera("photos"), shipped_pad("printed")
-    labels, poses = table("corner_labels.csv"), table("pose.csv")
     found, median, aside, headings = 0, [], [], 0
-    names = sorted(poses)[::2]
-    for name in names:
-        px = cv2.imread(str(DATA / "images" / name))
-        assert px is not None
-        p = poses[name]
+    all_of = list(photographs(2))
+    with (DATA / "pad_photos" / "corner_labels.csv").open() as file:
+        labels = {row[0]: np.array([float(cell) for cell in row[1:25]]) for row in list(csv.reader(file))[1:]}
+    for name, px, truth in all_of:
         # From a start that is wrong by several pixels in place, size and heading.
-        start = PadPose(Rotation.from_rotvec(p[3:6]) @ Rotation.from_rpy(0.0, 0.0, 0.06), p[:3] * 1.04)
-        result = register(px.astype(np.uint8), camera, pad, start, None, RegistrationOptions())
+        start = PadPose(truth.turned(0.06).R_cam_pad, truth.t_cam_pad * 1.04)
+        result = register(px, camera, pad, start, None, RegistrationOptions())
         if result is None or result.inliers < 0.5:
             continue
         found += 1
         headings += not result.yaw_ambiguous
         # The labels go round the H the other way.
-        off = camera.project(result.pose.points(pad.markings.h_corners())) - labels[name][:24].reshape(12, 2)[::-1]
+        off = camera.project(result.pose.points(pad.markings.h_corners())) - labels[name].reshape(12, 2)[::-1]
         median.append(float(np.median(np.hypot(*off.T))))
         aside.append(np.median(off, axis=0))
-    assert found >= 0.98 * len(names)
-    assert headings >= 0.95 * len(names)
+    assert found >= 0.98 * len(all_of)
+    assert headings >= 0.95 * len(all_of)
     assert float(np.median(median)) < 1.0
     # Half of that is the labels' own: they sit to the right of and below the paint's edges, alike in all photographs.
     assert np.median(aside, axis=0) == pytest.approx([-0.42, -0.66], abs=0.25)

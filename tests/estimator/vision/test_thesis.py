@@ -1,8 +1,6 @@
 """The thesis' methods: ellipse, arrow, corners, what is chosen of them, and how cues that agree are fused."""
 
-import csv
 import math
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -22,9 +20,8 @@ from estimator.vision.thesis.detection import Ellipse, choose, detect, fit_ellip
 from estimator.vision.thesis.right_angles import candidates, find_corners, refine
 from estimator.vision.thesis.segmentation import COLOUR_SETS, INDOOR, SIMULATOR, segment
 from tests.support.pad_images import STAMP, PadPlacement, errors, image, project, sim_camera
+from tests.support.pad_scenes import no_pads, photographs
 from tests.support.shipped import shipped_camera, shipped_pad
-
-DATA = Path(__file__).parents[3] / "../shared/data"
 
 
 def test_each_height_has_its_method(camera: Camera, pad: Pad) -> None:
@@ -135,44 +132,29 @@ def test_an_arrow_settles_which_way_round_the_h_is() -> None:
     assert with_heading_of(sighting("corners", 0.2, True), None).yaw_rad == 0.2
 
 
-@pytest.mark.skipif(not (DATA / "pad_photos").is_dir(), reason="the photographs of the pad are not here")
 def test_photographs_of_the_real_pad() -> None:
     """The limits are the thesis' own for indoors. Its code: 81 % found, 32 % of range off in the median."""
     camera, pad = shipped_camera("photos"), shipped_pad("printed")
-    with (DATA / "pad_photos" / "pose.csv").open() as text:
-        rows = list(csv.DictReader(text))[::3]
-    off = []
-    for row in rows:
-        R = Rotation.from_rotvec([float(row[f"rvec_{k}"]) for k in "xyz"])
-        t = np.array([float(row[f"t_cam_{k}_m"]) for k in "xyz"])
-        roll, pitch, _ = (R.inv @ camera.T_body_cam.R.inv).rpy_rad
+    off, number = [], 0
+    for _, px, truth in photographs(3):
+        number += 1
+        roll, pitch, _ = (truth.R_cam_pad.inv @ camera.T_body_cam.R.inv).rpy_rad
         R_level_body = Rotation.from_rpy(roll, pitch, 0.0)
-        px = np.asarray(cv2.imread(str(DATA / "pad_photos" / "images" / row["frame"])), np.uint8)
         attitude = Attitude(STAMP, R_level_body, np.eye(3) * math.radians(0.3) ** 2)
         s = detect(Frame(STAMP, 0, px), attitude, camera, pad, INDOOR).selected
         if s is not None:
-            true = (R_level_body @ camera.T_body_cam.R) @ t
+            true = (R_level_body @ camera.T_body_cam.R) @ truth.t_cam_pad
             off.append(float(np.linalg.norm(s.d_body_pad_level - true) / np.linalg.norm(true)))
-    assert len(off) >= 0.88 * len(rows)
+    assert len(off) >= 0.88 * number
     assert np.median(off) < 0.008
     assert np.percentile(off, 95) < 0.04
 
 
-@pytest.mark.skipif(not (DATA / "not_pads").is_dir(), reason="the images without a pad are not here")
 def test_what_is_no_pad_is_none() -> None:
     """Grass, other helipads, tags, a white H on orange, the sea: nothing in any of them by any set of limits."""
-    pad = shipped_pad("printed")
-    for file in sorted([*(DATA / "not_pads").iterdir(), *(DATA / "sea").iterdir()])[::2]:
-        px = cv2.imread(str(file))
-        if px is None:
-            continue
-        h, w = px.shape[:2]
-        if w > 1000:
-            px = cv2.resize(px, (w // 2, h // 2), interpolation=cv2.INTER_AREA)
-            h, w = px.shape[:2]
-        camera = Camera(w, h, 0.6 * w, 0.6 * w, (w - 1) / 2, (h - 1) / 2, np.zeros(5), sim_camera().T_body_cam)
+    for name, px, camera in no_pads(2):
         for colours in COLOUR_SETS.values():
-            assert detect(Frame(STAMP, 0, np.asarray(px, np.uint8)), None, camera, pad, colours).selected is None, file.name
+            assert detect(Frame(STAMP, 0, px), None, camera, shipped_pad("printed"), colours).selected is None, name
 
 
 NOW = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
@@ -276,7 +258,7 @@ def test_no_orange_no_arrow(camera: Camera, pad: Pad) -> None:
 @pytest.mark.parametrize("yaw_deg", [0.0, 20.0, 45.0, 89.0, 90.0, 135.0, -60.0, -179.0])
 @pytest.mark.parametrize(("height_m", "method"), [(0.4, "corners"), (1.0, "corners"), (1.2, "arrow"), (2.0, "corners")])
 def test_the_heading_is_right_all_round(height_m: float, method: Method, yaw_deg: float, camera: Camera, pad: Pad) -> None:
-    """That of the H up to half a turn."""
+    """The heading of the H is known up to half a turn."""
     scene = PadPlacement((0.16, 0.01, height_m), math.radians(yaw_deg))
     s = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5), scene.attitude(), camera, pad, SIMULATOR).methods[method]
     assert s is not None

@@ -4,8 +4,6 @@ The drawn frame of a rehearsal is one in which the pad is found where it was dra
 """
 
 import math
-import subprocess
-import sys
 from itertools import pairwise
 from typing import Any
 
@@ -206,24 +204,6 @@ def test_a_pad_of_one_region_is_looked_for(region: dict[str, Any]) -> None:
     pad = Pad.from_mapping({"name": "one", "paints": {"blue": [20, 40, 255]}, "regions": [{**region, "paint": "blue"}]})
     seen = rehearse(TrackerConfig(camera_model(SIM), pad, TrackerOptions(method="fused", colours="simulator")))
     assert seen.selected is None or np.isfinite(seen.selected.cov).all()
-
-
-LOADED = """
-import sys
-from companion.settings.load import camera_model, load
-from estimator.vision.pad_information import alike_headings
-from estimator.vision.tracker import rehearse
-from estimator.vision.tracker import TrackerConfig
-from tests.support.shipped import shipped_pad
-rehearse(TrackerConfig(camera_model(load("sim")), shipped_pad(sys.argv[1])))
-print("estimator.vision.lamp_sighting" in sys.modules, alike_headings.cache_info().currsize)
-"""
-
-
-@pytest.mark.parametrize(("pad", "loaded"), [("lit", "True"), ("thesis", "False")])
-def test_what_sees_lamps_is_loaded_before_the_first_frame_of_a_lit_pad_alone(pad: str, loaded: str) -> None:
-    output = subprocess.run([sys.executable, "-c", LOADED, pad], capture_output=True, text=True, check=True)
-    assert output.stdout.split() == [loaded, "1"], "and its headings that look alike are known"
 
 
 STEP_M = 0.03

@@ -14,8 +14,6 @@ enum {
     LOCAL_MAX = 128,
     /* Samples are handled in groups of this many, and their rows are as long as whole groups. */
     SAMPLE_LANES = 8,
-    /* Number of floats for each pixel of the part of a frame that is aligned, beside a row of it with LOCAL_MAX at either end. */
-    SCRATCH_ROWS = 35,
     /* Largest number of samples in the disc's bounding box during a search, on the way to a registration, and for verification. */
     SEARCH_SAMPLES = 700,
     APPROACH_SAMPLES = 1000,
@@ -68,12 +66,6 @@ typedef struct {
 /* Sums over samples of their numbers, coverage (4), light (3) and one: times each coverage, then as they are, then squared. */
 enum { SUM_ONCE = 4, SUM_SQUARED = 5, SUM_ROWS = 6 };
 typedef float8 fit_sums[SUM_ROWS];
-
-/* The numbers of the scratch that aligning with a part of this many pixels takes. */
-static inline size_t align_room(int64_t width, int64_t height)
-{
-    return SCRATCH_ROWS * (size_t)((width * height + SAMPLE_LANES - 1) / SAMPLE_LANES * SAMPLE_LANES) + (size_t)width + 2 * LOCAL_MAX;
-}
 
 /* The part of a level that shows the disc, with about as many samples as are requested; returns whether it is large enough. */
 int align_view(const dl_lens *c, const dl_pad_template *p, const dl_pad_pose *pose, int32_t most, frame_part *out);
@@ -189,7 +181,7 @@ void align_features(const dl_pad_template *p, const samples *s, const painted *l
 /* How much the drawing explains of samples whose local light was fitted. */
 void align_support(const dl_pad_template *p, const samples *s, int blur, double side_m, const dl_quality *of, dl_drawing_support *out);
 
-/* The rows of the scratch: of the pixels, then of the samples. */
-void align_rows(int n, float *scratch, pixels *from, samples *s);
+/* Divide the scratch into the rows of a part's pixels and samples; returns the numbers that they take. */
+int64_t align_divide(int64_t width, int64_t height, float *scratch, pixels *from, samples *s);
 
 #endif

@@ -98,7 +98,7 @@ int align_cover(const dl_tracker *t, const seen_part *seen, const dl_pad_pose *p
     samples s;
     fit_sums strips[BINS], all;
     line best = {0.0, 0.0, INFINITY, 1.0};
-    align_rows((int)(seen->part.width * seen->part.height), t->scratch, &from, &s);
+    align_divide(seen->part.width, seen->part.height, t->scratch, &from, &s);
     align_light(t, seen, pose->t[2], 0, s.squared, &from);
     align_trust(nothing, &from);
     if (!align_samples(p, align_map(p, t->maps, align_blur_at(c, p, from.side_m, pose->t[2])), &from, pose, 0, &s)) {

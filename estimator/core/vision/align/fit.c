@@ -75,7 +75,7 @@ int align_fit(const dl_tracker *t, const seen_part seen[2], const dl_pad_pose *p
     samples s;
     painted fit;
     double brightest[3];
-    align_rows((int)(part->width * part->height), t->scratch, &from, &s);
+    align_divide(part->width, part->height, t->scratch, &from, &s);
     align_light(t, seen, pose->t[2], 1, s.squared, &from);
     align_trust(cut, &from);
     const int blur = align_blur_at(c, p, from.side_m, pose->t[2]);

@@ -173,7 +173,7 @@ int align_move(const dl_tracker *t, const seen_part *seen, const dl_alignment *h
     painted fit;
     const double depth_m = pose->t[2], noise_var = noise * noise / (double)(1 << 2 * seen->part.level);
     double tilt[2] = {0.0, 0.0}, step[POSE];
-    align_rows((int)(seen->part.width * seen->part.height), t->scratch, &from, &s);
+    align_divide(seen->part.width, seen->part.height, t->scratch, &from, &s);
     align_light(t, seen, depth_m, (int)how->local, s.squared, &from);
     int used = align_trust(how->cut, &from);
     if (how->one_side) {

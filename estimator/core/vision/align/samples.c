@@ -4,6 +4,7 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "base/arena.h"
 #include "vision/align/align.h"
 #include "base/lanes.h"
 #include "base/wide.h"
@@ -15,9 +16,10 @@ enum { AHEAD = 8 };
 /* Length over depth, in `pad`, of a ray beyond which it meets the pad's plane too far away. */
 static const float MOST_PER_DEPTH = 20.0f;
 
-void align_rows(int n, float *scratch, pixels *from, samples *s)
+int64_t align_divide(int64_t width, int64_t height, float *scratch, pixels *from, samples *s)
 {
-    const int room = (n + SAMPLE_LANES - 1) / SAMPLE_LANES * SAMPLE_LANES;
+    const int64_t n = width * height, number = sizeof(float), row = (n + SAMPLE_LANES - 1) / SAMPLE_LANES * SAMPLE_LANES * number;
+    arena a = {scratch, 0};
     float **rows[] = {
         &from->x, &from->y, &from->light[0], &from->light[1], &from->light[2], &from->local[0], &from->local[1], &from->local[2],
         &s->light[0], &s->light[1], &s->light[2], &s->coverage[0], &s->coverage[1], &s->coverage[2], &s->coverage[3],
@@ -25,14 +27,13 @@ void align_rows(int n, float *scratch, pixels *from, samples *s)
         &s->slope_y[3], &s->x, &s->y, &s->a, &s->b, &s->weight, &s->residual[0], &s->residual[1], &s->residual[2], &s->squared,
         &from->trust,
     };
-    const int count = (int)(sizeof rows / sizeof *rows);
-    for (int i = 0; i < count; i++) {
-        *rows[i] = scratch + (size_t)i * (size_t)room;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++) {
+        *rows[i] = take(&a, row);
     }
-    s->pixel = (int32_t *)(void *)(scratch + (size_t)count * (size_t)room);
-    s->spare = (uint32_t *)(void *)(scratch + (size_t)(count + 1) * (size_t)room);
-    from->wide = scratch + (size_t)(count + 2) * (size_t)room;
-    from->n = n;
+    s->pixel = take(&a, row), s->spare = take(&a, row);
+    from->wide = take(&a, (width + 2 * LOCAL_MAX) * number);
+    from->n = (int)n;
+    return arena_numbers(&a);
 }
 
 /* The taps of a Gaussian, from the middle; returns how many there are beside it. A neighbourhood wider than LOCAL_MAX is cut. */

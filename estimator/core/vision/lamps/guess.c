@@ -6,6 +6,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/arena.h"
 #include "vision/camera.h"
 #include "vision/lamps/lamps.h"
 #include "base/rotation.h"
@@ -48,9 +49,20 @@ typedef struct {
     level_place at, turn;
 } level_guess;
 
+/* Divide the scratch into the cells of the table and the counts of each pair of spots as each pair of lamps. */
+static uint8_t *divide(arena *a, spot_table *t)
+{
+    t->column = take(a, CELLS * (int64_t)sizeof *t->column);
+    t->row = take(a, CELLS * (int64_t)sizeof *t->row);
+    return take(a, DL_LAMP_PAIRS_MAX * PAIRED * (PAIRED - 1));
+}
+
 int64_t guess_room(void)
 {
-    return 2 * 2 * CELLS + 2 + (DL_LAMP_PAIRS_MAX * PAIRED * (PAIRED - 1) + 3) / 4;
+    spot_table table;
+    arena counted = {NULL, 0};
+    divide(&counted, &table);
+    return arena_numbers(&counted);
 }
 
 static level_place times(level_place a, level_place b)
@@ -97,14 +109,13 @@ static void mark(uint64_t *cells, double cell, int k)
 }
 
 /* Fill the table; spots beyond its cells are left out. */
-static void fill(const dl_lamp_pattern *pad, double focal_px, uint32_t *scratch, spot_table *t)
+static void fill(const dl_lamp_pattern *pad, double focal_px, spot_table *t)
 {
     t->reach_m = 0.0;
     for (int k = 0; k < (int)pad->lamps; k++) {
         t->reach_m = fmax(t->reach_m, fmax(fabs(pad->x_m[k]), fabs(pad->y_m[k])));
     }
     t->focal_px = focal_px, t->left = INFINITY, t->top = INFINITY;
-    t->column = (uint64_t *)(void *)(scratch + ((uintptr_t)scratch / sizeof *scratch) % 2), t->row = t->column + CELLS;
     double right = -INFINITY, low = -INFINITY;
     for (int k = 0; k < t->n; k++) {
         const double column = rint(t->spot[k].re * focal_px), row = rint(t->spot[k].im * focal_px);
@@ -245,8 +256,9 @@ int guess_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_tilt
     if (table.n < LEAST_EXPLAINED) {
         return 0;
     }
-    fill(pad, camera->fx, scratch, &table);
-    uint8_t *counts = (uint8_t *)(table.row + CELLS);
+    arena memory = {scratch, 0};
+    uint8_t *counts = divide(&memory, &table);
+    fill(pad, camera->fx, &table);
     const int n = choose(&table, pad, counts, rate(&table, pad, counts), guesses);
     for (int k = 0; k < n; k++) {
         pose_of(R_level_cam, &guesses[k], &out[k]);
