@@ -84,7 +84,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/mission/another_pad.py": _MISSION,
     "companion/guidance/mission/thesis.py": _MISSION,
     "companion/guidance/mission/waiting.py": (*_MISSION, *_AIM),
-    "companion/guidance/mission/holding.py": ("tests/companion/test_blind_hold.py", *_AIM, *_MISSION),
+    "companion/guidance/mission/phase.py": ("tests/companion/test_blind_hold.py", *_AIM, *_MISSION),
     "companion/guidance/mission/limits.py": ("tests/companion/test_limits.py", *_MISSION, "tests/companion/test_clearance.py"),
     "companion/guidance/mission/contact.py": ("tests/companion/test_contact.py",),
     "companion/guidance/mission/clearance.py": ("tests/companion/test_clearance.py",),

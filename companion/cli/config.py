@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
+from collections.abc import Iterator, Mapping
 
-from companion.guidance.mission.page import page
+from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
+from companion.guidance.advice import advised_alerts, advised_causes
+from companion.guidance.mission.machine import PHASES, TABLES
+from companion.guidance.mission.phase import LANDING
+from companion.guidance.mission.rules import Row
 from companion.parts.mqtt import messages
 from companion.settings import schema
 from companion.settings.load import load, shipped
 from companion.settings.referenced_files import check_files
 from companion.settings.remarks import not_checked, remarks
 from estimator.contracts.errors import BadInput
+from estimator.contracts.total_table import next_states
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -71,7 +78,102 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "schema":
         sys.stdout.write(messages.schema() if args.mqtt else schema.schema())
     elif args.action == "mission":
-        sys.stdout.write(page())
+        sys.stdout.write(mission_page())
     else:
         sys.stdout.write(schema.reference(expert=args.expert))
     return 0
+
+
+# The page of the mission, written from its table
+
+_HEAD = """# The mission
+
+<!-- Made by `decklander config mission`; a test compares. -->
+
+One machine flies the landing (`companion/guidance/mission/`). In each guidance cycle it takes the first event of their list
+that leads to another state. Each change carries a cause, the measured number and its limit, for log, MQTT, STATUSTEXT, metrics,
+recording and report.
+
+Every state that waits has a time limit; when it is over the drone goes up or stays, never down. It never descends without a
+fresh, consistent estimate of the pad. It holds still against the deck. Low without sight it only climbs, by range sensor, height
+last known, or time. Before the first order to land it stays in its own hover.
+"""
+
+
+def mission_page() -> str:
+    """Return docs/mission.md."""
+    return "\n".join((_HEAD, *_graph(), *_states(), *_events(), *_causes(), *_table("cone"), *_thesis()))
+
+
+def _graph() -> Iterator[str]:
+    yield from ("## The way down", "", "```mermaid", "stateDiagram-v2")
+    for state in State:
+        yield f"    {state.name}: {state.value}"
+    for state in State:
+        ways: dict[State, list[str]] = {}
+        for event, target in TABLES["cone"][state].items():
+            if target is not state and state not in ENDED and target is not State.EMERGENCY and event not in _ALWAYS:
+                ways.setdefault(target, []).append(event.value)
+        for target, events in ways.items():
+            yield f"    {state.name} --> {target.name}: {', '.join(events)}"
+    yield from (
+        "```",
+        "",
+        "Left out are the operator's pause and abort, and the vehicle's reports that it stands or cut its motors.",
+        "",
+    )
+
+
+_PLACES = re.compile(r"\{[^}]*\}")
+_ALWAYS = (Event.PAUSE, Event.ABORT, Event.GROUNDED, Event.GROUNDED_BY_OTHERS)
+
+
+def _states() -> Iterator[str]:
+    yield from ("## States", "", "| state | what the drone does | may come nearer to the deck |", "|---|---|---|")
+    for state in State:
+        yield f"| {state.value} | {PHASES[state].does} | {'yes' if state in DESCENDS else 'no'} |"
+    yield ""
+
+
+def _events() -> Iterator[str]:
+    yield from ("## Events", "", "| event | a warning |", "|---|---|")
+    for event in Event:
+        yield f"| {event.value} | {'yes' if event in FAULTS else 'no'} |"
+    yield ""
+
+
+def _causes() -> Iterator[str]:
+    yield from ("## What to do", "", "The operator page shows it beside the event.", "", "| what to do | causes |", "|---|---|")
+    causes = {_PLACES.sub("...", cause.value): words for cause, words in advised_causes().items()}
+    by_advice: dict[str, list[str]] = {}
+    for cause, words in (causes | {alert.value: words for alert, words in advised_alerts().items()}).items():
+        by_advice.setdefault(words, []).append(cause)
+    for words, named in by_advice.items():
+        yield f"| {words} | {'; '.join(named)} |"
+    yield ""
+
+
+def _table(name: str) -> Iterator[str]:
+    yield from (f'## Table of the mission "{name}"', "", "An event that is not named leaves the state as it is.", "")
+    yield from _rows(name, {state: dict.fromkeys(Event, state) for state in State})
+
+
+def _thesis() -> Iterator[str]:
+    yield from ('## What differs with `guidance.mission = "thesis"`', "")
+    yield from _rows("thesis", TABLES["cone"])
+
+
+def _rows(name: str, usual: Mapping[State, Row]) -> Iterator[str]:
+    """Yield a row for each state: its next states, each with the events that lead there, where they are not the usual ones."""
+    yield from ("| state | next state: events |", "|---|---|")
+    if name == "cone":
+        yield (
+            "| all from rendezvous to another pad | " + "; ".join(f"**{t.value}**: {e.value}" for e, t in LANDING.items()) + " |"
+        )
+    for state in State:
+        row = TABLES[name][state]
+        shared = LANDING if LANDING.items() <= row.items() else {}
+        named = {event: target for event, target in row.items() if event not in shared}
+        if cells := [f"**{to.value}**: {', '.join(e.value for e in by)}" for to, by in next_states(named, usual[state])]:
+            yield f"| {state.value} | {'; '.join(cells)} |"
+    yield ""

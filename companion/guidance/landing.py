@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, FieldOfView, Impact, Knowledge, Target
+from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.flight_memory import FlightMemory, carried_on, memory_of, resumed_by
 from companion.guidance.law.margins import expected_error_m
 from companion.guidance.law.response_course import reported_lean
@@ -19,11 +21,11 @@ from companion.guidance.law.response_watch import ResponseIdentifier
 from companion.guidance.mission import limits
 from companion.guidance.mission.clearance import SwellWatch, watched_swell
 from companion.guidance.mission.contact import ContactWatch, HeldUp, watched
-from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold, VesselPosition, unfit
+from companion.guidance.mission.cycle import GuidanceCycle, InputQuality, VehicleHold, VesselPosition, unfit
 from companion.guidance.mission.gate import gate_of
 from companion.guidance.mission.held_course import OFF_M, ClimbWatch
 from companion.guidance.mission.hold_blind import keep_up
-from companion.guidance.mission.limits import ChargeWatch, InputQuality, battery_ends
+from companion.guidance.mission.limits import ChargeWatch, battery_ends
 from companion.guidance.mission.machine import allowed, mission_step, take, take_order, take_status
 from companion.guidance.mission.out_of_reach import flown_by_others
 from companion.guidance.mission.progress import Progress
@@ -33,10 +35,12 @@ from companion.guidance.mission.wind import WindOverDrone, WindWatch, trim_level
 from companion.guidance.mission.wind import watched as watched_wind
 from companion.guidance.operator.command_limits import Unmeasured, without_velocity
 from companion.settings.guidance import GuidanceOptions
+from companion.settings.load import shipped_response
+from companion.settings.operator import LimitOptions, ManualOptions
 from companion.settings.response import ClimbResponse, TiltResponse
 from companion.settings.vessel import ReportLimits
 from estimator.contracts.commands import Command, Lean
-from estimator.contracts.estimates import IntegrityAlert, RelativeState, Verdict
+from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import BodyMotion, DeckMotion
@@ -96,39 +100,51 @@ _SAYS_CHARGE = 0.15
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
 
 
+def _law_for_ardrone(guidance: GuidanceOptions) -> Controller[Any]:
+    return make_controller(ControllerSetup(guidance, shipped_response("ardrone2")))
+
+
+@dataclass(frozen=True, slots=True)
+class PilotOptions:
+    """Options of a pilot and its landing, beside those of its tracker, its estimator and its guidance."""
+
+    automatic: bool = True
+    """True if the approach begins as soon as the vehicle flies; otherwise it waits for `begin`."""
+    shadows: Sequence[PathName] = ()
+    """Estimator paths that run for comparison only and never steer."""
+    law: Callable[[GuidanceOptions], Controller[Any]] = _law_for_ardrone
+    """Makes the control law from guidance's options."""
+    manual: ManualOptions | None = None
+    """The options of manual flight."""
+    limits: LimitOptions | None = None
+    """The limits of every command."""
+    over_ground: bool = False
+    """True if the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity."""
+    reports: ReportLimits = field(default_factory=ReportLimits)
+    """Limits for the positions that ship and vehicle report."""
+    tilt: TiltResponse = field(default_factory=lambda: shipped_response("ardrone2").tilt)
+    """Response of the vehicle's tilt, by its file; by default an AR.Drone's."""
+    climb: ClimbResponse | None = None
+    """Response of its climb, by its file; None where nobody says."""
+    view: FieldOfView | None = None
+    """The field of a camera that leans with the body; None of another."""
+    resumes: bool = False
+    """True if a landing that a person took over goes on when the driver says that it was given back."""
+    gimballed: bool = False
+    """True if a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
+
+
 class LandingGuidance:
-    """Decides on commands by samples and estimates.
+    """Decides on commands by samples and estimates."""
 
-    Args:
-        automatic: whether the approach begins as soon as the vehicle flies; otherwise it waits for an order.
-        law: makes the control law from guidance's options.
-        over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
-        reports: what is believed of the places that ship and vehicle report.
-        tilt, climb: how the vehicle answers, by its file; None where nobody says.
-        view: the field of a camera that leans with the body; None of another.
-        resumes: whether a landing that a person took over goes on when the vehicle is not taken any more.
-    """
-
-    def __init__(
-        self,
-        guidance: GuidanceOptions,
-        *,
-        automatic: bool,
-        law: Callable[[GuidanceOptions], Controller[Any]],
-        over_ground: bool,
-        reports: ReportLimits,
-        tilt: TiltResponse,
-        climb: ClimbResponse | None = None,
-        view: FieldOfView | None = None,
-        resumes: bool = False,
-    ) -> None:
+    def __init__(self, guidance: GuidanceOptions, options: PilotOptions) -> None:
         self._guidance = guidance
-        self.mission = Progress.start(automatic=automatic)
-        self._make_law = law
-        self._law = law(guidance)
+        self.mission = Progress.start(automatic=options.automatic)
+        self._make_law = options.law
+        self._law = options.law(guidance)
         self._law_memory = self._law.start()
-        self._hold, self._resumes = VehicleHold(over_ground), resumes
-        self._response = ResponseIdentifier(tilt, guidance)
+        self._hold, self._resumes = VehicleHold(options.over_ground), options.resumes
+        self._response = ResponseIdentifier(options.tilt, guidance)
         self._changes: list[StateChange] = []
         self._left = False
         """True if a service that came back left the vehicle to the person who took it meanwhile, until an order to begin."""
@@ -165,7 +181,7 @@ class LandingGuidance:
         self._climbs_m_s: float | None = None
         """Rate of climb of the newest command; None of one without."""
         self._baro: Baro | None = None
-        self._wind, self._tilt, self._climb, self._view = WindWatch(), tilt, climb, view
+        self._wind, self._tilt, self._climb, self._view = WindWatch(), options.tilt, options.climb, options.view
         self._air: WindOverDrone | None = None
         self._swell = SwellWatch()
         self._quality = InputQuality()
@@ -175,7 +191,7 @@ class LandingGuidance:
         """Objects on the pad in the newest guidance cycle."""
         self._overruled = False
         """The operator says that the pad is clear, in this flight."""
-        self._vessel_track = VesselTrack(reports)
+        self._vessel_track = VesselTrack(options.reports)
         self._vessel: VesselPosition | Reason | None = None
         """The ship's place by reports in the newest guidance cycle, or why it is not known; None while nobody flies by it."""
 

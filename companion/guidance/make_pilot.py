@@ -10,7 +10,8 @@ from msgspec import structs
 
 from companion.guidance.controller import Controller, FieldOfView
 from companion.guidance.controllers import ControllerSetup, make_controller
-from companion.guidance.pilot import Pilot, PilotOptions
+from companion.guidance.landing import PilotOptions
+from companion.guidance.pilot import Pilot
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import body_camera, camera_model, pad_model, response_model
 from companion.settings.model import Settings

@@ -4,24 +4,17 @@ The daemon and the simulator run the same pilot, so tests in virtual time cover 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 from msgspec import structs
 from msgspec.structs import replace
 
 from companion.base.mission import AGAIN, FLOWN, GROUND, Event, FlightOutcome, State
 from companion.base.observer import Decision, DeckOutlook
-from companion.guidance.controller import Controller, FieldOfView, Knowledge
-from companion.guidance.controllers import ControllerSetup, make_controller
-from companion.guidance.landing import LandingGuidance
+from companion.guidance.controller import Knowledge
+from companion.guidance.landing import LandingGuidance, PilotOptions
 from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.guidance.pad_search import Look, PadSearch
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.load import shipped_response
-from companion.settings.operator import LimitOptions, ManualOptions
-from companion.settings.response import ClimbResponse, TiltResponse
-from companion.settings.vessel import ReportLimits
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
@@ -39,40 +32,6 @@ _NOT_FUSED = frozenset({VehicleStatus, GeoFix})
 _OUTCOMES = {State(outcome.value): outcome for outcome in FlightOutcome}
 
 
-def _law_for_ardrone(guidance: GuidanceOptions) -> Controller[Any]:
-    return make_controller(ControllerSetup(guidance, shipped_response("ardrone2")))
-
-
-@dataclass(frozen=True, slots=True)
-class PilotOptions:
-    """Options of a pilot, beside those of its tracker, its estimator and its guidance."""
-
-    automatic: bool = True
-    """True if the approach begins as soon as the vehicle flies; otherwise it waits for `begin`."""
-    shadows: Sequence[PathName] = ()
-    """Estimator paths that run for comparison only and never steer."""
-    law: Callable[[GuidanceOptions], Controller[Any]] = _law_for_ardrone
-    """Makes the control law from guidance's options."""
-    manual: ManualOptions | None = None
-    """The options of manual flight."""
-    limits: LimitOptions | None = None
-    """The limits of every command."""
-    over_ground: bool = False
-    """True if the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity."""
-    reports: ReportLimits | None = None
-    """Limits for the positions that ship and vehicle report."""
-    tilt: TiltResponse | None = None
-    """Response of the vehicle's tilt, by its file; by default an AR.Drone's."""
-    climb: ClimbResponse | None = None
-    """Response of its climb, by its file; None where nobody says."""
-    view: FieldOfView | None = None
-    """The field of a camera that leans with the body; None of another."""
-    resumes: bool = False
-    """True if a landing that a person took over goes on when the driver says that it was given back."""
-    gimballed: bool = False
-    """True if a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
-
-
 class Pilot:
     """Takes samples and frames, and decides on commands: a step over search, estimation and landing."""
 
@@ -87,17 +46,7 @@ class Pilot:
         self.search = PadSearch(tracker, given.gimballed)
         self.estimator = RelativeEstimator(estimator, given.shadows)
         """The estimate: where the pad is, how body and deck move, and what was made of each sample."""
-        self.landing = LandingGuidance(
-            guidance,
-            automatic=given.automatic,
-            law=given.law,
-            over_ground=given.over_ground,
-            reports=given.reports or ReportLimits(),
-            tilt=given.tilt or shipped_response("ardrone2").tilt,
-            climb=given.climb,
-            view=given.view,
-            resumes=given.resumes,
-        )
+        self.landing = LandingGuidance(guidance, given)
         self.engage: Callable[[], None] = lambda: None
         """Called when a person orders to begin or to land: the driver may take back a vehicle that a person had taken over."""
         self.operator = OperatorArbiter(self, given.manual, given.limits)

@@ -6,11 +6,16 @@ import hashlib
 import logging
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import msgspec
+from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.base import memory
 from companion.base.containment import RestartablePart
@@ -19,16 +24,16 @@ from companion.base.health import SHIP_PLACE, Health
 from companion.base.liveness import Manager, Pulse, watchdog_interval_s
 from companion.base.loop_lag import LoopWatch
 from companion.base.mission import FlightOutcome
-from companion.base.observer import NullObserver, Observer, ProcessedFrame
+from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.base.signals import PROCESS, threads
 from companion.base.supervise import Body
+from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.operator.client import OFF, socket_path
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.service.daemon import Daemon, DaemonSetup
-from companion.service.flight_keeper import keeper_of, no_modes
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings import schema
 from companion.settings.model import Settings
@@ -40,6 +45,7 @@ from drivers.mavlink.vehicle import modes_left
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, in_words
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
+from estimator.contracts.time import MonoNs, seconds_between
 
 # Treat settings that have worked since this computer was switched on as right, whatever fails later.
 #
@@ -101,6 +107,96 @@ class Proven(NullObserver):
 
 
 log = logging.getLogger(__name__)
+
+# Keep what the service knows of its flight in a file, beside the flight, for the service that comes after it.
+
+_EACH_S = 0.5
+"""Time between two records, s; a change of state is written at once."""
+_LONGEST = 4096
+"""Most bytes that are read."""
+
+
+ModesLeft = Callable[[str], tuple[str, ...]]
+
+
+class FlightRecord(Struct, frozen=True, forbid_unknown_fields=True):
+    """The file: one JSON object."""
+
+    boot: str
+    """The computer's start, by whose clock the memory is dated."""
+    vehicle: str
+    memory: FlightMemory
+
+
+class FlightKeeper(NullObserver):
+    """Writes the flight's memory, and gives the pilot that of the service before.
+
+    The file is replaced as a whole. A thread writes it, so a disk that hangs costs records and no guidance cycle.
+
+    Args:
+        vehicle: the vehicle's name; the memory of another one is not used.
+        boot: a word for this start of the computer.
+        modes: returns the modes of a vehicle that nobody has taken since it was in a mode; none where modes do not say.
+    """
+
+    def __init__(self, path: Path, pilot: Pilot, vehicle: str, boot: str, modes: ModesLeft) -> None:
+        self._path, self._pilot, self._vehicle, self._boot, self._modes = path, pilot, vehicle, boot, modes
+        self._written: MonoNs | None = None
+        self._writer: threading.Thread | None = None
+        self._failed = False
+        if (before := self._read()) is not None:
+            pilot.landing.before = before
+
+    def _read(self) -> FlightMemory | None:
+        try:
+            with self._path.open("rb") as file:
+                kept = msgspec.json.decode(file.read(_LONGEST), type=FlightRecord)
+        except FileNotFoundError:
+            return None
+        except (OSError, msgspec.DecodeError) as why:
+            log.error("the flight's memory %s cannot be used (%s): a flight begins as the settings say", self._path, why)
+            return None
+        return kept.memory if (kept.boot, kept.vehicle) == (self._boot, self._vehicle) else None
+
+    def on_decision(self, decision: Decision) -> None:
+        """Write the memory where it is due and the write before has ended."""
+        due = self._written is None or seconds_between(self._written, decision.at) >= _EACH_S or decision.transitions
+        memory = self._pilot.landing.memory
+        if not due or memory is None or (self._writer is not None and self._writer.is_alive()):
+            return
+        self._written = decision.at
+        if (status := self._pilot.landing.vehicle) is not None:
+            memory = replace(memory, modes=self._modes(status.mode))
+        text = msgspec.json.encode(FlightRecord(self._boot, self._vehicle, memory))
+        self._writer = threading.Thread(target=self._write, args=(text,), name="flight-memory", daemon=True)
+        self._writer.start()
+
+    def _write(self, text: bytes) -> None:
+        try:
+            # No fsync: what dies is the process, not the computer.
+            scratch = self._path.with_name(self._path.name + ".new")
+            scratch.write_bytes(text)
+            scratch.replace(self._path)
+        except OSError as why:
+            if not self._failed:
+                log.error("the flight's memory %s cannot be written (%s)", self._path, why)
+            self._failed = True
+
+
+def no_modes(mode: str) -> tuple[str, ...]:
+    """Return none: this vehicle's modes do not say who has it."""
+    return ()
+
+
+def keeper_of(pilot: Pilot, vehicle: str, environment: Mapping[str, str], modes: ModesLeft) -> FlightKeeper | None:
+    """Return the keeper in the folder that systemd gives the service for its state; None without one."""
+    folder = environment.get("STATE_DIRECTORY", "").split(":")[0]
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return None
+    return FlightKeeper(Path(folder) / "flight", pilot, vehicle, boot, modes) if folder else None
+
 
 _REPORTS_MAX = 64
 """Reports of the ship that may wait; the oldest is dropped."""

@@ -13,8 +13,8 @@ from companion.base.mission import Event, State, StateChange
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold
-from companion.guidance.mission.holding import Aim
 from companion.guidance.mission.machine import mission_step, take_order, take_status
+from companion.guidance.mission.phase import Aim
 from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Velocity

@@ -7,8 +7,8 @@ from msgspec.structs import replace
 from companion.base.mission import State
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold
-from companion.guidance.mission.holding import never_lower, usable
 from companion.guidance.mission.machine import allowed
+from companion.guidance.mission.phase import never_lower, usable
 from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity

@@ -10,9 +10,9 @@ from companion.base.mission import Event, State
 from companion.base.reason import ReasonCause
 from companion.guidance.controller import HORIZONS_S, Knowledge, Target
 from companion.guidance.mission.clearance import SwellWatch, rise_beyond_climb_m, watched_swell
-from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.cycle import GuidanceCycle, InputQuality
 from companion.guidance.mission.descend import descent_rate_m_s
-from companion.guidance.mission.limits import InputQuality, gate
+from companion.guidance.mission.limits import gate
 from companion.guidance.mission.machine import PHASES, aim
 from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions

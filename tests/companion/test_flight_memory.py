@@ -9,7 +9,7 @@ import pytest
 from companion.base.mission import State
 from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot
-from companion.service.flight_keeper import FlightKeeper, keeper_of, no_modes
+from companion.service.assemble import FlightKeeper, keeper_of, no_modes
 from estimator.contracts.commands import Hover, Velocity
 from tests.companion.test_pilot import Cockpit
 from tests.make import ns

@@ -13,9 +13,9 @@ from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.controller import HORIZONS_S, AtContact, Knowledge
 from companion.guidance.make_pilot import make_pilot
+from companion.guidance.mission.cycle import InputQuality
 from companion.guidance.mission.limits import (
     LEANS_MORE_M_S2,
-    InputQuality,
     commit,
     gate,
     impossible_deck,

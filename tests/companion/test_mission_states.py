@@ -13,9 +13,8 @@ from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.mission.another_pad import OtherPad
 from companion.guidance.mission.commit import Commit
-from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.cycle import GuidanceCycle, InputQuality
 from companion.guidance.mission.gate import Gate, gate_of
-from companion.guidance.mission.limits import InputQuality
 from companion.guidance.mission.machine import PHASES, TABLES, account
 from companion.guidance.mission.progress import Attempt, Progress, arrow_turned, entered
 from companion.guidance.mission.search import Search

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from companion.base.mission import CONTACT_INTENDED, DESCENDS, ENDED, FAULTS, FLOWN, GROUND, Event, State
+from companion.cli.config import mission_page
 from companion.guidance.mission.machine import TABLES
-from companion.guidance.mission.page import page
 from estimator.contracts.total_table import total
 
 MISSIONS = sorted(TABLES)
@@ -103,6 +103,6 @@ def test_an_event_that_a_row_does_not_name_leaves_the_state_as_it_is() -> None:
 
 def test_the_page_is_what_the_table_says() -> None:
     printed = (Path(__file__).parents[2] / "docs" / "mission.md").read_text(encoding="utf-8")
-    assert printed == page(), "run: decklander config mission > docs/mission.md"
+    assert printed == mission_page(), "run: decklander config mission > docs/mission.md"
     for state in State:
         assert f"| {state.value} |" in printed

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.base.mission import FlightOutcome
+from companion.guidance.landing import PilotOptions
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.mission.cycle import GuidanceCycle
 from companion.guidance.mission.machine import mission_step
 from companion.guidance.mission.progress import Progress
-from companion.guidance.pilot import Pilot, PilotOptions
+from companion.guidance.pilot import Pilot
 from companion.settings.guidance import FollowDeckOptions, GuidanceOptions
 from companion.settings.load import camera_model, load, pad_model
 from estimator.contracts.commands import Command, Hover

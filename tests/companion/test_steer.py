@@ -10,11 +10,10 @@ from msgspec.structs import replace
 from companion.base.mission import GROUND, Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.cycle import GuidanceCycle, InputQuality
 from companion.guidance.mission.hold_blind import keep_up
-from companion.guidance.mission.holding import Aim
-from companion.guidance.mission.limits import InputQuality
 from companion.guidance.mission.machine import PHASES, TABLES, account, aim, allowed
+from companion.guidance.mission.phase import Aim
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import ElsewhereOptions, GuidanceOptions

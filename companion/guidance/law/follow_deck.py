@@ -173,7 +173,7 @@ class FollowDeckMemory(Struct, frozen=True, eq=False):
     """The previous gains, from which the command fades over."""
     share: float = 1.0
     """Share of the former, 0 to 1."""
-    plain: Pid = field(default_factory=Pid.start)
+    plain: Pid = field(default_factory=Pid)
     """The memory of the fallback."""
 
 

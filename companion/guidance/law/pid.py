@@ -12,7 +12,7 @@ against the wind; here the integral outlives a hover, and the driver keeps the t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from msgspec import structs
@@ -20,31 +20,11 @@ from msgspec import structs
 from companion.guidance.controller import Knowledge, Target
 from companion.settings.guidance import PidOptions
 from estimator.contracts.commands import Command, Hover, Velocity
-from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
-from estimator.contracts.samples import checked_vector
 from estimator.contracts.time import MonoNs, seconds_between
 
 _DT_MAX_S = 0.2
 """Longest time that one step integrates over, seconds, even if the controller was not called for longer."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SetPoint:
-    """The wanted position of the body relative to the pad."""
-
-    d_body_pad_level: F64
-    """(3,) m: the wanted vector from body to pad, so (0, 0, 2) is two metres above it."""
-    yaw_rad: float | None = None
-    """The wanted heading relative to the pad's arrow, rad; None keeps the present heading."""
-    v_body_level: F64 = field(default_factory=lambda: np.zeros(3))
-    """(3,) m/s: the velocity of the set point itself relative to the pad."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", checked_vector("SetPoint.d_body_pad_level", self.d_body_pad_level))
-        object.__setattr__(self, "v_body_level", checked_vector("SetPoint.v_body_level", self.v_body_level))
-        if self.yaw_rad is not None and not math.isfinite(self.yaw_rad):
-            raise ValueError(f"SetPoint.yaw_rad must be finite or None, got {self.yaw_rad}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,65 +35,6 @@ class Pid:
     """(4,) m s, m s, m s, rad s: the integrals of the errors forward, right, down and in heading."""
     last: MonoNs | None = None
     """Time at which the controller last steered; None before."""
-
-    @staticmethod
-    def start() -> Pid:
-        return Pid()
-
-
-def fit_to_steer(estimate: RelativeState | None, now: MonoNs, stale_after_s: float) -> bool:
-    """Return whether there is a consistent estimate, computed recently from a recent sighting."""
-    if estimate is None or not estimate.consistent:
-        return False
-    return abs(estimate.age_s(now)) <= stale_after_s and abs(seconds_between(estimate.at, now)) <= stale_after_s
-
-
-def pid_step(
-    state: Pid, gains: PidOptions, now: MonoNs, estimate: RelativeState | None, set_point: SetPoint, stale_after_s: float
-) -> tuple[Pid, Command]:
-    """Run one step of the controller.
-
-    Errors are in level axes, so flying needs no heading; without one (`yaw_rad` None) the controller does not turn.
-    Anti-windup: an axis integrates only while its command is free or the error leads out of the limit.
-
-    Args:
-        stale_after_s: age of the newest sighting, or of the estimate itself, beyond which the controller hovers, seconds.
-
-    Returns:
-        The new state and `Velocity`, or `Hover` if the estimate is not fit to steer by.
-    """
-    if estimate is None or not fit_to_steer(estimate, now, stale_after_s):
-        silent = state.last is not None and seconds_between(state.last, now) > gains.forget_after_s
-        return (Pid.start() if silent else state), Hover()
-
-    dt = 0.0
-    integral = state.integral
-    if state.last is not None:
-        silence_s = seconds_between(state.last, now)
-        dt = min(max(0.0, silence_s), _DT_MAX_S)
-        if silence_s > gains.forget_after_s:
-            integral = np.zeros(4)
-
-    yaw_error = 0.0
-    if estimate.yaw_rad is not None and set_point.yaw_rad is not None:
-        yaw_error = wrap_pi(set_point.yaw_rad - estimate.yaw_rad)
-    error = np.append(estimate.d_body_pad_level - set_point.d_body_pad_level, yaw_error)
-    # The rate is that of the measurement, not of the error, so a jump of the set point causes no kick.
-    rate = estimate.v_pad_level + set_point.v_body_level
-
-    level, down, turn = gains.horizontal, gains.vertical, gains.heading
-    soft = max(gains.soft_above_m / max(float(set_point.d_body_pad_level[2]), gains.soft_above_m), gains.soft_least)
-    kp = np.array([soft * level.kp, soft * level.kp, down.kp, turn.kp])
-    ki = np.array([soft * level.ki, soft * level.ki, down.ki, turn.ki])
-    kd = np.array([soft * level.kd, soft * level.kd, down.kd])
-
-    wanted = kp * error + ki * integral + np.append(set_point.v_body_level + kd * rate, 0.0)
-    allowed = _limited(wanted, gains)
-    saturated = np.sign(wanted - allowed) == np.sign(error)
-    integral = np.where(saturated, integral, integral + error * dt)
-    most = np.divide(gains.integral_max_m_s, ki, out=np.zeros(4), where=ki > 0.0)
-    integral = np.clip(integral, -most, most)
-    return replace(state, integral=integral, last=now), Velocity(allowed[:3], float(allowed[3]))
 
 
 def _limited(u: F64, gains: PidOptions) -> F64:
@@ -146,29 +67,49 @@ class PidController:
 
     def start(self) -> Pid:
         """Return the memory before the first cycle."""
-        return Pid.start()
+        return Pid()
 
     def ahead(self, memory: Pid, knowledge: Knowledge, seconds: float) -> None:
         """Return None: it does not model the commands under way."""
 
     def step(self, memory: Pid, now: MonoNs, knowledge: Knowledge, target: Target | None) -> tuple[Pid, Command]:
-        """Run one guidance cycle; `Hover` without a target or an estimate."""
+        """Run one guidance cycle; `Hover` without a target or an estimate, with frozen integrals.
+
+        Errors are in level axes, so flying needs no heading; without one (`yaw_rad` None) it does not turn. The mission decides
+        whether the estimate is good enough. Anti-windup: an axis integrates only while its command is free or the error leads
+        out of the limit.
+        """
         estimate = knowledge.relative
         if target is None or estimate is None:
             return memory, Hover()
         wanted, along = np.array(target.d_body_pad_level), np.array(target.v_body_level)
         if target.descent_rate_m_s is not None:
             wanted[2], along[2] = estimate.height_m, target.descent_rate_m_s
-        # The mission decides whether the estimate is good enough; the controller flies its target.
-        given = structs.replace(estimate, sighted=now, at=now, consistent=True)
-        limited = _within(self._options, target)
-        memory, command = pid_step(memory, limited, now, given, SetPoint(wanted, target.yaw_rad, along), 1.0)
-        if not isinstance(command, Velocity):
-            return memory, command
-        v = np.array(command.v_level)
+        gains, silence_s = _within(self._options, target), 0.0 if memory.last is None else seconds_between(memory.last, now)
+        dt = min(max(0.0, silence_s), _DT_MAX_S)
+        integral = np.zeros(4) if silence_s > gains.forget_after_s else memory.integral
+        yaw_error = 0.0
+        if estimate.yaw_rad is not None and target.yaw_rad is not None:
+            yaw_error = wrap_pi(target.yaw_rad - estimate.yaw_rad)
+        error = np.append(estimate.d_body_pad_level - wanted, yaw_error)
+        # The rate is that of the measurement, not of the error, so a jump of the target causes no kick.
+        rate = estimate.v_pad_level + along
+
+        level, down, turn = gains.horizontal, gains.vertical, gains.heading
+        soft = max(gains.soft_above_m / max(float(wanted[2]), gains.soft_above_m), gains.soft_least)
+        kp = np.array([soft * level.kp, soft * level.kp, down.kp, turn.kp])
+        ki = np.array([soft * level.ki, soft * level.ki, down.ki, turn.ki])
+        kd = np.array([soft * level.kd, soft * level.kd, down.kd])
+
+        u = kp * error + ki * integral + np.append(along + kd * rate, 0.0)
+        allowed = _limited(u, gains)
+        saturated = np.sign(u - allowed) == np.sign(error)
+        integral = np.where(saturated, integral, integral + error * dt)
+        most = np.divide(gains.integral_max_m_s, ki, out=np.zeros(4), where=ki > 0.0)
+        v = np.array(allowed[:3])
         if self._heaves and knowledge.deck is not None:
             v[2] += knowledge.deck.v_level[2]
-        return memory, Velocity(v, command.yaw_rate_rad_s)
+        return Pid(np.clip(integral, -most, most), now), Velocity(v, float(allowed[3]))
 
 
 def _within(options: PidOptions, target: Target) -> PidOptions:

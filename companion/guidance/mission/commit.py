@@ -18,8 +18,7 @@ from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, rules
 from companion.guidance.mission.cycle import GuidanceCycle, unfit
-from companion.guidance.mission.holding import Aimed, not_lower, still, turn_rad
-from companion.guidance.mission.phase import AROUND, LANDING, Phase
+from companion.guidance.mission.phase import AROUND, LANDING, Aimed, Phase, not_lower, still, turn_rad
 from companion.guidance.mission.progress import BOUNCES_MOST, Progress
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions

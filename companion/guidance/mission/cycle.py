@@ -10,7 +10,6 @@ from msgspec import Struct, field
 
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.mission.limits import InputQuality
 from companion.guidance.mission.wind import WindOverDrone
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -22,6 +21,17 @@ _UNFLOWN_S = 0.15
 """Age of the vehicle's newest sample, s, from which on its own hover is expected: an AR.Drone hovers at .25 s."""
 _LANDS_M_S = 0.3
 """Speed of a deck that falls up to which the vehicle's own landing, at 0.4 m/s, presses on it."""
+
+
+class InputQuality(Struct, frozen=True):
+    """Quality of the service's inputs, beside the estimate."""
+
+    normalized_nis: float | None = None
+    """Recent mean of the sightings' NIS over the number of components; None before the first comparison."""
+    time_sigma_s: float | None = None
+    """Standard deviation of the newest sighting's time stamp; None before the first."""
+    delay_s: float = 0.0
+    """The camera's constant delay: how old a sighting is at least when it is fused."""
 
 
 class VesselPosition(Struct, frozen=True, eq=False):

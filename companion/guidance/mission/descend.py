@@ -9,15 +9,13 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from msgspec.structs import replace
 
 from companion.base.mission import Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Target
 from companion.guidance.mission import limits, rules, thesis
 from companion.guidance.mission.cycle import GuidanceCycle, unfit
-from companion.guidance.mission.holding import Aimed, not_lower, still, turn_rad, waits_m
-from companion.guidance.mission.phase import TRY, Phase
+from companion.guidance.mission.phase import TRY, Aimed, Phase, not_lower, still, turn_rad, waits_m
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
@@ -27,9 +25,6 @@ from estimator.contracts.time import seconds_between
 
 INSIDE = 1.2
 """The share of the descent rate on the axis, which is limited to 1: near the axis the rate does not depend on the error."""
-OUT = 2.0
-"""(error / radius)^2 beyond which the drone comes back over the pad before it descends further."""
-_LEAST_HEIGHT_M = 0.15
 _TAPER_1_S = 1.0
 """Rate per metre of height left over the gate."""
 _AT_GATE_M = 0.08
@@ -37,19 +32,9 @@ _ENDS_S, _SANK_M = 0.4, 0.1
 """Time that a way down takes to end at a height that is kept, and the least that the drone has sunk below that."""
 
 
-def radius_m(height_m: float, options: ConeOptions) -> float:
-    """Return the cone's radius at a height over the deck, m: that at which the descent would all but end."""
-    return options.slope * max(_LEAST_HEIGHT_M, height_m)
-
-
 def inside(error_m: float, height_m: float, options: ConeOptions) -> bool:
     """Return whether the drone may descend at all."""
-    return error_m < math.sqrt(INSIDE) * radius_m(height_m, options)
-
-
-def outside(error_m: float, height_m: float, options: ConeOptions) -> bool:
-    """Return whether the drone has left the cone by more than a gust."""
-    return error_m > math.sqrt(OUT) * radius_m(height_m, options)
+    return error_m < math.sqrt(INSIDE) * limits.radius_m(height_m, options)
 
 
 def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions, ends_m: float) -> float:
@@ -60,22 +45,9 @@ def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions, ends
         height_m: height over the deck.
         ends_m: the height at which the descent ends.
     """
-    share = INSIDE - (error_m / radius_m(height_m, options)) ** 2
+    share = INSIDE - (error_m / limits.radius_m(height_m, options)) ** 2
     rate = options.descent_rate_m_s * max(-1.0, min(1.0, share))
     return min(rate, _TAPER_1_S * (height_m - ends_m))
-
-
-def try_ends(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
-    """Yield the conditions that end an attempt on its way down."""
-    yield from rules.too_windy(p, s, o)
-    yield from rules.outrun(p, s, o)
-    yield from rules.answers_late(p, s, o)
-    yield from rules.imu_late(p, s, o)
-
-
-def spend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
-    """Charge a guidance cycle to the time that all visits of the state share."""
-    return replace(p, attempt=p.attempt.spend(p.state, p.since_last_s))
 
 
 def _sank(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
@@ -88,7 +60,7 @@ def _sank(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
 
 def _over_pad(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     yield from rules.other_pad(p, s, o)
-    yield from try_ends(p, s, o)
+    yield from rules.try_ends(p, s, o)
     if (limit := rules.try_over(p, s, o) or _sank(p, s, o)) is not None:
         yield Event.LIMIT, limit
     yield from rules.time_over(p.attempt.spent_s.get(p.state, 0.0), o.tries.leg_s, s.thing)
@@ -99,12 +71,12 @@ def _over_pad(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Eve
     else:
         height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
         if inside(error_m, height_m, o.cone) and (rules.bars_descent(p, s, o) or s.thing) is None:
-            yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m(height_m, o.cone))
+            yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, limits.radius_m(height_m, o.cone))
 
 
 def _down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     yield from rules.other_pad(p, s, o)
-    yield from try_ends(p, s, o)
+    yield from rules.try_ends(p, s, o)
     if (limit := rules.try_over(p, s, o) or rules.bars_descent(p, s, o) or s.thing) is not None:
         yield Event.LIMIT, limit
     yield from rules.time_over(p.attempt.spent_s.get(p.state, 0.0), o.tries.leg_s)
@@ -114,8 +86,8 @@ def _down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWi
         yield from thesis.down(s, o, estimate)
     else:
         height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
-        if outside(error_m, height_m, o.cone):
-            yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, radius_m(height_m, o.cone))
+        if limits.outside(error_m, height_m, o.cone):
+            yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, limits.radius_m(height_m, o.cone))
         if height_m <= o.cone.gate_m + _AT_GATE_M:
             yield Event.AT_GATE, Reason(ReasonCause.LOW_ENOUGH, height_m, o.cone.gate_m)
 
@@ -155,14 +127,14 @@ def _allows(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions)
 
 PHASES = {
     State.INTERCEPT: Phase(
-        "Flying over the pad at height.", {**TRY, Event.IN_CONE: State.DESCEND}, _over_pad, _aim_over, spend, _allows
+        "Flying over the pad at height.", {**TRY, Event.IN_CONE: State.DESCEND}, _over_pad, _aim_over, rules.spend, _allows
     ),
     State.DESCEND: Phase(
         "Descending in the cone over the pad.",
         {**TRY, Event.OUT_OF_CONE: State.INTERCEPT, Event.AT_GATE: State.GATE},
         _down,
         _aim_down,
-        spend,
+        rules.spend,
         _allows,
     ),
 }

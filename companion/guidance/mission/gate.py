@@ -17,9 +17,7 @@ from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, rules, thesis
 from companion.guidance.mission.cycle import GuidanceCycle, unfit
-from companion.guidance.mission.descend import outside, radius_m, spend, try_ends
-from companion.guidance.mission.holding import Aimed, agreed, not_lower, still, turn_rad, waits_m
-from companion.guidance.mission.phase import TRY, Phase
+from companion.guidance.mission.phase import TRY, Aimed, Phase, agreed, not_lower, still, turn_rad, waits_m
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
@@ -55,7 +53,7 @@ def gate_of(p: Progress) -> Gate:
 
 def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     """Note what keeps the gate shut, and since when nothing does."""
-    p, gate, blocked = spend(p, s, o), gate_of(p), _blocked(p, s, o)
+    p, gate, blocked = rules.spend(p, s, o), gate_of(p), _blocked(p, s, o)
     if blocked is None:
         return replace(p, kept=replace(gate, blocked=None, good_since=s.at if gate.good_since is None else gate.good_since))
     if gate.waits_since is None or seconds_between(gate.waits_since, s.at) >= _REASON_STANDS_S:
@@ -79,7 +77,7 @@ def _blocked(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None
 def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     yield from rules.other_pad(p, s, o)
     yield from contact.stays(p, s, o)
-    yield from try_ends(p, s, o)
+    yield from rules.try_ends(p, s, o)
     if (limit := rules.try_over(p, s, o) or rules.windy(p, s) or s.thing) is not None:
         yield Event.LIMIT, limit
     gate = gate_of(p)
@@ -91,8 +89,8 @@ def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Event
         yield from thesis.left_gate(estimate, o)
     else:
         height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
-        if outside(error_m, height_m, o.cone) or height_m > o.cone.gate_m + _OVER_GATE_M:
-            yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, radius_m(height_m, o.cone))
+        if limits.outside(error_m, height_m, o.cone) or height_m > o.cone.gate_m + _OVER_GATE_M:
+            yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, limits.radius_m(height_m, o.cone))
     dwell_s = o.thesis.final_dwell_s if o.mission == "thesis" else o.cone.gate_dwell_s
     if gate.good_since is not None and seconds_between(gate.good_since, s.at) >= dwell_s:
         yield Event.GATE_OPEN, Reason(ReasonCause.ALL_LIMITS_HOLD)

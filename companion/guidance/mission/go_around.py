@@ -18,9 +18,8 @@ from companion.base.reason import CONDITIONS, Reason, ReasonCause
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, out_of_reach, rules
 from companion.guidance.mission.cycle import GuidanceCycle, of_frames, with_deck_m_s
-from companion.guidance.mission.holding import Aimed, climbs, descending, not_lower, usable
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
-from companion.guidance.mission.phase import LANDING, Phase
+from companion.guidance.mission.phase import LANDING, Aimed, Phase, climbs, descending, not_lower, usable
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
@@ -72,10 +71,9 @@ def _touches(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Even
 def _tries_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     """Yield what leaves no other attempt, once it is high enough for one."""
     yield from rules.too_windy(p, s, o)
-    yield from rules.answers_late(p, s, o)
+    yield from rules.late(p, s, o)
     if s.off_orders is not None:
         yield Event.NO_CONDITIONS, s.off_orders
-    yield from rules.imu_late(p, s, o)
     if p.fault is None:
         return
     used_up = p.go_arounds > o.tries.go_arounds_max or rules.landing_over(p, s, o) is not None

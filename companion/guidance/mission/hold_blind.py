@@ -13,12 +13,10 @@ from companion.base.mission import Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.mission import contact, out_of_reach, rules
 from companion.guidance.mission.cycle import GuidanceCycle, of_frames
-from companion.guidance.mission.holding import Aimed, descending, still
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
-from companion.guidance.mission.phase import LANDING, Phase
+from companion.guidance.mission.phase import LANDING, Aimed, Phase, descending, looks_upwind, still
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.rules import EventWithReason
-from companion.guidance.mission.search import looks_upwind
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert
@@ -50,8 +48,7 @@ def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Event
     yield from rules.other_pad(p, s, o)
     yield from contact.stays(p, s, o)
     yield from rules.too_windy(p, s, o)
-    yield from rules.answers_late(p, s, o)
-    yield from rules.imu_late(p, s, o)
+    yield from rules.late(p, s, o)
     if (limit := rules.try_over(p, s, o) or _lost_low(p, s, o)) is not None:
         yield Event.LIMIT, limit
     spent_s, limit_s = p.attempt.without_sight_s, o.tries.give_up_after_s

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission.clearance import rise_beyond_climb_m
+from companion.guidance.mission.cycle import InputQuality
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions, LandingLimits
 from estimator.contracts.estimates import RelativeState
@@ -107,19 +108,13 @@ _CLIMB_LEAST = 0.2
 ON_PAD = 1.4
 """Share of the commit's limit beside the centre at which a vehicle that touches the deck may come to stand: a rim remains."""
 
+OUT = 2.0
+"""(error / radius)^2 beyond which the drone comes back over the pad before it descends further."""
+_LEAST_HEIGHT_M = 0.15
+"""Height up to which the cone is as wide as at this one, m."""
+
 Comparison = tuple[ReasonCause, float | None, float]
 """The name of a limit, what is measured, and the limit."""
-
-
-class InputQuality(Struct, frozen=True):
-    """Quality of the service's inputs, beside the estimate."""
-
-    normalized_nis: float | None = None
-    """Recent mean of the sightings' NIS over the number of components; None before the first comparison."""
-    time_sigma_s: float | None = None
-    """Standard deviation of the newest sighting's time stamp; None before the first."""
-    delay_s: float = 0.0
-    """The camera's constant delay: how old a sighting is at least when it is fused."""
 
 
 @lru_cache(maxsize=8)
@@ -132,6 +127,16 @@ def of_try(limits: LandingLimits, go_arounds: int) -> LandingLimits:
 def beside_m(estimate: RelativeState, knowledge: Knowledge) -> float:
     """Return the distance from the place over the pad that the contact is wanted at, m."""
     return math.dist(estimate.d_body_pad_level.tolist()[:2], knowledge.aim_level)
+
+
+def radius_m(height_m: float, options: ConeOptions) -> float:
+    """Return the cone's radius at a height over the deck, m: that at which the descent would all but end."""
+    return options.slope * max(_LEAST_HEIGHT_M, height_m)
+
+
+def outside(error_m: float, height_m: float, options: ConeOptions) -> bool:
+    """Return whether the drone has left the cone by more than a gust."""
+    return error_m > math.sqrt(OUT) * radius_m(height_m, options)
 
 
 def sigma_m(estimate: RelativeState) -> float:

@@ -11,7 +11,7 @@ thesis' mission.
 
 **A file is a state.** It says what the state watches and where each event leads, what it aims at, its time budget, its
 constants, and the memory that only it needs (`Progress.kept`, empty on entry). What several states watch or fly is in `rules`
-and `holding`, what all remember in `progress`. A guidance cycle is a pure step from memory and inputs to memory, aim and
+and `phase`, what all remember in `progress`. A guidance cycle is a pure step from memory and inputs to memory, aim and
 changes of state.
 
 **What holds in every state.**
@@ -58,11 +58,11 @@ from companion.guidance.mission import (
 )
 from companion.guidance.mission.cycle import GuidanceCycle, unfit
 from companion.guidance.mission.held_course import HeldCourse
-from companion.guidance.mission.holding import Aim, Aimed
 from companion.guidance.mission.limits import battery_ends, last_landing
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
-from companion.guidance.mission.phase import Phase, Row
+from companion.guidance.mission.phase import Aim, Aimed, Phase
 from companion.guidance.mission.progress import Progress, arrow_turned, entered
+from companion.guidance.mission.rules import Row
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover
 from estimator.contracts.estimates import RelativeState

@@ -1,7 +1,9 @@
 """Events that can end more than one state, each with its reason. Every state's file names those that hold in it."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+
+from msgspec.structs import replace
 
 from companion.base.mission import Event, State
 from companion.base.reason import Reason, ReasonCause
@@ -18,6 +20,8 @@ from estimator.contracts.time import seconds_between
 EventWithReason = tuple[Event, Reason]
 Events = Callable[[Progress, GuidanceCycle, GuidanceOptions], Iterator[EventWithReason]]
 """A function that yields what happens in a guidance cycle, the most important first."""
+Row = Mapping[Event, State]
+"""The states that events lead to; an event that is not named leaves the state as it is."""
 
 _SPENT_WAIT_S = 8.0
 """Time for which it waits out of sight where the lean takes all of the tilt, s: the gust may pass, but the drone is blown off."""
@@ -137,13 +141,21 @@ def outrun(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventW
         yield Event.NO_CONDITIONS, Reason(ReasonCause.DECK_RISE, outrun_m, o.tries.safe_height_m - o.cone.gate_m)
 
 
-def answers_late(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
-    """Yield that the vehicle answers too late to be flown."""
+def late(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield that the vehicle answers too late to be flown, or that its own samples come too late to land by."""
     if s.late_s is not None:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)
-
-
-def imu_late(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
-    """Yield that the vehicle's own samples come too late to land by."""
     if s.estimate is not None and IntegrityAlert.IMU_LATE in s.estimate.alerts:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ALERT, detail=IntegrityAlert.IMU_LATE)
+
+
+def try_ends(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield the conditions that end an attempt on its way down."""
+    yield from too_windy(p, s, o)
+    yield from outrun(p, s, o)
+    yield from late(p, s, o)
+
+
+def spend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
+    """Charge a guidance cycle to the time that all visits of the state share."""
+    return replace(p, attempt=p.attempt.spend(p.state, p.since_last_s))

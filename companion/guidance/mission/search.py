@@ -20,9 +20,8 @@ from companion.base.mission import Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.mission import out_of_reach, rules
 from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold, VesselPosition, of_frames
-from companion.guidance.mission.holding import Aimed, climbs, still
 from companion.guidance.mission.limits import battery_ends
-from companion.guidance.mission.phase import LANDING, Phase
+from companion.guidance.mission.phase import LANDING, Aimed, Phase, climbs, looks_upwind, still
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
@@ -33,12 +32,6 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 _LOOKS_S = 10.0
 """Time for which it looks for the pad with a charge too low to begin, s: that may be the nearest place to land."""
-_LOOK_M_S, _LEG_S = 0.4, 35.0
-"""Speed upwind and to lee of a search in wind, m/s, and the time of each way, s."""
-_STEPS_M = (2.0, -4.0, 6.0, -8.0, 4.0)
-"""Steps aside of its ways back, in turn, m: each time farther to the other side, and then to the middle again."""
-_TURN_1_S, _TURN_MOST_RAD_S = 0.8, 0.5
-"""Rate of a turn for each radian that is left, 1/s, and the most of it, rad/s."""
 _GAIN_1_S = 0.4
 _CORNER_REACHED_M = 0.7
 _LOW_M = 0.5
@@ -73,8 +66,7 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
 def _refuses(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     """Yield what lets no landing begin."""
     yield from rules.too_windy(p, s, o)
-    yield from rules.answers_late(p, s, o)
-    yield from rules.imu_late(p, s, o)
+    yield from rules.late(p, s, o)
     if rules.unfit_here(p, s, o) is None:
         return
     if isinstance(s.vessel, Reason):
@@ -120,22 +112,6 @@ def _aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
     if p.state is State.RENDEZVOUS:
         return p, to_hold_off(s.place, o.rendezvous, o.tries.climb_m_s, s.hold)
     return p, along_pattern(_search(p).leg, s.place, o.rendezvous, o.tries.climb_m_s, s.hold)
-
-
-def looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Velocity | None:
-    """Return the way on which a drone that leans against the wind looks for the pad; None in less wind.
-
-    The lean turns the camera to lee, and a hover drifts there, so what was below is found upwind, and some way off. The drone
-    flies there, back, and so on, each time farther to the other side, and turns the wider side of the field into the wind.
-    """
-    if s.wind is None or not s.wind.leans_far:
-        return None
-    turns, back = divmod(int(p.in_state_s(s.at) // _LEG_S), 2)
-    speed, across = (-_LOOK_M_S, _STEPS_M[turns % len(_STEPS_M)] / _LEG_S) if back else (_LOOK_M_S, 0.0)
-    turn = _TURN_1_S * s.wind.across_rad if o.tries.heading == "across" else 0.0
-    ahead, aside = s.wind.into_level
-    v = np.array([speed * ahead - across * aside, speed * aside + across * ahead, 0.0])
-    return Velocity(v, max(-_TURN_MOST_RAD_S, min(_TURN_MOST_RAD_S, turn)))
 
 
 def hold_off(place: VesselPosition, o: RendezvousOptions) -> F64:

@@ -14,9 +14,8 @@ from companion.base.reason import Reason, ReasonCause
 from companion.guidance.controller import Target
 from companion.guidance.mission import limits
 from companion.guidance.mission.cycle import GuidanceCycle, unfit
-from companion.guidance.mission.phase import Row
 from companion.guidance.mission.progress import Progress
-from companion.guidance.mission.rules import EventWithReason
+from companion.guidance.mission.rules import EventWithReason, Row
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ThesisOptions
 from estimator.contracts.estimates import RelativeState

@@ -12,10 +12,9 @@ from companion.base.mission import Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.mission import out_of_reach
 from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold
-from companion.guidance.mission.holding import Aimed, still_as_ordered
-from companion.guidance.mission.phase import FLIGHT, HELD, Phase, Row
+from companion.guidance.mission.phase import FLIGHT, HELD, Aimed, Phase, still_as_ordered
 from companion.guidance.mission.progress import Progress
-from companion.guidance.mission.rules import EventWithReason, unfit_here
+from companion.guidance.mission.rules import EventWithReason, Row, unfit_here
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land
 

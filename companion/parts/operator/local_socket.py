@@ -25,9 +25,8 @@ from companion.facts.wire import (
     line_of,
     request_of,
 )
-from companion.guidance.flight_state import FlightWatch
 from companion.guidance.pilot import Pilot
-from companion.guidance.pilot_operator import PilotOperator
+from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from companion.parts.operator.client import answers
 from estimator.contracts.errors import Recoverable, unusable
 from estimator.contracts.ports import Clock

@@ -27,9 +27,8 @@ from companion.base.worker import Worker
 from companion.facts import encode as facts
 from companion.facts.wire import OrderRequest, RequestRefused, SticksRequest
 from companion.guidance.advice import advice
-from companion.guidance.flight_state import FlightWatch
 from companion.guidance.pilot import Pilot
-from companion.guidance.pilot_operator import PilotOperator
+from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from companion.parts.page.access import own_names, refused_origin
 from companion.parts.page.file_answer import assets
 from companion.parts.page.messages import (
