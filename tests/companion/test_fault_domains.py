@@ -183,7 +183,7 @@ def quiet(caplog: pytest.LogCaptureFixture) -> None:
 
 
 @pytest.mark.hazard("H11")
-@settings(max_examples=12, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     role=st.sampled_from(ROLES),
     error=st.sampled_from(sorted(ERRORS)),
@@ -196,14 +196,6 @@ def test_a_part_that_fails_in_any_way_at_any_time_changes_no_command(undisturbed
     assert health.parts["vehicle"].restarts == health.parts["guidance"].restarts == 0
     if raised and role in METHODS:
         assert health.contained[f"failing.{role}"] == raised
-
-
-@pytest.mark.parametrize("error", sorted(ERRORS))
-@pytest.mark.parametrize("role", ROLES)
-def test_every_error_in_every_role_from_the_first_call_on(undisturbed: list[tuple[int, str]], role: str, error: str) -> None:
-    commands, _, raised = event_loop.run(fly_failing(role, error, seconds=SHORT_S))
-    assert commands == undisturbed[: len(commands)]
-    assert raised or role in ("ending", "counters")
 
 
 def test_what_fails_again_and_again_is_set_aside_and_reported() -> None:

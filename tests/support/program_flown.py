@@ -14,7 +14,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from msgspec.structs import replace
 
-from companion.base.orders import HandledOrder, OperatorOrder
+from companion.base.orders import HandledOrder
 from companion.guidance.operator.arbiter import OperatorArbiter
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import NamedSenders
@@ -28,7 +28,7 @@ from drivers.mavlink.requests import request_message
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.setpoint_streamer import FORCE
 from drivers.mavlink.vehicle import LAND_MODE, Stack, mode_name, set_mode
-from estimator.contracts.commands import Hover, Land, Velocity
+from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
@@ -44,7 +44,7 @@ from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import STATION, GroundStation, Task
 from sitl.scenario.scenario import load
-from tests.support.toy_autopilot import PAGE, PERSONS_MODE, STEP_S, STILL, Guidance
+from tests.support.toy_autopilot import PERSONS_MODE, STEP_S, STILL, Guidance, OrderedFlight
 
 HOST = "127.0.0.1"
 AUTOPILOT = (1, 1)
@@ -114,12 +114,14 @@ class Vehicle:
         return "take off" if m.command == mav.MAV_CMD_NAV_TAKEOFF else None
 
 
-class ProgramFlown:
+class ProgramFlown(OrderedFlight):
     """A program, the driver and the arbiter, 25 steps a second. `begin` before each run.
 
     Args:
         binary: the program; None for the stand-in of the stack.
     """
+
+    patience_s, begins_after_s = 40.0, 0.0
 
     def __init__(self, stack: Stack, binary: Path | None, seed: int = 0) -> None:
         self._loop = asyncio.new_event_loop()
@@ -168,55 +170,16 @@ class ProgramFlown:
             self._run(self._start())
         raise TimeoutError(f"{self.station.failure}: {self.toy.mode}, {self.toy.height_m:.1f} m")
 
-    def order(self, order: OperatorOrder) -> str | None:
-        """Give an order at the computer; return why it is refused."""
-        return self.arbiter.take(order, PAGE, self.now).refusal
-
     def step(self) -> None:
         """Run one cycle."""
         self._run(self._step())
 
-    def run(self, seconds: float) -> None:
-        """Run that long."""
-        for _ in range(round(seconds / STEP_S)):
-            self.step()
-
-    def until(self, what: Callable[[], bool], most_s: float = 40.0) -> None:
-        """Run until something is true.
-
-        Raises:
-            TimeoutError: it does not become true.
-        """
-        for _ in range(round(most_s / STEP_S)):
-            if what():
-                return
-            self.step()
-        raise TimeoutError(f"{self.hand}, {self.toy.mode}: it does not come about")
-
-    def bring_to(self, hand: Hand) -> None:
-        """Bring it into a state on the natural way."""
-        guidance = self.guidance
-        if hand is Hand.TAKING_OFF:
-            assert self.order(OperatorOrder.TAKE_OFF) is None
-        if hand in (Hand.NOBODY, Hand.TAKING_OFF):
-            self.until(lambda: self.hand is hand)
-            return
-        guidance.command = STILL
-        self.until(lambda: self.hand is (Hand.TAKING if hand is Hand.TAKING else Hand.OURS))
-        if hand is Hand.STANDING:
-            guidance.command = Velocity(np.array([0.0, 0.0, 1.0]), 0.0)
-            self.until(lambda: self.toy.height_m < 1.0)
-            guidance.command, began_s = Land(), self.body.t_s
-            self.until(lambda: (contact := self.body.landing()) is not None and contact.t_s > began_s)
-        if hand is Hand.PERSON:
-            self.toy.switch(PERSONS_MODE[self._stack])
-        if hand is Hand.CUT:
-            assert self.order(OperatorOrder.EMERGENCY) is None
-        commands = {
-            Hand.LANDING: Land(), Hand.STANDING: Land(on_deck=True), Hand.HOLDING: None, Hand.LEAVING: Hover(returns=True),
-        }  # fmt: skip
-        guidance.command = commands.get(hand, guidance.command)
-        self.until(lambda: self.hand is hand)
+    def reach_deck(self) -> None:
+        """Descend onto the deck by the vehicle's own landing."""
+        self.guidance.command = Velocity(np.array([0.0, 0.0, 1.0]), 0.0)
+        self.until(lambda: self.toy.height_m < 1.0)
+        self.guidance.command, began_s = Land(), self.body.t_s
+        self.until(lambda: (contact := self.body.landing()) is not None and contact.t_s > began_s)
 
     # The world
 

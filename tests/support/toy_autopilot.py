@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from random import Random
+from typing import Any
 
 import numpy as np
 
@@ -188,7 +189,80 @@ _BEAT, _FAILED = mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3), int(mav.MAV_RE
 PAGE = OrderSender(OrderSource.PAGE, "1")
 
 
-class Flown:
+class OrderedFlight:
+    """A flight under the arbiter and the driver, 25 steps a second; its heirs step it and know who holds the vehicle."""
+
+    patience_s, begins_after_s = 20.0, 0.5
+    toy: Any
+    """The autopilot."""
+    guidance: Guidance
+    arbiter: OperatorArbiter
+
+    @property
+    def hand(self) -> Hand:
+        """The holder of the vehicle by the driver."""
+        raise NotImplementedError
+
+    @property
+    def now(self) -> MonoNs:
+        raise NotImplementedError
+
+    def step(self) -> None:
+        """Run one cycle."""
+        raise NotImplementedError
+
+    def reach_deck(self) -> None:
+        """Come to stand on the deck."""
+        raise NotImplementedError
+
+    def order(self, order: OperatorOrder) -> str | None:
+        """Give an order at the computer; return why it is refused."""
+        return self.arbiter.take(order, PAGE, self.now).refusal
+
+    def run(self, seconds: float) -> None:
+        """Run that long."""
+        for _ in range(round(seconds / STEP_S)):
+            self.step()
+
+    def until(self, what: Callable[[], bool]) -> None:
+        """Run until something is true.
+
+        Raises:
+            TimeoutError: it does not become true.
+        """
+        for _ in range(round(self.patience_s / STEP_S)):
+            if what():
+                return
+            self.step()
+        raise TimeoutError(f"{self.hand}, {self.toy.mode}: it does not come about")
+
+    def bring_to(self, hand: Hand) -> None:
+        """Bring it into a state on the natural way; a take-off is only ordered."""
+        guidance, toy = self.guidance, self.toy
+        self.run(self.begins_after_s)
+        if hand is Hand.TAKING_OFF:
+            assert self.order(OperatorOrder.TAKE_OFF) is None
+        if hand in (Hand.NOBODY, Hand.TAKING_OFF):
+            self.until(lambda: self.hand is hand)
+            return
+        toy.refuses_modes = hand is Hand.TAKING
+        guidance.command = STILL
+        self.until(lambda: self.hand is (Hand.TAKING if hand is Hand.TAKING else Hand.OURS))
+        toy.refuses_disarm = hand is Hand.STANDING
+        if hand is Hand.STANDING:
+            self.reach_deck()
+        if hand is Hand.PERSON:
+            toy.switch(PERSONS_MODE[toy.stack])
+        if hand is Hand.CUT:
+            assert self.order(OperatorOrder.EMERGENCY) is None
+        commands = {
+            Hand.LANDING: Land(), Hand.STANDING: Land(on_deck=True), Hand.HOLDING: None, Hand.LEAVING: Hover(returns=True),
+        }  # fmt: skip
+        guidance.command = commands.get(hand, guidance.command)
+        self.until(lambda: self.hand is hand)
+
+
+class Flown(OrderedFlight):
     """A toy, the driver and the arbiter, 25 steps a second.
 
     Args:
@@ -223,10 +297,6 @@ class Flown:
     def now(self) -> MonoNs:
         return MonoNs(round(1e9 * self.now_s))
 
-    def order(self, order: OperatorOrder) -> str | None:
-        """Give an order at the computer; return why it is refused."""
-        return self.arbiter.take(order, PAGE, self.now).refusal
-
     def step(self) -> None:
         """Run one cycle: reports, arbiter, driver, autopilot."""
         self.now_s += STEP_S
@@ -259,48 +329,10 @@ class Flown:
         toy.answers.clear()
         toy.step(self.now_s)
 
-    def run(self, seconds: float) -> None:
-        """Run that long."""
-        for _ in range(round(seconds / STEP_S)):
-            self.step()
-
-    def until(self, what: Callable[[], bool], most_s: float = 20.0) -> None:
-        """Run until something is true.
-
-        Raises:
-            TimeoutError: it does not become true.
-        """
-        for _ in range(round(most_s / STEP_S)):
-            if what():
-                return
-            self.step()
-        raise TimeoutError(f"{self.hand}, {self.toy.mode}: it does not come about")
-
     def sent(self, since_s: float) -> list[str]:
         """Return what our messages have asked for since then."""
         return [what for at, what in self.toy.log if at > since_s]
 
-    def bring_to(self, hand: Hand) -> None:
-        """Bring it into a state on the natural way; a take-off is only ordered."""
-        toy, guidance = self.toy, self.guidance
-        self.run(0.5)
-        if hand is Hand.TAKING_OFF:
-            assert self.order(OperatorOrder.TAKE_OFF) is None
-        if hand in (Hand.NOBODY, Hand.TAKING_OFF):
-            self.until(lambda: self.hand is hand)
-            return
-        toy.refuses_modes = hand is Hand.TAKING
-        guidance.command = STILL
-        self.until(lambda: self.hand is (Hand.TAKING if hand is Hand.TAKING else Hand.OURS))
-        toy.refuses_disarm = hand is Hand.STANDING
-        if hand is Hand.STANDING:
-            toy.height_m = 0.0
-        if hand is Hand.PERSON:
-            toy.switch(PERSONS_MODE[toy.stack])
-        if hand is Hand.CUT:
-            assert self.order(OperatorOrder.EMERGENCY) is None
-        commands = {
-            Hand.LANDING: Land(), Hand.STANDING: Land(on_deck=True), Hand.HOLDING: None, Hand.LEAVING: Hover(returns=True),
-        }  # fmt: skip
-        guidance.command = commands.get(hand, guidance.command)
-        self.until(lambda: self.hand is hand)
+    def reach_deck(self) -> None:
+        """Stand on the deck at once."""
+        self.toy.height_m = 0.0
