@@ -13,19 +13,16 @@ from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert, RelativeState
-from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import guided
-from tests.make import estimate, ns
+from tests.make import deck, estimate, ns
 
 NOW = 20.0
 
 
 def falling(down_m_s: float | None, sigma_m_s: float = 0.0, *, over_ground: bool = False) -> GuidanceCycle:
-    deck = None
-    if down_m_s is not None:
-        cov = np.diag([1.0, 1.0, sigma_m_s**2, 1.0, 1.0, 1.0])
-        deck = DeckMotion(ns(NOW), np.array([3.0, 0.0, down_m_s]), np.zeros(3), cov, 0, 0, 0, 0, 1e-4 * np.eye(4))
-    return GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None, deck=deck), hold=VehicleHold(over_ground))
+    var = (1.0, 1.0, sigma_m_s**2, 1.0, 1.0, 1.0)
+    moves = None if down_m_s is None else deck(NOW, (3.0, 0.0, down_m_s), var=var)
+    return GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None, deck=moves), hold=VehicleHold(over_ground))
 
 
 def commands(down_m_s: float) -> tuple[Velocity, Lean]:

@@ -17,9 +17,8 @@ from companion.guidance.mission.machine import PHASES, aim
 from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import F64
-from estimator.contracts.motion import DeckMotion
 from estimator.ekf import Forecast
-from tests.make import estimate, ns
+from tests.make import deck, estimate, ns
 
 CLIMB_M_S = 1.0
 PERIOD_S = 9.0
@@ -121,7 +120,7 @@ def test_a_swell_has_its_own_period_and_asks_for_what_twice_its_deviation_gains(
     for i in range(3000):
         rate = math.sqrt(2.0) * rate_m_s
         v, a = (np.array([0.0, 0.0, x]) for x in (rate * math.cos(w * i * dt), -w * rate * math.sin(w * i * dt)))
-        watch = watched_swell(watch, ns(i * dt), DeckMotion(ns(i * dt), v, a, np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4)))
+        watch = watched_swell(watch, ns(i * dt), deck(i * dt, v, a))
     assert watch.rad_s == pytest.approx(w, rel=0.1)
     if 2.0 * rate_m_s <= CLIMB_M_S:
         assert watch.gained_m(CLIMB_M_S) == 0.0

@@ -17,9 +17,9 @@ from companion.settings.load import camera_model, from_mapping, load, response_m
 from estimator.contracts.commands import Command, Lean, Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
-from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
+from estimator.contracts.motion import G_M_S2
 from estimator.vision.camera import Camera
-from tests.make import estimate, ns, status
+from tests.make import body, deck, estimate, ns, status
 
 SETTINGS = load("sim")
 RESPONSE = response_model(SETTINGS)
@@ -42,9 +42,7 @@ def pushed(landing: LandingGuidance, n: int) -> Command | None:
     """Return the command of a cycle over the pad that a steady wind pushes by 3 m/s^2 forward, held by as much lean."""
     t = 0.02 * n
     leaning = Rotation.from_rpy(0.0, math.atan(3.0 / G_M_S2), 0.0)
-    body = BodyMotion(ns(t), 0.0, np.zeros(3), 1e-3 * np.eye(3), np.zeros(3), leaning, 1e-5 * np.eye(3))
-    deck = DeckMotion(ns(t), np.zeros(3), np.zeros(3), 1e-3 * np.eye(6), 0.0, 0.0, 0.0, 0.0, 1e-4 * np.eye(4))
-    return landing.command(Knowledge(ns(t), estimate(t, [0.0, 0.0, 2.0]), body, deck))
+    return landing.command(Knowledge(ns(t), estimate(t, [0.0, 0.0, 2.0]), body(t, reported=leaning), deck(t)))
 
 
 @pytest.mark.parametrize("key", ["tries.give_up_after_s", "pid.speed_max_m_s", "follow_deck.climb_max_m_s"])

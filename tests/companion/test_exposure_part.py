@@ -9,10 +9,8 @@ from msgspec import structs
 
 from companion.base.health import Health
 from companion.base.observer import ProcessedFrame
-from companion.facts import encode
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
-from companion.recording.reading import RecordedFrame
 from companion.service.exposure_part import ExposurePart
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings.load import from_mapping
@@ -26,7 +24,6 @@ from estimator.contracts.samples import Attitude, Frame, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from tests.support.image_files import encoded
 
 SETTINGS = from_mapping(
     {
@@ -124,15 +121,6 @@ def test_a_pad_too_dark_for_the_camera_is_counted_and_reported_once(caplog: pyte
     scene.white_per_ms = 0.2
     scene.run(60)
     assert caplog.text.count("the pad is rightly exposed again") == 1
-
-
-def test_exposure_and_gain_of_each_frame_are_recorded() -> None:
-    at = Stamp(MonoNs(5), MonoNs(7), 0.001, "kernel")
-    taken = Frame(at, 3, np.zeros((48, 64, 3), np.uint8), 0.004, 2.5)
-    record = encode.detection(ProcessedFrame(taken, None, None, Verdict.NO_PAD, MonoNs(8), MonoNs(9)))
-    again = RecordedFrame(record, encoded(".png", 64, 48)).frame((64, 48))
-    assert again is not None
-    assert (again.exposure_s, again.gain) == (0.004, 2.5)
 
 
 def test_the_service_has_the_part_where_the_settings_ask_for_it() -> None:

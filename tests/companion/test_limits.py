@@ -34,7 +34,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.ekf import Forecast
 from tests.companion.test_clearance import forecast, swell
-from tests.make import estimate, ns
+from tests.make import body, deck, estimate, ns
 
 NOW = 50.0
 LIMITS, CONE = LandingLimits(), ConeOptions()
@@ -44,8 +44,7 @@ TO_CONTACT_S = 0.3 / CONE.commit_rate_m_s
 
 def tilted(roll_deg: float = 0.0, pitch_deg: float = 0.0, down_m_s: float = 0.0) -> DeckMotion:
     roll, pitch = math.radians(roll_deg), math.radians(pitch_deg)
-    v = np.array([0.0, 0.0, down_m_s])
-    return DeckMotion(ns(NOW), v, np.zeros(3), 0.01 * np.eye(6), roll, pitch, 0, 0, 1e-12 * np.eye(4))
+    return replace(deck(NOW, (0.0, 0.0, down_m_s), roll=roll, pitch=pitch), cov_tilt=1e-12 * np.eye(4))
 
 
 def tilting(roll_deg: float, pitch_deg: float) -> Forecast:
@@ -243,7 +242,7 @@ def test_a_commit_that_would_slide_ends_while_it_can(
 
 def leaning(lean_deg: float) -> BodyMotion:
     R = Rotation.from_rpy(math.radians(lean_deg), 0.0, 0.0)
-    return BodyMotion(ns(NOW), 0.0, np.zeros(3), np.eye(3), np.zeros(3), R, np.eye(3))
+    return body(NOW, reported=R)
 
 
 @pytest.mark.hazard("H3")

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.base.mission import DESCENDS, Event, State
+from companion.base.mission import Event, State
 from companion.base.reason import Reason, ReasonCause
-from companion.guidance.controller import Impact, Knowledge, Target
+from companion.guidance.controller import Knowledge, Target
 from companion.guidance.make_pilot import make_pilot
-from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.guidance.mission.cycle import GuidanceCycle
 from companion.guidance.mission.limits import DWELL_S, ChargeWatch, last_landing, of_try
 from companion.guidance.mission.machine import mission_step, take_order, take_status
 from companion.guidance.mission.progress import Progress
@@ -337,61 +337,3 @@ def test_no_contact_that_nobody_felt_stops_the_motors_of_a_cone() -> None:
     assert State.PRESS not in flight.states
     assert not any(isinstance(aim, Land) for *_, aim, _ in flight.rows)
     assert ReasonCause.NO_CONTACT in causes(flight, State.GO_AROUND)
-
-
-@settings(max_examples=150)
-@given(
-    st.lists(
-        st.tuples(
-            st.sampled_from(["fresh", "fresh", "none", "stale", "inconsistent", "frozen", "another", "begin", "pause", "impact"]),
-            st.tuples(st.floats(-4, 4), st.floats(-4, 4), st.floats(-0.2, 6.0)),
-            st.floats(0.0, 1.2),
-            st.sampled_from([None, 0.0, 3.0, -3.0]),
-        ),
-        max_size=60,
-    ),
-    st.booleans(),
-    st.sampled_from(["cone", "thesis"]),
-)
-def test_nothing_descends_nor_lands_without_a_fresh_consistent_estimate(history, near, mission) -> None:
-    o, t, last, track = guided(mission), 0.0, None, 1
-    flight = PointFlight([0.0, 0.0, 3.0], o)
-    impact, landed_at = None, None
-    for kind, d, dt, yaw in history:
-        t += dt
-        track += kind == "another"
-        if near:
-            d = (0.01 * d[0], 0.01 * d[1], 0.3 if flight.progress.state is not State.INTERCEPT else 2.0)
-        known = {"stale": {"age": 2.0}, "inconsistent": {"consistent": False}}.get(kind, {})
-        seen = {"none": None, "frozen": last}.get(kind, estimate(t, d, yaw=yaw, track=track, **known))
-        last = seen if kind == "fresh" else last
-        flight.t = t
-        if kind in ("begin", "pause"):
-            flight.order(Event.BEGIN if kind == "begin" else Event.PAUSE)
-        if kind == "impact":
-            impact = Impact(ns(t), "accelerometer", 9.0)
-        s = GuidanceCycle(ns(t), Knowledge(ns(t), seen, impact=impact))
-        flight.progress, aim, _ = mission_step(flight.progress, s, o)
-        state = flight.progress.state
-        stale_s = o.limits.commit_sighting_age_s if state is State.COMMIT else o.stale_after_s
-        fit = unfit(seen, ns(t), stale_s) is None and seen is not None and seen.track == flight.progress.track
-        if isinstance(aim, Target) and aim.descent_rate_m_s is not None and aim.descent_rate_m_s > 0.0:
-            assert state is State.PRESS or (fit and state in DESCENDS)
-        lower = seen is not None and isinstance(aim, Target) and aim.d_body_pad_level[2] < seen.height_m - 1e-9
-        if isinstance(aim, Target) and aim.descent_rate_m_s is None and lower:
-            assert fit
-            assert state in DESCENDS
-        if isinstance(aim, Velocity):
-            assert aim.v_level[2] <= 0.0
-        if isinstance(aim, Land) and state is State.DOWN:
-            landed_at = t if landed_at is None else landed_at
-            assert t - landed_at <= o.land_timeout_s + 1e-6
-        else:
-            landed_at = None
-        assert not isinstance(aim, Land) or state in (State.DOWN, State.PRESS)
-
-
-def test_the_property_above_does_see_landings() -> None:
-    for mission in ("cone", "thesis"):
-        flight = PointFlight([0.0, 0.0, 2.0], guided(mission)).run(30)
-        assert any(isinstance(aim, Land) for *_, aim, _ in flight.rows)

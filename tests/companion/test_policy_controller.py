@@ -14,9 +14,8 @@ from companion.settings.load import SHIPPED, load, read_toml, response_model
 from companion.settings.response import response_from_mapping
 from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.errors import BadInput
-from estimator.contracts.geometry import Rotation
-from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
-from tests.make import estimate, ns
+from estimator.contracts.motion import G_M_S2
+from tests.make import body, deck, estimate, ns
 
 QUAD = response_from_mapping(read_toml(SHIPPED / "responses" / "quad_1_5kg.toml"), "quad_1_5kg")
 OPTIONS = GuidanceOptions(controller="policy")
@@ -24,9 +23,7 @@ OPTIONS = structs.replace(OPTIONS, follow_deck=structs.replace(OPTIONS.follow_de
 
 
 def knowledge(at_s: float, d: list[float]) -> Knowledge:
-    body = BodyMotion(ns(at_s), 0.0, np.zeros(3), np.eye(3) * 0.01, np.zeros(3), Rotation(np.eye(3)), np.eye(3) * 1e-4)
-    deck = DeckMotion(ns(at_s), np.zeros(3), np.zeros(3), np.eye(6) * 1e-3, 0.0, 0.0, 0.0, 0.0, np.eye(4) * 1e-4)
-    return Knowledge(ns(at_s), estimate(at_s, d), body, deck)
+    return Knowledge(ns(at_s), estimate(at_s, d), body(at_s), deck(at_s))
 
 
 def policy_commands(d: list[float], target: Target, cycles: int = 5) -> list[Lean]:

@@ -21,13 +21,13 @@ from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert, PathName, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.motion import DeckMotion
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig
+from tests.make import deck
 
 SIM = load("sim")
 EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), TrackerOptions(colours="simulator"))
@@ -284,7 +284,7 @@ def test_a_deck_that_would_move_as_none_does_leads_nobody_down_nor_up(monkeypatc
     loop = Loop("ekf")
     loop.until(below(2.4, loop))
     moves = loop.pilot.estimator.motion
-    rises = DeckMotion(loop.now, np.array([0.0, 0.0, -8.0]), np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+    rises = deck(loop.now * 1e-9, (0.0, 0.0, -8.0))
     monkeypatch.setattr(loop.pilot.estimator, "motion", lambda now: (moves(now)[0], rises))
     height_m = loop.d[2]
     for _ in range(40):

@@ -20,10 +20,9 @@ from companion.settings.guidance import ElsewhereOptions, GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert
 from estimator.contracts.geometry import F64, wrap_pi
-from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import guided, holding
 from tests.companion.test_limits import leaning
-from tests.make import estimate, ns, same_bits
+from tests.make import deck, estimate, ns, same_bits
 
 NOW = 100.0
 WAY_DOWN = (State.DESCEND, State.GATE, State.COMMIT, State.PRESS)
@@ -73,7 +72,7 @@ def test_what_may_descend_is_named_and_nothing_else_does_however_good_the_sight(
     [(0.0, None, True), (0.29, 4.0, True), (0.31, None, False), (0.0, 4.1, False), (0.0, math.nan, False)],
 )
 def test_at_the_gate_no_deck_is_followed_down_by_sightings_that_would_keep_the_gate_shut(age_s, nis, follows):
-    falls = DeckMotion(ns(NOW), np.array([0.0, 0.0, 0.4]), np.zeros(3), 1e-6 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+    falls = deck(NOW, (0.0, 0.0, 0.4), var=1e-6)
     s = GuidanceCycle(ns(NOW), replace(known(age=age_s), deck=falls), quality=InputQuality(nis))
     down, up = (Lean(np.ones(2), np.zeros(2), np.array([0.0, 0.0, v]), 0.0) for v in (0.7, -0.7))
     for state, rate in ((State.GATE, 0.7 if follows else 0.0), (State.DESCEND, 0.7), (State.INTERCEPT, 0.4 if follows else 0.0)):
@@ -107,7 +106,7 @@ def test_pressing_tilts_nowhere_and_stays_where_it_touched() -> None:
         pressed = aim(p, GuidanceCycle(ns(NOW), relative, silent_s=silent_s, age_s=age_s), guided())[1]
         assert (pressed == Land(on_deck=False)) is lands, "held by its own hover it would stay behind a deck that falls"
     for falls_m_s, age_s, lands in ((0.29, 0.16, True), (0.31, 0.16, False), (0.31, 0.0, False)):
-        falls = DeckMotion(ns(NOW), np.array([0, 0, falls_m_s]), np.zeros(3), np.eye(6), 0, 0, 0, 0, np.eye(4))
+        falls = deck(NOW, (0.0, 0.0, falls_m_s))
         s = GuidanceCycle(ns(NOW), replace(known(), deck=falls), age_s=age_s)
         pressed = aim(p, s, guided())[1]
         assert isinstance(pressed, Land) is lands, "its own landing would be dragged along"
@@ -147,8 +146,7 @@ def test_a_go_around_climbs_on_the_clear_side_whatever_the_heading(yaw: float, h
 @pytest.mark.parametrize(("state", "climbs"), [(State.HOLD_BLIND, True), (State.COMMIT, False), (State.PAUSED, True)])
 @pytest.mark.parametrize("rises_m_s", [0.4, 0.0, -0.4])
 def test_a_low_drone_without_an_estimate_climbs_from_a_deck_as_it_rises(state, climbs, over_ground, rises_m_s):
-    deck = DeckMotion(ns(NOW), np.array([0.3, 0.0, -rises_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
-    knowledge = replace(known(consistent=False), deck=deck)
+    knowledge = replace(known(consistent=False), deck=deck(NOW, (0.3, 0.0, -rises_m_s)))
     p = Progress(state, automatic=True, begun=True, seen_height_m=2.1, deck_rise_m=0.3)
     after, found = aim(p, holding(GuidanceCycle(knowledge.at, knowledge), over_ground), guided())
     if climbs or over_ground:
@@ -165,8 +163,7 @@ def test_a_blind_hold_over_waves_ends_at_the_crest_s_height_and_climbs_no_step_w
     o, p, climbed_m = guided(), Progress(State.HOLD_BLIND, automatic=True, begun=True, seen=ns(NOW), seen_height_m=seen_m), 0.0
     for i in range(2000):
         at, up_m_s = NOW + 0.02 * i, 0.8 * math.cos(0.02 * i * math.tau / 8.0)
-        deck = DeckMotion(ns(at), np.array([0.0, 0.0, -up_m_s]), np.zeros(3), np.eye(6), 0.0, 0.0, 0.0, 0.0, np.eye(4))
-        s = GuidanceCycle(ns(at), Knowledge(ns(at), None, deck=deck))
+        s = GuidanceCycle(ns(at), Knowledge(ns(at), None, deck=deck(at, (0.0, 0.0, -up_m_s))))
         p, found = aim(account(p, s, o), s, o)
         climbed_m -= 0.02 * float(found.v_level[2]) if isinstance(found, Velocity) else 0.0
     crest_m = 0.8 * 8.0 / math.tau
@@ -230,8 +227,8 @@ def test_waves_lift_no_vehicle_that_waits_high_up(state: State, age_s: float) ->
     for k in range(1200):
         t = 0.05 * k
         deck_m, down_m_s = math.sin(0.785 * t), -0.785 * math.cos(0.785 * t)
-        deck = DeckMotion(ns(t), np.array([0.0, 0.0, down_m_s]), np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
-        knows = Knowledge(ns(t), estimate(t, (0.0, 0.0, altitude_m - deck_m), age=age_s, sigma=0.1), deck=deck)
+        moves = deck(t, (0.0, 0.0, down_m_s))
+        knows = Knowledge(ns(t), estimate(t, (0.0, 0.0, altitude_m - deck_m), age=age_s, sigma=0.1), deck=moves)
         p, _ = aim(p, GuidanceCycle(ns(t), knows), guided())
         law = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, down_m_s]), 0.0)
         found = allowed(law, p, GuidanceCycle(ns(t), knows), guided())
@@ -244,18 +241,18 @@ def test_waves_lift_no_vehicle_that_waits_high_up(state: State, age_s: float) ->
 def test_commands_that_arrive_changed_hardly_sink_a_drone_that_holds_without_sight(sigma_m_s: float, loses_m_s: float) -> None:
     """The drone sinks by 0.2 m/s more than it is ordered, and answers 0.6 s late: it loses half of that, if that is sure."""
     p, sinks_m_s = Progress(State.HOLD_BLIND, automatic=True, begun=True, stood=False), [0.2] * 12
-    deck = DeckMotion(ns(NOW), np.zeros(3), np.zeros(3), sigma_m_s**2 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+    moves = deck(NOW, var=sigma_m_s**2)
     law = Lean(np.zeros(2), np.zeros(2), np.zeros(3), 0.0)
     for _ in range(400):
-        knows = replace(known((0.0, 0.0, 5.0), v=(0.0, 0.0, -sinks_m_s[-1]), age=4.0), deck=deck)
+        knows = replace(known((0.0, 0.0, 5.0), v=(0.0, 0.0, -sinks_m_s[-1]), age=4.0), deck=moves)
         p, _ = aim(p, GuidanceCycle(ns(NOW), knows), guided())
         flown = keep_up(law, p, GuidanceCycle(ns(NOW), knows), guided())
         assert isinstance(flown, Lean)
         sinks_m_s.append(0.2 + flown.v_level.item(2) if len(sinks_m_s) % 12 == 0 else sinks_m_s[-1])
     assert np.mean(sinks_m_s[-24:]) == pytest.approx(loses_m_s, abs=0.02)
-    fresh = replace(known((0.0, 0.0, 5.0), v=(0.0, 0.0, -0.2)), deck=deck)
+    fresh = replace(known((0.0, 0.0, 5.0), v=(0.0, 0.0, -0.2)), deck=moves)
     assert keep_up(law, p, GuidanceCycle(ns(NOW), fresh), guided()) is law
-    refused = replace(known((0.0, 0.0, 5.0), v=(0.0, 0.0, -0.2), age=4.0), deck=deck, trusts_velocity=False)
+    refused = replace(known((0.0, 0.0, 5.0), v=(0.0, 0.0, -0.2), age=4.0), deck=moves, trusts_velocity=False)
     assert keep_up(law, p, GuidanceCycle(ns(NOW), refused), guided()) is law, "its own hover keeps its height"
 
 

@@ -12,8 +12,8 @@ from companion.guidance.controller import FieldOfView, Knowledge
 from companion.guidance.mission.wind import GUST_SIGMAS, MEAN_S, WindWatch, trim_level, watched, wind_over_drone
 from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.motion import G_M_S2, BodyMotion
-from tests.make import ns
+from estimator.contracts.motion import G_M_S2
+from tests.make import body, ns
 
 TILT = TiltResponse(0.05, 4.0, 0.8, max_deg=28.0, drag_1_s=0.35)
 DT = 0.02
@@ -28,7 +28,7 @@ def leaning(t: float, heading_rad: float, against_ned: np.ndarray, a_ned: np.nda
     roll = math.atan(right * math.cos(pitch) / G_M_S2)
     a = np.array([*(level @ a_ned), 0.0])
     reported = Rotation.from_rpy(roll, pitch, heading_rad)
-    return Knowledge(ns(t), None, BodyMotion(ns(t), heading_rad, a, 0.01 * np.eye(3), np.zeros(3), reported, 1e-4 * np.eye(3)))
+    return Knowledge(ns(t), None, body(t, a, reported=reported, heading=heading_rad))
 
 
 @given(st.floats(0.0, 12.0), st.floats(-3.1, 3.1), st.floats(-0.3, 0.3), st.floats(0.0, 2.0))
