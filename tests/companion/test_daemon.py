@@ -311,21 +311,3 @@ async def test_it_ends_with_the_flight_when_ordered_or_when_it_is_cancelled_and_
     with pytest.raises(asyncio.CancelledError):
         await task
     assert vehicle.left_hovering == 2
-
-
-async def test_the_log_names_the_part_that_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
-    vehicle = FakeVehicle()
-    daemon = daemon_of(vehicle.open, health_period_s=0.05)
-
-    def said(text: str) -> bool:
-        return any(text in record.getMessage() and record.levelname == "WARNING" for record in caplog.records)
-
-    with caplog.at_level("INFO", "companion.service.daemon"):
-        async with asyncio.TaskGroup() as group:
-            group.create_task(daemon.run())
-            await until(
-                lambda: said("no status from the vehicle yet, no attitude from the vehicle yet, no frames from the camera")
-            )
-            vehicle.say(flying=False)
-            await until(lambda: said("waiting for the vehicle: no frames from the camera yet; frames: none"))
-            daemon.stop()
