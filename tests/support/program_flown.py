@@ -209,7 +209,7 @@ class ProgramFlown(OrderedFlight):
         link = LinkOptions(parse_endpoint(f"udpin://{HOST}:{to_station}"))
         enter = self._program.enter_async_context
         self._links = await enter(open_links((link,), self.clock, STATION, access=NamedSenders(everybody=True)))
-        self.toy = Vehicle(self._stack, self.body, self._say, lambda: self.now_s)
+        self.toy: Vehicle = Vehicle(self._stack, self.body, self._say, lambda: self.now_s)
         self._autopilot = None
         folder = Path(self._program.enter_context(TemporaryDirectory(prefix="decklander-hands-")))
         await self._fly(folder, (self._port, to_station))

@@ -275,7 +275,7 @@ class Flown(OrderedFlight):
         self, stack: Stack, *, height_m: float = 5.0, late_s: float = 0.05, seed: int = 0, lost: float = 0.0, **options: object
     ) -> None:
         self.rng, self.late_s, self.lost, self.silent = Random(seed), late_s, lost, False
-        self.toy = Toy(stack, height_m=height_m)
+        self.toy: Toy = Toy(stack, height_m=height_m)
         self.streamer = SetpointStreamer(Identity(1, 1, stack, 2), AutopilotOptions("udpin://127.0.0.1:0", **options))  # type: ignore[arg-type]
         self.guidance = Guidance(take_back=self.streamer.engage, resumed=STILL)
         self.arbiter = OperatorArbiter(self.guidance)
