@@ -1,8 +1,10 @@
 """Encode what the service passes to its observers as records."""
 
 import math
+from typing import TypeVar, get_args
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.base.health import HealthSnapshot
@@ -12,22 +14,14 @@ from companion.base.orders import HandledOrder
 from companion.base.response_in_use import ResponseInUse
 from companion.facts import records as rec
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
-from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.estimates import Pose6, RelativeState, Sighting
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.samples import (
-    Attitude,
-    Baro,
-    BodyVelocity,
-    GeoFix,
-    GimbalAttitude,
-    Imu,
-    Range,
-    Sample,
-    VehicleStatus,
-    VesselReport,
-)
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, GeoFix, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.detection import Detection, PadCheck
+
+R = TypeVar("R", bound=Struct)
 
 COMMANDS: dict[type[Command], str] = {
     Velocity: "velocity", Lean: "lean", Hover: "hover", TakeOff: "take_off", Land: "land",
@@ -35,49 +29,41 @@ COMMANDS: dict[type[Command], str] = {
 }  # fmt: skip
 
 
+_SAMPLES: dict[type[Sample], type[rec.SampleRecord]] = dict(zip(get_args(Sample), get_args(rec.SampleRecord), strict=True))
+
+
 def sample(of: Sample) -> rec.SampleRecord:
     """Return the record of a sample of any kind."""
-    match of:
-        case Imu():
-            return rec.ImuRecord(stamp(of.stamp), of.w_body.tolist(), of.f_body.tolist())
-        case Attitude():
-            return attitude(of)
-        case GimbalAttitude():
-            return rec.GimbalRecord(stamp(of.stamp), of.frame, _flat(of.R_frame_gimbal.matrix), _flat(of.cov_gimbal))
-        case BodyVelocity():
-            return rec.VelocityRecord(stamp(of.stamp), of.v_level.tolist(), _flat(of.cov_level))
-        case Range():
-            return rec.RangeRecord(stamp(of.stamp), of.range_m, of.sigma_m)
-        case Baro():
-            return rec.BaroRecord(stamp(of.stamp), of.height_m, of.sigma_m)
-        case VesselReport():
-            return rec.VesselRecord(
-                stamp(of.stamp),
-                None if of.v_vessel_ned is None else of.v_vessel_ned.tolist(),
-                None if of.cov_v_ned is None else _flat(of.cov_v_ned),
-                of.heading_rad,
-                of.sigma_heading_rad,
-            )
-        case GeoFix():
-            return rec.FixRecord(
-                stamp(of.stamp),
-                of.whose,
-                math.degrees(of.place.latitude_rad),
-                math.degrees(of.place.longitude_rad),
-                of.sigma_m,
-                of.place.height_m,
-                None if of.v_ned is None else of.v_ned.tolist(),
-            )
-        case VehicleStatus():
-            return status(of)
+    if isinstance(of, Attitude):
+        return attitude(of)
+    if isinstance(of, GeoFix):
+        latitude_deg, longitude_deg = math.degrees(of.place.latitude_rad), math.degrees(of.place.longitude_rad)
+        v_ned = None if of.v_ned is None else of.v_ned.tolist()
+        return rec.FixRecord(stamp(of.stamp), of.whose, latitude_deg, longitude_deg, of.sigma_m, of.place.height_m, v_ned)
+    return _as(_SAMPLES[type(of)], of)
+
+
+def _as(kind: type[R], of: object) -> R:
+    """Return the record of a fact whose fields have the same names; arrays and rotations become lists of numbers."""
+    return kind(*(_plain(getattr(of, name)) for name in kind.__struct_fields__))
+
+
+def _plain(value: object) -> object:
+    match value:
+        case np.ndarray():
+            return _flat(value)
+        case Rotation():
+            return _flat(value.matrix)
+        case Stamp():
+            return stamp(value)
+        case Pose6():
+            return _as(rec.Pose6Record, value)
+    return value
 
 
 def status(of: VehicleStatus) -> rec.StatusRecord:
     """Return the record of a vehicle's status."""
-    return rec.StatusRecord(
-        stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction, of.taken, of.jerk_max_m_s3,
-        of.tilt_max_deg,
-    )  # fmt: skip
+    return _as(rec.StatusRecord, of)
 
 
 def stamp(of: Stamp) -> rec.StampRecord:
@@ -133,12 +119,7 @@ def _methods(processed: Detection) -> dict[str, rec.SightingRecord]:
 
 def sighting(of: Sighting) -> rec.SightingRecord:
     """Return the record of a sighting, without its stamp."""
-    pose6 = None
-    if of.pose6 is not None:
-        pose6 = rec.Pose6Record(of.pose6.d_body_pad_level.tolist(), _flat(of.pose6.R_level_pad.matrix), _flat(of.pose6.cov))
-    return rec.SightingRecord(
-        of.method, of.d_body_pad_level.tolist(), _flat(of.cov), of.confidence, of.yaw_ambiguous, of.yaw_rad, pose6
-    )
+    return _as(rec.SightingRecord, of)
 
 
 def belief(of: RelativeState) -> rec.BeliefRecord:

@@ -19,7 +19,7 @@ from companion.parts.mqtt.spool import Spool
 from companion.service import assemble as service
 from companion.service.assemble import Proven
 from companion.settings.load import load
-from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible, unusable
+from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible
 from tests.support.waiting import free_port, until
 
 WORLD = [errno.EIO, errno.EROFS, errno.ENOSPC, errno.EMFILE, errno.ENOMEM, errno.ENODEV, errno.ESTALE, errno.EADDRINUSE]
@@ -53,16 +53,6 @@ def loggers() -> Iterator[None]:
     handlers, level = root.handlers[:], root.level
     yield
     root.handlers[:], root.level = handlers, level
-
-
-@pytest.mark.parametrize("number", WORLD)
-def test_a_world_that_fails_is_tried_again(number: int) -> None:
-    assert isinstance(unusable("camera.file: x", OSError(number, os.strerror(number))), Recoverable)
-
-
-@pytest.mark.parametrize("number", SETTINGS)
-def test_a_wrong_name_is_not(number: int) -> None:
-    assert isinstance(unusable("camera.file: x", OSError(number, os.strerror(number))), BadInput)
 
 
 @pytest.mark.parametrize(("number", "code"), [*((n, 1) for n in WORLD), *((n, 2) for n in SETTINGS)])

@@ -41,15 +41,9 @@ from tests.companion.test_records import result
 from tests.companion.test_report import PAD
 from tests.fly import sim_settings
 from tests.make import same_bits
+from tests.support.clocks import SteppedClock
 
 T = 5_000_000_000
-
-
-class Clock:
-    def now(self) -> MonoNs:
-        return MonoNs(T)
-
-    async def sleep(self, seconds: float) -> None: ...
 
 
 def test_every_result_is_recorded_but_those_of_imu_samples_that_were_taken(tmp_path: Path) -> None:
@@ -111,7 +105,7 @@ def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
 
 
 def health_with(*results: FusionResult) -> Health:
-    health = Health(Clock())
+    health = Health(SteppedClock(MonoNs(T)))
     for one in results:
         health.fusion(one)
     return health

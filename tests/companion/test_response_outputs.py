@@ -7,7 +7,7 @@ from companion.base.response_in_use import ResponseInUse, ResponseState, TiltSha
 from companion.parts.mavlink.component import Component, ComponentOptions
 from companion.parts.mavlink.outputs import MavSeverity
 from estimator.contracts.time import MonoNs
-from tests.companion.metrics.test_metrics import Clock
+from tests.support.clocks import SteppedClock
 
 ASSUMED = ResponseInUse(ResponseState.ASSUMED, 0.05, None)
 KNOWN = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02)
@@ -25,7 +25,7 @@ def test_the_ground_station_learns_of_a_contradiction_only() -> None:
         def __getattr__(self, name: str) -> Any:
             raise AssertionError(name)
 
-    component = Component(ComponentOptions(0.39, 0.5), Nobody(), None, healthy=lambda: None, clock=Clock())  # type: ignore[arg-type]
+    component = Component(ComponentOptions(0.39, 0.5), Nobody(), None, healthy=lambda: None, clock=SteppedClock())  # type: ignore[arg-type]
     output: list[tuple[MavSeverity, str]] = []
     component.texts.say = lambda severity, words, now: output.append((severity, words))  # type: ignore[method-assign,assignment]
     for response in ALL:

@@ -26,23 +26,6 @@ from tests.companion.ship_flights import HOST, SHIP, SHIP_NED, Flying, flying, r
 from tests.support.waiting import free_port, until
 
 
-async def test_sentences_over_udp_lead_the_drone_to_the_ship() -> None:
-    port, nmea = free_port(), free_port()
-    async with flying(settings_of(port, nmea=f"{HOST}:{nmea}"), port) as service:
-        assert "no place from the ship yet" in service.missing()
-        with udp() as ship:
-            for tenth in range(300):
-                if tenth % 10 == 0:
-                    ship.sendto(rmc(tenth // 10) + sentence("HEHDT,090.0,T"), (HOST, nmea))
-                await asyncio.sleep(0.1)
-                if service.towards_ship():
-                    break
-        assert service.towards_ship(), (service.pilot.phase, service.pilot.landing.reason, service.pilot.landing.vessel_counts())
-        assert service.pilot.state is State.RENDEZVOUS
-        assert not [words for words in service.missing() if "ship" in words]
-        assert service.pilot.landing.vessel_counts()["taken"] >= 1
-
-
 async def test_the_ship_s_own_mavlink_system_leads_it_there_and_no_other_system() -> None:
     port, clock = free_port(), SystemClock()
     link = LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))

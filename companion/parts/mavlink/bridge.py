@@ -58,20 +58,13 @@ class VehicleBridge(NullObserver):
         self.refusals = Refusals("bridge.operators")
         self._offered = Offered(
             {
-                mav.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
-                mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude_quaternion,
-                mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
-                mav.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
-                mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended,
-                mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
-            },
-            {
-                mav.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
-                mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 0.05,
-                mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0.1,
-                mav.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-                mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 0.5,
-            },
+                mav.MAVLINK_MSG_ID_HEARTBEAT: (self._heartbeat, 1.0),
+                mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (self._attitude_quaternion, 0.05),
+                mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (self._local_position, 0.1),
+                mav.MAVLINK_MSG_ID_SYS_STATUS: (self._sys_status, 1.0),
+                mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (self._extended, 0.5),
+                mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (self._version, 0.0),
+            }
         )
 
     def on_sample(self, sample: Sample) -> None:

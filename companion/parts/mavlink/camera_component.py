@@ -72,13 +72,12 @@ class CameraComponent:
         self._flows = flows
         self._offered = Offered(
             {
-                mav.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
-                mav.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._information,
-                mav.MAVLINK_MSG_ID_CAMERA_SETTINGS: self._settings,
-                mav.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION: self._stream_information,
-                mav.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS: self._stream_status,
-            },
-            {mav.MAVLINK_MSG_ID_HEARTBEAT: 1.0},
+                mav.MAVLINK_MSG_ID_HEARTBEAT: (self._heartbeat, 1.0),
+                mav.MAVLINK_MSG_ID_CAMERA_INFORMATION: (self._information, 0.0),
+                mav.MAVLINK_MSG_ID_CAMERA_SETTINGS: (self._settings, 0.0),
+                mav.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION: (self._stream_information, 0.0),
+                mav.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS: (self._stream_status, 0.0),
+            }
         )
 
     def tick(self, now: MonoNs) -> None:

@@ -115,29 +115,27 @@ class Offered:
     """The messages that a peer can request, and the interval at which each is sent.
 
     Args:
-        makers: by message number; a maker returns None while it has nothing to say.
-        intervals_s: of those that are sent by themselves; 0 for not at all.
+        messages: by message number: what makes it, which returns None while it has nothing to say, and the interval at which
+            it is sent by itself, s; 0 for not at all.
     """
 
-    def __init__(self, makers: dict[int, Callable[[MonoNs], Message | None]], intervals_s: dict[int, float]) -> None:
-        self._makers = makers
-        self._defaults = dict(intervals_s)
-        self._intervals_s = dict(intervals_s)
+    def __init__(self, messages: dict[int, tuple[Callable[[MonoNs], Message | None], float]]) -> None:
+        self._messages = messages
+        self._intervals_s = {number: interval_s for number, (_, interval_s) in messages.items()}
         self._next: dict[int, MonoNs] = {}
 
     def make(self, number: int, now: MonoNs) -> Message | None:
         """Return the message, or None if the number is unknown or there is nothing to send."""
-        maker = self._makers.get(number)
-        return None if maker is None else maker(now)
+        return self._messages[number][0](now) if number in self._messages else None
 
     def offers(self, number: int) -> bool:
-        return number in self._makers
+        return number in self._messages
 
     def interval_us(self, number: int) -> int:
         """Return the interval as MESSAGE_INTERVAL encodes it, microseconds: 0 is not available, -1 is not sent periodically."""
-        if number not in self._makers:
+        if number not in self._messages:
             return 0
-        interval_s = self._intervals_s.get(number, 0.0)
+        interval_s = self._intervals_s[number]
         return round(interval_s * 1e6) if interval_s > 0 else -1
 
     def set_interval(self, number: int, interval_us: float) -> bool:
@@ -146,14 +144,13 @@ class Offered:
         Return False if that is impossible or exceeds 2000 s. HEARTBEAT is never stopped, nor sent more often or rarely than a
         component may.
         """
-        if number not in self._makers or not (interval_us == -1 or 0 <= interval_us <= _INTERVAL_MAX_S * 1e6):
+        if number not in self._messages or not (interval_us == -1 or 0 <= interval_us <= _INTERVAL_MAX_S * 1e6):
             return False
         if number == mav.MAVLINK_MSG_ID_HEARTBEAT and interval_us:
             shortest_s, longest_s = _HEARTBEAT_BOUNDS_S
             if not shortest_s <= interval_us * 1e-6 <= longest_s:
                 return False
-        default = self._defaults.get(number, 0.0)
-        wanted_s = max(_INTERVAL_MIN_S, interval_us * 1e-6) if interval_us else default
+        wanted_s = max(_INTERVAL_MIN_S, interval_us * 1e-6) if interval_us else self._messages[number][1]
         self._intervals_s[number] = 0.0 if interval_us == -1 else wanted_s
         self._next.pop(number, None)
         return True

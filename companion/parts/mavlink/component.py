@@ -129,19 +129,14 @@ class Component(NullObserver):
         self._sick = False
         self._values = 0
         self._parameters = None if store is None else ParameterServer(store)
+        values_s = options.state_s / len(_VALUES)  # the values take turns
         self._offered = Offered(
             {
-                mav.MAVLINK_MSG_ID_HEARTBEAT: lambda now: self._guarded("heartbeat", self._heartbeat, now),
-                mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: lambda now: self._guarded("computer", self._load, now),
-                ComponentInformationBasic.id: self._information,
-                mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: lambda now: self._guarded("values", self._value, now),
-            },
-            {
-                mav.MAVLINK_MSG_ID_HEARTBEAT: options.heartbeat_s,
-                mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: options.computer_s,
-                # The values take turns.
-                mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: options.state_s / len(_VALUES),
-            },
+                mav.MAVLINK_MSG_ID_HEARTBEAT: (partial(self._guarded, "heartbeat", self._heartbeat), options.heartbeat_s),
+                mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: (partial(self._guarded, "computer", self._load), options.computer_s),
+                mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: (partial(self._guarded, "values", self._value), values_s),
+                ComponentInformationBasic.id: (self._information, 0.0),
+            }
         )
         self._commands = CommandServer(operator, self._offered)
         self.refusals = Refusals("vehicle.operators")

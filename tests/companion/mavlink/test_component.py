@@ -23,11 +23,12 @@ from drivers.mavlink.links import Containment, ReceivedMessage
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import IntegrityAlert, Verdict
-from estimator.contracts.time import MonoNs, after
+from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.mavlink.border import AUTOPILOT, US, Border, bordered, frame, messages
 from tests.companion.mavlink.receivers import ArduPilotReceiver, Px4Receiver
 from tests.companion.mavlink.stage import PAD_NED, staged
+from tests.support.clocks import SteppedClock
 from tests.support.fake_operator import FakeOperator
 from tests.support.waiting import until
 
@@ -190,22 +191,10 @@ async def test_a_frame_that_was_fused_is_reported_without_waiting_for_the_next_t
 FLOWN_S = 10
 
 
-class Clock:
-    """Stands where it is put."""
-
-    t = MonoNs(0)
-
-    def now(self) -> MonoNs:
-        return self.t
-
-    async def sleep(self, seconds: float) -> None:
-        raise RuntimeError("nobody sleeps here")
-
-
 class Said:
     """Messages that go out over the links."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: SteppedClock) -> None:
         self.contained = Containment(clock)
         self.kinds: Counter[str] = Counter()
         self.texts: list[str] = []
@@ -218,7 +207,7 @@ class Said:
         return True
 
 
-def flown(health: Health, clock: Clock, broken: str | None = None, error: BaseException | None = None) -> Said:
+def flown(health: Health, clock: SteppedClock, broken: str | None = None, error: BaseException | None = None) -> Said:
     """Ten seconds of ticks with guidance deciding, one thing that it says broken."""
     options = ComponentOptions(0.39, 0.5)
     component = Component(options, FakeOperator(), None, healthy=health.flight_fault, clock=clock, health=health)
@@ -234,7 +223,7 @@ def flown(health: Health, clock: Clock, broken: str | None = None, error: BaseEx
         owner, _, name = broken.rpartition(".")
         setattr(getattr(component, owner) if owner else component, name, fail)
     for n in range(100 * FLOWN_S):
-        clock.t = after(clock.t, 0.01)
+        clock.advance(0.01)
         if n % 2 == 0:
             component.on_decision(Decision(clock.t, "approach", None, None))
         component.tick(clock.t)
@@ -243,7 +232,7 @@ def flown(health: Health, clock: Clock, broken: str | None = None, error: BaseEx
 
 @pytest.fixture
 def health() -> Health:
-    health = Health(Clock())
+    health = Health(SteppedClock(MonoNs(0)))
     for part in ("vehicle", "guidance"):
         health.vital(part)
         health.up(part)
@@ -252,17 +241,17 @@ def health() -> Health:
 
 def test_a_part_beside_the_flight_that_is_down_costs_no_heartbeat_a_vital_one_ends_it(health) -> None:
     health.down("broker", Recoverable("gone"))
-    output = flown(health, Clock())
+    output = flown(health, SteppedClock(MonoNs(0)))
     assert output.kinds["HEARTBEAT"] == FLOWN_S
     assert [text for text in output.texts if "broker" in text] == ["Decklander: broker is down: gone"]
     health.down("guidance", Recoverable("gone"))
-    assert flown(health, Clock()).kinds["HEARTBEAT"] == 0
+    assert flown(health, SteppedClock(MonoNs(0))).kinds["HEARTBEAT"] == 0
 
 
-@pytest.mark.parametrize("broken", ["_computer.read", "_value", "texts.due", "_commands.due", "_check_health"])
+@pytest.mark.parametrize("broken", ["_computer.read", "_figure", "texts.due", "_commands.due", "_check_health"])
 @pytest.mark.parametrize("error", [OSError(24, "too many open files"), ValueError("bad"), MemoryError(), RecursionError()])
 def test_whatever_else_it_says_may_fail_and_the_heartbeat_goes_on(health: Health, broken: str, error: BaseException) -> None:
-    output = flown(health, Clock(), broken, error)
+    output = flown(health, SteppedClock(MonoNs(0)), broken, error)
     assert output.kinds["HEARTBEAT"] == FLOWN_S
     assert sum(health.contained.values()) + output.contained.total > 0
 

@@ -44,7 +44,7 @@ def long(command: int, *params: float, confirmation: int = 0, target: tuple[int,
 
 
 def server(tower: FakeOperator) -> CommandServer:
-    offered = Offered({1: lambda now: None, 2: lambda now: mav.MAVLink_heartbeat_message(1, 2, 3, 4, 5, 3)}, {2: 1.0})
+    offered = Offered({1: (lambda now: None, 0.0), 2: (lambda now: mav.MAVLink_heartbeat_message(1, 2, 3, 4, 5, 3), 1.0)})
     return CommandServer(tower, offered)
 
 

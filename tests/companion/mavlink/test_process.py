@@ -1,8 +1,7 @@
-"""The whole service as a process beside an autopilot: settings from a file, a video as camera, a station's words, a recording."""
+"""The whole service as a process beside an autopilot, killed in flight: a video as camera, a station's orders, a recording."""
 
 import asyncio
 import os
-import signal
 import sys
 from collections import Counter
 from collections.abc import AsyncIterator
@@ -49,50 +48,6 @@ def grey_video(path: Path) -> None:
         out.mux(stream.encode())
 
 
-async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) -> None:
-    port = free_port()
-    video, rig, folder = tmp_path / "grey.mp4", tmp_path / "rig.toml", tmp_path / "kept"
-    grey_video(video)
-    rig.write_text(RIG.format(port=port, video=video, folder=folder))
-    output = tmp_path / "stderr"
-    with output.open("wb") as errors:
-        service = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "companion.cli.main", "run", "--config", str(rig), stderr=errors
-        )
-    craft = MiniatureAutopilot()
-    try:
-        async with craft.talking_to(f"udpout://127.0.0.1:{port}"):
-            await until(lambda: bool(ours(craft, "HEARTBEAT")))
-            assert ours(craft, "HEARTBEAT")[0].type == mav.MAV_TYPE_ONBOARD_CONTROLLER
-            assert not craft.setpoints, "nobody has told it to fly"
-
-            craft.send(mav.MAVLink_param_request_list_message(7, US))
-            await until(lambda: any(m.param_id == "CONE_RATE" for m in ours(craft, "PARAM_VALUE")))
-            craft.send(mav.MAVLink_param_set_message(7, US, b"CONE_RATE", 0.25, 9))
-            await until(lambda: any(m.param_value == 0.25 for m in ours(craft, "PARAM_VALUE") if m.param_id == "CONE_RATE"))
-
-            assert await told(craft, mav.MAV_CMD_LOGGING_START) == mav.MAV_RESULT_ACCEPTED
-            # The pad is not in sight: it is asked to begin, hovers in its own mode and does not sink
-            assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
-            await until(lambda: any(m.get_type() == "NAMED_VALUE_FLOAT" for m in craft.messages))
-            await asyncio.sleep(1.5)
-            assert all(m.vz <= 0.0 for _, m in craft.setpoints)
-            assert await told(craft, mav.MAV_CMD_LOGGING_STOP) == mav.MAV_RESULT_ACCEPTED
-        service.send_signal(signal.SIGTERM)
-        assert await asyncio.wait_for(service.wait(), 60.0) == 0, output.read_text()
-    finally:
-        if service.returncode is None:
-            service.kill()
-            await service.wait()
-    crossed = Counter(
-        (event.direction, event.name)
-        for event in open_recording(sorted(folder.glob("*.mcap"))).events()
-        if isinstance(event, LinkRecord)
-    )
-    assert crossed["in", "ATTITUDE_QUATERNION"] > 10
-    assert crossed["out", "HEARTBEAT"] >= 1
-
-
 @asynccontextmanager
 async def flown(rig: Path, kept: Path) -> AsyncIterator[None]:
     """Run the service, and kill it as a fault does."""
@@ -123,8 +78,12 @@ async def test_killed_in_flight_it_goes_on_unless_a_pilot_changed_the_mode_meanw
     async with craft.talking_to(f"udpout://127.0.0.1:{port}"):
         async with flown(rig, kept):
             await until(lambda: bool(ours(craft, "HEARTBEAT")))
+            assert not craft.setpoints, "nobody has ordered it to fly"
+            assert await told(craft, mav.MAV_CMD_LOGGING_START) == mav.MAV_RESULT_ACCEPTED
+            # The pad is not in sight: it is ordered to begin, hovers in its own mode and does not descend
             assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
             await taken()
+            assert all(m.vz <= 0.0 for _, m in craft.setpoints)
         async with flown(rig, kept):
             await taken()  # nobody orders it
         craft.set_mode("loiter")
@@ -137,6 +96,10 @@ async def test_killed_in_flight_it_goes_on_unless_a_pilot_changed_the_mode_meanw
             assert craft.mode == "loiter"
             assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
             await taken()
+    events = open_recording(sorted(kept.glob("*.mcap"))).events()
+    crossed = Counter((event.direction, event.name) for event in events if isinstance(event, LinkRecord))
+    assert crossed["in", "ATTITUDE_QUATERNION"] > 10
+    assert crossed["out", "HEARTBEAT"] >= 1
 
 
 def ours(craft: MiniatureAutopilot, kind: str) -> list[mav.MAVLink_message]:

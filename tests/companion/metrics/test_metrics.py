@@ -20,21 +20,9 @@ from companion.settings.service import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.time import MonoNs
+from tests.support.clocks import SteppedClock
 from tests.support.descriptors import no_descriptors
 from tests.support.waiting import until
-
-
-class Clock:
-    """Stands still."""
-
-    t = 1_000_000_000
-
-    def now(self) -> MonoNs:
-        return MonoNs(self.t)
-
-    async def sleep(self, seconds: float) -> None:
-        await asyncio.sleep(seconds)
 
 
 def samples(page: bytes) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
@@ -51,7 +39,7 @@ def value(page: bytes, sample: str, /, **labels: str) -> float | None:
 
 
 def test_every_figure_of_health_is_in_the_page() -> None:
-    clock = Clock()
+    clock = SteppedClock()
     health = Health(clock)
     health.up("vehicle")
     health.down("mqtt", Recoverable('a "quoted"\nreason'))
@@ -63,7 +51,7 @@ def test_every_figure_of_health_is_in_the_page() -> None:
     for k in range(100):
         health.delay("vision", 0.001 * (k + 1))
     health.counters("mqtt", lambda: {"events_waiting": 7})
-    clock.t += 2_500_000_000
+    clock.advance(2.5)
     page = text(health.snapshot())
     assert value(page, "decklander_part_up", part="vehicle") == 1
     assert value(page, "decklander_part_up", part="mqtt") == 0
@@ -88,17 +76,17 @@ def test_every_figure_of_health_is_in_the_page() -> None:
 
 
 def test_nothing_known_is_a_page_without_samples() -> None:
-    assert samples(text(Health(Clock()).snapshot())) == {}
+    assert samples(text(Health(SteppedClock()).snapshot())) == {}
 
 
 def test_a_flow_that_stops_slows_down_instead_of_keeping_its_rate() -> None:
-    clock = Clock()
+    clock = SteppedClock()
     health = Health(clock)
     for _ in range(60):
-        clock.t += 10_000_000
+        clock.advance(0.01)
         health.beat("Imu")
     assert health.snapshot().flows["Imu"].rate_hz == pytest.approx(100.0)
-    clock.t += 9_510_000_000
+    clock.advance(9.51)
     assert health.snapshot().flows["Imu"].rate_hz == pytest.approx(4.9)
 
 

@@ -14,10 +14,12 @@ import pytest
 from msgspec import structs, to_builtins
 
 from companion.facts import encode as facts
+from companion.parts.page.settings_tool import masked
 from estimator.contracts.commands import CutMotors, Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs
 from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
+from tests.companion.page.test_tools import FASTER, RIG, rig
 from tests.fly import record_to
 from tests.support.certificates import make_certificates
 from tests.support.page_service import TOKEN, PageService, serving
@@ -237,11 +239,6 @@ async def test_a_phone_shows_every_order_without_scrolling_sideways(tmp_path: Pa
                 box = await one.page.locator(f'[data-order="{name}"]').bounding_box()
                 assert box["height"] >= 44, "a thumb's size"
                 assert box["y"] + box["height"] <= PHONE["height"]
-        names = await one.page.evaluate(
-            "[...document.querySelectorAll('button, input, [role=slider]')].filter((e) => !e.hidden && e.checkVisibility())"
-            ".map((e) => e.getAttribute('aria-label') || e.textContent.trim() || e.labels?.[0]?.textContent.trim() || '')"
-        )
-        assert all(names), "everything that can be pressed has a name for a screen reader"
 
 
 @pytest.mark.timeout(500)
@@ -400,4 +397,35 @@ async def test_a_person_flies_by_hand_by_keys_touch_and_gamepad(tmp_path: Path) 
             await one.page.click("#by-hand")
             await one.shows("answer", "Give the hand back: (accepted|refused: nobody)")
         await hovers()
+        assert one.faults == []
+
+
+@pytest.mark.timeout(500)
+async def test_a_person_reads_findings_and_mends_the_settings(tmp_path: Path) -> None:
+    path = rig(tmp_path)
+    async with serving(tmp_path, settings_file=path, **CALM) as service, chromium() as browser, window(browser, service) as one:
+        await service.lands()
+        (tmp_path / "token").unlink()
+        await one.shows("link", "live")
+        await one.page.click("#examine")
+        await one.shows("findings", r"error.*http\.token_file.*Cure:")
+        (tmp_path / "token").write_text("a-token-of-sixteen-and-more")
+        await one.page.click("#show-settings")
+        area = one.page.locator("#settings-text")
+        await playwright.expect(area).to_have_value(masked(RIG))
+        await area.fill(masked(RIG).replace("20.0", "-4"))
+        await one.page.click("#save-settings")
+        await one.shows(
+            "settings-note", "Line 17: Not saved: expert.guidance.rate_hz must be a number from 5 to 200 Hz, found -4"
+        )
+        assert await area.evaluate("(a) => a.value.slice(a.selectionStart, a.selectionEnd)") == "rate_hz = -4"
+        await area.fill(masked(FASTER))
+        await one.page.click("#save-settings")
+        await one.shows("settings-note", r"Saved; the one before is rig\.toml\.before")
+        assert path.read_text() == FASTER
+        for scheme in ("light", "dark"):
+            await one.page.emulate_media(color_scheme=scheme)
+            await one.page.set_viewport_size(PHONE)
+            assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert await violations(one) == []
         assert one.faults == []

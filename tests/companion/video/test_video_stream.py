@@ -21,25 +21,13 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
+from tests.support.clocks import SteppedClock
 from tests.support.processed_frames import seen
 
 HOST = "127.0.0.1"
 SIZE = 640, 360
 RATE_HZ = 15.0
 S = 1_000_000_000
-
-
-class Clock:
-    """A clock that stands until it is set."""
-
-    def __init__(self) -> None:
-        self.at = MonoNs(S)
-
-    def now(self) -> MonoNs:
-        return self.at
-
-    async def sleep(self, seconds: float) -> None:
-        raise AssertionError("the stream waits for frames alone")
 
 
 @pytest.fixture
@@ -158,20 +146,20 @@ def plain_frame(number: int, at: MonoNs) -> ProcessedFrame:
 
 @pytest.mark.parametrize("drawn", [False, True])
 async def test_the_part_sends_frames_at_its_rate_with_and_without_a_detection(station: socket.socket, drawn: bool) -> None:
-    clock, pilot = Clock(), make_pilot(load("sim"))
+    clock, pilot = SteppedClock(MonoNs(S)), make_pilot(load("sim"))
     part = VideoStreamPart(VideoStreamOptions(to=address(station), rate_hz=15.0, drawn=drawn), pilot, clock)
     assert not part.flows
     running = asyncio.create_task(part.run())
     for k in range(30):
-        clock.at = MonoNs(S + round(k * S / 30))
-        part.on_frame(plain_frame(k, clock.at) if k % 4 else seen(clock.at, found=True))
+        clock.t = MonoNs(S + round(k * S / 30))
+        part.on_frame(plain_frame(k, clock.t) if k % 4 else seen(clock.t, found=True))
         before = part.counted()["pictures"]
         async with asyncio.timeout(60):
             while part.counted()["pictures"] == before and k % 2 == 0:  # noqa: ASYNC110 - a thread sends them
                 await asyncio.sleep(0.001)
     assert part.counted() == {"pictures": 15, "pictures_skipped": 0}
     assert part.flows
-    clock.at = MonoNs(clock.at + 3 * S)
+    clock.t = MonoNs(clock.t + 3 * S)
     assert not part.flows
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
