@@ -22,9 +22,9 @@ from estimator.vision.detect.template import DISC, H
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.verified import SURE, verified
+from estimator.vision.verified import SURE, verify
 from sitl.camera.light import Light
-from tests.support.deck_images import Shown, shown
+from tests.support.deck_images import shown
 from tests.support.hard_light import HARD, hard_scene
 from tests.support.pad_images import sim_camera
 from tests.support.pad_scenes import PadScene, load_camera, load_pad, pad_scene
@@ -187,9 +187,9 @@ def test_half_a_pad_is_found_some_pixels_beside_the_expected_place_where_registr
         assert found is not None
         there, true = camera.project(np.array([found[0].t_cam_pad, scene.truth.t_cam_pad]))
         near += bool(np.hypot(*(there - true)) < 1.5)
-        of = verified(FrameView(pyramid, camera, pad), found[0], Orientation.of(None))
+        of = verify(FrameView(pyramid, camera, pad), found[0], Orientation.of(None))
         from_there += of is not None and of.confidence >= SURE
-        of = verified(FrameView(pyramid, camera, pad), start, Orientation.of(None))
+        of = verify(FrameView(pyramid, camera, pad), start, Orientation.of(None))
         from_here += of is not None and of.confidence >= SURE
     assert near >= 10
     assert from_there >= 10
@@ -228,27 +228,6 @@ def test_an_oval_is_the_most_prominent_outline_whatever_is_in_its_middle(ways, a
     assert np.sqrt(np.linalg.eigvalsh(M)[::-1]) == pytest.approx(axes, abs=1.0)
     assert best.support > 0.8
     assert best.bright_inside == (ways[0] > 100)
-
-
-def nearest_guess(seen: Shown, px: U8, camera: Camera, pad: Pad) -> float:
-    """Return the smallest error of a guess without an attitude, as a fraction of the range."""
-    pyramid, plane = Pyramid(px), Plane.of(camera, None)
-    guesses = guesses_from(blob_circles(pyramid, camera, plane), Outline.AREA, pyramid, camera, pyramid.as_seen(pad), plane, 60)
-    off = [
-        float(np.linalg.norm(g.flat.t_cam_pad - seen.truth.t_cam_pad)) / seen.truth.range_m
-        for g in guesses
-        if g.flat.R_cam_pad.matrix[:, 2] @ seen.truth.R_cam_pad.matrix[:, 2] > math.cos(math.radians(12.0))
-    ]
-    return min(off, default=9.0)
-
-
-@pytest.mark.parametrize("condition", ["black on white", "white on black", "dusk noise 20", "haze 15", "grey"])
-@pytest.mark.parametrize("tilt", OBLIQUE)
-def test_an_oblique_pad_without_an_attitude_is_guessed_with_its_tilt(camera, condition, tilt):
-    hard = HARD[condition]
-    seen = shown(camera, hard.pad, 10.0, tilt_rad=tilt)
-    px = hard.change(seen.px, np.random.default_rng(4))
-    assert nearest_guess(seen, px, camera, hard.pad) < 0.12
 
 
 @pytest.mark.parametrize(("condition", "height_m", "tilt"), [

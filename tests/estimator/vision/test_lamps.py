@@ -15,7 +15,6 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.core.abi import DL_WRONG_SIZE
 from estimator.core.library import CORE
-from estimator.vision.lamp import CENTRE_PX, lamp_accuracy, points_of
 from estimator.vision.lamp_sighting import detect_lamps, pattern_of
 from estimator.vision.native import image_of, native_camera, native_prior
 from estimator.vision.pad import Pad
@@ -39,13 +38,6 @@ def file_with(lamps: list[dict[str, Any]]) -> dict[str, Any]:
 
 def lamps_at(places: list[tuple[float, float]]) -> list[dict[str, Any]]:
     return [{"at_m": list(place)} for place in places]
-
-
-def straight_below(height_m: float, yaw_rad: float = 0.4, tilt_rad: float = 0.0) -> PadPose:
-    R_cam_level = CAMERA.T_body_cam.R.inv
-    return PadPose(
-        R_cam_level @ Rotation.from_rpy(tilt_rad, 0.0, yaw_rad), np.array([0.02 * height_m, -0.03 * height_m, height_m])
-    )
 
 
 def seen_in(scene: NightScene, pad: Pad = LIT) -> Any:
@@ -83,22 +75,6 @@ def test_lamps_make_up_for_paint_with_too_little_support_and_then_the_paint_is_n
     scene = pad_scene(np.random.default_rng(3), CAMERA, disc, 2.0, "plain", 0.1)
     seen, _ = track(TrackerConfig(CAMERA, disc), TrackerMemory(), Frame(STAMP, 0, scene.px), None)
     assert seen.selected is None or seen.chosen == "lamps"
-
-
-def test_the_bound_is_the_fisher_information_of_the_spots_places():
-    true = PadPose(straight_below(5.0).R_cam_pad, np.array([0.0, 0.0, 5.0]))
-
-    def seen(off: np.ndarray) -> np.ndarray:
-        pose = PadPose(true.R_cam_pad @ Rotation.from_rpy(0.0, 0.0, float(off[3])), true.t_cam_pad + off[:3])
-        return np.asarray(CAMERA.project(pose.points(points_of(LIT.lamps))).ravel())
-
-    J = np.stack([(seen(1e-5 * axis) - seen(-1e-5 * axis)) / 2e-5 for axis in np.eye(4)], axis=1)
-    cov = np.linalg.inv(J.T @ J) * CENTRE_PX**2
-    expected = np.sqrt([np.linalg.eigvalsh(cov[:2, :2])[1], cov[2, 2], cov[3, 3]])
-    bound = lamp_accuracy(LIT.lamps, CAMERA, 5.0)
-
-    assert bound.lamps == bound.spots == len(LIT.lamps)
-    assert (bound.lateral_m, bound.range_m, bound.yaw_rad) == pytest.approx(tuple(expected), rel=1e-4)
 
 
 @pytest.mark.parametrize("condition", NIGHTS)

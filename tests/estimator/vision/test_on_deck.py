@@ -13,8 +13,8 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
-from estimator.vision.about_pad import MOVED_LASTS_S, STANDING_LASTS_S, AroundMemory, PassMemory, around, passed
-from estimator.vision.clear_deck import LASTS_S, DeckMemory, checked_deck
+from estimator.vision.about_pad import MOVED_LASTS_S, STANDING_LASTS_S, AroundMemory, PassMemory, watch_around, watch_passing
+from estimator.vision.clear_deck import LASTS_S, DeckMemory, check_deck
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import PadCheck
 from estimator.vision.tracker import TrackerConfig, TrackerMemory
@@ -38,7 +38,7 @@ def shown(light: Light, *things: Decal, frames: int = 8, height_m: float = 1.4, 
         pad = np.array([0.0, 0.0, -0.6])
         shot = Exposure(0.2 * k, R, pad + np.array([0.03 * math.cos(k), 0.0, -height_m]), Rotation.identity(), pad)
         view = FrameView(Pyramid(renderer.render(shot, np.random.default_rng(k))), CAMERA, PAD)
-        memory = checked_deck(memory, view, truth_of(shot, CAMERA), MonoNs(1_000_000_000 + 250_000_000 * k), 0.7, 0.001)
+        memory = check_deck(memory, view, truth_of(shot, CAMERA), MonoNs(1_000_000_000 + 250_000_000 * k), 0.7, 0.001)
     assert memory is not None
     return memory
 
@@ -137,7 +137,8 @@ def came_down_about(surroundings: Surroundings, *bodies: Bystander, light: Light
             0.25 * k, R, pad + np.array([0.06 * math.cos(k), 0.05 * math.sin(k), -height_m]), Rotation.identity(), pad
         )
         px = effects.drawn(renderer.render(shot, rng), bodies, shot, rng)
-        memory = around(memory, FrameView(Pyramid(px), CAMERA, PAD), truth_of(shot, CAMERA), MonoNs(10**9 + 250_000_000 * k))
+        view, at = FrameView(Pyramid(px), CAMERA, PAD), MonoNs(10**9 + 250_000_000 * k)
+        memory = watch_around(memory, view, truth_of(shot, CAMERA), at)
     assert memory is not None
     return memory
 
@@ -222,7 +223,7 @@ def came_down(
         px = np.clip(px * gain ** (k / 12), 0, 255).astype(np.uint8)
         true = truth_of(shot, CAMERA)
         off = type(true)(true.R_cam_pad @ Rotation.from_rotvec(rng.normal(0, 0.002, 3)), true.t_cam_pad + rng.normal(0, 0.002, 3))
-        memory = passed(memory, FrameView(Pyramid(px), CAMERA, PAD), off, MonoNs(10**9 + 100_000_000 * k))
+        memory = watch_passing(memory, FrameView(Pyramid(px), CAMERA, PAD), off, MonoNs(10**9 + 100_000_000 * k))
     assert memory is not None
     return memory
 

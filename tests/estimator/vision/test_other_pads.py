@@ -19,7 +19,7 @@ from estimator.vision.register.fit_verification import confidence
 from estimator.vision.register.look import look
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from estimator.vision.verified import heading_z_scores, verified
+from estimator.vision.verified import heading_z_scores, verify
 from sitl.camera.camera import Renderer
 from tests.sitl.images import PLAIN, pad_pose, shot
 from tests.support.pad_images import STAMP
@@ -95,7 +95,7 @@ def test_a_heading_that_the_drawing_hardly_shows_is_put_right(name: str, turns_d
     for turn in confusable_turns(pad):
         assert heading_z_scores(px, PLAIN, pad, truth, [turn])[turn] > 4.0
         assert heading_z_scores(px, PLAIN, pad, truth.turned(turn), [-turn])[-turn] < -4.0
-        seen = verified(FrameView(Pyramid(px), PLAIN, pad), truth.turned(turn), orientation)
+        seen = verify(FrameView(Pyramid(px), PLAIN, pad), truth.turned(turn), orientation)
         assert seen is not None
         assert seen.confidence > 0.5
         off = abs((truth.R_cam_pad.inv @ seen.found.pose.R_cam_pad).rpy_rad[2])

@@ -90,22 +90,6 @@ def test_noise_and_one_colour_raise_nothing() -> None:
             assert detect(Frame(STAMP, 0, px), None, camera, pad, colours).selected is None
 
 
-def test_the_edge_of_a_shadow_across_the_h_moves_little(camera: Camera, pad: Pad) -> None:
-    """Half of the light gone on one side: half of the paint is then another grey there, and the darker side weighs no less."""
-    scene = PadPlacement((0.16, 0.01, 0.8), 0.5)
-    px = image(scene, camera, pad, blur_px=0.6).px.copy()
-    shade = np.triu(np.ones((360, 640)), 140) > 0
-    px[shade] = np.rint(px[shade] * 0.74).astype(np.uint8)
-    seen = detect(Frame(STAMP, 0, px), scene.attitude(), camera, pad, SIMULATOR)
-    methods: tuple[Method, ...] = ("arrow", "corners")
-    for name in methods:
-        s = seen.methods[name]
-        assert s is not None
-        d, yaw = errors(s, scene)
-        assert np.linalg.norm(d) < 0.002
-        assert abs(math.degrees(yaw)) < 0.2
-
-
 def sighting(method: Method, yaw_rad: float | None = 0.0, ambiguous: bool = False) -> Sighting:
     return Sighting(STAMP, 0, method, np.array([0.0, 0.0, 1.0]), yaw_rad, ambiguous, np.eye(4), 0.5)
 

@@ -15,18 +15,17 @@ from estimator.vision import native
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import acquire
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, align
-from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, learn, missed
+from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, fade, learn_paints
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import confidence as confidence_of_features
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.fit_verification import SEARCHED, calibrated, confidence
+from estimator.vision.register.fit_verification import SEARCHED, calibrate, confidence
 from estimator.vision.register.look import Looked, look
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import sighting_of, sighting_of_look
 from sitl.camera.light import Light
-from sitl.camera.surroundings import Decal
 from tests.support.deck_images import covered, disc_of, shown
 from tests.support.pad_claims import keeps_claim
 from tests.support.pad_images import STAMP
@@ -118,15 +117,8 @@ def test_evidence_that_is_no_number_is_no_pad(camera: Camera, pad: Pad, monkeypa
     assert looked(seen.px, camera, pad, seen.truth, seen.R_level_body) is None
 
 
-@pytest.mark.parametrize("height_m", [0.6, 1.5, 4.0])
-def test_not_sure_of_a_helipad_on_green(camera: Camera, pad: Pad, height_m: float) -> None:
-    seen = shown(camera, None, height_m, decals=(Decal("helipad", (0.05, -0.03), 0.9, 0.5, "deck", (0, 102, 0)),))
-    for candidate in acquire(seen.px, camera, pad, seen.R_level_body, sure=2.0):
-        assert sure(seen.px, camera, pad, candidate.pose, seen.R_level_body) < 0.3
-
-
 def test_what_is_sure_is_called_surer_and_nothing_else_is_sure() -> None:
-    said = [calibrated(own) for own in np.linspace(0.0, 1.0, 1001)]
+    said = [calibrate(own) for own in np.linspace(0.0, 1.0, 1001)]
     assert said == sorted(said)
     assert said[:501] == pytest.approx(np.linspace(0.0, 0.5, 501))
     assert said[560] > 0.8
@@ -151,13 +143,13 @@ def view(camera: Camera, pad: Pad, light: Light, seed: int = 0) -> Teach:
 
 def taught(frames: int, one: Teach, start: PaintMemory = FRESH) -> PaintMemory:
     for _ in range(frames):
-        start = learn(start, one(start), 0.97)
+        start = learn_paints(start, one(start), 0.97)
     return start
 
 
 def test_three_confident_frames_make_it_trusted_and_doubtful_ones_teach_nothing(camera: Camera, pad: Pad) -> None:
     one = view(camera, pad, Light())
-    assert learn(FRESH, one(FRESH), LEARNED_AT - 0.01) is FRESH
+    assert learn_paints(FRESH, one(FRESH), LEARNED_AT - 0.01) is FRESH
     assert taught(2, one).dominance(pad) is None
     learned = taught(3, one).dominance(pad)
     assert learned is not None
@@ -170,13 +162,13 @@ def test_without_the_pad_it_fades_back_to_knowing_nothing(camera: Camera, pad: P
     memory = taught(200, view(camera, pad, Light()))
     trusts = []
     for _ in range(60):
-        memory = missed(memory)
+        memory = fade(memory)
         trusts.append(memory.trust)
     assert memory is FRESH
     assert all(a >= b for a, b in itertools.pairwise(trusts))
     used = sum(t >= 0.1 for t in trusts)
     assert 20 < used < 40, "a second or so at 30 frames a second"
-    assert missed(FRESH) is FRESH
+    assert fade(FRESH) is FRESH
 
 
 @pytest.mark.parametrize("height_m", [0.4, 1.5, 6.0])
