@@ -32,7 +32,7 @@ from estimator.vision.register.fit_verification import FITTED, HAND_SET, SEARCHE
 from estimator.vision.register.look import look
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.tracker_config import FRAME_WORK
-from estimator.vision.verified import verified
+from estimator.vision.verified import verify
 from tests.support.pad_claims import keeps_claim
 from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene, ring_scene
 
@@ -111,7 +111,7 @@ def finds(chunk: int) -> list[F64]:
         view = FrameView(Pyramid(scene.px), camera, pad)
         orientation = Orientation.of(_attitude(scene), math.radians(2.0))
         for c in search(view, scene.R_level_body, budget=FRAME_WORK).candidates[:2]:
-            found = verified(view, c.pose, orientation, cut=c.cut) if c.score >= WORTH_A_TRY else None
+            found = verify(view, c.pose, orientation, cut=c.cut) if c.score >= WORTH_A_TRY else None
             if found is None:
                 continue
             of, support = found.found, found.found.record["aligned"]["support"]

@@ -12,7 +12,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import Frame
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.learned.second_opinion import CHANNELS, SIDE, SecondOpinion, inputs, lowered, patch_of, probability
+from estimator.vision.learned.second_opinion import CHANNELS, SIDE, SecondOpinion, inputs, lower_confidence, patch_of, probability
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
@@ -107,7 +107,7 @@ def test_it_can_only_lower_a_confidence_and_is_used_in_a_search_alone() -> None:
     assert alone > 0.5
     assert confidence(Always(30.0)) == alone
     assert confidence(Always(-3.0)) == pytest.approx(probability(-3.0))
-    assert all(lowered(a, b) <= a for a in (0.0, 0.3, 1.0) for b in (0.0, 0.3, 1.0))
+    assert all(lower_confidence(a, b) <= a for a in (0.0, 0.3, 1.0) for b in (0.0, 0.3, 1.0))
     no = Always(-30.0)
     tracker = TrackerConfig(CAMERA, pad, second_opinion=no)
     seen = track(tracker, TrackerMemory(), frame, attitude, belief_at(PLACE))[0].selected

@@ -168,7 +168,7 @@ class AroundMemory:
         return self.found if seconds_between(self.found_at, at) <= lasts_s else None
 
 
-def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> AroundMemory:
+def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> AroundMemory:
     """Return the memory with what a frame shows about the pad, whose registered pose is `pose`."""
     since_s = math.inf if memory is None else seconds_between(memory.at, at)
     if memory is not None and 0.0 <= since_s < _PERIOD_S:
@@ -183,11 +183,11 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
     found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
     uv, sums, stood = np.empty((0, 2)), np.empty((0, 16)), np.empty((0, 4)) if memory is None else memory.stood
     if memory is not None and len(memory.uv) and 0.0 <= since_s <= _GAP_S and memory.is_like(height_m, at):
-        uv, kept = _followed(memory, above, shown)
+        uv, kept = _follow(memory, above, shown)
         q = (uv - (len(above) - 1) / 2) * _STEP_M
         sums = memory.sums[kept] + _reading(q, centre[:2], height_m, px_m)
-        stood, of = _stood(memory, kept, at), _heights(sums, view.pad.disc_radius_m)
-        new, known = _judged(of, q, stood, view.pad.disc_radius_m), memory.near(at)
+        stood, of = _keep_stood(memory, kept, at), _heights(sums, view.pad.disc_radius_m)
+        new, known = _nearest_of(of, q, stood, view.pad.disc_radius_m), memory.near(at)
         if new is not None and (known is None or new.height_m > 0.0 or known.height_m == 0.0):
             found, found_at = new, at
         if len(uv) > _LEFT * memory.began and not memory.ends(height_m, at):
@@ -202,7 +202,7 @@ def around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: Mono
     return AroundMemory(at, at, above, height_m, uv, uv, sums, of, len(uv), stood, found, found_at)
 
 
-def _followed(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[np.intp]]:
+def _follow(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[np.intp]]:
     """Return where the memory's corners are in a picture from above, (M, 2) px, and which they are."""
     start, guess = (each.astype(np.float32)[:, None] for each in (memory.corners, memory.uv))
     flags = {"winSize": _WINDOW, "maxLevel": 2, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
@@ -285,7 +285,7 @@ def _left_by_own(sums: F64) -> F64:
     return np.asarray(np.where(within, np.maximum(0.0, own - np.square(aside).sum(axis=1) / weight), own))
 
 
-def _stood(memory: AroundMemory, kept: NDArray[np.intp], at: MonoNs) -> F64:
+def _keep_stood(memory: AroundMemory, kept: NDArray[np.intp], at: MonoNs) -> F64:
     """Return the corners that stood and were lost lately, those that are not among the `kept` ones now included."""
     of = memory.of
     lost = of.stands.copy()
@@ -294,7 +294,7 @@ def _stood(memory: AroundMemory, kept: NDArray[np.intp], at: MonoNs) -> F64:
     return np.concatenate([memory.stood[at * 1e-9 - memory.stood[:, 3] < _LOST_S], rows])
 
 
-def _judged(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearThing | None:
+def _nearest_of(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearThing | None:
     """Return the nearest thing that several corners agree on, with those that stood and were lost."""
     standing = np.concatenate([of.place[of.stands], stood[:, :2]]), np.concatenate([of.z[of.stands], stood[:, 2]])
     best: NearThing | None = None
@@ -374,7 +374,7 @@ class PassMemory:
         return self.found
 
 
-def passed(memory: PassMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> PassMemory:
+def watch_passing(memory: PassMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> PassMemory:
     """Return the memory with what a frame shows of the pad, whose registered pose is `pose`, and about it."""
     since_s = math.inf if memory is None else seconds_between(memory.at, at)
     if memory is not None and 0.0 <= since_s < (_LOW_PERIOD_S if pose.range_m < _LOW_M else _PASS_PERIOD_S):
@@ -394,7 +394,7 @@ def passed(memory: PassMemory | None, view: FrameView, pose: PadPose, at: MonoNs
     found, found_at, noise = memory.found, memory.found_at, memory.noise
     before = next((each for each in reversed(memory.readings) if seconds_between(each.at, at) >= _SINCE_S), None)
     if before is not None:
-        change, noise = _changed(before, now, np.asarray(mean, np.uint8), noise)
+        change, noise = _compare(before, now, np.asarray(mean, np.uint8), noise)
         new = _largest(change)
         found, found_at = (found, found_at) if new is None else (new, at)
     more, less = (np.minimum(off, np.uint8(_STEP)) for off in (cv2.subtract(light, mean), cv2.subtract(mean, light)))
@@ -412,7 +412,7 @@ def _brighter(light: U8, shown: U8, memory: PassMemory) -> float:
     return float(np.median(now / was)) if len(now) else 1.0
 
 
-def _changed(before: _Reading, now: _Reading, mean: U8, noise: F32) -> tuple[U8, F32]:
+def _compare(before: _Reading, now: _Reading, mean: U8, noise: F32) -> tuple[U8, F32]:
     """Return the cells, (N, N), that differ from what they were, and from what the drone's cone says, and the cells' noise."""
     scale = before.height_m / max(now.height_m, 0.05)
     # A cell at q now had its light, if it is of the drone's cone, at c' + (q - c) h'/h.

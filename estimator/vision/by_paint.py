@@ -22,31 +22,31 @@ from estimator.contracts.estimates import Feature, Method, RelativeState, Sighti
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.vision.about_pad import AroundMemory, PassMemory, around, passed
+from estimator.vision.about_pad import AroundMemory, PassMemory, watch_around, watch_passing
 from estimator.vision.camera import Camera
-from estimator.vision.clear_deck import LASTS_S, DeckMemory, checked_deck
+from estimator.vision.clear_deck import LASTS_S, DeckMemory, check_deck
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
 from estimator.vision.detect.guesses import heading, pose_about
-from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
+from estimator.vision.detect.paint import FRESH, PaintMemory, fade, learn_paints
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import Detection, Opinions, PadCheck, agree, fuse
 from estimator.vision.expectation import ExpectedPlace, expected, in_camera, near_enough, sigma_of
-from estimator.vision.learned.second_opinion import WORTH_ASKING, lowered, probability
+from estimator.vision.learned.second_opinion import WORTH_ASKING, lower_confidence, probability
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.ambiguity import nearest_of_four
-from estimator.vision.register.fit_verification import calibrated
-from estimator.vision.register.look import SRGB, Looked, ToneMemory, forgotten, learnt, toned
+from estimator.vision.register.fit_verification import calibrate
+from estimator.vision.register.look import SRGB, Looked, ToneMemory, fade_tone, learn_tone, with_tone
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker_config import TrackerConfig
-from estimator.vision.verified import CLOSE, CODED_PX, ROUGH, SURE, Verified, verified
+from estimator.vision.verified import CLOSE, CODED_PX, ROUGH, SURE, Verified, verify
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,11 +163,11 @@ def by_paint(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
 ) -> tuple[Detection, TrackerMemory]:
     """Return the detection of the painted pad, and the new memory."""
-    camera, tracker = tracker.camera, dataclasses.replace(tracker, camera=toned(tracker.camera, memory.tone.steps))
+    camera, tracker = tracker.camera, dataclasses.replace(tracker, camera=with_tone(tracker.camera, memory.tone.steps))
     place = ExpectedPlace.of(belief, frame, tracker, memory.alike_yaw_rad)
     orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
     now = _Now(tracker, frame, FrameView(Pyramid(frame.px), tracker.camera, tracker.pad), attitude, orientation, memory)
-    registered, left = _registered(now, belief, place)
+    registered, left = _register(now, belief, place)
     thesis = None
     if tracker.options.method != "registration":
         thesis, registered = _verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
@@ -177,15 +177,15 @@ def by_paint(
     # A frame in which one of them is read has cost enough: the others follow in the next ones.
     if best is not None and best.found is not None and shows and deck is memory.deck:
         at, pose = frame.stamp.measured_at, best.found.pose
-        about = around(about, now.view, pose, at)
-        passing = passed(passing, now.view, pose, at) if about is memory.around else passing
+        about = watch_around(about, now.view, pose, at)
+        passing = watch_passing(passing, now.view, pose, at) if about is memory.around else passing
     tone = memory.tone
     if best is None or best.found is None or best.sighting.confidence < SURE:
-        tone = forgotten(tone)
+        tone = fade_tone(tone)
     elif about is memory.around and passing is memory.passing:
-        tone = learnt(tone, camera, now.view, best.found, now.orientation, frame.stamp.measured_at)
-    check = _checked(deck, about, passing, frame.stamp.measured_at)
-    found = None if best is None else _outlined(best, check, tracker.camera)
+        tone = learn_tone(tone, camera, now.view, best.found, now.orientation, frame.stamp.measured_at)
+    check = _check_pad(deck, about, passing, frame.stamp.measured_at)
+    found = None if best is None else _add_outlines(best, check, tracker.camera)
     opinions = None if best is None else best.opinions
     if thesis is None:
         methods: dict[Method, Sighting | None] = {"registration": found}
@@ -198,11 +198,11 @@ def by_paint(
     sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
     seen = replace(seen, on_pad=check)
-    paint = missed(memory.paint) if best is None else best.paint
+    paint = fade(memory.paint) if best is None else best.paint
     return seen, TrackerMemory(paint, left, yaw_rad, deck=deck, around=about, passing=passing, tone=tone)
 
 
-def _checked(deck: DeckMemory | None, about: AroundMemory | None, passing: PassMemory | None, at: MonoNs) -> PadCheck | None:
+def _check_pad(deck: DeckMemory | None, about: AroundMemory | None, passing: PassMemory | None, at: MonoNs) -> PadCheck | None:
     """Return what was lately seen on the pad and about it; None if its surface was not read and nothing is about it."""
     deck = None if deck is None or seconds_between(deck.check.at, at) > LASTS_S else deck
     there = [(each.near(at), each.at) for each in (about, passing) if each is not None]
@@ -216,7 +216,7 @@ def _checked(deck: DeckMemory | None, about: AroundMemory | None, passing: PassM
     return replace(deck.check, at=max(deck.check.at, read), near=near)
 
 
-def _outlined(best: _Registered, check: PadCheck | None, camera: Camera) -> Sighting:
+def _add_outlines(best: _Registered, check: PadCheck | None, camera: Camera) -> Sighting:
     """Return a registration's sighting, with the outlines of what lies on the pad and of what is about it among its features."""
     sighting = best.sighting
     if check is None or best.found is None:
@@ -242,7 +242,7 @@ def _deck_of(now: _Now, best: _Registered | None, belief: RelativeState | None) 
     memory, at = now.memory.deck, now.frame.stamp.measured_at
     found = None if best is None or not _shows(now, best, belief) else best.found
     if best is not None and found is not None and best.sighting.confidence >= SURE:
-        return checked_deck(memory, now.view, found.pose, at, *_known_to(found))
+        return check_deck(memory, now.view, found.pose, at, *_known_to(found))
     if belief is None or now.attitude is None or not belief.consistent:
         return memory
     sigma_m = math.hypot(sigma_of(belief), belief.height_m * math.sqrt(float(now.orientation.cov_tilt.diagonal().max())))
@@ -252,8 +252,8 @@ def _deck_of(now: _Now, best: _Registered | None, belief: RelativeState | None) 
     if start is None or start.t_cam_pad[2] < 0.05:
         return memory
     if found is not None and float(np.linalg.norm(found.pose.t_cam_pad - start.t_cam_pad)) < _EXPECTED_SIGMAS * sigma_m:
-        return checked_deck(memory, now.view, found.pose, at, *_known_to(found))
-    return checked_deck(memory, now.view, start, at, 1.0, sigma_m)
+        return check_deck(memory, now.view, found.pose, at, *_known_to(found))
+    return check_deck(memory, now.view, start, at, 1.0, sigma_m)
 
 
 def _shows(now: _Now, best: _Registered, belief: RelativeState | None) -> bool:
@@ -296,7 +296,7 @@ def together(
     return Detection(fused.sighting, "fused", MappingProxyType(methods), opinions)
 
 
-def _registered(now: _Now, belief: RelativeState | None, place: ExpectedPlace) -> tuple[_Seen, SearchMemory]:
+def _register(now: _Now, belief: RelativeState | None, place: ExpectedPlace) -> tuple[_Seen, SearchMemory]:
     """Register where the belief expects the pad, else where a search finds it; return the best, and what the search leaves."""
     camera, pad, attitude, alike_yaw_rad = now.tracker.camera, now.tracker.pad, now.attitude, now.memory.alike_yaw_rad
     left, best, suspect = FRESH_SEARCH, _Seen(), False
@@ -349,7 +349,7 @@ def _verify_cues(now: _Now, thesis: Detection, best: _Seen, place: ExpectedPlace
     for method, cue in thesis.methods.items():
         if cue is None or (sure is not None and agree(cue, sure)):
             continue
-        candidate = _verified(now.view, cue, now.orientation)
+        candidate = _align_cue(now.view, cue, now.orientation)
         aligned = None
         if candidate is not None and candidate.score >= WORTH_A_TRY:
             aligned = _register_from(now, candidate.pose, CLOSE)
@@ -358,7 +358,7 @@ def _verify_cues(now: _Now, thesis: Detection, best: _Seen, place: ExpectedPlace
     return replace(thesis, methods=MappingProxyType(methods)), best
 
 
-def _verified(view: FrameView, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
+def _align_cue(view: FrameView, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
     """Align the drawing at a cue's pose. A cue without a heading is aligned at the heading that fits best."""
     pyramid, camera, pad = view
     flat = in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, camera)
@@ -414,7 +414,7 @@ def _register_from(
     *,
     searched: bool = True,
 ) -> _Registered | None:
-    """Register from a start pose and verify the drawing at the result; arguments as for `verified`.
+    """Register from a start pose and verify the drawing at the result; arguments as for `verify`.
 
     Args:
         searched: whether the start comes from a search or a cue and not from the belief: then the second opinion is used.
@@ -422,16 +422,16 @@ def _register_from(
     if now.frame.coded:
         options = dataclasses.replace(options, coded_px=CODED_PX)
     paint = now.memory.paint
-    of = verified(now.view, start, now.orientation, options, prior_log_odds, cut, paint)
+    of = verify(now.view, start, now.orientation, options, prior_log_odds, cut, paint)
     if of is None:
         return None
     opinions = _second_opinion(now, of) if searched else None
-    sure = of.confidence if opinions is None else lowered(of.confidence, opinions.learned)
-    learned = learn(paint, of.found.paint(), sure) if sure >= SURE else missed(paint)
+    sure = of.confidence if opinions is None else lower_confidence(of.confidence, opinions.learned)
+    learned = learn_paints(paint, of.found.paint(), sure) if sure >= SURE else fade(paint)
     found = of.found.record["found"]
     agreement = 1.0 if found["dense"] else float(found["inliers"])
     # A letter alone tells too little to be surer than its bound.
-    said = sure if now.tracker.pad.markings.is_letter_alone else calibrated(sure)
+    said = sure if now.tracker.pad.markings.is_letter_alone else calibrate(sure)
     return _Registered(sighting_of_look(now.frame, of.found, said), learned, opinions, agreement, of.found)
 
 

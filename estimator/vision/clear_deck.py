@@ -161,7 +161,7 @@ def _markings(pad: Pad, blur: int) -> tuple[NDArray[np.intp], F32, tuple[_Markin
     return np.flatnonzero(share[:, 2] >= _GROUND), (nominal[2] / bright).astype(np.float32), tuple(out)
 
 
-def checked_deck(
+def check_deck(
     memory: DeckMemory | None, view: FrameView, pose: PadPose, at: MonoNs, blur_px: float, sigma_m: float
 ) -> DeckMemory | None:
     """Return the memory with what a frame shows of the pad's surface.
@@ -220,7 +220,7 @@ def _after(
     seen_at = np.where(seen | (contrast[:, 2] > 0), now_s, memory.seen_at)
     # Markings are brighter: where they alone are clipped, what would hide them is seen.
     glare_at = np.where(shown & bright & (_known(pad, blur) == _PAINTS - 1), now_s, memory.glare_at)
-    check = _judged(pad, total, weight, marks, now_s - seen_at, at)
+    check = _judge(pad, total, weight, marks, now_s - seen_at, at)
     unread = (now_s - glare_at <= LASTS_S) & ~((weight >= _ENOUGH) & (now_s - seen_at <= LASTS_S))
     return DeckMemory(at, total, weight, seen_at, glare_at, marks, replace(check, glare=_hiding(pad, unread)))
 
@@ -318,7 +318,7 @@ def _from_paint(light: F32, place: F32, white: F32) -> F32:
     return out
 
 
-def _judged(pad: Pad, total: F32, weight: F32, marks: F32, age_s: F64, at: MonoNs) -> PadCheck:
+def _judge(pad: Pad, total: F32, weight: F32, marks: F32, age_s: F64, at: MonoNs) -> PadCheck:
     """Return what the averages say."""
     fresh, paint = age_s <= LASTS_S, _known(pad, 0)
     counts = (weight >= _ENOUGH) & fresh

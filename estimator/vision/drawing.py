@@ -55,8 +55,6 @@ class Edges:
     """Distance between neighbours, (M,)."""
     inside_rgb: NDArray[np.uint8]
     """The paint on the inner side, against the normal, (M, 3) sRGB."""
-    outside_rgb: NDArray[np.uint8]
-    """The paint on the outer side, along the normal, (M, 3) sRGB; a bare deck's grey where that is the surroundings."""
     bare: NDArray[np.bool_]
     """True if the outer side is the surroundings, whose colour is not known, (M,)."""
     contrast: F64
@@ -86,7 +84,6 @@ def edges_of(pad: Pad) -> Edges:
         np.repeat(np.arange(len(pieces)), count),
         np.repeat(spacing, count),
         inside,
-        outside,
         np.array([paints[k][1] is None for k in EdgeKind])[kind],
         np.asarray((linear_light(inside) - linear_light(outside)) @ LUMA),
     )

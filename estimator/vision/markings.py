@@ -118,11 +118,6 @@ class Markings:
         return len(self.letters) == 1 and isinstance(self.letters[0], PaintedLetter) and self.letters[0].letter == "H"
 
     @property
-    def ring_radius_m(self) -> float:
-        """Radius of the ring's centre-line."""
-        return (self.ring_inner_m + self.ring_outer_m) / 2
-
-    @property
     def bar_length_m(self) -> float:
         """Length of the H's cross-bar between the legs, across the arrow."""
         return self.h_width_m - 2 * self.leg_width_m

@@ -144,7 +144,7 @@ class Verified:
     """The prior that the confidence holds."""
 
 
-def verified(
+def verify(
     view: FrameView,
     start: PadPose,
     orientation: Orientation,
@@ -170,10 +170,10 @@ def verified(
     """
     turns = confusable_turns(view.pad) if prior_log_odds <= 0.0 else ()
     if not turns:
-        return _verified_at(view, start, orientation, options, prior_log_odds, cut, paint)
+        return _verify_at(view, start, orientation, options, prior_log_odds, cut, paint)
     z = _heading_z_scores(view, start, turns)
     start = start.turned(min(z, key=z.__getitem__)) if min(z.values()) < -_DECIDED else start
-    best = _verified_at(view, start, orientation, options, prior_log_odds, cut, paint)
+    best = _verify_at(view, start, orientation, options, prior_log_odds, cut, paint)
     if best is None or best.confidence < _WORTH_TURNING:
         return best
     z = _heading_z_scores(view, best.found.pose, turns)
@@ -194,7 +194,7 @@ def _heading_z_scores(view: FrameView, pose: PadPose, turns: tuple[float, ...]) 
     return heading_z_scores(view.pyramid[0], view.camera, view.as_seen().pad, pose, turns)
 
 
-def _verified_at(
+def _verify_at(
     view: FrameView,
     start: PadPose,
     orientation: Orientation,

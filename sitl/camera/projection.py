@@ -133,14 +133,6 @@ class Lens:
         uv = p[:, :2] / z[:, None] * (c.fx, c.fy) + (c.cx, c.cy)
         return uv if max(uv.max(), -uv.min()) < _FAR_PX else None
 
-    def outlines(self, polygons_cam: list[F64], steps: int = 1) -> list[F64]:
-        """Return `outline` of several polygons, in one call if none needs cutting."""
-        if not self._bent:
-            uv = self._straight(np.concatenate(polygons_cam))
-            if uv is not None:
-                return np.split(uv, np.cumsum([len(p) for p in polygons_cam])[:-1])
-        return [self.outline(p, steps) for p in polygons_cam]
-
     def outline(self, points_cam: F64, steps: int = 1) -> F64:
         """Return the polygon (N, 3) m in `cam` as (M, 2) px, cut to a little more than the frame; M is 0 if nothing is left.
 

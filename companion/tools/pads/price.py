@@ -28,7 +28,7 @@ from estimator.vision.pad import RARE, TOLD, Calibration, Pad
 from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import support_log_odds
 from estimator.vision.tracker_config import FRAME_WORK
-from estimator.vision.verified import verified
+from estimator.vision.verified import verify
 
 FRAMES = 4.0
 """Factor from places in one view to places in a frame of 640x360; twice that for a pad whose light may be reversed."""
@@ -120,7 +120,7 @@ def _finds(pad: Pad, px: U8, level: bool) -> list[_Find]:
     out = []
     for candidate in search(view_of, body, budget=FRAME_WORK).candidates[:_CANDIDATES]:
         if candidate.score >= WORTH_A_TRY:
-            found = verified(view_of, candidate.pose, Orientation.of(attitude, _DECK_RAD), cut=candidate.cut)
+            found = verify(view_of, candidate.pose, Orientation.of(attitude, _DECK_RAD), cut=candidate.cut)
             if found is not None:
                 support, sure = found.found.record["aligned"]["support"], min(max(found.confidence, 1e-13), 1.0 - 1e-13)
                 out.append(_Find(math.log(sure / (1.0 - sure)), float(support["support"]) * float(support["share"])))

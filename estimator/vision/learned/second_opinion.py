@@ -208,6 +208,6 @@ def probability(log_odds: float) -> float:
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, log_odds))))
 
 
-def lowered(confidence: float, learned: float) -> float:
+def lower_confidence(confidence: float, learned: float) -> float:
     """Return the confidence of the verification after a second opinion, the network's confidence: the same, or less."""
     return min(confidence, learned)

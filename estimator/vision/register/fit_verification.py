@@ -112,7 +112,7 @@ _SLOPE, _MOST = 5.0, 3.0
 """Log-odds that a sure find gains, per log-odds and at most: of 105 finds that said 0.5 to 0.98, 102 were right."""
 
 
-def calibrated(said: float) -> float:
+def calibrate(said: float) -> float:
     """Return a find's confidence as it is called: what is sure is surer, and nothing that is not sure becomes so.
 
     Finds from 0.1 to 0.5 stay as they are: most are right, but a raft's ring in glare is among them at 0.37.

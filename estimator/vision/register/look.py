@@ -171,12 +171,12 @@ SRGB = ToneMemory()
 
 
 @lru_cache(maxsize=8)
-def toned(camera: Camera, steps: int) -> Camera:
+def with_tone(camera: Camera, steps: int) -> Camera:
     """Return a camera with the tone of so many steps from sRGB."""
     return replace(camera, tone=1.0 + STEP * steps) if steps else camera
 
 
-def learnt(
+def learn_tone(
     memory: ToneMemory, camera: Camera, view: FrameView, found: Looked, orientation: Orientation, at: MonoNs
 ) -> ToneMemory:
     """Return the tone after one more frame in which the pad is sure; most frames change nothing.
@@ -193,7 +193,7 @@ def learnt(
     steps = memory.steps + memory.way * (_STRIDE if record["edge_rms_px"] > _FAR_OFF_PX else 1)
     if not _LOWEST <= steps <= _HIGHEST:
         return replace(memory, way=-memory.way)
-    tried = view._replace(camera=toned(camera, steps)).as_seen()
+    tried = view._replace(camera=with_tone(camera, steps)).as_seen()
     other = look(tried, found.pose, orientation, RegistrationOptions(coarse=False), tracked=True)
     if other is not None and _left(other) < _LESS * _left(found):
         return ToneMemory(steps, memory.way, 0, MonoNs(at + _EVERY_NS))
@@ -201,7 +201,7 @@ def learnt(
     return ToneMemory(memory.steps, -memory.way, (memory.failed + 1) % 2, MonoNs(at + rests))
 
 
-def forgotten(memory: ToneMemory) -> ToneMemory:
+def fade_tone(memory: ToneMemory) -> ToneMemory:
     """Return the tone one step nearer to sRGB, after a frame in which no pad is sure."""
     return replace(memory, steps=memory.steps - (memory.steps > 0) + (memory.steps < 0)) if memory.steps else memory
 

@@ -250,7 +250,7 @@ def soft_shadow(lens: Lens, polygons_cam: list[F64], away_m: float, depth_m: flo
         away_m: distance of what casts it, along the sun.
         depth_m: distance of the shadow from the camera, along the axis.
     """
-    polygons = [uv for uv in lens.outlines(polygons_cam) if len(uv)]
+    polygons = [uv for uv in map(lens.outline, polygons_cam) if len(uv)]
     sigma = _penumbra_px(lens, away_m, depth_m)
     part = _part_of(lens, polygons, sigma)
     if part is None:
