@@ -114,7 +114,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/drivers/test_arbiter.py",
         "tests/drivers/test_command_streamer.py",
     ),
-    "drivers/ardrone/command_streamer.py": ("tests/drivers/test_command_streamer.py",),
     "drivers/ardrone/velocity_loop.py": ("tests/drivers/test_velocity_loop.py", "tests/drivers/test_command_streamer.py"),
     "drivers/ardrone/custody.py": ("tests/drivers/test_custody.py", "tests/drivers/test_command_streamer.py"),
     "drivers/mavlink/setpoint_streamer.py": (

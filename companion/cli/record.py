@@ -22,7 +22,7 @@ from companion.recording.reading import RecordedFrame, Recording, instant, open_
 from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
 from companion.tools.ros2 import bag, bag_import
-from drivers.imports import ardrone_capture, dataflash, image_folder, px4_ulog, tlog, video
+from drivers.imports import ardrone_capture, dataflash, pictures, px4_ulog, tlog
 from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.stamps import Tell
 from estimator.contracts.errors import BadInput
@@ -199,13 +199,13 @@ class _Source:
         if kind is FileKind.ROS_BAG:
             return bag_import.read(path, self._tell)
         if kind is FileKind.IMAGES:
-            return image_folder.frames(path, size, self._tell)
+            return pictures.folder_frames(path, size, self._tell)
         if kind is FileKind.TABLE:
-            return iter(video.attitudes(path, self._tell))
+            return iter(pictures.attitudes(path, self._tell))
         if kind is FileKind.PAVE or path.suffix.lower() == ".pave":
             return ardrone_capture.frames(path)
         if kind is FileKind.OTHER:
-            return video.frames(path, size)
+            return pictures.video_frames(path, size)
         raise BadInput(f"{path}: {kind.value}, and no video: {_INSTEAD.get(kind, 'it is not imported')}")
 
     def _tell(self, text: str) -> None:

@@ -25,8 +25,7 @@ from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import VideoSource
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
-from drivers.nmea.sentences import REFUSED_FOR, NmeaReader
-from drivers.nmea.source import SentenceSource, sentences_from
+from drivers.nmea.sentences import REFUSED_FOR, NmeaReader, SentenceSource, sentences_from
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock

@@ -18,8 +18,8 @@ import msgspec
 import drivers
 from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
 from drivers.ardrone.at import AtCommand, encode
-from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
+from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.sender_lock import mark

@@ -12,8 +12,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 
 from drivers.ardrone.command_channel import CommandChannel
-from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
+from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.datagrams import open_waiting
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataChannel

@@ -25,8 +25,8 @@ from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
-from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
+from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.landing_watch import DroneReport
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataOrder, SequencePlace

@@ -4,8 +4,8 @@ import pytest
 from drivers.ardrone import at
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.arbiter import HOVER
-from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
+from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.commands import Hover, Land, Lean, TakeOff, Velocity
 from estimator.contracts.geometry import Rotation

@@ -16,7 +16,7 @@ from drivers.camera import images
 from drivers.camera.images import MOST_PIXELS, ImageRefused, claimed_size, decode
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from drivers.camera.videos import open_video
-from drivers.imports import video
+from drivers.imports import pictures
 from estimator.contracts.errors import BadInput
 from tests.support.image_files import claiming, encoded
 
@@ -217,7 +217,7 @@ def test_a_video_of_far_larger_frames_is_refused_before_it_is_decoded(large: Pat
     with pytest.raises(ImageRefused, match="frames of 3072x3072 px, expected 640x480 px"):
         open_video(str(large), (640, 480))
     with pytest.raises(BadInput, match=r"large\.h264: not a readable video: frames of 3072x3072 px"):
-        next(video.frames(large, (640, 480)))
+        next(pictures.video_frames(large, (640, 480)))
     decoder = H264Decoder()
     assert decoder.decode(large.read_bytes(), FrameLayout("H264", 640, 480, 0)) is None
     assert decoder.waiting

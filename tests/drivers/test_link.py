@@ -161,7 +161,7 @@ async def test_a_mistake_of_ours_ends_the_link_loudly(monkeypatch: pytest.Monkey
     async def fly() -> None:
         async with linked(fake) as drone:
             await until(lambda: drone.ready)
-            monkeypatch.setattr("drivers.ardrone.command_streamer.CommandStreamer.command", mistaken)
+            monkeypatch.setattr("drivers.ardrone.custody.CommandStreamer.command", mistaken)
             await asyncio.sleep(PATIENCE_S)
 
     with pytest.raises(ExceptionGroup) as caught:

@@ -9,8 +9,8 @@ import pytest
 
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
-from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
+from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.landing_watch import DroneReport
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import NavdataSampler

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.imports import ardrone_capture, dataflash, image_folder, px4_ulog, tlog, video
+from drivers.imports import ardrone_capture, dataflash, pictures, px4_ulog, tlog
 from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.log_history import parameters_of
 from drivers.imports.stamps import Tell, timeline
@@ -117,14 +117,14 @@ def test_navdata_captures_are_parted_and_timed_by_the_drones_clock(tmp_path: Pat
 def test_attitude_tables_begin_at_zero_and_know_their_heading(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time_s,roll_deg,pitch_deg,yaw_deg\n10.5,3,-4,90\n10.0,1,2,\n")
-    first, second = video.attitudes(path)
+    first, second = pictures.attitudes(path)
     assert isinstance(first, Attitude)
     assert isinstance(second, Attitude)
     assert (first.stamp.measured_at, second.stamp.measured_at) == (0, 500_000_000)
     assert np.degrees(second.R_ned_body.rpy_rad) == pytest.approx([3.0, -4.0, 90.0])
     path.write_text("\ufefftime_s; roll_deg; pitch_deg\n1700000000.5;1;2\n5;0;0\n1700000000.75;3;4\n")
     reported: list[str] = []
-    assert [s.stamp.measured_at for s in video.attitudes(path, reported.append)] == [0, 250_000_000]
+    assert [s.stamp.measured_at for s in pictures.attitudes(path, reported.append)] == [0, 250_000_000]
     assert "1 of 3 stamps" in reported[0]
 
 
@@ -138,7 +138,7 @@ def test_a_raw_video_is_read_at_its_rate(tmp_path: Path, form: str) -> None:
         for i in range(10):
             out.mux(video_stream.encode(av.VideoFrame.from_ndarray(np.full((48, 64, 3), 20 * i, np.uint8), format="bgr24")))
         out.mux(video_stream.encode(None))
-    frames = list(video.frames(path))
+    frames = list(pictures.video_frames(path))
     assert np.allclose([f.stamp.measured_at * 1e-9 for f in frames], np.arange(10) / 25, atol=1e-6)
 
 
@@ -160,7 +160,7 @@ def test_videos_keep_their_own_times_behind_a_preview(size: tuple[int, int] | No
                 out.mux(stream.encode(image))
         for stream in streams:
             out.mux(stream.encode(None))
-    frames = list(video.frames(path, size))
+    frames = list(pictures.video_frames(path, size))
     assert {f.px.shape for f in frames} == {(48, 64, 3)}
     assert [round(f.stamp.measured_at * 1e-6) for f in frames] == at_ms
     assert [int(f.px.mean()) for f in frames] == pytest.approx([20 * i for i in range(10)], abs=6)
@@ -175,11 +175,11 @@ def test_videos_keep_their_own_times_behind_a_preview(size: tuple[int, int] | No
         (dataflash.read, b"\xa3\x95" + bytes(200), "neither IMU|not a readable"),
         (ardrone_capture.samples, b"\x88\x77\x66\x55" + bytes(100), "no whole navdata"),
         (lambda p: list(ardrone_capture.frames(p)), b"PaVE" + bytes(300), "no frame"),
-        (lambda p: list(video.frames(p)), b"RIFF1234AVI nonsense", "readable video|holds no video"),
-        (video.attitudes, b"time_s,roll_deg\n1,2\n", "column 'pitch_deg' is missing"),
-        (video.attitudes, b"time_s,roll_deg,pitch_deg\n1,2,x\n", "line 2: not a number"),
-        (video.attitudes, b"time_s,roll_deg,pitch_deg\n1,2,inf\n", "line 2: not a finite"),
-        (video.attitudes, b"time_s,roll_deg,pitch_deg\n", "holds no attitudes"),
+        (lambda p: list(pictures.video_frames(p)), b"RIFF1234AVI nonsense", "readable video|holds no video"),
+        (pictures.attitudes, b"time_s,roll_deg\n1,2\n", "column 'pitch_deg' is missing"),
+        (pictures.attitudes, b"time_s,roll_deg,pitch_deg\n1,2,x\n", "line 2: not a number"),
+        (pictures.attitudes, b"time_s,roll_deg,pitch_deg\n1,2,inf\n", "line 2: not a finite"),
+        (pictures.attitudes, b"time_s,roll_deg,pitch_deg\n", "holds no attitudes"),
     ],
 )
 def test_what_cannot_be_read_is_refused_in_one_line(read: object, content: bytes, said: str, tmp_path: Path) -> None:
@@ -451,7 +451,7 @@ def _images(folder: Path, names: Iterable[str]) -> None:
 def _at_s(folder: Path) -> tuple[list[float], list[int], str]:
     """Return the instants of a folder's frames, the grey of each over ten, and what was told."""
     reported: list[str] = []
-    frames = list(image_folder.frames(folder, tell=reported.append))
+    frames = list(pictures.folder_frames(folder, tell=reported.append))
     return [f.stamp.measured_at * 1e-9 for f in frames], [int(f.px[0, 0, 0]) // 10 for f in frames], "; ".join(reported)
 
 
@@ -500,10 +500,10 @@ def test_images_without_times_damaged_ones_and_twins_are_named(tmp_path: Path) -
     _images(tmp_path / "kitti", [f"{n:010d}.png" for n in range(3)])
     for name in ("counted", "kitti"):
         with pytest.raises(BadInput, match="put a table"):
-            list(image_folder.frames(tmp_path / name))
+            list(pictures.folder_frames(tmp_path / name))
     (tmp_path / "kitti" / "a.csv").write_text("".join(f"{n},{0.05 * n},{n:010d}.png\n" for n in range(3)))
     with pytest.raises(BadInput, match="no head says which"):
-        list(image_folder.frames(tmp_path / "kitti"))
+        list(pictures.folder_frames(tmp_path / "kitti"))
     _images(tmp_path / "f", [f"{n}_{1_700_000_000 + n // 2 * 2}.png" for n in range(6)])
     (tmp_path / "f" / "4_1700000004.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     seconds, _, reported = _at_s(tmp_path / "f")

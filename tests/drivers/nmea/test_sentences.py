@@ -14,8 +14,7 @@ from pyais import encode_dict
 
 from drivers.clock import SystemClock
 from drivers.endpoint import Address, Endpoint, parse_endpoint
-from drivers.nmea.sentences import KNOT_M_S, NmeaReader
-from drivers.nmea.source import HELD_S, SentenceJoiner, SentenceSource, sentences_from
+from drivers.nmea.sentences import HELD_S, KNOT_M_S, NmeaReader, SentenceJoiner, SentenceSource, sentences_from
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs

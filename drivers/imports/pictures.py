@@ -1,11 +1,17 @@
-"""Read a folder of images as frames, at the times that a table in the folder or their names give.
+"""Read frames of plain files, a folder of images or a video, and a table of attitudes.
 
-A table is a text file (`.csv`, `.txt`) whose lines pair a time with a file's name, as data sets of robotics have them. Of several
-columns of numbers the one counts whose head says time, else the one of Unix times beside the name. Without a table, the last
-number of a name is the time. A number of 10, 13, 16 or 19 digits is Unix time in s, ms, us or ns, one of 14 or 17 a date and
-time of day; a smaller one is seconds, unless the head of its column states a unit.
+A folder's times are those of a table in it, or of its images' names. A table is a text file (`.csv`, `.txt`) whose lines pair a
+time with a file's name, as data sets of robotics have them. Of several columns of numbers the one counts whose head says time,
+else the one of Unix times beside the name. Without a table, the last number of a name is the time. A number of 10, 13, 16 or 19
+digits is Unix time in s, ms, us or ns, one of 14 or 17 a date and time of day; a smaller one is seconds, unless the head of its
+column states a unit. Frames of a video have its own time stamps; those of one without any (raw H.264, MJPEG) follow its frame
+rate.
+
+A table of attitudes is CSV with the header `time_s,roll_deg,pitch_deg` and, if the heading is known, `yaw_deg`.
 """
 
+import csv
+import math
 import re
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
@@ -13,10 +19,15 @@ from decimal import ROUND_HALF_EVEN, Decimal, InvalidOperation
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from drivers.camera.images import PICTURES, ImageRefused, decode, load
-from drivers.imports.stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline
+from drivers.camera.videos import has_times, open_video, predicts_frames, video_of
+from drivers.imports.stamps import FRAME_DELAY_S, Tell, attitude, quiet, stamp, timeline
+from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput
-from estimator.contracts.samples import Frame
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Frame, Sample
 
 _UNITS_US = {"s": Decimal(10**6), "ms": Decimal(1000), "us": Decimal(1), "ns": Decimal("0.001")}
 _BY_DIGITS = {10: "s", 13: "ms", 16: "us", 19: "ns"}
@@ -29,7 +40,7 @@ _UNIX_DIGITS = 10
 _DAY = {14: "%Y%m%d%H%M%S", 17: "%Y%m%d%H%M%S%f"}
 
 
-def frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell = quiet) -> Iterator[Frame]:
+def folder_frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell = quiet) -> Iterator[Frame]:
     """Yield the images of a folder in order of time, the first at 0. Damaged ones are left out, and reported.
 
     Args:
@@ -180,3 +191,86 @@ def _in_us(value: Decimal | datetime, unit: str) -> int | None:
     # A float would lose the last digits of a Unix time.
     scaled = value * _UNITS_US[unit or _BY_DIGITS.get(len(str(abs(int(value)))), "s")]
     return int(scaled.to_integral_value(ROUND_HALF_EVEN)) if abs(scaled) < 2**62 else None
+
+
+HEADER = ("time_s", "roll_deg", "pitch_deg")
+
+
+_PAUSE_S = 600.0
+"""A video that goes on after a longer pause was not paused."""
+
+
+def attitudes(path: Path, tell: Tell = quiet) -> list[Sample]:
+    """Return the attitudes in order of time; one with an absurd time is left out, and reported.
+
+    Raises:
+        BadInput: the file cannot be read, a column is missing, or a cell is not a finite number; the text names the line.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as why:
+        raise BadInput(f"{path}: {getattr(why, 'strerror', None) or why}") from why
+    rows = csv.DictReader(lines, skipinitialspace=True, delimiter=";" if lines and ";" in lines[0] else ",")
+    if missing := [name for name in HEADER if name not in (rows.fieldnames or [])]:
+        raise BadInput(f"{path}: column {missing[0]!r} is missing; the header must be {','.join(HEADER)} and may have yaw_deg")
+    table: list[tuple[float, float, float, float]] = []
+    for row in rows:
+        try:
+            numbers = [float(row[name]) for name in HEADER] + [float(row.get("yaw_deg") or 0.0)]
+        except (TypeError, ValueError) as why:
+            raise BadInput(f"{path}, line {rows.line_num}: not a number: {why}") from why
+        if not all(map(math.isfinite, numbers)):
+            raise BadInput(f"{path}, line {rows.line_num}: not a finite number")
+        table.append((numbers[0], numbers[1], numbers[2], numbers[3]))
+    if not table:
+        raise BadInput(f"{path}: holds no attitudes")
+    table.sort()
+    times = timeline([round(row[0] * 1e6) for row in table], tell)
+    return [
+        attitude(at_ns, Rotation.from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
+        for at_ns, (_, roll, pitch, yaw) in zip(times, table, strict=True)
+        if at_ns is not None
+    ]
+
+
+def video_frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
+    """Yield every frame in order, the first at 0; a truncated file ends where it breaks off, and damaged frames are left out.
+
+    Args:
+        size: width and height that are expected; frames that are far larger are refused before they are decoded.
+
+    Raises:
+        BadInput: the file cannot be read, holds no video, or not one frame of it decodes.
+    """
+    require_pyav(f"{path}: a video")
+    from av.error import FFmpegError
+
+    try:
+        container = open_video(str(path), size)
+    except (FFmpegError, OSError, ImageRefused) as why:
+        raise BadInput(f"{path}: not a readable video: {getattr(why, 'strerror', None) or why}") from why
+    with container:
+        if len(container.streams.video) == 0:
+            raise BadInput(f"{path}: holds no video")
+        last_s: float | None = None
+        elapsed_s = 0.0
+        stream = video_of(container, size)
+        number, coded, timed = 0, predicts_frames(stream), has_times(container)
+        rate_hz = float(stream.average_rate or 0.0) or 25.0
+        try:
+            for image in container.decode(stream):
+                number += 1
+                if image.is_corrupt:
+                    continue
+                time_s = float(image.time) if timed and image.time is not None else number / rate_hz
+                step_s = 0.0 if last_s is None else time_s - last_s
+                # The times of cut and joined videos begin again or leap: the next frame comes a frame later.
+                elapsed_s += step_s if 0.0 <= step_s <= _PAUSE_S else 1.0 / rate_hz
+                last_s = time_s
+                px = np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8)
+                yield Frame(stamp(round(elapsed_s * 1e9), FRAME_DELAY_S), number, px, coded=coded)
+        except FFmpegError as why:
+            if number == 0:
+                raise BadInput(f"{path}: no frame of it decodes: {why}") from why
+        if number == 0:
+            raise BadInput(f"{path}: no frame of it decodes")
