@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -197,77 +197,95 @@ async def test_a_sender_that_is_killed_or_stuck_is_replaced_and_the_drone_hovers
         assert not alive(first)
 
 
-async def test_a_sender_that_pauses_is_spoken_past_and_then_received_again() -> None:
-    """Long before it is replaced; one that was only slow is the same process afterwards, and the drone still receives it."""
+class Heard:
+    """A socket in a drone's place, and a client whose sender speaks to it."""
+
+    def __init__(self, drone: socket.socket, client: SenderClient, clock: SteppedClock, past: list[None]) -> None:
+        self.drone, self.client, self.clock, self.past = drone, client, clock, past
+
+    def flies(self, until_s: float = 60.0, ref: int | None = None, *, watchdog: bool = False) -> None:
+        self.client.update(TimedCommand(after(CLOCK.now(), until_s), AHEAD, ref, watchdog=watchdog))
+
+    def waiting(self) -> list[tuple[int, at.AtCommand]]:
+        """Return the commands that have arrived, at once."""
+        self.drone.setblocking(False)
+        out = []
+        with suppress(BlockingIOError):
+            while True:
+                out += received_commands(self.drone.recv(2048))
+        self.drone.settimeout(60.0)
+        return out
+
+    def next(self) -> list[tuple[int, at.AtCommand]]:
+        return received_commands(self.drone.recv(2048))
+
+
+@asynccontextmanager
+async def listening(period_s: float = 0.03, *, replaces: bool = False) -> AsyncIterator[Heard]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
         drone.bind((HOST, 0))
         drone.settimeout(60.0)
-        port, past, clock = drone.getsockname()[1], list[None](), SteppedClock()
-        client = await SenderClient.start(
-            SenderOptions(HOST, port, port, 0.03, 60.0, 2.0), clock, lambda a, b: None, lambda: past.append(None)
-        )
-
-        def flies() -> None:
-            client.update(TimedCommand(after(CLOCK.now(), 60.0), AHEAD))
-
+        port, clock, past = drone.getsockname()[1], SteppedClock(), list[None]()
+        options = SenderOptions(HOST, port, port, period_s, 60.0, 2.0, replaces=replaces)
+        client = await SenderClient.start(options, clock, lambda a, b: None, lambda: past.append(None))
         try:
-            flies()
-            await until(lambda: client.up)
-            assert received_commands(drone.recv(2048))[-1][1] == AHEAD
-            os.kill(client.pid, signal.SIGSTOP)
-            await until(lambda: stopped(client.pid))
-            flies()  # what it had said before it stopped is read now
-            clock.advance(0.09)
-            flies()
-            assert not past
-            clock.advance(0.03)
-            flies()
-            assert len(past) == 1
-            drone.setblocking(False)
-            output = []
-            while True:
-                try:
-                    output += received_commands(drone.recv(2048))
-                except BlockingIOError:
-                    break
-            assert output[-3:] == [(1, at.Pcmd(0, 0.0, 0.0, 0.0, 0.0))] * 3
-            os.kill(client.pid, signal.SIGCONT)
-            drone.settimeout(60.0)
-            flies()
-            gate = at.SequenceGate()
-            while (received_at := received_commands(drone.recv(2048)))[-1][1] != AHEAD:
-                assert all(gate.accepts(number) for number, _ in received_at)
-            assert all(gate.accepts(number) for number, _ in received_at)
+            yield Heard(drone, client, clock, past)
         finally:
+            with suppress(ProcessLookupError):
+                os.kill(client.pid, signal.SIGCONT)
             client.end(TimedCommand(CLOCK.now(), HOVER))
+
+
+async def test_a_sender_that_pauses_is_spoken_past_and_then_received_again() -> None:
+    """Long before it is replaced; one that was only slow is the same process afterwards, and the drone still receives it."""
+    async with listening() as heard:
+        heard.flies()
+        await until(lambda: heard.client.up)
+        assert heard.next()[-1][1] == AHEAD
+        os.kill(heard.client.pid, signal.SIGSTOP)
+        await until(lambda: stopped(heard.client.pid))
+        heard.flies()  # what it had said before it stopped is read now
+        heard.clock.advance(0.09)
+        heard.flies()
+        assert not heard.past
+        heard.clock.advance(0.03)
+        heard.flies()
+        assert len(heard.past) == 1
+        assert heard.waiting()[-3:] == [(1, at.Pcmd(0, 0.0, 0.0, 0.0, 0.0))] * 3
+        os.kill(heard.client.pid, signal.SIGCONT)
+        heard.flies()
+        gate = at.SequenceGate()
+        while (received := heard.next())[-1][1] != AHEAD:
+            assert all(gate.accepts(number) for number, _ in received)
+        assert all(gate.accepts(number) for number, _ in received)
 
 
 @pytest.mark.parametrize("replaces", [True, False])
 async def test_while_a_replacement_starts_slowly_the_drone_is_spoken_to(replaces: bool) -> None:
     """A drone without commands would land by itself, on water too; a drone of another service is left alone."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
-        drone.bind((HOST, 0))
-        drone.setblocking(False)
-        port, clock = drone.getsockname()[1], SteppedClock()
-        client = await SenderClient.start(
-            SenderOptions(HOST, port, port, 0.03, 60.0, 2.0, replaces=replaces), clock, lambda a, b: None
-        )
-        try:
-            os.kill(client.pid, signal.SIGSTOP)
-            for dt_s in (0.09, 0.03):
-                with pytest.raises(BlockingIOError):
-                    drone.recv(2048)
-                clock.advance(dt_s)
-                client.update(TimedCommand(after(CLOCK.now(), 60.0), AHEAD, STAY_UP, watchdog=True))
-            if replaces:
-                hover = at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)
-                assert received_commands(drone.recv(2048)) == [(1, at.ComWdg()), (2, at.Ref(STAY_UP)), (3, hover)]
-            else:
-                with pytest.raises(BlockingIOError):
-                    drone.recv(2048)
-        finally:
-            os.kill(client.pid, signal.SIGKILL)
-            client.end(TimedCommand(CLOCK.now(), HOVER))
+    async with listening(replaces=replaces) as heard:
+        os.kill(heard.client.pid, signal.SIGSTOP)
+        for dt_s in (0.09, 0.03):
+            assert not heard.waiting()
+            heard.clock.advance(dt_s)
+            heard.flies(ref=STAY_UP, watchdog=True)
+        hover = at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)
+        said = [(1, at.ComWdg()), (2, at.Ref(STAY_UP)), (3, hover)]
+        assert heard.waiting()[:3] == (said if replaces else [])
+
+
+async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> None:
+    async with listening(0.01) as heard:
+        heard.client.update(TimedCommand(after(CLOCK.now(), 5.0), HOVER))
+        assert isinstance(heard.next()[-1][1], at.Pcmd)
+        os.kill(heard.client.pid, signal.SIGSTOP)
+        heard.client._write(SenderOrder(TimedCommand(after(CLOCK.now(), 0.1), AHEAD, at.REF_BASE)))
+        heard.client._write(SenderOrder(commands=as_text([at.Ftrim()]), until=after(CLOCK.now(), 0.1)))
+        await asyncio.sleep(0.2)
+        heard.waiting()
+        os.kill(heard.client.pid, signal.SIGCONT)
+        later = [command for _ in range(10) for _, command in heard.next()]
+        assert not any(isinstance(c, at.Ftrim | at.Ref) or (isinstance(c, at.Pcmd) and c.flags) for c in later)
 
 
 @pytest.mark.hazard("H5")
@@ -287,34 +305,6 @@ async def test_a_blocked_event_loop_means_hover() -> None:
         assert not any(flags[flags.index(0) :]), "and guidance has said nothing since"
         assert drone.sender_pid is not None
         assert fake.state & nd.NavdataState.FLYING
-
-
-async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
-        drone.bind((HOST, 0))
-        drone.settimeout(60.0)
-        port = drone.getsockname()[1]
-        client = await SenderClient.start(SenderOptions(HOST, port, port, 0.01, 60.0, 2.0), CLOCK, lambda a, b: None)
-        try:
-            client.update(TimedCommand(after(CLOCK.now(), 5.0), HOVER))
-            assert b"PCMD" in drone.recv(2048)
-            os.kill(client.pid, signal.SIGSTOP)
-            client._write(SenderOrder(TimedCommand(after(CLOCK.now(), 0.1), AHEAD, at.REF_BASE)))
-            client._write(SenderOrder(commands=as_text([at.Ftrim()]), until=after(CLOCK.now(), 0.1)))
-            await asyncio.sleep(0.2)
-            drone.setblocking(False)
-            while True:
-                try:
-                    drone.recv(2048)
-                except BlockingIOError:
-                    break
-            os.kill(client.pid, signal.SIGCONT)
-            drone.settimeout(60.0)
-            later = [drone.recv(2048) for _ in range(10)]
-            assert all(b"FTRIM" not in one and b"REF" not in one for one in later)
-            assert all(p.flags == 0 for one in later for _, p in at.decode(one) if isinstance(p, at.Pcmd))
-        finally:
-            client.end(TimedCommand(CLOCK.now(), HOVER))
 
 
 def test_only_the_same_user_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
