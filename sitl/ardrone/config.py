@@ -193,10 +193,8 @@ class Configuration:
     def __init__(self, ports: Mapping[str, int] | None = None, keys: Mapping[str, Key] = KEYS) -> None:
         """`ports`: what network:navdata_port, video_port, at_port and cmd_port say, where they are not the usual ones."""
         self._keys = keys
-        self.writes = 0
-        """Number of keys that clients have written or tried to write: what is known of the values holds until the next."""
-        self._values: dict[str, str] = {}
-        self._numbers: dict[str, float] = {}
+        self._known: dict[str, str] = {}
+        """Values that were read since a key was written last."""
         self._common = {k.name: k.default for k in keys.values() if k.scope is Scope.COMMON}
         for name, port in (ports or {}).items():
             self._common[f"network:{name}"] = str(port)
@@ -213,25 +211,18 @@ class Configuration:
         return Ids(session, chosen["custom:profile_id"], chosen["custom:application_id"])
 
     def __getitem__(self, name: str) -> str:
-        return self._home(self._keys[name])[name]
+        value = self._known.get(name)
+        if value is None:
+            value = self._known[name] = self._stored(name)
+        return value
 
     def flag(self, name: str) -> bool:
         """Return the value of a key that is TRUE or FALSE."""
-        return self._in_force(name) == "TRUE"
+        return self[name] == "TRUE"
 
     def number(self, name: str) -> float:
         """Return the value of a key that is a number."""
-        number = self._numbers.get(name)
-        if number is None:
-            number = self._numbers[name] = float(self[name])
-        return number
-
-    def _in_force(self, name: str) -> str:
-        """Return the value of a key, looked up once for all readings until a key is written."""
-        value = self._values.get(name)
-        if value is None:
-            value = self._values[name] = self[name]
-        return value
+        return float(self[name])
 
     def set(self, name: str, value: str, ids: Ids | None = None) -> Answer:
         """Write one key as a client requested.
@@ -239,9 +230,7 @@ class Configuration:
         Args:
             ids: what the client's CONFIG_IDS just before named; None when there was none.
         """
-        self._values.clear()
-        self._numbers.clear()
-        self.writes += 1
+        self._known.clear()
         name, value = name.strip().lower(), value.strip()
         key = self._keys.get(name)
         if key is None:
@@ -262,6 +251,7 @@ class Configuration:
 
     def fix(self, name: str, value: str) -> None:
         """Give a common key that no client may write the value that this drone has."""
+        self._known.clear()
         self._common[name] = value
 
     def dump(self) -> dict[str, str]:
@@ -278,6 +268,9 @@ class Configuration:
             lines.append(f"[{scope.value}]")
             lines += [f"{id_},{values[_DESCRIPTION_KEYS[scope]]}" for id_, values in sets.items()]
         return "".join(f"{line}\r" for line in lines).encode("ascii", "replace") + b"\0"
+
+    def _stored(self, name: str) -> str:
+        return self._home(self._keys[name])[name]
 
     def _home(self, key: Key) -> dict[str, str]:
         return self._common if key.scope is Scope.COMMON else self._sets[key.scope][self.ids.of(key.scope)]
@@ -313,16 +306,16 @@ class Configuration:
                 values[name] = DEFAULT_ID
 
     def _keep_twins(self, name: str) -> None:
-        where = "outdoor_" if self.flag("control:outdoor") else "indoor_"
+        where = "outdoor_" if self._stored("control:outdoor") == "TRUE" else "indoor_"
         section, _, short = name.partition(":")
         if section != "control":
             return
         for limit in _LIMITS:
             ruling, twin = f"control:{limit}", f"control:{where}{limit}"
             if short == limit:
-                self._home(self._keys[twin])[twin] = self[ruling]
+                self._home(self._keys[twin])[twin] = self._stored(ruling)
             elif short in ("outdoor", f"{where}{limit}"):
-                self._home(self._keys[ruling])[ruling] = self[twin]
+                self._home(self._keys[ruling])[ruling] = self._stored(twin)
 
 
 def _normal(key: Key, value: str) -> str | None:

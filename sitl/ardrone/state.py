@@ -106,8 +106,6 @@ class DroneState:
         self._landed_for_silence = False
         self._emergency_asked = False
         self._user_emergency = False
-        self._flags_at = -1
-        self._newest_flags = False, False, False
 
     @property
     def bootstrap(self) -> bool:
@@ -157,7 +155,8 @@ class DroneState:
 
     def word(self, phase: VehiclePhase, battery_low: bool, ultrasound_deaf: bool) -> int:
         """Navdata's state word."""
-        video, vision, demo = self._flags()
+        names = ("general:video_enable", "general:vision_enable", "general:navdata_demo")
+        video, vision, demo = map(self.config.flag, names)
         of = (
             phase in AIRBORNE,
             video,
@@ -173,14 +172,6 @@ class DroneState:
             phase is VehiclePhase.EMERGENCY,
         )
         return _word(of)
-
-    def _flags(self) -> tuple[bool, bool, bool]:
-        """Return what the configuration says of video, vision and demo mode."""
-        if self._flags_at != self.config.writes:
-            names = ("general:video_enable", "general:vision_enable", "general:navdata_demo")
-            video, vision, demo = map(self.config.flag, names)
-            self._flags_at, self._newest_flags = self.config.writes, (video, vision, demo)
-        return self._newest_flags
 
     def control_state(self, phase: VehiclePhase) -> int:
         """Return the demo option's control state: major in the upper, minor in the lower 16 bits."""
