@@ -8,12 +8,12 @@ from drivers.ardrone.pave import CONTROL_ADVERTISEMENT, FrameType, PaveFrame, Pa
 from tests.drivers.captures import CAPTURES, frames_of, needs_captures
 
 
-def frame(number: int, payload: bytes, header_size: int = 68, kind: int = FrameType.P, **more: int) -> bytes:
+def pave_frame(number: int, payload: bytes, header_size: int = 68, kind: int = FrameType.P, **more: int) -> bytes:
     header = PaveHeader(len(payload), number, 33 * number, kind, header_size=header_size, **more)
     return header.pack() + payload
 
 
-STREAM = [frame(n, bytes((n * 7 + k) % 251 for k in range(150 + 11 * n)), (64, 68, 76)[n % 3]) for n in range(8)]
+STREAM = [pave_frame(n, bytes((n * 7 + k) % 251 for k in range(150 + 11 * n)), (64, 68, 76)[n % 3]) for n in range(8)]
 BYTES = b"".join(STREAM)
 STARTS = [sum(map(len, STREAM[:k])) for k in range(len(STREAM))]
 

@@ -26,7 +26,7 @@ def sticks(command: Velocity, v_level: F64 = STILL, state: LoopState = RESET) ->
     return step(state, command, v_level, None, 0.0, OPTIONS)[1]
 
 
-def fly(
+def forward_speed(
     target: float, *, speed_rad_s: float = 3.16, damping: float = 0.79, delay_s: float = 0.09, reads: float = 1.0,
     wind_m_s: float = 0.0, kick_m_s: float = 0.0,
 ) -> F64:  # fmt: skip
@@ -66,7 +66,7 @@ def test_signs() -> None:
 
 @pytest.mark.parametrize("target", [0.2, 0.4, 1.0, -0.4])
 def test_a_step_is_reached_quickly_and_held(target: float) -> None:
-    v = fly(target) / target
+    v = forward_speed(target) / target
     assert np.argmax(v > 0.9) * 0.005 < 1.2
     assert v.max() < 1.35
     assert v[-200:] == pytest.approx(np.ones(200), abs=0.02)
@@ -77,14 +77,14 @@ def test_a_step_is_reached_quickly_and_held(target: float) -> None:
 @pytest.mark.parametrize("delay_s", [0.09, 0.14])
 def test_a_drone_unlike_its_file_comes_to_rest(speed_rad_s: float, damping: float, delay_s: float) -> None:
     """Two standard deviations of what an owner's identification leaves."""
-    v = fly(0.0, speed_rad_s=speed_rad_s, damping=damping, delay_s=delay_s, kick_m_s=0.5)
+    v = forward_speed(0.0, speed_rad_s=speed_rad_s, damping=damping, delay_s=delay_s, kick_m_s=0.5)
     assert np.abs(v[-200:]).max() < 0.1
 
 
 @pytest.mark.parametrize(("speed_rad_s", "damping"), [(8.0, 0.6), (11.5, 0.65), (14.0, 0.5), (20.0, 0.7)])
 def test_commands_that_come_late_make_no_quadcopter_swing(speed_rad_s: float, damping: float) -> None:
     """A lead of 1.2 and commands .12 s late made one lean by 67 degrees, and its firmware cut the motors."""
-    v = fly(0.0, speed_rad_s=speed_rad_s, damping=damping, delay_s=0.24, kick_m_s=0.8, wind_m_s=-6.0)
+    v = forward_speed(0.0, speed_rad_s=speed_rad_s, damping=damping, delay_s=0.24, kick_m_s=0.8, wind_m_s=-6.0)
     assert np.ptp(v[-400:]) < 0.07, "what is left is the integral's"
 
 

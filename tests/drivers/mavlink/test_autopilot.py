@@ -27,7 +27,7 @@ HOST = "127.0.0.1"
 
 
 @asynccontextmanager
-async def flown(fake: MiniatureAutopilot, parameters: tuple[str, ...] = (), **options: Any) -> AsyncIterator[Autopilot]:
+async def autopilot_of(fake: MiniatureAutopilot, parameters: tuple[str, ...] = (), **options: Any) -> AsyncIterator[Autopilot]:
     quick = {"silence_s": 0.8, "command_period_s": 0.02, "restart_first_s": 0.02, "restart_most_s": 0.1}
     given = AutopilotOptions(f"udpin://{HOST}:0", **(quick | options))
     fake.clock = PatientClock()
@@ -49,7 +49,7 @@ async def test_a_fresh_link_gets_requests_for_streams_and_gives_samples(stack: S
         stack, mode="loiter" if stack is Stack.ARDUPILOT else "auto.loiter", v_ned=np.array([0.0, 1.0, 0.0])
     )
     fake.rpy = lambda t: (0.0, 0.0, math.radians(90.0))
-    async with flown(fake) as autopilot:
+    async with autopilot_of(fake) as autopilot:
         await until(lambda: autopilot.streams is not None and autopilot.streams.settled)
         await until(lambda: autopilot.sync is not None and autopilot.sync.locked)
         assert fake.intervals[mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION] == 0.01
@@ -76,7 +76,7 @@ async def test_a_fresh_link_gets_requests_for_streams_and_gives_samples(stack: S
 async def test_inertial_readings_are_older_than_their_stamps_by_the_autopilots_filter() -> None:
     fake = MiniatureAutopilot()
     fake.parameters["INS_GYRO_FILTER"] = 20.0
-    async with flown(fake) as autopilot:
+    async with autopilot_of(fake) as autopilot:
         await until(lambda: autopilot.parameters is not None and "INS_GYRO_FILTER" in autopilot.parameters.values)
         drain(autopilot)
         ages_s: list[float] = []
@@ -103,7 +103,7 @@ async def test_an_autopilot_that_waits_to_be_spoken_to_is_found() -> None:
 
 async def test_silence_is_reported_and_everything_is_requested_again() -> None:
     fake = MiniatureAutopilot(parameters={"PLND_LAG": 0.02})
-    async with flown(fake, parameters=("PLND_LAG",)) as autopilot:
+    async with autopilot_of(fake, parameters=("PLND_LAG",)) as autopilot:
         await until(lambda: autopilot.streams is not None and autopilot.streams.settled)
         asked = fake.commands[511]
         drain(autopilot)
@@ -128,7 +128,7 @@ async def test_others_are_not_mistaken_for_the_autopilot() -> None:
     ship = MiniatureAutopilot(system=17)
     ship.heartbeat = lambda: mav.MAVLink_heartbeat_message(11, 3, 0, 0, 4, 3)  # type: ignore[method-assign]
     fake = MiniatureAutopilot()
-    async with flown(fake, vessel_id=17) as autopilot:
+    async with autopilot_of(fake, vessel_id=17) as autopilot:
         host, port = autopilot.links.all[0].local or ("", 0)
         async with ship.talking_to(f"udpout://{host}:{port}"):
             await until(lambda: ship.links is not None and 17 in autopilot.links.access._held)
@@ -149,7 +149,7 @@ async def test_others_are_not_mistaken_for_the_autopilot() -> None:
 async def test_flown_by_velocity_and_landed_through_mavlink_alone() -> None:
     fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter")
     fake.rpy = lambda t: (0.0, 0.0, math.radians(90.0))
-    async with flown(fake, prestream_s=1.6) as autopilot:
+    async with autopilot_of(fake, prestream_s=1.6) as autopilot:
         async with asyncio.timeout(60):
             while fake.mode != "offboard" or fake.v_ned[1] < 0.9:
                 autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))
@@ -172,7 +172,7 @@ async def test_flown_by_velocity_and_landed_through_mavlink_alone() -> None:
 async def test_while_it_is_unclear_who_is_the_autopilot_nothing_old_is_flown_and_only_a_cut_is_sent(monkeypatch) -> None:
     """ArduCopter flew its last velocity for 3 s, down too."""
     fake = MiniatureAutopilot(Stack.ARDUPILOT, mode="guided")
-    async with flown(fake) as autopilot, asyncio.timeout(30):
+    async with autopilot_of(fake) as autopilot, asyncio.timeout(30):
         autopilot.command(Velocity(np.array([1.0, 0.0, 0.5]), 0.0))
         await until(lambda: fake.v_ned[0] > 0.5)
         monkeypatch.setattr(Roster, "unclear", "two autopilots")
@@ -190,7 +190,7 @@ async def test_while_it_is_unclear_who_is_the_autopilot_nothing_old_is_flown_and
 
 async def test_leaving_holds_the_vehicle() -> None:
     fake = MiniatureAutopilot(Stack.ARDUPILOT, mode="guided")
-    async with flown(fake) as autopilot:
+    async with autopilot_of(fake) as autopilot:
         autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))
         await until(lambda: fake.v_ned[0] > 0.5)
         autopilot._close()
@@ -199,7 +199,7 @@ async def test_leaving_holds_the_vehicle() -> None:
             autopilot.command(Land())
 
 
-async def told(fake: MiniatureAutopilot, autopilot: Autopilot, taken: Callable[[str | None], bool]) -> float:
+async def reported_within_s(fake: MiniatureAutopilot, autopilot: Autopilot, taken: Callable[[str | None], bool]) -> float:
     """Return after how many seconds the vehicle's status says so."""
     began_s = fake.now_s
     await until(lambda: any(taken(s.taken) for s in drain(autopilot) if isinstance(s, VehicleStatus)))
@@ -208,7 +208,7 @@ async def told(fake: MiniatureAutopilot, autopilot: Autopilot, taken: Callable[[
 
 async def test_who_takes_the_vehicle_is_reported_at_once_and_so_is_that_it_was_given_back() -> None:
     fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter")
-    async with flown(fake, prestream_s=0.1, mode_is_order=True) as autopilot, asyncio.timeout(30):
+    async with autopilot_of(fake, prestream_s=0.1, mode_is_order=True) as autopilot, asyncio.timeout(30):
         while fake.mode != "offboard" or autopilot.condition.mode != "offboard":
             autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))
             await asyncio.sleep(0.02)
@@ -216,11 +216,11 @@ async def test_who_takes_the_vehicle_is_reported_at_once_and_so_is_that_it_was_g
         fake.text(2, "Maximum flight time reached")
         fake.mode = "auto.loiter"
         text = "PX4 took the vehicle: Maximum flight time reached (mode auto.loiter)"
-        assert await told(fake, autopilot, lambda taken: taken == text) < 0.5
+        assert await reported_within_s(fake, autopilot, lambda taken: taken == text) < 0.5
         fake.mode = "offboard"
-        assert await told(fake, autopilot, lambda taken: taken is None) < 0.5
+        assert await reported_within_s(fake, autopilot, lambda taken: taken is None) < 0.5
         autopilot.texts.clear()
         fake.mode = "posctl"
-        assert await told(fake, autopilot, lambda taken: taken == "the vehicle was taken over: mode posctl") < 0.5
+        assert await reported_within_s(fake, autopilot, lambda taken: taken == "the vehicle was taken over: mode posctl") < 0.5
         autopilot.engage()
-        assert await told(fake, autopilot, lambda taken: taken is None) < 0.1
+        assert await reported_within_s(fake, autopilot, lambda taken: taken is None) < 0.1

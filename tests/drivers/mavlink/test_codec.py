@@ -25,13 +25,13 @@ from drivers.mavlink.vehicle import CHUNK, LOST, JoinedTexts
 KEY = SigningKey(bytes(range(32)))
 
 
-def attitude(n: int) -> Message:
+def attitude_message(n: int) -> Message:
     return mav.MAVLink_attitude_message(n, 0.1, -0.2, 0.3, 1.0, -2.0, 3.0)
 
 
 def stream(count: int) -> list[bytes]:
     sender = Codec(1, 1)
-    return [sender.pack(attitude(n)) for n in range(count)]
+    return [sender.pack(attitude_message(n)) for n in range(count)]
 
 
 def times(messages: list[Message]) -> list[int]:
@@ -82,7 +82,7 @@ def test_an_unknown_message_is_counted_and_accepted_only_between_frames() -> Non
     codec = Codec(1, 1)
     assert codec.feed(bytes(frame) + stream(1)[0])[0].get_type() == "ATTITUDE"
     assert codec.counters.unknown == 1
-    old = attitude(5).pack(mav.MAVLink(None, srcSystem=1, srcComponent=1), force_mavlink1=True)
+    old = attitude_message(5).pack(mav.MAVLink(None, srcSystem=1, srcComponent=1), force_mavlink1=True)
     assert times(codec.feed(old)) == [5]
     assert codec.counters.old_version == 1
     with pytest.raises(ValueError, match=r"ATTITUDE\.time_boot_ms does not fit"):
@@ -92,7 +92,7 @@ def test_an_unknown_message_is_counted_and_accepted_only_between_frames() -> Non
 
 
 def test_the_signature_is_the_published_one() -> None:
-    data = Codec(1, 1, signing=signing()).pack(attitude(1))
+    data = Codec(1, 1, signing=signing()).pack(attitude_message(1))
     assert data[2] & 1
     link, low, high = struct.unpack("<BIH", data[-13:-6])
     assert link == 3
@@ -102,24 +102,24 @@ def test_the_signature_is_the_published_one() -> None:
 
 def test_signed_traffic_is_received_and_anything_else_is_refused() -> None:
     sender, receiver = Codec(1, 1, signing=signing()), Codec(2, 1, signing=signing(link_id=4))
-    good = sender.pack(attitude(1))
+    good = sender.pack(attitude_message(1))
     assert times(receiver.feed(good)) == [1]
     assert receiver.feed(good) == [], "a replay"
-    assert receiver.feed(Codec(1, 1).pack(attitude(2))) == [], "unsigned"
+    assert receiver.feed(Codec(1, 1).pack(attitude_message(2))) == [], "unsigned"
     stranger = Signing(SigningKey(bytes(32)), SigningTimes(None, lambda: EPOCH_S + 1001.0), 3)
-    assert receiver.feed(Codec(9, 1, signing=stranger).pack(attitude(3))) == [], "another key"
+    assert receiver.feed(Codec(9, 1, signing=stranger).pack(attitude_message(3))) == [], "another key"
     late = Codec(5, 1, signing=signing(wall_s=EPOCH_S + 900.0))
-    assert receiver.feed(late.pack(attitude(4))) == [], "a new stream more than a minute behind"
+    assert receiver.feed(late.pack(attitude_message(4))) == [], "a new stream more than a minute behind"
     assert receiver.counters.refused_signature == 4
-    assert times(receiver.feed(sender.pack(attitude(5)))) == [5]
+    assert times(receiver.feed(sender.pack(attitude_message(5)))) == [5]
 
 
 def test_a_forged_time_does_not_shut_the_true_sender_out() -> None:
     sender, receiver = Codec(1, 1, signing=signing()), Codec(2, 1, signing=signing(link_id=4))
-    assert receiver.feed(sender.pack(attitude(1)))
+    assert receiver.feed(sender.pack(attitude_message(1)))
     forger = Signing(SigningKey(bytes(32)), SigningTimes(None, lambda: EPOCH_S + 9e8), 3)
-    assert receiver.feed(Codec(1, 1, signing=forger).pack(attitude(2))) == []
-    assert times(receiver.feed(sender.pack(attitude(3)))) == [3]
+    assert receiver.feed(Codec(1, 1, signing=forger).pack(attitude_message(2))) == []
+    assert times(receiver.feed(sender.pack(attitude_message(3)))) == [3]
 
 
 def test_a_message_that_never_ends_is_not_waited_for_with_growing_memory() -> None:

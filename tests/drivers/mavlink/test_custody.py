@@ -12,15 +12,11 @@ from companion.base.orders import OperatorOrder
 from drivers.mavlink.custody import LAPSES_S, TABLE, Hand, HandEvent, ModeRequests, markdown, whole
 from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, RETURN_MODE, VELOCITY_MODE, Condition, Stack
 from estimator.contracts.commands import Command, Hover, Land, Velocity
-from estimator.contracts.time import MonoNs
+from tests.make import ns
 from tests.support.toy_autopilot import MANUAL_MODE, PERSONS_MODE, STEP_S, STILL, Flown
 
 PAGE = Path(__file__).parents[3] / "docs/mavlink.md"
 STACKS = (Stack.ARDUPILOT, Stack.PX4)
-
-
-def at(seconds: float) -> MonoNs:
-    return MonoNs(round(1e9 * (100.0 + seconds)))
 
 
 def test_the_table_is_total_and_a_wrong_one_is_refused() -> None:
@@ -57,13 +53,13 @@ def test_a_mode_is_ours_once_for_each_request_and_anothers_otherwise(modes: str,
     for word in modes.split():
         seconds += 0.2
         if word[0] == "!":
-            requests.ask(word[1:], at(seconds))
+            requests.ask(word[1:], ns(seconds))
         elif word[0] == "+":
             seconds += float(word)
         elif word in ("yes", "no"):
             requests.on_answer(accepted=word == "yes")
         else:
-            said = requests.on_mode(word, at(seconds))
+            said = requests.on_mode(word, ns(seconds))
     assert said is ours
 
 

@@ -22,14 +22,14 @@ def sampler(stack: Stack = Stack.ARDUPILOT, **options: Any) -> MavlinkSampler:
     return MavlinkSampler(stack, BootClock(TimeSync()), **options)
 
 
-def attitude(yaw_deg: float, roll_deg: float = 3.0, pitch_deg: float = -5.0) -> Any:
+def attitude_message(yaw_deg: float, roll_deg: float = 3.0, pitch_deg: float = -5.0) -> Any:
     q = Rotation.from_rpy(math.radians(roll_deg), math.radians(pitch_deg), math.radians(yaw_deg)).quat_wxyz
     return mav.MAVLink_attitude_quaternion_message(4000, *q, 0.0, 0.0, 0.0)
 
 
 def test_attitude_in_angles_where_no_quaternion_comes() -> None:
     s = sampler()
-    (quaternion,) = sampler().samples(attitude(70.0), NOW)
+    (quaternion,) = sampler().samples(attitude_message(70.0), NOW)
     assert isinstance(quaternion, Attitude)
     assert np.degrees(quaternion.R_ned_body.rpy_rad) == pytest.approx((3.0, -5.0, 70.0))
     angles = mav.MAVLink_attitude_message(4000, *np.radians((3.0, -5.0, 70.0)), 0.1, 0.2, 0.3)
@@ -38,14 +38,14 @@ def test_attitude_in_angles_where_no_quaternion_comes() -> None:
     assert np.degrees(sample.R_ned_body.rpy_rad) == pytest.approx((3.0, -5.0, 70.0))
     assert s.samples(mav.MAVLink_attitude_message(4000, math.nan, 0, 0, 0, 0, 0), NOW) == []
     assert s.refused["ATTITUDE"] == 1
-    s.samples(attitude(70.0), NOW)
+    s.samples(attitude_message(70.0), NOW)
     assert s.samples(angles, NOW) == [], "one attitude an instant"
 
 
 @pytest.mark.parametrize("yaw_deg", range(-135, 181, 45))
 def test_velocity_is_turned_into_level_by_the_heading_alone(yaw_deg: int) -> None:
     s = sampler()
-    s.samples(attitude(yaw_deg), NOW)
+    s.samples(attitude_message(yaw_deg), NOW)
     (sample,) = s.samples(mav.MAVLink_local_position_ned_message(4000, 11.0, 12.0, -13.0, 1.5, -2.5, 0.5), NOW)
     assert isinstance(sample, BodyVelocity)
     yaw = math.radians(yaw_deg)

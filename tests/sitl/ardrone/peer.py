@@ -5,9 +5,11 @@ import select
 import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from typing import Any
 
 from drivers.ardrone import at, navdata, pave
 from drivers.ardrone.navdata import Navdata, NavdataState
+from drivers.ardrone.options import ArDroneOptions
 from sitl.emulators.ardrone.server import Ports
 
 ASK = b"\x01\x00\x00\x00"
@@ -110,6 +112,12 @@ class Watcher:
 
     def close(self) -> None:
         self.socket.close()
+
+
+def options_for(ports: Ports, **over: Any) -> ArDroneOptions:
+    """Return the driver's options that lead to a simulated drone on loopback."""
+    found = {f"{name}_port": getattr(ports, name) for name in ("navdata", "video", "at", "control")}
+    return ArDroneOptions("127.0.0.1", **(found | over))
 
 
 def udp() -> socket.socket:

@@ -3,8 +3,8 @@
 import asyncio
 import logging
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
-from typing import Any, cast
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from typing import cast
 
 import numpy as np
 import pytest
@@ -26,6 +26,7 @@ from sitl.flight.one_flight import fly, settings_for
 from sitl.scenario.scenario import load as load_scenario
 from sitl.world.truth import RenderedFrame
 from sitl.world.world import World
+from tests.sitl.ardrone.peer import options_for
 from tests.sitl.ardrone.point_mass import PointMass
 from tests.support.waiting import PATIENCE_S, until
 
@@ -40,10 +41,8 @@ async def first_drone() -> AsyncIterator[ArDroneServer]:
         yield server
 
 
-def options_for(server: ArDroneServer, **over: Any) -> ArDroneOptions:
-    p = server.ports
-    ports = {"navdata_port": p.navdata, "video_port": p.video, "at_port": p.at, "control_port": p.control}
-    return ArDroneOptions(host=HOST, **({"model": "1.0", **ports} | over))
+def linked(server: ArDroneServer) -> AbstractAsyncContextManager[ArDrone]:
+    return open_ardrone(options_for(server.ports, model="1.0"), SystemClock(), decoder=UvlcDecoder())
 
 
 async def frames(drone: ArDrone, count: int) -> list[Frame]:
@@ -57,7 +56,10 @@ async def until_down(drone: ArDrone, channel: str) -> str:
 
 
 async def test_its_frames_and_samples_arrive() -> None:
-    async with first_drone() as server, open_ardrone(options_for(server), SystemClock(), decoder=UvlcDecoder()) as drone:
+    async with (
+        first_drone() as server,
+        linked(server) as drone,
+    ):
         got = await frames(drone, 8)
         config = server.drone.state.config
         assert (config["video:video_codec"], config["video:video_channel"]) == ("32", "1")
@@ -76,7 +78,10 @@ async def test_its_frames_and_samples_arrive() -> None:
 
 
 async def test_p264_is_refused_with_the_setting_that_helps() -> None:
-    async with first_drone() as server, open_ardrone(options_for(server), SystemClock(), decoder=UvlcDecoder()) as drone:
+    async with (
+        first_drone() as server,
+        linked(server) as drone,
+    ):
         await frames(drone, 2)
         ids = server.drone.state.config.ids
         server.drone.state.config.set("video:video_codec", "64", ids)
@@ -95,7 +100,7 @@ def test_a_setting_that_requests_p264_is_refused() -> None:
 
 async def test_the_other_generation_is_named_with_the_setting_that_helps(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING)
-    async with first_drone() as server, open_ardrone(options_for(server, model="2.0"), SystemClock()) as drone:
+    async with first_drone() as server, open_ardrone(options_for(server.ports, model="2.0"), SystemClock()) as drone:
         await until(lambda: drone.counters.model_mismatches > 0)
         await until_down(drone, "video")
     output = [record.getMessage() for record in caplog.records if "firmware" in record.getMessage()]

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from drivers.ardrone.link import ArDrone, open_ardrone
-from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Land, TakeOff, Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
@@ -29,6 +28,7 @@ from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.with_fault import faulty, real_time
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import World
+from tests.sitl.ardrone.peer import options_for
 from tests.sitl.ardrone.point_mass import PointMass
 from tests.support.clocks import PatientClock
 from tests.support.processes import started
@@ -83,11 +83,6 @@ def test_wrong_use_is_one_line(arguments: tuple[str, ...], code: int, what: str,
 HOST = "127.0.0.1"
 
 
-def options_for(server: ArDroneServer) -> ArDroneOptions:
-    p = server.ports
-    return ArDroneOptions(host=HOST, navdata_port=p.navdata, video_port=p.video, at_port=p.at, control_port=p.control)
-
-
 async def reach(world: PointMass, phase: VehiclePhase) -> None:
     await until(lambda: world.phase is phase)
 
@@ -101,7 +96,7 @@ async def test_it_configures_flies_and_lands_the_drone() -> None:
     begun = clock.now()
     world = PointMass(begun)
     async with ArDroneServer(cast(World, world), HOST, Ports(0, 0, 0, 0), clock) as server:
-        options = options_for(server)
+        options = options_for(server.ports)
         async with open_ardrone(options, clock) as drone:
             await ready(drone)
             config = server.drone.state.config
@@ -145,7 +140,7 @@ async def test_its_stamps_of_frames_agree_with_when_they_were_exposed() -> None:
     world.expose = recorded  # type: ignore[assignment, method-assign]
     async with ArDroneServer(cast(World, world), HOST, Ports(0, 0, 0, 0), clock) as server:
         exposed.clear()  # the frame made before flight is no frame
-        async with open_ardrone(options_for(server), clock) as drone:
+        async with open_ardrone(options_for(server.ports), clock) as drone:
             await ready(drone)
             off_ms = []
             for _ in range(28):
@@ -165,12 +160,9 @@ NEAR = msgspec.structs.replace(load_scenario("calm"), start=Start(height_m=0.8, 
 
 async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_client() -> None:
     reported: list[dict[str, Any]] = []
-    # A driver that sets the drone up again misses what happens meanwhile: on a busy machine an answer may take its time.
-    options = ArDroneOptions(host="127.0.0.1", config_timeout_s=30.0)
     too_short = msgspec.structs.replace(NEAR, duration_limit_s=2.5)
     patient = PatientClock()
     async with ArDroneServer(World(too_short, 1, patient.now()), ports=Ports(0, 0, 0, 0), clock=patient) as server:
-        ports = {f"{name}_port": getattr(server.ports, name) for name in ("navdata", "video", "at", "control")}
         first, done, changes = server.world, asyncio.Event(), [False]
 
         def tell(**what: Any) -> None:
@@ -178,9 +170,10 @@ async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_cli
             if len(reported) == 3:
                 done.set()
 
+        # A driver that sets the drone up again misses what happens meanwhile: on a busy machine an answer may take its time.
         async with (
             asyncio.timeout(60),
-            open_ardrone(msgspec.structs.replace(options, **ports), CLOCK) as drone,
+            open_ardrone(options_for(server.ports, config_timeout_s=30.0), CLOCK) as drone,
             asyncio.TaskGroup() as group,
         ):
             flying_since: MonoNs | None = None

@@ -12,7 +12,7 @@ import av
 import numpy as np
 import pytest
 
-from drivers.ardrone import at, control, pave
+from drivers.ardrone import at, pave
 from drivers.ardrone.navdata import LAYOUTS, ControlState, NavdataState
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
@@ -166,24 +166,6 @@ async def test_a_slow_client_loses_frames_not_freshness(server: ArDroneServer, p
         while server.drone.shot.number - (await slow.frame()).header.frame_number >= 15:
             pass
     assert server.counters["navdata_dropped"] == 0
-
-
-async def test_configuration_on_request(server: ArDroneServer, peer: Peer) -> None:
-    reader, writer = await asyncio.open_connection(HOST, server.ports.control)
-    peer.ask()
-    await peer.configure("general:ardrone_name", "Albatross")
-    peer.say(at.Ctrl(at.CTRL_CONFIGURATION))
-    async with asyncio.timeout(60):
-        text = await reader.readuntil(b"\0")
-    read = control.parse(text)
-    assert read["general:ardrone_name"] == "Albatross"
-    assert read["network:video_port"] == str(server.ports.video)
-    assert (await peer.on_message()).state & NavdataState.COMMAND_ACK
-    peer.say(at.Ctrl(at.CTRL_ACK), at.Ctrl(at.CTRL_CUSTOM_IDS))
-    async with asyncio.timeout(60):
-        assert (await reader.readuntil(b"\0")).startswith(b"[applis]\r00000000,")
-    writer.close()
-    await writer.wait_closed()
 
 
 async def test_garbage_on_every_port_hurts_nobody(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:

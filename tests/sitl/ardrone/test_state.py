@@ -53,15 +53,6 @@ def test_take_off_is_held_and_landing_is_its_absence(pilot: Pilot) -> None:
     assert pilot.say(at.Ref(1 << 9)) == [RefAction.TAKE_OFF], "some clients leave the base bits out"
 
 
-def test_stick_beyond_its_range_is_held_to_it(pilot: Pilot) -> None:
-    (stick,) = pilot.say(at.Pcmd(1, 3.0, -2.0, 1.5, 0.25), phase=VehiclePhase.FLYING)
-    assert stick == Stick(1.0, -1.0, 1.0, 0.25, True)
-    (stick,) = pilot.say(at.PcmdMag(5, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6), phase=VehiclePhase.FLYING)
-    assert isinstance(stick, Stick)
-    assert stick.roll == pytest.approx(0.1)
-    assert stick.progressive
-
-
 def test_smaller_sequence_numbers_are_ignored_and_one_starts_again(pilot: Pilot) -> None:
     drone = pilot.drone
     pilot.sequence = 99
@@ -106,12 +97,6 @@ def test_a_client_that_comes_back_in_time_keeps_flying_and_clears_the_bit_itself
     assert list(drone.tick(ns(4.6), VehiclePhase.FLYING)) == []
 
 
-def test_limits_are_passed_on_when_they_may_have_changed(pilot: Pilot) -> None:
-    assert pilot.say(at.Config("control:euler_angle_max", "0.3")) == [RefAction.APPLY_LIMITS]
-    assert pilot.say(at.Config("control:outdoor", "TRUE")) == [RefAction.APPLY_LIMITS]
-    assert pilot.say(at.Config("control:euler_angle_max", "30")) == []
-
-
 def test_emergency_is_an_edge_that_toggles(pilot: Pilot) -> None:
     cut = at.Ref(at.REF_BASE | at.REF_EMERGENCY)
     assert pilot.say(cut, phase=VehiclePhase.FLYING) == [RefAction.CUT_MOTORS]
@@ -126,6 +111,10 @@ def test_emergency_is_an_edge_that_toggles(pilot: Pilot) -> None:
 
 def test_the_rest_is_accepted(pilot: Pilot) -> None:
     assert pilot.say(at.Ftrim()) == [RefAction.FLAT_TRIM]
+    assert pilot.say(at.Config("control:euler_angle_max", "0.3")) == [RefAction.APPLY_LIMITS]
+    assert pilot.say(at.Config("control:euler_angle_max", "30")) == []
+    (stick,) = pilot.say(at.Pcmd(1, 3.0, -2.0, 1.5, 0.25), phase=VehiclePhase.FLYING)
+    assert stick == Stick(1.0, -1.0, 1.0, 0.25, True), "held to its range"
     assert pilot.say(at.Ftrim(), at.Calib(0), at.Anim(16, 15), at.Pmode(2), at.Misc(), phase=VehiclePhase.FLYING) == []
     pilot.say(at.Led(5, 2.5, 7))
     assert (pilot.drone.leds.animation, pilot.drone.leds.frequency_hz, pilot.drone.leds.duration_s) == (5, 2.5, 7.0)
