@@ -7,8 +7,7 @@ signatures are the dialect's.
 
 import hashlib
 import struct
-from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from drivers.mavlink.dialect import Message, mav, unfit_field
 from drivers.mavlink.signing import TICKS_PER_S, Signing
@@ -34,7 +33,7 @@ class Unfit(ValueError):
 
 @dataclass(slots=True)
 class CodecCounters:
-    """The counters of one stream."""
+    """The counters of one stream, or of several together."""
 
     messages: int = 0
     """Messages that were decoded."""
@@ -52,8 +51,6 @@ class CodecCounters:
     """Refused messages with our key's signature at a time that is refused: long past, or not later than one before."""
     behind_s: float = 0.0
     """Time by which the newest of those lay behind ours, s."""
-    packed: Counter[str] = field(default_factory=Counter)
-    """Messages sent, by name."""
 
 
 class Codec:
@@ -61,9 +58,18 @@ class Codec:
 
     Args:
         datagrams: what is fed ends with a whole message, so that nothing is kept for later.
+        counters: those of several streams together; its own by default.
     """
 
-    def __init__(self, system: int, component: int, *, datagrams: bool = False, signing: Signing | None = None) -> None:
+    def __init__(
+        self,
+        system: int,
+        component: int,
+        *,
+        datagrams: bool = False,
+        signing: Signing | None = None,
+        counters: CodecCounters | None = None,
+    ) -> None:
         self._mav = mav.MAVLink(None, srcSystem=system, srcComponent=component)
         self._datagrams = datagrams
         self._signing = signing
@@ -71,7 +77,7 @@ class Codec:
         self._sequences: dict[tuple[int, int], int] = {}
         self._spoken: dict[int, int] = {}
         """The next sequence number of each component that messages are sent as."""
-        self.counters = CodecCounters()
+        self.counters = counters or CodecCounters()
         if signing is not None:
             self._mav.signing.secret_key = signing.key.secret
             self._mav.signing.link_id = signing.link_id
@@ -109,7 +115,6 @@ class Codec:
         finally:
             self._mav.srcComponent = usual
         self._spoken[speaker] = (self._mav.seq + 1) % 256
-        self.counters.packed[message.get_type()] += 1
         return data
 
     def feed(self, data: bytes) -> list[Message]:

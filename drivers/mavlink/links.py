@@ -108,23 +108,14 @@ class LinkCounters:
     """Messages of senders that were not requested."""
     restarts: int = 0
     wire: WireCounts = field(default_factory=WireCounts)
-    codecs: list[CodecCounters] = field(default_factory=list)
-
-    def total(self, name: str) -> int:
-        """Sum of one of `CodecCounters` over the peers, as messages, lost, unknown, damaged, old_version, refused_signature."""
-        return sum(getattr(codec, name) for codec in self.codecs)
-
-    @property
-    def behind_s(self) -> float:
-        """The time by which the newest message that was refused for its time lay behind ours, s."""
-        return max((codec.behind_s for codec in self.codecs if codec.refused_time), default=0.0)
+    codec: CodecCounters = field(default_factory=CodecCounters)
 
     def as_dict(self) -> dict[str, int]:
         """Flat, for records and telemetry."""
-        names = ("messages", "lost", "unknown", "damaged", "old_version", "refused_signature", "refused_time")
         own = {name: getattr(self, name) for name in ("bytes_in", "bytes_out", "dropped", "restarts", "unknown_senders")}
+        of_codec = ("messages", "lost", "unknown", "damaged", "old_version", "refused_signature", "refused_time")
         own |= {"late": self.wire.late, "refused_datagrams": self.wire.refused}
-        return own | {name: self.total(name) for name in names}
+        return own | {name: getattr(self.codec, name) for name in of_codec}
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,9 +258,7 @@ class Link:
 
     def _codec(self) -> Codec:
         datagrams = self._o.endpoint.scheme in ("udpin", "udpout")
-        codec = Codec(*self._links.identity, datagrams=datagrams, signing=self._o.signing)
-        self.counters.codecs.append(codec.counters)
-        return codec
+        return Codec(*self._links.identity, datagrams=datagrams, signing=self._o.signing, counters=self.counters.codec)
 
     def _received(self, data: bytes, received_at: MonoNs, address: Address | None) -> None:
         self._links.contained.run("the MAVLink codec", f"{self.endpoint}", lambda: self._decode(data, received_at, address))
@@ -325,23 +314,6 @@ class Link:
             silent_s = self._o.limits.peer_timeout_s
             for address in [a for a, p in self._peers.items() if seconds_between(p.received_at, now) > silent_s]:
                 del self._peers[address]
-            self._fold_counters()
-
-    def _fold_counters(self) -> None:
-        """Sum the counters of peers that are gone into one entry, so that the list stays short."""
-        if len(self.counters.codecs) <= 4 * self._o.limits.peers_max:
-            return
-        alive = {id(p.codec.counters) for p in self._peers.values()}
-        if self._unknown_codec is not None:
-            alive.add(id(self._unknown_codec.counters))
-        gone = [c for c in self.counters.codecs if id(c) not in alive]
-        total = CodecCounters()
-        for one in gone:
-            total.behind_s = one.behind_s
-            for name in ("messages", "old_version", "lost", "unknown", "damaged", "refused_signature"):
-                setattr(total, name, getattr(total, name) + getattr(one, name))
-            total.packed.update(one.packed)
-        self.counters.codecs = [total, *(c for c in self.counters.codecs if id(c) in alive)]
 
 
 _SECRET = frozenset({"SETUP_SIGNING"})

@@ -305,7 +305,7 @@ def link_snapshot(link: Link) -> LinkSnapshot:
         link.signed,
         link.counters.unknown_senders,
         total("refused_time"),
-        link.counters.behind_s,
+        link.counters.codec.behind_s,
         wire.refused,
         wire.late,
     )

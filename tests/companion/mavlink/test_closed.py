@@ -62,7 +62,6 @@ async def test_forty_unknown_peers_receive_nothing() -> None:
             await border.told_of_the_pad()
             assert sum(len(border.answers(wire)) for wire in wires) == 0
             assert border.links.all[0].peers == 1
-            assert len(border.links.all[0].counters.codecs) <= 2, "they share one codec"
         finally:
             for wire in wires:
                 wire.close()
@@ -179,7 +178,6 @@ async def test_what_grows_by_what_is_sent_is_bounded() -> None:
         assert len(component.texts._said) <= 65
         assert len(component.texts._waiting) <= 10
         assert all(len(peer.codec._sequences) <= 64 for peer in links.all[0]._peers.values())
-        assert len(links.all[0].counters.codecs) <= 2
         border.autopilot.parameters.values.update({f"F{n}": 0.0 for n in range(5000)})  # type: ignore[union-attr]
         await border.send(mav.MAVLink_param_value_message(b"ONE_MORE", 0.0, 9, 1, 1))
         assert "ONE_MORE" not in border.autopilot.parameters.values  # type: ignore[union-attr]

@@ -82,7 +82,7 @@ async def linked(*faults: StreamFault | LinkLost) -> AsyncIterator[Linked]:
 
 def lost(driver: Autopilot) -> int:
     """Sequence numbers that never came, as the link counts them."""
-    return driver.links.all[0].counters.total("lost")
+    return driver.links.all[0].counters.codec.lost
 
 
 async def test_without_a_fault_the_relay_changes_nothing() -> None:
