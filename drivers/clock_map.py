@@ -107,11 +107,6 @@ class ClockMap:
         self.restarts = 0
         """The number of times that the remote clock was reset."""
 
-    @property
-    def rate_error(self) -> float | None:
-        """Rate of the remote clock against ours, as a fraction; None while it is not known or the rates agree."""
-        return self._rate.error
-
     def reset(self) -> None:
         """Forget the remote clock, because the sender is known to have restarted."""
         self._least.clear()
