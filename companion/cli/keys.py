@@ -288,10 +288,10 @@ def _silence(links: Links, endpoint: Endpoint, current: SigningKey | None) -> st
     link = links.all[0]
     if link.down is not None:
         return f"{endpoint} is not open: {link.down}"
-    if link.counters.total("old_version"):
+    if link.counters.codec.old_version:
         return f"{endpoint}: what comes is MAVLink 1, which carries no signature; {VERSION_2_CURE}"
-    if link.counters.total("refused_signature"):
+    if link.counters.codec.refused_signature:
         return f"{endpoint}: what comes is not signed with the key in --current"
-    if link.counters.total("messages"):
+    if link.counters.codec.messages:
         return f"{endpoint}: MAVLink, but no autopilot of a copter"
     return f"{endpoint}: no autopilot is connected" + ("" if current is None else " that signs with the key in --current")

@@ -292,20 +292,20 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
 
 def link_snapshot(link: Link) -> LinkSnapshot:
     """Return the counters of a link since it was opened first."""
-    total, wire = link.counters.total, link.counters.wire
+    codec, wire = link.counters.codec, link.counters.wire
     return LinkSnapshot(
         str(link.endpoint),
         link.down,
         link.counters.bytes_in,
-        total("messages"),
-        total("lost"),
-        total("damaged"),
-        total("old_version"),
-        total("refused_signature"),
+        codec.messages,
+        codec.lost,
+        codec.damaged,
+        codec.old_version,
+        codec.refused_signature,
         link.signed,
         link.counters.unknown_senders,
-        total("refused_time"),
-        link.counters.codec.behind_s,
+        codec.refused_time,
+        codec.behind_s,
         wire.refused,
         wire.late,
     )
