@@ -87,40 +87,36 @@ class Audience:
     """Passes each event to all observers, each method of each observer behind its own guard."""
 
     def __init__(self, observers: Sequence[Observer], health: Health) -> None:
-        def guard(observer: Observer, method: str) -> CallGuard:
-            return CallGuard(f"{name_of(observer)}.{method}", health)
-
-        self._samples = [(guard(o, "on_sample"), o.on_sample) for o in observers if listens(o, "on_sample")]
-        self._results = [(guard(o, "on_fusion"), o.on_fusion) for o in observers if listens(o, "on_fusion")]
-        self._frames = [(guard(o, "on_frame"), o.on_frame) for o in observers]
-        self._decisions = [(guard(o, "on_decision"), o.on_decision) for o in observers]
-        self._orders = [(guard(o, "on_order"), o.on_order) for o in observers]
+        self._calls = {
+            method: [(CallGuard(f"{name_of(o)}.{method}", health), getattr(o, method)) for o in observers if listens(o, method)]
+            for method in ("on_sample", "on_fusion", "on_frame", "on_decision", "on_order")
+        }
 
     @property
     def takes_fusion(self) -> bool:
         """True if an observer takes the results of measurements."""
-        return bool(self._results)
+        return bool(self._calls["on_fusion"])
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
-        for guard, method in self._samples:
+        for guard, method in self._calls["on_sample"]:
             for sample in samples:
                 guard.call(method, sample)
 
     def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        for guard, method in self._results:
-            guard.call(method, at, result)
+        self._pass("on_fusion", at, result)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
-        for guard, method in self._frames:
-            guard.call(method, processed)
+        self._pass("on_frame", processed)
 
     def on_decision(self, decision: Decision) -> None:
-        for guard, method in self._decisions:
-            guard.call(method, decision)
+        self._pass("on_decision", decision)
 
     def on_order(self, handled: HandledOrder) -> None:
-        for guard, method in self._orders:
-            guard.call(method, handled)
+        self._pass("on_order", handled)
+
+    def _pass(self, name: str, *what: object) -> None:
+        for guard, method in self._calls[name]:
+            guard.call(method, *what)
 
 
 def name_of(observer: object) -> str:

@@ -2,7 +2,7 @@
 
 import math
 from types import MappingProxyType
-from typing import Literal, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
@@ -18,52 +18,33 @@ from estimator.contracts.estimates import IntegrityAlert, Method, PathName, Pose
 from estimator.contracts.fusion import FusionResult, Source
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import (
-    Attitude,
-    Baro,
-    BodyVelocity,
-    GeoFix,
-    GimbalAttitude,
-    GimbalFrame,
-    Imu,
-    Range,
-    Sample,
-    VehicleStatus,
-    VesselReport,
-)
+from estimator.contracts.samples import Attitude, GeoFix, Sample
 from estimator.contracts.time import MonoNs, Stamp, StampSource
 from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
+
+_SAMPLES: dict[type[rec.SampleRecord], type[Sample]] = dict(zip(get_args(rec.SampleRecord), get_args(Sample), strict=True))
 
 
 def sample(of: rec.SampleRecord) -> Sample:
     """Return the sample of a record. Raises ValueError if the sample does not accept its numbers."""
-    t = stamp(of.stamp)
-    match of:
-        case rec.ImuRecord():
-            return Imu(t, _vector(of.w_body), _vector(of.f_body))
-        case rec.AttitudeRecord():
-            return attitude(of)
-        case rec.GimbalRecord():
-            frame, R = cast(GimbalFrame, of.frame), Rotation(_matrix(of.R_frame_gimbal, 3))
-            return GimbalAttitude(t, frame, R, _matrix(of.cov_gimbal, 3))
-        case rec.VelocityRecord():
-            return BodyVelocity(t, _vector(of.v_level), _matrix(of.cov_level, 3))
-        case rec.RangeRecord():
-            return Range(t, of.range_m, of.sigma_m)
-        case rec.BaroRecord():
-            return Baro(t, of.height_m, of.sigma_m)
-        case rec.VesselRecord():
-            v = None if of.v_vessel_ned is None else _vector(of.v_vessel_ned)
-            cov = None if of.cov_v_ned is None else _matrix(of.cov_v_ned, 3)
-            return VesselReport(t, v, cov, of.heading_rad, of.sigma_heading_rad)
-        case rec.FixRecord():
-            place = GeoPoint.of_degrees(of.latitude_deg, of.longitude_deg, of.height_m)
-            v = None if of.v_ned is None else _vector(of.v_ned)
-            return GeoFix(t, cast(Literal["vehicle", "vessel"], of.whose), place, of.sigma_m, v)
-        case rec.StatusRecord():
-            return VehicleStatus(
-                t, of.flying, of.mode, of.battery_fraction, of.emergency, of.link_ok, of.taken, of.jerk_max_m_s3, of.tilt_max_deg
-            )
+    if isinstance(of, rec.AttitudeRecord):
+        return attitude(of)
+    if isinstance(of, rec.FixRecord):
+        place = GeoPoint.of_degrees(of.latitude_deg, of.longitude_deg, of.height_m)
+        v = None if of.v_ned is None else _vector(of.v_ned)
+        return GeoFix(stamp(of.stamp), cast(Literal["vehicle", "vessel"], of.whose), place, of.sigma_m, v)
+    return _SAMPLES[type(of)](**{name: _value(name, getattr(of, name)) for name in of.__struct_fields__})
+
+
+def _value(name: str, value: Any) -> Any:
+    """Return the value of a fact's field of this name: the inverse of how `companion.facts.encode` makes lists of arrays."""
+    if isinstance(value, rec.StampRecord):
+        return stamp(value)
+    if not isinstance(value, list):
+        return value
+    if name.startswith("R_"):
+        return Rotation(_matrix(value, 3))
+    return _matrix(value, 3) if name.startswith("cov_") else _vector(value)
 
 
 def stamp(of: rec.StampRecord) -> Stamp:

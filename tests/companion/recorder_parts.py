@@ -17,12 +17,12 @@ CAMERA = camera_model(sim_settings())
 ABOUT = About({"flight": {"kind": "test"}})
 
 
-def imu(at_s: float) -> Imu:
+def numbered_imu(at_s: float) -> Imu:
     at = MonoNs(round(at_s * 1e9))
     return Imu(Stamp(at, at, 0.001, "sim"), np.array([0.0, 0.0, at_s]), np.array([0.0, 0.0, -9.81]))
 
 
-def frame(at_s: float, seq: int) -> ProcessedFrame:
+def numbered_frame(at_s: float, seq: int) -> ProcessedFrame:
     at = MonoNs(round(at_s * 1e9))
     px = np.full((CAMERA.height, CAMERA.width, 3), seq % 256, np.uint8)
     return ProcessedFrame(Frame(Stamp(at, at, 0.001, "sim"), seq, px), None, None, Verdict.NO_ATTITUDE, at, at)

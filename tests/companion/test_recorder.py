@@ -26,7 +26,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.fusion import COMPONENTS
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
-from tests.companion.recorder_parts import ABOUT, CAMERA, imu, samples_of
+from tests.companion.recorder_parts import ABOUT, CAMERA, numbered_imu, samples_of
 from tests.fly import ObservedCalls, record_to, sim_settings
 from tests.make import same_bits
 from tests.support.waiting import wait_until
@@ -172,14 +172,14 @@ def test_what_a_killed_process_leaves_reads_up_to_its_last_flush(tmp_path: Path)
     program = f"""
         import time
         from pathlib import Path
-        from tests.companion.test_recorder import ABOUT, CAMERA, imu
+        from tests.companion.test_recorder import ABOUT, CAMERA, numbered_imu
         from companion.settings.service import RecorderOptions
         from companion.parts.recorder.recorder import Recorder
         from companion.parts.recorder.storage_policy import SingleFile
         recorder = Recorder(SingleFile(Path({str(path)!r})), CAMERA, ABOUT, RecorderOptions(flush_s=0.1))
         with recorder:
             for i in range(100_000):
-                recorder.on_sample(imu(i * 0.005))
+                recorder.on_sample(numbered_imu(i * 0.005))
                 time.sleep(0.0005)
                 if i % 200 == 0:
                     print(i, flush=True)
@@ -233,7 +233,7 @@ def test_pause_ends_the_file_and_resume_begins_another(tmp_path: Path) -> None:
                 wait_until(lambda: recorder._queue.empty())
                 assert recorder.state is RecorderState.PAUSED
                 recorder.switch(True)
-            recorder.on_sample(imu(0.01 * i))
+            recorder.on_sample(numbered_imu(0.01 * i))
     assert len(samples_of(tmp_path / "a.mcap")) in (9, 10)
     assert len(samples_of(tmp_path / "a-2.mcap")) == 10
 

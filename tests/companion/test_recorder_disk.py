@@ -19,7 +19,7 @@ from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.service import RecorderOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
-from tests.companion.recorder_parts import ABOUT, CAMERA, frame, imu, samples_of
+from tests.companion.recorder_parts import ABOUT, CAMERA, numbered_frame, numbered_imu, samples_of
 from tests.support.descriptors import no_descriptors
 from tests.support.waiting import wait_until
 
@@ -52,17 +52,17 @@ def test_a_full_disk_is_reported_once_flown_through_and_left_behind(tmp_path, di
     path = tmp_path / "a.mcap"
     with Recorder(SingleFile(path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=1.0, retry_cap_s=1.0)) as recorder:
         for i in range(100):
-            recorder.on_sample(imu(0.01 * i))
+            recorder.on_sample(numbered_imu(0.01 * i))
         wait_until(lambda: recorder.written == 100)
         disk.full = True
         for i in range(100, 600):
-            recorder.on_sample(imu(0.01 * i))
+            recorder.on_sample(numbered_imu(0.01 * i))
             wait_until(lambda: recorder._queue.empty())
         wait_until(lambda: recorder.state is RecorderState.BLOCKED and recorder._queue.empty())
         assert recorder.why == "No space left on device"
         disk.full = False
         for i in range(600, 900):
-            recorder.on_sample(imu(0.01 * i))
+            recorder.on_sample(numbered_imu(0.01 * i))
         wait_until(lambda: recorder._queue.empty() and recorder.state is RecorderState.RECORDING)
     output = [r for r in caplog.records if r.levelname == "ERROR"]
     assert [r.getMessage() for r in output] == [
@@ -80,16 +80,16 @@ def test_a_full_disk_is_reported_once_flown_through_and_left_behind(tmp_path, di
 def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_path, disk, monkeypatch, caplog):
     options = RecorderOptions(flush_s=0.05, queue_records=50, queue_frames=3)
     with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, options) as recorder:
-        recorder.on_sample(imu(0.0))
+        recorder.on_sample(numbered_imu(0.0))
         wait_until(lambda: recorder.written == 1)
         disk.moving.clear()
-        recorder.on_sample(imu(1.0))
+        recorder.on_sample(numbered_imu(1.0))
         wait_until(lambda: recorder._queue.empty())
         began = time.perf_counter()
         for i in range(1000):
-            recorder.on_sample(imu(1.0 + 0.001 * i))
+            recorder.on_sample(numbered_imu(1.0 + 0.001 * i))
             if i % 10 == 0:
-                recorder.on_frame(frame(1.0 + 0.001 * i, i))
+                recorder.on_frame(numbered_frame(1.0 + 0.001 * i, i))
         spent_s = time.perf_counter() - began
         assert spent_s < 60.0, "one call that waited for this disk would not have come back"
         assert recorder.dropped["imu"] + recorder.dropped["detection"] == 1100 - 50
@@ -102,7 +102,7 @@ def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_p
         wait_until(lambda: recorder._queue.empty() and recorder._busy_since_s is None)
         recorder.on_decision(Decision(MonoNs(5_000_000_000), "search", None, None))
         assert "recorder: the disk takes records again; 1 were dropped" in caplog.messages
-        recorder.on_frame(frame(3.0, 7))
+        recorder.on_frame(numbered_frame(3.0, 7))
     kept = [e for e in open_recording([tmp_path / "a.mcap"]).events() if isinstance(e, RecordedFrame)]
     assert kept[-1].record.seq == 7
     assert kept[-1].image is not None
@@ -124,7 +124,7 @@ def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: P
                 assert recorder.state is RecorderState.BLOCKED
                 assert "400 MB free" in recorder.why, recorder.why
                 free["bytes"] = 600_000_000
-            recorder.on_sample(imu(0.01 * i))
+            recorder.on_sample(numbered_imu(0.01 * i))
         wait_until(lambda: recorder._queue.empty())
     first, second = sorted(tmp_path.glob("*.mcap"))
     recording = open_recording([first, second])
@@ -144,7 +144,7 @@ def test_a_full_disk_with_a_little_room_is_left_alone(tmp_path, disk, caplog, mo
     with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=0.5)) as recorder:
         for i in range(500):
             disk.full = 50 < i < 90
-            recorder.on_sample(imu(0.01 * i))
+            recorder.on_sample(numbered_imu(0.01 * i))
             wait_until(lambda: recorder._queue.empty())
     assert len([r for r in caplog.records if r.levelname == "ERROR"]) == 1
     assert len(list(tmp_path.iterdir())) == 1
@@ -153,7 +153,7 @@ def test_a_full_disk_with_a_little_room_is_left_alone(tmp_path, disk, caplog, mo
 def record_samples(recorder: Recorder, at_s: float, seconds: float) -> float:
     """Return samples at 100 Hz from an instant on, taken in before this returns; the instant after them."""
     for i in range(round(100 * seconds)):
-        recorder.on_sample(imu(at_s + 0.01 * i))
+        recorder.on_sample(numbered_imu(at_s + 0.01 * i))
     wait_until(lambda: recorder._queue.empty())
     return at_s + seconds
 
@@ -247,10 +247,10 @@ def test_a_disk_that_hangs_holds_up_the_end_of_the_service_for_a_moment_only(tmp
     recorder = Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.05, queue_records=16), close_s=0.3)
     with recorder:
         disk.moving.clear()
-        recorder.on_sample(imu(0.0))
+        recorder.on_sample(numbered_imu(0.0))
         wait_until(lambda: recorder._queue.empty())
         for i in range(100):
-            recorder.on_sample(imu(0.01 * i))
+            recorder.on_sample(numbered_imu(0.01 * i))
         began = time.perf_counter()
     assert time.perf_counter() - began < 15.0, "twenty seconds before"
     disk.moving.set()

@@ -25,7 +25,7 @@ from estimator.gimbal_history import DOWN
 from estimator.vision.camera import Camera
 from estimator.vision.detection import NearThing, PadCheck, PadThing
 from tests import make
-from tests.companion.recorder_parts import frame
+from tests.companion.recorder_parts import numbered_frame
 from tests.make import same_bits
 from tests.support.processed_frames import seen
 
@@ -175,7 +175,7 @@ def test_the_camera_s_transform_is_that_of_each_frame_once_a_gimbal_turns_it() -
     encoder = MessageEncoder(CAMERA, 0, "none", 80)
     fixed, turned = (channels.FIXED_TRANSFORMS, "body", "cam"), (channels.TRANSFORMS, "body", "cam")
     assert fixed in transforms(encoder, None)
-    plain, held = frame(1.0, 1), replace(frame(1.0, 1), camera=CAMERA.held(DOWN))
+    plain, held = numbered_frame(1.0, 1), replace(numbered_frame(1.0, 1), camera=CAMERA.held(DOWN))
     assert turned not in transforms(encoder, (encode.detection(plain), None, None))
     record = encode.detection(held)
     assert turned in transforms(encoder, (record, None, None))

@@ -44,7 +44,7 @@ def decision(at: MonoNs, phase: str = "approach", command: Command | None = None
     return Decision(at, phase, command or Velocity(np.array([0.4, 0.5, 0.6]), 0.7), estimate_at(at))
 
 
-def status(at: MonoNs, mode: str = "flying", battery: float = 0.8, emergency: bool = False) -> VehicleStatus:
+def vehicle_status(at: MonoNs, mode: str = "flying", battery: float = 0.8, emergency: bool = False) -> VehicleStatus:
     return VehicleStatus(Stamp(at, at, 0.0, "sim"), mode == "flying", mode, battery, emergency, True)
 
 

@@ -24,7 +24,7 @@ from companion.base.version import version
 from companion.parts.mavlink.commands import CommandServer, Offered, Operator, Refusals
 from companion.parts.mavlink.computer import ComputerReader, computer_status
 from companion.parts.mavlink.outputs import AutopilotView, MavSeverity, Outputs, StatusTexts
-from companion.parts.mavlink.parameters import ParameterServer, Store
+from companion.parts.mavlink.parameters import ParameterServer, Tunables
 from companion.parts.mavlink.target_track import TargetTrack
 from companion.settings.links import OutputOptions
 from drivers.mavlink.access import AccessLevel
@@ -105,7 +105,7 @@ class Component(NullObserver):
         self,
         options: ComponentOptions,
         operator: Operator,
-        store: Store | None,
+        store: Tunables | None,
         *,
         healthy: Callable[[], str | None],
         believe: Callable[[MonoNs], RelativeState | None] | None = None,

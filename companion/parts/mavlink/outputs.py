@@ -47,57 +47,41 @@ def _quaternion(rotation: Rotation | None) -> tuple[float, ...]:
     return _NO_ROTATION_KNOWN if rotation is None else tuple(float(v) for v in rotation.quat_wxyz)
 
 
-def _target(time_us: int, frame: int, xyz: F64, d_body: F64, q: tuple[float, ...], pad_radius_m: float) -> Message | None:
+def landing_target(
+    time_us: int,
+    d_body_pad_ned: F64,
+    R_ned_body: Rotation,
+    p_body_ned: F64 | None = None,
+    *,
+    pad_radius_m: float,
+    R_ned_pad: Rotation | None = None,
+) -> Message | None:
+    """Return LANDING_TARGET with position, distance and angles that agree; None where the pad is not below the body.
+
+    ArduPilot ignores a target that is not below it. Its firmware before 4.1 reads the angles only; later firmware reads the
+    position and needs distance > 0.
+
+    Args:
+        time_us: for PX4 when it was true, in the clock of our TIMESYNC answers; another clock makes PX4 ignore the target. For
+            ArduPilot any clock of constant offset: it uses it for a staleness test only, and takes the attitude from its own
+            ring, PLND_LAG back, so the vector must be of that instant (see `TargetTrack`).
+        p_body_ned: LOCAL_POSITION_NED of the same instant for PX4, which gets the pad in its own local frame; None for
+            ArduPilot, which gets it in MAV_FRAME_BODY_FRD.
+        R_ned_pad: the pad's attitude where it is known; it goes into `q`, for ArduPilot relative to the body.
+    """
+    d_body = R_ned_body.inv @ d_body_pad_ned
     angles = angles_of(d_body)
     if angles is None:
         return None
+    if p_body_ned is None:
+        frame, xyz, q = BODY_FRD, d_body, _quaternion(None if R_ned_pad is None else R_ned_body.inv @ R_ned_pad)
+    else:
+        frame, xyz, q = LOCAL_NED, p_body_ned + d_body_pad_ned, _quaternion(R_ned_pad)
     distance_m = float(np.linalg.norm(d_body))
     size_rad = 2.0 * math.atan(pad_radius_m / distance_m)
     return mav.MAVLink_landing_target_message(
         time_us, 0, frame, *angles, distance_m, size_rad, size_rad, *(float(v) for v in xyz), q, VISION_OTHER, 1
     )
-
-
-def ardupilot_landing_target(
-    time_us: int, d_body_pad_ned: F64, R_ned_body: Rotation, *, pad_radius_m: float, R_ned_pad: Rotation | None = None
-) -> Message | None:
-    """Return LANDING_TARGET in MAV_FRAME_BODY_FRD with position, distance and angles that agree with each other.
-
-    Firmware before 4.1 reads the angles only; later firmware reads the position and needs distance > 0.
-
-    Args:
-        time_us: any clock of constant offset: ArduPilot uses it for a staleness test only. It takes the attitude from its own
-            ring, PLND_LAG back, so the vector must be of that instant (see `TargetTrack`).
-        R_ned_pad: the pad's attitude where it is known; it goes into `q` relative to the body.
-
-    Returns:
-        None where the pad is not below the body: ArduPilot ignores such a target.
-    """
-    d_body = R_ned_body.inv @ d_body_pad_ned
-    q = _quaternion(None if R_ned_pad is None else R_ned_body.inv @ R_ned_pad)
-    return _target(time_us, BODY_FRD, d_body, d_body, q, pad_radius_m)
-
-
-def px4_landing_target(
-    time_us: int,
-    d_body_pad_ned: F64,
-    R_ned_body: Rotation,
-    p_body_ned: F64,
-    *,
-    pad_radius_m: float,
-    R_ned_pad: Rotation | None = None,
-) -> Message | None:
-    """Return LANDING_TARGET in MAV_FRAME_LOCAL_NED: the pad's position in PX4's own local frame.
-
-    Args:
-        time_us: when it was true, in the clock of our TIMESYNC answers; another clock makes PX4 ignore the target.
-        p_body_ned: LOCAL_POSITION_NED of the same instant.
-
-    Returns:
-        None where the pad is not below the body.
-    """
-    d_body = R_ned_body.inv @ d_body_pad_ned
-    return _target(time_us, LOCAL_NED, p_body_ned + d_body_pad_ned, d_body, _quaternion(R_ned_pad), pad_radius_m)
 
 
 def target_relative(
@@ -234,20 +218,15 @@ class Outputs:
         if seen is None:
             self.withheld[why] += 1
             return []
-        time_us = seen.at // 1000
-        radius_m = self._pad_radius_m
-        if vehicle.stack is Stack.ARDUPILOT:
-            message = ardupilot_landing_target(
-                now // 1000, seen.d_body_pad_ned, seen.R_ned_body, pad_radius_m=radius_m, R_ned_pad=seen.R_ned_pad
-            )
-        else:
-            p_body_ned = position_at(vehicle.positions, seen.at)
+        time_us, p_body_ned = now // 1000, None
+        if vehicle.stack is not Stack.ARDUPILOT:
+            time_us, p_body_ned = seen.at // 1000, position_at(vehicle.positions, seen.at)
             if p_body_ned is None:
                 self.withheld["no local position"] += 1
                 return []
-            message = px4_landing_target(
-                time_us, seen.d_body_pad_ned, seen.R_ned_body, p_body_ned, pad_radius_m=radius_m, R_ned_pad=seen.R_ned_pad
-            )
+        message = landing_target(
+            time_us, seen.d_body_pad_ned, seen.R_ned_body, p_body_ned, pad_radius_m=self._pad_radius_m, R_ned_pad=seen.R_ned_pad
+        )
         if message is None:
             self.withheld["not below"] += 1
             return []
@@ -311,12 +290,6 @@ class MavSeverity(IntEnum):
     INFO = 6
 
 
-@dataclass(frozen=True, slots=True)
-class _Text:
-    severity: MavSeverity
-    text: str
-
-
 class StatusTexts:
     """A token bucket of `burst` texts that refills at `rate_hz`; excess texts wait, and the least severe is dropped first.
 
@@ -328,7 +301,7 @@ class StatusTexts:
         self._rate_hz, self._burst, self._waiting_max, self._repeat_s = rate_hz, burst, waiting, repeat_s
         self._tokens = float(burst)
         self._filled: MonoNs | None = None
-        self._waiting: deque[_Text] = deque()
+        self._waiting: deque[tuple[MavSeverity, str]] = deque()
         self._said: dict[str, MonoNs] = {}
         self._id = 0
         self.dropped = 0
@@ -342,9 +315,9 @@ class StatusTexts:
         if len(self._said) >= _SAID_MAX:
             self._said.clear()
         self._said = {t: at for t, at in self._said.items() if seconds_between(at, now) < self._repeat_s} | {text: now}
-        self._waiting.append(_Text(severity, text))
+        self._waiting.append((severity, text))
         if len(self._waiting) > self._waiting_max:
-            least = max(range(len(self._waiting)), key=lambda i: (self._waiting[i].severity, i))
+            least = max(range(len(self._waiting)), key=lambda i: (self._waiting[i][0], i))
             del self._waiting[least]
             self.dropped += 1
 
@@ -355,19 +328,19 @@ class StatusTexts:
         self._filled = now
         out: list[Message] = []
         while self._waiting and self._tokens >= 1.0:
-            first = min(range(len(self._waiting)), key=lambda i: (self._waiting[i].severity, i))
+            first = min(range(len(self._waiting)), key=lambda i: (self._waiting[i][0], i))
             text = self._waiting[first]
             del self._waiting[first]
             self._tokens -= 1.0
-            out += self._chunks(text)
+            out += self._chunks(*text)
         return out
 
-    def _chunks(self, text: _Text) -> list[Message]:
-        data = text.text.encode("ascii", errors="replace")
+    def _chunks(self, severity: MavSeverity, text: str) -> list[Message]:
+        data = text.encode("ascii", errors="replace")
         if len(data) <= _CHUNK:
-            return [mav.MAVLink_statustext_message(int(text.severity), data)]
+            return [mav.MAVLink_statustext_message(int(severity), data)]
         self._id = self._id % 65535 + 1
         pieces = [data[i : i + _CHUNK] for i in range(0, len(data), _CHUNK)]
         if len(pieces[-1]) == _CHUNK:
             pieces.append(b"")  # A full last chunk would leave the receiver waiting for more.
-        return [mav.MAVLink_statustext_message(int(text.severity), piece, self._id, n) for n, piece in enumerate(pieces)]
+        return [mav.MAVLink_statustext_message(int(severity), piece, self._id, n) for n, piece in enumerate(pieces)]

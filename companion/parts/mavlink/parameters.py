@@ -9,7 +9,7 @@ import math
 import struct
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
@@ -19,89 +19,6 @@ from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput
 
 _REAL32 = int(mav.MAV_PARAM_TYPE_REAL32)
-
-
-class Store(Protocol):
-    """The store that holds the values."""
-
-    @property
-    def names(self) -> tuple[str, ...]: ...
-
-    def get(self, name: str) -> float: ...
-
-    def set(self, name: str, value: float) -> None: ...
-
-
-class ParameterServer:
-    """Answers PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET.
-
-    Args:
-        at_once: the number of values of a list that one call of `due` returns.
-
-    Raises:
-        ValueError: a name longer than 16 characters or not ASCII.
-    """
-
-    def __init__(self, store: Store, *, at_once: int = 4) -> None:
-        if any(not 1 <= len(n) <= 16 or not n.isascii() for n in store.names):
-            raise ValueError("parameter names have 1 to 16 ASCII characters")
-        self._store = store
-        self._at_once = at_once
-        self._listing: deque[str] = deque()
-        self.refused: str | None = None
-        """The reason why the newest PARAM_SET was refused; None if it was accepted."""
-
-    def on_message(self, message: Message, us: tuple[int, int]) -> list[Message]:
-        """Return the values to broadcast in answer."""
-        kind = message.get_type()
-        if not kind.startswith("PARAM_") or not hasattr(message, "target_system"):
-            return []
-        if message.target_system not in (0, us[0]) or message.target_component not in (0, us[1]):
-            return []
-        if kind == "PARAM_REQUEST_LIST":
-            self._listing = deque(self._store.names)
-        elif kind == "PARAM_REQUEST_READ":
-            name = self._named(message)
-            return [] if name is None else [self._value(name)]
-        elif kind == "PARAM_SET" and message.target_component == us[1]:
-            return self._set(message)
-        return []
-
-    def in_force(self, message: Message) -> list[Message]:
-        """Return the value that stays in force after a PARAM_SET was refused."""
-        return (
-            [self._value(message.param_id)] if message.get_type() == "PARAM_SET" and message.param_id in self._store.names else []
-        )
-
-    def due(self) -> list[Message]:
-        """Return the next values of a list that was requested."""
-        return [self._value(self._listing.popleft()) for _ in range(min(self._at_once, len(self._listing)))]
-
-    def _named(self, message: Message) -> str | None:
-        if message.param_index >= 0:
-            return self._store.names[message.param_index] if message.param_index < len(self._store.names) else None
-        return message.param_id if message.param_id in self._store.names else None
-
-    def _set(self, message: Message) -> list[Message]:
-        name = message.param_id
-        if name not in self._store.names:
-            self.refused = f"no parameter {name}"
-            return []
-        value = float(message.param_value)
-        if message.param_type != _REAL32 or not math.isfinite(value):
-            self.refused = f"{name} takes a number of type REAL32"
-        else:
-            try:
-                self._store.set(name, float(f"{value:.7g}"))  # 0.3 in 32 bits means 0.3.
-                self.refused = None
-            except BadInput as why:
-                self.refused = str(why)
-        return [self._value(name)]
-
-    def _value(self, name: str) -> Message:
-        value = struct.unpack("<f", struct.pack("<f", self._store.get(name)))[0]
-        names = self._store.names
-        return mav.MAVLink_param_value_message(name.encode(), value, _REAL32, len(names), names.index(name))
 
 
 NAMES: dict[str, str] = {
@@ -182,3 +99,75 @@ class Tunables:
         changed = from_mapping(whole, f"parameter {name}")
         self._apply(changed)
         self._settings = changed
+
+
+class ParameterServer:
+    """Answers PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET.
+
+    Args:
+        at_once: the number of values of a list that one call of `due` returns.
+
+    Raises:
+        ValueError: a name longer than 16 characters or not ASCII.
+    """
+
+    def __init__(self, store: Tunables, *, at_once: int = 4) -> None:
+        if any(not 1 <= len(n) <= 16 or not n.isascii() for n in store.names):
+            raise ValueError("parameter names have 1 to 16 ASCII characters")
+        self._store = store
+        self._at_once = at_once
+        self._listing: deque[str] = deque()
+        self.refused: str | None = None
+        """The reason why the newest PARAM_SET was refused; None if it was accepted."""
+
+    def on_message(self, message: Message, us: tuple[int, int]) -> list[Message]:
+        """Return the values to broadcast in answer."""
+        kind = message.get_type()
+        if not kind.startswith("PARAM_") or not hasattr(message, "target_system"):
+            return []
+        if message.target_system not in (0, us[0]) or message.target_component not in (0, us[1]):
+            return []
+        if kind == "PARAM_REQUEST_LIST":
+            self._listing = deque(self._store.names)
+        elif kind == "PARAM_REQUEST_READ":
+            name = self._named(message)
+            return [] if name is None else [self._value(name)]
+        elif kind == "PARAM_SET" and message.target_component == us[1]:
+            return self._set(message)
+        return []
+
+    def in_force(self, message: Message) -> list[Message]:
+        """Return the value that stays in force after a PARAM_SET was refused."""
+        return (
+            [self._value(message.param_id)] if message.get_type() == "PARAM_SET" and message.param_id in self._store.names else []
+        )
+
+    def due(self) -> list[Message]:
+        """Return the next values of a list that was requested."""
+        return [self._value(self._listing.popleft()) for _ in range(min(self._at_once, len(self._listing)))]
+
+    def _named(self, message: Message) -> str | None:
+        if message.param_index >= 0:
+            return self._store.names[message.param_index] if message.param_index < len(self._store.names) else None
+        return message.param_id if message.param_id in self._store.names else None
+
+    def _set(self, message: Message) -> list[Message]:
+        name = message.param_id
+        if name not in self._store.names:
+            self.refused = f"no parameter {name}"
+            return []
+        value = float(message.param_value)
+        if message.param_type != _REAL32 or not math.isfinite(value):
+            self.refused = f"{name} takes a number of type REAL32"
+        else:
+            try:
+                self._store.set(name, float(f"{value:.7g}"))  # 0.3 in 32 bits means 0.3.
+                self.refused = None
+            except BadInput as why:
+                self.refused = str(why)
+        return [self._value(name)]
+
+    def _value(self, name: str) -> Message:
+        value = struct.unpack("<f", struct.pack("<f", self._store.get(name)))[0]
+        names = self._store.names
+        return mav.MAVLink_param_value_message(name.encode(), value, _REAL32, len(names), names.index(name))

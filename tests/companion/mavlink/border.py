@@ -46,7 +46,7 @@ NAMED: dict[str, st.SearchStrategy[Any]] = {
 """Fields whose values our handlers look at: mostly values that they would take."""
 
 
-def frame(cls: Any, payload: bytes, source: tuple[int, int] = AUTOPILOT, sequence: int = 0) -> bytes:
+def wire_frame(cls: Any, payload: bytes, source: tuple[int, int] = AUTOPILOT, sequence: int = 0) -> bytes:
     """Return a MAVLink 2 frame with this payload and the right checksum."""
     header = struct.pack("<BBBBBBB", len(payload), 0, 0, sequence, *source, cls.id & 0xFF) + struct.pack("<H", cls.id >> 8)
     crc = mav.x25crc(header + payload + bytes([cls.crc_extra]))
@@ -73,7 +73,7 @@ def messages(draw: st.DrawFn, cls: Any | None = None) -> bytes:
         count = length if length and kind != "char" else 1
         flat += [draw(_values(kind, name)) for _ in range(min(count, 4))] + [0] * (count - 4)
     payload = chosen.unpacker.pack(*flat)
-    return frame(chosen, payload, draw(st.sampled_from([AUTOPILOT, AUTOPILOT, STATION, (0, 0), (17, 1)])))
+    return wire_frame(chosen, payload, draw(st.sampled_from([AUTOPILOT, AUTOPILOT, STATION, (0, 0), (17, 1)])))
 
 
 class Border:

@@ -24,7 +24,7 @@ from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs
-from tests.companion.mavlink.border import HOST, frame
+from tests.companion.mavlink.border import HOST, wire_frame
 from tests.make import stamp_at
 from tests.support.waiting import PATIENCE_S, free_port, until
 
@@ -184,7 +184,7 @@ async def test_no_fields_of_any_message_end_it() -> None:
         frames = []
         for cls in mav.mavlink_map.values():
             size = cls.unpacker.size
-            frames += [frame(cls, payload, (255, 190)) for payload in (b"\xff" * size, chance.randbytes(size))]
+            frames += [wire_frame(cls, payload, (255, 190)) for payload in (b"\xff" * size, chance.randbytes(size))]
         await wire.say(*frames)
         assert dict(links.contained.faults) == {}
         assert dict(links.unfit) == {}

@@ -25,7 +25,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.companion.mavlink.border import AUTOPILOT, US, Border, bordered, frame, messages
+from tests.companion.mavlink.border import AUTOPILOT, US, Border, bordered, messages, wire_frame
 from tests.companion.mavlink.receivers import ArduPilotReceiver, Px4Receiver
 from tests.companion.mavlink.stage import PAD_NED, staged
 from tests.support.clocks import SteppedClock
@@ -207,7 +207,7 @@ class Said:
         return True
 
 
-def flown(health: Health, clock: SteppedClock, broken: str | None = None, error: BaseException | None = None) -> Said:
+def ticked(health: Health, clock: SteppedClock, broken: str | None = None, error: BaseException | None = None) -> Said:
     """Ten seconds of ticks with guidance deciding, one thing that it says broken."""
     options = ComponentOptions(0.39, 0.5)
     component = Component(options, FakeOperator(), None, healthy=health.flight_fault, clock=clock, health=health)
@@ -241,17 +241,17 @@ def health() -> Health:
 
 def test_a_part_beside_the_flight_that_is_down_costs_no_heartbeat_a_vital_one_ends_it(health) -> None:
     health.down("broker", Recoverable("gone"))
-    output = flown(health, SteppedClock(MonoNs(0)))
+    output = ticked(health, SteppedClock(MonoNs(0)))
     assert output.kinds["HEARTBEAT"] == FLOWN_S
     assert [text for text in output.texts if "broker" in text] == ["Decklander: broker is down: gone"]
     health.down("guidance", Recoverable("gone"))
-    assert flown(health, SteppedClock(MonoNs(0))).kinds["HEARTBEAT"] == 0
+    assert ticked(health, SteppedClock(MonoNs(0))).kinds["HEARTBEAT"] == 0
 
 
 @pytest.mark.parametrize("broken", ["_computer.read", "_figure", "texts.due", "_commands.due", "_check_health"])
 @pytest.mark.parametrize("error", [OSError(24, "too many open files"), ValueError("bad"), MemoryError(), RecursionError()])
 def test_whatever_else_it_says_may_fail_and_the_heartbeat_goes_on(health: Health, broken: str, error: BaseException) -> None:
-    output = flown(health, SteppedClock(MonoNs(0)), broken, error)
+    output = ticked(health, SteppedClock(MonoNs(0)), broken, error)
     assert output.kinds["HEARTBEAT"] == FLOWN_S
     assert sum(health.contained.values()) + output.contained.total > 0
 
@@ -282,7 +282,7 @@ def test_every_message_of_the_dialect_with_random_bytes_as_its_fields(border: tu
         size = cls.unpacker.size
         payloads = [b"\xff" * size, b"\x00", *(chance.randbytes(size) for _ in range(3))]
         for source in (AUTOPILOT, (255, 190), (0, 0)):
-            loop.run_until_complete(service.throw(*(frame(cls, payload, source) for payload in payloads)))
+            loop.run_until_complete(service.throw(*(wire_frame(cls, payload, source) for payload in payloads)))
         assert dict(service.links.contained.faults) == {}, cls.msgname
     loop.run_until_complete(service.alive())
 
@@ -332,7 +332,7 @@ async def test_a_message_of_ours_that_does_not_fit_the_wire_is_a_counted_refusal
 
 
 def test_a_key_in_clear_reaches_no_recording() -> None:
-    async def flown() -> list[str]:
+    async def ticked() -> list[str]:
         names: list[str] = []
         async with bordered() as border:
             border.links.tap = lambda at, link, way, data, name: names.append(name)
@@ -340,6 +340,6 @@ def test_a_key_in_clear_reaches_no_recording() -> None:
             await border.alive()
         return names
 
-    names = asyncio.run(flown())
+    names = asyncio.run(ticked())
     assert "COMMAND_LONG" in names
     assert "SETUP_SIGNING" not in names

@@ -34,7 +34,7 @@ S = 1_000_000_000
 US, STATION = (7, 191), (255, 190)
 
 
-def at(seconds: float) -> MonoNs:
+def instant(seconds: float) -> MonoNs:
     return MonoNs(round(seconds * S) + 50 * S)
 
 
@@ -83,7 +83,7 @@ def test_a_command_is_done_once_or_refused_and_answered_to_who_gave_it(command, 
     if kind == "int":
         first = [*params, 0.0, 0.0, 0.0, 0.0][:4]
         message = mav.MAVLink_command_int_message(*US, 0, command, 0, 0, *first, 0, 0, 0.0)
-    (ack,) = server(tower).on_message(message, STATION, US, at(0))
+    (ack,) = server(tower).on_message(message, STATION, US, instant(0))
     assert (ack.command, ack.result, ack.target_system, ack.target_component) == (command, result, *STATION)
     assert tower.done == done
 
@@ -91,17 +91,17 @@ def test_a_command_is_done_once_or_refused_and_answered_to_who_gave_it(command, 
 @settings(max_examples=100)
 @given(st.integers(0, 65535), st.lists(st.floats(width=32), min_size=7, max_size=7))
 def test_every_command_is_answered_exactly_once(command: int, params: list[float]) -> None:
-    assert len(acks(server(FakeOperator()).on_message(long(command, *params), STATION, US, at(0)))) == 1
+    assert len(acks(server(FakeOperator()).on_message(long(command, *params), STATION, US, instant(0)))) == 1
 
 
 def test_a_repeat_is_answered_and_not_done_again() -> None:
     tower = FakeOperator()
     commands = server(tower)
-    commands.on_message(long(193, 0), STATION, US, at(0))
-    assert acks(commands.on_message(long(193, 0, confirmation=1), STATION, US, at(0.5))) == [(193, ACCEPTED, 0)]
+    commands.on_message(long(193, 0), STATION, US, instant(0))
+    assert acks(commands.on_message(long(193, 0, confirmation=1), STATION, US, instant(0.5))) == [(193, ACCEPTED, 0)]
     assert tower.done == ["pause"]
-    commands.on_message(long(193, 1, confirmation=1), STATION, US, at(1.0))
-    commands.on_message(long(193, 0), STATION, US, at(1.5))
+    commands.on_message(long(193, 1, confirmation=1), STATION, US, instant(1.0))
+    commands.on_message(long(193, 0), STATION, US, instant(1.5))
     assert tower.done == ["pause", "start", "pause"], "another parameter, or given anew, is another command"
 
 
@@ -109,13 +109,13 @@ def test_a_sender_that_repeats_without_counting_is_understood() -> None:
     tower = FakeOperator()
     commands = server(tower)
     for n in range(3):
-        assert acks(commands.on_message(long(2510), STATION, US, at(0.3 * n))) == [(2510, ACCEPTED, 0)]
+        assert acks(commands.on_message(long(2510), STATION, US, instant(0.3 * n))) == [(2510, ACCEPTED, 0)]
     assert tower.done == ["record True"]
-    commands.on_message(long(2510), STATION, US, at(3.0))
-    commands.on_message(long(2510), (254, 190), US, at(3.1))
+    commands.on_message(long(2510), STATION, US, instant(3.0))
+    commands.on_message(long(2510), (254, 190), US, instant(3.1))
     assert tower.done == ["record True"] * 3, "later, or from another, it is a command of its own"
     for n in range(3):
-        assert len(commands.on_message(long(512, 2), STATION, US, at(4 + 0.1 * n))) == 2, (
+        assert len(commands.on_message(long(512, 2), STATION, US, instant(4 + 0.1 * n))) == 2, (
             "a message is sent as often as asked for"
         )
 
@@ -124,16 +124,16 @@ def test_a_landing_reports_until_it_ends() -> None:
     tower = FakeOperator()
     commands = server(tower)
     tower.state = LandingProgress(0)
-    assert acks(commands.on_message(long(21), STATION, US, at(0))) == [(21, IN_PROGRESS, 0)]
-    assert commands.due(at(0.5)) == []
+    assert acks(commands.on_message(long(21), STATION, US, instant(0))) == [(21, IN_PROGRESS, 0)]
+    assert commands.due(instant(0.5)) == []
     tower.state = LandingProgress(40)
-    assert acks(commands.due(at(1.1))) == [(21, IN_PROGRESS, 40)]
-    assert acks(commands.on_message(long(21, confirmation=1), STATION, US, at(1.2))) == [(21, IN_PROGRESS, 40)]
+    assert acks(commands.due(instant(1.1))) == [(21, IN_PROGRESS, 40)]
+    assert acks(commands.on_message(long(21, confirmation=1), STATION, US, instant(1.2))) == [(21, IN_PROGRESS, 40)]
     tower.state = LandingProgress(None)
-    assert acks(commands.due(at(2.2))) == [(21, IN_PROGRESS, 255)]
+    assert acks(commands.due(instant(2.2))) == [(21, IN_PROGRESS, 255)]
     tower.state = LandingProgress(100, landed=True)
-    assert acks(commands.due(at(2.3))) == [(21, ACCEPTED, 0)]
-    assert commands.due(at(9)) == []
+    assert acks(commands.due(instant(2.3))) == [(21, ACCEPTED, 0)]
+    assert commands.due(instant(9)) == []
     assert tower.done == ["start"]
 
 
@@ -143,28 +143,28 @@ def test_a_landing_reports_until_it_ends() -> None:
 def test_a_landing_that_did_not_come_about(end: LandingProgress, result: int) -> None:
     tower = FakeOperator()
     commands = server(tower)
-    commands.on_message(long(21), STATION, US, at(0))
+    commands.on_message(long(21), STATION, US, instant(0))
     tower.state = end
-    assert acks(commands.due(at(1))) == [(21, result, 0)]
+    assert acks(commands.due(instant(1))) == [(21, result, 0)]
     tower.cannot = "no recorder"
-    (ack,) = commands.on_message(long(2510), STATION, US, at(2))
+    (ack,) = commands.on_message(long(2510), STATION, US, instant(2))
     assert (ack.result, commands.refusal) == (mav.MAV_RESULT_TEMPORARILY_REJECTED, "no recorder")
 
 
 def test_messages_on_request_and_at_intervals() -> None:
     commands = server(FakeOperator())
     offered = commands._offered
-    ack, beat = commands.on_message(long(512, 2), STATION, US, at(0))
+    ack, beat = commands.on_message(long(512, 2), STATION, US, instant(0))
     assert (ack.result, beat.get_type()) == (ACCEPTED, "HEARTBEAT")
-    assert sum(len(offered.due(at(0.1 * n))) for n in range(50)) == 5
-    commands.on_message(long(511, 2, 200_000), STATION, US, at(5))
-    _, interval = commands.on_message(long(510, 2), STATION, US, at(5))
+    assert sum(len(offered.due(instant(0.1 * n))) for n in range(50)) == 5
+    commands.on_message(long(511, 2, 200_000), STATION, US, instant(5))
+    _, interval = commands.on_message(long(510, 2), STATION, US, instant(5))
     assert (interval.message_id, interval.interval_us) == (2, 200_000)
-    assert sum(len(offered.due(at(5 + 0.1 * n))) for n in range(50)) == 25
-    commands.on_message(long(511, 2, -1), STATION, US, at(10))
-    assert offered.due(at(11)) == []
+    assert sum(len(offered.due(instant(5 + 0.1 * n))) for n in range(50)) == 25
+    commands.on_message(long(511, 2, -1), STATION, US, instant(10))
+    assert offered.due(instant(11)) == []
     assert offered.interval_us(2) == -1
-    commands.on_message(long(511, 2, 0), STATION, US, at(12))
+    commands.on_message(long(511, 2, 0), STATION, US, instant(12))
     assert offered.interval_us(2) == 1_000_000
     assert offered.interval_us(77) == 0
 
@@ -229,22 +229,22 @@ def said(messages: list[Message]) -> list[tuple[int, str]]:
 def test_texts_are_few_and_the_severe_ones_go_first() -> None:
     texts = StatusTexts(rate_hz=1.0, burst=3, waiting=4)
     for n in range(6):
-        texts.say(MavSeverity.INFO, f"news {n}", at(0))
-    texts.say(MavSeverity.CRITICAL, "gave up", at(0))
-    first = said(texts.due(at(0)))
+        texts.say(MavSeverity.INFO, f"news {n}", instant(0))
+    texts.say(MavSeverity.CRITICAL, "gave up", instant(0))
+    first = said(texts.due(instant(0)))
     assert first[0] == (2, "gave up")
     assert len(first) == 3
     assert texts.dropped == 3
-    assert texts.due(at(0.5)) == []
-    assert len(texts.due(at(1.6))) == 1
+    assert texts.due(instant(0.5)) == []
+    assert len(texts.due(instant(1.6))) == 1
 
 
 @pytest.mark.parametrize("length", [1, 49, 50, 51, 100, 101])
 def test_long_texts_come_in_chunks_that_join(length: int) -> None:
     texts = StatusTexts()
     text = "".join(chr(ord("a") + n % 26) for n in range(length))
-    texts.say(MavSeverity.INFO, text, at(0))
-    chunks = [wired(m) for m in texts.due(at(0))]
+    texts.say(MavSeverity.INFO, text, instant(0))
+    chunks = [wired(m) for m in texts.due(instant(0))]
     assert "".join(c.text for c in chunks) == text
     assert [c.chunk_seq for c in chunks] == list(range(len(chunks)))
     assert (chunks[0].id != 0) == (length > 50)
@@ -272,7 +272,7 @@ def test_the_computer_is_read_as_linux_reports(tmp_path: Path) -> None:
     assert reader.read().cores_percent == (), "a load needs two readings"
     host(tmp_path, 200, 200)
     assert reader.read() == Computer((50, 33), 1000, 2000, 52, 345.67)
-    m = wired(computer_status(Computer((50, 33), 1000, 2000, 52, 345.67), at(0)))
+    m = wired(computer_status(Computer((50, 33), 1000, 2000, 52, 345.67), instant(0)))
     assert (m.cpu_cores[:3], m.cpu_combined[0], m.ram_usage, m.ram_total) == ([50, 33, 255], 42, 1000, 2000)
     assert (m.temperature_board, m.uptime) == (52, 345670)
 
@@ -294,5 +294,5 @@ def test_a_host_without_descriptors_or_with_nonsense_is_read_all_the_same(tmp_pa
     assert ComputerReader(tmp_path).read() == Computer((), None, None, None, None)
     (tmp_path / "sys/class/thermal/thermal_zone1/temp").write_text("51900\n")
     assert ComputerReader(tmp_path).read().temperature_c == 52, "one sensor that does not answer costs only itself"
-    m = wired(computer_status(Computer((), -5, 1 << 40, None, None), at(0)))
+    m = wired(computer_status(Computer((), -5, 1 << 40, None, None), instant(0)))
     assert (m.ram_usage, m.ram_total) == (0, 0xFFFFFFFE)

@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.parts.mavlink.outputs import (
-    ardupilot_landing_target,
     distance_sensor,
-    px4_landing_target,
+    landing_target,
     range_along_down,
     target_relative,
 )
@@ -54,12 +53,8 @@ ARROW = Rotation.from_rpy(0.0, 0.0, math.radians(ARROW_DEG))
 
 
 def send(case: Case, R_ned_pad: Rotation | None = None) -> Message:
-    body = Rotation.from_rpy(*case.rpy)
-    d_ned, p_ned = np.array(D_NED), np.array(P_NED)
-    if case.stack == "ardupilot":
-        message = ardupilot_landing_target(TIME_US, d_ned, body, pad_radius_m=RADIUS_M, R_ned_pad=R_ned_pad)
-    else:
-        message = px4_landing_target(TIME_US, d_ned, body, p_ned, pad_radius_m=RADIUS_M, R_ned_pad=R_ned_pad)
+    body, place = Rotation.from_rpy(*case.rpy), None if case.stack == "ardupilot" else np.array(P_NED)
+    message = landing_target(TIME_US, np.array(D_NED), body, place, pad_radius_m=RADIUS_M, R_ned_pad=R_ned_pad)
     assert message is not None
     return message
 
@@ -119,7 +114,7 @@ coordinate = st.floats(-8.0, 8.0)
 @given(coordinate, coordinate, st.floats(0.3, 20.0), st.floats(-0.35, 0.35), st.floats(-0.35, 0.35), st.floats(-3.14, 3.14))
 def test_angles_position_and_distance_agree_wherever_the_pad_is(x, y, z, roll, pitch, yaw):
     d: Vector = (x, y, z)
-    message = ardupilot_landing_target(1, np.array(d), Rotation.from_rpy(roll, pitch, yaw), pad_radius_m=0.39)
+    message = landing_target(1, np.array(d), Rotation.from_rpy(roll, pitch, yaw), pad_radius_m=0.39)
     if message is None:
         assert ned_to_body((roll, pitch, yaw), d)[2] < 0.03
         return

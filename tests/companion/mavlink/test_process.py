@@ -49,7 +49,7 @@ def grey_video(path: Path) -> None:
 
 
 @asynccontextmanager
-async def flown(rig: Path, kept: Path) -> AsyncIterator[None]:
+async def run_until_killed(rig: Path, kept: Path) -> AsyncIterator[None]:
     """Run the service, and kill it as a fault does."""
     words = (sys.executable, "-m", "companion.cli.main", "run", "--config", str(rig))
     with kept.with_suffix(".stderr").open("ab") as errors:
@@ -76,7 +76,7 @@ async def test_killed_in_flight_it_goes_on_unless_a_pilot_changed_the_mode_meanw
         await asyncio.sleep(1.0)  # the record is written each half second
 
     async with craft.talking_to(f"udpout://127.0.0.1:{port}"):
-        async with flown(rig, kept):
+        async with run_until_killed(rig, kept):
             await until(lambda: bool(ours(craft, "HEARTBEAT")))
             assert not craft.setpoints, "nobody has ordered it to fly"
             assert await told(craft, mav.MAV_CMD_LOGGING_START) == mav.MAV_RESULT_ACCEPTED
@@ -84,12 +84,12 @@ async def test_killed_in_flight_it_goes_on_unless_a_pilot_changed_the_mode_meanw
             assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
             await taken()
             assert all(m.vz <= 0.0 for _, m in craft.setpoints)
-        async with flown(rig, kept):
+        async with run_until_killed(rig, kept):
             await taken()  # nobody orders it
         craft.set_mode("loiter")
         craft.messages.clear()
         craft.setpoints.clear()
-        async with flown(rig, kept):
+        async with run_until_killed(rig, kept):
             await until(lambda: bool(ours(craft, "HEARTBEAT")))
             await asyncio.sleep(2.0)
             assert not craft.setpoints

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.parts.mavlink.outputs import ardupilot_landing_target
+from companion.parts.mavlink.outputs import landing_target
 from companion.parts.mavlink.target_track import TargetTrack, effective_lag_s, lag_locked, position_at
 from drivers.mavlink.samples import LocalPosition
 from estimator.contracts.estimates import RelativeState
@@ -94,7 +94,7 @@ def test_what_is_locked_to_the_lag_is_right_to_two_centimetres(lag_s: float) -> 
             track.believe(estimate_at(at, d_ned(at) + rng.normal(0.0, 0.003, 3)))
         seen = lag_locked(track, instant(now), lag_s, TRANSIT_S)
         if seen is not None:
-            message = ardupilot_landing_target(0, seen.d_body_pad_ned, seen.R_ned_body, pad_radius_m=0.39)
+            message = landing_target(0, seen.d_body_pad_ned, seen.R_ned_body, pad_radius_m=0.39)
             locked.append((now + TRANSIT_S, lambda m=message: m))  # type: ignore[misc]
     assert len(locked) > 0.95 * 25 * seconds
     errors = errors_m(lag_s, locked, seconds)

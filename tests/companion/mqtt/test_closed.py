@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from companion.parts.mqtt.commands import CommandHandler, RefusedMessage, signed, verified
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, connect
-from companion.parts.mqtt.messages import CommandReply, OperatorNotice, Topics, decode
+from companion.parts.mqtt.messages import Topics
 from companion.settings.links import MqttSettings
 from companion.settings.load import from_mapping
 from estimator.contracts.errors import BadInput
@@ -128,26 +128,6 @@ async def test_by_default_nobody_commands(broker: Broker, tmp_path: Path) -> Non
             async with asyncio.timeout(0.3):
                 await anext(ground.publications())
         assert rig.operator.done == []
-
-
-async def test_signed_commands_over_a_real_broker(broker: Broker, tmp_path: Path, key_file: Path) -> None:
-    changes = {"commands": "signed", "command_key_file": str(key_file)}
-    async with listening(broker, tmp_path, **changes) as (rig, ground), asyncio.timeout(60):
-        received_at = ground.publications()
-        notice = decode("operator", (await anext(received_at)).payload)
-        assert isinstance(notice, OperatorNotice)
-        assert (notice.run, notice.commands) == (RUN, "signed")
-        good = signed(KEY, TREE + "command", body(expires_ns=rig.clock.now() + 30 * 10**9))
-        answers = []
-        for payload in (good[65:], good, good):
-            await ground.publish_message(TREE + "command", payload, qos=1)
-            reply = decode("reply", (await anext(received_at)).payload)
-            assert isinstance(reply, CommandReply)
-            answers.append(reply.reason)
-        assert answers == ["unsigned", None, None]
-        assert rig.operator.done == ["start"]
-        assert rig.count("commands_unsigned") == 1
-        assert rig.count("commands_repeated") == 1
 
 
 async def test_what_a_display_may_read_reports_no_run_and_lets_it_command_nothing(broker: Broker, tmp_path: Path) -> None:

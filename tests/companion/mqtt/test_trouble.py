@@ -78,7 +78,7 @@ async def test_a_call_that_waits_is_noticed_here(broker: Broker, tmp_path: Path)
     assert [words.split()[0] for words in flight.blocking] == ["socket.gethostbyname", "open"]
 
 
-async def flown(settings: MqttSettings, folder: Path, enough: Callable[[RunningPart], bool]) -> tuple[RunningPart, Flight]:
+async def fly_until(settings: MqttSettings, folder: Path, enough: Callable[[RunningPart], bool]) -> tuple[RunningPart, Flight]:
     """Fly until `enough` holds, and a few rounds at least."""
     async with running(settings, folder) as rig, asyncio.TaskGroup() as group:
         flight = Flight(rig)
@@ -117,7 +117,7 @@ async def test_a_broker_that_will_not_have_us(broker: Broker, tmp_path: Path, ch
     user = changes.pop("user", "drone")
     if ca := changes.pop("ca", None):
         changes["ca_file"] = str(broker.certificates / ca)
-    rig, flight = await flown(broker.settings(user, **{"timeout_s": 0.4, **changes}), tmp_path / "spool", failed(1))
+    rig, flight = await fly_until(broker.settings(user, **{"timeout_s": 0.4, **changes}), tmp_path / "spool", failed(1))
     assert rig.count("connections") == 0
     assert not rig.health.parts["broker"].up
     assert said in rig.health.parts["broker"].last_error
@@ -145,7 +145,7 @@ async def test_a_line_that_is_open_and_silent(certificates: Path, tmp_path: Path
                 ca_file=str(certificates / "ca.crt"),
             )  # fmt: skip
             before = opened
-            _, flight = await flown(settings, tmp_path / transport, failed(2))
+            _, flight = await fly_until(settings, tmp_path / transport, failed(2))
             assert opened - before >= 2
             undisturbed(flight)
     finally:
@@ -217,11 +217,11 @@ async def test_a_client_certificate_where_one_is_required(broker: Broker, tmp_pa
     broker.require_certificate = True
     broker.write_files()
     broker.start()
-    rig, _ = await flown(broker.settings(), tmp_path / "none", failed(1))
+    rig, _ = await fly_until(broker.settings(), tmp_path / "none", failed(1))
     assert rig.count("connections") == 0
     folder = broker.certificates
     settings = broker.settings(certificate_file=str(folder / "client.crt"), key_file=str(folder / "client.key"))
-    rig, _ = await flown(settings, tmp_path / "with", lambda rig: rig.count("connections") > 0)
+    rig, _ = await fly_until(settings, tmp_path / "with", lambda rig: rig.count("connections") > 0)
     assert rig.count("connections") == 1
 
 
@@ -257,7 +257,7 @@ async def test_a_resolver_that_hangs_holds_up_neither_the_flight_nor_its_end(tmp
     monkeypatch.setattr(socket, "getaddrinfo", never)
     try:
         settings = MqttSettings(transport="tcp", host="deck", timeout_s=0.2, reconnect_first_s=0.05, reconnect_cap_s=0.05)
-        _, flight = await flown(settings, tmp_path / "spool", failed(2))
+        _, flight = await fly_until(settings, tmp_path / "spool", failed(2))
         undisturbed(flight)
         assert asked == 1, "one thread, however often it is tried"
         hang.set()

@@ -30,7 +30,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from tests.support.fake_operator import FakeOperator
-from tests.support.mqtt_service import RUN, SESSION, decision, status
+from tests.support.mqtt_service import RUN, SESSION, decision, vehicle_status
 from tests.support.processed_frames import seen
 
 ROOT = Path(__file__).parents[3]
@@ -116,7 +116,7 @@ def test_what_a_flight_reports_is_what_its_recording_has() -> None:
     assert isinstance(sighted, messages.SightingMessage)
     assert (sighted.at_ns, sighted.detection) == (frame.done, facts.detection(frame))
     lean = Lean(np.array([0.5, -0.25]), np.array([1.0, 2.0]), np.array([0.1, 0.2, 0.3]), 0.4)
-    cycle, vehicle = decision(NOW, command=lean), status(NOW)
+    cycle, vehicle = decision(NOW, command=lean), vehicle_status(NOW)
     state = decode("state", messages.encode(encode.state(SESSION, cycle, vehicle)))
     assert isinstance(state, messages.StateMessage)
     assert (state.decision, state.vehicle) == (facts.decision(cycle), facts.status(vehicle))
@@ -141,11 +141,11 @@ def test_changes_are_reported_once() -> None:
     (down,) = changes.decision(decision(NOW, "descend"))
     assert down.data["from"] == "approach"
     assert down.data["height_m"] == 2.0
-    assert [h.text for h in changes.vehicle(status(NOW))] == ["vehicle is flying"]
-    assert changes.vehicle(status(NOW)) == []
-    assert [h.text for h in changes.vehicle(status(NOW, battery=0.19))] == ["battery at 19 %"]
-    assert changes.vehicle(status(NOW, battery=0.1)) == []
-    assert [h.text for h in changes.vehicle(status(NOW, "emergency", 0.1, True))] == [
+    assert [h.text for h in changes.vehicle(vehicle_status(NOW))] == ["vehicle is flying"]
+    assert changes.vehicle(vehicle_status(NOW)) == []
+    assert [h.text for h in changes.vehicle(vehicle_status(NOW, battery=0.19))] == ["battery at 19 %"]
+    assert changes.vehicle(vehicle_status(NOW, battery=0.1)) == []
+    assert [h.text for h in changes.vehicle(vehicle_status(NOW, "emergency", 0.1, True))] == [
         "vehicle is emergency",
         "emergency: motors cut",
     ]

@@ -12,12 +12,12 @@ from companion.guidance.pilot_operator import PilotOperator
 from companion.settings.load import load
 from estimator.contracts.commands import Hover
 from estimator.contracts.time import MonoNs
-from tests.support.mqtt_service import status
+from tests.support.mqtt_service import vehicle_status
 
 
 def flying(shadows: tuple[str, ...] = ()) -> Pilot:
     pilot = make_pilot(load("sim"), shadows=shadows)  # type: ignore[arg-type]
-    pilot.on_sample(status(MonoNs(1)))
+    pilot.on_sample(vehicle_status(MonoNs(1)))
     return pilot
 
 

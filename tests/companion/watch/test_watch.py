@@ -24,7 +24,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from tests.companion.mqtt.conftest import broker, certificates
 from tests.support.mosquitto import Broker
-from tests.support.mqtt_service import SESSION, decision, running, status
+from tests.support.mqtt_service import SESSION, decision, running, vehicle_status
 from tests.support.mqtt_service import event as pending_event
 from tests.support.waiting import PATIENCE_S, until
 
@@ -62,7 +62,7 @@ def full() -> WatchModel:
         health.delay("exposure_to_belief", 0.02 + 0.0001 * k)
     health.counters("mqtt", lambda: {"events_waiting": 3})
     on_message(model, "deck", "status", online())
-    on_message(model, "deck", "state", encode.state(SESSION, decision(NOW), status(NOW, battery=0.15)))
+    on_message(model, "deck", "state", encode.state(SESSION, decision(NOW), vehicle_status(NOW, battery=0.15)))
     on_message(model, "deck", "health", encode.health(SESSION, health.snapshot()))
     on_message(model, "deck", "event", event(1, "pad in sight"))
     return model
@@ -194,7 +194,7 @@ async def test_where_there_is_no_terminal_it_prints_lines(broker: Broker, tmp_pa
 
         async def fly() -> None:
             for k in count():
-                rig.part.on_sample(status(rig.clock.now()))
+                rig.part.on_sample(vehicle_status(rig.clock.now()))
                 rig.part.on_decision(decision(rig.clock.now()))
                 rig.part.tell(pending_event(rig.clock.now(), f"number {k}"))
                 await asyncio.sleep(0.1)
