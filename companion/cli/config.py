@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator, Mapping
 
 from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
-from companion.guidance.advice import advised_alerts, advised_causes
+from companion.guidance.advice import CAUSES
 from companion.guidance.mission.machine import PHASES, TABLES
 from companion.guidance.mission.phase import LANDING
 from companion.guidance.mission.rules import Row
@@ -18,6 +18,7 @@ from companion.settings.load import load, shipped
 from companion.settings.referenced_files import check_files
 from companion.settings.remarks import not_checked, remarks
 from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Verdict
 from estimator.contracts.total_table import next_states
 
 
@@ -144,12 +145,9 @@ def _events() -> Iterator[str]:
 
 def _causes() -> Iterator[str]:
     yield from ("## What to do", "", "The operator page shows it beside the event.", "", "| what to do | causes |", "|---|---|")
-    causes = {_PLACES.sub("...", cause.value): words for cause, words in advised_causes().items()}
-    by_advice: dict[str, list[str]] = {}
-    for cause, words in (causes | {alert.value: words for alert, words in advised_alerts().items()}).items():
-        by_advice.setdefault(words, []).append(cause)
-    for words, named in by_advice.items():
-        yield f"| {words} | {'; '.join(named)} |"
+    for words, causes in CAUSES.items():
+        if named := [_PLACES.sub("...", cause.value) for cause in causes if not isinstance(cause, Verdict)]:
+            yield f"| {words} | {'; '.join(named)} |"
     yield ""
 
 

@@ -52,13 +52,6 @@ def stepped(
     return memory, command
 
 
-def pushed_down(before: float, a_down: float, v: float, arrived: float) -> float:
-    """Return the acceleration of the body beside its response to a command, learned in 0.15 s and bounded by 1 m/s in a lag."""
-    lag_s = RESPONSE.climb.lag_s
-    beside = a_down - (arrived - v) / lag_s
-    return float(np.clip(before + (1.0 - math.exp(-T / 0.15)) * (beside - before), -1.0 / lag_s, 1.0 / lag_s))
-
-
 def ask_law(command: Lean) -> F64:
     return np.asarray(command.a_level + command.trim_level)
 
@@ -260,26 +253,6 @@ def test_a_tilt_is_cut_so_that_the_camera_keeps_the_pad() -> None:
     away = knows(0.0, (1.5, -0.04, 1.5))
     (_, free), (_, seeing) = stepped(LAW.start(), away), stepped(LAW.start(), away, law=FollowDeck(RESPONSE, T, field))
     assert ask_law(seeing)[0] == pytest.approx(ask_law(free)[0], rel=1e-3)
-
-
-@pytest.mark.parametrize("climb_delay_s", [0.0, 0.02, 0.1, 0.21])
-@pytest.mark.parametrize("response", [None, IDENTIFIED])
-def test_what_the_vehicle_answers_to_is_the_command_of_its_delay_ago(climb_delay_s, response):
-    law = FollowDeck(structs.replace(RESPONSE, climb=structs.replace(RESPONSE.climb, delay_s=climb_delay_s)), T)
-    longer = 0.0 if response is None else response.longer_s
-    n = max(1, round((climb_delay_s + longer) / T))
-    n_tilt = math.ceil((RESPONSE.tilt.delay_s + longer) / T - 1e-9)
-    memory, rng = law.start(), np.random.default_rng(1)
-    for k in range(30):
-        a_down, v_down, off_m = rng.normal(size=3).tolist()
-        before = memory.core
-        now = knows(k * T, (0.05 * off_m, 0.0, 1.0 + rng.normal()), (0.0, 0.0, -v_down), a_down=a_down, response=response)
-        memory, _ = stepped(memory, now, law=law)
-        if before.begun:
-            expected = pushed_down(before.pushed_down_m_s2, a_down, v_down, before.climbs[n - 1])
-            assert memory.core.pushed_down_m_s2 == pytest.approx(expected)
-            keep, north = math.exp(-T / RESPONSE.tilt.lag_s), before.axes[0]
-            assert memory.core.axes[0].lag == pytest.approx(keep * north.lag + (1.0 - keep) * north.under_way[n_tilt - 1])
 
 
 def test_a_law_keeps_no_more_commands_than_the_core() -> None:

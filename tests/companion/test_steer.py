@@ -142,22 +142,6 @@ def test_a_go_around_climbs_on_the_clear_side_whatever_the_heading(yaw: float, h
         assert math.degrees(math.atan2(beside, along)) == pytest.approx(110.0)
 
 
-@pytest.mark.parametrize("over_ground", [True, False])
-@pytest.mark.parametrize(("state", "climbs"), [(State.HOLD_BLIND, True), (State.COMMIT, False), (State.PAUSED, True)])
-@pytest.mark.parametrize("rises_m_s", [0.4, 0.0, -0.4])
-def test_a_low_drone_without_an_estimate_climbs_from_a_deck_as_it_rises(state, climbs, over_ground, rises_m_s):
-    knowledge = replace(known(consistent=False), deck=deck(NOW, (0.3, 0.0, -rises_m_s)))
-    p = Progress(state, automatic=True, begun=True, seen_height_m=2.1, deck_rise_m=0.3)
-    after, found = aim(p, holding(GuidanceCycle(knowledge.at, knowledge), over_ground), guided())
-    if climbs or over_ground:
-        assert isinstance(found, Velocity)
-        rate = 0.5 * climbs + (0.0 if over_ground else max(0.0, rises_m_s))
-        assert found.v_level.tolist() == [0.0, 0.0, -rate], "a driver over the ground adds the deck's velocity by itself"
-        assert after.climbs_m_s == pytest.approx(rate + rises_m_s * over_ground)
-    else:
-        assert found == Hover()
-
-
 @pytest.mark.parametrize("seen_m", [1.0, 2.4, 7.0])
 def test_a_blind_hold_over_waves_ends_at_the_crest_s_height_and_climbs_no_step_with_each_wave(seen_m: float) -> None:
     o, p, climbed_m = guided(), Progress(State.HOLD_BLIND, automatic=True, begun=True, seen=ns(NOW), seen_height_m=seen_m), 0.0
@@ -195,27 +179,6 @@ def test_what_is_held_keeps_its_place_over_the_deck_while_the_body_turns() -> No
     _, found = asked(State.PAUSED, known((0.5, 0.5, 1.4), yaw=None), held=np.array(ABOVE), held_yaw_rad=0.3)
     assert isinstance(found, Target)
     assert found.d_body_pad_level.tolist() == [*ABOVE[:2], 1.4]
-
-
-@pytest.mark.parametrize(
-    ("state", "held_m", "height_m", "age_s", "share"),
-    [
-        (State.REFUSED, 5.0, 2.0, 0.0, 1.0), (State.REFUSED, 5.0, 2.5, 0.0, 0.5), (State.ABORTED, 1.5, 2.0, 0.0, 0.5),
-        (State.ABORTED, 5.0, 4.0, 0.0, 0.0), (State.HOLD_BLIND, 5.0, 3.1, 0.0, 0.0), (State.HOLD_BLIND, 5.0, 3.1, 0.9, 0.5),
-        (State.INTERCEPT, None, 1.9, 0.0, 1.0), (State.INTERCEPT, None, 2.25, 0.0, 0.75), (State.ANOTHER_PAD, 5.0, 6.0, 0.0, 1.0),
-        (State.COMMIT, 5.0, 6.0, 0.9, 1.0),
-    ],
-)  # fmt: skip
-def test_over_the_height_that_it_needs_a_vehicle_follows_the_deck_less(state, held_m, height_m, age_s, share):
-    """2 m is the safe height, and a height by an old sighting counts less two standard deviations of 0.3 m."""
-    s = GuidanceCycle(ns(NOW), known((0.0, 0.0, height_m), age=age_s, sigma=0.3))
-    p = Progress(state, automatic=True, begun=True, held=None if held_m is None else np.array([0.0, 0.0, held_m]))
-    up = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, -0.6]), 0.0)
-    found = allowed(up, p, s, guided())
-    assert isinstance(found, Lean)
-    assert found.v_level[2] == pytest.approx(-0.6 * share)
-    by_driver = Velocity(np.array([0.0, 0.0, -0.6]), 0.0)
-    assert allowed(by_driver, p, holding(s, True), guided()) is by_driver, "its driver adds the deck's velocity"
 
 
 @pytest.mark.parametrize(

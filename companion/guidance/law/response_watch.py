@@ -143,16 +143,8 @@ def begun(given: TiltResponse, known_s: float) -> ResponseWatch:
 
 def landed(watch: ResponseWatch) -> ResponseWatch:
     """Return the memory for another flight: what is known stays, the courses begin again."""
-    return structs.replace(
-        watch,
-        doubt=None,
-        shape_doubt=None,
-        asked=(),
-        reported=(),
-        asked_before=None,
-        reported_before=None,
-        late_s=None,
-        late_doubt=False,
+    return ResponseWatch(
+        watch.given, watch.in_use, watch.fit, shape=watch.shape, stamp_sigma_s=watch.stamp_sigma_s, due=watch.due
     )
 
 
