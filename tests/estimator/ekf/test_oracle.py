@@ -228,9 +228,12 @@ def mixed(rng: np.random.Generator, now: SimpleNamespace) -> Row:
 
 def from_nothing(rng: np.random.Generator, now: SimpleNamespace) -> Row:
     """A cold start: what shows which way is down begins, and an attitude that comes later turns the world to its north."""
-    t = T
+    t, gap_ns = int(rng.choice([0, T])), rng.choice([8e6, 4e7])
+    if rng.random() < 0.5:
+        yield imu(stamp_at(t), f=REST)
+        yield seen(rng.normal(size=3) + 4.0 * DOWN, 0.3, t=t)
     for k in range(25):
-        t += int(rng.exponential(8e6))
+        t += int(rng.exponential(gap_ns))
         event = seen(rng.normal(size=3) + 4.0 * DOWN, rng.uniform(-3.0, 3.0), t=t) if k % 8 == 0 else drawn_sample(rng, t, 0.1)
         if k > 2 or not isinstance(event, Attitude):
             yield replace(event, f_body=event.f_body * rng.choice([0.4, 1.0])) if isinstance(event, Imu) and k < 5 else event
@@ -301,7 +304,7 @@ def stuck(rng: np.random.Generator, now: SimpleNamespace) -> Row:
 
 
 ROWS: dict[str, tuple[Draw, int]] = {
-    "mixed": (mixed, 40), "from nothing": (from_nothing, 8), "looks": (looks, 8), "manoeuvre": (manoeuvre, 16),
+    "mixed": (mixed, 40), "from nothing": (from_nothing, 16), "looks": (looks, 8), "manoeuvre": (manoeuvre, 16),
     "moved pad": (moved_pad, 12), "turned round": (turned_round, 8), "stuck": (stuck, 8), "flight": (flight, 2),
 }  # fmt: skip
 """The kinds of rows, and how many of each are drawn."""
