@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VehicleStatus, VesselReport
     from estimator.contracts.time import MonoNs, Stamp
     from estimator.options import EstimatorOptions
-    from estimator.pad_tracker import PadTracker
     from estimator.pipeline import RelativeEstimator
     from estimator.vision.camera import Camera
     from estimator.vision.detection import Detection
     from estimator.vision.pad import Pad
+    from estimator.vision.tracker import PadTracker
 
 __all__ = [
     "Attitude",
@@ -54,11 +54,11 @@ _HOMES = {
     "contracts.samples": ("Attitude", "Baro", "BodyVelocity", "Imu", "Range", "VehicleStatus", "VesselReport"),
     "contracts.time": ("MonoNs", "Stamp"),
     "options": ("EstimatorOptions",),
-    "pad_tracker": ("PadTracker",),
     "pipeline": ("RelativeEstimator",),
     "vision.camera": ("Camera",),
     "vision.pad": ("Pad",),
     "vision.detection": ("Detection",),
+    "vision.tracker": ("PadTracker",),
 }
 _HOME_OF = {name: f"{__name__}.{home}" for home, names in _HOMES.items() for name in names}
 

@@ -19,15 +19,14 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from msgspec import structs
 
-from estimator.arrow_heading import ArrowHeading, heading_after
 from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, components_of
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
-from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.ekf import Forecast
+from estimator.dead_reckoning import ArrowHeading, heading_after
+from estimator.paths import Path
 
 GATE_NIS = 16.27
 """Chi-square with 3 degrees of freedom, 99.9 %."""
@@ -53,7 +52,7 @@ class _Belief:
     """True for each of the newest innovations that lay inside the gate."""
 
 
-class ConstantVelocityPath:
+class ConstantVelocityPath(Path):
     """Sightings through a Kalman filter of constant velocity.
 
     Args:
@@ -133,12 +132,6 @@ class ConstantVelocityPath:
             consistent=2 * sum(belief.agreed) >= len(belief.agreed),
             details=(("yaw_ambiguous", float(self._arrow is not None and self._arrow.ambiguous)),),
         )
-
-    def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
-        return None, None
-
-    def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
-        return None
 
     def _predicted(self, belief: _Belief, elapsed_s: float) -> KalmanFilter:
         """Return filterpy's filter with the belief `elapsed_s` later; the belief's own arrays are not changed."""

@@ -5,15 +5,18 @@ reaches no path and gets a verdict of its own. Several paths can run on the same
 comparison.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import structs
 
 from estimator import integrity
-from estimator.attitude_history import AttitudeHistory
+from estimator.attitude_history import AttitudeHistory, GimbalHistory, HeldCamera
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Details, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
@@ -31,16 +34,21 @@ from estimator.contracts.samples import (
     VehicleStatus,
     VesselReport,
 )
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.ekf import Forecast
-from estimator.gimbal_history import GimbalHistory, HeldCamera
 from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
+
+if TYPE_CHECKING:
+    from estimator.vision.camera import Camera
+    from estimator.vision.rolling import CameraMotion
 
 _MOMENT_S = 1.0
 """Longest time since a pad was seen after which a frame without an attitude is looked at for it."""
 _ASSUMED_RAD = 0.1
 """Standard deviation of an assumed attitude, about each axis."""
+_READOUT_LEAST_S = 0.01
+"""Least time to either side of an exposure over which a rotation is taken, s: over a shorter one it is noise."""
 
 
 class RelativeEstimator:
@@ -209,6 +217,41 @@ class RelativeEstimator:
         """
         return self._gimbal.at(stamp, attitude)
 
+    def camera_motion(
+        self, stamp: Stamp, camera: Camera, estimate: RelativeState, held: HeldCamera | None = None
+    ) -> CameraMotion | None:
+        """Return the camera's motion against the pad while a frame is read out; None if attitude or gimbal do not cover it.
+
+        The rate is the gyro's without its bias where the steering path has one; two attitudes within the readout say it to 0.1
+        rad/s.
+
+        Args:
+            camera: as it was held at the exposure.
+            estimate: the pad's at the exposure.
+            held: how a gimbal held the camera then; None of one that is fixed on the body.
+        """
+        from estimator.vision.rolling import CameraMotion  # it loads OpenCV, which an estimator alone does not need
+
+        aside_s = max(0.5 * abs(camera.readout_s), _READOUT_LEAST_S)
+        earlier, later = _beside(stamp, -aside_s), _beside(stamp, aside_s)
+        begins, ends = self.attitude_at(earlier), self.attitude_at(later)
+        if begins is None or ends is None:
+            return None
+        moves, _ = self.motion(stamp.measured_at)
+        w_body = (begins.R_ned_body.inv @ ends.R_ned_body).rotvec_rad / (2.0 * aside_s) if moves is None else moves.w_body
+        R_body_cam = camera.T_body_cam.R
+        w_cam = R_body_cam.inv @ w_body
+        if held is not None:
+            first, last = self.held_at(earlier, begins), self.held_at(later, ends)
+            if first is None or last is None:
+                return None
+            turned = (begins.R_ned_body @ first.R_body_gimbal).inv @ (ends.R_ned_body @ last.R_body_gimbal)
+            R_gimbal_cam = held.R_body_gimbal.inv @ R_body_cam
+            w_cam = R_gimbal_cam.inv @ (turned.rotvec_rad / (2.0 * aside_s))
+        R_level_body = begins.R_ned_body.without_heading()
+        v_level = estimate.v_pad_level - R_level_body @ np.cross(w_body, camera.T_body_cam.t)
+        return CameraMotion(w_cam, R_body_cam.inv @ (R_level_body.inv @ v_level))
+
     def awaits_gimbal(self, stamp: Stamp) -> bool:
         """Return whether the gimbal's report that covers the exposure of a frame may still come."""
         return self._gimbal.reports(stamp)
@@ -308,6 +351,11 @@ class RelativeEstimator:
             return *state.details, ("range_agrees", agrees), ("heading_off_rad", guard.heading.off_rad)
 
         return state.marked(guard.tracks.number, integrity.alerts(guard, now), guard.lost, Details(details))
+
+
+def _beside(stamp: Stamp, seconds: float) -> Stamp:
+    measured_at = after(stamp.measured_at, seconds)
+    return structs.replace(stamp, measured_at=measured_at, received_at=max(measured_at, stamp.received_at))
 
 
 def _refusal(options: EstimatorOptions, sighting: Sighting) -> Verdict | None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct, structs
 
+from estimator.attitude_history import DOWN, HeldCamera
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.samples import Attitude, Frame
-from estimator.gimbal_history import DOWN, HeldCamera
 from estimator.pipeline import RelativeEstimator
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
@@ -92,10 +92,7 @@ class PadSearch:
             tracker = replace(tracker, camera=tracker.camera.held(held.R_body_gimbal))
             attitude = structs.replace(attitude, cov_body=attitude.cov_body + held.cov_body)
         if tracker.camera.readout_s and estimated is not None:
-            from estimator.camera_motion import camera_motion
-
-            motion = camera_motion(known, frame.stamp, tracker.camera, estimated, held)
-            tracker = replace(tracker, motion=motion)
+            tracker = replace(tracker, motion=known.camera_motion(frame.stamp, tracker.camera, estimated, held))
         return Look(frame, attitude, tracker, estimated)
 
     def begin_following(self, known: RelativeEstimator, frame: Frame, assumed: Attitude, *, watches: bool = True) -> Look:

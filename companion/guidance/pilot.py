@@ -15,12 +15,12 @@ from companion.guidance.landing import LandingGuidance, PilotOptions
 from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.guidance.pad_search import Look, PadSearch
 from companion.settings.guidance import GuidanceOptions
+from estimator.attitude_history import HeldCamera
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.gimbal_history import HeldCamera
 from estimator.options import EstimatorOptions
 from estimator.pipeline import RelativeEstimator
 from estimator.vision.camera import Camera

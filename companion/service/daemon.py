@@ -28,6 +28,7 @@ from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
 from companion.settings.service import RestartOptions
 from drivers.mailbox import Latest, Line
+from estimator.attitude_history import HeldCamera
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
@@ -35,7 +36,6 @@ from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
-from estimator.gimbal_history import HeldCamera
 from estimator.vision.detection import Detection
 
 # Limit the share of a core that looking at frames may take: on a machine too slow for each frame some are skipped.

@@ -24,8 +24,8 @@ from companion.settings.files import CREDENTIAL, LARGEST_BYTES, refuse_special
 from companion.settings.model import PadSettings, Settings, in_file, joined
 from companion.settings.response import Response, response_from_mapping
 from drivers.mavlink.options import AutopilotOptions
+from estimator.attitude_history import DOWN
 from estimator.contracts.errors import BadInput, unusable
-from estimator.gimbal_history import DOWN
 from estimator.vision.camera import Camera
 from estimator.vision.camera_files import foreign_camera
 from estimator.vision.pad import Calibration, Pad

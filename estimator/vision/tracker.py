@@ -13,6 +13,7 @@ A pad that is followed without an attitude may leave the picture. It is known ag
 import dataclasses
 import math
 from types import MappingProxyType
+from typing import Any
 
 import cv2
 import numpy as np
@@ -32,8 +33,10 @@ from estimator.vision.detection import Detection
 from estimator.vision.expectation import ExpectedPlace, expected, in_camera, near_enough, sigma_of
 from estimator.vision.lamp import places_of
 from estimator.vision.lamp_sighting import by_lamps, is_dark
+from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings, confusable_turns
+from estimator.vision.pose import SIGMA_DECK_RAD
 from estimator.vision.rolling import at_one_instant
 from estimator.vision.tracker_config import TrackerConfig as TrackerConfig
 from estimator.vision.verified import SURE
@@ -41,6 +44,7 @@ from estimator.vision.verified import SURE
 _RADII = 5.0
 """Height of the drawn view in radii of the pad's disc: all of the pad fits into any camera's frame."""
 _AT = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
+_NO_STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
 _DECK, _H, _ORANGE, _DISC, _BLACK = (110, 105, 100), (235, 235, 235), (30, 120, 230), (60, 130, 50), (20, 20, 20)
 """Colours of deck and paints, BGR; fiducials are dark on light."""
 
@@ -218,3 +222,84 @@ def _shown(camera: Camera, attitude: Attitude, down_m: float, inset_px: float) -
     if rays[:, 2].min() < 0.1:
         return None
     return np.asarray(origin[:2] + rays[:, :2] * ((down_m - origin[2]) / rays[:, 2:]))
+
+
+class PadTracker:
+    """Find the pad in the images of one camera, with a memory of its own. It learns the colours of the paint as it goes.
+
+    Args:
+        camera: intrinsics and mount of the camera.
+        pad: the drawing of the pad, in metres.
+        method: "registration" aligns the drawing, "thesis" takes the thesis' three methods, "fused" combines all four by
+            covariance, at three times the cost.
+        colours: the colour limits of the thesis' methods: "simulator", "indoor" or "outdoor".
+        min_confidence: a find with less confidence (0..1) counts as none.
+        sigma_deck_rad: one standard deviation of the deck's roll and pitch, rad.
+
+    Raises:
+        ValueError: there is no such method or colours, `min_confidence` is outside 0..1, or `sigma_deck_rad` is outside 0 to
+            30 degrees.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        pad: Pad,
+        *,
+        method: TrackerMethod = "registration",
+        colours: ColourSetName = "indoor",
+        min_confidence: float = 0.2,
+        sigma_deck_rad: float = SIGMA_DECK_RAD,
+    ) -> None:
+        if not 0.0 <= min_confidence <= 1.0:
+            raise ValueError(f"min_confidence must lie in 0..1, got {min_confidence!r}")
+        self._config = TrackerConfig(camera, pad, TrackerOptions(method, colours, math.degrees(sigma_deck_rad)))
+        self._memory = TrackerMemory()
+        self._min_confidence = min_confidence
+        self._seq = 0
+        self._detection: Detection | None = None
+
+    @property
+    def detection(self) -> Detection | None:
+        """The result of every method for the newest image, at any confidence; None before the first image."""
+        return self._detection
+
+    def track(
+        self,
+        image: NDArray[Any],
+        *,
+        stamp: Stamp | None = None,
+        attitude: Attitude | None = None,
+        expected: RelativeState | None = None,
+    ) -> Sighting | None:
+        """Find the pad in one image.
+
+        Args:
+            image: (H, W, 3) uint8, BGR as OpenCV reads it, or (H, W) or (H, W, 1) of a mono camera. The caller must not write to
+                it during the call.
+            stamp: the instant of the exposure; the sighting carries it. Needed only where sightings go into an estimator.
+            attitude: the vehicle's attitude at the exposure. None takes the vehicle as level, and the covariance grows to match.
+            expected: the expected place of the pad at the exposure, from `RelativeEstimator.at`. The search then begins there,
+                which is faster; it is used only together with `attitude`. None searches the whole image.
+
+        Returns:
+            The pad's position from the body's origin in `level` (m forward, right, down), the heading, their covariance and the
+            confidence; None when the pad is not found. Where the expected place hardly shows it, this may be a pad in a place
+            that a fresh `expected` excludes: an estimator refuses that one as `Verdict.ELSEWHERE`.
+
+        Raises:
+            ValueError: the image is no (H, W, 3), (H, W, 1) or (H, W) uint8 array, or not of the camera's size.
+        """
+        camera = self._config.camera
+        pixels = np.asarray(image)[...]  # a view: Frame makes its array read-only, and the caller's stays writable
+        if pixels.shape[:2] != (camera.height, camera.width):
+            raise ValueError(f"the camera's images are {camera.width}x{camera.height} px, got an array of shape {pixels.shape}")
+        if pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 1):
+            pixels = np.repeat(pixels.reshape(*pixels.shape[:2], 1), 3, axis=2)
+        frame = Frame(stamp or _NO_STAMP, self._seq, pixels)
+        self._seq += 1
+        self._detection, self._memory = track(self._config, self._memory, frame, attitude, expected)
+        for found in (self._detection.selected, self._detection.elsewhere):
+            if found is not None and found.confidence >= self._min_confidence:
+                return found
+        return None

@@ -23,12 +23,12 @@ from companion.guidance.make_pilot import make_pilot, tracker
 from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
+from estimator.attitude_history import HeldCamera
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method, PathName, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs
-from estimator.gimbal_history import HeldCamera
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.pad_pose import PadPose

@@ -11,8 +11,8 @@ import pytest
 
 from companion.cli import main as cli
 from companion.recording.reading import RecordedFrame, open_recording
-from estimator.pad_tracker import PadTracker
 from estimator.vision.pad import Pad
+from estimator.vision.tracker import PadTracker
 from sitl.camera.camera import Renderer
 from tests.sitl.images import PLAIN, shot
 from tests.support.pad_images import PadPlacement, image

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator import filters
+from estimator import paths
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Sighting
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.filters import GROUP_DELAY_SAMPLES, VARIANCE_RATIO, MedianMean, circular_median, smooth, step
+from estimator.paths import GROUP_DELAY_SAMPLES, VARIANCE_RATIO, MedianMean, circular_median
 
 TICK = 33_000_000
 angles = st.floats(-math.pi, math.pi, exclude_min=True)
@@ -22,7 +22,7 @@ def run(values, yaws=None, ambiguous=None, ticks=None, state=None) -> list[Any]:
     for i, v in enumerate(values):
         t = MonoNs(TICK * (ticks[i] if ticks else i))
         yaw = yaws[i] if yaws else None
-        state, f = step(state, t, np.array([v, 0.0, 2.0]), yaw, ambiguous[i] if ambiguous else False)
+        state, f = state.step(t, np.array([v, 0.0, 2.0]), yaw, ambiguous[i] if ambiguous else False)
         out.append(f)
     return out
 
@@ -49,9 +49,9 @@ def test_a_gap_forgets_the_past():
 
 
 def test_a_sighting_that_is_not_newer_changes_nothing():
-    state, _ = step(MedianMean(), MonoNs(100), np.ones(3), 0.1, False)
+    state, _ = MedianMean().step(MonoNs(100), np.ones(3), 0.1, False)
     for t in (100, 50):
-        again, out = step(state, MonoNs(t), np.zeros(3), 0.2, False)
+        again, out = state.step(MonoNs(t), np.zeros(3), 0.2, False)
         assert again is state
         assert out is None
 
@@ -92,7 +92,7 @@ def test_variance_ratios_are_those_of_white_noise():
     rng = np.random.default_rng(5)
     noise = rng.standard_normal((5, 400_000))
     for n, ratio in enumerate(VARIANCE_RATIO, start=1):
-        assert filters._medians(noise[:n]).mean(axis=0).var() == pytest.approx(ratio, rel=0.02)
+        assert paths._medians(noise[:n]).mean(axis=0).var() == pytest.approx(ratio, rel=0.02)
 
 
 def test_smooth_gives_a_sighting_of_the_instant_it_holds_for():
@@ -101,7 +101,7 @@ def test_smooth_gives_a_sighting_of_the_instant_it_holds_for():
         t = MonoNs(TICK * i)
         stamp = Stamp(t, MonoNs(t + 50_000_000), 1e-3, "sim")
         raw = Sighting(stamp, i, "selected", np.array([0.1 * i, 0.0, 2.0]), 0.1, False, np.diag([4e-4, 4e-4, 9e-4, 1e-2]), 0.9)
-        state, out = smooth(state, raw)
+        state, out = state.smooth(raw)
     assert out.stamp.measured_at == 3 * TICK
     assert out.stamp.received_at == 5 * TICK + 50_000_000
     assert out.d_body_pad_level[0] == pytest.approx(0.3)
@@ -111,6 +111,6 @@ def test_smooth_gives_a_sighting_of_the_instant_it_holds_for():
 def test_smooth_claims_no_heading_the_newest_sighting_lacks():
     stamp = Stamp(MonoNs(0), MonoNs(0), 1e-3, "sim")
     cov = np.diag([1e-4, 1e-4, 1e-4, UNKNOWN_YAW_VAR])
-    _, out = smooth(MedianMean(), Sighting(stamp, 0, "ellipse", np.array([0.0, 0.0, 2.0]), None, False, cov, 0.9))
+    _, out = MedianMean().smooth(Sighting(stamp, 0, "ellipse", np.array([0.0, 0.0, 2.0]), None, False, cov, 0.9))
     assert out.yaw_rad is None
     assert out.cov[3, 3] == UNKNOWN_YAW_VAR

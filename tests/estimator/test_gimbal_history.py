@@ -6,10 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from estimator.attitude_history import DOWN, GimbalHistory
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.samples import GimbalAttitude, GimbalFrame
-from estimator.gimbal_history import DOWN, GimbalHistory
 from estimator.options import EstimatorOptions
 from estimator.pipeline import RelativeEstimator
 from estimator.vision.camera import Camera

@@ -8,7 +8,6 @@ import pytest
 
 from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load
-from estimator.camera_motion import camera_motion
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import BodyMotion
@@ -98,9 +97,9 @@ def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief_or_of_the_gy
     belief = RelativeState(at, "ekf", np.array([0.1, 0.2, 1.5]), v_level, 0.0, 1e-4 * np.eye(7), at, True)
     rolling = replace(PLAIN, readout_s=READOUT_S)
     true = motion_of(replace(shot(1.0), R_ned_body=R, v_body_ned=v_body_ned, w_body=w_body), PLAIN)
-    by_attitude = camera_motion(pilot.estimator, stamp, rolling, belief)
+    by_attitude = pilot.estimator.camera_motion(stamp, rolling, belief)
     assert by_attitude is not None
-    assert camera_motion(pilot.estimator, make.stamp(9.0), rolling, belief) is None
+    assert pilot.estimator.camera_motion(make.stamp(9.0), rolling, belief) is None
     if not noise_rad:
         assert by_attitude.w_cam == pytest.approx(true.w_cam, abs=1e-3)
         assert by_attitude.v_pad_cam == pytest.approx(true.v_pad_cam, abs=5e-3)
@@ -108,7 +107,7 @@ def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief_or_of_the_gy
     moves = BodyMotion(at, 0.0, np.zeros(3), np.eye(3), w_body, R, np.eye(3))
     # The gyro's rate is that of the exposure's instant, not of now.
     monkeypatch.setattr(pilot.estimator, "motion", lambda then: (moves, None) if then == at else None)
-    by_gyro = camera_motion(pilot.estimator, stamp, rolling, belief)
+    by_gyro = pilot.estimator.camera_motion(stamp, rolling, belief)
     assert by_gyro is not None
     assert by_gyro.w_cam == pytest.approx(true.w_cam, abs=1e-9)
     assert np.linalg.norm(by_attitude.w_cam - true.w_cam) > 0.03
