@@ -1,3 +1,5 @@
+"""Attitudes of the body and of a gimbal at an exposure: interpolation, frames, uncertainty."""
+
 import math
 
 import numpy as np
@@ -5,24 +7,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.attitude_history import AttitudeHistory
-from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude
-from estimator.contracts.time import MonoNs
-from tests.make import ns, stamp
+from estimator.attitude_history import DOWN, AttitudeHistory, GimbalHistory
+from estimator.contracts.estimates import PathName
+from estimator.contracts.geometry import Rotation, Transform
+from estimator.contracts.samples import Attitude, GimbalAttitude, GimbalFrame
+from estimator.options import EstimatorOptions
+from estimator.pipeline import RelativeEstimator
+from estimator.vision.camera import Camera
+from tests.make import attitude, gimbal, ns, stamp
+
+# The body
 
 
-def turning(t_s: float, rate_rad_s: float = 0.5) -> Attitude:
-    return Attitude(
-        stamp(t_s), Rotation.from_rpy(0.1, -0.05, 0.0) @ Rotation.from_rotvec([rate_rad_s * t_s, 0, 0]), 1e-4 * np.eye(3)
-    )
+def turning(t_s: float) -> Attitude:
+    R = Rotation.from_rpy(0.1, -0.05, 0.0) @ Rotation.from_rotvec([0.5 * t_s, 0, 0])
+    return Attitude(stamp(t_s), R, 1e-4 * np.eye(3))
 
 
-def filled(until_s: float = 1.0, step_s: float = 0.005) -> AttitudeHistory:
-    history = AttitudeHistory(span_s=0.5)
-    for i in range(round(until_s / step_s) + 1):
-        history = history.add(turning(i * step_s))
-    return history
+def filled() -> AttitudeHistory:
+    """Return a history of a second at 200 Hz, of which the last half is kept."""
+    return AttitudeHistory(0.5).add(*(turning(i * 0.005) for i in range(201)))
 
 
 @settings(max_examples=50)
@@ -31,25 +35,24 @@ def test_between_samples_and_a_little_past_the_newest_it_is_the_true_attitude(t_
     found = filled().at(ns(t_s), stamp(t_s))
     assert found is not None
     assert found.R_ned_body.angle_to(turning(t_s).R_ned_body) < 1e-6
+    past_s = max(0.0, t_s - 1.0)
+    np.testing.assert_allclose(np.diag(found.cov_body), [1e-4 + (0.05 * past_s) ** 2, 1e-4, 1e-4], rtol=1e-3)
 
 
-def test_it_says_none_rather_than_guess() -> None:
-    history = filled()
-    assert AttitudeHistory().at(MonoNs(0), stamp(0)) is None
-    assert history.at(ns(0.2), stamp(0.2)) is None
-    assert history.at(ns(1.2), stamp(1.2)) is None
-    holed = history.add(turning(1.4))
-    assert holed.at(ns(1.2), stamp(1.2)) is None
+@pytest.mark.parametrize(
+    ("history", "t_s"), [(AttitudeHistory(), 0.0), (filled(), 0.2), (filled(), 1.2), (filled().add(turning(1.4)), 1.2)]
+)
+def test_it_says_none_rather_than_guess(history: AttitudeHistory, t_s: float) -> None:
+    assert history.at(ns(t_s), stamp(t_s)) is None
 
 
 @settings(max_examples=50)
 @given(st.lists(st.integers(0, 40), max_size=12), st.integers(0, 12))
 def test_several_attitudes_together_leave_what_one_by_one_does(at_50_ms: list[int], together_from: int) -> None:
-    given_in_turn = [turning(0.05 * i) for i in at_50_ms]
-    one_by_one = AttitudeHistory(span_s=0.5)
-    for sample in given_in_turn:
+    samples, one_by_one = [turning(0.05 * i) for i in at_50_ms], AttitudeHistory(span_s=0.5)
+    for sample in samples:
         one_by_one = one_by_one.add(sample)
-    together = AttitudeHistory(span_s=0.5).add(*given_in_turn[:together_from]).add(*given_in_turn[together_from:])
+    together = AttitudeHistory(span_s=0.5).add(*samples[:together_from]).add(*samples[together_from:])
     assert together.samples == one_by_one.samples
 
 
@@ -59,8 +62,75 @@ def test_it_is_bounded_and_ignores_what_is_not_newer() -> None:
     assert history.add(turning(0.9)) is history
 
 
-def test_carrying_on_costs_certainty() -> None:
-    found = filled().at(ns(1.04), stamp(1.04))
-    assert found is not None
-    assert found.cov_body[0, 0] > 1e-4
-    assert math.isclose(found.cov_body[1, 1], 1e-4, rel_tol=1e-3)
+# The gimbal
+
+RPY = (0.12, -0.07, 1.9)
+R_NED_BODY = Rotation.from_rpy(*RPY)
+
+
+def pointing(t: float, R: Rotation = DOWN, frame: GimbalFrame = "level", sigma_s: float = 0.0) -> GimbalAttitude:
+    return gimbal(stamp(t, sigma_s=sigma_s), R, frame)
+
+
+def swinging(t: float) -> Rotation:
+    return Rotation.from_rpy(0.0, -0.5 * math.pi + 0.2 * math.sin(5.0 * t), 0.0)
+
+
+@pytest.mark.parametrize("frame", ["ned", "level", "body"])
+def test_the_same_pose_in_each_frame_is_the_same_camera_on_the_body(frame: GimbalFrame) -> None:
+    R = Rotation.from_rpy(0.05, -1.4, 0.2)
+    reported = {"ned": R_NED_BODY @ R, "level": R_NED_BODY.without_heading() @ R, "body": R}[frame]
+    history = GimbalHistory().add(pointing(1.0, reported, frame), pointing(1.1, reported, frame))
+    held = history.at(stamp(1.05), attitude(1.05, *RPY))
+    assert held is not None
+    assert held.R_body_gimbal.angle_to(R) < 1e-9
+
+
+def test_a_gimbal_that_points_down_holds_a_straight_camera_with_the_nose_at_the_top_of_the_image() -> None:
+    mount = Transform(Rotation.from_rpy(math.pi / 2, 0.0, math.pi / 2), np.array([0.1, 0.0, 0.05]))
+    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, np.zeros(5), mount)
+    held = camera.held(DOWN)
+    assert held.T_body_cam.R.angle_to(Rotation.from_rpy(0.0, 0.0, math.pi / 2)) < 1e-9
+    assert held.T_body_cam.t.tolist() == [0.1, 0.0, 0.05]
+    assert held.optics == camera.optics, "what is computed for a lens is found again"
+
+
+def test_a_swinging_gimbal_is_interpolated_within_its_claimed_error() -> None:
+    history = GimbalHistory().add(*(pointing(t, swinging(t)) for t in np.arange(0.0, 1.0, 0.05)))
+    for t in np.arange(0.3, 0.9, 0.013):
+        held = history.at(stamp(t), attitude(0.5, var=1e-6))
+        assert held is not None
+        off = float(held.R_body_gimbal.angle_to(swinging(t)))
+        assert off < min(0.004, 3.0 * math.sqrt(float(held.cov_body[1, 1])))
+
+
+def test_what_it_turns_within_the_uncertainty_of_the_times_is_in_the_covariance() -> None:
+    var = []
+    for sigma_s in (0.0, 0.02):
+        history = GimbalHistory().add(*(pointing(t, swinging(t), sigma_s=sigma_s) for t in (0.58, 0.60, 0.62, 0.64)))
+        held = history.at(stamp(0.63), attitude(0.5, var=1e-6))
+        assert held is not None
+        var.append(held.cov_body[1, 1])
+    assert math.sqrt(var[1] - var[0]) == pytest.approx(abs(math.cos(5.0 * 0.63)) * 0.02, rel=0.02)
+
+
+@pytest.mark.parametrize("exposed_s", [0.4, 1.1, 2.2, 3.0])
+def test_reports_that_do_not_cover_the_exposure_give_nothing(exposed_s: float) -> None:
+    history = GimbalHistory().add(*(pointing(t) for t in (0.5, 0.6, 1.4, 1.5, 2.1)))
+    assert history.at(stamp(exposed_s), attitude(exposed_s, *RPY)) is None
+    assert GimbalHistory().at(stamp(exposed_s), attitude(exposed_s, *RPY)) is None
+
+
+def test_a_change_of_frame_begins_again_and_the_next_report_is_awaited_only_while_reports_come() -> None:
+    history = GimbalHistory().add(pointing(1.0, frame="level"), pointing(1.1, frame="ned"))
+    assert (history.at(stamp(1.05), attitude(1.05, *RPY)), history.frame) == (None, "ned")
+    assert [h.reports(stamp(t)) for h, t in ((history, 1.2), (history, 1.5), (GimbalHistory(), 1.0))] == [True, False, False]
+
+
+@pytest.mark.parametrize("shadows", [(), ("dead_reckoning",)])
+def test_the_estimator_keeps_the_reports_with_one_path_and_with_several(shadows: tuple[PathName, ...]) -> None:
+    memory = RelativeEstimator(EstimatorOptions(), shadows)
+    memory.put([attitude(1.0, *RPY), pointing(1.0), attitude(1.1, *RPY), pointing(1.1)])
+    held = memory.held_at(stamp(1.05), attitude(1.05, *RPY))
+    assert held is not None
+    assert held.R_body_gimbal.angle_to(R_NED_BODY.without_heading().inv @ DOWN) < 1e-9

@@ -9,7 +9,7 @@
 #include "filter/gathering.h"
 #include "base/rotation.h"
 
-void take_attitude(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_attitude *seen, dl_outcome *out)
+void fuse_attitude(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_attitude *seen, dl_outcome *out)
 {
     double gap[9], innov[3];
     dl_aid begun = b->aids[DL_ATTITUDE];
@@ -34,7 +34,7 @@ void take_attitude(const dl_filter_params *o, dl_belief *b, covariance *c, const
     b->is_levelled = b->heading_is_given = 1;
 }
 
-void take_height(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_distance *seen, dl_outcome *out)
+void fuse_height(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_distance *seen, dl_outcome *out)
 {
     const double T = seconds(b->t_cov, b->t), var = seen->sigma_m * seen->sigma_m;
     dl_aid begun = b->aids[DL_HEIGHT];
@@ -90,7 +90,7 @@ static int distance(const double R[9], const double x[DL_N], double *r, double H
     return 1;
 }
 
-void take_range(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_distance *seen, dl_outcome *out)
+void fuse_range(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_distance *seen, dl_outcome *out)
 {
     double x[DL_N], away, spread, r, H[3 * COLUMNS_MAX];
     const double var = seen->sigma_m * seen->sigma_m;
@@ -98,7 +98,7 @@ void take_range(const dl_filter_params *o, dl_belief *b, covariance *c, const dl
     if (b->sighted < 0) {
         return;
     }
-    peek(b, x);
+    state_at_first_order(b, x);
     foot_of(b, c->P, x, &away, &spread);
     /* There is water beyond the deck's edge. */
     if (away + 2.0 * spread > o->deck_radius_m || !distance(b->R, x, &r, H)) {

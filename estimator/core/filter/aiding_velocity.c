@@ -149,14 +149,14 @@ static int surface_is_open(const dl_filter_params *o, const dl_belief *b, const 
 }
 
 /* Update the log-odds between the two hypotheses about a velocity. Correlated samples count as one. */
-static void look_below(const dl_filter_params *o, dl_belief *b, const double *P, const double v[3], const double cov[9], int axes)
+static void update_surface_odds(const dl_filter_params *o, dl_belief *b, const double *P, const double v[3], const double cov[9], int axes)
 {
     const double since = b->t_velocity < 0 ? 1.0 : seconds(b->t_velocity, b->t);
     double x[DL_N], away, spread, expected = 0.0;
     if (since < 0.5 * o->correlation_s[DL_VELOCITY] || axes == 0) {
         return;
     }
-    peek(b, x);
+    state_at_first_order(b, x);
     foot_of(b, P, x, &away, &spread);
     if (b->sighted < 0) {
         expected = UNSEEN_EXPECTED;
@@ -212,22 +212,22 @@ static int refused_at_an_edge(const dl_filter_params *o, const dl_belief *b, con
     if (!nis_of(m, innov, S, &nis) || nis < REFUTED) {
         return 0;
     }
-    peek(b, x);
+    state_at_first_order(b, x);
     if ((begun->deck_weight < 0.5 ? 1.0 : -1.0) * evidence_for_the_deck(b, P, x, v, cov, axes) <= 0.0) {
         return 0;
     }
-    tell(out, DL_GATED, m, axes, innov, S);
+    write_outcome(out, DL_GATED, m, axes, innov, S);
     out->nis = nis;
     out->nis_max = o->nis_max[m - 1];
     return 1;
 }
 
-void take_velocity(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_velocity *seen, dl_outcome *out)
+void fuse_velocity(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_velocity *seen, dl_outcome *out)
 {
     const double *v = seen->v_level, *cov = seen->cov_level;
     const int axes = measured_axes(o, cov), is_open = surface_is_open(o, b, c->P);
     if (is_open) {
-        look_below(o, b, c->P, v, cov, axes);
+        update_surface_odds(o, b, c->P, v, cov, axes);
     }
     const double deck_weight = deck_weight_of(o, b, is_open);
     out->verdict = DL_GATED;
@@ -250,7 +250,7 @@ void take_velocity(const dl_filter_params *o, dl_belief *b, covariance *c, const
     dl_aid begun = b->aids[DL_VELOCITY];
     if (!still_gathers(o, b, DL_VELOCITY, axes, deck_weight)) {
         double x[DL_N], H[3 * COLUMNS_MAX], ambiguity[9] = {0.0};
-        peek(b, x);
+        state_at_first_order(b, x);
         by_velocity(x, b->R, 1.0, -deck_weight, H);
         pick_rows(axes, COLUMNS_MAX, H);
         if (deck_weight > 0.0 && deck_weight < 1.0) {

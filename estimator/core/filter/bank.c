@@ -243,7 +243,7 @@ static void forecast_and_compare(const dl_bank_members *m, dl_bank *s, int64_t t
 {
     double now[DL_DIRECTIONS][2] = {{0.0}}, ahead[SKILL_HORIZONS][DL_DIRECTIONS][2] = {{{0.0}}}, weight[DL_DIRECTIONS][DL_MEMBERS];
     for (int k = 0; k < DL_DIRECTIONS; k++) {
-        weigh_ahead(m, s->log_weight + k * DL_MEMBERS, s->weight[0], weight[k]);
+        forecast_weights(m, s->log_weight + k * DL_MEMBERS, s->weight[0], weight[k]);
         for (int g = 0; g < DL_MEMBERS; g++) {
             for (int r = 0; r < 2; r++) {
                 now[k][r] += weight[k][g] * s->x[(k * STATES + r) * DL_MEMBERS + g];

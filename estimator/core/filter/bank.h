@@ -13,7 +13,7 @@
 #include "filter/belief.h"
 
 /* Members look at most this often, s; a wave is seen dozens of times anyway. */
-#define LOOK_PERIOD_S 0.2
+#define BANK_PERIOD_S 0.2
 
 /* Write the bank before any sighting. */
 void bank_begin(const dl_bank_members *m, dl_bank *out);
@@ -26,7 +26,7 @@ void bank_observe(const dl_filter_params *o, int64_t t, const double y[DL_DIRECT
  *
  * No sea is exactly one of the members, so the evidence counts for less than if one of them were the truth.
  * Source: Grunwald and van Ommen, Inconsistency of Bayesian inference for misspecified linear models, Bayesian Analysis, 2017. */
-void weigh_ahead(const dl_bank_members *m, const double *log_weight, double rest, double weight[DL_MEMBERS]);
+void forecast_weights(const dl_bank_members *m, const double *log_weight, double rest, double weight[DL_MEMBERS]);
 /* The members' weights, and frequency, damping and size of each direction's mixture. Its variances of displacement and rate are kept:
  * while the period is unknown, the quick members count. */
 void summarise(const dl_bank_members *m, dl_bank *s);

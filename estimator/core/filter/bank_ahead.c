@@ -185,7 +185,7 @@ void waves_at(const dl_bank_members *m, const dl_bank *s, const oscillator_steps
     const double *sigma = m->sigma + k * DL_MEMBERS;
     memset(now, 0, sizeof *now);
     memcpy(before, s->x + k * MEMBER_STATES * DL_MEMBERS, sizeof before);
-    weigh_ahead(m, s->log_weight + k * DL_MEMBERS, s->weight[k * DL_MEMBERS], weight);
+    forecast_weights(m, s->log_weight + k * DL_MEMBERS, s->weight[k * DL_MEMBERS], weight);
     carry(steps, before, x);
     for (int o = 0; o < DL_OSCILLATORS; o++) {
         for (int g = first_member(o); g <= last_member(o); g++) {

@@ -57,7 +57,7 @@ void summarise(const dl_bank_members *m, dl_bank *s)
     }
 }
 
-void weigh_ahead(const dl_bank_members *m, const double *log_weight, double rest, double weight[DL_MEMBERS])
+void forecast_weights(const dl_bank_members *m, const double *log_weight, double rest, double weight[DL_MEMBERS])
 {
     double sum = 0.0;
     for (int g = 0; g < DL_MEMBERS; g++) {

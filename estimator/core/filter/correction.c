@@ -100,7 +100,7 @@ void uncompared(dl_outcome *out, enum dl_verdict verdict)
     out->verdict = verdict;
 }
 
-void tell(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S)
+void write_outcome(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S)
 {
     out->verdict = verdict;
     out->m = m;

@@ -30,6 +30,6 @@ void forget_state(double *P, int state, double var);
 /* Outcome of an event that was compared with nothing. */
 void uncompared(dl_outcome *out, enum dl_verdict verdict);
 /* Outcome of a measurement of m numbers; S is NULL where there is none. */
-void tell(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S);
+void write_outcome(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S);
 
 #endif

@@ -21,7 +21,7 @@ static const double STEERS_S = 0.4, STEERS_PSD = 2.0 * 2.0 * 0.1, STEERS_TURN_PS
 /* A pad that a turning ship swings aside has her speed again after the turn. Lost from sight within SWINGS_S of the newest sighting of a
  * turn, or BEGINS_S of one of any manoeuvre, as what leaves so soon is swung, and unseen for UNSEEN_S, its velocity and turn come back to
  * what they were before within about SETTLES_S, but for these standard deviations, m/s and rad/s. SWUNG_S after the last sighting the
- * swing is over, and velocities tell again how the body moves. */
+ * swing is over, and velocities show again how the body moves. */
 static const double SWINGS_S = 1.0, BEGINS_S = 0.1, UNSEEN_S = 0.3, SETTLES_S = 0.3, SWUNG_S = 2.0, SETTLED_M_S = 0.7, SETTLED_RAD_S = 0.5;
 
 double seconds(int64_t since, int64_t until)
@@ -345,7 +345,7 @@ void propagate_to(const dl_filter_params *o, dl_belief *b, covariance *c, int64_
     }
 }
 
-void peek(const dl_belief *b, double x[DL_N])
+void state_at_first_order(const dl_belief *b, double x[DL_N])
 {
     const double T = seconds(b->t_cov, b->t);
     memcpy(x, b->x, sizeof b->x);

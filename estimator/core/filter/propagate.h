@@ -30,6 +30,6 @@ void propagate_covariance(const dl_filter_params *o, dl_belief *b, covariance *c
 /* Propagate to t by the IMU sample that holds, and the covariance as often as the parameters require. */
 void propagate_to(const dl_filter_params *o, dl_belief *b, covariance *c, int64_t t);
 /* x = the state at t without propagating the covariance; the sea's motion has an error of order (t - t_cov)^2. */
-void peek(const dl_belief *b, double x[DL_N]);
+void state_at_first_order(const dl_belief *b, double x[DL_N]);
 
 #endif

@@ -72,7 +72,7 @@ static void replace_lost(const dl_filter_params *o, dl_belief *b, const dl_imu *
     }
 }
 
-static void take_imu(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e)
+static void fuse_imu(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e)
 {
     double w[3], f[3], smooth[3], mean_w[3], mean_f[3];
     memcpy(w, e->sample.imu.w_body, sizeof w);
@@ -120,10 +120,10 @@ void ready_to_fuse(const dl_filter_params *o, dl_belief *b, covariance *c, int64
 }
 
 /* One of the vehicle's samples. */
-static void take_sample(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e, dl_outcome *out)
+static void process_sample(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_event *e, dl_outcome *out)
 {
     if (e->kind == DL_IMU) {
-        take_imu(o, b, c, e);
+        fuse_imu(o, b, c, e);
         return;
     }
     propagate_to(o, b, c, e->t);
@@ -133,17 +133,17 @@ static void take_sample(const dl_filter_params *o, dl_belief *b, covariance *c, 
             propagate_covariance(o, b, c);
             set_attitude(o, b, changeable(c), &e->sample.attitude);
         } else {
-            take_attitude(o, b, c, &e->sample.attitude, out);
+            fuse_attitude(o, b, c, &e->sample.attitude, out);
         }
         return;
     case DL_VELOCITY:
-        take_velocity(o, b, c, &e->sample.velocity, out);
+        fuse_velocity(o, b, c, &e->sample.velocity, out);
         return;
     case DL_RANGE:
-        take_range(o, b, c, &e->sample.distance, out);
+        fuse_range(o, b, c, &e->sample.distance, out);
         return;
     case DL_HEIGHT:
-        take_height(o, b, c, &e->sample.distance, out);
+        fuse_height(o, b, c, &e->sample.distance, out);
         return;
     default:
         return;
@@ -156,14 +156,14 @@ void process_event(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
     uncompared(out, DL_FUSED);
     if (e->kind == DL_VESSEL) {
         ready_to_fuse(o, b, c, e->t);
-        take_vessel(o, b, c, &e->sample.vessel, out);
+        fuse_vessel(o, b, c, &e->sample.vessel, out);
     } else if (e->kind != DL_SIGHTING) {
-        take_sample(o, b, c, e, out);
+        process_sample(o, b, c, e, out);
     } else if (s->confidence < o->min_confidence) {
         out->verdict = DL_LOW_CONFIDENCE;
     } else {
         ready_to_fuse(o, b, c, e->t);
         forget_the_pad(o, b);
-        take_sighting(o, b, c, bank, s, out);
+        fuse_sighting(o, b, c, bank, s, out);
     }
 }

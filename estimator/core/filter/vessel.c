@@ -21,7 +21,7 @@ static void compare_velocity(const double x[DL_N], const double v[3], double inn
     add_pad_velocity(H);
 }
 
-void take_vessel(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_vessel_report *report, dl_outcome *out)
+void fuse_vessel(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_vessel_report *report, dl_outcome *out)
 {
     double innov[ROWS], H[ROWS * DL_N] = {0.0}, R[ROWS * ROWS] = {0.0}, S[ROWS * ROWS], dx[DL_N], nis;
     const int has_velocity = report->has_velocity != 0, has_heading = report->has_heading != 0;
@@ -43,12 +43,12 @@ void take_vessel(const dl_filter_params *o, dl_belief *b, covariance *c, const d
     }
     double *P = free_place(c);
     if (!kalman_correct(DL_N, c->P, &(measured){m, innov, H, R}, dx, P, S, &nis)) {
-        tell(out, DL_SINGULAR, m, axes, innov, NULL);
+        write_outcome(out, DL_SINGULAR, m, axes, innov, NULL);
         return;
     }
     out->nis = nis;
     out->nis_max = o->nis_max[m - 1];
-    tell(out, nis > out->nis_max ? DL_GATED : DL_FUSED, m, axes, innov, S);
+    write_outcome(out, nis > out->nis_max ? DL_GATED : DL_FUSED, m, axes, innov, S);
     if (out->verdict == DL_FUSED) {
         correct_belief(b, c, dx, P);
         b->heading_known |= has_heading;

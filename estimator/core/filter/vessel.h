@@ -6,6 +6,6 @@
 #include "filter/propagate.h"
 
 /* Fuse a vessel's report: the velocity that its own navigation has, steady and wave motion together, its heading, or both. */
-void take_vessel(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_vessel_report *report, dl_outcome *out);
+void fuse_vessel(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_vessel_report *report, dl_outcome *out);
 
 #endif

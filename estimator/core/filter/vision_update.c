@@ -198,7 +198,7 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
 }
 
 /* Count the time for which sightings agreed with the heading, minus the time for which they contradicted it. */
-static void weigh_heading(const dl_filter_params *o, dl_belief *b, int agrees)
+static void count_heading_agreement(const dl_filter_params *o, dl_belief *b, int agrees)
 {
     const double since = b->heading_seen < 0 ? 0.0 : fmin(seconds(b->heading_seen, b->t), COUNTED_S);
     b->heading_held_s = fmin(b->heading_held_s + (agrees ? since : -since), o->heading_memory_s);
@@ -206,7 +206,7 @@ static void weigh_heading(const dl_filter_params *o, dl_belief *b, int agrees)
 }
 
 /* Set the pad's yaw from a sighting, whatever the state was. */
-static void take_new_heading(dl_belief *b, covariance *c, const dl_sighting *s)
+static void reset_heading(dl_belief *b, covariance *c, const dl_sighting *s)
 {
     if (!s->has_pose6 && !s->has_yaw) {
         return;
@@ -242,7 +242,7 @@ static void withhold(const dl_belief *b, const double *before, double dx[DL_N], 
 }
 
 /* Roll and pitch of a pad that was seen whole, and their variances. */
-static void see_tilt(const dl_sighting *s, const double R_ned_level[9], const double *R, double y[DL_DIRECTIONS], double var[DL_DIRECTIONS])
+static void measure_tilt(const dl_sighting *s, const double R_ned_level[9], const double *R, double y[DL_DIRECTIONS], double var[DL_DIRECTIONS])
 {
     double pad[9], into_pad[9];
     product(R_ned_level, s->pose_R, pad);
@@ -263,7 +263,7 @@ static void see_tilt(const dl_sighting *s, const double R_ned_level[9], const do
 static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const dl_sighting *s, const comparison *row)
 {
     double A[9], back[9], seen[3], place[3], y[DL_DIRECTIONS] = {0.0}, var[DL_DIRECTIONS];
-    if (bank->now->t >= 0 && seconds(bank->now->t, b->t) < 0.9 * LOOK_PERIOD_S) {
+    if (bank->now->t >= 0 && seconds(bank->now->t, b->t) < 0.9 * BANK_PERIOD_S) {
         return;
     }
     levelling(b, A);
@@ -287,7 +287,7 @@ static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const 
     if (row->seen.m == SEEN_MAX) {
         double R_ned_level[9];
         product_by_transposed(back, A, R_ned_level);
-        see_tilt(s, R_ned_level, row->seen.R, y, var);
+        measure_tilt(s, R_ned_level, row->seen.R, y, var);
     }
     bank_observe(o, b->t, y, var, b->ins_var_m2_s2, sqrt(dot(seen, seen)), bank->now, bank->place);
     bank->now = bank->place;
@@ -305,9 +305,9 @@ static void reject(dl_belief *b, const comparison *row)
     streak_extend(b, b->t, offset, (row->seen.R[0] + row->seen.R[row->seen.m + 1] + row->seen.R[2 * row->seen.m + 2]) / 3.0);
 }
 
-static void tell_compared(dl_outcome *out, int verdict, const comparison *row, double nis_max)
+static void write_sighting_outcome(dl_outcome *out, int verdict, const comparison *row, double nis_max)
 {
-    tell(out, verdict, row->seen.m, 0, row->seen.innov, row->S);
+    write_outcome(out, verdict, row->seen.m, 0, row->seen.innov, row->S);
     out->nis = row->nis;
     out->nis_max = nis_max;
 }
@@ -325,7 +325,7 @@ static void fuse(dl_belief *b, covariance *c, comparison *row, int fresh, int sh
 }
 
 /* Note a pad that a manoeuvre moves aside, also where too little of it is in view for its heading. */
-static void note_swing(dl_belief *b)
+static void mark_swing(dl_belief *b)
 {
     double was[2], change[2];
     if (b->steered < 0 || seconds(b->steered, b->t) > ASIDE_S) {
@@ -340,7 +340,7 @@ static void note_swing(dl_belief *b)
     b->swung = aside > ASIDE_M_S ? b->t : b->swung;
 }
 
-void take_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out)
+void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out)
 {
     comparison rows[2], *row = &rows[0], *other = &rows[1];
     const int fresh = b->sighted < 0;
@@ -361,14 +361,14 @@ void take_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
         }
     }
     if (row->ok && (turned_round || (row->seen.m > 3 && row->nis <= o->nis_max[row->seen.m - 1]))) {
-        weigh_heading(o, b, !turned_round);
+        count_heading_agreement(o, b, !turned_round);
         if (turned_round && b->heading_held_s <= 0.0) {
-            take_new_heading(b, c, s);
+            reset_heading(b, c, s);
             compare(o, b, c->P, s, 0, row);
         }
     }
     if (!row->ok) {
-        tell(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL);
+        write_outcome(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL);
         return;
     }
     const int dof = row->seen.m;
@@ -378,19 +378,19 @@ void take_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
     if (row->nis > o->nis_max[dof - 1]) {
         reject(b, row);
         if (!streak_resets(o, b)) {
-            tell_compared(out, DL_GATED, row, o->nis_max[dof - 1]);
+            write_sighting_outcome(out, DL_GATED, row, o->nis_max[dof - 1]);
             return;
         }
         initialise(o, b, c, s, 1);
         b->nis_mean = 1.0;
         compare(o, b, c->P, s, 0, row);
         if (!row->ok) {
-            tell(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL);
+            write_outcome(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL);
             return;
         }
     }
     fuse(b, c, row, fresh, dof >= 4 && !s->yaw_ambiguous);
-    note_swing(b);
+    mark_swing(b);
     learn(o, b, bank, s, row);
-    tell_compared(out, DL_FUSED, row, o->nis_max[row->seen.m - 1]);
+    write_sighting_outcome(out, DL_FUSED, row, o->nis_max[row->seen.m - 1]);
 }

@@ -12,6 +12,6 @@ typedef struct {
 } sea_ref;
 
 /* Fuse a sighting at the belief's instant, to which the belief was propagated with all gathered samples fused. */
-void take_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out);
+void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out);
 
 #endif

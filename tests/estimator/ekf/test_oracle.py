@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from estimator.contracts.estimates import Pose6, Sighting, Verdict
-from estimator.contracts.fusion import COMPONENTS, FusionResult, source_of
+from estimator.contracts.fusion import COMPONENTS, FusionResult, components_of, source_of
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.core.library import CORE
@@ -101,8 +101,9 @@ def same_outcome(result: FusionResult, event: Event, expected: oracle.Outcome) -
     if expected.S is not None and result.innovation_cov is not None:
         close(result.innovation_cov / np.abs(expected.S).max(), expected.S / np.abs(expected.S).max(), "its covariance")
     close([result.nis, result.test_ratio], [expected.nis, expected.nis / expected.nis_max], "nis")
-    if expected.axes:
-        assert result.components == tuple(COMPONENTS[source_of(event)][i] for i in expected.axes)
+    source, axes = source_of(event), expected.axes
+    names = tuple(COMPONENTS[source][i] for i in axes) if axes else components_of(source, expected.innov.size)
+    assert result.components == names
 
 
 class Step(NamedTuple):
