@@ -95,28 +95,24 @@ def refine(coverage: F32, uv_px: F64, reach_px: float, paint: F64 | None = None,
     radii = np.linspace(max(_MIN_RADIUS_PX, 0.3 * reach_px), reach_px, _RADII)
     if not settled:
         # From an inexact start, only the outer circles certainly enclose the corner.
-        first = _fit(coverage, at, np.linspace(0.5 * reach_px, reach_px, 4), level)
-        at, level = first.uv[first.ok], level[first.ok]
+        uv, _, _, _, ok = _fit(coverage, at, np.linspace(0.5 * reach_px, reach_px, 4), level)
+        at, level = uv[ok], level[ok]
         if len(at) == 0:
             return []
-    fits = _fit(coverage, at, radii, level)
-    return _distinct(fits.only(fits.ok), 0.5 * reach_px)
+    uv, arms, inner, sigma, ok = _fit(coverage, at, radii, level)
+    out: list[RightAngle] = []
+    fitted = np.flatnonzero(ok)
+    for i in fitted[np.argsort(sigma[fitted])]:
+        if all(math.dist(uv[i], corner.uv_px) > 0.5 * reach_px for corner in out):
+            out.append(RightAngle(uv[i], arms[i], bool(inner[i]), float(sigma[i])))
+    return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fits:
-    uv: F64
-    arms: F64
-    inner: F64
-    sigma: F64
-    ok: F64
+def _fit(coverage: F32, at: F64, radii: F64, level: F64) -> tuple[F64, F64, NDArray[np.bool_], F64, NDArray[np.bool_]]:
+    """Fit a line to each arm from the two crossings of circles about (N, 2) points, and return the lines' intersections.
 
-    def only(self, keep: F64) -> _Fits:
-        return _Fits(self.uv[keep], self.arms[keep], self.inner[keep], self.sigma[keep], self.ok[keep])
-
-
-def _fit(coverage: F32, at: F64, radii: F64, level: F64) -> _Fits:
-    """Fit a line to each arm from the two crossings of circles about (N, 2) points, and return the lines' intersections."""
+    They are the four fields of `RightAngle`, with N rows each, and a mask of those that are right angles.
+    """
     n, m = len(at), len(radii)
     # Steps are 0.7 px at most; otherwise an edge fits between two samples and its crossing is off.
     count_a = int(np.clip(math.ceil(math.tau * radii[-1] / 0.7), 48, 256))
@@ -135,24 +131,23 @@ def _fit(coverage: F32, at: F64, radii: F64, level: F64) -> _Fits:
     rising = ~bright & np.roll(bright, -1, axis=2)
     falling = bright & ~np.roll(bright, -1, axis=2)
     clean = inside & (rising.sum(axis=2) == 1) & (falling.sum(axis=2) == 1)
-    up, down = np.argmax(rising, axis=2), np.argmax(falling, axis=2)
 
-    def crossing(k: NDArray[np.intp]) -> F64:
+    def crossing(edge: NDArray[np.bool_]) -> F64:
+        k = np.argmax(edge, axis=2)
         a, b = np.take_along_axis(v, k[:, :, None], 2)[:, :, 0], np.take_along_axis(after, k[:, :, None], 2)[:, :, 0]
         part = (half - a) / np.where(np.abs(b - a) > 1e-6, b - a, 1.0)
         return np.asarray((k + np.clip(part, 0.0, 1.0)) * (math.tau / count_a))
 
-    rise, fall = crossing(up), crossing(down)
+    def arm(angle: F64) -> tuple[F64, F64, F64]:
+        return _lines(at[:, None, :] + radii[None, :, None] * np.stack([np.cos(angle), np.sin(angle)], axis=2), good, at)
+
+    rise, fall = crossing(rising), crossing(falling)
     paint = np.mod(fall - rise, math.tau) / math.tau
     good = clean & (np.abs(np.abs(paint - 0.5) - 0.25) < 0.16)
     count = good.sum(axis=1)
     paint_fraction = np.sum(np.where(good, paint, 0.0), axis=1) / np.maximum(count, 1)
     inner = paint_fraction > 0.5
-    weight = good.astype(float)
-    p_rise = at[:, None, :] + radii[None, :, None] * np.stack([np.cos(rise), np.sin(rise)], axis=2)
-    p_fall = at[:, None, :] + radii[None, :, None] * np.stack([np.cos(fall), np.sin(fall)], axis=2)
-    c1, d1, e1 = _lines(p_rise, weight, at)
-    c2, d2, e2 = _lines(p_fall, weight, at)
+    (c1, d1, e1), (c2, d2, e2) = arm(rise), arm(fall)
     cross = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
     gap = c2 - c1
     safe = np.where(np.abs(cross) > 0.3, cross, 1.0)
@@ -166,14 +161,15 @@ def _fit(coverage: F32, at: F64, radii: F64, level: F64) -> _Fits:
     sigma = np.maximum(rms, 0.03) * lever
     shifted = np.linalg.norm(uv - at, axis=1)
     ok = (count >= m - m // 3) & (np.abs(cross) > 0.75) & (rms < 0.06 * radii[-1] + 0.2) & (shifted < 0.8 * radii[-1])
-    return _Fits(uv, arms, inner, sigma, ok)
+    return uv, arms, inner, sigma, ok
 
 
-def _lines(pts: F64, weight: F64, origin: F64) -> tuple[F64, F64, F64]:
-    """Fit weighted total-least-squares lines to (N, M, 2) points.
+def _lines(pts: F64, good: NDArray[np.bool_], origin: F64) -> tuple[F64, F64, F64]:
+    """Fit total-least-squares lines to those of (N, M, 2) points that are good.
 
     Return a point (N, 2), a direction away from `origin` (N, 2), and the rms (N,).
     """
+    weight = good.astype(float)
     total = np.maximum(weight.sum(axis=1), 1e-9)
     centre = np.einsum("nm,nmi->ni", weight, pts) / total[:, None]
     d = pts - centre[:, None, :]
@@ -186,17 +182,6 @@ def _lines(pts: F64, weight: F64, origin: F64) -> tuple[F64, F64, F64]:
     direction *= np.where(away < 0.0, -1.0, 1.0)[:, None]
     across = 0.5 * (sxx + syy) - np.hypot(0.5 * (sxx - syy), sxy)
     return centre, direction, np.sqrt(np.maximum(across, 0.0))
-
-
-def _distinct(fits: _Fits, apart_px: float) -> list[RightAngle]:
-    out: list[RightAngle] = []
-    measured_at: list[tuple[float, float]] = []
-    for i in np.argsort(fits.sigma):
-        u, v = fits.uv[i].tolist()
-        if all(math.hypot(u - x, v - y) > apart_px for x, y in measured_at):
-            measured_at.append((u, v))
-            out.append(RightAngle(fits.uv[i], fits.arms[i], bool(fits.inner[i]), float(fits.sigma[i])))
-    return out
 
 
 _SIGMA_CENTROID_PX = 0.03
@@ -231,14 +216,6 @@ class Cue:
     """Side of the cross-bar that the corners method's starting pair is on."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Centroid:
-    uv_px: F64
-    """Image of the H's centre, (2,) px."""
-    area_plane: float
-    perimeter_px: float
-
-
 def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F32 | None) -> Cue | None:
     """Return the arrow; None if the H leaves the frame, there is no tip, or the two do not fit one another.
 
@@ -251,29 +228,27 @@ def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F3
     if centre is None:
         return None
     origin = np.array(seg.origin_px, dtype=float)
-    h_area_m2 = 2.0 * pad.markings.h_length_m * pad.markings.leg_width_m + pad.markings.bar_length_m * pad.markings.bar_width_m
-    scale = math.sqrt(centre.area_plane / h_area_m2)
-    centre_plane = view.plane(centre.uv_px[None, :])
-    px_per_m = _local_px(view, centre_plane[0]) * scale
+    centre_px, area_plane, perimeter_px = centre
+    marks = pad.markings
+    scale = math.sqrt(area_plane / (2.0 * marks.h_length_m * marks.leg_width_m + marks.bar_length_m * marks.bar_width_m))
+    centre_plane = view.plane(centre_px[None, :])[0]
+    px_per_m = _local_px(view, centre_plane) * scale
     # Between the arms of the arrowhead there is nothing else within three quarters of their length.
-    reach_px = 0.75 * math.hypot(pad.markings.arrow_depth_m, pad.markings.arrow_half_base_m) * px_per_m
+    reach_px = 0.75 * math.hypot(marks.arrow_depth_m, marks.arrow_half_base_m) * px_per_m
     if reach_px < _MIN_REACH_PX:
         return None
-    starts = _farthest(seg.orange, centre.uv_px - origin, pad, px_per_m)
+    starts = _farthest(seg.orange, centre_px - origin, pad, px_per_m)
     if len(starts) == 0:
         return None
-    paint = _paint_behind(starts, centre.uv_px - origin - starts, orangeness, pad, px_per_m)
+    paint = _paint_behind(starts, centre_px - origin - starts, orangeness, pad, px_per_m)
     starts, paint = starts[paint > _MIN_PAINT], paint[paint > _MIN_PAINT]
     reach_px = min(reach_px, _MAX_REACH_PX)
     tips = [t for t in refine(orangeness, starts, reach_px, paint) if not t.inner]
-    best: tuple[float, RightAngle] | None = None
-    for tip in tips:
-        misfit = _score(tip, origin, centre_plane[0], view, pad, scale)
-        if misfit is not None and (best is None or misfit < best[0]):
-            best = (misfit, tip)
-    if best is None:
+    misfits = [_misfit(tip, origin, centre_plane, view, pad, scale) for tip in tips]
+    misfit = min(misfits, default=math.inf)
+    if misfit == math.inf:
         return None
-    misfit, rough = best
+    rough = tips[misfits.index(misfit)]
     # Refine once more with the tip's own paint: the ring, thin from afar, is paler, and a shadow may lie on the tip.
     inwards = rough.arms.sum(axis=0)[None, :]
     paint = _paint_behind(rough.uv_px[None, :], inwards, orangeness, pad, px_per_m)
@@ -282,28 +257,27 @@ def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F3
         return None
     exact = again[0]
     tip_uv = exact.uv_px + origin
-    uv = np.stack([centre.uv_px, tip_uv])
-    n_edge = max(4.0, centre.perimeter_px / 4.0)
-    sigma = np.array(
-        [
-            math.hypot(0.25 / math.sqrt(n_edge), _SIGMA_CENTROID_PX, _SIGMA_CENTROID * pad.markings.h_length_m * px_per_m),
-            math.hypot(exact.sigma_px, _SIGMA_TIP_PX),
-        ]
-    )
-    modes = np.zeros((4, 2, 2))
-    modes[0, 0, 0] = modes[1, 0, 1] = sigma[0]
-    modes[2, 1, 0] = modes[3, 1, 1] = sigma[1]
+    uv = np.stack([centre_px, tip_uv])
+    n_edge = max(4.0, perimeter_px / 4.0)
+    sigma = [
+        math.hypot(0.25 / math.sqrt(n_edge), _SIGMA_CENTROID_PX, _SIGMA_CENTROID * marks.h_length_m * px_per_m),
+        math.hypot(exact.sigma_px, _SIGMA_TIP_PX),
+    ]
     confidence = math.exp(-0.5 * misfit) * (0.5 + 0.5 * seg.plausibility)
     features = (
         Feature("line", "arrow", uv),
         Feature("point", "tip", tip_uv[None, :]),
-        Feature("point", "centre", centre.uv_px[None, :]),
+        Feature("point", "centre", centre_px[None, :]),
     )
-    return Cue(Marks(uv, np.array([[0.0, 0.0], [pad.markings.arrow_tip_m, 0.0]]), modes), confidence, features)
+    places = np.array([[0.0, 0.0], [marks.arrow_tip_m, 0.0]])
+    return Cue(Marks(uv, places, point_modes(np.array(sigma))), confidence, features)
 
 
-def _centroid(seg: Segmentation, whiteness: F32, view: OrientedCamera) -> _Centroid | None:
-    """Return the centroid of the H's paint in the level plane; in the frame itself the nearer half would count more."""
+def _centroid(seg: Segmentation, whiteness: F32, view: OrientedCamera) -> tuple[F64, float, float] | None:
+    """Return the image of the H's centre, (2,) px, its area in the level plane, and its perimeter, px.
+
+    The centroid is that of the paint in the level plane; in the frame itself the nearer half would count more.
+    """
     near = cv2.dilate(seg.h, np.ones((3, 3), np.uint8), iterations=2)
     u0, v0, w, h = cv2.boundingRect(near)
     box = np.s_[v0 : v0 + h, u0 : u0 + w]
@@ -332,7 +306,7 @@ def _centroid(seg: Segmentation, whiteness: F32, view: OrientedCamera) -> _Centr
     uv_centre = view.pixels(centre[None, :])[0]
     contours, _ = cv2.findContours(seg.h, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     perimeter = sum(cv2.arcLength(c, True) for c in contours)
-    return _Centroid(uv_centre, float(m["m00"] * abs(det)), perimeter)
+    return uv_centre, float(m["m00"] * abs(det)), perimeter
 
 
 def _farthest(orange: U8, centre: F64, pad: Pad, px_per_m: float) -> F64:
@@ -362,15 +336,15 @@ def _paint_behind(tips: F64, inwards: F64, orangeness: F32, pad: Pad, px_per_m: 
     return np.asarray(np.median(cv2.remap(orangeness, u, v, cv2.INTER_LINEAR), axis=1), float)
 
 
-def _score(tip: RightAngle, origin: F64, centre_plane: F64, view: OrientedCamera, pad: Pad, scale: float) -> float | None:
+def _misfit(tip: RightAngle, origin: F64, centre_plane: F64, view: OrientedCamera, pad: Pad, scale: float) -> float:
     """Return the misfit of tip and H: length against the H's area, bisector against the centre, arms' angle against 90 degrees.
 
-    Return None if any of them is out of range. The H's long axis is of no use: its moments are equal along and across.
+    It is infinite if any of them is out of range. The H's long axis is of no use: its moments are equal along and across.
     """
     uv = tip.uv_px + origin
     q = view.plane(np.stack([uv, uv + 2.0 * tip.arms[0], uv + 2.0 * tip.arms[1]]))
     if not np.all(np.isfinite(q)):
-        return None
+        return math.inf
     v = q[0] - centre_plane
     length = float(np.linalg.norm(v))
     off_length = math.log(length / (pad.markings.arrow_tip_m * scale)) / 0.12
@@ -379,7 +353,7 @@ def _score(tip: RightAngle, origin: F64, centre_plane: F64, view: OrientedCamera
     off_bisector = math.acos(float(np.clip(inward @ v / (np.linalg.norm(inward) * length), -1.0, 1.0))) / math.radians(10.0)
     off_right = abs(math.acos(float(np.clip(arms[0] @ arms[1], -1.0, 1.0))) - math.pi / 2) / math.radians(10.0)
     parts = np.array([off_length, off_bisector, off_right])
-    return float(np.mean(parts**2)) if np.all(np.abs(parts) <= 3.0) else None
+    return float(np.mean(parts**2)) if np.all(np.abs(parts) <= 3.0) else math.inf
 
 
 def _local_px(view: OrientedCamera, plane: F64) -> float:
@@ -421,24 +395,24 @@ def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | Non
     uv = np.array([c.uv_px for c in found]) + origin
     plane = view.plane(uv)
     drawing = pad.markings.h_corners()[:, :2]
-    best: tuple[int, float, Side, list[tuple[int, int]]] | None = None
+    best: tuple[int, float, Side, _Pairs] | None = None
     for a, b in itertools.combinations([i for i, c in enumerate(found) if c.inner], 2):
-        side = side_of(found[a], found[b])
+        side = _side_of(found[a], found[b])
         if side is None:
             continue
         aligned = _align(a, b, side, found, plane, drawing)
-        if aligned is None:
+        matched = None if aligned is None else _match(found, plane, drawing, aligned, pad)
+        if matched is None:
             continue
-        pairs, misfit = _match(found, plane, drawing, aligned, pad)
-        if len(pairs) >= 2 and (best is None or (len(pairs), -misfit) > (best[0], -best[1])):
+        pairs, misfit = matched
+        if best is None or (len(pairs), -misfit) > (best[0], -best[1]):
             best = (len(pairs), misfit, side, pairs)
             if len(pairs) == len(found) or len(pairs) == len(drawing):
                 break
     if best is None:
         return None
     count, misfit, side, pairs = best
-    at = np.array([i for i, _ in pairs])
-    places = drawing[[k for _, k in pairs]]
+    at, places = list(pairs.values()), drawing[list(pairs)]
     fit = _similarity(places, plane[at])
     if fit is None or not _painted(fit, seg, view, pad, whiteness):
         return None
@@ -454,21 +428,20 @@ def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | Non
     return Cue(marks, confidence, features, side)
 
 
-def side_of(a: RightAngle, b: RightAngle) -> Side | None:
+def _side_of(a: RightAngle, b: RightAngle) -> Side | None:
     """Return the side of the cross-bar that two inner corners are on; None if they are no such pair (the diagonal, another H)."""
     between = b.uv_px - a.uv_px
     between = between / max(float(np.linalg.norm(between)), 1e-9)
-    towards_b, towards_a = float(np.max(a.arms @ between)), float(np.max(b.arms @ -between))
-    away_b, away_a = float(np.max(a.arms @ -between)), float(np.max(b.arms @ between))
-    if min(towards_b, towards_a) > _ALONG:
+    along_a, along_b = a.arms @ between, b.arms @ between
+    if min(along_a.max(), -along_b.min()) > _ALONG:
         return "long"
-    if min(away_b, away_a) > _ALONG:
-        return "short"
-    return None
+    return "short" if min(-along_a.min(), along_b.max()) > _ALONG else None
 
 
 Similarity = tuple[float, float, float, float]
 """The parameters a, b, x, y of q = [[a, -b], [b, a]] p + [x, y]."""
+_Pairs = dict[int, int]
+"""The index of the corner that was found for each corner of the drawing."""
 
 
 def _align(a: int, b: int, side: Side, found: list[RightAngle], plane: F64, drawing: F64) -> Similarity | None:
@@ -492,59 +465,44 @@ def _align(a: int, b: int, side: Side, found: list[RightAngle], plane: F64, draw
     return _similarity(drawing[[first, second]], plane[[a, b]])
 
 
-def _match(
-    found: list[RightAngle], plane: F64, drawing: F64, similarity: Similarity, pad: Pad
-) -> tuple[list[tuple[int, int]], float]:
-    """Match corners with the drawing's corners of the same kind; return the pairs and the rms distance in widths of a leg."""
+def _match(found: list[RightAngle], plane: F64, drawing: F64, similarity: Similarity, pad: Pad) -> tuple[_Pairs, float] | None:
+    """Match corners with the drawing's corners of the same kind; return the pairs and the rms distance in widths of a leg.
+
+    Return None if there are fewer than two inner corners among them.
+    """
     other_kind = np.array([c.inner for c in found])[:, None] != _IS_INNER[None, :]
-    for round_ in range(2):
-        predicted = _apply(similarity, drawing)
+    pairs: _Pairs = {}
+    for limit in (0.4, 0.2):
         unit = math.hypot(similarity[0], similarity[1]) * pad.markings.leg_width_m
-        distance = np.linalg.norm(plane[:, None, :] - predicted[None, :, :], axis=2) / unit
+        distance = np.linalg.norm(plane[:, None, :] - _apply(similarity, drawing)[None, :, :], axis=2) / unit
         distance[other_kind] = np.inf
-        nearest = np.argmin(distance, axis=1)
-        d = distance[np.arange(len(found)), nearest]
-        limit = 0.4 if round_ == 0 else 0.2
-        pairs: list[tuple[int, int]] = []
-        measured_at: set[int] = set()
+        nearest, d = np.argmin(distance, axis=1), np.min(distance, axis=1)
+        pairs = {}
         for i in np.argsort(d):
-            k = int(nearest[i])
-            if d[i] < limit and k not in measured_at:
-                measured_at.add(k)
-                pairs.append((int(i), k))
-        if len(pairs) < 2:
-            return [], math.inf
-        refit = _similarity(drawing[[k for _, k in pairs]], plane[[i for i, _ in pairs]])
+            if d[i] < limit:
+                pairs.setdefault(int(nearest[i]), int(i))
+        refit = _similarity(drawing[list(pairs)], plane[list(pairs.values())]) if len(pairs) >= 2 else None
         if refit is None:
-            return [], math.inf
+            return None
         similarity = refit
-    inner_count = sum(k in _INNER for _, k in pairs)
-    if inner_count < 2:
-        return [], math.inf
-    at = np.array([i for i, _ in pairs])
-    off = plane[at] - _apply(similarity, drawing[[k for _, k in pairs]])
+    if sum(k in _INNER for k in pairs) < 2:
+        return None
+    off = plane[list(pairs.values())] - _apply(similarity, drawing[list(pairs)])
     unit = math.hypot(similarity[0], similarity[1]) * pad.markings.leg_width_m
     return pairs, float(np.sqrt(np.mean(np.sum(off**2, axis=1)))) / unit
 
 
 def _painted(similarity: Similarity, seg: Segmentation, view: OrientedCamera, pad: Pad, whiteness: F32) -> bool:
     """Return whether the frame is white on the aligned drawing and not white beside it, at the points inside the frame."""
-    leg_y = 0.5 * (pad.markings.h_width_m - pad.markings.leg_width_m)
-    ends = 0.4 * pad.markings.h_length_m
-    white = [(0.0, 0.0), (0.0, leg_y), (0.0, -leg_y), (ends, leg_y), (ends, -leg_y), (-ends, leg_y), (-ends, -leg_y)]
-    notch = 0.25 * pad.markings.h_length_m
-    beside = 0.5 * pad.markings.h_width_m + 0.7 * pad.markings.leg_width_m
-    ground = [
-        (notch, 0.0),
-        (-notch, 0.0),
-        (0.0, beside),
-        (0.0, -beside),
-        (2 * notch + pad.markings.leg_width_m, leg_y),
-        (-2 * notch - pad.markings.leg_width_m, -leg_y),
-    ]
+    marks = pad.markings
+    leg_y = 0.5 * (marks.h_width_m - marks.leg_width_m)
+    end, notch = 0.4 * marks.h_length_m, 0.25 * marks.h_length_m
+    beside, beyond = 0.5 * marks.h_width_m + 0.7 * marks.leg_width_m, 2 * notch + marks.leg_width_m
+    white = [(0.0, 0.0), *((x, y) for x in (0.0, end, -end) for y in (leg_y, -leg_y))]
+    ground = [(notch, 0.0), (-notch, 0.0), (0.0, beside), (0.0, -beside), (beyond, leg_y), (-beyond, -leg_y)]
     uv = view.pixels(_apply(similarity, np.array(white + ground))) - np.array(seg.origin_px)
     h, w = whiteness.shape
-    expected = np.array([True] * len(white) + [False] * len(ground))
+    expected = np.arange(len(uv)) < len(white)
     ok = np.all(np.isfinite(uv), axis=1)
     cell = np.rint(np.where(ok[:, None], uv, -1.0)).astype(int)
     ok &= (cell[:, 0] >= 0) & (cell[:, 1] >= 0) & (cell[:, 0] < w) & (cell[:, 1] < h)

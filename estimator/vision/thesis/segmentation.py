@@ -146,11 +146,6 @@ class HsvRange:
     low: Triple
     high: Triple
 
-    def __post_init__(self) -> None:
-        for low, high, top in zip(self.low, self.high, (180, 255, 255), strict=True):
-            if not 0 <= low <= high <= top:
-                raise ValueError(f"an HSV range needs 0 <= low <= high <= (180, 255, 255), got {self.low}..{self.high}")
-
     def mask(self, hsv: U8) -> U8:
         """Convert (H, W, 3) HSV to an (H, W) mask of 0 and 255."""
         return np.asarray(cv2.inRange(hsv, self.low, self.high), np.uint8)
@@ -290,22 +285,13 @@ def segment(px: U8, colours: ColourSet) -> Segmentation | None:
     if whiteness is None:
         dull = colours.white.duller().mask(hsv[roi])
         h_mask, whiteness = _h_marking(px[roi], dull, masks.green[roi], inside, touches)
-    cut = _on_border(h_mask, left == 0, top == 0, right == width, bottom == height)
+    sides = ((left == 0, h_mask[:, 0]), (top == 0, h_mask[0]), (right == width, h_mask[:, -1]), (bottom == height, h_mask[-1]))
+    cut = any(at_edge and side.any() for at_edge, side in sides)
     orange = np.asarray(cv2.bitwise_and(masks.orange[roi], inside), np.uint8)
-    outline = hull.reshape(-1, 2).astype(float)
     return Segmentation(
-        (width, height),
-        (left, top),
-        light,
-        masks.green[roi],
-        orange,
-        h_mask,
-        whiteness,
-        outline,
-        touches,
-        cut,
-        chosen.plausibility,
-    )
+        (width, height), (left, top), light, masks.green[roi], orange, h_mask, whiteness,
+        hull.reshape(-1, 2).astype(float), touches, cut, chosen.plausibility,
+    )  # fmt: skip
 
 
 def _h_marking(px: U8, white: U8, green: U8, inside: U8, disc_cut: bool) -> tuple[U8, F32 | None]:
@@ -390,12 +376,6 @@ def _surrounded(contour: NDArray[np.int32], green: U8) -> bool:
         ok = (q[:, 0] >= 0) & (q[:, 0] < width) & (q[:, 1] >= 0) & (q[:, 1] < height)
         hits.append(float(np.mean(green[q[ok, 1], q[ok, 0]] > 0)) if ok.any() else 0.0)
     return max(hits) > 0.6
-
-
-def _on_border(mask: U8, left: bool, top: bool, right: bool, bottom: bool) -> bool:
-    return bool(
-        (left and mask[:, 0].any()) or (right and mask[:, -1].any()) or (top and mask[0].any()) or (bottom and mask[-1].any())
-    )
 
 
 def _scaled(channel: F32, zero: U8, one: U8, quantile: float) -> F32 | None:
