@@ -51,9 +51,9 @@ class SenderClient:
     """One running sender process.
 
     Args:
-        on_status: is called with each status and the one before it.
+        on_status: is called with the status before and the new one.
         hovered: is called whenever hover was sent to the drone directly, because the sender is silent, gone or not up yet.
-        began: the process, and the socket to it; see `start`.
+        program: the process, and the socket to it; see `start`.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class SenderClient:
         clock: Clock,
         on_status: Callable[[SenderStatus, SenderStatus], None],
         hovered: Callable[[], None],
-        began: tuple[subprocess.Popen[bytes], socket.socket],
+        program: tuple[subprocess.Popen[bytes], socket.socket],
     ) -> None:
         self._o = options
         self._clock = clock
@@ -75,7 +75,7 @@ class SenderClient:
         self._buffer = b""
         self._latest: TimedCommand | None = None
         self._closed = self._busy = False
-        self._process, self._socket = began
+        self._process, self._socket = program
         self._lost: str | None = None
         asyncio.get_running_loop().add_reader(self._socket.fileno(), self._read)
 

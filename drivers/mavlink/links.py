@@ -348,7 +348,7 @@ class Links:
         self.all = tuple(Link(number, one, self, clock) for number, one in enumerate(options))
 
     def notify_tap(self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes, message: Message) -> None:
-        """Count a message that crossed a link."""
+        """Hand a message that crossed a link to the tap; none that carries a key."""
         tap, name = self.tap, message.get_type()
         if tap is not None and name not in _SECRET:
             self.contained.run(f"the tap of {name}", str(endpoint), lambda: tap(at, str(endpoint), way, data, name))
@@ -408,7 +408,7 @@ async def open_links(
 
     Args:
         identity: (system, component) to send as; `Links.identify` changes it.
-        capacity: messages that may wait for the reader of `Links.heard` before the oldest are dropped.
+        capacity: messages that may wait for the reader of `Links.received` before the oldest are dropped.
         access: who is known before anything is received; nobody where it is None.
     """
     links = Links(options, clock, identity, capacity, access or NamedSenders())

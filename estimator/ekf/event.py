@@ -15,7 +15,8 @@ Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
 
 _HEAD = struct.Struct("@I4x3qQ")
 """The numbers of an event before its sample: kind, instants of measuring and of reception, frame, method."""
-_HALVES = struct.Struct("2d")
+_LOST_S = struct.Struct("2d")
+"""The times for which gyro and accelerometer were lost, s."""
 _new, _bytes_of, _EVENT = CORE.ffi.new, CORE.ffi.buffer, CORE.ffi.typeof("dl_event *")
 
 
@@ -48,7 +49,7 @@ def _padding(sample: str) -> bytes:
 
 
 def _of_arrays(kind: int, sample: str, **at: str) -> Callable[[Any], bytes]:
-    """Return what makes a record of a sample whose members in the header are the event's own arrays: most events are such.
+    """Return a function that packs events whose members are one array each.
 
     Args:
         kind: the kind of event.
@@ -66,7 +67,7 @@ def _of_arrays(kind: int, sample: str, **at: str) -> Callable[[Any], bytes]:
 
 
 def _of_imu(event: Imu) -> bytes:
-    lost = _HALVES.pack(event.gyro_lost_s, event.accel_lost_s)
+    lost = _LOST_S.pack(event.gyro_lost_s, event.accel_lost_s)
     return b"".join([_head(abi.DL_IMU, event), event.w_body.tobytes(), event.f_body.tobytes(), lost, _AFTER_IMU])
 
 

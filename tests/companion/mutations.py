@@ -102,7 +102,7 @@ def _text(data: Any, rng: random.Random) -> bytes:
 
 
 def poke_bytes(data: bytes, rng: random.Random, count: int = 4) -> bytes:
-    """Return some bytes, or a whole length, replaced."""
+    """Return the bytes with `count` places of 1, 4 or 8 bytes overwritten by 0xff, zeros or chance."""
     out = bytearray(data)
     for _ in range(count):
         at, span = rng.randrange(8, len(out)), rng.choice([1, 1, 1, 4, 8])

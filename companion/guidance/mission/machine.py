@@ -21,7 +21,7 @@ changes of state.
 - Nothing descends without a fresh, consistent estimate of the pad. `allows` of each state cuts the controller's command to
   that, whatever the target was. Low without sight the drone only climbs (`out_of_reach`).
 - A state that waits has a time, and when that is over the drone goes up or stays: to a go-around, a hold or a refusal.
-- Motors stop only in DOWN, which is entered by a contact and a press (in the thesis' mission by a last way point and a lease).
+- Motors stop only in DOWN, which is entered by a contact and a press (in the thesis' mission by the vehicle's own landing).
 - On the ground, before the first order, and while somebody else has the vehicle, guidance sends nothing but a hover.
 
 **What a go-around costs.** Some ten seconds, a new budget for the attempt, and one of the allowed go-arounds; the time without
@@ -82,14 +82,14 @@ Transitions = tuple[StateChange, ...]
 
 _MOST = 4
 """Most transitions in one cycle; what is left is taken in the next."""
-_ORDERS = (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.GO_AROUND)
-"""States whose orders the height is compared with."""
-_AGREE = 0.2
-"""Difference of an estimate out of sight from the range, of that, up to which two witnesses say the same height."""
+_HEIGHT_IS_ORDERED = (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.GO_AROUND)
+"""States in which the height must follow the ordered rate (`HeldCourse`)."""
+_AGREES_WITHIN = 0.2
+"""Share of the range by which the estimated height may differ from it, out of sight, for both to count as one."""
 _FASTEST_M_S = 1.0
 """Vertical speed of a vehicle whose law does not say, m/s."""
 _LEAN_SETTLES_S = 10.0
-"""Time after the way to the ship in which the mean lean still holds that of the drone's own speed: twice the mean's time."""
+"""Time after the flight to the ship until the mean lean is the wind's alone: twice the time of the mean."""
 
 
 def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress, Aim, Transitions]:
@@ -104,7 +104,7 @@ def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Pro
         changes.append(change)
         p = moved
     p, wanted = aim(p, s, o)
-    if p.in_sight and p.state in _ORDERS:
+    if p.in_sight and p.state in _HEIGHT_IS_ORDERED:
         rate = wanted.descent_rate_m_s if isinstance(wanted, Target) else None
         p = replace(p, course=p.course.ordered(rate))
     return p, wanted, tuple(changes)
@@ -224,7 +224,7 @@ def _seen_from(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         return p
     height_m, range_m = s.estimate.height_m, s.range_m
     if unfit(s.estimate, s.at, o.stale_after_s) is not None:
-        if range_m is None or s.estimate.alerts or abs(range_m - height_m) >= _AGREE * range_m:
+        if range_m is None or s.estimate.alerts or abs(range_m - height_m) >= _AGREES_WITHIN * range_m:
             return p
         height_m = min(height_m, range_m)
     return replace(p, seen_height_m=height_m, was_silent=False, deck_rise_m=0.0, climbed_m=0.0)

@@ -45,7 +45,7 @@ static void share_tilt(const dl_camera_sighting *in, tilt_share *out)
     }
 }
 
-/* out = symmetric part of M P M', with M of m rows and P of n. */
+/* Add the symmetric part of M P M' to out, (m, m); M is (m, n), P (n, n). */
 static void spread(int m, int n, const double *M, const double *P, double *out)
 {
     double MP[POSE * POSE];
@@ -103,7 +103,7 @@ static void level_covariance(const dl_camera_sighting *in, const tilt_share *sha
     spread(POSE, TILT, &by_tilt[0][0], &share->left[0][0], out->cov_pose);
 }
 
-/* The covariance of place and heading; the heading is less by what turns the arrow's azimuth. */
+/* The covariance of place and heading; the heading falls as the arrow's azimuth grows. */
 static void heading_covariance(dl_level_sighting *out)
 {
     const double x = out->R_level_pad[0], y = out->R_level_pad[3], z = out->R_level_pad[6];
@@ -120,7 +120,7 @@ static void heading_covariance(dl_level_sighting *out)
 
 void dl_sighting_in_level(const dl_camera_sighting *in, dl_level_sighting *out)
 {
-    double R_level_body[9], before[9], turn[9], R_level_cam[9], normal[3], lever[3], turned[3];
+    double R_level_body[9], before[9], turn[9], R_level_cam[9], normal[3], lever[3], lever_level[3], tilt[3];
     const double axis[3] = {in->R_cam_pad[2], in->R_cam_pad[5], in->R_cam_pad[8]};
     tilt_share share;
     share_tilt(in, &share);
@@ -128,18 +128,18 @@ void dl_sighting_in_level(const dl_camera_sighting *in, dl_level_sighting *out)
     product(R_level_body, in->R_body_cam, before);
     rotated(before, axis, normal);
     for (int i = 0; i < 3; i++) {
-        turned[i] = 0.0;
+        tilt[i] = 0.0;
         for (int k = 0; k < TILT; k++) {
-            turned[i] += share.axes[i][k] * (share.gain[k][0] * normal[0] + share.gain[k][1] * normal[1]);
+            tilt[i] += share.axes[i][k] * (share.gain[k][0] * normal[0] + share.gain[k][1] * normal[1]);
         }
     }
-    exp_rotation(turned, turn);
+    exp_rotation(tilt, turn);
     product(turn, before, R_level_cam);
     rotated(R_level_body, in->t_body_cam, lever);
-    rotated(turn, lever, turned);
+    rotated(turn, lever, lever_level);
     rotated(R_level_cam, in->t_cam_pad, out->d);
     for (int i = 0; i < 3; i++) {
-        out->d[i] += turned[i];
+        out->d[i] += lever_level[i];
     }
     product(R_level_cam, in->R_cam_pad, out->R_level_pad);
     orthonormalise(out->R_level_pad);

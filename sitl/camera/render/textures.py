@@ -86,7 +86,7 @@ def _wave_numbers(n: int) -> tuple[F32, F32]:
 
 @lru_cache(maxsize=4)
 def ripples(seed: int) -> Tile:
-    """Return small wind waves with pointed crests along the tile's diagonal: values of about -1 to 3, side 7 m."""
+    """Return small wind waves along the tile's diagonal: mean 0, about -4 to 2, side 7 m."""
     n = 512
     fx, fy = _wave_numbers(n)
     f = np.hypot(fx, fy)
@@ -101,7 +101,7 @@ def ripples(seed: int) -> Tile:
 
 @lru_cache(maxsize=4)
 def foam(seed: int) -> Tile:
-    """Return streaky patches of foam: values from 0 to 1, side 19 m."""
+    """Return streaky patches of foam: mean 0, standard deviation about 1.1, side 19 m."""
     n = 512
     fx, fy = _wave_numbers(n)
     f = np.maximum(np.hypot(fx * 1.8, fy), 0.5)

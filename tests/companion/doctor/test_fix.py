@@ -40,7 +40,7 @@ def quiet(stack: str, **wrong: float) -> MiniatureAutopilot:
 
 @contextmanager
 def on_link(fake: MiniatureAutopilot) -> Iterator[str]:
-    """Yield the autopilot alive on a thread with a loop of its own; yields the link's URL."""
+    """Run the autopilot on a thread with a loop of its own; yield the URL of its link."""
     ready, url, stop = threading.Event(), [""], asyncio.Event()
     loops: list[asyncio.AbstractEventLoop] = []
 
@@ -64,8 +64,8 @@ def on_link(fake: MiniatureAutopilot) -> Iterator[str]:
 
 
 @pytest.fixture
-def printed(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    """Return the input that the person types at the terminal."""
+def typed(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Return what sets the lines that the person types."""
     return lambda text: monkeypatch.setattr("sys.stdin", io.StringIO(text))
 
 
@@ -76,11 +76,11 @@ def run_doctor(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str
     return code, capsys.readouterr().out
 
 
-def test_what_is_agreed_to_is_written_and_undone(tmp_path, capsys, printed):
+def test_what_is_agreed_to_is_written_and_undone(tmp_path, capsys, typed):
     fake = quiet("ArduPilot", LAND_SPEED=250.0, GUID_TIMEOUT=0.2, PLND_STRICT=0.0)
     kept = tmp_path / "undo.json"
     with on_link(fake) as url:
-        printed("y\nn\ny\n")  # warnings in the order of the rules: PLND_STRICT, GUID_TIMEOUT, LAND_SPEED
+        typed("y\nn\ny\n")  # warnings in the order of the rules: PLND_STRICT, GUID_TIMEOUT, LAND_SPEED
         code, out = run_doctor(capsys, "--link", url, "--fix", "--undo-file", str(kept))
         assert (fake.parameters["PLND_STRICT"], fake.parameters["GUID_TIMEOUT"], fake.parameters["LAND_SPEED"]) == (
             2.0,

@@ -117,7 +117,7 @@ class Step(NamedTuple):
 
 def drive(name: str, seed: int) -> tuple[Filter, list[Step], FilterParams]:
     """Draw a row of events and let the core process it."""
-    rng, params, steps = np.random.default_rng([len(name), seed]), PARAMS[seed % len(PARAMS)], list[Step]()
+    rng, params, steps = np.random.default_rng([list(ROWS).index(name), seed]), PARAMS[seed % len(PARAMS)], list[Step]()
     b = None if name in ("from nothing", "flight") else drawn_state(rng, params)
     if name in ("looks", "manoeuvre", "stuck") and b is not None:
         b = b.copy(sighted=T - 20 * MS, heading_known=1, P=correlated(seed), rejections=oracle.no_streak())

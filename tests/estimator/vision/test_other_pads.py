@@ -48,14 +48,14 @@ def test_a_pad_of_any_shape_is_registered_and_verified(name: str, height_m: floa
         if not has
     ]
     assert all(found.edges[kind].in_view == 0.0 for kind in lacking)
-    verified = look(FrameView(Pyramid(px), camera, pad), found.pose, Orientation.of(None), RegistrationOptions(coarse=False))
-    assert verified is not None
-    assert confidence(verified.log_odds) > 0.9
+    seen = look(FrameView(Pyramid(px), camera, pad), found.pose, Orientation.of(None), RegistrationOptions(coarse=False))
+    assert seen is not None
+    assert confidence(seen.log_odds) > 0.9
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_pad_of_several_headings_is_followed_without_a_search(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The filter takes no heading that is ambiguous: the last frame's is gone by."""
+    """The filter takes no ambiguous heading, so the tracker goes by that of the last frame."""
     pad, exposure = shipped_pad(name), shot(2.0, (0.02, 0.03), (0.08, -0.05, 0.3))
     px = Renderer(PLAIN, pad).render(exposure, np.random.default_rng(3))
     config = TrackerConfig(PLAIN, pad, TrackerOptions(method="registration"))
