@@ -11,9 +11,8 @@ from collections import Counter
 import numpy as np
 
 from companion.tools.calibrate.assess import assess
-from companion.tools.calibrate.board import Board
+from companion.tools.calibrate.board import Board, BoardView, Collection
 from companion.tools.calibrate.solve import Solution, distance_errors, solve
-from companion.tools.calibrate.views import BoardView, Collection
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera

@@ -64,7 +64,6 @@ SLOW = (
     "tests/companion/test_signals.py",
     "tests/companion/page/test_endpoint.py",
     "tests/estimator/vision/test_lamps.py",
-    "tests/companion/test_report_command.py",
     "tests/sitl/test_hover.py",
     "tests/sitl/campaign/test_soak.py",
     "tests/companion/page/test_report_browser.py",

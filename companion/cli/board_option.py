@@ -3,29 +3,25 @@
 import argparse
 import re
 
+from companion.cli.options import option
 from companion.tools.calibrate.board import Board, BoardKind
 from estimator.contracts.errors import BadInput
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options that describe a calibration board."""
-    parser.add_argument(
-        "--squares",
-        metavar="CxR",
-        help="number of squares, or of an AprilGrid's tags, across and down (default: 7x10, of tags 6x6)",
-    )
-    parser.add_argument(
-        "--square-mm",
-        type=float,
+    option(parser, "--squares CxR", "number of squares, or of an AprilGrid's tags, across and down (default: 7x10, of tags 6x6)")
+    option(
+        parser,
+        "--square-mm MM",
+        "side of a square, or the distance from one tag to the next, as measured on the print (default: %(default)s)",
         default=25.0,
-        metavar="MM",
-        help="side of a square, or the distance from one tag to the next, as measured on the print (default: %(default)s)",
     )
-    parser.add_argument(
-        "--marker-mm",
+    option(
+        parser,
+        "--marker-mm MM",
+        "side of a ChArUco marker (default: 0.72 of a square) or of a tag (default: the distance / 1.3)",
         type=float,
-        metavar="MM",
-        help="side of a ChArUco marker (default: 0.72 of a square) or of a tag (default: the distance / 1.3)",
     )
 
 

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import re
 import shutil
@@ -18,13 +17,13 @@ import numpy as np
 
 from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight, identify
+from companion.cli.options import file_errors, option, print_result
 from companion.tools.calibrate import assess
-from companion.tools.calibrate.board import BOARDS, Board
+from companion.tools.calibrate.board import BOARDS, Board, Collection
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
-from companion.tools.calibrate.guide import Guide, GuideState, add_file, image_files, watch
+from companion.tools.calibrate.guide import Guide, GuideState, add_file, files_of, watch
 from companion.tools.calibrate.solve import LEAST_VIEWS, LensChoice, Solution, solve
 from companion.tools.calibrate.touchdown_cost import of_distance
-from companion.tools.calibrate.views import Collection
 from companion.tools.report.drawing import require_drawing
 from drivers.camera.images import PICTURES
 from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
@@ -37,11 +36,11 @@ _NO_BOARD = (
 )
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander calibrate` to the parser."""
-    outer = subparsers.add_parser(
-        "calibrate", help="calibrate camera and vehicle", description="Calibrate a camera, its mount and delay, and a vehicle."
-    )
+DESCRIPTION = "Calibrate a camera, its mount and delay, and a vehicle."
+
+
+def add_arguments(outer: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     actions = outer.add_subparsers(dest="action", metavar="WHAT", required=True)
     _add_camera(actions)
     calibrate_flight.add_parsers(actions)
@@ -58,67 +57,48 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "is graded: good; fair, if the numbers hold but parts of the image or of the tilts are not covered; poor, if the numbers "
         "do not hold. If the grade is worse than --accept, write no file, list what the images lack, and return exit code 1.",
     )
-    p.add_argument("paths", nargs="*", metavar="PATH", help="images, folders of images, or videos")
-    p.add_argument("--device", metavar="NAME", help="use a live camera instead: a V4L2 name or path, or an address (rtsp://...)")
-    p.add_argument(
-        "--pipeline",
-        metavar="TEXT",
-        help="use a live camera by GStreamer instead: a pipeline up to raw frames, as libcamerasrc",
-    )
-    p.add_argument("--size", metavar="WxH", help="frame size of the live camera, V4L2's or the pipeline's")
-    p.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="frame rate of the live camera (default: %(default)s)")
-    p.add_argument(
-        "--format", default="auto", choices=["auto", *FORMATS], help="pixel format of the live camera (default: %(default)s)"
-    )
-    p.add_argument(
-        "--seconds",
-        type=float,
-        default=120.0,
-        metavar="S",
-        help="stop the live camera after this many seconds (default: %(default)s)",
-    )
-    p.add_argument(
-        "--board",
-        default="charuco",
-        choices=BOARDS,
-        help="kind of the printed board (default: %(default)s)",
-    )
+    option(p, "paths PATH", "images, folders of images, or videos", nargs="*")
+    option(p, "--device NAME", "use a live camera instead: a V4L2 name or path, or an address (rtsp://...)")
+    option(p, "--pipeline TEXT", "use a live camera by GStreamer instead: a pipeline up to raw frames, as libcamerasrc")
+    option(p, "--size WxH", "frame size of the live camera, V4L2's or the pipeline's")
+    option(p, "--rate HZ", "frame rate of the live camera (default: %(default)s)", default=30.0)
+    option(p, "--format", "pixel format of the live camera (default: %(default)s)", default="auto", choices=["auto", *FORMATS])
+    option(p, "--seconds S", "stop the live camera after this many seconds (default: %(default)s)", default=120.0)
+    option(p, "--board", "kind of the printed board (default: %(default)s)", default="charuco", choices=BOARDS)
     board_option.add(p)
-    p.add_argument("--out", required=True, metavar="FILE", help="camera file to write")
-    p.add_argument(
+    option(p, "--out FILE", "camera file to write", required=True)
+    option(
+        p,
         "--export",
-        action="append",
+        "write the camera for others, too, beside FILE with the ending .ros.yaml, .opencv.yaml or .kalibr.yaml",
         default=[],
         choices=FOREIGN,
-        help="write the camera for others, too, beside FILE with the ending .ros.yaml, .opencv.yaml or .kalibr.yaml",
+        action="append",
     )
-    p.add_argument(
+    option(
+        p,
         "--accept",
+        "write the camera file if the grade is this or better; poor is --force (default: %(default)s)",
         default="good",
         choices=assess.GRADES,
-        help="write the camera file if the grade is this or better; poor is --force (default: %(default)s)",
     )
-    p.add_argument("--force", action="store_true", help="write the camera file even if it is poor, and print what that costs")
-    p.add_argument(
+    option(p, "--force", "write the camera file even if it is poor, and print what that costs")
+    option(
+        p,
         "--lens",
+        "model of the lens; auto takes a fisheye where the views speak for it (default: %(default)s)",
         default="auto",
         choices=get_args(LensChoice),
-        help="model of the lens; auto takes a fisheye where the views speak for it (default: %(default)s)",
     )
-    p.add_argument("--figures", metavar="DIR", help="write coverage.png and residuals.png into this folder")
-    p.add_argument(
-        "--position-m",
-        default="0,0,0",
-        metavar="F,R,D",
-        help="position of the camera in the body: forward, right, down (default: 0,0,0)",
-    )
-    p.add_argument(
-        "--rpy-deg",
+    option(p, "--figures DIR", "write coverage.png and residuals.png into this folder")
+    option(p, "--position-m F,R,D", "position of the camera in the body: forward, right, down (default: 0,0,0)", default="0,0,0")
+    option(
+        p,
+        "--rpy-deg R,P,Y",
+        "mount of the camera: roll, pitch, yaw; 0,0,90 looks down with the nose at the image's top (default: 0,0,90)",
         default="0,0,90",
-        metavar="R,P,Y",
-        help="mount of the camera: roll, pitch, yaw; 0,0,90 looks down with the nose at the image's top (default: 0,0,90)",
     )
-    p.add_argument("--json", action="store_true", help="print one JSON object")
+    option(p, "--json", "print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -162,15 +142,13 @@ def _run_camera(args: argparse.Namespace) -> int:
     accepted = args.force or assess.GRADES.index(found.grade) <= assess.GRADES.index(args.accept)
     if accepted:
         source = args.device or args.pipeline or f"{len(args.paths)} files or folders"
-        try:
+        with file_errors(f"--out {out}"):
             others = {out.with_suffix(f".{kind}.yaml"): foreign(solution.camera, kind) for kind in args.export}
             out.write_text(
                 text(solution, f"{source} ({board.kind} {board.columns}x{board.rows}, {found.grade})", rpy), encoding="utf-8"
             )
             for path, content in others.items():
                 path.write_text(content, encoding="utf-8")
-        except OSError as why:
-            raise BadInput(f"--out {out}: {why.strerror or why}") from why
     _say(args, collection, solution, found, written=accepted)
     return 0 if accepted else 1
 
@@ -191,7 +169,7 @@ def _gather(args: argparse.Namespace, board: Board) -> Collection:
         guide = Guide(board)
         event_loop.run(watch(*_camera(args), guide, ProgressBlock(quiet=quiet).show, args.seconds))
         return guide.collection
-    files = image_files([Path(p) for p in args.paths])
+    files = files_of([Path(p) for p in args.paths])
     collection = Collection(board, moving=any(f.suffix.lower() not in PICTURES for f in files))
     for file in files:
         add_file(file, collection, tell)
@@ -228,9 +206,6 @@ def _three(text: str, name: str) -> tuple[float, float, float]:
 def _say(
     args: argparse.Namespace, collection: Collection, solution: Solution | None, found: assess.Assessment, *, written: bool
 ) -> None:
-    if args.json:
-        sys.stdout.write(json.dumps(_record(args, collection, solution, found, written=written)) + "\n")
-        return
     lines = [f"{collection.image_count} images: {len(collection.views)} views, the board not found in {len(collection.without)}"]
     if solution is not None:
         c, s = solution.camera, solution.sigma
@@ -248,7 +223,7 @@ def _say(
         hint = "" if solution is None else f" ({flag} writes it all the same)"
         lines.append(f"{found.grade}: nothing written{hint}; it lacks:")
     lines += [f"  - {lack}" for lack in found.missing]
-    sys.stdout.write("\n".join(lines) + "\n")
+    print_result(args, _record(args, collection, solution, found, written=written), "\n".join(lines))
 
 
 def _worth(solution: Solution, *, cost: bool) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
+from companion.cli.options import check_new, file_errors, option, print_result, recording_argument
 from companion.recording.reading import CAMERA, Recording, open_recording
 from companion.settings.load import load
 from companion.settings.model import in_file
@@ -19,7 +19,7 @@ from companion.tools.calibrate.flight_result import MountResult, flight_result, 
 from companion.tools.calibrate.flight_views import FlightViews, flight_views
 from companion.tools.calibrate.touchdown_cost import TouchdownCost
 from drivers.ardrone.options import ArDroneOptions
-from estimator.contracts.errors import BadInput, unusable
+from estimator.contracts.errors import BadInput
 
 
 def with_values(text: str, table: str, values: Mapping[str, Any], where: str) -> str:
@@ -62,31 +62,28 @@ def add_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="measure how the camera is turned on the vehicle, from a recorded flight",
         description=f"Measure how the camera is turned on the vehicle. {_HOW}",
     )
-    mount.add_argument("--out", type=Path, metavar="FILE", help="write the recorded camera file with the new mount; a new file")
+    option(mount, "--out FILE", "write the recorded camera file with the new mount; a new file", type=Path)
     delay = actions.add_parser(
         "delay",
         help="measure the delay of the camera's frames, from a recorded flight",
         description=f"Measure how late frames are against the gyro. {_HOW}",
     )
-    delay.add_argument("--config", metavar="FILE", help="settings file to change; with --out")
-    delay.add_argument("--out", type=Path, metavar="FILE", help="write the settings file with the new delay; a new file")
+    option(delay, "--config FILE", "settings file to change; with --out")
+    option(delay, "--out FILE", "write the settings file with the new delay; a new file", type=Path)
     readout = actions.add_parser(
         "readout",
         help="measure the readout time of a rolling shutter, from a recorded flight",
         description=f"Measure how long the camera takes from its first row to its last. {_HOW} It needs the images.",
     )
-    readout.add_argument("--out", type=Path, metavar="FILE", help="write the recorded camera file with readout_s; a new file")
+    option(readout, "--out FILE", "write the recorded camera file with readout_s; a new file", type=Path)
     for parser in (mount, delay, readout):
-        parser.add_argument(
-            "recording", nargs="+", type=Path, metavar="RECORDING", help="MCAP file, or the files of one recording in order"
-        )
-        parser.add_argument("--json", action="store_true", help="print one JSON object")
+        recording_argument(parser)
+        option(parser, "--json", "print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    if args.out is not None and args.out.exists():
-        raise BadInput(f"--out {args.out}: there is such a file already; name a new one")
+    check_new(args.out)
     recording = open_recording(args.recording)
     actions = {"mount": _mount, "delay": _delay, "readout": _readout}
     return actions[args.action](args, recording)
@@ -170,7 +167,7 @@ def _write_delay(args: argparse.Namespace, key: str, was: float, found: float, s
 
 def _readout(args: argparse.Namespace, recording: Recording) -> int:
     result = readout_result(recording, _views(args, recording))
-    found, sigma_s, was_s, why = result.readout_s, result.sigma_s, result.fit.was_s, result.refusal()
+    found, sigma_s, was_s, why = result.readout_s, result.sigma_s, result.was_s, result.refusal()
     if why is None and args.out is not None:
         text = recording.attachments[CAMERA].decode("utf-8")
         noted = f"# Readout calibrated from {recording.name}: {found:.5f} +- {sigma_s:.5f} s, was {was_s:g}.\n"
@@ -200,13 +197,10 @@ _AXES = ("about forward", "right", "down")
 
 def _say(args: argparse.Namespace, result: MountResult, why: str | None, lines: list[str], record: Mapping[str, Any]) -> int:
     fit, advice = result.fit, result.advice()
-    if args.json:
-        whole = {
-            "good": why is None, "refused": why, "missing": advice, "file": str(args.out) if args.out and why is None else None,
-            "views": fit.views, "left_out": fit.left_out, **record,
-        }  # fmt: skip
-        sys.stdout.write(json.dumps(whole) + "\n")
-        return 0 if why is None else 1
+    whole = {
+        "good": why is None, "refused": why, "missing": advice, "file": str(args.out) if args.out and why is None else None,
+        "views": fit.views, "left_out": fit.left_out, **record,
+    }  # fmt: skip
     lines.append(f"flight {result.coverage.in_words()}; {fit.views} views, {fit.left_out} left out")
     if why is not None:
         lines.append(f"not known well enough: {why}" + ("; it lacks:" if advice else ""))
@@ -215,7 +209,7 @@ def _say(args: argparse.Namespace, result: MountResult, why: str | None, lines: 
     elif advice:
         lines.append("it would be better with:")
     lines += [f"  - {lack}" for lack in advice]
-    sys.stdout.write("\n".join(lines) + "\n")
+    print_result(args, whole, "\n".join(lines))
     return 0 if why is None else 1
 
 
@@ -235,8 +229,5 @@ def _three(values: Any) -> str:
 
 
 def _write(path: Path, content: str) -> None:
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(content)
-    except OSError as why:
-        raise unusable(f"--out {path}", why) from why
+    with file_errors(f"--out {path}"), path.open("x", encoding="utf-8") as file:
+        file.write(content)

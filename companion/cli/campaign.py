@@ -14,10 +14,11 @@ from pathlib import Path
 
 from companion.base.signals import Stopped
 from companion.cli import perception_option
+from companion.cli.options import file_errors, option
 from companion.cli.progress import CampaignProgress
 from companion.settings.load import shipped
 from companion.tools.report.drawing import require_drawing
-from estimator.contracts.errors import BadInput, unusable
+from estimator.contracts.errors import BadInput
 from estimator.pipeline import RelativeEstimator
 from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_columns, in_rows, in_words, tallies_of
 from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis, refuse_repeated
@@ -52,76 +53,66 @@ from sitl.scenario.with_fault import with_random_faults
 _MAP_RUNS = 4
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander campaign` to the parser."""
-    parser = subparsers.add_parser(
-        "campaign",
-        help="fly many simulated landings and summarize them, or watch them for leaks",
-        description="Fly many simulated landings of one scenario, each with its own seed, and summarize them. Results are kept "
-        "in a folder as they come: the same command goes on where an earlier one ended, whatever ended it. Exit code 0 if every "
-        "flight landed on the pad safely, or refused as the scenario expects; else 1. docs/campaigns.md has more. "
-        "'decklander campaign report DIR' writes the report of what is in a folder. --soak flies in one process, and "
-        "watches it for leaks.",
-    )
-    parser.add_argument(
+DESCRIPTION = (
+    "Fly many simulated landings of one scenario, each with its own seed, and summarize them. Results are kept "
+    "in a folder as they come: the same command goes on where an earlier one ended, whatever ended it. Exit code 0 if every "
+    "flight landed on the pad safely, or refused as the scenario expects; else 1. docs/campaigns.md has more. "
+    "'decklander campaign report DIR' writes the report of what is in a folder. --soak flies in one process, and "
+    "watches it for leaks."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(
+        parser,
         "scenario",
-        help=f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for those "
+        f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for those "
         f"with a fault); or a set of scenarios ({', '.join(shipped_sets())}, or its file); or the word report",
     )
-    parser.add_argument("more", nargs="*", metavar="SCENARIO", help="further scenarios; with report: the folder of a campaign")
-    parser.add_argument(
-        "--runs", type=int, metavar="N", help="number of flights, at each point (default: 100; with --soak: by --hours)"
-    )
-    parser.add_argument("--seed", type=int, metavar="FIRST", help="seed of the first flight (default: 0; with --soak: 1)")
+    option(parser, "more SCENARIO", "further scenarios; with report: the folder of a campaign", nargs="*")
+    option(parser, "--runs N", "number of flights, at each point (default: 100; with --soak: by --hours)", type=int)
+    option(parser, "--seed FIRST", "seed of the first flight (default: 0; with --soak: 1)", type=int)
     perception_option.add_arguments(parser)
     parser.set_defaults(perception=None)
-    parser.add_argument(
-        "--config",
-        metavar="FILE",
-        help="settings file to fly with (default: the profile sim with the scenario's camera and pad)",
-    )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="give a key of scenario or settings another value"
-    )
-    parser.add_argument(
-        "--wrong-model",
-        type=float,
-        metavar="SIGMA",
-        help="let each seed draw by how much the vehicle differs from its file, in standard deviations of what an owner's "
+    option(parser, "--config FILE", "settings file to fly with (default: the profile sim with the scenario's camera and pad)")
+    option(parser, "--set KEY=VALUE", "give a key of scenario or settings another value", default=[], action="append")
+    option(
+        parser,
+        "--wrong-model SIGMA",
+        "let each seed draw by how much the vehicle differs from its file, in standard deviations of what an owner's "
         "identification leaves; 0 for not at all (default: as the scenario says, 1 in weather_2 to weather_6)",
+        type=float,
     )
     where = parser.add_argument_group("where to fly and to keep")
-    where.add_argument("--workers", type=int, metavar="K", help="number of processes (default: one for each core)")
-    where.add_argument("--scheduler", metavar="URL", help="fly on the Dask cluster of this scheduler, as tcp://host:8786")
-    where.add_argument(
-        "--out",
-        metavar="DIR",
-        help="keep the results in this folder (default: campaigns/NAME-DIGEST, by what is flown)",
-    )
+    option(where, "--workers K", "number of processes (default: one for each core)", type=int)
+    option(where, "--scheduler URL", "fly on the Dask cluster of this scheduler, as tcp://host:8786")
+    option(where, "--out DIR", "keep the results in this folder (default: campaigns/NAME-DIGEST, by what is flown)")
     more = parser.add_argument_group("vary")
-    more.add_argument(
-        "--vary",
-        action="append",
+    option(
+        more,
+        "--vary KEY=SPAN",
+        "fly all seeds at each value of a key: LOW:HIGH:STEP or A,B,C; repeated, at all combinations",
         default=[],
-        metavar="KEY=SPAN",
-        help="fly all seeds at each value of a key: LOW:HIGH:STEP or A,B,C; repeated, at all combinations",
+        action="append",
     )
-    more.add_argument(
+    option(
+        more,
         "--faults",
-        choices=("random",),
-        help="let each seed draw one or two faults: of sensors, frames, commands, lens, rotor, battery or service, or a person's "
+        "let each seed draw one or two faults: of sensors, frames, commands, lens, rotor, battery or service, or a person's "
         f"act; the first {WORST} failing flights become scenario files beside the results, with the fewest and weakest faults",
+        choices=("random",),
     )
     output = parser.add_argument_group("results")
-    output.add_argument("--json", action="store_true", help="print a line of JSON for each flight, and one of the summary")
-    output.add_argument("--report", action="store_true", help=f"write {REPORT} beside the results")
-    output.add_argument(
+    option(output, "--json", "print a line of JSON for each flight, and one of the summary")
+    option(output, "--report", f"write {REPORT} beside the results")
+    option(
+        output,
         "--map",
-        action="store_true",
-        help=f"fly all winds, seas and vehicles of a scenario with weather and draw what lands as {MAP} (default of --vary: "
+        f"fly all winds, seas and vehicles of a scenario with weather and draw what lands as {MAP} (default of --vary: "
         f"{' '.join(AXES)}; of --runs: {_MAP_RUNS})",
     )
-    output.add_argument("--against", metavar="DIR", help="compare with this earlier campaign in the report, seed by seed")
+    option(output, "--against DIR", "compare with this earlier campaign in the report, seed by seed")
     _add_soak_arguments(parser)
 
 
@@ -361,10 +352,8 @@ def _report(args: argparse.Namespace) -> int:
     manifest = manifest_of(folder)
     path = folder / FLIGHTS
     page = render_report(manifest, flights_in(path), wall_s_in(path), _compared_with(args.against))
-    try:
+    with file_errors(str(folder / REPORT)):
         write_whole(folder / REPORT, page.encode())
-    except OSError as why:
-        raise unusable(str(folder / REPORT), why) from why
     sys.stdout.write(f"report: {folder / REPORT}\n")
     if args.map:
         write_whole(folder / MAP, render_map(manifest["name"], manifest["perception"], flights_in(path)).encode())
@@ -401,21 +390,19 @@ def _add_soak_arguments(parser: argparse.ArgumentParser) -> None:
         "judged; also if memory grew by 1 %, or descriptors, threads or tasks by one, after warm-up. Ctrl-C stops the run "
         "and prints the results so far.",
     )
-    group.add_argument(
+    option(
+        group,
         "--soak",
-        action="store_true",
-        help="fly in one process and watch for leaks: the landing service flies the simulated drone through sockets in real time",
+        "fly in one process and watch for leaks: the landing service flies the simulated drone through sockets in real time",
     )
-    group.add_argument(
-        "--hours", type=float, metavar="H", help="hours to run; with --virtual hours of flight time (default: 1, or --runs)"
-    )
-    group.add_argument("--virtual", action="store_true", help="fly in virtual time, without sockets")
+    option(group, "--hours H", "hours to run; with --virtual hours of flight time (default: 1, or --runs)", type=float)
+    option(group, "--virtual", "fly in virtual time, without sockets")
     faults = group.add_mutually_exclusive_group()
-    faults.add_argument("--no-faults", action="store_true", help="fly without faults")
-    faults.add_argument("--fault", metavar="NAME", help="fly this fault in every flight (needs --virtual; default: at random)")
-    group.add_argument("--failed-max", type=int, metavar="N", help="allow this many failed flights (default: 0)")
-    group.add_argument("--plot", type=Path, metavar="FILE", help="plot memory, counts and outcomes over time (png, svg, pdf)")
-    group.add_argument("--readings", type=Path, metavar="FILE", help="write every reading as a line of JSON into this file")
+    option(faults, "--no-faults", "fly without faults")
+    option(faults, "--fault NAME", "fly this fault in every flight (needs --virtual; default: at random)")
+    option(group, "--failed-max N", "allow this many failed flights (default: 0)", type=int)
+    option(group, "--plot FILE", "plot memory, counts and outcomes over time (png, svg, pdf)", type=Path)
+    option(group, "--readings FILE", "write every reading as a line of JSON into this file", type=Path)
 
 
 def refuse(args: argparse.Namespace) -> None:

@@ -8,28 +8,30 @@ import sys
 
 import shtab
 
+from companion.cli.options import option
+
 SHELLS = ("bash", "zsh", "fish")
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander completion` to the parser."""
-    parser = subparsers.add_parser(
-        "completion",
-        help="print the completion of commands for bash, zsh or fish",
-        description="Print a script that completes commands, options and file names. For bash: decklander completion bash > "
-        "~/.local/share/bash-completion/completions/decklander. For zsh: decklander completion zsh > _decklander in a folder of "
-        "$fpath. For fish: decklander completion fish > ~/.config/fish/completions/decklander.fish.",
-    )
-    parser.add_argument("shell", choices=SHELLS, help="shell")
+DESCRIPTION = (
+    "Print a script that completes commands, options and file names. For bash: decklander completion bash > "
+    "~/.local/share/bash-completion/completions/decklander. For zsh: decklander completion zsh > _decklander in a folder of "
+    "$fpath. For fish: decklander completion fish > ~/.config/fish/completions/decklander.fish."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(parser, "shell", "shell", choices=SHELLS)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the script and return 0."""
-    from companion.cli.main import COMMANDS
+    from companion.cli.main import COMMANDS, add_command
 
     parser = argparse.ArgumentParser(prog="decklander")
     subparsers = parser.add_subparsers()
-    for module, _ in COMMANDS.values():
-        importlib.import_module(module).add_parser(subparsers)
+    for name, (module, _) in COMMANDS.items():
+        add_command(subparsers, name, importlib.import_module(module))
     sys.stdout.write(shtab.complete(parser, shell=args.shell) + "\n")
     return 0

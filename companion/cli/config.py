@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator, Mapping
 
 from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
+from companion.cli.options import option
 from companion.guidance.advice import CAUSES
 from companion.guidance.mission.machine import PHASES, TABLES
 from companion.guidance.mission.phase import LANDING
@@ -21,12 +22,11 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.total_table import next_states
 
+DESCRIPTION = "Check, show or explain settings."
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander config` to the parser."""
-    parser = subparsers.add_parser(
-        "config", help="check, show or explain settings", description="Check, show or explain settings."
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     names = f"settings file, or the name of a shipped vehicle profile ({', '.join(shipped())})"
     check = actions.add_parser(
@@ -34,23 +34,23 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="check settings files",
         description="Check settings files, and the camera, pad, key, password and certificate files that they name.",
     )
-    check.add_argument("files", nargs="+", metavar="FILE", help=names)
+    option(check, "files FILE", names, nargs="+")
     show = actions.add_parser(
         "show", help="print a settings file with every default", description="Print a settings file with every default."
     )
-    show.add_argument("file", metavar="FILE", help=names)
+    option(show, "file FILE", names)
     schema = actions.add_parser(
         "schema",
         help="print the JSON Schema of settings files or MQTT messages",
         description="Print the JSON Schema of settings files or MQTT messages.",
     )
-    schema.add_argument("--mqtt", action="store_true", help="print that of the messages over MQTT")
+    option(schema, "--mqtt", "print that of the messages over MQTT")
     reference = actions.add_parser(
         "reference",
         help="print the reference of all settings",
         description="Print the reference of the settings (docs/configuration.md) in Markdown.",
     )
-    reference.add_argument("--expert", action="store_true", help="print the expert keys instead")
+    option(reference, "--expert", "print the expert keys instead")
     actions.add_parser(
         "mission",
         help="print the states and events of a landing",

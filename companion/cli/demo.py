@@ -27,8 +27,9 @@ from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
 from companion.base.signals import check, ending_signal
 from companion.base.version import version
-from companion.cli import kept_flight, report_option
+from companion.cli import kept_flight
 from companion.cli.kept_flight import compared_paths
+from companion.cli.options import check_seed, option, prepare_folder, print_result, written
 from companion.cli.progress import ProgressObserver
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.page.access import make_token
@@ -37,8 +38,7 @@ from companion.settings import schema
 from companion.settings.links import HttpSettings, VideoStreamOptions
 from companion.settings.load import load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
-from companion.tools.report.flight_log import FlightLog, TruthSample
-from companion.tools.report.log_observer import LogObserver
+from companion.tools.report.flight_log import FlightLog, LogObserver, TruthSample
 from companion.tools.report.page import PAGE, write_report
 from drivers.clock import SystemClock
 from drivers.pyav import has_pyav
@@ -65,42 +65,35 @@ _WITHOUT_VIDEO = (
 """Notice where nothing can decode the 2.0's H.264."""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander demo` to the parser."""
-    parser = subparsers.add_parser(
-        "demo",
-        help="land a simulated drone on this machine and write a report",
-        description="Land a simulated AR.Drone on a ship's pad in real time. The drone and the sea run in a process of "
-        "their own; "
-        "the landing service flies the drone through UDP and TCP sockets. Exit code 0 if it landed on the pad, else 1. If the "
-        "machine is too slow to fly in real time, the last line says so, with figures.",
-    )
+DESCRIPTION = (
+    "Land a simulated AR.Drone on a ship's pad in real time. The drone and the sea run in a process of "
+    "their own; "
+    "the landing service flies the drone through UDP and TCP sockets. Exit code 0 if it landed on the pad, else 1. If the "
+    "machine is too slow to fly in real time, the last line says so, with figures."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     names = ", ".join(shipped("scenarios"))
-    parser.add_argument(
-        "--scenario", default="demo", metavar="FILE", help=f"scenario file, or the name of a shipped one ({names}; default: demo)"
-    )
-    parser.add_argument(
-        "--ardrone1", action="store_true", help="fly an AR.Drone 1.0 with its camera of 176x144 px, whatever the scenario says"
-    )
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of all random numbers (default: 1)")
-    parser.add_argument(
-        "--report", type=Path, default=Path("report"), metavar="DIR", help="write the report into this folder (default: report)"
-    )
-    parser.add_argument("--no-report", action="store_true", help="write no report")
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of progress")
+    option(parser, "--scenario FILE", f"scenario file, or the name of a shipped one ({names}; default: demo)", default="demo")
+    option(parser, "--ardrone1", "fly an AR.Drone 1.0 with its camera of 176x144 px, whatever the scenario says")
+    option(parser, "--seed N", "seed of all random numbers (default: 1)", default=1)
+    option(parser, "--report DIR", "write the report into this folder (default: report)", default=Path("report"))
+    option(parser, "--no-report", "write no report")
+    option(parser, "--json", "print one JSON object instead of progress")
     _add_servers(parser)
-    parser.add_argument(
-        "--video",
-        metavar="ADDRESS:PORT",
-        help="send the picture with the estimate drawn over it there, H.264 by RTP, as to a ground station",
+    option(
+        parser,
+        "--video ADDRESS:PORT",
+        "send the picture with the estimate drawn over it there, H.264 by RTP, as to a ground station",
     )
     kept_flight.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    if args.seed < 0:
-        raise BadInput(f"--seed must be 0 or more, got {args.seed}")
+    check_seed(args)
     scenario = load_scenario(args.scenario)
     if scenario.vehicle.generation != "1.0" and not args.ardrone1 and not has_pyav():
         sys.stderr.write(f"{_WITHOUT_VIDEO}\n")
@@ -108,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     if args.ardrone1:
         scenario = with_ardrone1(scenario)
     GENERATIONS[scenario.vehicle.generation].check_camera(camera_model(scenario))
-    report_option.prepare_folder(None if args.no_report else args.report)
+    prepare_folder(None if args.no_report else args.report)
     return event_loop.run(_demo(args, scenario))
 
 
@@ -170,12 +163,8 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
         ending = dataclasses.replace(ending, without_outcome="stopped by a person")
     if not args.no_report:
         _write_report(args, log, ending, truth)
-    if args.json:
-        sys.stdout.write(json.dumps(ending.as_json()) + "\n")
-    else:
-        sys.stdout.write(ending.in_words() + "\n")
-        if not args.no_report:
-            sys.stdout.write(report_option.written(args.report / PAGE))
+    report = "" if args.no_report else written(args.report / PAGE)
+    print_result(args, ending.as_json(), f"{ending.in_words()}\n{report}")
     return 0 if ending.on_pad else 1
 
 
@@ -292,23 +281,23 @@ def _write_report(args: argparse.Namespace, log: FlightLog, ending: Ending, trut
 
 def _add_servers(parser: argparse.ArgumentParser) -> None:
     port = HttpSettings().port
-    parser.add_argument(
-        "--page",
-        type=int,
-        nargs="?",
-        const=port,
-        metavar="PORT",
-        help="serve the operator page on loopback and print its address; the landing begins by a button there, and the flight "
+    option(
+        parser,
+        "--page PORT",
+        "serve the operator page on loopback and print its address; the landing begins by a button there, and the flight "
         f"goes on until Ctrl-C (default port: {port})",
-    )
-    parser.add_argument(
-        "--foxglove",
         type=int,
         nargs="?",
         const=port,
-        metavar="PORT",
-        help="serve the flight live to Foxglove or Lichtblick on loopback and print the address; with --page on the page's port "
+    )
+    option(
+        parser,
+        "--foxglove PORT",
+        "serve the flight live to Foxglove or Lichtblick on loopback and print the address; with --page on the page's port "
         f"(default port: {port})",
+        type=int,
+        nargs="?",
+        const=port,
     )
 
 

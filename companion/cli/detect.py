@@ -21,9 +21,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.cli.options import file_errors, option
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.settings.load import find_file, read_camera, read_toml
+from companion.settings.load import find_file, pad_of_file, read_camera
 from companion.settings.referenced_files import second_opinion
+from companion.tools.calibrate.guide import files_of
 from drivers.camera import images
 from drivers.camera.videos import open_video, predicts_frames, video_of
 from drivers.pyav import require_pyav
@@ -59,14 +61,6 @@ _INK = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class _Tilt:
-    """Roll and pitch of the body from a table, degrees."""
-
-    roll_deg: float
-    pitch_deg: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Image:
     """One image to search."""
@@ -91,61 +85,55 @@ class _Model:
     pad: Pad
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander detect` to the parser."""
-    p = subparsers.add_parser(
-        "detect",
-        help="find the pad in images, videos or recordings",
-        description="Find the pad in images, videos or recordings. Exit code 1 if no frame shows it.",
-        epilog="Positions are from the body to the pad: forward, right, down, metres, in a frame with the body's heading and no "
-        "tilt. Headings are the body's against the pad's arrow, clockwise seen from above, degrees.",
+DESCRIPTION = "Find the pad in images, videos or recordings. Exit code 1 if no frame shows it."
+
+
+def add_arguments(p: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    p.epilog = (
+        "Positions are from the body to the pad: forward, right, down, metres, in a frame with the body's heading and no "
+        "tilt. Headings are the body's against the pad's arrow, clockwise seen from above, degrees."
     )
-    p.add_argument("paths", nargs="+", metavar="PATH", help="image, video, recording (MCAP), or a folder of them")
-    p.add_argument(
-        "--camera",
-        metavar="FILE",
-        help="camera file, or the name of a shipped one (sim, ardrone2_bottom); a recording needs none (default: its own)",
+    option(p, "paths PATH", "image, video, recording (MCAP), or a folder of them", nargs="+")
+    option(
+        p,
+        "--camera FILE",
+        "camera file, or the name of a shipped one (sim, ardrone2_bottom); a recording needs none (default: its own)",
     )
-    p.add_argument(
-        "--pad",
-        metavar="FILE",
-        help="pad file, or the name of a shipped one (default: thesis; for a recording its own)",
-    )
-    p.add_argument(
-        "--attitude",
-        metavar="FILE",
-        help="read attitudes from a CSV file with the header source,roll_deg,pitch_deg; source is the path or name of an image, "
+    option(p, "--pad FILE", "pad file, or the name of a shipped one (default: thesis; for a recording its own)")
+    option(
+        p,
+        "--attitude FILE",
+        "read attitudes from a CSV file with the header source,roll_deg,pitch_deg; source is the path or name of an image, "
         "or NAME#INDEX for a frame of a video. A frame without attitude is taken as level, with a wide covariance",
     )
-    p.add_argument(
-        "--attitude-sigma-deg",
-        type=_positive,
-        default=0.5,
-        metavar="DEG",
-        help="standard deviation of these attitudes (default: %(default)s)",
+    option(
+        p, "--attitude-sigma-deg DEG", "standard deviation of these attitudes (default: %(default)s)", type=_positive, default=0.5
     )
-    p.add_argument(
+    option(
+        p,
         "--method",
+        "what forms the sighting: registration, as flown; the thesis' three methods; or all, fused (default: %(default)s)",
         choices=get_args(TrackerMethod),
         default="registration",
-        help="what forms the sighting: registration, as flown; the thesis' three methods; or all, fused (default: %(default)s)",
     )
-    p.add_argument(
+    option(
+        p,
         "--colours",
+        "colour limits of the thesis' methods; auto takes the most confident ones for each frame (default: %(default)s)",
         choices=["auto", *COLOUR_SETS],
         default="auto",
-        help="colour limits of the thesis' methods; auto takes the most confident ones for each frame (default: %(default)s)",
     )
-    p.add_argument(
-        "--second-opinion",
+    option(
+        p,
+        "--second-opinion FILE",
+        "ask a trained network about each registration, too, and print both opinions; it can only lower the confidence "
+        "(default: ask none; without FILE the shipped network)",
         nargs="?",
         const="",
-        metavar="FILE",
-        help="ask a trained network about each registration, too, and print both opinions; it can only lower the confidence "
-        "(default: ask none; without FILE the shipped network)",
     )
-    p.add_argument("--annotate", metavar="DIR", help="write each frame with its detections drawn in as PNG into this folder")
-    p.add_argument("--json", action="store_true", help="print JSON Lines, one object per frame")
+    option(p, "--annotate DIR", "write each frame with its detections drawn in as PNG into this folder")
+    option(p, "--json", "print JSON Lines, one object per frame")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -154,7 +142,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         BadInput: a path, the camera, the pad or the attitudes are wrong, or an image is not of the camera's size.
     """
-    files = _files(args.paths)
+    files = files_of(list(map(Path, args.paths)), images.PICTURES | VIDEOS | RECORDINGS, "image, video or recording")
     models = {file: _model(args, file) for file in files}
     tilts = _attitudes(Path(args.attitude), files) if args.attitude is not None else {}
     options = _options(args.method, args.colours)
@@ -185,8 +173,9 @@ def run(args: argparse.Namespace) -> int:
                 record = _record(image, seen, colours, elapsed_ms)
                 line = f"{_line(image, seen)} {elapsed_ms:6.1f}{_opinions(seen)}"
                 sys.stdout.write((json.dumps(record) if args.json else line) + "\n")
-                if album is not None:
-                    _write(album / f"{file.stem}_{image.index:05d}.png", _annotated(image, seen, camera))
+                drawn = None if album is None else album / f"{file.stem}_{image.index:05d}.png"
+                if drawn is not None and not cv2.imwrite(str(drawn), _annotated(image, seen, camera)):
+                    raise BadInput(f"--annotate: cannot write {drawn}")
         except _NoImageError as why:
             unreadable += 1
             sys.stdout.flush()
@@ -219,7 +208,7 @@ def _model(args: argparse.Namespace, file: Path) -> _Model:
         pad = recording.pad()
     if pad is None:
         path = find_file(args.pad or "thesis", "pads", Path(), "--pad")
-        pad = Pad.from_mapping(read_toml(path), str(path))
+        pad = pad_of_file(path)
         pad.check_for_detection(str(path))
     return _Model(camera, camera_source, pad)
 
@@ -236,27 +225,6 @@ def _positive(text: str) -> float:
     if not 0.0 < value <= 45.0:
         raise argparse.ArgumentTypeError(f"must be a number of degrees over 0 and up to 45, got {text!r}")
     return value
-
-
-def _files(paths: Sequence[str]) -> list[Path]:
-    files: list[Path] = []
-    for text in paths:
-        path = Path(text)
-        try:
-            if path.is_dir():
-                inside = sorted(
-                    p for p in path.iterdir() if p.is_file() and p.suffix.lower() in images.PICTURES | VIDEOS | RECORDINGS
-                )
-                if not inside:
-                    raise BadInput(f"{text}: no image, video or recording in this folder")
-                files += inside
-            elif path.is_file():
-                files.append(path)
-            else:
-                raise BadInput(f"{text}: no such file or folder")
-        except OSError as why:
-            raise BadInput(f"{text}: {why.strerror or why}") from why
-    return files
 
 
 def _images(file: Path, model: _Model) -> Iterator[_Image]:
@@ -323,8 +291,8 @@ def _wrong_size(source: str, size: tuple[int, int], model: _Model) -> BadInput:
     )
 
 
-def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, _Tilt]:
-    """Return the tilts of an attitude file, by source."""
+def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, Rotation]:
+    """Return roll and pitch of an attitude file, by source."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as text:
             rows = list(csv.reader(text))
@@ -336,7 +304,7 @@ def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, _Tilt]:
     if any(name not in header for name in ("source", "roll_deg", "pitch_deg")):
         raise BadInput(f"{path}: the first line must be source,roll_deg,pitch_deg, got {','.join(header)[:80]!r}")
     at = {name: header.index(name) for name in ("source", "roll_deg", "pitch_deg")}
-    tilts: dict[str, _Tilt] = {}
+    tilts: dict[str, Rotation] = {}
     for number, row in enumerate(rows[1:], start=2):
         if not any(cell.strip() for cell in row):
             continue
@@ -346,9 +314,8 @@ def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, _Tilt]:
         source = row[at["source"]].strip()
         if source in tilts:
             raise BadInput(f"{where}: {source!r} is there twice")
-        tilts[source] = _Tilt(
-            _degrees(row[at["roll_deg"]], "roll_deg", where), _degrees(row[at["pitch_deg"]], "pitch_deg", where)
-        )
+        roll, pitch = (math.radians(_degrees(row[at[name]], name, where)) for name in ("roll_deg", "pitch_deg"))
+        tilts[source] = Rotation.from_rpy(roll, pitch, 0.0)
     known = {Path(source.split("#")[0]).name for source in tilts}
     if not any(file.name in known for file in files):
         raise BadInput(f"{path}: no row is of any of the images; the first column is their path or file name")
@@ -365,14 +332,11 @@ def _degrees(cell: str, name: str, where: str) -> float:
     return value
 
 
-def _attitude(tilts: Mapping[str, _Tilt], image: _Image, sigma_rad: float) -> Attitude | None:
+def _attitude(tilts: Mapping[str, Rotation], image: _Image, sigma_rad: float) -> Attitude | None:
     name = Path(image.source).name
     keys = (f"{image.source}#{image.index}", f"{name}#{image.index}", image.source, name)
     tilt = next((tilts[key] for key in keys if key in tilts), None)
-    if tilt is None:
-        return None
-    R = Rotation.from_rpy(math.radians(tilt.roll_deg), math.radians(tilt.pitch_deg), 0.0)
-    return Attitude(_STAMP, R, np.eye(3) * sigma_rad**2)
+    return None if tilt is None else Attitude(_STAMP, tilt, np.eye(3) * sigma_rad**2)
 
 
 def _options(method: TrackerMethod, colours: str) -> list[TrackerOptions]:
@@ -459,16 +423,9 @@ def _album(folder: str | None) -> Path | None:
     if folder is None:
         return None
     path = Path(folder)
-    try:
+    with file_errors(f"--annotate {folder}"):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as why:
-        raise BadInput(f"--annotate {folder}: {why.strerror or why}") from why
     return path
-
-
-def _write(path: Path, px: U8) -> None:
-    if not cv2.imwrite(str(path), px):
-        raise BadInput(f"--annotate: cannot write {path}")
 
 
 def _annotated(image: _Image, seen: Detection, camera: Camera) -> U8:

@@ -18,6 +18,7 @@ import msgspec
 from msgspec.structs import replace
 
 from companion.base import event_loop
+from companion.cli.options import file_errors, option
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.load import Settings, load
 from companion.tools.doctor.diagnose import RULES, diagnose
@@ -82,17 +83,13 @@ AT_BOOT = frozenset({
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of both."""
-    parser.add_argument(
-        "--fix",
-        action="store_true",
-        help="ask for each change of a parameter that fixes a fault, write it, and read it back; never while armed",
+    option(
+        parser, "--fix", "ask for each change of a parameter that fixes a fault, write it, and read it back; never while armed"
     )
-    parser.add_argument("--undo", metavar="FILE", help="set back what --fix wrote, from the undo file that it kept")
-    parser.add_argument("--yes", action="store_true", help="with --fix or --undo: say yes to every change")
-    parser.add_argument(
-        "--undo-file",
-        metavar="FILE",
-        help="with --fix: keep what the parameters were in this file (default: decklander-undo-TIME.json)",
+    option(parser, "--undo FILE", "set back what --fix wrote, from the undo file that it kept")
+    option(parser, "--yes", "with --fix or --undo: say yes to every change")
+    option(
+        parser, "--undo-file FILE", "with --fix: keep what the parameters were in this file (default: decklander-undo-TIME.json)"
     )
 
 
@@ -159,10 +156,8 @@ def fix(args: argparse.Namespace, snapshot: Snapshot, found: Sequence[Finding]) 
 
 def undo(args: argparse.Namespace) -> int:
     """Set back what an undo file holds, the last first, and return the exit code: 0 if all is as it was."""
-    try:
+    with file_errors(f"--undo {args.undo}"):
         kept = decode_undo(Path(args.undo).read_bytes(), args.undo)
-    except OSError as why:
-        raise BadInput(f"--undo {args.undo}: {why.strerror or why}") from why
     backwards = [one.back for one in reversed(kept.written)]
     agreed = [one for one in backwards if args.yes or _agreed(one, f"--fix set {one.parameter} from {one.to:g} to {one.was:g}")]
     if not agreed:
@@ -260,45 +255,43 @@ def _code(found: Sequence[Finding], done: set[str]) -> int:
     return 1 if any(f.severity is not Severity.ADVICE for f in left) else 0
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander doctor` to the parser."""
-    parser = subparsers.add_parser(
-        "doctor",
-        help="diagnose the setup: autopilot, links, camera, broker",
-        description="Diagnose the setup: read firmware, parameters, message rates, links, camera and broker, and print "
-        "each known fault with its fix. The command flies nothing, and sets no parameter but those that you agree to with "
-        "--fix; it requests message streams. Stop the service first if it holds the serial port. "
-        "Exit code 0 if nothing was found (or is left), or advice only; else 1.",
-    )
-    parser.add_argument(
-        "log",
+DESCRIPTION = (
+    "Diagnose the setup: read firmware, parameters, message rates, links, camera and broker, and print "
+    "each known fault with its fix. The command flies nothing, and sets no parameter but those that you agree to with "
+    "--fix; it requests message streams. Stop the service first if it holds the serial port. "
+    "Exit code 0 if nothing was found (or is left), or advice only; else 1."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(
+        parser,
+        "log LOG",
+        "examine a file instead: a flight log (.bin, .log, .ulg, .tlog) with parameters and events, or a file of parameters",
         nargs="?",
-        metavar="LOG",
-        help="examine a file instead: a flight log (.bin, .log, .ulg, .tlog) with parameters and events, or a file of parameters",
     )
-    parser.add_argument(
-        "--link",
-        action="append",
+    option(
+        parser,
+        "--link URL",
+        "MAVLink link: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD; may be repeated",
         default=[],
-        metavar="URL",
-        help="MAVLink link: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD; may be repeated",
+        action="append",
     )
-    parser.add_argument(
-        "--config",
-        metavar="FILE",
-        help="settings file, or the name of a shipped vehicle profile: check its files too, and its links unless --link is given",
+    option(
+        parser,
+        "--config FILE",
+        "settings file, or the name of a shipped vehicle profile: check its files too, and its links unless --link is given",
     )
-    parser.add_argument("--broker", metavar="HOST:PORT", help="check this MQTT broker")
-    parser.add_argument("--system", type=int, metavar="N", help="system id of the autopilot to examine")
-    parser.add_argument("--signing-key", metavar="FILE", help="key file (or credential:NAME) of signed links")
-    parser.add_argument("--seconds", type=float, default=4.0, metavar="S", help="listen this long for each answer (default: 4)")
-    parser.add_argument("--still-pad", action="store_true", help="skip the checks that matter on a moving ship only")
-    parser.add_argument(
-        "--ship-speed", type=float, metavar="M_S", help="the ship's greatest speed, m/s: judge limits of speed against it"
-    )
-    parser.add_argument("--snapshot", metavar="FILE", help="examine a saved snapshot instead of this machine; - for stdin")
-    parser.add_argument("--save", metavar="FILE", help="save the snapshot into this file, to examine it elsewhere")
-    parser.add_argument("--json", action="store_true", help="print JSON Lines, one object per finding")
+    option(parser, "--broker HOST:PORT", "check this MQTT broker")
+    option(parser, "--system N", "system id of the autopilot to examine", type=int)
+    option(parser, "--signing-key FILE", "key file (or credential:NAME) of signed links")
+    option(parser, "--seconds S", "listen this long for each answer (default: 4)", default=4.0)
+    option(parser, "--still-pad", "skip the checks that matter on a moving ship only")
+    option(parser, "--ship-speed M_S", "the ship's greatest speed, m/s: judge limits of speed against it", type=float)
+    option(parser, "--snapshot FILE", "examine a saved snapshot instead of this machine; - for stdin")
+    option(parser, "--save FILE", "save the snapshot into this file, to examine it elsewhere")
+    option(parser, "--json", "print JSON Lines, one object per finding")
     add_options(parser)
 
 
@@ -317,10 +310,8 @@ def run(args: argparse.Namespace) -> int:
     moving = snapshot.moving_pad and not args.still_pad
     snapshot = msgspec.structs.replace(snapshot, moving_pad=moving, ship_speed_m_s=speed_m_s)
     if args.save:
-        try:
+        with file_errors(f"--save {args.save}"):
             Path(args.save).write_bytes(encode(snapshot))
-        except OSError as why:
-            raise BadInput(f"--save {args.save}: {why.strerror or why}") from why
     found = diagnose(snapshot)
     if args.json:
         for finding in found:
@@ -343,10 +334,8 @@ def _snapshot(args: argparse.Namespace) -> Snapshot:
 
 
 def _saved(where: str) -> Snapshot:
-    try:
+    with file_errors(f"--snapshot {where}"):
         data = sys.stdin.buffer.read() if where == "-" else Path(where).read_bytes()
-    except OSError as why:
-        raise BadInput(f"--snapshot {where}: {why.strerror or why}") from why
     return decode(data, where)
 
 

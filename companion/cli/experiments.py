@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
-from companion.settings.load import SHIPPED, load, read_camera, read_toml
+from companion.cli.options import check_seed, file_errors, option, print_result
+from companion.settings.load import SHIPPED, load, pad_of_file, read_camera
 from companion.tools.report.drawing import require_drawing
-from estimator.contracts.errors import BadInput, unusable
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from study.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, lags
@@ -20,41 +19,30 @@ from study.experiments.photographs import read_photographs
 PAGE = "experiments.md"
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander experiments` to the parser."""
-    parser = subparsers.add_parser(
-        "experiments",
-        help="fly the thesis' experiments again",
-        description="Fly the experiments of the thesis' chapter 5 again in virtual time, and write a page with its tables and "
-        "figures beside ours. It takes some minutes of CPU time. Exit code 0 if both landings end on the pad, else 1.",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("experiments"),
-        metavar="DIR",
-        help="write the page into this folder (default: experiments)",
-    )
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of all random numbers (default: 1)")
-    parser.add_argument("--config", default="sim", metavar="FILE", help="settings file to fly with (default: the profile sim)")
-    parser.add_argument(
-        "--photos", type=Path, metavar="DIR", help="photographs of the printed pad: a folder with pose.csv and images/"
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object with the tables")
+DESCRIPTION = (
+    "Fly the experiments of the thesis' chapter 5 again in virtual time, and write a page with its tables and "
+    "figures beside ours. It takes some minutes of CPU time. Exit code 0 if both landings end on the pad, else 1."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(parser, "--out DIR", "write the page into this folder (default: experiments)", default=Path("experiments"))
+    option(parser, "--seed N", "seed of all random numbers (default: 1)", default=1)
+    option(parser, "--config FILE", "settings file to fly with (default: the profile sim)", default="sim")
+    option(parser, "--photos DIR", "photographs of the printed pad: a folder with pose.csv and images/", type=Path)
+    option(parser, "--json", "print one JSON object with the tables")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    if args.seed < 0:
-        raise BadInput(f"--seed must be 0 or more, got {args.seed}")
+    check_seed(args)
     require_drawing("experiments")
     from study.experiments.page import draw, page
 
     settings = load(args.config)
-    try:
+    with file_errors(f"--out {args.out}"):
         args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as why:
-        raise unusable(f"--out {args.out}", why) from why
     photographs = None
     if args.photos is not None:
         _say(args, "5.2 the photographs of the real pad")
@@ -62,16 +50,11 @@ def run(args: argparse.Namespace) -> int:
     chapter = fly_chapter(settings, args.seed, lambda title: _say(args, title))
     words = ["decklander", "experiments", *(["--seed", str(args.seed)] if args.seed != 1 else [])]
     words += ["--photos", "DIR"] if args.photos is not None else []
-    try:
+    with file_errors(f"--out {args.out}"):
         (args.out / PAGE).write_text(page(chapter, photographs, shlex.join(words)), encoding="utf-8")
         draw(chapter, args.out)
-    except OSError as why:
-        raise unusable(f"--out {args.out}", why) from why
     landed = [one.lateral_m for one in (chapter.landing, chapter.external) if one.outcome is not None]
-    if args.json:
-        sys.stdout.write(json.dumps(_tables(chapter)) + "\n")
-    else:
-        sys.stdout.write(f"written: {args.out / PAGE}\n")
+    print_result(args, _tables(chapter), f"written: {args.out / PAGE}")
     return 0 if len(landed) == 2 and all(off is not None and off < 0.39 for off in landed) else 1
 
 
@@ -82,8 +65,7 @@ def _say(args: argparse.Namespace, title: str) -> None:
 
 def _shipped() -> tuple[Camera, Pad]:
     """Return the camera of the photographs and the printed pad."""
-    camera, pad = SHIPPED / "cameras" / "photos.toml", SHIPPED / "pads" / "printed.toml"
-    return read_camera(camera), Pad.from_mapping(read_toml(pad), str(pad))
+    return read_camera(SHIPPED / "cameras" / "photos.toml"), pad_of_file(SHIPPED / "pads" / "printed.toml")
 
 
 def _tables(chapter: Chapter5) -> dict[str, Any]:

@@ -18,6 +18,7 @@ import msgspec
 
 from companion.base import event_loop
 from companion.base.orders import CENTRED, OperatorOrder, StickPositions
+from companion.cli.options import option
 from companion.facts.wire import FlightState
 from companion.parts.operator.client import OperatorClient, connected, line_of_state, running
 from companion.settings.load import load
@@ -251,29 +252,29 @@ _AWAITED = {"takeoff", "land", "begin"}
 _STATE_TIMEOUT_S = 3.0
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander fly` to the parser."""
-    parser = subparsers.add_parser(
-        "fly",
-        help="give orders to the running service, or fly by the keyboard",
-        description="Give one order to the service that runs on this computer and print its answer. Without an order, fly by the "
-        "keyboard in this terminal. Exit code 0 if the order was accepted, 1 if it was refused or no service answers.",
-    )
-    parser.add_argument(
-        "order",
+DESCRIPTION = (
+    "Give one order to the service that runs on this computer and print its answer. Without an order, fly by the "
+    "keyboard in this terminal. Exit code 0 if the order was accepted, 1 if it was refused or no service answers."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(
+        parser,
+        "order ORDER",
+        f"{', '.join(ORDERS)} or status; without it, fly by the keyboard",
         nargs="?",
         choices=(*ORDERS, "status"),
-        metavar="ORDER",
-        help=f"{', '.join(ORDERS)} or status; without it, fly by the keyboard",
     )
-    parser.add_argument("--config", metavar="FILE", help="settings of the service, if several run on this computer")
-    parser.add_argument(
-        "--wait",
+    option(parser, "--config FILE", "settings of the service, if several run on this computer")
+    option(
+        parser,
+        "--wait S",
+        "after takeoff wait until it hovers, after land and begin until it is on the ground; exit code 1 after S seconds",
         type=float,
-        metavar="S",
-        help="after takeoff wait until it hovers, after land and begin until it is on the ground; exit code 1 after S seconds",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    option(parser, "--json", "print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:

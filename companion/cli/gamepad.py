@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+from companion.cli.options import option
 from companion.settings.load import shipped
 from companion.settings.referenced_files import mapping_of
 from drivers.clock import SystemClock
@@ -16,25 +17,22 @@ from drivers.gamepad.device import AXES, EV_ABS, EV_KEY, FOLDER, EventDevice, ev
 from drivers.gamepad.mapping import STICKS, GamepadMapping, gamepad_step, positions, start
 from estimator.contracts.errors import BadInput, Recoverable
 
+DESCRIPTION = (
+    "List the gamepads of this computer, or show the events of one live, with the sticks and orders "
+    "that its mapping makes of them. Nothing is sent to a drone. Exit code 1 if there is no gamepad."
+)
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander gamepad` to the parser."""
-    parser = subparsers.add_parser(
-        "gamepad",
-        help="list gamepads and show what they send",
-        description="List the gamepads of this computer, or show the events of one live, with the sticks and orders "
-        "that its mapping makes of them. Nothing is sent to a drone. Exit code 1 if there is no gamepad.",
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="list the gamepads that are plugged in")
-    listing.add_argument("--json", action="store_true", help="print one JSON object a line")
+    option(listing, "--json", "print one JSON object a line")
     show = actions.add_parser("show", help="show the events of a gamepad until interrupted")
-    show.add_argument("--device", default="", metavar="NAME", help="a part of its name, or its path (default: the first one)")
+    option(show, "--device NAME", "a part of its name, or its path (default: the first one)", default="")
     names = ", ".join(shipped("gamepads"))
-    show.add_argument(
-        "--mapping", default="thesis", metavar="FILE", help=f"mapping file, or a shipped one ({names}; default: thesis)"
-    )
-    show.add_argument("--seconds", type=float, metavar="S", help="stop after this many seconds")
+    option(show, "--mapping FILE", f"mapping file, or a shipped one ({names}; default: thesis)", default="thesis")
+    option(show, "--seconds S", "stop after this many seconds", type=float)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,13 +1,13 @@
 """`decklander calibrate vehicle`: how a vehicle answered its commands, from a recorded flight."""
 
 import argparse
-import json
 import math
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from companion.cli.options import check_new, file_errors, option, print_result, recording_argument
 from companion.guidance.law.margins import LoopMargins, margins
 from companion.guidance.law.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt, text
 from companion.recording.reading import Recording, open_recording
@@ -18,7 +18,7 @@ from companion.tools.calibrate import touchdown_cost
 from companion.tools.calibrate.flown_courses import FlownCourses, flown_courses
 from companion.tools.calibrate.touchdown_cost import ResponseCost
 from companion.tools.report.drawing import require_drawing
-from estimator.contracts.errors import BadInput, unusable
+from estimator.contracts.errors import BadInput
 
 HELP = "identify a vehicle's response from a recorded flight"
 DESCRIPTION = (
@@ -38,23 +38,18 @@ DELAY_MARGIN_S = 0.06
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
-    parser.add_argument(
-        "recording", nargs="+", type=Path, metavar="RECORDING", help="MCAP file, or the files of one recording in order"
-    )
-    parser.add_argument(
-        "--response", metavar="NAME", help="shipped response or file to begin from (default: the one of the recorded settings)"
-    )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the response file (TOML)")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw commanded, reported and modelled courses into this PNG")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    recording_argument(parser)
+    option(parser, "--response NAME", "shipped response or file to begin from (default: the one of the recorded settings)")
+    option(parser, "--out FILE", "write the response file (TOML)", type=Path)
+    option(parser, "--plot FILE", "draw commanded, reported and modelled courses into this PNG", type=Path)
+    option(parser, "--json", "print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     if args.plot is not None:
         require_drawing("--plot")
-    if args.out is not None and args.out.exists():
-        raise BadInput(f"--out {args.out}: there is such a file already; name a new one")
+    check_new(args.out)
     recording = open_recording(args.recording)
     start = _start(args.response, recording)
     courses = flown_courses(recording)
@@ -78,13 +73,10 @@ def run(args: argparse.Namespace) -> int:
         write_response(args.plot, recording.name, courses, tilt, climb)
     loops = {"by_the_given": margins(start.tilt, tilt.response), "by_the_identified": margins(tilt.response)}
     costs = touchdown_cost.tilt_of_file(start.tilt, tilt.response), touchdown_cost.tilt_of_sigma(tilt.response, tilt.cov)
-    if args.json:
-        record = _record(tilt, climb) | {"loop": {name: _loop_record(loop) for name, loop in loops.items()}}
-        record |= {"cost_was_cm": _finite(costs[0].cost_cm), "cost_sigma_cm": _finite(costs[1].cost_cm)}
-        record |= {"chi2_of_given": _apart(start.tilt, tilt), "cut": {str(p): why for p, why in recording.cut.items()}}
-        sys.stdout.write(json.dumps(record) + "\n")
-    else:
-        sys.stdout.write("\n".join(_lines(args, start, courses, tilt, climb, loops, costs)) + "\n")
+    record = _record(tilt, climb) | {"loop": {name: _loop_record(loop) for name, loop in loops.items()}}
+    record |= {"cost_was_cm": _finite(costs[0].cost_cm), "cost_sigma_cm": _finite(costs[1].cost_cm)}
+    record |= {"chi2_of_given": _apart(start.tilt, tilt), "cut": {str(p): why for p, why in recording.cut.items()}}
+    print_result(args, record, "\n".join(_lines(args, start, courses, tilt, climb, loops, costs)))
     return 0
 
 
@@ -124,11 +116,9 @@ def _fits(recording: Recording, courses: FlownCourses, start: Response) -> tuple
 
 
 def _write(path: Path, content: str) -> None:
-    try:
+    with file_errors(f"--out {path}"):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(content, encoding="utf-8")
-    except OSError as why:
-        raise unusable(f"--out {path}", why) from why
 
 
 def _lines(

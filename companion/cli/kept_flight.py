@@ -15,7 +15,7 @@ from typing import Any, get_args
 from companion.base.health import Health
 from companion.base.observer import Decision, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder
-from companion.cli import report_option
+from companion.cli.options import file_errors, option, prepare_folder, written
 from companion.facts.records import ContactRecord, TruthRecord
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
@@ -23,8 +23,7 @@ from companion.settings import schema
 from companion.settings.load import body_camera, camera_model, pad_model
 from companion.settings.model import Settings
 from companion.settings.service import FrameForm
-from companion.tools.report.flight_log import FlightLog, TruthSample
-from companion.tools.report.log_observer import LogObserver
+from companion.tools.report.flight_log import FlightLog, LogObserver, TruthSample
 from companion.tools.report.page import PAGE, write_report
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
@@ -120,7 +119,7 @@ class KeptFlight:
         self.log.facts += [("scenario", self.args.scenario), ("seed", str(self.args.seed))]
         self.log.facts += [("flown in", f"{wall_s:.1f} s, {time}"), *ending.facts()]
         write_report(self.log, self.args.report)
-        return report_option.written(self.args.report / PAGE)
+        return written(self.args.report / PAGE)
 
     def _keep(self, truth: Truth) -> None:
         for observer in self.held_back:
@@ -155,7 +154,7 @@ def keeping(
     Raises:
         BadInput: the report's folder or the recording's file cannot be made.
     """
-    report_option.prepare_folder(args.report)
+    prepare_folder(args.report)
     if perception != "pixels":
         args.record_frames = "none"
     log = None if args.report is None else _log(settings, title, started)
@@ -177,14 +176,9 @@ def _log(settings: Settings, title: str, started: MonoNs) -> FlightLog:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of a command that records its flight."""
-    parser.add_argument(
-        "--record", type=Path, metavar="FILE", help="record the flight into this file (MCAP; see docs/recordings.md)"
-    )
-    parser.add_argument(
-        "--record-frames",
-        choices=get_args(FrameForm),
-        default="jpeg",
-        help="encode recorded frames like this (default: jpeg)",
+    option(parser, "--record FILE", "record the flight into this file (MCAP; see docs/recordings.md)", type=Path)
+    option(
+        parser, "--record-frames", "encode recorded frames like this (default: jpeg)", choices=get_args(FrameForm), default="jpeg"
     )
 
 
@@ -215,12 +209,10 @@ def _require_writable(path: Path) -> None:
     there = os.path.lexists(path)
     if there and not path.is_file():
         raise BadInput(f"--record {path}: is there already and is no regular file; name a new file")
-    try:
+    with file_errors(f"--record {path}"):
         path.open("ab").close()
         if not there:
             path.unlink()
-    except OSError as why:
-        raise BadInput(f"--record {path}: {why.strerror or why}") from why
 
 
 def truth_record(truth: Truth) -> TruthRecord:

@@ -13,6 +13,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from companion.cli.options import option
 from companion.parts.page.access import make_token
 from drivers.clock import SystemClock
 from drivers.endpoint import Endpoint, parse_endpoint
@@ -26,39 +27,36 @@ from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
+DESCRIPTION = (
+    "Make, show, install and remove MAVLink signing keys (docs/mavlink.md). Exit code 0 if the autopilot "
+    "was seen to take the change, 1 if not."
+)
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander keys` to the parser."""
-    parser = subparsers.add_parser(
-        "keys",
-        help="make, show, install and remove MAVLink signing keys; make the operator page's token",
-        description="Make, show, install and remove MAVLink signing keys (docs/mavlink.md). Exit code 0 if the autopilot "
-        "was seen to take the change, 1 if not.",
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     make = actions.add_parser("make", help="write a new key of 32 random bytes, readable by you alone; never overwrite a file")
-    make.add_argument("file", metavar="FILE", help="key file to write")
+    option(make, "file FILE", "key file to write")
     token = actions.add_parser("token", help="write a token for the operator page, readable by you alone; never overwrite a file")
-    token.add_argument("file", metavar="FILE", help="token file to write")
+    option(token, "file FILE", "token file to write")
     show = actions.add_parser("show", help="print the fingerprint of a key, never the key")
-    show.add_argument("file", metavar="FILE", help="key file: 32 bytes, 64 hexadecimal digits, or a line 'passphrase: ...'")
+    option(show, "file FILE", "key file: 32 bytes, 64 hexadecimal digits, or a line 'passphrase: ...'")
     install = actions.add_parser("install", help="install a key on the autopilot of a link (SETUP_SIGNING)")
-    install.add_argument("file", metavar="FILE", help="key file")
+    option(install, "file FILE", "key file")
     remove = actions.add_parser("remove", help="remove the key from the autopilot of a link")
     for action in (install, remove):
-        action.add_argument(
-            "--link",
-            required=True,
-            metavar="URL",
-            help="MAVLink link: serial:///dev/NAME:BAUD (best, since the key crosses the link in clear), "
+        option(
+            action,
+            "--link URL",
+            "MAVLink link: serial:///dev/NAME:BAUD (best, since the key crosses the link in clear), "
             "udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT",
+            required=True,
         )
-        action.add_argument("--current", metavar="FILE", help="key that the autopilot has now, if any")
-        action.add_argument("--system", type=int, metavar="N", help="system id of the autopilot")
-        action.add_argument(
-            "--seconds", type=float, default=5.0, metavar="S", help="listen this long for the autopilot (default: 5)"
-        )
-        action.add_argument("--yes", action="store_true", help="do not ask for confirmation")
+        option(action, "--current FILE", "key that the autopilot has now, if any")
+        option(action, "--system N", "system id of the autopilot", type=int)
+        option(action, "--seconds S", "listen this long for the autopilot (default: 5)", default=5.0)
+        option(action, "--yes", "do not ask for confirmation")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -3,8 +3,10 @@
 Exit codes: 0 done; 1 it did not reach its goal; 2 wrong use or bad input; 130 interrupted from the keyboard; 141 the reader
 of our output went away; 131, 143 ended by SIGQUIT, SIGTERM, with what was begun cleared away (`companion.base.signals` says how).
 
-Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is requested.
+Each subcommand is a module with `DESCRIPTION`, `add_arguments(parser)` and `run(args) -> int`, imported when it is requested.
 """
+
+from __future__ import annotations
 
 import argparse
 import difflib
@@ -18,7 +20,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import NoReturn, TextIO
+from typing import Any, NoReturn, TextIO
 
 from companion.base import signals
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
@@ -212,11 +214,16 @@ def _dispatch(argv: list[str], load: Load) -> int:
     # No matrix here has more than some thirty rows, and the library would start a thread and set memory aside for each core.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     module = load(COMMANDS[asked][0])
-    module.add_parser(subparsers)
+    add_command(subparsers, asked, module)
     args, unknown = parser.parse_known_args(argv)
     if unknown:
         _refuse_words(subparsers.choices[asked], unknown)
     return int(module.run(args))
+
+
+def add_command(subparsers: argparse._SubParsersAction[Any], name: str, module: ModuleType) -> None:
+    """Add a command with its options to the parser."""
+    module.add_arguments(subparsers.add_parser(name, help=COMMANDS[name][1], description=module.DESCRIPTION))
 
 
 def _refuse_words(parser: argparse.ArgumentParser, unknown: list[str]) -> NoReturn:

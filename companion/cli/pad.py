@@ -5,33 +5,36 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import re
 import sys
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from companion.cli import board_option, pad_import, pad_price
-from companion.settings.load import SHIPPED, find_file, read_camera, read_toml, shipped
+from companion.cli import board_option, pad_import
+from companion.cli.options import file_errors, option
+from companion.cli.progress import WorkProgress
+from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, shipped
 from companion.tools.calibrate.board import BOARDS
-from companion.tools.print_pad.drawing import board_drawing, pad_drawing
-from companion.tools.print_pad.sheets import PAPERS, pdf, sheets, svg
+from companion.tools.pads.clutter import VIEWS
+from companion.tools.pads.price import Price, price
+from companion.tools.print_pad.sheets import PAPERS, board_drawing, pad_drawing, pdf, sheets, svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy
-from estimator.vision.pad import Pad
+from estimator.vision.pad import RARE, Calibration, Pad
 from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
 from estimator.vision.regions import part_of
 from estimator.vision.srgb import LUMA, linear_light
 
+DESCRIPTION = "List and check pads, make one of a drawing or photograph, print one or a calibration board to scale."
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander pad` to the parser."""
-    p = subparsers.add_parser(
-        "pad",
-        help="list, import, check or print pads",
-        description="List and check pads, make one of a drawing or photograph, print one or a calibration board to scale.",
-    )
+
+def add_arguments(p: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     actions = p.add_subparsers(dest="action", required=True, metavar="ACTION")
     actions.add_parser("list", help="list the shipped pads", description="List the shipped pads.")
     _add_check(actions)
@@ -46,18 +49,14 @@ def _add_print(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         description="Print a pad or a calibration board to scale. Print at 100 % and measure the ruler on each sheet. Cut at "
         "the marks, which lie in the middle of each overlap, and join the sheets edge to edge.",
     )
-    p.add_argument(
-        "pad", nargs="?", default="thesis", metavar="PAD", help="pad file, or the name of a shipped one (default: %(default)s)"
+    option(p, "pad PAD", "pad file, or the name of a shipped one (default: %(default)s)", nargs="?", default="thesis")
+    option(p, "--out FILE", "file to write: .pdf (all sheets) or .svg (one file per sheet)", required=True)
+    option(
+        p, "--paper", "paper size; full is one sheet as large as needed (default: a4)", default="a4", choices=[*PAPERS, "full"]
     )
-    p.add_argument("--out", required=True, metavar="FILE", help="file to write: .pdf (all sheets) or .svg (one file per sheet)")
-    p.add_argument(
-        "--paper", default="a4", choices=[*PAPERS, "full"], help="paper size; full is one sheet as large as needed (default: a4)"
-    )
-    p.add_argument(
-        "--margin-mm", type=float, default=10.0, metavar="MM", help="margin that the printer cannot reach (default: 10)"
-    )
-    p.add_argument("--overlap-mm", type=float, default=10.0, metavar="MM", help="overlap of neighbouring sheets (default: 10)")
-    p.add_argument("--board", choices=BOARDS, help="print a calibration board instead of the pad")
+    option(p, "--margin-mm MM", "margin that the printer cannot reach (default: 10)", default=10.0)
+    option(p, "--overlap-mm MM", "overlap of neighbouring sheets (default: 10)", default=10.0)
+    option(p, "--board", "print a calibration board instead of the pad", choices=BOARDS)
     board_option.add(p)
 
 
@@ -70,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     match args.action:
         case "list":
             for name in shipped("pads"):
-                pad = _pad(SHIPPED / "pads" / f"{name}.toml")
+                pad = pad_of_file(SHIPPED / "pads" / f"{name}.toml")
                 parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
                 lamps = f", {len(pad.lamps)} lamps" if pad.lamps else ""
                 only = "" if pad.lamps or pad.is_identifiable_by_paint else " (not detected: print and paint only)"
@@ -84,10 +83,6 @@ def run(args: argparse.Namespace) -> int:
             return _print(args)
 
 
-def _pad(file: Path) -> Pad:
-    return Pad.from_mapping(read_toml(file), str(file))
-
-
 def _print(args: argparse.Namespace) -> int:
     """Write the sheets; return 0.
 
@@ -97,7 +92,7 @@ def _print(args: argparse.Namespace) -> int:
     if args.board is not None:
         drawing = board_drawing(board_option.board(args, args.board))
     else:
-        drawing = pad_drawing(_pad(find_file(args.pad, "pads", Path(), "PAD")))
+        drawing = pad_drawing(pad_of_file(find_file(args.pad, "pads", Path(), "PAD")))
     out = Path(args.out)
     if out.suffix.lower() not in (".pdf", ".svg"):
         raise BadInput(f"--out must end in .pdf or .svg, got {args.out!r}")
@@ -107,7 +102,7 @@ def _print(args: argparse.Namespace) -> int:
             f"the board ({drawing.width_mm:g} x {drawing.height_mm:g} mm) does not fit on one sheet of "
             f"{args.paper} with its margins, and a glued one is not flat: take smaller squares or larger paper"
         )
-    try:
+    with file_errors(str(out)):
         if out.suffix.lower() == ".pdf":
             out.write_bytes(pdf(drawing, pages))
             written = [out]
@@ -116,8 +111,6 @@ def _print(args: argparse.Namespace) -> int:
             written = [out if alone else out.with_stem(f"{out.stem}_r{p.row + 1}c{p.column + 1}") for p in pages]
             for path, page in zip(written, pages, strict=True):
                 path.write_text(svg(drawing, page), encoding="utf-8")
-    except OSError as why:
-        raise BadInput(f"{out}: {why.strerror or why}") from why
     size = f"{drawing.width_mm:g} x {drawing.height_mm:g} mm"
     sys.stdout.write(
         f"{drawing.name}, {size}: {len(pages)} sheet{'s' if len(pages) > 1 else ''} in {', '.join(map(str, written))}\n"
@@ -150,16 +143,11 @@ def _add_check(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "how it stands out from decks. Print also whether its heading is unique, and how often clutter resembles it; the "
         "confidence that follows from clutter is written into the file. Exit code 0; 2 if the file is refused.",
     )
-    p.add_argument("pad", metavar="PAD", help="pad file, or the name of a shipped one")
-    p.add_argument(
-        "--camera", default="sim", metavar="FILE", help="camera file, or the name of a shipped one (default: %(default)s)"
-    )
-    p.add_argument(
-        "--views", type=int, metavar="N",
-        help="search N generated views without the pad, and write what that tells into the pad's file (default: "
-        f"{pad_price.VIEWS} for a pad file without a calibration of its drawing, else none)",
-    )  # fmt: skip
-    p.add_argument("--json", action="store_true", help="print one JSON object")
+    option(p, "pad PAD", "pad file, or the name of a shipped one")
+    option(p, "--camera FILE", "camera file, or the name of a shipped one (default: %(default)s)", default="sim")
+    option(p, "--views N", "search N generated views without the pad, and write what that tells into the pad's file (default: "
+        f"{VIEWS} for a pad file without a calibration of its drawing, else none)", type=int)  # fmt: skip
+    option(p, "--json", "print one JSON object")
 
 
 def _check(args: argparse.Namespace) -> int:
@@ -169,21 +157,21 @@ def _check(args: argparse.Namespace) -> int:
         BadInput: the pad or the camera is missing or has a fault.
     """
     file, camera_file = find_file(args.pad, "pads", Path(), "PAD"), find_file(args.camera, "cameras", Path(), "--camera")
-    pad, camera = Pad.from_mapping(read_toml(file), str(file)), read_camera(camera_file)
+    pad, camera = pad_of_file(file), read_camera(camera_file)
     if args.views is not None and not (args.views == 0 or 50 <= args.views <= 100_000):
         raise BadInput(f"--views must be 50 to 100000, or 0 for none, got {args.views}")
     views, found_in = (
-        args.views if args.views is not None else 0 if pad.is_calibrated or SHIPPED in file.parents else pad_price.VIEWS,
+        args.views if args.views is not None else 0 if pad.is_calibrated or SHIPPED in file.parents else VIEWS,
         None,
     )
     if views:
-        pad, found_in = pad_price.priced(pad, file, views)
+        pad, found_in = _priced(pad, file, views)
     deck = linear_light(_DECKS["grey steel"])
     bounds = [accuracy(pad, camera, height_m, deck) for height_m in _HEIGHTS_M]
     by_lamps = [lamp_accuracy(pad.lamps, camera, height_m) for height_m in _HEIGHTS_M] if pad.lamps else []
     headings, contrasts, lowest = alike_headings(pad), _contrasts(pad), _lowest(pad)
     farthest_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LEAST_RADIUS_PX
-    warnings = [*_heading_warnings(headings), *_confusion_warnings(pad), *_deck_warnings(lowest), *pad_price.price_warnings(pad)]
+    warnings = [*_heading_warnings(headings), *_confusion_warnings(pad), *_deck_warnings(lowest), *_price_warnings(pad)]
     if pad.markings.is_letter_alone:
         far_m = 0.5 * (camera.fx + camera.fy) * pad.disc_radius_m / _LETTER_RADIUS_PX
         warnings.append(
@@ -195,7 +183,7 @@ def _check(args: argparse.Namespace) -> int:
             "pad": pad.name, "radius_m": pad.disc_radius_m, "alike_headings": headings, "contrasts": contrasts,
             "deck_contrasts": lowest, "farthest_m": farthest_m, "bounds": [_record(b) for b in bounds],
             "by_lamps": [_lamp_record(b) for b in by_lamps], "warnings": warnings,
-            "clutter": pad_price.price_record(found_in, pad) if pad.calibration is not None else None,
+            "clutter": _price_record(found_in, pad) if pad.calibration is not None else None,
         }  # fmt: skip
         sys.stdout.write(json.dumps(found) + "\n")
         return 0
@@ -212,7 +200,7 @@ def _check(args: argparse.Namespace) -> int:
         lines.append(f"{'height':>9} {'in view':>9} {'spots':>8} {'lateral':>10} {'range':>10} {'heading':>9}")
         lines += [*map(_lamp_line, by_lamps), ""]
     if pad.calibration is not None:
-        lines += [*pad_price.price_lines(pad, found_in), ""]
+        lines += [*_price_lines(pad, found_in), ""]
     lines += [f"{name}: luminance {value:+.2f} of what it lies on" for name, value in contrasts.items()]
     lines += [f"on {name}: luminance {value:+.2f} at the outer edge" for name, value in lowest.items()]
     lines += [f"warning: {warning}" for warning in warnings] or ["no warnings"]
@@ -290,3 +278,88 @@ def _confusion_warnings(pad: Pad) -> list[str]:
 def _deck_warnings(lowest: dict[str, float]) -> list[str]:
     faint = [name for name, value in lowest.items() if abs(value) < _LEAST_CONTRAST]
     return [f"its outer edge hardly stands out from {', '.join(faint)}: paint a rim around it"] if faint else []
+
+
+def _priced(pad: Pad, file: Path, views: int) -> tuple[Pad, Price]:
+    """Search clutter for a pad, write its calibration into its file unless that ships, and return both.
+
+    Raises:
+        BadInput: the file cannot be written.
+    """
+    others = {name: pad_of_file(SHIPPED / "pads" / f"{name}.toml") for name in shipped("pads")}
+    found = price(pad, others, views, WorkProgress("searching clutter", "views").take)
+    if SHIPPED not in file.resolve().parents:
+        _write(file, found.calibration)
+    return replace(pad, calibration=found.calibration), found
+
+
+def _write(file: Path, found: Calibration) -> None:
+    table = (
+        "[calibration]\n# By decklander pad check, for this drawing alone.\n"
+        f"least_support = {found.least_support}\nchance = {found.chance}\n"
+        f'least_px = {found.least_px}\ndrawing = "{found.drawing}"\n'
+    )
+    with file_errors(str(file)):
+        text = file.read_text(encoding="utf-8")
+        bare = re.sub(r"\n*^\[calibration\]\n(?:(?!\[).*\n?)*", "\n", text, flags=re.MULTILINE).rstrip("\n")
+        file.write_text(f"{bare}\n\n{table}", encoding="utf-8")
+
+
+def _price_lines(pad: Pad, found: Price | None) -> Iterator[str]:
+    """Yield what is printed of a pad's price; without one, what its file says."""
+    known = pad.calibration
+    assert known is not None
+    if found is not None:
+        half, nine = found.per_1000
+        chance = f"{half:.3g} false pads in 1,000 frames of a search at confidence .5, {nine:.3g} at .9"
+        yield f"by {found.views} generated views without it: {chance}"
+        yield "found where it is planted: " + ", ".join(f"{100 * share:.0f} % at {r:g} px" for r, share in found.found.items())
+        if found.taken_for:
+            yield f"it is seen in {', '.join(found.taken_for)}, too"
+    else:
+        yield f"by its file: {1000.0 * known.chance:.3g} false pads in 1,000 frames of a search at confidence .5"
+    yield (
+        f"found from a radius of {known.least_px:g} px on"
+        if known.least_px
+        else "not found at all sizes: it hardly shows on some decks"
+    )
+    yield "what decides: " + ", ".join(f"{name} {100 * share:.0f} %" for name, share in _deciding(pad).items())
+
+
+def _price_warnings(pad: Pad) -> list[str]:
+    """Return what a user should know about a calibrated pad."""
+    known = pad.calibration
+    if known is None or known.chance <= RARE:
+        return []
+    fate = (
+        "its file accepts that"
+        if pad.accept_false_pads
+        else "it is refused for flight unless its file has accept_false_pads = true"
+    )
+    return [f"clutter is taken for it in {1000.0 * known.chance:.3g} of 1,000 frames, at most {1000.0 * RARE:g} is good: {fate}"]
+
+
+def _price_record(found: Price | None, pad: Pad) -> dict[str, Any]:
+    """Return a pad's price as JSON."""
+    known = pad.calibration
+    assert known is not None
+    out: dict[str, Any] = {
+        "chance": known.chance,
+        "least_support": known.least_support,
+        "least_px": known.least_px,
+        "decided_by": _deciding(pad),
+    }
+    if found is not None:
+        shares = {f"{radius:g}": share for radius, share in found.found.items()}
+        out |= {"views": found.views, "false_per_1000": list(found.per_1000), "found": shares, "taken_for": list(found.taken_for)}
+    return out
+
+
+def _deciding(pad: Pad) -> dict[str, float]:
+    """Return by kind of edge the share of the drawing's support: length times squared contrast, the largest first."""
+    edges = edges_of(pad)
+    grey = linear_light(dict(pad.paints)[pad.ground] if pad.ground else (128, 128, 128)) @ LUMA
+    contrast = np.where(edges.bare, linear_light(edges.inside_rgb) @ LUMA - grey, edges.contrast)
+    each = {name: float((edges.spacing_m * contrast**2)[edges.kind == kind].sum()) for kind, name in _NAMES.items()}
+    total = sum(each.values()) or 1.0
+    return {name: round(value / total, 3) for name, value in sorted(each.items(), key=lambda of: -of[1]) if value > 0.0}

@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from companion.cli.options import file_errors, option
 from companion.tools.pads.clicked import clicked
 from companion.tools.pads.svg import read_svg
 from companion.tools.pads.trace import Picture, drawn, file_text, photographed, traced
@@ -29,20 +30,14 @@ def add_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "the arrow. The colour at the sheet's edge is that of the sheet or deck around. Look at the result with pad print, and "
         "judge it with pad check.",
     )
-    p.add_argument("drawing", metavar="FILE", help=".svg, or a photograph (.jpg, .png)")
-    p.add_argument("--out", required=True, metavar="FILE", help="pad file to write (.toml)")
-    p.add_argument(
-        "--size-mm", metavar="MM", help="largest extent of all that is painted; with --corners WIDTHxLENGTH of the rectangle"
-    )
-    p.add_argument(
-        "--corners", metavar="PX", help='pixels "u,v u,v u,v u,v" of the corners of a rectangle on the pad in a photograph: fore '
-        "left, fore right, aft right, aft left; `click` asks for them in a browser on this machine",
-    )  # fmt: skip
-    p.add_argument(
-        "--sheet", action="store_true", help="the rectangle is the sheet that the pad is printed on: nothing beyond it is painted"
-    )
-    p.add_argument("--paints", type=int, default=2, choices=range(2, 6), help="paints in a photograph, the ground's among them")
-    p.add_argument("--name", metavar="NAME", help="name of the pad (default: the file's)")
+    option(p, "drawing FILE", ".svg, or a photograph (.jpg, .png)")
+    option(p, "--out FILE", "pad file to write (.toml)", required=True)
+    option(p, "--size-mm MM", "largest extent of all that is painted; with --corners WIDTHxLENGTH of the rectangle")
+    option(p, "--corners PX", 'pixels "u,v u,v u,v u,v" of the corners of a rectangle on the pad in a photograph: fore '
+        "left, fore right, aft right, aft left; `click` asks for them in a browser on this machine")  # fmt: skip
+    option(p, "--sheet", "the rectangle is the sheet that the pad is printed on: nothing beyond it is painted")
+    option(p, "--paints", "paints in a photograph, the ground's among them", default=2, choices=range(2, 6))
+    option(p, "--name NAME", "name of the pad (default: the file's)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -55,18 +50,14 @@ def run(args: argparse.Namespace) -> int:
     if out.suffix != ".toml":
         raise BadInput(f"--out must end in .toml, got {args.out!r}")
     size_m = _size_m(args.size_mm, args.corners is not None)
-    try:
+    with file_errors(str(path)):
         data = path.read_bytes()
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
     picture = _picture(path, data, size_m, args)
     keys = traced(picture, args.name or path.stem, str(path))
     text = file_text(keys, f"Made of {path.name} by decklander pad import.")
     pad = Pad.from_mapping(tomllib.loads(text), str(path))
-    try:
+    with file_errors(str(out)):
         out.write_text(text, encoding="utf-8")
-    except OSError as why:
-        raise BadInput(f"{out}: {why.strerror or why}") from why
     parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
     sys.stdout.write(
         f"{out}: {pad.name}, {2000.0 * pad.disc_radius_m:.1f} mm across, {len(pad.regions)} regions ({parts}), "

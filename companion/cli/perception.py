@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import sys
 from pathlib import Path
 
-from estimator.contracts.errors import BadInput, unusable
+from companion.cli.options import file_errors, option, print_result
+from estimator.contracts.errors import BadInput
 from sitl.perception.draw import symmetric
 from sitl.perception.parameters import PerceptionModel, dump
 from study.perception.fit import fit
 from study.perception.recorded import read
 
+DESCRIPTION = "Fit the error models that `simulate --perception model` and `truth` fly by."
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander perception` to the parser."""
-    parser = subparsers.add_parser(
-        "perception",
-        help="fit the error models of simulated perception",
-        description="Fit the error models that `simulate --perception model` and `truth` fly by.",
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     fitting = actions.add_parser(
         "fit",
@@ -29,9 +25,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Fit the error models of detections and of the estimate to flights that `decklander simulate --record` "
         "recorded with --perception pixels. The more heights, tilts and lights they hold, the wider the models reach.",
     )
-    fitting.add_argument("recordings", nargs="+", type=Path, metavar="RECORDING", help="recording of one simulated flight")
-    fitting.add_argument("--output", required=True, type=Path, metavar="FILE", help="file to write (TOML)")
-    fitting.add_argument("--json", action="store_true", help="print one JSON object")
+    option(fitting, "recordings RECORDING", "recording of one simulated flight", nargs="+", type=Path)
+    option(fitting, "--output FILE", "file to write (TOML)", required=True, type=Path)
+    option(fitting, "--json", "print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -39,14 +35,9 @@ def run(args: argparse.Namespace) -> int:
     if args.output.suffix != ".toml":
         raise BadInput(f"--output {args.output}: the name must end in .toml")
     model = fit([read(path) for path in args.recordings])
-    try:
+    with file_errors(f"--output {args.output}"):
         args.output.write_text(dump(model), encoding="utf-8")
-    except OSError as why:
-        raise unusable(f"--output {args.output}", why) from why
-    if args.json:
-        sys.stdout.write(json.dumps(_findings(model)) + "\n")
-    else:
-        sys.stdout.write(_table(model) + f"\nwritten: {args.output}\n")
+    print_result(args, _findings(model), f"{_table(model)}\nwritten: {args.output}")
     return 0
 
 

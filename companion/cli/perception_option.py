@@ -2,20 +2,20 @@
 
 import argparse
 
+from companion.cli.options import option
 from sitl.flight.one_flight import PERCEPTIONS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add both options to a parser."""
-    parser.add_argument(
-        "--perception",
+    option(
+        parser,
+        "--perception LEVEL",
+        f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: pixels, rendered frames)",
         default="pixels",
-        metavar="LEVEL",
-        help=f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: pixels, rendered frames)",
     )
-    parser.add_argument(
-        "--perception-model",
-        metavar="FILE",
-        help="error model of --perception model or truth, from decklander perception fit (default: the shipped one of "
-        "vision.method)",
+    option(
+        parser,
+        "--perception-model FILE",
+        "error model of --perception model or truth, from decklander perception fit (default: the shipped one of vision.method)",
     )

@@ -7,12 +7,13 @@ import os
 import sys
 import time
 from collections import deque
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from importlib.util import find_spec
 from types import TracebackType
 from typing import Any, TextIO
 
-from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from estimator.contracts.time import MonoNs, seconds_between
 
 _WIDE = 100
@@ -95,6 +96,15 @@ class ProgressObserver(NullObserver):
             rate = f"{(len(self._frames) - 1) / max(1e-9, seconds_between(self._frames[0], self._frames[-1])):.0f}"
         delay = "--" if self._delay_s is None else f"{1e3 * self._delay_s:.0f}"
         return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {rate:>2} frames/s  {delay:>3} ms  {self._verdict}"
+
+
+@contextmanager
+def shown(*, quiet: bool) -> Iterator[list[Observer]]:
+    """Yield the observer that shows the progress of a flight; none if nothing but the result is printed."""
+    progress = None if quiet else ProgressObserver()
+    yield [] if progress is None else [progress]
+    if progress is not None:
+        progress.close()
 
 
 _SAY_EACH_S = 30.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import heapq
-import json
 import sys
 import time
 from collections import Counter
@@ -16,6 +15,7 @@ from typing import Any
 from msgspec import structs
 
 from companion.base.observer import ProcessedFrame
+from companion.cli.options import option, print_result
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.parts.recorder.upload import storage, upload
 from companion.recording.reading import RecordedFrame, Recording, instant, open_recording
@@ -30,43 +30,40 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp
 
+DESCRIPTION = (
+    "Inspect, cut, repair, export, import and upload recordings. The service makes recordings if [recorder] is "
+    "enabled; simulate and demo make them with --record."
+)
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander record` to the parser."""
-    parser = subparsers.add_parser(
-        "record",
-        help="inspect, cut, repair, export, import and upload recordings",
-        description="Inspect, cut, repair, export, import and upload recordings. The service makes recordings if [recorder] is "
-        "enabled; simulate and demo make them with --record.",
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     info = actions.add_parser("info", help="show the contents of a recording", description="Show the contents of a recording.")
-    info.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recording, or the files of one in order")
-    info.add_argument("--json", action="store_true", help="print one JSON object")
+    option(info, "files FILE", "recording, or the files of one in order", nargs="+", type=Path)
+    option(info, "--json", "print one JSON object")
     mend = actions.add_parser(
         "cut",
         help="write a part of a recording, or repair one",
         description="Write a part of a recording, or all that can be read of a damaged one, complete and indexed.",
     )
-    mend.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recording, or the files of one in order")
-    mend.add_argument("--output", required=True, type=Path, metavar="FILE", help="recording to write")
-    mend.add_argument(
-        "--from", dest="from_s", type=float, default=0.0, metavar="S", help="start this many seconds after the beginning"
-    )
-    mend.add_argument("--to", dest="to_s", type=float, metavar="S", help="stop this many seconds after the beginning")
-    mend.add_argument("--inputs", action="store_true", help="keep samples, frames and truth, drop everything computed from them")
-    mend.add_argument("--samples-each", type=int, default=1, metavar="N", help="keep every n-th sample of each kind")
-    mend.add_argument("--frames-each", type=int, default=1, metavar="N", help="keep every n-th frame")
-    mend.add_argument("--no-frames", action="store_true", help="drop the images, keep the detections")
+    option(mend, "files FILE", "recording, or the files of one in order", nargs="+", type=Path)
+    option(mend, "--output FILE", "recording to write", required=True, type=Path)
+    option(mend, "--from S", "start this many seconds after the beginning", dest="from_s", default=0.0)
+    option(mend, "--to S", "stop this many seconds after the beginning", dest="to_s", type=float)
+    option(mend, "--inputs", "keep samples, frames and truth, drop everything computed from them")
+    option(mend, "--samples-each N", "keep every n-th sample of each kind", default=1)
+    option(mend, "--frames-each N", "keep every n-th frame", default=1)
+    option(mend, "--no-frames", "drop the images, keep the detections")
     tables = actions.add_parser(
         "export",
         help="write a recording as CSV tables or as a ROS 2 bag",
         description="Write a recording as CSV tables, one for each topic, with time stamps in microseconds; or as a ROS 2 bag "
         "of standard messages in the axes of REP-103, for which the extra decklander[ros2] is needed.",
     )
-    tables.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recording, or the files of one in order")
-    tables.add_argument("--output", required=True, type=Path, metavar="DIR", help="folder of the tables, or the new bag")
-    tables.add_argument("--format", choices=("csv", "ros2"), default="csv", help="what to write (default: csv)")
+    option(tables, "files FILE", "recording, or the files of one in order", nargs="+", type=Path)
+    option(tables, "--output DIR", "folder of the tables, or the new bag", required=True, type=Path)
+    option(tables, "--format", "what to write (default: csv)", choices=("csv", "ros2"), default="csv")
     foreign = actions.add_parser(
         "import",
         help="import videos, tables and logs of other tools",
@@ -75,11 +72,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "bags of ROS 1 and 2, AR.Drone captures (PaVE video, navdata). The kind is found by the content. Each source begins at "
         "0 of its own clock; SOURCE@SECONDS shifts it by that much.",
     )
-    foreign.add_argument("sources", nargs="+", metavar="SOURCE[@SECONDS]", help="file to import")
-    foreign.add_argument(
-        "--config", required=True, metavar="FILE", help=f"settings file with the camera and pad ({', '.join(shipped())})"
-    )
-    foreign.add_argument("--output", required=True, type=Path, metavar="FILE", help="recording to write")
+    option(foreign, "sources SOURCE[@SECONDS]", "file to import", nargs="+")
+    option(foreign, "--config FILE", f"settings file with the camera and pad ({', '.join(shipped())})", required=True)
+    option(foreign, "--output FILE", "recording to write", required=True, type=Path)
     sent = actions.add_parser(
         "upload",
         help="upload the service's finished recordings to object storage",
@@ -87,11 +82,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "read them back. One that arrived whole has its digest beside it, NAME.sha256, in both places. With "
         'expert.recorder.delete = "uploaded" the service deletes no other. Exit code 1 if a recording could not be uploaded.',
     )
-    sent.add_argument("folder", type=Path, metavar="FOLDER", help="folder of recordings (recorder.folder)")
-    sent.add_argument(
-        "--to", required=True, metavar="URL", help="s3://BUCKET/DRONE, with access as the AWS tools take it, or a folder"
-    )
-    sent.add_argument("--each", type=float, metavar="S", help="go on, and look for new recordings each S seconds")
+    option(sent, "folder FOLDER", "folder of recordings (recorder.folder)", type=Path)
+    option(sent, "--to URL", "s3://BUCKET/DRONE, with access as the AWS tools take it, or a folder", required=True)
+    option(sent, "--each S", "go on, and look for new recordings each S seconds", type=float)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -120,12 +113,9 @@ def _info(args: argparse.Namespace) -> int:
             images += event.image is not None
             verdicts[event.record.verdict] += 1
     seconds = 0.0 if first is None else (last - first) * 1e-9
-    if args.json:
-        out: dict[str, Any] = {"seconds": round(seconds, 3), "messages": dict(recording.counts), "frames": images}
-        out |= {"verdicts": dict(verdicts), "cut": {str(p): why for p, why in recording.cut.items()}, **recording.metadata}
-        sys.stdout.write(json.dumps(out) + "\n")
-        return 0
-    sys.stdout.write("\n".join(_described(recording, seconds, images, verdicts)) + "\n")
+    out: dict[str, Any] = {"seconds": round(seconds, 3), "messages": dict(recording.counts), "frames": images}
+    out |= {"verdicts": dict(verdicts), "cut": {str(p): why for p, why in recording.cut.items()}, **recording.metadata}
+    print_result(args, out, "\n".join(_described(recording, seconds, images, verdicts)))
     return 0
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import json
 import math
 import sys
 import time
@@ -16,8 +15,8 @@ from typing import Any, get_args
 
 from companion.base import event_loop
 from companion.base.observer import Decision, NullObserver, Observer
-from companion.cli import report_option
-from companion.cli.progress import ProgressObserver
+from companion.cli.options import option, prepare_folder, print_result, recording_argument, written
+from companion.cli.progress import shown
 from companion.facts.records import TruthRecord
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.commands import LandingProgress
@@ -89,7 +88,6 @@ async def _play(args: argparse.Namespace, recording: Recording, settings: Settin
     clock = SystemClock()
     newest = _Newest()
     observers: list[Observer] = [newest]
-    progress = None if args.json else ProgressObserver()
     async with AsyncExitStack() as stack:
         if args.mavlink:
             vehicle = _autopilot(args.mavlink)
@@ -98,11 +96,8 @@ async def _play(args: argparse.Namespace, recording: Recording, settings: Settin
             autopilot = await stack.enter_async_context(open_autopilot(vehicle, clock))
             await stack.enter_async_context(speaking(component, autopilot, clock))
             observers.append(component)
-        if progress is not None:
-            observers.append(progress)
+        observers += stack.enter_context(shown(quiet=args.json))
         late_s = await _paced(args, recording, settings, pilot, observers, clock)
-    if progress is not None:
-        progress.close()
     sys.stdout.write(f"played to the end; {1e3 * late_s:.0f} ms late at most\n")
     return 0
 
@@ -151,38 +146,28 @@ def _first_instant(recording: Recording, pilot: Pilot) -> MonoNs:
     return MonoNs(0)
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander replay` to the parser."""
-    parser = subparsers.add_parser(
-        "replay",
-        help="replay a recording through vision and estimator",
-        description="Replay a recording through vision, estimator and guidance, on its own clock. The same recording and "
-        "settings "
-        "give the same outputs to the bit. Every estimator path runs. Recordings of simulated flights hold the truth; errors are "
-        "measured minus true.",
-    )
-    parser.add_argument(
-        "recording", nargs="+", type=Path, metavar="RECORDING", help="MCAP file, or the files of one recording in order"
-    )
-    parser.add_argument(
-        "--sightings", action="store_true", help="use the recorded detections instead of searching the frames again"
-    )
-    parser.add_argument(
-        "--path", choices=get_args(PathName), help="steer by this estimator path (default: the one of the settings)"
-    )
-    parser.add_argument("--config", metavar="FILE", help="settings file to replay with (default: the recording's own settings)")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="give a key of these settings another value"
-    )
-    parser.add_argument("--against", metavar="SETTINGS", help="replay with these settings too, and print the differences")
-    parser.add_argument("--compare", type=Path, metavar="OTHER", help="compare with the estimates in this recording")
-    parser.add_argument("--record", type=Path, metavar="FILE", help="record the estimates of the replay, for --compare")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write a report into this folder")
-    parser.add_argument("--realtime", action="store_true", help="replay at the pace of the recording")
-    parser.add_argument(
-        "--mavlink", metavar="URL", action="append", help="send the outputs to an autopilot or ground station (needs --realtime)"
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+DESCRIPTION = (
+    "Replay a recording through vision, estimator and guidance, on its own clock. The same recording and "
+    "settings "
+    "give the same outputs to the bit. Every estimator path runs. Recordings of simulated flights hold the truth; errors are "
+    "measured minus true."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    recording_argument(parser)
+    option(parser, "--sightings", "use the recorded detections instead of searching the frames again")
+    option(parser, "--path", "steer by this estimator path (default: the one of the settings)", choices=get_args(PathName))
+    option(parser, "--config FILE", "settings file to replay with (default: the recording's own settings)")
+    option(parser, "--set KEY=VALUE", "give a key of these settings another value", default=[], action="append")
+    option(parser, "--against SETTINGS", "replay with these settings too, and print the differences")
+    option(parser, "--compare OTHER", "compare with the estimates in this recording", type=Path)
+    option(parser, "--record FILE", "record the estimates of the replay, for --compare", type=Path)
+    option(parser, "--report DIR", "write a report into this folder", type=Path)
+    option(parser, "--realtime", "replay at the pace of the recording")
+    option(parser, "--mavlink URL", "send the outputs to an autopilot or ground station (needs --realtime)", action="append")
+    option(parser, "--json", "print one JSON object")
 
 
 @dataclass(slots=True)
@@ -207,7 +192,7 @@ def run(args: argparse.Namespace) -> int:
     recording = open_recording(args.recording)
     if args.mavlink and not args.realtime:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
-    report_option.prepare_folder(args.report)
+    prepare_folder(args.report)
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
     if args.realtime:
         return play(args, recording, settings)
@@ -226,12 +211,8 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         for i, done in enumerate(passes):
             write_report(_finished(recording, done, compared), args.report if i == 0 else args.report / "against")
-    if args.json:
-        sys.stdout.write(json.dumps(_as_json(recording, passes, compared)) + "\n")
-    else:
-        sys.stdout.write("\n".join(_in_words(recording, passes, compared)) + "\n")
-        if args.report is not None:
-            sys.stdout.write(report_option.written(args.report / PAGE))
+    report = [] if args.report is None else [written(args.report / PAGE)]
+    print_result(args, _as_json(recording, passes, compared), "\n".join([*_in_words(recording, passes, compared), *report]))
     return 0
 
 

@@ -6,32 +6,27 @@ import argparse
 import sys
 from pathlib import Path
 
-from companion.cli import report_option
+from companion.cli.options import option, written
 from companion.recording.reading import open_recording
 from companion.tools.replay.recorded_log import log_of
 from companion.tools.report.animation import write_animation
 from companion.tools.report.page import render, render_comparison, write_page
 from companion.tools.report.video import film_of
 
+DESCRIPTION = (
+    "Write the report of a recorded flight as one HTML file: what the flight saw, decided and did then. With a "
+    "second recording both are compared over the time since each landing began. Nothing is computed again; `decklander "
+    "replay --report` does that."
+)
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander report` to the parser."""
-    parser = subparsers.add_parser(
-        "report",
-        help="write the report of a recorded flight, or compare two",
-        description="Write the report of a recorded flight as one HTML file: what the flight saw, decided and did then. With a "
-        "second recording both are compared over the time since each landing began. Nothing is computed again; `decklander "
-        "replay --report` does that.",
-    )
-    parser.add_argument("recording", type=Path, metavar="RECORDING", help="MCAP file")
-    parser.add_argument("other", nargs="?", type=Path, metavar="OTHER", help="another flight to compare it with")
-    parser.add_argument(
-        "--output", type=Path, metavar="FILE", help="file to write (default: the recording's name with .html, in this folder)"
-    )
-    parser.add_argument("--no-video", action="store_true", help="leave the video out, which is most of the file")
-    parser.add_argument(
-        "--animation", type=Path, metavar="FILE", help="write an animated GIF of the landing instead (camera, track and height)"
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(parser, "recording RECORDING", "MCAP file", type=Path)
+    option(parser, "other OTHER", "another flight to compare it with", nargs="?", type=Path)
+    option(parser, "--output FILE", "file to write (default: the recording's name with .html, in this folder)", type=Path)
+    option(parser, "--no-video", "leave the video out, which is most of the file")
+    option(parser, "--animation FILE", "write an animated GIF of the landing instead (camera, track and height)", type=Path)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,5 +44,5 @@ def run(args: argparse.Namespace) -> int:
         return 0
     films = [film_of(log) for log in logs]
     page = render(logs[0], films[0]) if args.other is None else render_comparison(logs, films)
-    sys.stdout.write(report_option.written(write_page(output, page)))
+    sys.stdout.write(written(write_page(output, page)))
     return 0

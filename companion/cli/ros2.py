@@ -7,29 +7,26 @@ import asyncio
 import sys
 from typing import TYPE_CHECKING
 
+from companion.cli.options import option
 from estimator.contracts.errors import BadInput
 
 if TYPE_CHECKING:
     from companion.tools.ros2.node import RosBridge
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander ros2` to the parser."""
-    parser = subparsers.add_parser(
-        "ros2",
-        help="publish a flight in ROS 2 while it is flown",
-        description="Publish the service's live data ([http] foxglove) as standard messages of ROS 2, the same topics as "
-        "'record export --format ros2' (docs/ros2.md), until interrupted. Needs the extra ros2, and ROS 2 for this Python. Exit "
-        "code 1 if --seconds pass without a connection to the service.",
-    )
-    parser.add_argument("url", nargs="?", default="ws://127.0.0.1:8480/live", help="address (default: %(default)s)")
-    parser.add_argument("--token-file", default="", metavar="FILE", help="read the port's token from this file")
-    parser.add_argument(
-        "--config",
-        metavar="FILE",
-        help="settings of the service, for its camera: its mount and /camera/camera_info",
-    )
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop after this many seconds")
+DESCRIPTION = (
+    "Publish the service's live data ([http] foxglove) as standard messages of ROS 2, the same topics as "
+    "'record export --format ros2' (docs/ros2.md), until interrupted. Needs the extra ros2, and ROS 2 for this Python. Exit "
+    "code 1 if --seconds pass without a connection to the service."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(parser, "url", "address (default: %(default)s)", nargs="?", default="ws://127.0.0.1:8480/live")
+    option(parser, "--token-file FILE", "read the port's token from this file", default="")
+    option(parser, "--config FILE", "settings of the service, for its camera: its mount and /camera/camera_info")
+    option(parser, "--seconds S", "stop after this many seconds", type=float)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,6 +12,7 @@ import msgspec
 from companion.base import event_loop, memory
 from companion.base.mission import FlightOutcome
 from companion.base.service_log import logging_to_stderr
+from companion.cli.options import option
 from companion.cli.progress import WorkProgress
 from companion.guidance.make_pilot import make_pilot
 from companion.service.assemble import Proven, live, make_daemon
@@ -32,23 +33,23 @@ FROM_TERMINAL = (
 """Hint at the start for a person who runs the service by hand."""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander run` to the parser."""
-    parser = subparsers.add_parser(
-        "run",
-        help="run the landing service",
-        description="Run the landing service: find the pad, approach it, land on it. SIGTERM stops the service and leaves the "
-        "drone hovering; a terminal that hangs up does not. SIGUSR1 starts the approach if guidance.start is "
-        '"signal", and resumes it after SIGUSR2 paused it.',
-    )
-    parser.add_argument(
-        "--config",
+DESCRIPTION = (
+    "Run the landing service: find the pad, approach it, land on it. SIGTERM stops the service and leaves the "
+    "drone hovering; a terminal that hangs up does not. SIGUSR1 starts the approach if guidance.start is "
+    '"signal", and resumes it after SIGUSR2 paused it.'
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(
+        parser,
+        "--config FILE",
+        f"settings file, or the name of a shipped vehicle profile ({', '.join(shipped())})",
         required=True,
-        metavar="FILE",
-        help=f"settings file, or the name of a shipped vehicle profile ({', '.join(shipped())})",
     )
-    parser.add_argument("--once", action="store_true", help="stop after the first flight; exit code 0 if it landed, else 1")
-    parser.add_argument("--check", action="store_true", help="check settings and files, print what would run, and stop")
+    option(parser, "--once", "stop after the first flight; exit code 0 if it landed, else 1")
+    option(parser, "--check", "check settings and files, print what would run, and stop")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import re
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -16,10 +14,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from companion.base import event_loop
-from companion.base.observer import Observer
 from companion.cli import kept_flight, perception_option
 from companion.cli.kept_flight import keeping
-from companion.cli.progress import ProgressObserver
+from companion.cli.options import check_seed, option, print_result
+from companion.cli.progress import shown
 from companion.settings.load import find_file, shipped
 from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
@@ -38,66 +36,51 @@ from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.with_fault import with_random_faults
 
+DESCRIPTION = (
+    "Simulate one flight in virtual time, without sockets. The same scenario, seed and settings give the same "
+    "flight to the bit. Exit code 0 if it landed on the pad safely, or refused as the scenario expects; else 1."
+)
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander simulate` to the parser."""
-    parser = subparsers.add_parser(
-        "simulate",
-        help="simulate one flight in virtual time",
-        description="Simulate one flight in virtual time, without sockets. The same scenario, seed and settings give the same "
-        "flight to the bit. Exit code 0 if it landed on the pad safely, or refused as the scenario expects; else 1.",
-    )
-    parser.add_argument(
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(
+        parser,
         "scenario",
-        help=f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for those "
-        "with a fault)",
+        f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for those with a fault)",
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of all random numbers (default: 0)")
-    parser.add_argument(
-        "--config", metavar="FILE", help="settings file to fly with (default: the profile sim with the scenario's camera and pad)"
-    )
+    option(parser, "--seed N", "seed of all random numbers (default: 0)", default=0)
+    option(parser, "--config FILE", "settings file to fly with (default: the profile sim with the scenario's camera and pad)")
     perception_option.add_arguments(parser)
-    parser.add_argument(
-        "--set",
-        action="append",
+    option(
+        parser,
+        "--set KEY=VALUE",
+        "give a key of scenario or settings another value, as in wind.speed_m_s=4; may be repeated",
         default=[],
-        metavar="KEY=VALUE",
-        help="give a key of scenario or settings another value, as in wind.speed_m_s=4; may be repeated",
+        action="append",
     )
-    parser.add_argument(
-        "--wrong-model",
-        type=float,
-        metavar="SIGMA",
-        help="let the seed draw by how much the vehicle differs from its file, in standard deviations of what an owner's "
+    option(
+        parser,
+        "--wrong-model SIGMA",
+        "let the seed draw by how much the vehicle differs from its file, in standard deviations of what an owner's "
         "identification leaves; 0 for not at all (default: as the scenario says, 1 in weather_2 to weather_6)",
+        type=float,
     )
-    parser.add_argument(
-        "--base",
-        metavar="SCENARIO",
-        help="fly it on this scenario instead of the base that its file names, as a fault in another sea",
+    option(
+        parser, "--base SCENARIO", "fly it on this scenario instead of the base that its file names, as a fault in another sea"
     )
-    parser.add_argument("--faults", choices=("random",), help="add one or two faults that the seed draws (docs/campaigns.md)")
-    parser.add_argument("--pad", metavar="FILE", help="pad file, or the name of a shipped one, on deck and looked for")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write a report into this folder")
+    option(parser, "--faults", "add one or two faults that the seed draws (docs/campaigns.md)", choices=("random",))
+    option(parser, "--pad FILE", "pad file, or the name of a shipped one, on deck and looked for")
+    option(parser, "--json", "print one JSON object")
+    option(parser, "--report DIR", "write a report into this folder", type=Path)
     kept_flight.add_arguments(parser)
     beside = parser.add_argument_group("real autopilots (docs/sitl.md)")
-    beside.add_argument(
-        "--autopilot", choices=("arducopter", "px4"), help="fly this autopilot program over the simulated sea and vehicle"
-    )
-    beside.add_argument("--binary", metavar="PATH", help="path of the autopilot program; `stand-in` flies a stand-in for it")
-    beside.add_argument(
-        "--follow", metavar="URL", help="follow a vehicle that another simulator flies, with the deck and camera of this one"
-    )
-    beside.add_argument(
-        "--param", action="append", default=[], metavar="NAME=VALUE", help="set a parameter of the autopilot; may be repeated"
-    )
-    beside.add_argument(
-        "--unaided",
-        action="store_true",
-        help="let the autopilot land by its own landing mode, and nothing of ours reach it, to compare",
-    )
-    beside.add_argument("--keep", type=Path, metavar="DIR", help="keep the logs and output of the autopilot in this folder")
+    option(beside, "--autopilot", "fly this autopilot program over the simulated sea and vehicle", choices=("arducopter", "px4"))
+    option(beside, "--binary PATH", "path of the autopilot program; `stand-in` flies a stand-in for it")
+    option(beside, "--follow URL", "follow a vehicle that another simulator flies, with the deck and camera of this one")
+    option(beside, "--param NAME=VALUE", "set a parameter of the autopilot; may be repeated", default=[], action="append")
+    option(beside, "--unaided", "let the autopilot land by its own landing mode, and nothing of ours reach it, to compare")
+    option(beside, "--keep DIR", "keep the logs and output of the autopilot in this folder", type=Path)
 
 
 def _with_program(args: argparse.Namespace) -> bool:
@@ -107,8 +90,7 @@ def _with_program(args: argparse.Namespace) -> bool:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    if args.seed < 0:
-        raise BadInput(f"--seed must be 0 or more, got {args.seed}")
+    check_seed(args)
     perception = perception_level(args.perception)
     if args.perception_model is not None and perception == "pixels":
         raise BadInput("--perception-model goes with --perception model or truth")
@@ -136,9 +118,10 @@ def run(args: argparse.Namespace) -> int:
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
     if args.faults is not None:
         scenario = with_random_faults(scenario, args.seed, perception)
-    progress = None if args.json else ProgressObserver()
-    observers: list[Observer] = [] if progress is None else [progress]
-    with keeping(args, settings, scenario.title, perception, {"kind": "simulate"}, MonoNs(0)) as kept:
+    with (
+        shown(quiet=args.json) as observers,
+        keeping(args, settings, scenario.title, perception, {"kind": "simulate"}, MonoNs(0)) as kept,
+    ):
         began = time.monotonic()
         ending = fly(
             args.scenario,
@@ -150,15 +133,9 @@ def run(args: argparse.Namespace) -> int:
             FlyOptions(args.perception_model, kept.shadows, kept.on_start, kept.on_truth, render_beside=True),
         )
     wall_s = time.monotonic() - began
-    if progress is not None:
-        progress.close()
-    report = kept.write_report(ending, wall_s, "virtual time")
-    if args.json:
-        sys.stdout.write(json.dumps(ending.as_json()) + "\n")
-    else:
-        pace = ending.duration_s / max(1e-9, wall_s)
-        sys.stdout.write(f"{ending.in_words()}\n{ending.duration_s:.1f} s flown in {wall_s:.1f} s ({pace:.1f} x real time)\n")
-        sys.stdout.write(report)
+    report, pace = kept.write_report(ending, wall_s, "virtual time"), ending.duration_s / max(1e-9, wall_s)
+    words = f"{ending.in_words()}\n{ending.duration_s:.1f} s flown in {wall_s:.1f} s ({pace:.1f} x real time)\n{report}"
+    print_result(args, ending.as_json(), words)
     return 0 if ending.good else 1
 
 
@@ -180,11 +157,9 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     settings = settings_for(scenario, args.config, by_autopilot=True)
     given = Overridable(scenario, settings, by_autopilot=True)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
-    progress = None if args.json else ProgressObserver()
-    observers: list[Observer] = [] if progress is None else [progress]
     autopilot = AutopilotProgram(args.autopilot, binary, parameters=parameters(args.param), unaided=args.unaided)
     seen_by, began = perceive(perception, args.perception_model), time.monotonic()
-    with _folder(args.keep) as folder:
+    with shown(quiet=args.json) as observers, _folder(args.keep) as folder:
         flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, observers, seen_by)
         facts = {"kind": "simulate", "autopilot": args.autopilot, "binary": STAND_IN if binary is None else binary.name}
         flown = flight.service_settings(COMPANION_PORT)
@@ -192,11 +167,8 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
             flight.observers, flight.shadows = (*observers, *kept.observers), kept.shadows
             flight.on_start, flight.on_truth = kept.on_start, kept.on_truth
             end = event_loop.run(flight.fly())
-        printed = (folder / "texts.txt").open("w")
-        with printed:
-            printed.writelines(f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
-    if progress is not None:
-        progress.close()
+        texts = (f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
+        (folder / "texts.txt").write_text("".join(texts))
     ending = Ending(
         args.scenario, args.seed, end.outcome, tuple(map(contact_of, end.contacts)), end.duration_s, end.health.frames
     )
@@ -205,12 +177,9 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     ending = replace(ending, started=flight.graded.started, without_outcome=end.without_outcome, standing=end.standing)
     wall_s = time.monotonic() - began
     report = kept.write_report(ending, wall_s, f"in lock step with {facts['binary']}")
-    if args.json:
-        sys.stdout.write(json.dumps({**ending.as_json(), **_of_autopilot(args.autopilot, end)}) + "\n")
-    else:
-        sys.stdout.write("".join(f"{silence.in_words()}\n" for silence in end.silences))
-        sys.stdout.write(f"{end.failure or ending.in_words()}\n")
-        sys.stdout.write(f"{ending.duration_s:.1f} s from the order to land; {wall_s:.0f} s on the wall clock\n{report}")
+    lines = [*(silence.in_words() for silence in end.silences), end.failure or ending.in_words()]
+    lines.append(f"{ending.duration_s:.1f} s from the order to land; {wall_s:.0f} s on the wall clock\n{report}")
+    print_result(args, {**ending.as_json(), **_of_autopilot(args.autopilot, end)}, "\n".join(lines))
     return 0 if ending.good else 1
 
 
@@ -279,18 +248,12 @@ def run_follow(args: argparse.Namespace) -> int:
     scenario = load_scenario(args.scenario)
     refuse_faults(args.scenario, scenario)
     settings = settings_for(scenario, args.config, by_autopilot=True)
-    progress = None if args.json else ProgressObserver()
-    observers: list[Observer] = [] if progress is None else [progress]
-    end = event_loop.run(follow(scenario, args.seed, settings, args.follow, observers))
-    if progress is not None:
-        progress.close()
+    with shown(quiet=args.json) as observers:
+        end = event_loop.run(follow(scenario, args.seed, settings, args.follow, observers))
     ending = _ending_of(args.scenario, args.seed, end)
-    if args.json:
-        more = {"follow": args.follow, "by_truth": end.by_truth, "failure": end.failure or None}
-        sys.stdout.write(json.dumps({**ending.as_json(), **more}) + "\n")
-    else:
-        source = "the simulator's own truth" if end.by_truth else "the autopilot's own estimate of its place"
-        sys.stdout.write(f"{end.failure or ending.in_words()}\njudged by {source}\n")
+    more = {"follow": args.follow, "by_truth": end.by_truth, "failure": end.failure or None}
+    source = "the simulator's own truth" if end.by_truth else "the autopilot's own estimate of its place"
+    print_result(args, {**ending.as_json(), **more}, f"{end.failure or ending.in_words()}\njudged by {source}\n")
     return 0 if ending.on_pad else 1
 
 

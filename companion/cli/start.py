@@ -16,12 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.cli import config, doctor
+from companion.cli.options import file_errors, option
 from companion.parts.page.access import make_token
 from companion.settings.load import SHIPPED
 from drivers.camera.v4l2 import cameras
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from estimator.contracts.errors import BadInput, unusable
+from estimator.contracts.errors import BadInput
 
 VEHICLES = {
     "sim": "the simulated AR.Drone of this machine (python -m sitl.emulators.ardrone.serve demo)",
@@ -56,27 +57,25 @@ class Answers:
     """Address that the page listens on; empty for none."""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander start` to the parser."""
-    parser = subparsers.add_parser(
-        "start",
-        help="make the settings of your drone: asks, writes, checks",
-        description="Ask for vehicle, camera, pad and place, write a commented settings file, check it, diagnose the setup and "
-        "print the operator page's address. Autopilots and cameras are found. An option replaces its question. Exit code: "
-        "that of the doctor, or 2 for a wrong answer.",
-    )
-    parser.add_argument("--vehicle", choices=sorted(VEHICLES), help="vehicle")
-    parser.add_argument("--link", metavar="URL", help="MAVLink link of an autopilot, or address of an AR.Drone (default: found)")
-    parser.add_argument("--camera", metavar="DEVICE", help="V4L2 camera: a path or a part of its name (default: found)")
-    parser.add_argument("--camera-file", metavar="FILE", help="camera file of yours (default: a shipped one to begin with)")
-    parser.add_argument("--pad", metavar="NAME", help="pad: a shipped one or a file of yours")
-    parser.add_argument("--where", choices=sorted(PLACES), help="place of the flights")
-    parser.add_argument(
-        "--page", metavar="ADDRESS", help="address for the operator page: 127.0.0.1, one of this computer's by TLS, or off"
-    )
-    parser.add_argument("--out", type=Path, default=Path("rig.toml"), metavar="FILE", help="file to write (default: rig.toml)")
-    parser.add_argument("--yes", action="store_true", help="ask nothing: take what is found or usual")
-    parser.add_argument("--no-doctor", action="store_true", help="skip the diagnosis")
+DESCRIPTION = (
+    "Ask for vehicle, camera, pad and place, write a commented settings file, check it, diagnose the setup and "
+    "print the operator page's address. Autopilots and cameras are found. An option replaces its question. Exit code: "
+    "that of the doctor, or 2 for a wrong answer."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(parser, "--vehicle", "vehicle", choices=sorted(VEHICLES))
+    option(parser, "--link URL", "MAVLink link of an autopilot, or address of an AR.Drone (default: found)")
+    option(parser, "--camera DEVICE", "V4L2 camera: a path or a part of its name (default: found)")
+    option(parser, "--camera-file FILE", "camera file of yours (default: a shipped one to begin with)")
+    option(parser, "--pad NAME", "pad: a shipped one or a file of yours")
+    option(parser, "--where", "place of the flights", choices=sorted(PLACES))
+    option(parser, "--page ADDRESS", "address for the operator page: 127.0.0.1, one of this computer's by TLS, or off")
+    option(parser, "--out FILE", "file to write (default: rig.toml)", default=Path("rig.toml"))
+    option(parser, "--yes", "ask nothing: take what is found or usual")
+    option(parser, "--no-doctor", "skip the diagnosis")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -92,20 +91,19 @@ def run(args: argparse.Namespace) -> int:
     answers = _answers(args)
     _write(args.out, settings_text(answers, args.out))
     sys.stdout.write(f"\n{args.out}: written\n")
-    parser = argparse.ArgumentParser()
-    commands = parser.add_subparsers()
-    config.add_parser(commands)
-    doctor.add_parser(commands)
-    config.run(parser.parse_args(["config", "check", str(args.out)]))
+    checked, examined = argparse.ArgumentParser(), argparse.ArgumentParser()
+    config.add_arguments(checked)
+    config.run(checked.parse_args(["check", str(args.out)]))
     code = 0
     if not args.no_doctor:
-        code = doctor.run(parser.parse_args(["doctor", "--config", str(args.out)]))
+        doctor.add_arguments(examined)
+        code = doctor.run(examined.parse_args(["--config", str(args.out)]))
     _next_steps(answers, args.out)
     return code
 
 
 def _answers(args: argparse.Namespace) -> Answers:
-    ask = _Asker(args.yes)
+    ask = (lambda _what, _among, usual: usual) if args.yes else _ask
     received = [] if args.link or args.vehicle in _OWN_LINK else found_vehicles()
     vehicle = args.vehicle or ask("vehicle", VEHICLES, received[0].name if received else "ardrone2")
     flies_itself = vehicle in _OWN_LINK
@@ -127,31 +125,24 @@ def _answers(args: argparse.Namespace) -> Answers:
     return Answers(vehicle, link, device, args.camera_file or shipped, pad, place, "" if page == "off" else page)
 
 
-class _Asker:
+def _ask(what: str, among: dict[str, str], usual: str) -> str:
     """Ask for one of some answers on the terminal; a number, a name or Return for the usual one."""
-
-    def __init__(self, silent: bool) -> None:
-        self._silent = silent
-
-    def __call__(self, what: str, among: dict[str, str], usual: str) -> str:
-        if self._silent:
-            return usual
-        names = list(among)
-        sys.stdout.write(f"\n{what}?\n")
-        for number, name in enumerate(names, 1):
-            sys.stdout.write(f"  {number:2} {name}{f'  ({among[name]})' if among[name] else ''}\n")
-        while True:
-            sys.stdout.write(f"[{usual}] ")
-            sys.stdout.flush()
-            line = sys.stdin.readline()
-            if not line:
-                raise BadInput(f"{what}: no answer")
-            answer = line.strip() or usual
-            if answer.isdecimal() and 1 <= int(answer) <= len(names):
-                return names[int(answer) - 1]
-            if answer in names or what in ("pad", "camera"):
-                return answer
-            sys.stdout.write(f"  a number from 1 to {len(names)}, or a name\n")
+    names = list(among)
+    sys.stdout.write(f"\n{what}?\n")
+    for number, name in enumerate(names, 1):
+        sys.stdout.write(f"  {number:2} {name}{f'  ({among[name]})' if among[name] else ''}\n")
+    while True:
+        sys.stdout.write(f"[{usual}] ")
+        sys.stdout.flush()
+        line = sys.stdin.readline()
+        if not line:
+            raise BadInput(f"{what}: no answer")
+        answer = line.strip() or usual
+        if answer.isdecimal() and 1 <= int(answer) <= len(names):
+            return names[int(answer) - 1]
+        if answer in names or what in ("pad", "camera"):
+            return answer
+        sys.stdout.write(f"  a number from 1 to {len(names)}, or a name\n")
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,14 +260,12 @@ def settings_text(answers: Answers, out: Path) -> str:
 def _write(out: Path, text: str) -> None:
     """Write the settings, and the token and certificate that they name, each new and readable by its user alone."""
     token, certificate, key = (out.with_name(out.stem + ending) for ending in (".token", ".crt", ".key"))
-    try:
+    with file_errors(str(out)):
         if f'"{token.name}"' in text and not token.exists():
             _write_secret(token, make_token() + "\n")
         if f'"{certificate.name}"' in text and not certificate.exists():
             _certify(certificate, key, text.partition('host = "')[2].rpartition('host = "')[2].partition('"')[0])
         out.write_text(text, encoding="utf-8")
-    except OSError as why:
-        raise unusable(str(out), why) from why
 
 
 def _write_secret(path: Path, text: str) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from companion.base.version import version
+from companion.cli.options import option
 from companion.guidance.law.policy import Policy, read_policy
 from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput
@@ -27,30 +28,31 @@ _EXAMINED = 64
 _WORLDS = 192
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander train` to the parser."""
-    parser = subparsers.add_parser(
-        "train",
-        help="train a controller in the simulated sea",
-        description="Train a policy for the controller 'policy': a teacher that knows the truth of the simulated worlds shows "
-        "a small network what to do wherever the network goes. The same command with --rounds makes the same policy again. "
-        "Exit code 1 if it lands fewer than half of its flights on fresh seeds. docs/training.md has more.",
-    )
-    parser.add_argument(
+DESCRIPTION = (
+    "Train a policy for the controller 'policy': a teacher that knows the truth of the simulated worlds shows "
+    "a small network what to do wherever the network goes. The same command with --rounds makes the same policy again. "
+    "Exit code 1 if it lands fewer than half of its flights on fresh seeds. docs/training.md has more."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(
+        parser,
         "scenario",
+        "scenarios of one vehicle, each with a vessel on a steady course (default: weather_2 weather_3 weather_4); a policy "
+        "expects the winds that it was trained in",
         nargs="*",
         default=["weather_2", "weather_3", "weather_4"],
-        help="scenarios of one vehicle, each with a vessel on a steady course (default: weather_2 weather_3 weather_4); a policy "
-        "expects the winds that it was trained in",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="policy file to write (npz)")
-    parser.add_argument("--from", dest="first", type=Path, metavar="FILE", help="policy to train further (default: a new policy)")
+    option(parser, "--out FILE", "policy file to write (npz)", type=Path, required=True)
+    option(parser, "--from FILE", "policy to train further (default: a new policy)", dest="first", type=Path)
     how_long = parser.add_mutually_exclusive_group()
-    how_long.add_argument("--minutes", type=float, metavar="M", help="train for so long")
-    how_long.add_argument("--rounds", type=int, metavar="N", help="train for so many rounds (default: 60)")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the worlds and of the network (default: 1)")
-    parser.add_argument("--threads", type=int, default=1, metavar="N", help="threads that step the worlds (default: 1)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object a round, and the record")
+    option(how_long, "--minutes M", "train for so long", type=float)
+    option(how_long, "--rounds N", "train for so many rounds (default: 60)", type=int)
+    option(parser, "--seed N", "seed of the worlds and of the network (default: 1)", default=1)
+    option(parser, "--threads N", "threads that step the worlds (default: 1)", default=1)
+    option(parser, "--json", "print one JSON object a round, and the record")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,6 +12,7 @@ import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
+from companion.cli.options import option
 from estimator.contracts.errors import BadInput, Recoverable
 
 if TYPE_CHECKING:
@@ -25,24 +26,24 @@ _INCOMING = 2000
 _CLEAR, _HOME, _TO_END, _BELOW, _HIDE, _SHOW = "\x1b[2J", "\x1b[H", "\x1b[K", "\x1b[J", "\x1b[?25l", "\x1b[?25h"
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `decklander watch` to the parser."""
-    parser = subparsers.add_parser(
-        "watch",
-        help="watch drones live in the terminal, over MQTT",
-        description="Show what drones publish on an MQTT broker: a full screen on a terminal, else a line per second and a line "
-        "per event. Take the broker from a settings file or from the options. Exit code 1 if --seconds pass without a "
-        "connection to the broker.",
-    )
-    parser.add_argument("--config", metavar="FILE", help="read the broker and the credentials from [mqtt] of this settings file")
-    parser.add_argument("--host", help="host name or address of the broker (default: 127.0.0.1)")
-    parser.add_argument("--port", type=int, help="port of the broker (default: 8883 with TLS, 1883 without)")
-    parser.add_argument("--user", help="user name")
-    parser.add_argument("--password-file", type=Path, metavar="FILE", help="read the password from this file")
-    parser.add_argument("--ca-file", type=Path, metavar="FILE", help="trust the CAs in this file instead of the system's")
-    parser.add_argument("--plain-tcp", action="store_true", help="connect without TLS")
-    parser.add_argument("--drone", metavar="NAME", help="show only this drone (default: every drone on the broker)")
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop after this many seconds")
+DESCRIPTION = (
+    "Show what drones publish on an MQTT broker: a full screen on a terminal, else a line per second and a line "
+    "per event. Take the broker from a settings file or from the options. Exit code 1 if --seconds pass without a "
+    "connection to the broker."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    option(parser, "--config FILE", "read the broker and the credentials from [mqtt] of this settings file")
+    option(parser, "--host HOST", "host name or address of the broker (default: 127.0.0.1)")
+    option(parser, "--port PORT", "port of the broker (default: 8883 with TLS, 1883 without)", type=int)
+    option(parser, "--user USER", "user name")
+    option(parser, "--password-file FILE", "read the password from this file", type=Path)
+    option(parser, "--ca-file FILE", "trust the CAs in this file instead of the system's", type=Path)
+    option(parser, "--plain-tcp", "connect without TLS")
+    option(parser, "--drone NAME", "show only this drone (default: every drone on the broker)")
+    option(parser, "--seconds S", "stop after this many seconds", type=float)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
+from companion.cli.main import main
 from companion.recording.reading import RecordedFrame, open_recording
-from estimator.vision.pad import Pad
 from estimator.vision.tracker import PadTracker
 from sitl.camera.camera import Renderer
 from tests.sitl.images import PLAIN, shot
+from tests.support.image_files import claiming
 from tests.support.pad_images import PadPlacement, image
 from tests.support.shipped import shipped_camera, shipped_pad
 
@@ -97,11 +98,6 @@ def test_a_recording_brings_its_camera_its_pad_and_its_attitudes(tmp_path: Path,
     assert "but none of their images" in capsys.readouterr().err
 
 
-def test_images_need_a_camera(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert detect(album) == 2
-    assert "does not say which camera took it: give --camera FILE" in capsys.readouterr().err
-
-
 def test_attitudes_take_the_tilt_out(album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """3 and 2 degrees move the pad by 9 cm at 1.4 m. Without attitude the drawing's slant tells most; the covariance holds."""
     table = tmp_path / "attitude.csv"
@@ -145,6 +141,7 @@ def test_lines_for_people_and_images_of_what_was_seen(album: Path, tmp_path: Pat
     assert lines[1].split()[:2] == ["a.png", "registration"]
     assert lines[3].split()[:2] == ["c.png", "nothing"]
     assert lines[-1] == "found in 2 of 3 frames"
+    assert detect(album / "c.png", "--camera", "sim") == 1
     names = sorted(p.name for p in drawn.iterdir())
     assert names == ["a_00000.png", "b_00000.png", "c_00000.png"]
     plain, inked = cv2.imread(str(album / "a.png")), cv2.imread(str(drawn / "a_00000.png"))
@@ -167,23 +164,6 @@ def test_a_mirrored_camera_is_named(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert ("mirror" in err) == (name == "mirrored")
 
 
-def test_folders_hold_any_image_and_deep_ones_are_found_alike(album, tmp_path, capsys):
-    grey = cv2.cvtColor(cv2.imread(str(album / "a.png")), cv2.COLOR_BGR2GRAY).astype(np.uint16)
-    (tmp_path / "deep.pgm").write_bytes(b"P5 640 360 1023\n" + (grey * 4).astype(">u2").tobytes())
-    cv2.imwrite(str(tmp_path / "deep.png"), grey * 4)
-    cv2.imwrite(str(tmp_path / "eight.png"), grey.astype(np.uint8))
-    assert detect(tmp_path, "--camera", "sim", "--json") == 0
-    found = records(capsys)
-    assert len(found) == 3
-    places = np.array([r["d_body_pad_level_m"] for r in found], float)
-    assert np.ptp(places, axis=0).max() < 0.01
-
-
-def test_nothing_found_is_exit_code_one(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert detect(album / "c.png", "--camera", "sim") == 1
-    assert "found in 0 of 1 frames" in capsys.readouterr().out
-
-
 def test_a_broken_image_is_named_and_the_others_are_done(album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     broken = tmp_path / "torn.jpg"
     broken.write_bytes(b"\xff\xd8\xff\xe0 torn")
@@ -198,6 +178,7 @@ def test_a_broken_image_is_named_and_the_others_are_done(album: Path, tmp_path: 
     ("words", "named"),
     [
         (["gone.png", "--camera", "sim"], "gone.png"),
+        (["{album}/a.png"], "does not say which camera took it: give --camera FILE"),
         (["{album}/a.png", "--camera", "gone"], "gone"),
         (["{album}/a.png", "--camera", "ardrone2_bottom", "--pad", "gone"], "gone"),
         (["{album}/a.png", "--camera", "{bad}"], "'cx'"),
@@ -212,19 +193,20 @@ def test_a_broken_image_is_named_and_the_others_are_done(album: Path, tmp_path: 
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_two(words, named, album, tmp_path, capsys):
-    files = {"bad": "width = 640\nheight = 360\n", "small": "width=320\nheight=180\nfx=187\nfy=187\ncx=159.5\ncy=89.5\n"}
-    tables = {"headless": "a.png,1,2\n", "words": "flat", "other": "z.png,1,2\n", "twice": "a.png,1,2\na.png,1,2\n"}
+    head = "source,roll_deg,pitch_deg\n"
+    files = {
+        "bad": "width = 640\nheight = 360\n",
+        "small": "width=320\nheight=180\nfx=187\nfy=187\ncx=159.5\ncy=89.5\n",
+        "headless": "a.png,1,2\n",
+        "words": f"{head}a.png,flat,0\n",
+        "other": f"{head}z.png,1,2\n",
+        "twice": f"{head}a.png,1,2\na.png,1,2\n",
+    }
     places = {"album": str(album), "empty": str(tmp_path / "empty")}
     (tmp_path / "empty").mkdir()
     for name, text in files.items():
-        places[name] = str(tmp_path / f"{name}.toml")
+        places[name] = str(tmp_path / name)
         Path(places[name]).write_text(text)
-    for name, text in tables.items():
-        places[name] = str(tmp_path / f"{name}.csv")
-        rows = {"headless": text, "words": "source,roll_deg,pitch_deg\na.png,flat,0\n"}.get(
-            name, "source,roll_deg,pitch_deg\n" + text
-        )
-        Path(places[name]).write_text(rows)
     assert detect(*(word.format(**places) for word in words)) == 2
     err = capsys.readouterr().err
     assert len(err.splitlines()) == 1
@@ -245,11 +227,41 @@ def test_both_opinions_are_printed_where_a_second_one_is_used(album: Path, capsy
     assert capsys.readouterr().err.startswith("decklander: --second-opinion: none.onnx: No such file or directory: name a file")
 
 
-def test_the_printed_pad_ships(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pad: Pad = shipped_pad("printed")
-    camera = shipped_camera("photos")
-    path = tmp_path / "printed.png"
-    cv2.imwrite(str(path), image(PadPlacement((0.1, 0.0, 1.5)), camera, pad, blur_px=0.7, noise=1.0).px)
-    assert detect(path, "--camera", "photos", "--pad", "printed", "--json") == 0
-    (record,) = records(capsys)
-    assert np.allclose(record["d_body_pad_level_m"], (0.1, 0.0, 1.5), atol=0.01)  # type: ignore[arg-type]
+GOLDEN = Path(__file__).parents[1] / "golden/frames.mcap"
+
+
+@pytest.fixture
+def no_decoder(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("the decoder was asked")
+
+    monkeypatch.setattr(cv2, "imdecode", never)
+    monkeypatch.setattr(cv2, "imread", never)
+
+
+@pytest.mark.usefixtures("no_decoder")
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+@pytest.mark.parametrize("side", [16384, 30000])
+def test_detect_and_calibrate_name_the_image_and_its_claim(tmp_path, capsys, suffix, side):
+    path = tmp_path / f"bomb{suffix}"
+    path.write_bytes(claiming(suffix, side, side))
+    assert path.stat().st_size < 1000
+    for words, output in (
+        (["detect", str(path), "--camera", "sim"], f"{side}x{side} px, but"),
+        (
+            ["calibrate", "camera", str(path), "--out", str(tmp_path / "camera.toml")],
+            f"{side}x{side} px, expected at most 67 million pixels",
+        ),
+    ):
+        assert main(words) == 2
+        err = capsys.readouterr().err.strip().splitlines()
+        assert len([line for line in err if "bomb" in line]) == 1
+        assert output in "".join(err)
+        assert "Traceback" not in "".join(err)
+
+
+@pytest.mark.usefixtures("no_decoder")
+def test_a_recorded_image_of_another_size_than_the_camera_s_is_not_decoded() -> None:
+    recorded = next(e for e in open_recording([GOLDEN]).events() if isinstance(e, RecordedFrame) and e.image is not None)
+    bomb = RecordedFrame(recorded.record, claiming(".png", 30000, 30000))
+    assert bomb.frame((640, 360)) is None

@@ -28,8 +28,8 @@ from companion.recording.rewriting import Cut, rewrite
 from companion.settings.load import camera_model
 from companion.settings.service import RecorderOptions
 from companion.tools.replay.engine import Replay, pilot_of
+from companion.tools.report.figures import innovation_series
 from companion.tools.report.flight_log import FlightLog
-from companion.tools.report.innovations import innovation_series
 from companion.tools.report.page import render
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import COMPONENTS, FusionResult

@@ -15,12 +15,10 @@ import numpy as np
 import pytest
 
 from companion.cli.main import main
-from companion.cli.progress import WorkProgress
 from companion.settings.load import read_toml
 from companion.tools.pads.clicked import clicked
 from companion.tools.pads.clutter import VIEWS, kind_of, view
-from companion.tools.pads.planted import planted
-from companion.tools.pads.price import CAMERA, price
+from companion.tools.pads.price import CAMERA, planted, price
 from companion.tools.pads.svg import read_svg
 from companion.tools.pads.trace import drawn, traced
 from estimator.contracts.errors import BadInput
@@ -206,16 +204,3 @@ def test_a_pad_with_more_to_tell_is_cheaper_and_its_calibration_belongs_to_its_d
     assert found.found[5.0] <= 0.5
     assert replace(pad, calibration=known).is_calibrated
     assert not replace(pad, calibration=known, regions=pad.regions[:2]).is_calibrated
-
-
-def test_long_work_reports_itself_without_a_terminal_too(capsys, monkeypatch):
-    now_s = 0.0
-    monkeypatch.setattr("companion.cli.progress.time.monotonic", lambda: now_s)
-    work = WorkProgress("searching clutter", "views")
-    for done in range(1, 121):
-        now_s += 1.0
-        work.take(done, 120)
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[:2] == ["searching clutter: 1 of 120 views", "searching clutter: 31 of 120 views, 89 s left"]
-    assert lines[-1] == "searching clutter: 120 of 120 views"
-    assert len(lines) == 5

@@ -15,10 +15,7 @@ from numpy.typing import NDArray
 from companion.cli.main import main
 from companion.settings.load import SHIPPED, read_toml
 from companion.tools.calibrate.board import Board
-from companion.tools.print_pad.drawing import Disc, Polygon, board_drawing, pad_drawing
-from companion.tools.print_pad.sheets import RULER_MM, sheets
-from companion.tools.report.drawing import require_drawing
-from estimator.contracts.errors import BadInput
+from companion.tools.print_pad.sheets import Disc, Polygon, board_drawing, pad_drawing, sheets
 from estimator.vision.pad import Pad
 from tests.support.shipped import shipped_pad
 
@@ -104,18 +101,6 @@ def test_the_printed_board_is_found_where_it_was_drawn(tmp_path: Path, board: Bo
     if board.kind == "chessboard" and np.linalg.norm(mm[0] - wanted[0]) > 10:
         wanted = wanted[::-1]  # a chessboard may be numbered from its other end
     assert np.abs(mm - wanted).max() < 0.15
-
-
-def test_every_sheet_has_its_ruler_and_its_marks_inside_the_paper() -> None:
-    drawing = pad_drawing(PAD)
-    for paper in ("a4", "a3", "full"):
-        for sheet in sheets(drawing, paper):  # type: ignore[arg-type]
-            assert any(abs(m.x1 - m.x0) == RULER_MM and m.y0 == m.y1 for m in sheet.lines)
-            ends = np.array([(m.x0, m.y0, m.x1, m.y1) for m in sheet.lines])
-            assert ends.min() > 3.0
-            assert ends[:, [0, 2]].max() < sheet.width_mm - 3.0
-            assert ends[:, [1, 3]].max() < sheet.height_mm - 3.0
-            assert all(3.0 < t.y < sheet.height_mm - 3.0 for t in sheet.labels)
 
 
 def test_neighbouring_sheets_share_their_cut() -> None:
@@ -222,22 +207,6 @@ def test_a_pad_that_clutter_is_taken_for_is_not_detected(command, tmp_path, monk
     output = capsys.readouterr().err
     assert "clutter is taken for this pad in 30 of 1,000 frames" in output
     assert output.count("\n") == 1
-
-
-def test_a_pad_in_millimetres_is_refused_with_its_cure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "mm.toml"
-    file.write_text('name = "mm"\n[paints]\nred = [200, 0, 0]\n[[regions]]\nshape = "disc"\npaint = "red"\nradius_m = 390\n')
-    assert main(["pad", "check", str(file)]) == 2
-    output = capsys.readouterr().err
-    assert "regions[0].radius_m" in output
-    assert "Write metres, 0.39 for 390" in output
-
-
-def test_a_missing_matplotlib_is_named_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
-    require_drawing("--plot")
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(BadInput, match=r"--plot draws with matplotlib, .* requirements/report\.txt"):
-        require_drawing("--plot")
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
-"""`decklander record`: what is in a recording, parts of it, and recordings of what others recorded."""
+"""`decklander record`: what is in a recording, parts of it, tables of its numbers, and recordings of what others recorded."""
 
+import csv
 import json
 from pathlib import Path
 
@@ -9,7 +10,9 @@ import pytest
 from companion.base.observer import Decision
 from companion.cli import main as cli
 from companion.facts.records import TruthRecord
+from companion.recording import rewriting
 from companion.recording.reading import RecordedFrame, open_recording
+from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Imu
 
 DATA = Path(__file__).parents[2] / "../shared/data"
@@ -120,3 +123,41 @@ def test_wrong_use_is_one_line_and_leaves_nothing(flight_file, words, said, tmp_
     assert said in err
     assert err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_tables_hold_the_numbers_of_the_recording(flight_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "tables"
+    assert cli.main(["record", "export", str(flight_file), "--output", str(folder)]) == 0
+    reported = dict(line.rsplit(": ", 1) for line in capsys.readouterr().out.splitlines())
+    beliefs = [e.belief for e in open_recording([flight_file]).events() if isinstance(e, Decision) and e.belief is not None]
+    rows = table(folder / "belief_dead_reckoning.csv")
+    assert len(rows) == len(beliefs) > 20
+    assert reported[str(folder / "belief_dead_reckoning.csv")] == f"{len(rows)} rows"
+    for row, belief in zip(rows, beliefs, strict=True):
+        assert int(row["timestamp"]) == belief.at // 1000
+        assert [float(row[f"d_body_pad_level[{k}]"]) for k in range(3)] == belief.d_body_pad_level.tolist()
+        assert float(row["cov[48]"]) == belief.cov[6, 6]
+        for name, value in belief.details:
+            assert float(row[f"details.{name}"]) == value
+    assert {row["yaw_rad"] for row in rows if row["yaw_rad"] == ""} <= {""}
+    names = {path.name for path in folder.iterdir()}
+    assert {"sample_imu.csv", "truth.csv", "decision.csv", "detection.csv"} <= names
+    assert not any(name.startswith(("camera", "scene", "tf", "pose")) for name in names), "drawings for viewers are left out"
+
+
+def test_what_cannot_be_written_or_is_damaged_is_reported(flight_file, tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("")
+    assert cli.main(["record", "export", str(flight_file), "--output", str(tmp_path / "file")]) == 2
+    assert "cannot write tables there" in capsys.readouterr().err
+    monkeypatch.setattr(rewriting, "_COLUMNS_MAX", 5)
+    with pytest.raises(BadInput, match="has more than 5 columns"):
+        rewriting.export(open_recording([flight_file]), tmp_path / "tables")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(flight_file.read_bytes()[:-20_000])
+    monkeypatch.setattr(rewriting, "_COLUMNS_MAX", 1000)
+    assert rewriting.export(open_recording([cut]), tmp_path / "part")["sample_imu.csv"] > 20

@@ -1,4 +1,4 @@
-"""The report of a flight, and the scene and drawings in it."""
+"""The report of a flight, the scene and drawings in it, and the command that writes it of one recording or two."""
 
 import base64
 import io
@@ -9,7 +9,6 @@ from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import get_args
 
 import av
 import cv2
@@ -21,10 +20,13 @@ from mcap.reader import make_reader
 
 from companion.base.mission import Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
-from companion.recording.palette import MARKERS, OTHER, OUTLINE, bgr, colour
-from companion.recording.scene import SIGMAS, error_ellipsoid, filled, fixed_scene
+from companion.cli import main as cli
+from companion.recording.palette import OUTLINE, bgr, colour
+from companion.recording.reading import open_recording
+from companion.recording.scene import SIGMAS, error_ellipsoid, filled
 from companion.settings.load import shipped
-from companion.tools.report.figures import TruthTrack, all_series, body_over_pad, deck_rows, error_rows, timing_rows
+from companion.tools.replay.recorded_log import log_of
+from companion.tools.report.figures import TruthTrack, all_series, body_over_pad, deck_rows, error_rows
 from companion.tools.report.flight_log import (
     CommandRecord,
     DeckSample,
@@ -35,16 +37,15 @@ from companion.tools.report.flight_log import (
     StageTime,
     TruthSample,
 )
-from companion.tools.report.layers import SPANS, Layer, Plot, thinned
 from companion.tools.report.overlay import Overlay, annotate, annotated_size
-from companion.tools.report.page import render, write_report
-from companion.tools.report.plots import place, ship
+from companion.tools.report.page import landing_began_s, render, write_report
+from companion.tools.report.plots import SPANS, place, ship, thinned
 from companion.tools.report.video import FILM_BYTES, FilmFile, FlightVideo, film_of
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, Method, RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import Rotation, Transform
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection, PadCheck, PadThing
 from estimator.vision.regions import PaintedDisc, PaintedRing, outlines_of
@@ -154,14 +155,6 @@ def test_the_decks_tilt_is_compared_with_truth_at_the_instant_that_it_is_forecas
     assert [(row.ahead_s, row.count) for row in rows] == [(0.0, 3), (1.0, 3), (2.0, 3)], "beyond the truth nothing is compared"
     assert [row.tilt_median_rad for row in rows] == pytest.approx([0.0, 0.05, math.hypot(0.03, 0.08)], abs=1e-6)
     assert [row.nees for row in rows] == pytest.approx([0.0, (1 + 4) / 2, (1 + 16) / 2], abs=1e-3)
-
-
-def test_timings_keep_their_order_and_quantiles():
-    rows = timing_rows(flight())
-    assert [r.name for r in rows] == ["decode", "detect", "exposure to belief"]
-    assert rows[1].median_s == pytest.approx(0.004495)
-    assert rows[1].max_s == pytest.approx(0.00499)
-    assert rows[2].median_s == pytest.approx(0.2)
 
 
 def test_position_over_the_pad_is_turned_by_the_heading():
@@ -278,11 +271,6 @@ def test_an_hour_stays_small_and_says_that_it_was_thinned():
     assert "Every one of" in render(flight(images=False), None)
 
 
-def test_plots_say_in_words_what_they_show():
-    plot = Plot("height", "m", [Layer("ekf", "#000000", "line", np.array([0.0, 1.0]), np.array([3.0, 0.5]))])
-    assert plot.in_words() == "height, m, over time: ekf from 0.5 to 3, 0.5 at its end"
-
-
 def test_a_forecast_stands_where_it_was_made_for():
     log = flight(images=False)
     log.decks = [
@@ -303,23 +291,12 @@ def test_the_path_that_steered_has_the_band():
 def test_an_empty_flight_still_has_a_page(tmp_path):
     page = write_report(FlightLog("nothing", ns(0), PAD, CAMERA), tmp_path)
     text = page.read_text("utf-8")
-    for output in (
-        "No touchdown",
-        "No frames",
-        "Neither truth",
-        "Nothing was estimated",
-        "No commands",
-        "No times",
-        "No results",
-    ):
-        assert output in text
+    absent = ("No touchdown", "No frames", "Neither truth", "Nothing was estimated", "No commands", "No times", "No results")
+    assert [words for words in absent if words not in text] == []
     assert [p.name for p in tmp_path.iterdir()] == ["index.html"]
-
-
-def test_a_flight_without_truth_shows_estimates_and_no_errors():
-    log = flight(images=False)
-    log.truth = []
-    text = render(log, None)
+    without_truth = flight(images=False)
+    without_truth.truth = []
+    text = render(without_truth, None)
     assert "No truth was recorded" in text
     assert "minus truth" not in text
 
@@ -397,20 +374,6 @@ def test_a_long_film_stays_small_enough_to_be_mailed(tmp_path):
     assert 4 / 3 * FILM_BYTES < 8.5e6
 
 
-def test_no_image_no_file(tmp_path):
-    with FlightVideo(tmp_path / "v.mp4", (64, 48), 30):
-        pass
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(("size", "fps"), [((63, 48), 30), ((64, 0), 30), ((64, 48), 0)])
-def test_sizes_and_rates_that_cannot_be(tmp_path, size, fps):
-    with pytest.raises(BadInput):
-        FlightVideo(tmp_path / "v.mp4", size, fps)
-    with pytest.raises(BadInput, match="cannot write"):
-        FlightVideo(tmp_path / "no" / "such" / "folder.mp4", (64, 48), 30)
-
-
 def test_broken_images_are_passed_over(tmp_path):
     log = flight()
     log.frames = [
@@ -462,12 +425,6 @@ def test_an_estimate_behind_or_beside_the_lens_draws_nothing():
         assert (canvas[:180] == 60).mean() > 0.9
 
 
-def test_every_method_has_a_colour_and_a_mark_of_its_own():
-    single = [method for method in get_args(Method) if method != "fused"]
-    assert len({colour(method) for method in (*single, "fused")} | {OTHER}) == len(single) + 2
-    assert sorted(MARKERS) == sorted(single)
-
-
 def polygon_area(line):
     x, y = line.T
     return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
@@ -502,11 +459,6 @@ def test_the_ellipsoid_has_the_estimates_covariance() -> None:
     np.testing.assert_allclose(axes @ np.diag(half**2) @ axes.T, cov[:3, :3], atol=1e-9)
 
 
-def test_a_scene_without_a_pad_is_the_drone_alone() -> None:
-    assert [entity.id for entity in fixed_scene(1, None).entities] == ["drone"]
-    assert [entity.id for entity in fixed_scene(1, shipped_pad("h")).entities] == ["drone", "deck", "pad"]
-
-
 def test_what_never_changes_is_found_within_a_second_of_any_seek(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
     record_to(path, seconds=3.2)
@@ -518,3 +470,94 @@ def test_what_never_changes_is_found_within_a_second_of_any_seek(tmp_path: Path)
     for found in times.values():
         assert len(found) >= 4
         assert max(np.diff(found)) <= 1.1e9
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two whole landings, the second with another limit."""
+    folder = tmp_path_factory.mktemp("flights")
+    paths = [folder / f"seed{seed}.mcap" for seed in (1, 2)]
+    for seed, path in enumerate(paths, 1):
+        words = ["simulate", "demo", "--perception", "truth", "--seed", str(seed), "--record", str(path), "--json"]
+        changed = [] if seed == 1 else ["--set", "guidance.cone.gate_height_m=0.4"]
+        assert cli.main([*words, *changed]) == 0
+    return paths
+
+
+def test_the_log_of_a_recording_is_that_of_the_flight(flights: list[Path]) -> None:
+    log = log_of(open_recording([flights[0]]), "one")
+    assert log.outcome == "landed"
+    assert (log.steering, log.settings.startswith("[")) == ("ekf", True)
+    (contact,) = log.contacts
+    assert contact.on_pad
+    assert np.hypot(*contact.p_pad_m) == pytest.approx(contact.lateral_m, abs=0.02)
+    assert contact.lateral_m == log.touchdown.lateral_m if log.touchdown else False
+    ahead = {round(seconds_between(one.made_at, one.at), 3) for one in log.decks}
+    assert ahead == {0.0, 1.0, 2.0}
+    assert all(one.p_pad_ned is not None and one.R_ned_pad is not None for one in log.truth)
+    first, last = log.truth[0], log.truth[-1]
+    assert seconds_between(first.at, last.at) > 5.0
+    assert sum(log.verdicts.values()) == len(log.frames)
+    assert [change.target.name for change in log.transitions][-1] in ("DOWN", "LANDED")
+
+
+def test_the_command_writes_one_file_and_says_its_size(flights, tmp_path, capsys):
+    capsys.readouterr()
+    page = tmp_path / "one.html"
+    assert cli.main(["report", str(flights[0]), "--output", str(page)]) == 0
+    assert re.fullmatch(rf"report: {page} \(\d+\.\d MB, one file; open it in a browser\)\n", capsys.readouterr().out)
+    data = json.loads(parts_of(page.read_text()).texts["data"])
+    heave = next(plot for plot in data["plots"] if plot["title"] == "heave")
+    assert {layer["name"] for layer in heave["layers"]} == {"truth", "filter", "forecast 1 s ago", "forecast 2 s ago"}
+
+
+def test_two_flights_are_laid_over_each_other_from_where_their_landings_began(flights: list[Path], tmp_path: Path) -> None:
+    page = tmp_path / "both.html"
+    assert cli.main(["report", *map(str, flights), "--output", str(page)]) == 0
+    text = page.read_text()
+    data = json.loads(parts_of(text).texts["data"])
+    down = next(plot for plot in data["plots"] if plot["title"] == "down")
+    lines = {layer["name"]: layer for layer in down["layers"] if layer["style"] == "line"}
+    assert set(lines) == {"A", "B"}
+    for path, name in zip(flights, "AB", strict=True):
+        log = log_of(open_recording([path]), name)
+        began = landing_began_s(log)
+        assert began > 0.0
+        states = [e for e in log.estimates if e.path == "ekf"]
+        t = column(data, lines[name]["t"])
+        assert t[0] == pytest.approx(seconds_between(log.started, states[0].at) - began, abs=1e-3)
+        assert column(data, lines[name]["y"])[-1] == pytest.approx(states[-1].height_m, abs=1e-5)
+        assert any(abs(when) < 1e-3 for when, _ in data["flights"]["AB".index(name)]["phases"]), "a phase begins at zero"
+    assert {mark["label"] for mark in data["views"][0]["marks"]} == {"A1", "B1"}
+    assert "A landed, B landed" in text
+    rows = re.findall(
+        r"<tr><td>off centre at touchdown</td><td>([\d.]+) cm</td><td>([\d.]+) cm</td><td>([-+][\d.]+) cm</td>", text
+    )
+    (row,) = rows
+    assert float(row[1]) - float(row[0]) == pytest.approx(float(row[2]), abs=0.011)
+    assert "<td>guidance.cone.gate_height_m</td>" in text, "the settings that differ"
+    assert text.count("<td>guidance.") == 1
+
+
+def test_a_part_of_a_flight_and_strange_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "short.mcap"
+    record_to(path, seconds=0.8)
+    page = tmp_path / "short.html"
+    drawn = tmp_path / "short.gif"
+    assert cli.main(["report", str(path), "--animation", str(drawn)]) == 0
+    with av.open(str(drawn)) as animation:
+        first, *_, last = (frame.to_ndarray(format="bgr24").astype(int) for frame in animation.decode(video=0))
+    assert first.shape == last.shape
+    assert abs(first - last).max() > 50, "the drone moved between the first image and the last"
+    assert cli.main(["report", str(path), "--animation", str(tmp_path / "no" / "folder.gif")]) == 2
+    assert "no/folder.gif" in capsys.readouterr().err
+    assert cli.main(["report", str(path), "--output", str(page), "--no-video"]) == 0
+    assert "unfinished" in page.read_text()
+    assert "film-0" not in parts_of(page.read_text()).ids
+    assert cli.main(["report", str(path), str(tmp_path / "none.mcap"), "--output", str(page)]) == 2
+    assert "none.mcap" in capsys.readouterr().err
+    assert cli.main(["report", str(path), "--output", str(tmp_path / "no" / "folder.html")]) == 2
+    golden = open_recording([Path(__file__).parents[1] / "golden" / "frames.mcap"])
+    golden.attachments.pop("pad.toml")
+    with pytest.raises(BadInput, match="does not hold its camera and its pad"):
+        log_of(golden, "golden")

@@ -63,7 +63,7 @@ def options() -> dict[str, frozenset[str]]:
     found = {}
     for name, (module, _) in COMMANDS.items():
         parser = argparse.ArgumentParser()
-        importlib.import_module(module).add_parser(parser.add_subparsers())
+        importlib.import_module(module).add_arguments(parser)
         found[name] = frozenset(of(parser))
     return found
 

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import msgspec
 import numpy as np
@@ -12,17 +11,14 @@ from hypothesis import strategies as st
 
 from companion.settings.load import load
 from sitl.world.world import World
-from study.experiments.chapter5 import HEIGHTS_M, QUANTITIES, error_of, printed, spread
+from study.experiments.chapter5 import error_of, spread
 from study.experiments.flown import Estimate, ExperimentFlight, calm_scenario, fly_by_hand
 from study.experiments.hand import (
     HeldPose,
-    around_the_ship,
-    full_turn,
     hold,
     level_axes,
     thesis_axes,
     thesis_yaw_rad,
-    up_and_down,
 )
 
 
@@ -36,30 +32,6 @@ def test_a_flight_begins_at_the_pose_of_the_thesis() -> None:
     truth = World(calm_scenario(HeldPose(1.0, 2.0, 3.5, -90.0), 5.0, exact_attitude=True), 1).truth()
     assert thesis_axes(truth.d_body_pad_level) == pytest.approx([1.0, 2.0, 3.5], abs=0.02)
     assert math.degrees(thesis_yaw_rad(truth.yaw_rad)) == pytest.approx(-90.0, abs=0.5)
-
-
-def test_paths_go_where_the_thesis_went() -> None:
-    path, duration_s = up_and_down(0.2, 5.0, 0.4, x_m=-0.1)
-    heights = [path(t).z_m for t in np.linspace(0.0, duration_s, 400)]
-    assert (min(heights), max(heights), heights[0], heights[-1]) == (0.2, 5.0, 0.2, 0.2)
-    assert path(0.0).x_m == -0.1
-    path, duration_s = around_the_ship(0.6)
-    places = [path(t)[:2] for t in np.linspace(0.0, duration_s, 500)]
-    assert max(math.dist(a, b) for a, b in pairwise(places)) < 0.6 * duration_s / 499 * 1.1
-    assert (min(p[0] for p in places), max(p[1] for p in places)) == (-6.0, 4.0)
-    assert places[-1] == (0.0, 0.0)
-    path, duration_s = full_turn(1.0, 20.0)
-    turned = np.unwrap([math.radians(path(t).yaw_deg) for t in np.linspace(0.0, duration_s, 500)])
-    assert math.degrees(turned[-1] - turned[0]) == pytest.approx(360.0)
-
-
-def test_what_the_thesis_printed_is_kept() -> None:
-    row = printed("z", 2.0, "arrow")
-    assert row is not None
-    assert (row.mean, row.std, row.available) == (191.92, 69.48, 1.0)
-    assert printed("yaw", 10.0, "arrow") is None
-    for quantity in QUANTITIES:
-        assert any(printed(quantity, height_m, "corners") for height_m in HEIGHTS_M)
 
 
 def test_the_spread_counts_frames_without_an_estimate() -> None:

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.tools.calibrate.board import BoardView
 from companion.tools.calibrate.solve import Solution
-from companion.tools.calibrate.views import BoardView
 
 VIEWS = 10
 CELLS = (6, 4)

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 from companion.guidance.law.response_fit import STEP_S, ClimbFit, Fitted, FlightCourse, TiltFit
 from companion.tools.calibrate.assess import CELLS, coverage
+from companion.tools.calibrate.board import BoardView
 from companion.tools.calibrate.flown_courses import FlownCourses
 from companion.tools.calibrate.solve import Solution
-from companion.tools.calibrate.views import BoardView
 from estimator.contracts.errors import unusable
 
 _ASKED, _REPORTED, _MODEL = "#9a9a9a", "#1f86c9", "#d55e00"

@@ -14,8 +14,7 @@ import numpy as np
 from companion.recording.reading import RecordedFrame, Recording
 from companion.tools.calibrate import touchdown_cost
 from companion.tools.calibrate.flight_views import TILT_SIGMA_MAX_RAD, VIEWS_LEAST, FlightViews
-from companion.tools.calibrate.mount_fit import DELAY, GYRO, LEVEL, MOUNT, READOUT, MountFit, fit_mount
-from companion.tools.calibrate.rotations import exp, interpolated, logs
+from companion.tools.calibrate.mount_fit import DELAY, GYRO, LEVEL, MOUNT, READOUT, MountFit, exp, fit_mount, interpolated, logs
 from companion.tools.calibrate.touchdown_cost import TouchdownCost
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
@@ -33,26 +32,8 @@ READOUT_LARGEST_S = 0.09
 _OPTIONS = RegistrationOptions(coarse=True)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReadoutFit:
-    """Readout time that a flight yields."""
-
-    fit: MountFit
-    views: FlightViews
-    was_s: float
-    """The readout time of the camera file in the recording."""
-
-    @property
-    def readout_s(self) -> float:
-        return float(self.views.readout_s + self.fit.values[READOUT])
-
-    @property
-    def sigma_s(self) -> float:
-        return float(self.fit.sigma[READOUT])
-
-
-def fit_readout(recording: Recording, views: FlightViews) -> ReadoutFit:
-    """Return the readout time with its covariance, mount and delay estimated along.
+def _fit_readout(recording: Recording, views: FlightViews) -> tuple[MountFit, float]:
+    """Return the fit with mount and delay, and the readout time, s.
 
     Raises:
         BadInput: the recording does not hold its pad, or too few frames with their images.
@@ -70,7 +51,7 @@ def fit_readout(recording: Recording, views: FlightViews) -> ReadoutFit:
         # The derivative is that of the readout found, and not of 0.
         middle = min(READOUT_LARGEST_S, max(-READOUT_LARGEST_S, float(of.readout_s + found.values[READOUT])))
         around = middle - _CLOSE_S, middle + _CLOSE_S
-    return ReadoutFit(found, of, views.camera.readout_s)
+    return found, float(of.readout_s + found.values[READOUT])
 
 
 def _frames(recording: Recording, views: FlightViews) -> dict[int, Frame]:
@@ -299,21 +280,16 @@ class MountResult:
 class ReadoutResult:
     """The readout time from one flight."""
 
-    fit: ReadoutFit
+    readout_s: float
+    sigma_s: float
+    was_s: float
+    """The readout time of the camera file in the recording."""
     mount: MountResult
     """Mount and delay as they were found along with it."""
 
-    @property
-    def readout_s(self) -> float:
-        return self.fit.readout_s
-
-    @property
-    def sigma_s(self) -> float:
-        return self.fit.sigma_s
-
     def costs(self) -> tuple[TouchdownCost, TouchdownCost]:
         """Return what the old readout time costs, and one standard deviation of the new one."""
-        return touchdown_cost.of_readout(self.readout_s - self.fit.was_s), touchdown_cost.of_readout(self.sigma_s)
+        return touchdown_cost.of_readout(self.readout_s - self.was_s), touchdown_cost.of_readout(self.sigma_s)
 
     def refusal(self) -> str | None:
         """Return why the readout time is not known well enough, or None."""
@@ -330,8 +306,8 @@ def readout_result(recording: Recording, views: FlightViews) -> ReadoutResult:
     Raises:
         BadInput: the recording does not hold its pad or its images.
     """
-    fit = fit_readout(recording, views)
-    return ReadoutResult(fit, _of_fit(fit.fit, views))
+    fit, readout_s = _fit_readout(recording, views)
+    return ReadoutResult(readout_s, float(fit.sigma[READOUT]), views.camera.readout_s, _of_fit(fit, views))
 
 
 def flight_result(views: FlightViews) -> MountResult:

@@ -1,7 +1,7 @@
 """Collect views of the board from files or a live camera, and guide the person who moves it."""
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.tools.calibrate.assess import CELLS, Grade, assess, coverage, missing_before
-from companion.tools.calibrate.board import Board
+from companion.tools.calibrate.board import Board, Collection
 from companion.tools.calibrate.solve import LEAST_VIEWS, Solution, solve
-from companion.tools.calibrate.views import Collection
 from drivers.camera import images
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions, Size
@@ -106,23 +105,29 @@ def _cells(collection: Collection | None) -> tuple[tuple[int, ...], ...]:
 Report = Callable[[Collection], None]
 
 
-def image_files(paths: Sequence[Path]) -> list[Path]:
-    """Return the images and videos that the paths name; a folder gives all images in it.
+def files_of(paths: Sequence[Path], endings: Container[str] = images.PICTURES, kinds: str = "image") -> list[Path]:
+    """Return the files that the paths name; a folder gives all in it with certain endings.
+
+    Args:
+        kinds: what these files are, for errors.
 
     Raises:
-        BadInput: a path does not exist, or a folder holds no images.
+        BadInput: a path does not exist or cannot be read, or a folder holds no such file.
     """
     files: list[Path] = []
     for path in paths:
-        if path.is_dir():
-            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in images.PICTURES)
-            if not inside:
-                raise BadInput(f"{path}: no image in this folder")
-            files += inside
-        elif path.is_file():
-            files.append(path)
-        else:
-            raise BadInput(f"{path}: no such file or folder")
+        try:
+            if path.is_dir():
+                inside = sorted(p for p in path.iterdir() if p.is_file() and p.suffix.lower() in endings)
+                if not inside:
+                    raise BadInput(f"{path}: no {kinds} in this folder")
+                files += inside
+            elif path.is_file():
+                files.append(path)
+            else:
+                raise BadInput(f"{path}: no such file or folder")
+        except OSError as why:
+            raise BadInput(f"{path}: {why.strerror or why}") from why
     return files
 
 

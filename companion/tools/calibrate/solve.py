@@ -18,8 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from companion.tools.calibrate.board import Board
-from companion.tools.calibrate.views import BoardView
+from companion.tools.calibrate.board import Board, BoardView
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera

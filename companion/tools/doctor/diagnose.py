@@ -1,9 +1,9 @@
 """Apply all rules to one snapshot; those for what a flight log shows, whatever the parameters say, are here. Pure."""
 
 from companion.tools.doctor import rules_autopilots, rules_links, rules_values
-from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
+from companion.tools.doctor.finding import Finding, Row, Rule, Severity, error, warning
 from companion.tools.doctor.snapshot import Snapshot
-from drivers.imports.log_history import VIBRATION_LIMIT_M_S2, LogHistory
+from drivers.imports.log_history import VIBRATION_LIMIT_M_S2
 
 _SHOWN = 4
 _REFUSED_S, _REFUSED_LONG_S = 1.0, 3.0
@@ -37,13 +37,9 @@ def _times(n: int) -> str:
     return "once" if n == 1 else f"{n} times"
 
 
-def _log(p: Snapshot) -> LogHistory | None:
-    return p.log
-
-
 def failsafes(p: Snapshot) -> Finding | None:
     """Find failsafes, checks and crashes that the autopilot logged."""
-    log = _log(p)
+    log = p.log
     if log is None or not log.failsafes:
         return None
     shown = [f"{m.what} at {m.at_s:.1f} s" for m in log.failsafes[:_SHOWN]]
@@ -56,7 +52,7 @@ def failsafes(p: Snapshot) -> Finding | None:
 
 def estimator(p: Snapshot) -> Finding | None:
     """Find an estimator that refused its measurements for a second or more."""
-    log = _log(p)
+    log = p.log
     if log is None:
         return None
     refused = {n: r for n, r in log.ratios.items() if r.over_s >= _REFUSED_S}
@@ -68,21 +64,9 @@ def estimator(p: Snapshot) -> Finding | None:
     return make("log-ekf", f"the EKF refused what it measured: {output}", f"check {_SOURCES.get(worst, worst)}")
 
 
-def clipping(p: Snapshot) -> Finding | None:
-    """Find an accelerometer that reached the end of its range."""
-    log = _log(p)
-    if log is None or log.clipped <= _CLIPPED_MAX:
-        return None
-    return warning(
-        "log-clipping",
-        f"the accelerometer reached the end of its range {log.clipped} times: velocity and height are wrong after each",
-        "mount the autopilot softly, balance the propellers, and look for what strikes it",
-    )
-
-
 def vibration(p: Snapshot) -> Finding | None:
     """Find vibration above what the stack's documentation allows."""
-    log, autopilot = _log(p), p.autopilot
+    log, autopilot = p.log, p.autopilot
     if log is None or autopilot is None or log.vibration_m_s2 is None or log.vibration_m_s2.over_s < _REFUSED_S:
         return None
     limit, seen = VIBRATION_LIMIT_M_S2.get(autopilot.stack, 30.0), log.vibration_m_s2
@@ -96,7 +80,7 @@ def vibration(p: Snapshot) -> Finding | None:
 
 def landing_detector(p: Snapshot) -> Finding | None:
     """Find a landing that the autopilot's detector saw and took back."""
-    log, autopilot = _log(p), p.autopilot
+    log, autopilot = p.log, p.autopilot
     if log is None or autopilot is None:
         return None
     suspect = [one for one in log.landings if one.lost > 0]
@@ -112,7 +96,7 @@ def landing_detector(p: Snapshot) -> Finding | None:
 
 def armed_on_deck(p: Snapshot) -> Finding | None:
     """Find a vehicle that stayed armed on a deck that moves."""
-    log = _log(p)
+    log = p.log
     if log is None or not p.moving_pad:
         return None
     late = [one for one in log.landings if one.armed_s > _ARMED_MAX_S]
@@ -126,42 +110,22 @@ def armed_on_deck(p: Snapshot) -> Finding | None:
     )
 
 
-def target_lost(p: Snapshot) -> Finding | None:
-    """Find targets that the autopilot's precision landing lost again and again."""
-    log = _log(p)
-    if log is None or log.targets_lost <= _LOST_MAX:
-        return None
-    return warning(
-        "log-target-lost",
-        f"precision landing lost its target {log.targets_lost} times",
-        "see why targets stop: light, a pad larger than the camera sees near the deck, a full link",
-    )
-
-
-def dropouts(p: Snapshot) -> Finding | None:
-    """Find a log with holes, in which faults may hide."""
-    log = _log(p)
-    if log is None or log.dropouts_s <= _DROPOUT_MAX_S:
-        return None
-    return advice(
-        "log-dropouts", f"the log lost {log.dropouts_s:.1f} s: what happened then is not known", "use a faster card, or log less"
-    )
-
-
-def damaged(p: Snapshot) -> Finding | None:
-    """Find a log that could not be read as it is."""
-    log = _log(p)
-    if log is None or not log.notes:
-        return None
-    return advice(
-        "log-damaged",
-        f"not all of the log is as it was written: {'; '.join(log.notes[:_SHOWN])}",
-        "check the card, and the clock",
-    )
-
-
 LOG_RULES: tuple[Rule, ...] = (
-    failsafes, estimator, clipping, vibration, landing_detector, armed_on_deck, target_lost, dropouts, damaged,
+    failsafes, estimator,
+    Row("log-clipping", Severity.WARNING, lambda p: p.log is not None and p.log.clipped > _CLIPPED_MAX and p.log.clipped,
+        "the accelerometer reached the end of its range {0} times: velocity and height are wrong after each",
+        "mount the autopilot softly, balance the propellers, and look for what strikes it"),
+    vibration, landing_detector, armed_on_deck,
+    Row("log-target-lost", Severity.WARNING,
+        lambda p: p.log is not None and p.log.targets_lost > _LOST_MAX and p.log.targets_lost,
+        "precision landing lost its target {0} times",
+        "see why targets stop: light, a pad larger than the camera sees near the deck, a full link"),
+    Row("log-dropouts", Severity.ADVICE, lambda p: p.log is not None and p.log.dropouts_s > _DROPOUT_MAX_S and p.log.dropouts_s,
+        "the log lost {0:.1f} s: what happened then is not known",
+        "use a faster card, or log less"),
+    Row("log-damaged", Severity.ADVICE, lambda p: p.log is not None and "; ".join(p.log.notes[:_SHOWN]),
+        "not all of the log is as it was written: {0}",
+        "check the card, and the clock"),
 )  # fmt: skip
 
 

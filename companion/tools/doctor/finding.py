@@ -1,7 +1,7 @@
-"""A finding, and the type of a rule that makes one."""
+"""A finding, and the rules that make one: a function, or a row of a table."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 from companion.tools.doctor.snapshot import Snapshot
@@ -62,3 +62,22 @@ def advice(rule: str, what: str, fix: str, changes: Mapping[str, float] | None =
 
 def _changes(given: Mapping[str, float] | None) -> tuple[ParameterChange, ...]:
     return tuple(ParameterChange(name, value) for name, value in (given or {}).items())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """A rule as data."""
+
+    rule: str
+    severity: Severity
+    sign: Callable[[Snapshot], object]
+    """Sign of the fault, such as a wrong value. Without the fault it is None, False or empty."""
+    what: str
+    """Description of the fault, in which {0} is the sign."""
+    fix: str
+    changes: Mapping[str, float] = field(default_factory=dict)
+
+    def __call__(self, snapshot: Snapshot) -> Finding | None:
+        """Return the finding, or None without a sign of the fault."""
+        sign = self.sign(snapshot)
+        return Finding(self.rule, self.severity, self.what.format(sign), self.fix, _changes(self.changes)) if sign else None

@@ -1,6 +1,6 @@
 """Rules for ArduPilot and PX4: the settings that each needs, and the messages that it sends without them or is sent."""
 
-from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
+from companion.tools.doctor.finding import Finding, Row, Rule, Severity, advice, error, warning
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
 
 PARAMETERS = (
@@ -13,78 +13,75 @@ PARAMETERS = (
 _EXTERNAL_NAV, _BY_RANGE = 6.0, 2.0
 _BY_MAVLINK, _DOWN, _COMPANION, _KALMAN = 10.0, 25.0, 1.0, 1.0
 _MOVING_TARGET = 1
+_ERROR, _WARNING = Severity.ERROR, Severity.WARNING
 _SCRIPT = "configs/autopilot/decklander_disarm.lua"
 _HEAP_MIN = 40_000.0
 """Memory that the script needs, with ArduPilot's own share of it, bytes."""
 
 
-def _ardupilot(p: Snapshot) -> AutopilotSnapshot | None:
-    return p.autopilot if p.autopilot is not None and p.autopilot.stack == "ArduPilot" else None
+def _of(p: Snapshot, stack: str) -> AutopilotSnapshot | None:
+    return p.autopilot if p.autopilot is not None and p.autopilot.stack == stack else None
 
 
-def _value(p: Snapshot, name: str) -> float | None:
-    a = _ardupilot(p)
+def _value(p: Snapshot, name: str, stack: str = "ArduPilot") -> float | None:
+    a = _of(p, stack)
     return None if a is None else a.parameters.get(name)
+
+
+def _px4(p: Snapshot, name: str) -> float:
+    """Return a parameter of PX4; 0 if it was not read."""
+    return _value(p, name, "PX4") or 0.0
 
 
 def _enabled(p: Snapshot) -> bool:
     return bool(_value(p, "PLND_ENABLED"))
 
 
-def _texts_of(p: Snapshot, text: str) -> bool:
-    a = _ardupilot(p)
+def _without(p: Snapshot, stack: str, name: str) -> bool:
+    """Return whether the firmware was built without what this parameter belongs to."""
+    a = _of(p, stack)
+    return a is not None and bool(a.parameters) and name in a.absent
+
+
+def _other_than(p: Snapshot, name: str, right: float) -> str | None:
+    """Return the value of a parameter of precision landing that must have another."""
+    value = _value(p, name)
+    return f"{value:g}" if _enabled(p) and value is not None and value != right else None
+
+
+def _not_started(p: Snapshot) -> bool:
+    """Return whether precision landing was enabled after the boot and therefore does not run."""
+    a = _of(p, "ArduPilot")
+    is_set = _enabled(p) and _value(p, "PLND_TYPE") == _COMPANION
+    return a is not None and is_set and bool(a.precland_enabled) and a.precland_healthy is False
+
+
+def _low_ceiling(p: Snapshot) -> str | None:
+    ceiling_m = _value(p, "PLND_ALT_MAX")
+    return f"{ceiling_m:g}" if _enabled(p) and ceiling_m is not None and ceiling_m < 4.0 else None
+
+
+def _reported(p: Snapshot, text: str) -> bool:
+    a = _of(p, "ArduPilot")
     return a is not None and any(text in t.lower() for t in a.texts)
 
 
-def plnd_missing(p: Snapshot) -> Finding | None:
-    """Find a firmware that was built without precision landing."""
-    a = _ardupilot(p)
-    if a is None or not a.parameters or "PLND_ENABLED" not in a.absent:
+def _angles_only(p: Snapshot) -> str | None:
+    """Return the version of an ArduPilot before 4.1, which reads targets as angles only."""
+    a = _of(p, "ArduPilot")
+    return None if a is None or a.firmware is None or a.firmware >= (4, 1, 0) else ".".join(map(str, a.firmware))
+
+
+def plnd_blind(p: Snapshot) -> Finding | None:
+    """Find an autopilot that goes on to land when the pad is out of sight."""
+    if not _enabled(p) or _value(p, "PLND_STRICT") != 0.0:
         return None
-    return error(
-        "plnd-missing",
-        "this firmware has no precision landing (no parameter PLND_ENABLED)",
-        "install a build with AC_PRECLAND: boards with 1 MB of flash need a custom build (custom.ardupilot.org)",
+    return warning(
+        "plnd-blind",
+        "PLND_STRICT is 0: with the pad out of sight it lands anyway, wherever it is",
+        "set PLND_STRICT 2 (hover) or 1 (climb and try again)",
+        {"PLND_STRICT": 2.0 if p.moving_pad else 1.0},
     )
-
-
-def plnd_disabled(p: Snapshot) -> Finding | None:
-    """Find precision landing switched off."""
-    if _value(p, "PLND_ENABLED") != 0.0:
-        return None
-    return error("plnd-disabled", "PLND_ENABLED is 0", "set PLND_ENABLED 1 and reboot the autopilot", {"PLND_ENABLED": 1.0})
-
-
-def plnd_not_rebooted(p: Snapshot) -> Finding | None:
-    """Find precision landing that was enabled after the boot and therefore does not run."""
-    a = _ardupilot(p)
-    if a is None or not _enabled(p) or _value(p, "PLND_TYPE") != _COMPANION:
-        return None
-    if a.precland_enabled and a.precland_healthy is False:
-        return error(
-            "plnd-not-rebooted",
-            "PLND_ENABLED and PLND_TYPE are set, but precision landing does not run",
-            "reboot the autopilot: it is started at boot only, and ignores LANDING_TARGET without a word until then",
-        )
-    return None
-
-
-def plnd_type(p: Snapshot) -> Finding | None:
-    """Find another source of targets than a companion computer."""
-    kind = _value(p, "PLND_TYPE")
-    if not _enabled(p) or kind is None or kind == _COMPANION:
-        return None
-    fix = "set PLND_TYPE 1 (companion computer) and reboot the autopilot"
-    return error("plnd-type", f"PLND_TYPE is {kind:g}", fix, {"PLND_TYPE": _COMPANION})
-
-
-def plnd_estimator(p: Snapshot) -> Finding | None:
-    """Find targets that are used as they come, without the autopilot's Kalman filter."""
-    kind = _value(p, "PLND_EST_TYPE")
-    if not _enabled(p) or kind is None or kind == _KALMAN:
-        return None
-    what = "PLND_EST_TYPE is 0: raw measurements, no velocity of the pad"
-    return warning("plnd-estimator", what, "set PLND_EST_TYPE 1", {"PLND_EST_TYPE": _KALMAN})
 
 
 def plnd_lag(p: Snapshot) -> Finding | None:
@@ -135,53 +132,9 @@ def plnd_mount_twice(p: Snapshot) -> Finding | None:
     )
 
 
-def plnd_blind(p: Snapshot) -> Finding | None:
-    """Find an autopilot that goes on to land when the pad is out of sight."""
-    if not _enabled(p) or _value(p, "PLND_STRICT") != 0.0:
-        return None
-    return warning(
-        "plnd-blind",
-        "PLND_STRICT is 0: with the pad out of sight it lands anyway, wherever it is",
-        "set PLND_STRICT 2 (hover) or 1 (climb and try again)",
-        {"PLND_STRICT": 2.0 if p.moving_pad else 1.0},
-    )
-
-
-def plnd_low_ceiling(p: Snapshot) -> Finding | None:
-    """Find a height limit for targets below 4 m."""
-    ceiling_m = _value(p, "PLND_ALT_MAX")
-    if not _enabled(p) or ceiling_m is None or ceiling_m >= 4.0:
-        return None
-    what = f"PLND_ALT_MAX is {ceiling_m:g} m: above it the pad is not looked for"
-    return warning("plnd-ceiling", what, "set PLND_ALT_MAX 8 or more", {"PLND_ALT_MAX": 8.0})
-
-
 def _kinds(p: Snapshot) -> dict[int, float]:
     found = {n: _value(p, f"RNGFND{n}_TYPE") for n in range(1, 5)}
     return {n: v for n, v in found.items() if v is not None}
-
-
-def no_rangefinder(p: Snapshot) -> Finding | None:
-    """Find an autopilot without any rangefinder, which does not slow down near the deck."""
-    kinds = _kinds(p)
-    if not kinds or any(kinds.values()):
-        return None
-    return warning(
-        "no-rangefinder",
-        "there is no rangefinder: the copter does not slow down near the deck, it touches down at full speed",
-        "fit a lidar, or set RNGFND1_TYPE 10, RNGFND1_ORIENT 25 and reboot: then our distances to the pad serve as one",
-    )
-
-
-def rangefinder_unfed(p: Snapshot) -> Finding | None:
-    """Find a rangefinder that waits for distances which nobody sends."""
-    if _BY_MAVLINK not in _kinds(p).values() or p.service.sends_ranges is not False:
-        return None
-    return error(
-        "rangefinder-unfed",
-        "a rangefinder waits for DISTANCE_SENSOR (RNGFNDx_TYPE 10) and nobody sends it: arming is refused",
-        "let the service send ranges, already on the ground, or set RNGFNDx_TYPE 0",
-    )
 
 
 def rangefinder_turned(p: Snapshot) -> Finding | None:
@@ -226,53 +179,9 @@ def ekf_height_by_range(p: Snapshot) -> Finding | None:
     )
 
 
-def gyro_calibration(p: Snapshot) -> Finding | None:
-    """Find gyros that are calibrated at each boot, on a deck that moves."""
-    if _value(p, "INS_GYR_CAL") != 1.0 or not p.moving_pad:
-        return None
-    return warning(
-        "gyro-calibration",
-        "INS_GYR_CAL is 1: at each boot the gyros are calibrated, and the deck's motion with them",
-        "calibrate once ashore, then set INS_GYR_CAL 0",
-    )
-
-
-def frame_not_supported(p: Snapshot) -> Finding | None:
-    """Find the autopilot's message that a target came in a frame it does not know."""
-    if not _texts_of(p, "frame not supported"):
-        return None
-    return error(
-        "frame-not-supported",
-        'the autopilot reported "Plnd: Frame not supported" (once; it then drops every such target without a word)',
-        "another program sends LANDING_TARGET in a wrong frame: stop it; ours are MAV_FRAME_BODY_FRD (12)",
-    )
-
-
-def init_failed(p: Snapshot) -> Finding | None:
-    """Find the autopilot's message that targets come too rarely for it to begin."""
-    if not _texts_of(p, "init failed"):
-        return None
-    return error(
-        "target-too-rare",
-        'the autopilot reported "PrecLand: Init Failed": targets come too rarely or with gaps',
-        "send at 10 Hz and more: check the link's losses, and why targets are withheld",
-    )
-
-
-def target_lost(p: Snapshot) -> Finding | None:
-    """Find the autopilot's message that targets stopped."""
-    if not _texts_of(p, "target lost"):
-        return None
-    return warning(
-        "target-lost",
-        'the autopilot reported "PrecLand: Target Lost"',
-        "see why targets stopped: light, a pad smaller than the camera sees near the deck, a full link",
-    )
-
-
 def disarm_script(p: Snapshot) -> Finding | None:
     """Find a copter that stays armed on the deck when the service dies there, as far as it can run scripts."""
-    a, scripting = _ardupilot(p), _value(p, "SCR_ENABLE")
+    a, scripting = _of(p, "ArduPilot"), _value(p, "SCR_ENABLE")
     if a is None or scripting is None or not p.moving_pad:
         return None
     what = "a service that dies in the last decimetres leaves it armed on deck: "
@@ -291,23 +200,58 @@ def disarm_script(p: Snapshot) -> Finding | None:
     return None
 
 
-def old_firmware(p: Snapshot) -> Finding | None:
-    """Find ArduPilot before 4.1, which reads targets as angles only."""
-    a = _ardupilot(p)
-    if a is None or a.firmware is None or a.firmware >= (4, 1, 0):
-        return None
-    version = ".".join(map(str, a.firmware))
-    return warning(
-        "firmware-old",
-        f"ArduPilot {version} reads angles only and needs its own rangefinder for them",
-        "update to 4.5 or newer: position, moving targets and strict landing come with it",
-    )
-
-
 RULES: tuple[Rule, ...] = (
-    plnd_missing, plnd_disabled, plnd_not_rebooted, plnd_type, plnd_estimator, plnd_lag, plnd_still_target, plnd_mount_twice,
-    plnd_blind, plnd_low_ceiling, no_rangefinder, rangefinder_unfed, rangefinder_turned, ekf_external, ekf_height_by_range,
-    gyro_calibration, frame_not_supported, init_failed, target_lost, disarm_script, old_firmware,
+    Row("plnd-missing", _ERROR, lambda p: _without(p, "ArduPilot", "PLND_ENABLED"),
+        "this firmware has no precision landing (no parameter PLND_ENABLED)",
+        "install a build with AC_PRECLAND: boards with 1 MB of flash need a custom build (custom.ardupilot.org)"),
+    Row("plnd-disabled", _ERROR, lambda p: _value(p, "PLND_ENABLED") == 0.0,
+        "PLND_ENABLED is 0",
+        "set PLND_ENABLED 1 and reboot the autopilot",
+        {"PLND_ENABLED": 1.0}),
+    Row("plnd-not-rebooted", _ERROR, _not_started,
+        "PLND_ENABLED and PLND_TYPE are set, but precision landing does not run",
+        "reboot the autopilot: it is started at boot only, and ignores LANDING_TARGET without a word until then"),
+    Row("plnd-type", _ERROR, lambda p: _other_than(p, "PLND_TYPE", _COMPANION),
+        "PLND_TYPE is {0}",
+        "set PLND_TYPE 1 (companion computer) and reboot the autopilot",
+        {"PLND_TYPE": _COMPANION}),
+    Row("plnd-estimator", _WARNING, lambda p: _other_than(p, "PLND_EST_TYPE", _KALMAN),
+        "PLND_EST_TYPE is 0: raw measurements, no velocity of the pad",
+        "set PLND_EST_TYPE 1",
+        {"PLND_EST_TYPE": _KALMAN}),
+    plnd_lag,
+    plnd_still_target,
+    plnd_mount_twice,
+    plnd_blind,
+    Row("plnd-ceiling", _WARNING, _low_ceiling,
+        "PLND_ALT_MAX is {0} m: above it the pad is not looked for",
+        "set PLND_ALT_MAX 8 or more",
+        {"PLND_ALT_MAX": 8.0}),
+    Row("no-rangefinder", _WARNING, lambda p: _kinds(p) and not any(_kinds(p).values()),
+        "there is no rangefinder: the copter does not slow down near the deck, it touches down at full speed",
+        "fit a lidar, or set RNGFND1_TYPE 10, RNGFND1_ORIENT 25 and reboot: then our distances to the pad serve as one"),
+    Row("rangefinder-unfed", _ERROR, lambda p: _BY_MAVLINK in _kinds(p).values() and p.service.sends_ranges is False,
+        "a rangefinder waits for DISTANCE_SENSOR (RNGFNDx_TYPE 10) and nobody sends it: arming is refused",
+        "let the service send ranges, already on the ground, or set RNGFNDx_TYPE 0"),
+    rangefinder_turned,
+    ekf_external,
+    ekf_height_by_range,
+    Row("gyro-calibration", _WARNING, lambda p: p.moving_pad and _value(p, "INS_GYR_CAL") == 1.0,
+        "INS_GYR_CAL is 1: at each boot the gyros are calibrated, and the deck's motion with them",
+        "calibrate once ashore, then set INS_GYR_CAL 0"),
+    Row("frame-not-supported", _ERROR, lambda p: _reported(p, "frame not supported"),
+        'the autopilot reported "Plnd: Frame not supported" (once; it then drops every such target without a word)',
+        "another program sends LANDING_TARGET in a wrong frame: stop it; ours are MAV_FRAME_BODY_FRD (12)"),
+    Row("target-too-rare", _ERROR, lambda p: _reported(p, "init failed"),
+        'the autopilot reported "PrecLand: Init Failed": targets come too rarely or with gaps',
+        "send at 10 Hz and more: check the link's losses, and why targets are withheld"),
+    Row("target-lost", _WARNING, lambda p: _reported(p, "target lost"),
+        'the autopilot reported "PrecLand: Target Lost"',
+        "see why targets stopped: light, a pad smaller than the camera sees near the deck, a full link"),
+    disarm_script,
+    Row("firmware-old", _WARNING, _angles_only,
+        "ArduPilot {0} reads angles only and needs its own rangefinder for them",
+        "update to 4.5 or newer: position, moving targets and strict landing come with it"),
 )  # fmt: skip
 
 
@@ -333,70 +277,9 @@ def event_id(name: str) -> int:
     return 1 << 24 | value & 0xFFFFFF
 
 
-def _px4(p: Snapshot) -> AutopilotSnapshot | None:
-    return p.autopilot if p.autopilot is not None and p.autopilot.stack == "PX4" else None
-
-
-def _px4_value(p: Snapshot, name: str) -> float | None:
-    a = _px4(p)
-    return None if a is None else a.parameters.get(name)
-
-
-def precland_missing(p: Snapshot) -> Finding | None:
-    """Find a firmware that was built without precision landing."""
-    a = _px4(p)
-    if a is None or not a.parameters or "PLD_HACC_RAD" not in a.absent:
-        return None
-    return warning(
-        "px4-precland-missing",
-        "this firmware has no precision landing (no parameter PLD_HACC_RAD): AUTO.PRECLAND does not exist",
-        "fly by velocity (OFFBOARD), which needs no module, or build with CONFIG_NAVIGATOR precision landing",
-    )
-
-
-def precland_moving(p: Snapshot) -> Finding | None:
-    """Find AUTO.PRECLAND over a pad that moves, on which it never descends."""
-    a = _px4(p)
-    if a is None or not p.moving_pad or a.mode != "auto.precland":
-        return None
-    return error(
-        "px4-precland-moving",
-        "AUTO.PRECLAND never descends on a pad that moves at 1 m/s",
-        "fly by velocity: let the service take the vehicle in OFFBOARD",
-    )
-
-
-def unsupported_frame(p: Snapshot) -> Finding | None:
-    """Find PX4's message or event that a target came in a frame it does not know."""
-    a = _px4(p)
-    if a is None:
-        return None
-    in_text = any("unsupported" in t.lower() and "frame" in t.lower() for t in a.texts)
-    if not in_text and event_id("mavlink_rcv_lnd_target_unsup_coord") not in a.events:
-        return None
-    return error(
-        "px4-frame",
-        "PX4 reported that a landing target's coordinate frame is unsupported",
-        "another program sends LANDING_TARGET in a wrong frame: stop it; ours are MAV_FRAME_LOCAL_NED (1)",
-    )
-
-
-def offboard_loss(p: Snapshot) -> Finding | None:
-    """Find a time limit of OFFBOARD above 2 s."""
-    timeout_s = _px4_value(p, "COM_OF_LOSS_T")
-    if timeout_s is None or timeout_s <= 2.0:
-        return None
-    return warning(
-        "px4-offboard-loss",
-        f"COM_OF_LOSS_T is {timeout_s:g} s: so long it flies on with the last velocity when the service dies",
-        "set COM_OF_LOSS_T 1",
-        {"COM_OF_LOSS_T": 1.0},
-    )
-
-
 def offboard_action(p: Snapshot) -> Finding | None:
     """Find an action at the loss of OFFBOARD that leaves a moving ship."""
-    action = _px4_value(p, "COM_OBL_RC_ACT")
+    action = _value(p, "COM_OBL_RC_ACT", "PX4")
     if action is None or action not in _OFFBOARD_ACTIONS or not p.moving_pad:
         return None
     name, does = _OFFBOARD_ACTIONS[action]
@@ -405,30 +288,6 @@ def offboard_action(p: Snapshot) -> Finding | None:
         f"COM_OBL_RC_ACT is {action:g} ({name}): when the service dies it {does}",
         "set COM_OBL_RC_ACT 0 (position) or 5 (hold)",
         {"COM_OBL_RC_ACT": 5.0},
-    )
-
-
-def height_by_range(p: Snapshot) -> Finding | None:
-    """Find an EKF whose height follows a moving deck."""
-    if _px4_value(p, "EKF2_HGT_REF") != _RANGE_HEIGHT or not p.moving_pad:
-        return None
-    return error(
-        "ekf-height-by-range",
-        "EKF2_HGT_REF is 2: the height follows the deck's heave, and jumps at the deck's edge",
-        "set EKF2_HGT_REF 1 (GNSS) or 0 (barometer)",
-        {"EKF2_HGT_REF": 1.0},
-    )
-
-
-def external_vision(p: Snapshot) -> Finding | None:
-    """Find an EKF that waits for a vision position."""
-    if not _px4_value(p, "EKF2_EV_CTRL"):
-        return None
-    return warning(
-        "px4-external-vision",
-        f"EKF2_EV_CTRL is {_px4_value(p, 'EKF2_EV_CTRL'):g}: the EKF waits for a vision position, and a pad on a ship is none",
-        "set EKF2_EV_CTRL 0 unless another source sends ODOMETRY",
-        {"EKF2_EV_CTRL": 0.0},
     )
 
 
@@ -452,7 +311,43 @@ def targets_withheld(p: Snapshot) -> Finding | None:
     return make("targets-withheld", f"no target was sent: {why}", cures.get(why, "see the log"))
 
 
+def _foreign_frame(p: Snapshot) -> bool:
+    """Return whether PX4 reported, by text or event, that a target came in a frame it does not know."""
+    a = _of(p, "PX4")
+    if a is None:
+        return False
+    in_text = any("unsupported" in t.lower() and "frame" in t.lower() for t in a.texts)
+    return in_text or event_id("mavlink_rcv_lnd_target_unsup_coord") in a.events
+
+
+def _lands_on_moving(p: Snapshot) -> bool:
+    """Return whether PX4 is in AUTO.PRECLAND over a pad that moves, on which it never descends."""
+    a = _of(p, "PX4")
+    return a is not None and p.moving_pad and a.mode == "auto.precland"
+
+
 PX4_RULES: tuple[Rule, ...] = (
-    precland_missing, precland_moving, unsupported_frame, offboard_loss, offboard_action, height_by_range, external_vision,
+    Row("px4-precland-missing", _WARNING, lambda p: _without(p, "PX4", "PLD_HACC_RAD"),
+        "this firmware has no precision landing (no parameter PLD_HACC_RAD): AUTO.PRECLAND does not exist",
+        "fly by velocity (OFFBOARD), which needs no module, or build with CONFIG_NAVIGATOR precision landing"),
+    Row("px4-precland-moving", _ERROR, _lands_on_moving,
+        "AUTO.PRECLAND never descends on a pad that moves at 1 m/s",
+        "fly by velocity: let the service take the vehicle in OFFBOARD"),
+    Row("px4-frame", _ERROR, _foreign_frame,
+        "PX4 reported that a landing target's coordinate frame is unsupported",
+        "another program sends LANDING_TARGET in a wrong frame: stop it; ours are MAV_FRAME_LOCAL_NED (1)"),
+    Row("px4-offboard-loss", _WARNING, lambda p: _px4(p, "COM_OF_LOSS_T") > 2.0 and _px4(p, "COM_OF_LOSS_T"),
+        "COM_OF_LOSS_T is {0:g} s: so long it flies on with the last velocity when the service dies",
+        "set COM_OF_LOSS_T 1",
+        {"COM_OF_LOSS_T": 1.0}),
+    offboard_action,
+    Row("ekf-height-by-range", _ERROR, lambda p: p.moving_pad and _px4(p, "EKF2_HGT_REF") == _RANGE_HEIGHT,
+        "EKF2_HGT_REF is 2: the height follows the deck's heave, and jumps at the deck's edge",
+        "set EKF2_HGT_REF 1 (GNSS) or 0 (barometer)",
+        {"EKF2_HGT_REF": 1.0}),
+    Row("px4-external-vision", _WARNING, lambda p: _px4(p, "EKF2_EV_CTRL"),
+        "EKF2_EV_CTRL is {0:g}: the EKF waits for a vision position, and a pad on a ship is none",
+        "set EKF2_EV_CTRL 0 unless another source sends ODOMETRY",
+        {"EKF2_EV_CTRL": 0.0}),
     targets_withheld,
 )  # fmt: skip

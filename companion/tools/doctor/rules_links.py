@@ -1,11 +1,14 @@
 """Rules for links, streams and clocks, which apply to any autopilot."""
 
+from collections.abc import Callable
+
 from companion.settings.mission import ConeOptions
-from companion.tools.doctor.finding import Finding, Rule, advice, error, warning
+from companion.tools.doctor.finding import Finding, Row, Rule, Severity, advice, error, warning
 from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.requests import INSTEAD
 
+_ERROR, _WARNING, _ADVICE = Severity.ERROR, Severity.WARNING, Severity.ADVICE
 ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
 """Messages without which the service can neither report to an autopilot nor fly it."""
 _LIMITED_SHARE = 0.1
@@ -40,50 +43,19 @@ def _open(p: Snapshot) -> list[LinkSnapshot]:
     return [link for link in p.links if link.down is None]
 
 
+def _first(p: Snapshot, fault: Callable[[LinkSnapshot], bool]) -> LinkSnapshot | None:
+    """Return the first open link with a fault."""
+    return next((link for link in _open(p) if fault(link)), None)
+
+
 def link_silent(p: Snapshot) -> Finding | None:
     """Find an open link on which no byte arrives."""
     for link in _open(p):
-        refused = link.refused_datagrams > _REFUSED_MIN  # `link_refused` says more
+        refused = link.refused_datagrams > _REFUSED_MIN  # the rule link-refused says more
         if link.bytes_in == 0 and not refused and (p.seconds >= 2.0 or p.autopilot is None):
             serial = "check RX/TX wiring and, on the autopilot, SERIALn_PROTOCOL 2 (ArduPilot) or MAV_n_CONFIG (PX4)"
             net = "check that the autopilot (or mavlink-router) sends to this address and port, and the firewall"
             return error("link-silent", f"{link.url}: not one byte in {p.seconds:.0f} s", serial if "serial" in link.url else net)
-    return None
-
-
-def link_refused(p: Snapshot) -> Finding | None:
-    """Find an address whose computer refuses what is sent there."""
-    for link in _open(p):
-        if link.refused_datagrams > _REFUSED_MIN and link.bytes_in == 0:
-            return error(
-                "link-refused",
-                f"{link.url}: {link.refused_datagrams} messages refused, nobody listens there",
-                "start the autopilot's side or the router, or correct address and port",
-            )
-    return None
-
-
-def link_late(p: Snapshot) -> Finding | None:
-    """Find a line that is too slow for what is sent, or stood still."""
-    for link in _open(p):
-        if link.late > _LATE_MIN:
-            return warning(
-                "link-late",
-                f"{link.url}: {link.late} messages of ours were dropped, because the line did not take them in time",
-                "raise its speed to 921600, and check its flow control (RTS/CTS) and the USB adapter",
-            )
-    return None
-
-
-def link_garbage(p: Snapshot) -> Finding | None:
-    """Find a link with bytes but no messages in them."""
-    for link in _open(p):
-        if link.bytes_in > 200 and link.damaged > 2 * max(link.messages, 1):
-            return error(
-                "link-garbage",
-                f"{link.url}: {link.bytes_in} bytes but {link.messages} messages, the rest is damaged",
-                "set the same speed on both sides (SERIALn_BAUD, SER_TELn_BAUD), common ground, shorter wires",
-            )
     return None
 
 
@@ -108,57 +80,8 @@ def link_signature(p: Snapshot) -> Finding | None:
     return None
 
 
-def link_unsigned(p: Snapshot) -> Finding | None:
-    """Find an unsigned network link, which trusts sender addresses."""
-    for link in _open(p):
-        if link.signed is False and not parse_endpoint(link.url).is_private:
-            return advice(
-                "link-unsigned",
-                f"{link.url}: not signed: whoever reaches that address first can be taken for the autopilot",
-                "decklander keys make FILE, keys install --link URL FILE, then signing_key_file; or keep it to loopback",
-            )
-    return None
-
-
-def link_unknown_senders(p: Snapshot) -> Finding | None:
-    """Find a link with messages from senders that are not accepted."""
-    for link in _open(p):
-        if link.unknown_senders > 20 and p.autopilot is not None:
-            return advice(
-                "link-unknown-senders",
-                f"{link.url}: {link.unknown_senders} messages of systems that may not command and get no messages",
-                "where one is your ground station, name its system in vehicle.operators (QGroundControl is 255), or sign",
-            )
-    return None
-
-
-def link_old_version(p: Snapshot) -> Finding | None:
-    """Find a MAVLink 1 link: it cuts the position off a LANDING_TARGET."""
-    link = _old_link(p)
-    if link is None or unanswered(p):
-        return None
-    return warning(
-        "link-mavlink1",
-        f"{link.url}: the other side speaks MAVLink 1",
-        "set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4): version 1 has no position in LANDING_TARGET",
-    )
-
-
 def _old_link(p: Snapshot) -> LinkSnapshot | None:
     return next((link for link in _open(p) if link.messages >= 8 and link.old_version > 0.5 * link.messages), None)
-
-
-def link_lossy(p: Snapshot) -> Finding | None:
-    """Find a link that loses messages."""
-    for link in _open(p):
-        total = link.messages + link.lost
-        if total >= 50 and link.lost > 0.05 * total:
-            return warning(
-                "link-lossy",
-                f"{link.url}: {100 * link.lost / total:.0f} % of the messages are lost",
-                "raise the speed to 921600, connect RTS/CTS, or ask for fewer streams on that port",
-            )
-    return None
 
 
 def wrong_system(p: Snapshot) -> Finding | None:
@@ -303,17 +226,6 @@ def stream_slow(p: Snapshot) -> Finding | None:
     return None
 
 
-def clock_not_locked(p: Snapshot) -> Finding | None:
-    """Find a clock that is not synchronized, which makes stamps meaningless."""
-    if p.autopilot is None or p.sync is None or p.sync.locked or unanswered(p):
-        return None
-    return error(
-        "clock-not-locked",
-        "TIMESYNC is not answered, or never twice alike: instants of the autopilot are known to some 20 ms only",
-        "check that nothing between filters TIMESYNC (a router, a ground station's forwarding)",
-    )
-
-
 def clock_far(p: Snapshot) -> Finding | None:
     """Find a round trip that is too long for clock synchronization; PX4 refuses to converge beyond 10 ms."""
     if p.sync is None or p.autopilot is None or p.sync.round_trip_s is None:
@@ -326,80 +238,6 @@ def clock_far(p: Snapshot) -> Finding | None:
     if p.autopilot.stack == "PX4":
         return error("clock-far", f"{found}: PX4 never converges and then ignores our stamps", fix)
     return warning("clock-far", f"{found}: stamps are known to {500 * p.sync.round_trip_s:.0f} ms", fix)
-
-
-def clock_jumps(p: Snapshot) -> Finding | None:
-    """Find a clock that jumps while we listen."""
-    if p.sync is not None and p.sync.jumps > 0:
-        return warning(
-            "clock-jumps",
-            f"the autopilot's clock jumped {p.sync.jumps} times",
-            "it reboots (power?), or two autopilots share one system id: give each its own",
-        )
-    return None
-
-
-def files_fault(p: Snapshot) -> Finding | None:
-    """Find a key, password, certificate or gamepad mapping that cannot be used."""
-    if p.service.files_fault is not None:
-        return error(
-            "settings-files", p.service.files_fault, "correct the file or the setting that names it; its part cannot begin"
-        )
-    return None
-
-
-def settings_idle(p: Snapshot) -> Finding | None:
-    """Find settings without effect."""
-    if p.service.without_effect:
-        return advice(
-            "settings-idle",
-            "; ".join(p.service.without_effect),
-            "take these keys out, or switch on what they belong to",
-        )
-    return None
-
-
-def feet_not_said(p: Snapshot) -> Finding | None:
-    """Find an autopilot that is flown with an AR.Drone's feet."""
-    feet_m = p.service.feet_below_m
-    if feet_m is not None and feet_m == ConeOptions().feet_below_m:
-        return advice(
-            "feet-not-said",
-            f"guidance.cone.feet_below_m is {feet_m:g} m, an AR.Drone's: taller feet are so much nearer to the deck at the gate",
-            "measure from the autopilot down to the ends of the feet, and set it",
-        )
-    return None
-
-
-def camera_fault(p: Snapshot) -> Finding | None:
-    """Find a fault in the camera or pad file."""
-    if p.service.camera_fault is not None:
-        return error("camera-file", p.service.camera_fault, "correct the file; decklander config check names every key")
-    return None
-
-
-def camera_device(p: Snapshot) -> Finding | None:
-    """Find a camera that is absent, not permitted, or not capable of the settings."""
-    if p.service.device_fault is not None:
-        return error(
-            "camera-device",
-            f"camera: {p.service.device_fault}",
-            "check cable and power; v4l2-ctl --list-devices (libcamera: cam -l) names what is there, and its user must be in the "
-            "group video; stop whatever else holds it",
-        )
-    return None
-
-
-def camera_size(p: Snapshot) -> Finding | None:
-    """Find a calibration for another resolution."""
-    s = p.service
-    if s.frame_size is not None and s.camera_size is not None and s.frame_size != s.camera_size:
-        return error(
-            "camera-size",
-            f"the camera sends {s.frame_size[0]}x{s.frame_size[1]}, its file describes {s.camera_size[0]}x{s.camera_size[1]}",
-            "calibrate at the size that is used, or set the size of the calibration: no frame can be used like this",
-        )
-    return None
 
 
 def camera_slow(p: Snapshot) -> Finding | None:
@@ -454,28 +292,6 @@ def gimbal_silent(p: Snapshot) -> Finding | None:
     )
 
 
-def broker_fault(p: Snapshot) -> Finding | None:
-    """Find an MQTT broker that is not connected."""
-    if p.service.broker_fault is not None:
-        return warning(
-            "broker",
-            f"MQTT broker {p.service.broker}: {p.service.broker_fault}",
-            "start the broker, or correct its address; landing does not need it, telemetry does",
-        )
-    return None
-
-
-def drone_fault(p: Snapshot) -> Finding | None:
-    """Find an AR.Drone that is not connected."""
-    if p.service.drone_fault is not None:
-        return error(
-            "drone",
-            f"AR.Drone at {p.service.drone}: {p.service.drone_fault}",
-            "join its Wi-Fi (ardrone2_...), check that this host has an address 192.168.1.x, and power-cycle the drone",
-        )
-    return None
-
-
 def ship_place(p: Snapshot) -> Finding | None:
     """Find settings about the ship's place that do not go together."""
     found = p.service.ship_place
@@ -497,16 +313,108 @@ def ship_silent(p: Snapshot) -> Finding | None:
     )
 
 
-RULES: tuple[Rule, ...] = (
-    link_down, link_silent, link_refused, link_garbage, link_late, id_conflict, link_signature, link_old_version, link_lossy,
-    link_unsigned,
-    link_unknown_senders, link_one_way, wrong_system, no_autopilot, several_autopilots,
-    stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, files_fault, settings_idle,
-    feet_not_said, camera_fault, camera_device, camera_size, camera_slow, exposure_limited,
-    gimbal_silent, broker_fault, drone_fault, ship_place, ship_silent,
-)  # fmt: skip
+def _lossy(p: Snapshot) -> tuple[str, float] | None:
+    """Return the address and the loss in percent of a link that loses messages."""
+    for link in _open(p):
+        total = link.messages + link.lost
+        if total >= 50 and link.lost > 0.05 * total:
+            return link.url, 100 * link.lost / total
+    return None
+
+
+def _clock_open(p: Snapshot) -> bool:
+    return p.autopilot is not None and p.sync is not None and not p.sync.locked and not unanswered(p)
+
+
+def _other_size(p: Snapshot) -> tuple[int, ...] | None:
+    """Return the size of the frames, and another one in the camera's file."""
+    sent, described = p.service.frame_size, p.service.camera_size
+    return None if sent is None or described is None or sent == described else (*sent, *described)
+
+
+def _borrowed_feet(p: Snapshot) -> float | None:
+    feet_m = p.service.feet_below_m
+    return feet_m if feet_m == ConeOptions().feet_below_m else None
+
+
+_REFUSED = Row(
+    "link-refused",
+    _ERROR,
+    lambda p: _first(p, lambda link: link.refused_datagrams > _REFUSED_MIN and link.bytes_in == 0),
+    "{0.url}: {0.refused_datagrams} messages refused, nobody listens there",
+    "start the autopilot's side or the router, or correct address and port",
+)
+_GARBAGE = Row(
+    "link-garbage",
+    _ERROR,
+    lambda p: _first(p, lambda link: link.bytes_in > 200 and link.damaged > 2 * max(link.messages, 1)),
+    "{0.url}: {0.bytes_in} bytes but {0.messages} messages, the rest is damaged",
+    "set the same speed on both sides (SERIALn_BAUD, SER_TELn_BAUD), common ground, shorter wires",
+)
+_LATE = Row(
+    "link-late",
+    _WARNING,
+    lambda p: _first(p, lambda link: link.late > _LATE_MIN),
+    "{0.url}: {0.late} messages of ours were dropped, because the line did not take them in time",
+    "raise its speed to 921600, and check its flow control (RTS/CTS) and the USB adapter",
+)
+_OLD_VERSION = Row(
+    "link-mavlink1",
+    _WARNING,
+    lambda p: None if unanswered(p) else _old_link(p),
+    "{0.url}: the other side speaks MAVLink 1",
+    "set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4): version 1 has no position in LANDING_TARGET",
+)
 WATCHED: tuple[Rule, ...] = (
-    id_conflict, link_silent, link_refused, link_garbage, link_late, link_signature, link_old_version, link_one_way,
-    wrong_system, no_autopilot,
+    id_conflict, link_silent, _REFUSED, _GARBAGE, _LATE, link_signature, _OLD_VERSION, link_one_way, wrong_system, no_autopilot,
 )  # fmt: skip
 """Rules that a running service applies all the time."""
+RULES: tuple[Rule, ...] = (
+    link_down, link_silent, _REFUSED, _GARBAGE, _LATE, id_conflict, link_signature, _OLD_VERSION,
+    Row("link-lossy", _WARNING, _lossy,
+        "{0[0]}: {0[1]:.0f} % of the messages are lost",
+        "raise the speed to 921600, connect RTS/CTS, or ask for fewer streams on that port"),
+    Row("link-unsigned", _ADVICE,
+        lambda p: _first(p, lambda link: link.signed is False and not parse_endpoint(link.url).is_private),
+        "{0.url}: not signed: whoever reaches that address first can be taken for the autopilot",
+        "decklander keys make FILE, keys install --link URL FILE, then signing_key_file; or keep it to loopback"),
+    Row("link-unknown-senders", _ADVICE,
+        lambda p: None if p.autopilot is None else _first(p, lambda link: link.unknown_senders > 20),
+        "{0.url}: {0.unknown_senders} messages of systems that may not command and get no messages",
+        "where one is your ground station, name its system in vehicle.operators (QGroundControl is 255), or sign"),
+    link_one_way, wrong_system, no_autopilot, several_autopilots, stream_refused, stream_silent, stream_slow,
+    Row("clock-not-locked", _ERROR, _clock_open,
+        "TIMESYNC is not answered, or never twice alike: instants of the autopilot are known to some 20 ms only",
+        "check that nothing between filters TIMESYNC (a router, a ground station's forwarding)"),
+    clock_far,
+    Row("clock-jumps", _WARNING, lambda p: None if p.sync is None else p.sync.jumps,
+        "the autopilot's clock jumped {0} times",
+        "it reboots (power?), or two autopilots share one system id: give each its own"),
+    Row("settings-files", _ERROR, lambda p: p.service.files_fault,
+        "{0}",
+        "correct the file or the setting that names it; its part cannot begin"),
+    Row("settings-idle", _ADVICE, lambda p: "; ".join(p.service.without_effect),
+        "{0}",
+        "take these keys out, or switch on what they belong to"),
+    Row("feet-not-said", _ADVICE, _borrowed_feet,
+        "guidance.cone.feet_below_m is {0:g} m, an AR.Drone's: taller feet are so much nearer to the deck at the gate",
+        "measure from the autopilot down to the ends of the feet, and set it"),
+    Row("camera-file", _ERROR, lambda p: p.service.camera_fault,
+        "{0}",
+        "correct the file; decklander config check names every key"),
+    Row("camera-device", _ERROR, lambda p: p.service.device_fault,
+        "camera: {0}",
+        "check cable and power; v4l2-ctl --list-devices (libcamera: cam -l) names what is there, and its user must be in the "
+        "group video; stop whatever else holds it"),
+    Row("camera-size", _ERROR, _other_size,
+        "the camera sends {0[0]}x{0[1]}, its file describes {0[2]}x{0[3]}",
+        "calibrate at the size that is used, or set the size of the calibration: no frame can be used like this"),
+    camera_slow, exposure_limited, gimbal_silent,
+    Row("broker", _WARNING, lambda p: None if p.service.broker_fault is None else p.service,
+        "MQTT broker {0.broker}: {0.broker_fault}",
+        "start the broker, or correct its address; landing does not need it, telemetry does"),
+    Row("drone", _ERROR, lambda p: None if p.service.drone_fault is None else p.service,
+        "AR.Drone at {0.drone}: {0.drone_fault}",
+        "join its Wi-Fi (ardrone2_...), check that this host has an address 192.168.1.x, and power-cycle the drone"),
+    ship_place, ship_silent,
+)  # fmt: skip

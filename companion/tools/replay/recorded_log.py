@@ -2,26 +2,24 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from companion.base.loop_lag import in_words
 from companion.base.mission import ENDED, State
 from companion.base.observer import Decision, ProcessedFrame
-from companion.base.orders import HandledOrder
 from companion.facts.records import ContactRecord, FusionRecord, HealthRecord, OrderRecord, TruthRecord
 from companion.recording import decode
 from companion.recording.frame_video import VideoImage
 from companion.recording.reading import SETTINGS, RecordedFrame, Recording, instant
-from companion.tools.report.expected_place import expected_in_body, held_rotation, less_innovation
+from companion.tools.report.expected_place import less_innovation
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import (
-    CommandRecord,
     FlightLog,
     FrameRecord,
     LoggedContact,
-    PhaseChange,
+    LogObserver,
     StageTime,
     TruthSample,
 )
@@ -29,7 +27,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
-from estimator.contracts.samples import Sample, VehicleStatus
+from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
 
@@ -117,16 +115,9 @@ def _outcome(log: FlightLog, flying: bool | None) -> str:
 
 
 def _decided(log: FlightLog, decision: Decision) -> None:
-    if not log.phases or log.phases[-1].phase != decision.phase:
-        log.phases.append(PhaseChange(decision.at, decision.phase))
-    log.transitions += decision.transitions
-    log.estimates += [b for b in (decision.belief, *decision.shadows) if b is not None]
+    log.add_decision(decision)
     if log.steering is None and decision.belief is not None:
         log.steering = decision.belief.path
-    if decision.command is not None:
-        log.commands.append(CommandRecord(decision.at, decision.command))
-    if decision.ahead is not None:
-        log.add_forecast(decision.ahead)
 
 
 def _framed(log: FlightLog, frame: RecordedFrame, compared: dict[tuple[str, MonoNs], FusionResult]) -> None:
@@ -153,48 +144,20 @@ def _framed(log: FlightLog, frame: RecordedFrame, compared: dict[tuple[str, Mono
 Beliefs = dict[tuple[PathName, MonoNs], RelativeState]
 
 
-@dataclass(slots=True)
-class BeliefLogObserver:
+class BeliefLogObserver(LogObserver):
     """An observer that fills a log and keeps every belief by path and instant."""
 
-    log: FlightLog
-    beliefs: Beliefs = field(default_factory=dict)
-
-    def on_sample(self, sample: Sample) -> None:
-        return None
-
-    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        self.log.add_result(result)
+    def __init__(self, log: FlightLog) -> None:
+        super().__init__(log, decisions_each=1, keep_images=False)
+        self.beliefs: Beliefs = {}
 
     def on_frame(self, processed: ProcessedFrame) -> None:
-        log = self.log
-        R_level_body = None if processed.attitude is None else processed.attitude.R_ned_body.without_heading()
-        expected = expected_in_body(processed, log.steering)
-        place = None if R_level_body is None or expected is None else R_level_body @ expected
-        exposed_at = processed.frame.stamp.measured_at
-        held, verdict = held_rotation(processed), processed.verdict
-        log.frames.append(FrameRecord(exposed_at, processed.frame.seq, verdict, R_level_body, place, held))
-        log.verdicts[processed.verdict] += 1
-        if processed.detection is not None:
-            log.add_detection(processed.detection, exposed_at)
-        log.add_times(processed)
+        super().on_frame(processed)
+        self.log.verdicts[processed.verdict] += 1
 
     def on_decision(self, decision: Decision) -> None:
-        log = self.log
-        if not log.phases or log.phases[-1].phase != decision.phase:
-            log.phases.append(PhaseChange(decision.at, decision.phase))
-        log.transitions += decision.transitions
-        if decision.ahead is not None:
-            log.add_forecast(decision.ahead)
-        for belief in (decision.belief, *decision.shadows):
-            if belief is not None:
-                log.estimates.append(belief)
-                self.beliefs[belief.path, belief.at] = belief
-        if decision.command is not None:
-            log.commands.append(CommandRecord(decision.at, decision.command))
-
-    def on_order(self, handled: HandledOrder) -> None:
-        self.log.orders.append(handled)
+        super().on_decision(decision)
+        self.beliefs |= _beliefs(decision)
 
     def on_truth(self, truth: TruthRecord) -> None:
         """Keep the truth from a simulator or motion capture."""
@@ -227,10 +190,12 @@ def recorded_beliefs(recording: Recording) -> Beliefs:
     out: Beliefs = {}
     for event in recording.events():
         if isinstance(event, Decision):
-            for belief in (event.belief, *event.shadows):
-                if belief is not None:
-                    out[belief.path, belief.at] = belief
+            out |= _beliefs(event)
     return out
+
+
+def _beliefs(decision: Decision) -> Beliefs:
+    return {(belief.path, belief.at): belief for belief in (decision.belief, *decision.shadows) if belief is not None}
 
 
 def differences(ours: Beliefs, theirs: Beliefs) -> list[Difference]:

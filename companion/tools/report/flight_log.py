@@ -1,15 +1,18 @@
-"""The log of a flight for its report. These are plain records that a caller fills in; nothing here computes."""
+"""The log of a flight for its report, and the observer that fills it while the flight goes on."""
 
 import math
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import cv2
+
 from companion.base.mission import StateChange
-from companion.base.observer import DeckOutlook, ProcessedFrame
+from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.base.things import ThingReport, things_of
 from companion.recording.frame_video import VideoImage
+from companion.tools.report.expected_place import expected_in_body, held_rotation
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
@@ -197,6 +200,29 @@ class FlightLog:
         """The contact that it landed with; None without one."""
         return self.contacts[-1] if self.contacts else None
 
+    def add_frame(self, processed: ProcessedFrame, image: bytes | None = None) -> None:
+        """Keep the outcome of a frame, what was seen in it, and how long it took."""
+        level = None if processed.attitude is None else processed.attitude.R_ned_body.without_heading()
+        expected = expected_in_body(processed, self.steering)
+        place = None if level is None or expected is None else level @ expected
+        at, held = processed.frame.stamp.measured_at, held_rotation(processed)
+        self.frames.append(FrameRecord(at, processed.frame.seq, processed.verdict, level, place, held, image))
+        if processed.detection is not None:
+            self.add_detection(processed.detection, at)
+        self.add_times(processed)
+
+    def add_decision(self, decision: Decision, *, whole: bool = True) -> None:
+        """Keep a decision; of one that is not whole only what it changes and what it forecasts."""
+        if not self.phases or self.phases[-1].phase != decision.phase:
+            self.phases.append(PhaseChange(decision.at, decision.phase))
+        self.transitions += decision.transitions
+        if decision.ahead is not None:
+            self.add_forecast(decision.ahead)
+        if whole:
+            self.estimates += [b for b in (decision.belief, *decision.shadows) if b is not None]
+            if decision.command is not None:
+                self.commands.append(CommandRecord(decision.at, decision.command))
+
     def add_times(self, processed: ProcessedFrame) -> None:
         """Keep how long a frame was under way and how long its stages took; as recorded, where a replay hands it on."""
         stamp = processed.frame.stamp
@@ -235,3 +261,34 @@ class FlightLog:
         """Keep a result. Results of accepted IMU samples are left out: they are compared with nothing."""
         if result.source != "imu" or result.verdict is not Verdict.FUSED:
             self.results.append(result)
+
+
+class LogObserver(NullObserver):
+    """Fills `log` as the flight goes on. Frames are kept as JPEG, about 40 kB each.
+
+    Args:
+        decisions_each: keep each n-th round of guidance; a change of phase is always kept.
+    """
+
+    def __init__(self, log: FlightLog, *, decisions_each: int = 2, keep_images: bool = True) -> None:
+        self.log = log
+        self._decisions_each = decisions_each
+        self._keep_images = keep_images
+        self._rounds = 0
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        self.log.add_result(result)
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        image: bytes | None = None
+        if self._keep_images:
+            ok, packed = cv2.imencode(".jpg", processed.frame.px, [cv2.IMWRITE_JPEG_QUALITY, 88])
+            image = packed.tobytes() if ok else None
+        self.log.add_frame(processed, image)
+
+    def on_order(self, handled: HandledOrder) -> None:
+        self.log.orders.append(handled)
+
+    def on_decision(self, decision: Decision) -> None:
+        self._rounds += 1
+        self.log.add_decision(decision, whole=self._rounds % self._decisions_each == 0)

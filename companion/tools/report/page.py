@@ -14,12 +14,10 @@ from typing import Any
 from companion.base.mission import ENDED, State
 from companion.recording.palette import FLIGHTS
 from companion.tools.report import page_parts, plots
-from companion.tools.report.figures import all_series, error_rows, timing_rows
+from companion.tools.report.figures import all_series, error_rows, innovation_series, timing_rows
 from companion.tools.report.flight_log import FlightLog
-from companion.tools.report.innovations import innovation_series
-from companion.tools.report.layers import Layer, Plot, Section
 from companion.tools.report.page_data import Mark, PadTrack, PageFlight, events, marks, page_data, page_flight, tracks
-from companion.tools.report.plots import steering_path
+from companion.tools.report.plots import Layer, Plot, Section, steering_path
 from companion.tools.report.video import FilmFile, film_of
 from estimator.contracts.errors import BadInput, fault_of
 from estimator.contracts.time import seconds_between

@@ -11,8 +11,7 @@ import numpy as np
 from companion.recording.palette import colour
 from companion.tools.report.figures import Series, body_over_pad
 from companion.tools.report.flight_log import FlightLog
-from companion.tools.report.layers import Columns, Section, thinned
-from companion.tools.report.plots import BAND, steering_path, steering_states, times
+from companion.tools.report.plots import BAND, Columns, Section, steering_path, steering_states, thinned, times
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.pad import Pad

@@ -7,11 +7,10 @@ from html import escape
 from importlib.resources import files
 
 from companion.recording.palette import colour
-from companion.tools.report.figures import Series, deck_rows, error_rows, timing_rows
+from companion.tools.report.figures import InnovationSeries, Series, deck_rows, error_rows, timing_rows
 from companion.tools.report.flight_log import FlightLog
-from companion.tools.report.innovations import InnovationSeries
-from companion.tools.report.layers import Columns, Plot, Section
 from companion.tools.report.page_data import FlightEvent, PageFlight
+from companion.tools.report.plots import Columns, Plot, Section
 from companion.tools.report.video import FilmFile
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import seconds_between

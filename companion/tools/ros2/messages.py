@@ -78,11 +78,6 @@ def from_enu_attitude(R_map_link: Rotation) -> Rotation:
     return Rotation(_ENU_NED.T @ R_map_link.matrix @ UP)
 
 
-def camera_rotation(R_body_cam: Rotation) -> Rotation:
-    """Return the rotation from `camera_optical_frame` to `base_link` of a camera's mount."""
-    return Rotation(UP @ R_body_cam.matrix)
-
-
 def deck_heading(yaw_rad: float) -> Rotation:
     """Return the rotation from `base_stabilized` to `deck`, from the heading against the arrow, clockwise seen from above."""
     return Rotation.from_rpy(0.0, 0.0, -yaw_rad)
@@ -131,6 +126,8 @@ def _padded(cov: F64) -> F64:
 
 Message = tuple[str, str, int, Any]
 """Topic, type, time in the bag in ns, and the message."""
+_Topic = tuple[str, Any]
+"""Topic and message."""
 _NOT_GIVEN = np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 _SECONDS_MAX = 2**31 - 1
 _INFO, _OK, _ERROR = 20, 0, 2
@@ -159,11 +156,17 @@ class RosMessages:
         """Return the transforms that never change: the camera's mount and the range sensor's beam."""
         stamped = [self._transform(at, BODY, BEAM, np.zeros(3), R_BODY_BEAM)]
         if self._camera is not None and not self._gimballed:
-            stamped.append(self._camera_transform(at, self._camera, self._camera.T_body_cam.R))
-        return "/tf_static", "tf2_msgs/msg/TFMessage", self._time(at), self._make("tf2_msgs/msg/TFMessage", transforms=stamped)
+            stamped.append(self._transform(at, BODY, CAMERA, *_mount(self._camera, self._camera.T_body_cam.R)))
+        message = self._make("tf2_msgs/msg/TFMessage", transforms=stamped)
+        return "/tf_static", message.__msgtype__, self._time(at), message
 
     def of(self, event: Event) -> Iterator[Message]:
         """Yield the messages of an event; none of one that ROS has no standard message for."""
+        at = self._time(instant(event))
+        for topic, message in self._messages(event):
+            yield topic, message.__msgtype__, at, message
+
+    def _messages(self, event: Event) -> Iterator[_Topic]:
         match event:
             case RecordedFrame():
                 yield from self._frame(event)
@@ -171,16 +174,13 @@ class RosMessages:
                 yield from self._decision(event)
             case rec.TruthRecord():
                 d, v = np.array(event.d_body_pad_level), np.array(event.v_pad_level)
-                odometry = self._odometry(MonoNs(event.at_ns), d, v, event.yaw_rad, np.zeros((7, 7)))
-                yield "/truth/odometry", "nav_msgs/msg/Odometry", self._time(MonoNs(event.at_ns)), odometry
+                yield "/truth/odometry", self._odometry(MonoNs(event.at_ns), d, v, event.yaw_rad, np.zeros((7, 7)))
             case rec.HealthRecord():
-                yield self._diagnostics(event)
+                yield "/diagnostics", self._diagnostics(event)
             case rec.FusionRecord() | rec.LinkRecord() | rec.OrderRecord():
                 return
             case _:
-                at = self._time(instant(event))
-                for topic, kind, message in self._sample(event):
-                    yield topic, kind, at, message
+                yield from self._sample(event)
 
     def _make(self, name: str, /, **fields: Any) -> Any:
         return self._types[name](**fields)
@@ -226,32 +226,33 @@ class RosMessages:
             "geometry_msgs/msg/TransformStamped", header=self._header(at, parent), child_frame_id=child, transform=transform
         )
 
-    def _sample(self, of: object) -> Iterator[tuple[str, str, Any]]:
+    def _moving(self, at: MonoNs, parent: str, child: str, place: F64, R: Rotation) -> _Topic:
+        return "/tf", self._make("tf2_msgs/msg/TFMessage", transforms=[self._transform(at, parent, child, place, R)])
+
+    def _sample(self, of: object) -> Iterator[_Topic]:
         match of:
             case Imu():
-                yield "/imu/data_raw", "sensor_msgs/msg/Imu", self._imu(of)
+                yield "/imu/data_raw", self._imu(of)
             case Attitude():
-                yield "/imu/data", "sensor_msgs/msg/Imu", self._attitude(of)
-                tilt = self._transform(of.stamp.measured_at, LEVEL, BODY, np.zeros(3), body_in_level(of.R_ned_body))
-                yield "/tf", "tf2_msgs/msg/TFMessage", self._make("tf2_msgs/msg/TFMessage", transforms=[tilt])
+                yield "/imu/data", self._attitude(of)
+                yield self._moving(of.stamp.measured_at, LEVEL, BODY, np.zeros(3), body_in_level(of.R_ned_body))
             case BodyVelocity():
                 twist = self._twist_with_cov(up(of.v_level), up_cov(of.cov_level))
-                yield "/velocity", *self._stamped("TwistWithCovarianceStamped", of.stamp.measured_at, LEVEL, twist=twist)
+                yield "/velocity", self._stamped("TwistWithCovarianceStamped", of.stamp.measured_at, LEVEL, twist=twist)
             case Range():
-                yield "/range", "sensor_msgs/msg/Range", self._range(of)
+                yield "/range", self._range(of)
             case Baro():
-                yield "/baro/height", "std_msgs/msg/Float64", self._make("std_msgs/msg/Float64", data=of.height_m)
+                yield "/baro/height", self._make("std_msgs/msg/Float64", data=of.height_m)
             case GeoFix():
-                yield f"/{of.whose}/fix", "sensor_msgs/msg/NavSatFix", self._fix(of)
+                yield f"/{of.whose}/fix", self._fix(of)
             case VesselReport():
                 yield from self._vessel(of)
             case VehicleStatus():
-                yield "/battery", "sensor_msgs/msg/BatteryState", self._battery(of)
-                yield "/mode", "std_msgs/msg/String", self._make("std_msgs/msg/String", data=of.mode)
+                yield "/battery", self._battery(of)
+                yield "/mode", self._make("std_msgs/msg/String", data=of.mode)
 
-    def _stamped(self, kind: str, at: MonoNs, frame: str, **fields: Any) -> tuple[str, Any]:
-        name = f"geometry_msgs/msg/{kind}"
-        return name, self._make(name, header=self._header(at, frame), **fields)
+    def _stamped(self, kind: str, at: MonoNs, frame: str, **fields: Any) -> Any:
+        return self._make(f"geometry_msgs/msg/{kind}", header=self._header(at, frame), **fields)
 
     def _imu(self, of: Imu) -> Any:
         """Return rates and specific force in `base_link`: at rest and level it reads +9.81 on z."""
@@ -294,14 +295,14 @@ class RosMessages:
             position_covariance_type=_DIAGONAL_KNOWN,
         )  # fmt: skip
 
-    def _vessel(self, of: VesselReport) -> Iterator[tuple[str, str, Any]]:
+    def _vessel(self, of: VesselReport) -> Iterator[_Topic]:
         at = of.stamp.measured_at
         if of.v_vessel_ned is not None and of.cov_v_ned is not None:
             twist = self._twist_with_cov(enu(of.v_vessel_ned), enu_cov(of.cov_v_ned))
-            yield "/vessel/velocity", *self._stamped("TwistWithCovarianceStamped", at, MAP, twist=twist)
+            yield "/vessel/velocity", self._stamped("TwistWithCovarianceStamped", at, MAP, twist=twist)
         if of.heading_rad is not None:
             R = enu_attitude(Rotation.from_rpy(0.0, 0.0, of.heading_rad))
-            yield "/vessel/heading", *self._stamped("QuaternionStamped", at, MAP, quaternion=self._quaternion(R))
+            yield "/vessel/heading", self._stamped("QuaternionStamped", at, MAP, quaternion=self._quaternion(R))
 
     def _battery(self, of: VehicleStatus) -> Any:
         return self._make(
@@ -313,27 +314,23 @@ class RosMessages:
             cell_voltage=np.zeros(0, np.float32), cell_temperature=np.zeros(0, np.float32), location="", serial_number="",
         )  # fmt: skip
 
-    def _camera_transform(self, at: MonoNs, camera: Camera, R_body_cam: Rotation) -> Any:
-        return self._transform(at, BODY, CAMERA, up(camera.T_body_cam.t), camera_rotation(R_body_cam))
-
-    def _frame(self, frame: RecordedFrame) -> Iterator[Message]:
-        at, exposed = self._time(frame.done), frame.stamp.measured_at
+    def _frame(self, frame: RecordedFrame) -> Iterator[_Topic]:
+        exposed = frame.stamp.measured_at
         R_body_cam = held_rotation(frame.record)
         if R_body_cam is not None and self._camera is not None:
-            turned = self._camera_transform(exposed, self._camera, R_body_cam)
-            yield "/tf", "tf2_msgs/msg/TFMessage", at, self._make("tf2_msgs/msg/TFMessage", transforms=[turned])
+            yield self._moving(exposed, BODY, CAMERA, *_mount(self._camera, R_body_cam))
         image = _image(frame)
         if image is not None:
             form, data = image
-            yield "/camera/image_raw/compressed", "sensor_msgs/msg/CompressedImage", at, self._make(
+            yield "/camera/image_raw/compressed", self._make(
                 "sensor_msgs/msg/CompressedImage",
                 header=self._header(exposed, CAMERA), format=f"bgr8; {form} compressed bgr8", data=np.frombuffer(data, np.uint8),
             )  # fmt: skip
             if self._camera is not None:
-                yield "/camera/camera_info", "sensor_msgs/msg/CameraInfo", at, self._camera_info(exposed, self._camera)
+                yield "/camera/camera_info", self._camera_info(exposed, self._camera)
         detection = frame.detection()
         if detection is not None and detection.selected is not None:
-            yield "/detection/pad_pose", *self._pad_pose(at, exposed, detection.selected)
+            yield "/detection/pad_pose", self._pad_pose(exposed, detection.selected)
 
     def _camera_info(self, at: MonoNs, camera: Camera) -> Any:
         K = camera.K
@@ -346,12 +343,11 @@ class RosMessages:
             binning_x=0, binning_y=0, roi=roi,
         )  # fmt: skip
 
-    def _pad_pose(self, at: int, measured_at: MonoNs, of: Sighting | RelativeState) -> tuple[str, int, Any]:
+    def _pad_pose(self, measured_at: MonoNs, of: Sighting | RelativeState) -> Any:
         """Return the pad's pose in `base_stabilized`; an unknown heading has the variance of anything."""
         R = deck_heading(of.yaw_rad or 0.0).inv
         pose = self._pose(up(of.d_body_pad_level), R, pad_in_level(of.cov))
-        kind, message = self._stamped("PoseWithCovarianceStamped", measured_at, LEVEL, pose=pose)
-        return kind, at, message
+        return self._stamped("PoseWithCovarianceStamped", measured_at, LEVEL, pose=pose)
 
     def _odometry(self, at: MonoNs, d: F64, v_pad: F64, yaw_rad: float, cov: F64) -> Any:
         """Return the pose of `base_stabilized` in `deck`, and its velocity against the deck in its own axes."""
@@ -363,27 +359,24 @@ class RosMessages:
             twist=self._twist_with_cov(up(-v_pad), up_cov(cov[3:6, 3:6])),
         )  # fmt: skip
 
-    def _decision(self, of: Decision) -> Iterator[Message]:
-        at = self._time(of.at)
+    def _decision(self, of: Decision) -> Iterator[_Topic]:
         for belief in (b for b in (of.belief, *of.shadows) if b is not None):
-            yield f"/{belief.path}/pad_pose", *self._pad_pose(at, of.at, belief)
+            yield f"/{belief.path}/pad_pose", self._pad_pose(of.at, belief)
             if belief.yaw_rad is not None:
                 d, v = belief.d_body_pad_level, belief.v_pad_level
-                odometry = self._odometry(of.at, d, v, belief.yaw_rad, belief.cov)
-                yield f"/{belief.path}/odometry", "nav_msgs/msg/Odometry", at, odometry
+                yield f"/{belief.path}/odometry", self._odometry(of.at, d, v, belief.yaw_rad, belief.cov)
         if of.belief is not None and of.belief.yaw_rad is not None:
             place, _ = level_in_deck(of.belief.d_body_pad_level, of.belief.yaw_rad, of.belief.cov)
-            above = self._transform(of.at, DECK, LEVEL, place, deck_heading(of.belief.yaw_rad))
-            yield "/tf", "tf2_msgs/msg/TFMessage", at, self._make("tf2_msgs/msg/TFMessage", transforms=[above])
-        yield from self._command(at, of)
+            yield self._moving(of.at, DECK, LEVEL, place, deck_heading(of.belief.yaw_rad))
+        yield from self._command(of)
         for change in of.transitions:
             text = f"{change.source.value}: {change.event.value}, {change.reason.text}: {change.target.value}"
-            yield "/rosout", "rcl_interfaces/msg/Log", at, self._log(change.at, text)
+            yield "/rosout", self._log(change.at, text)
         if of.phase != self._phase:
             self._phase = of.phase
-            yield "/phase", "std_msgs/msg/String", at, self._make("std_msgs/msg/String", data=of.phase)
+            yield "/phase", self._make("std_msgs/msg/String", data=of.phase)
 
-    def _command(self, at: int, of: Decision) -> Iterator[Message]:
+    def _command(self, of: Decision) -> Iterator[_Topic]:
         match of.command:
             case Velocity(v_level=v, yaw_rate_rad_s=rate) | Lean(v_level=v, yaw_rate_rad_s=rate):
                 twist = self._twist(up(v), -rate)
@@ -391,14 +384,12 @@ class RosMessages:
                 twist = self._twist(np.zeros(3))
             case _:
                 return
-        kind, message = self._stamped("TwistStamped", of.at, LEVEL, twist=twist)
-        yield "/cmd_vel", kind, at, message
+        yield "/cmd_vel", self._stamped("TwistStamped", of.at, LEVEL, twist=twist)
         if isinstance(of.command, Lean):
             forward, right = of.command.a_level.tolist()
             linear, still = self._vector(np.array([forward, -right, 0.0])), self._vector(np.zeros(3))
             accel = self._make("geometry_msgs/msg/Accel", linear=linear, angular=still)
-            kind, message = self._stamped("AccelStamped", of.at, LEVEL, accel=accel)
-            yield "/cmd_accel", kind, at, message
+            yield "/cmd_accel", self._stamped("AccelStamped", of.at, LEVEL, accel=accel)
 
     def _log(self, at: MonoNs, text: str) -> Any:
         return self._make(
@@ -406,8 +397,7 @@ class RosMessages:
             stamp=self._stamp(at), level=_INFO, name="guidance", msg=text, file="", function="", line=0,
         )  # fmt: skip
 
-    def _diagnostics(self, of: rec.HealthRecord) -> Message:
-        at = MonoNs(of.at_ns)
+    def _diagnostics(self, of: rec.HealthRecord) -> Any:
         statuses = [
             self._make(
                 "diagnostic_msgs/msg/DiagnosticStatus",
@@ -416,8 +406,13 @@ class RosMessages:
             )
             for part in of.parts
         ]  # fmt: skip
-        array = self._make("diagnostic_msgs/msg/DiagnosticArray", header=self._header(at, ""), status=statuses)
-        return "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self._time(at), array
+        header = self._header(MonoNs(of.at_ns), "")
+        return self._make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=statuses)
+
+
+def _mount(camera: Camera, R_body_cam: Rotation) -> tuple[F64, Rotation]:
+    """Return the place and the rotation of `camera_optical_frame` in `base_link`."""
+    return up(camera.T_body_cam.t), Rotation(UP @ R_body_cam.matrix)
 
 
 def _row(matrix: F64) -> F64:

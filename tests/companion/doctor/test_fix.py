@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from companion.cli import doctor
-from companion.cli.main import Parser
 from companion.tools.doctor import rules_values
 from companion.tools.doctor.diagnose import PARAMETERS
 from companion.tools.doctor.undo import decode_undo
@@ -23,6 +21,7 @@ from estimator.contracts.errors import BadInput
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
+from tests.companion.doctor.test_rules import run_doctor
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"
@@ -69,24 +68,13 @@ def typed(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     return lambda text: monkeypatch.setattr("sys.stdin", io.StringIO(text))
 
 
-def run_doctor(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
-    parser = Parser(prog="decklander")
-    doctor.add_parser(parser.add_subparsers())
-    code = doctor.run(parser.parse_args(["doctor", "--seconds", "0.5", *argv]))
-    return code, capsys.readouterr().out
-
-
 def test_what_is_agreed_to_is_written_and_undone(tmp_path, capsys, typed):
     fake = quiet("ArduPilot", LAND_SPEED=250.0, GUID_TIMEOUT=0.2, PLND_STRICT=0.0)
     kept = tmp_path / "undo.json"
     with on_link(fake) as url:
         typed("y\nn\ny\n")  # warnings in the order of the rules: PLND_STRICT, GUID_TIMEOUT, LAND_SPEED
         code, out = run_doctor(capsys, "--link", url, "--fix", "--undo-file", str(kept))
-        assert (fake.parameters["PLND_STRICT"], fake.parameters["GUID_TIMEOUT"], fake.parameters["LAND_SPEED"]) == (
-            2.0,
-            0.2,
-            40.0,
-        )
+        assert [fake.parameters[name] for name in ("PLND_STRICT", "GUID_TIMEOUT", "LAND_SPEED")] == [2.0, 0.2, 40.0]
         assert code == 1, "a warning is left"
         assert "set LAND_SPEED 250 -> 40? [y/N]" in out
         assert "LAND_SPEED        250 -> 40: written and read back" in out
@@ -178,23 +166,6 @@ def test_an_undo_file_of_another_vehicle_is_refused(tmp_path: Path, capsys: pyte
     kept.write_text("{}")
     with pytest.raises(BadInput, match="no undo file"):
         run_doctor(capsys, "--link", "udpin://127.0.0.1:0", "--undo", str(kept), "--yes")
-
-
-@pytest.mark.parametrize(
-    ("argv", "says"),
-    [
-        (("--fix",), "--fix needs the autopilot"),
-        (("--fix", "--undo", "x", "--link", "udpin://127.0.0.1:0"), "do not go together"),
-        (("--fix", "--json", "--link", "udpin://127.0.0.1:0"), "--yes"),
-        (("--yes", "--link", "udpin://127.0.0.1:0"), "--yes goes with"),
-        (("--undo-file", "x", "--link", "udpin://127.0.0.1:0"), "--undo-file goes with"),
-        (("--fix", "--snapshot", "x", "--link", "udpin://127.0.0.1:0"), "saved snapshot"),
-        (("--undo", "/no/file", "--link", "udpin://127.0.0.1:0"), "--undo /no/file"),
-    ],
-)
-def test_wrong_use_is_one_line(argv: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(BadInput, match=says):
-        run_doctor(capsys, *argv)
 
 
 def test_a_file_that_exists_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

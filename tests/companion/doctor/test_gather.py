@@ -13,8 +13,6 @@ import pytest
 import companion.settings.load as settings_of
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
-from companion.cli import doctor
-from companion.cli.main import Parser
 from companion.parts.metrics.endpoint import MetricsEndpoint
 from companion.settings.links import HttpSettings
 from companion.settings.load import Settings
@@ -30,10 +28,11 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD
+from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, run_doctor
 from tests.support.waiting import listening, until
 
 HOST = "127.0.0.1"
+LINK = ("--link", "udpin://127.0.0.1:0")
 
 
 async def examined(fake: MiniatureAutopilot, seconds: float = 1.0, system: int = 0) -> Snapshot:
@@ -179,13 +178,6 @@ async def test_a_service_that_runs_is_queried() -> None:
     assert (service.places_taken, service.places_refused) == (0, {"checksum": 7, "other run": 2, "vessel stale": 1})
 
 
-def run_doctor(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
-    parser = Parser(prog="decklander")
-    doctor.add_parser(parser.add_subparsers())
-    code = doctor.run(parser.parse_args(["doctor", *argv]))
-    return code, capsys.readouterr().out
-
-
 def test_the_command_on_a_saved_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "frame.json"
     path.write_bytes(encode(BROKEN["set but not rebooted"][1]))
@@ -210,11 +202,22 @@ def test_the_command_on_a_saved_image(tmp_path: Path, capsys: pytest.CaptureFixt
     [
         ((), "nothing to examine"),
         (("--link", "udp://x"), "MAVLink link"),
-        (("--link", "udpin://127.0.0.1:0", "--system", "900"), "--system"),
-        (("--link", "udpin://127.0.0.1:0", "--seconds", "0"), "--seconds"),
-        (("--link", "udpin://127.0.0.1:0", "--signing-key", "/no/key"), "signing key"),
+        ((*LINK, "--system", "900"), "--system"),
+        ((*LINK, "--seconds", "0"), "--seconds"),
+        ((*LINK, "--signing-key", "/no/key"), "signing key"),
         (("--snapshot", "/no/frame"), "--snapshot /no/frame"),
         (("--broker", "host:port"), "HOST:PORT"),
+        (("x.bin", *LINK), "examined by itself"),
+        (("x.bin", "--fix", *LINK), "a log cannot be fixed"),
+        (("/no/such.bin",), "No such file"),
+        ((__file__,), "neither a dataflash log"),
+        (("--fix",), "--fix needs the autopilot"),
+        (("--fix", "--undo", "x", *LINK), "do not go together"),
+        (("--fix", "--json", *LINK), "--yes"),
+        (("--yes", *LINK), "--yes goes with"),
+        (("--undo-file", "x", *LINK), "--undo-file goes with"),
+        (("--fix", "--snapshot", "x", *LINK), "saved snapshot"),
+        (("--undo", "/no/file", *LINK), "--undo /no/file"),
     ],
 )
 def test_wrong_use_is_bad_input_in_one_line(argv: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]) -> None:

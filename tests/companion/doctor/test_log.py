@@ -6,16 +6,13 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from companion.cli import doctor
-from companion.cli.main import Parser
 from companion.tools.doctor.diagnose import diagnose
 from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather import examine_log
-from companion.tools.doctor.snapshot import decode, encode
 from drivers.imports.log_history import LandingMeter
 from drivers.imports.px4_ulog import read_history
 from estimator.contracts.errors import BadInput
-from tests.companion.doctor.test_rules import ARDUPILOT, PX4
+from tests.companion.doctor.test_rules import ARDUPILOT, PX4, run_doctor
 from tests.support.flight_logs import dataflash, ulog
 
 DATA = Path(__file__).parents[3] / "../shared/data/mavlink"
@@ -81,14 +78,6 @@ COPTER_EVENTS: dict[str, tuple[str, list[Row], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", COPTER_EVENTS)
-def test_what_spoiled_a_landing_of_arducopter_is_named(name: str, tmp_path: Path) -> None:
-    rule, rows, says = COPTER_EVENTS[name]
-    (found,) = copter(tmp_path, [*FLIGHT, *rows])
-    assert found.rule == rule
-    assert says in found.what
-
-
 PX4_EVENTS: dict[str, tuple[str, list[Row], str]] = {
     "setpoints lost": (
         "log-failsafe",
@@ -109,10 +98,10 @@ PX4_EVENTS: dict[str, tuple[str, list[Row], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", PX4_EVENTS)
-def test_what_spoiled_a_landing_of_px4_is_named(name: str, tmp_path: Path) -> None:
-    rule, rows, says = PX4_EVENTS[name]
-    (found,) = px4(tmp_path, [*PX4_FLIGHT, *rows])
+@pytest.mark.parametrize(("stack", "name"), [*(("ArduPilot", n) for n in COPTER_EVENTS), *(("PX4", n) for n in PX4_EVENTS)])
+def test_what_spoiled_a_landing_is_named(stack: str, name: str, tmp_path: Path) -> None:
+    rule, rows, says = (COPTER_EVENTS if stack == "ArduPilot" else PX4_EVENTS)[name]
+    (found,) = copter(tmp_path, [*FLIGHT, *rows]) if stack == "ArduPilot" else px4(tmp_path, [*PX4_FLIGHT, *rows])
     assert found.rule == rule
     assert says in found.what
 
@@ -162,30 +151,13 @@ def test_what_happens_before_arming_is_no_fault(tmp_path: Path) -> None:
 
 def test_a_go_around_is_no_doubt_about_the_landing() -> None:
     meter = LandingMeter()
-    for at_s, call in (
-        (3.0, meter.flying),
-        (40.0, meter.landed),
-        (42.0, meter.flying),
-        (80.0, meter.landed),
-        (81.0, meter.disarmed),
-    ):
-        call(at_s)
+    meter.flying(3.0)
+    meter.landed(40.0)
+    meter.flying(42.0)
+    meter.landed(80.0)
+    meter.disarmed(81.0)
     first, second = meter.landings(90.0)
     assert (first.at_s, first.lost, second.at_s, second.lost, second.armed_s) == (40.0, 0, 80.0, 0, 1.0)
-
-
-def test_a_log_s_snapshot_can_be_saved(tmp_path: Path) -> None:
-    snapshot = examine_log(dataflash(tmp_path / "x.bin", ARDUPILOT.parameters, FLIGHT))
-    assert decode(encode(snapshot), "there") == snapshot
-    assert snapshot.autopilot is not None
-    assert snapshot.autopilot.firmware == (4, 5, 7)
-
-
-def run_doctor(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
-    parser = Parser(prog="decklander")
-    doctor.add_parser(parser.add_subparsers())
-    code = doctor.run(parser.parse_args(["doctor", *argv]))
-    return code, capsys.readouterr().out
 
 
 def test_the_command_on_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -196,20 +168,6 @@ def test_the_command_on_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "landing at 40.0 s, taken back by the detector 0 times, armed for 1.0 s after" in out
     assert "error: failsafe: battery at 41.5 s [log-failsafe]" in out
     assert run_doctor(capsys, str(ulog(tmp_path / "x.ulg", PX4.parameters, TOPICS, PX4_FLIGHT)))[0] == 0
-
-
-@pytest.mark.parametrize(
-    ("argv", "says"),
-    [
-        (("x.bin", "--link", "udpin://127.0.0.1:0"), "examined by itself"),
-        (("x.bin", "--fix", "--link", "udpin://127.0.0.1:0"), "a log cannot be fixed"),
-        (("/no/such.bin",), "No such file"),
-        ((__file__,), "neither a dataflash log"),
-    ],
-)
-def test_wrong_use_of_a_log_is_one_line(argv: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(BadInput, match=says):
-        run_doctor(capsys, *argv)
 
 
 def test_a_log_of_another_kind_of_vehicle_or_of_nothing_is_refused(tmp_path: Path) -> None:

@@ -214,3 +214,15 @@ def test_nothing_is_overwritten_and_a_bag_that_failed_leaves_nothing(flight_file
     assert cli.main([*command, str(tmp_path / "new")]) == 2
     assert "No space left on device" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+
+
+GOLDEN = Path(__file__).parents[2] / "golden/frames.mcap"
+
+
+def test_without_the_library_one_line_says_how_to_get_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("companion.tools.ros2.typestore.find_spec", lambda name: None)
+    assert cli.main(["record", "export", str(GOLDEN), "--format", "ros2", "--output", str(tmp_path / "bag")]) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    assert "decklander[ros2]" in printed
+    assert not (tmp_path / "bag").exists()
