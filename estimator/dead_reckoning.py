@@ -66,48 +66,41 @@ def heading_after(arrow: ArrowHeading | None, heading_rad: float, sighting: Sigh
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestCalibration:
-    """The sums so far; `done` is True once the means are final."""
+    """The sums so far of velocity, m/s in level, and specific force minus gravity, m/s^2 in `body`: (sum, number of samples).
+
+    `done` is True once the means are final. A reading that is too large for a vehicle at rest begins them again.
+    """
 
     options: DeadReckoningOptions = field(default_factory=DeadReckoningOptions)
     since: MonoNs | None = None
-    v_sum: F64 = field(default_factory=lambda: np.zeros(3))
-    v_samples: int = 0
-    a_sum: F64 = field(default_factory=lambda: np.zeros(3))
-    a_samples: int = 0
+    velocity: tuple[F64, int] = field(default_factory=lambda: (np.zeros(3), 0))
+    acceleration: tuple[F64, int] = field(default_factory=lambda: (np.zeros(3), 0))
     done: bool = False
 
-    @property
-    def v_bias_level(self) -> F64:
-        """Return the bias of the velocity, (3,) m/s; zeros until done or without velocity samples."""
-        return self.v_sum / self.v_samples if self.done and self.v_samples else np.zeros(3)
+    def biases(self) -> tuple[F64, F64]:
+        """Return the biases of velocity and acceleration, (3,) each; zeros until done or without samples."""
+        v, a = (total / n if self.done and n else np.zeros(3) for total, n in (self.velocity, self.acceleration))
+        return v, a
 
-    @property
-    def a_bias_body(self) -> F64:
-        """Return the bias of the acceleration, (3,) m/s^2; zeros until done."""
-        return self.a_sum / self.a_samples if self.done else np.zeros(3)
+    def add_velocity(self, t: MonoNs, v_level: F64) -> RestCalibration:
+        """Add one measured velocity, (3,) m/s."""
+        if self.done:
+            return self
+        if float(np.abs(v_level).max()) > self.options.calibration_velocity_max_m_s:
+            return RestCalibration(self.options)
+        total, n = self.velocity
+        return replace(self, since=t if self.since is None else self.since, velocity=(total + v_level, n + 1))
 
-
-def add_velocity(state: RestCalibration, t: MonoNs, v_level: F64) -> RestCalibration:
-    """Add one measured velocity, (3,) m/s."""
-    if state.done:
-        return state
-    if float(np.abs(v_level).max()) > state.options.calibration_velocity_max_m_s:
-        return RestCalibration(state.options)
-    since = t if state.since is None else state.since
-    return replace(state, since=since, v_sum=state.v_sum + v_level, v_samples=state.v_samples + 1)
-
-
-def add_acceleration(state: RestCalibration, t: MonoNs, a_body: F64) -> RestCalibration:
-    """Add one measured specific force minus gravity, (3,) m/s^2 in `body`; a perfect sensor at rest gives zeros."""
-    o = state.options
-    if state.done:
-        return state
-    if float(np.abs(a_body).max()) > o.calibration_acceleration_max_m_s2:
-        return RestCalibration(o)
-    since = t if state.since is None else state.since
-    samples = state.a_samples + 1
-    done = samples >= o.calibration_samples and seconds_between(since, t) >= o.calibration_s
-    return replace(state, since=since, a_sum=state.a_sum + a_body, a_samples=samples, done=done)
+    def add_acceleration(self, t: MonoNs, a_body: F64) -> RestCalibration:
+        """Add one measured specific force minus gravity, (3,) m/s^2 in `body`; a perfect sensor at rest gives zeros."""
+        o = self.options
+        if self.done:
+            return self
+        if float(np.abs(a_body).max()) > o.calibration_acceleration_max_m_s2:
+            return RestCalibration(o)
+        since, (total, n) = t if self.since is None else self.since, self.acceleration
+        done = n + 1 >= o.calibration_samples and seconds_between(since, t) >= o.calibration_s
+        return replace(self, since=since, acceleration=(total + a_body, n + 1), done=done)
 
 
 _NIS_MAX = 16.27
@@ -290,7 +283,7 @@ def _velocity(state: DeadReckoning, sample: BodyVelocity) -> DeadReckoning:
     o = state.options
     state = _advance(state, sample.stamp.measured_at)
     if state.rest is not None:
-        state = replace(state, rest=add_velocity(state.rest, sample.stamp.measured_at, sample.v_level))
+        state = replace(state, rest=state.rest.add_velocity(sample.stamp.measured_at, sample.v_level))
     v = o.velocity_scale * (sample.v_level - _biases(state)[0])
     v[np.abs(v) < o.velocity_dead_band_m_s] = 0.0
     measured = np.diag(sample.cov_level) < _NOT_MEASURED_VAR
@@ -312,7 +305,7 @@ def _imu(state: DeadReckoning, sample: Imu) -> DeadReckoning:
     state = _advance(state, sample.stamp.measured_at)
     a_body = sample.f_body + R_level_body.inv @ np.array([0.0, 0.0, G_M_S2])
     if state.rest is not None:
-        state = replace(state, rest=add_acceleration(state.rest, sample.stamp.measured_at, a_body))
+        state = replace(state, rest=state.rest.add_acceleration(sample.stamp.measured_at, a_body))
     a = R_level_body @ (a_body - _biases(state)[1])
     mean, n = state.a_vertical_mean, state.a_samples + 1
     step_s = 0.0 if state.a_t is None else min(seconds_between(state.a_t, sample.stamp.measured_at), state.options.hold_s)
@@ -468,7 +461,7 @@ def _spread(cov: F64, cov_v: F64, elapsed_s: float, now: float) -> None:
 
 def _biases(state: DeadReckoning) -> tuple[F64, F64]:
     """Return the biases of velocity in level (m/s) and acceleration in body (m/s^2), measured at rest."""
-    return (np.zeros(3), np.zeros(3)) if state.rest is None else (state.rest.v_bias_level, state.rest.a_bias_body)
+    return (np.zeros(3), np.zeros(3)) if state.rest is None else state.rest.biases()
 
 
 def _turned(v: F64, angle_rad: float) -> F64:

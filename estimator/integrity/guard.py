@@ -24,7 +24,7 @@ from estimator.contracts.samples import (
     VehicleStatus,
 )
 from estimator.contracts.time import MonoNs
-from estimator.integrity import crosschecks, inertial, sensors, tracks
+from estimator.integrity import crosschecks, inertial, parity, sensors, tracks
 from estimator.integrity.crosschecks import HeadingWatch, HeightWatch, ViewWatch
 from estimator.integrity.options import IntegrityOptions
 from estimator.integrity.sensors import ClockWatch, FrameWatch, SensorWatch
@@ -130,9 +130,9 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
                     against = crosschecks.add_range(against, sample, o)
                 elif type(sample) is Baro:
                     against = crosschecks.add_baro(against, sample, o)
-                    halves = inertial.weighed(halves, sample)
+                    halves = replace(halves, parity=parity.weighed(halves.parity, sample))
                 elif type(sample) is BodyVelocity:
-                    halves = inertial.moved(halves, sample)
+                    halves = replace(halves, parity=parity.moved(halves.parity, sample))
                     verdict = Verdict.IMPOSSIBLE if halves.velocity_fault is not None else None
             if kind is BodyVelocity:
                 trusts = verdict is None
@@ -240,7 +240,9 @@ def judged(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None,
     """Record whether the steering estimator fused a sighting that had passed."""
     place = _place(sighting, attitude)
     seen = tracks.record_fused(guard.arbiter, place.t, is_fused)
-    felt = guard.inertial if attitude is None else inertial.sighted(guard.inertial, place.t, place.d, sighting.yaw_rad)
+    felt = guard.inertial
+    if attitude is not None:
+        felt = replace(felt, parity=parity.sighted(felt.parity, place.t, place.d, sighting.yaw_rad))
     guard = replace(guard, arbiter=seen, inertial=felt)
     if seen.overrules:
         followed = guard.tracks._replace(number=guard.tracks.number + seen.leapt)
@@ -300,7 +302,8 @@ def _pictured(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude) -> 
         return state
     R_ned_level = Rotation.from_rpy(0.0, 0.0, attitude.R_ned_body.rpy_rad[2])
     R_ned_pad = (R_ned_level @ sighting.pose6.R_level_pad).matrix
-    return inertial.pictured(state, at, attitude.R_ned_body.matrix, R_ned_pad, guard.heading.off_at(at))
+    seen = parity.pictured(state.parity, at, attitude.R_ned_body.matrix, R_ned_pad, guard.heading.off_at(at))
+    return replace(state, parity=seen)
 
 
 def _place(sighting: Sighting, attitude: Attitude | None) -> Place:

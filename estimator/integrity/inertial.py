@@ -12,12 +12,11 @@ from typing import Literal, NamedTuple
 from msgspec import Struct
 from msgspec.structs import replace
 
-from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu
+from estimator.contracts.samples import Attitude, Imu
 from estimator.integrity import parity
 from estimator.integrity.options import IntegrityOptions
-from estimator.integrity.parity import Bin, Half, Parity, Slope, Steady, TurnByAttitude, Vec3
+from estimator.integrity.parity import Bin, Half, Parity, Slope, Steady, TurnByAttitude
 
 _PERSISTS, _PERSISTS_ALONE = 3, 12
 """Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
@@ -273,27 +272,6 @@ def levelled(state: Inertial, attitude: Attitude, flying: bool) -> Inertial:
         return replace(state, turn=turn, parity=checked)
     after = replace(state, turn=turn, parity=checked, imus=state.imus[-1:])
     return _judged(after) if flying else after
-
-
-def weighed(state: Inertial, event: Baro) -> Inertial:
-    """Process a height."""
-    return replace(state, parity=parity.weighed(state.parity, event))
-
-
-def moved(state: Inertial, event: BodyVelocity) -> Inertial:
-    """Process a velocity."""
-    checked = parity.moved(state.parity, event)
-    return state if checked is state.parity else replace(state, parity=checked)
-
-
-def sighted(state: Inertial, t: int, d_fixed: Vec3, yaw_rad: float | None) -> Inertial:
-    """Process a sighting that the estimator took, in axes of fixed heading."""
-    return replace(state, parity=parity.sighted(state.parity, t, d_fixed, yaw_rad))
-
-
-def pictured(state: Inertial, t: int, R_ned_body: F64, R_ned_pad: F64, off_rad: float = 0.0) -> Inertial:
-    """Process the pad's rotation in a picture, as `parity.pictured`."""
-    return replace(state, parity=parity.pictured(state.parity, t, R_ned_body, R_ned_pad, off_rad))
 
 
 def _lost_s(was: Half, now: Half, lies: bool, span: tuple[int, int]) -> float:

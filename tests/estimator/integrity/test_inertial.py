@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
-from estimator.integrity import inertial
+from estimator.integrity import inertial, parity
 from estimator.integrity.inertial import Differences, Inertial, Usual
 from estimator.integrity.options import IntegrityOptions
 from estimator.integrity.parity import Bin, Half, Slope, TurnByAttitude, Vec3, read_half, replace_halves, turn_between
@@ -79,7 +80,8 @@ def turned(
             off_rad = heading(at - BEGIN_S) if BEGIN_S <= at < well_from else 0.0
             R_then = Rotation.from_rpy(0.0, 0.0, -off_rad) @ reported[round(at / DT)]
             R_pad = R_then @ body(at).inv @ deck(at) @ Rotation.from_rotvec(0.006 * rng.standard_normal(3))
-            state = inertial.pictured(state, round(at * 1e9), R_then.matrix, R_pad.matrix, off_rad)
+            seen_now = parity.pictured(state.parity, round(at * 1e9), R_then.matrix, R_pad.matrix, off_rad)
+            state = replace(state, parity=seen_now)
         out.append(state)
     return out
 
@@ -290,12 +292,13 @@ def moved(
         f = np.array([*a, -9.81]) + 0.1 * rng.standard_normal(3) + (off[0] if t >= off[1] else 0.0)
         state = put(state, t, 0.01 * rng.standard_normal(3), f)
         v = lie(v, t - LIES_FROM_S) if t >= LIES_FROM_S else v
-        state = inertial.moved(state, velocity(t, (*(v + 0.05 * rng.standard_normal(2)), 0.0), var=(0.01, 0.01, 1e6)))
+        sample = velocity(t, (*(v + 0.05 * rng.standard_normal(2)), 0.0), var=(0.01, 0.01, 1e6))
+        state = replace(state, parity=parity.moved(state.parity, sample))
         level = Attitude(stamp(t), Rotation.from_rotvec(0.002 * rng.standard_normal(3)), 1e-4 * np.eye(3))
         state = inertial.levelled(state, level, True)
         if seen and n % 3 == 0 and t < blind_from:
             x, y = (-p + 0.01 * rng.standard_normal(2)).tolist()
-            state = inertial.sighted(state, stamp(t).measured_at, (x, y, 2.0), 0.0)
+            state = replace(state, parity=parity.sighted(state.parity, stamp(t).measured_at, (x, y, 2.0), 0.0))
         out.append(state)
     return out
 
