@@ -1,27 +1,108 @@
-"""Fusion results of each measurement: innovation, its covariance, NIS, test ratio and verdict, by source.
+"""Samples that are handed over together give what the same samples give one after the other; the figures of each result.
 
-Why: a filter that is tuned wrong, or a sensor that drifts, shows in these figures long before it shows in a landing.
+Why figures: a filter that is tuned wrong, or a sensor that drifts, shows in them long before it shows in a landing.
 """
 
 import math
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from estimator.contracts.estimates import PathName, Pose6, Sighting, Verdict
 from estimator.contracts.fusion import COMPONENTS, POSE_COMPONENTS, FusionResult, source_of
-from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu
+from estimator.contracts.geodesy import GeoPoint
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, Sample
+from estimator.contracts.time import Stamp
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.params import nis_max
 from estimator.options import EstimatorOptions
 from estimator.paths import Event
 from estimator.pipeline import RelativeEstimator
-from tests.make import attitude, baro, imu, range_down, sighting, stamp, velocity, vessel
+from tests.make import attitude, baro, imu, ns, range_down, same_bits, sighting, stamp, stamp_at, status, velocity, vessel
+
+MS = 1_000_000
+SHADOWS: tuple[PathName, ...] = ("median_mean", "dead_reckoning")
+LATE_MS, LEAP_MS = (0, 0, 0, 0, 4, 30, 400), (0, 0, 0, 0, 0, 0, 1500, -1500)
+SPIKE = (1.0, 1.0, 1.0, 1.0, 1.0, 90.0)
+READINGS: dict[str, Callable[[Stamp, float, F64], Sample]] = {
+    "imu": lambda at, k, n: imu(at, n, k * (np.array([0.0, 0.0, -9.8]) + n)),
+    "attitude": lambda at, k, n: attitude(at, k * n[0], n[1], 0.4 * k + n[2], var=1e-5),
+    "velocity": lambda at, k, n: velocity(at, k * n),
+    "range": lambda at, k, n: range_down(at, k * (2.0 + abs(n[0]))),
+    "baro": lambda at, k, n: baro(at, 30.0 * k + n[0]),
+    "report": lambda at, k, n: vessel(at, k * n, 0.4),
+    "fix": lambda at, k, n: GeoFix(at, "vehicle", GeoPoint(0.9, 0.1, 2.0), 2.0),
+    "status": lambda at, k, n: status(at, k == 1.0),
+}
+"""Readings as of a vehicle that hovers, by stamp, how many times too large they are, and noise."""
+USUAL = ("imu", "attitude", "velocity", "range", "baro", "imu", "attitude", "velocity", "report", "fix", "status")
+DATAGRAM = st.lists(
+    st.tuples(st.sampled_from(USUAL), st.sampled_from(LATE_MS), st.sampled_from(LEAP_MS), st.sampled_from(SPIKE)), max_size=7
+)
+
+
+def put_all(datagrams: Sequence[Sequence[Sample]], seen: Sequence[int], *, together: bool) -> tuple[Any, list[FusionResult]]:
+    """Return guard, attitudes and beliefs after the datagrams, with a sighting every 40 ms, and all results."""
+    memory = RelativeEstimator(EstimatorOptions(path="ekf"), shadows=SHADOWS)
+    results: list[FusionResult] = []
+    for n, samples in enumerate(datagrams):
+        if together:
+            found = memory.put(samples)
+            results += [result for of_sample in found for result in of_sample]
+        else:
+            for sample in samples:
+                (of_one,) = memory.put([sample])
+                results += of_one
+        if n % 8 == 7:
+            event: Event = sighting(stamp_at((seen[n] - 60) * MS, seen[n] * MS), (0.3, -0.2, 2.0), 0.3, yaw_var=1e-4, seq=seen[n])
+            (of_one,) = memory.put([event])
+            results += of_one
+    newest = ns(seen[-1] * 1e-3)
+    return (memory.guard, memory.all_at(newest), memory.motion(newest)), results
+
+
+@settings(max_examples=25)
+@given(drawn=st.lists(DATAGRAM, min_size=1, max_size=40), seed=st.integers(0, 9))
+def test_samples_together_are_samples_one_by_one(drawn: list[list[tuple[str, int, int, float]]], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    # A quarter of a second of hovering first, so that there is a belief and what follows is compared with it.
+    hover = [[("imu", 0, 0, 1.0), ("attitude", 0, 0, 1.0), ("velocity", 0, 0, 1.0), ("range", 0, 0, 1.0)]] * 50
+    datagrams, times = [], [5_000 + 5 * n for n in range(len(hover) + len(drawn))]
+    for t_ms, readings in zip(times, [*hover, *drawn], strict=True):
+        datagram = []
+        for kind, late_ms, leap_ms, scale in readings:
+            at = stamp_at((t_ms + leap_ms - late_ms) * MS, (t_ms + leap_ms) * MS)
+            datagram.append(READINGS[kind](at, scale, rng.normal(0.0, 0.01, 3)))
+        datagrams.append(datagram)
+    together, one_by_one = (put_all(datagrams, times, together=how) for how in (True, False))
+    assert [r.verdict for r in together[1]] == [r.verdict for r in one_by_one[1]]
+    assert same_bits(together, one_by_one)
+
+
+def test_every_sample_of_a_hand_over_has_its_own_results() -> None:
+    rng = np.random.default_rng(1)
+    memory = RelativeEstimator(EstimatorOptions(path="ekf"), shadows=("median_mean",))
+    kinds = (("attitude", 1.0), ("status", 1.0), ("imu", 90.0), ("imu", 1.0))
+    samples = [READINGS[kind](stamp(1.0), scale, rng.normal(0.0, 0.01, 3)) for kind, scale in kinds]
+    results = memory.put(samples)
+    assert [[(r.path, r.verdict) for r in of_one] for of_one in results] == [
+        [("ekf", Verdict.FUSED)],
+        [],
+        [("ekf", Verdict.IMPOSSIBLE), ("median_mean", Verdict.IMPOSSIBLE)],
+        [("ekf", Verdict.FUSED)],
+    ]
+    assert memory.put([]) == []
+
+
+# Figures
 
 D = np.array([0.1, -0.05, 2.0])
 EVERY_PATH = EstimatorOptions(path="ekf")
-SHADOWS: tuple[PathName, ...] = ("median_mean", "dead_reckoning")
 
 
 def pad_seen(t_s: float, *, aside_m: float = 0.0, yaw_rad: float | None = 0.3, pose6: Pose6 | None = None) -> Sighting:
@@ -32,12 +113,11 @@ def pad_seen(t_s: float, *, aside_m: float = 0.0, yaw_rad: float | None = 0.3, p
 
 def sensed(i: int) -> list[Event]:
     """Return the samples of a body that hovers, with the noise that a sensor has."""
-    rng, t_s = np.random.default_rng(i), i / 100
-    at = stamp(t_s)
+    rng, t = np.random.default_rng(i), i / 100
     return [
-        Imu(at, rng.normal(0, 1e-3, 3), np.array([0.0, 0.0, -9.80665]) + rng.normal(0, 0.02, 3)),
-        Attitude(at, Rotation.from_rpy(*rng.normal(0, 1e-3, 3)), 1e-4 * np.eye(3)),
-        BodyVelocity(at, rng.normal(0, 0.02, 3), np.diag([0.01, 0.01, UNKNOWN_VAR])),
+        imu(t, rng.normal(0, 1e-3, 3), rng.normal((0.0, 0.0, -9.80665), 0.02)),
+        attitude(t, *rng.normal(0, 1e-3, 3)),
+        velocity(t, rng.normal(0, 0.02, 3)),
     ]
 
 
