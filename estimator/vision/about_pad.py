@@ -1,9 +1,5 @@
 """Detect things about the pad: what stands out of the deck, what moves there, and what passes over it.
 
-Draw the deck about the pad as seen from straight above, where everything painted on it stays where it is.
-
-Detect what stands out of the deck about the pad, or moves against it, by the way of corners over the deck's plane.
-
 Each frame that is read is drawn as seen from straight above, on the deck's plane as the pad is registered. There everything that
 is painted on the deck stays where it is, at the same size. Corners of an earlier such picture are followed by optical flow (Lucas
 & Kanade, Proc. IJCAI 1981; Shi & Tomasi, CVPR 1994). A point z above the deck is seen where the ray through it meets the deck,
@@ -12,13 +8,11 @@ squares. What fits no place and height moves. The drone's own shadow, drops on t
 cone, q = c + r + s h, and count for nothing. So does what seems to be below the deck: the sea, mirrored things. Several corners
 must agree.
 
-Detect objects passing over the pad: patches of the deck's picture that change, and not as the drone's own shadow does.
-
-A thing that moves fast is gone before corners of it could be followed. The deck about the pad is drawn as seen from above, in
-coarse cells, and compared with its slow mean (the sigma-delta background of Manzanera & Richefeu, Pattern Recogn. Lett. 28,
-2007). What lies there has the same share of that light as it had a fifth of a second before, at the same place. The drone's own
-shadow, glare and drops on the lens have it at the same place in the drone's cone, q = c + s h for a camera at height h over the
-place c. A patch that has neither passes. A registration may be off by a cell: its light is looked for among its neighbours.
+A thing that moves fast over the pad is gone before corners of it could be followed. The deck about the pad is drawn as seen from
+above, in coarse cells, and compared with its slow mean (the sigma-delta background of Manzanera & Richefeu, Pattern Recogn. Lett.
+28, 2007). What lies there has the same share of that light as it had a fifth of a second before, at the same place. The drone's
+own shadow, glare and drops on the lens have it at the same place in the drone's cone, q = c + s h for a camera at height h over
+the place c. A patch that has neither passes. A registration may be off by a cell: its light is looked for among its neighbours.
 """
 
 import math

@@ -3,8 +3,6 @@
 The limits are those of the thesis (table 4.1) as whole numbers of OpenCV's HSV scale (hue 0..180, the rest 0..255), both ends
 included. Masks only select regions. Positions are measured in `Segmentation.light` and in the coverage by paint that `whiteness`
 and `orangeness` derive from it.
-
-Choose the blob of paint in the frame that is the disc.
 """
 
 from __future__ import annotations

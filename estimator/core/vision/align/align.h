@@ -5,6 +5,8 @@
 #ifndef DECKLANDER_ALIGN_H
 #define DECKLANDER_ALIGN_H
 
+#include <math.h>
+
 #include "vision/camera.h"
 #include "vision/tracker.h"
 #include "base/vectors.h"
@@ -32,6 +34,11 @@ enum align_feature {
 enum { PAINT_H = 0, PAINT_ORANGE = 1, PAINT_DISC = 2, PAINT_AROUND = 3 };
 /* Radius of the surroundings that count, in radii of the disc. */
 #define AROUND_RADII 1.12
+
+static inline double clipped(double x, double low, double high)
+{
+    return fmin(high, fmax(low, x));
+}
 
 /* The pixels of a part of a frame as light. */
 typedef struct {

@@ -91,10 +91,10 @@ static void add(const dl_lens *c, const picture *of, const dl_pad_pose *pose, do
 }
 
 /* 0..1: how surely a whole arrowhead would show in noise of this variance. */
-static double shows(double energy, double var)
+static double visibility(double energy, double var)
 {
     const double deviations = sqrt(energy / fmax(var, 1e-12));
-    return fmin(1.0, fmax(0.0, (deviations - HIDDEN) / (PLAIN - HIDDEN)));
+    return clipped((deviations - HIDDEN) / (PLAIN - HIDDEN), 0.0, 1.0);
 }
 
 /* Found, seen, clear; `var` is the variance of the noise in the projected light, which is no sign of anything else. */
@@ -108,7 +108,7 @@ static void support(place *from, double energy, double fine, double var, double 
     const double total = from->sums[ARROW][ARROW], square = fmax(0.0, from->sums[LIGHT][LIGHT] - var * from->n);
     const double strength = total > 1e-9 ? from->sums[ARROW][LIGHT] / total : 0.0;
     const double explained = strength > 0.0 ? strength * strength * total / fmax(square, 1e-9) : 0.0;
-    out[0] = fmin(1.0, fmax(0.0, strength)) * fmin(1.0, explained);
+    out[0] = clipped(strength, 0.0, 1.0) * fmin(1.0, explained);
     out[1] = seen * fmax(0.0, fine);
     out[2] = exp(-fmax(0.0, square - strength * strength * total) / from->n / CLEAR_VAR);
 }
@@ -159,7 +159,7 @@ void align_arrow(const dl_tracker *t, const seen_part *seen, const dl_pad_pose *
     memset(places, 0, sizeof places);
     const double energy = sample(c, p, map, &of, pose, places);
     const double value = noise / step, var = value * value / length, coarse = fmax(1.0, pixel_m / p->arrow_pitch_m);
-    const double shown = shows(energy / (coarse * coarse), var);
+    const double shown = visibility(energy / (coarse * coarse), var);
     support(&places[0], energy, fine * shown, var, out);
     support(&places[1], energy, fine * shown, var, out + 3);
 }

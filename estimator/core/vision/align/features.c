@@ -39,11 +39,6 @@ typedef struct {
     double gain, all, shown;
 } part_gain;
 
-static double clipped(double x, double low, double high)
-{
-    return fmin(high, fmax(low, x));
-}
-
 /* 0..1, saturating quickly: from afar a part can gain little, and any gain counts. */
 static double some(double gain)
 {

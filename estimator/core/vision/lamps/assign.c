@@ -21,7 +21,7 @@ static const double NEAREST_M = 0.02, PI = 3.14159265358979323846;
 typedef struct {
     double uv[DL_LAMPS_MAX][2];
     int in_view[DL_LAMPS_MAX];
-} shown_lamps;
+} projected_lamps;
 
 void pad_point(const dl_pad_pose *pose, double x, double y, double p[3])
 {
@@ -30,7 +30,7 @@ void pad_point(const dl_pad_pose *pose, double x, double y, double p[3])
     }
 }
 
-static void show(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_pad_pose *pose, shown_lamps *out)
+static void project_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_pad_pose *pose, projected_lamps *out)
 {
     for (int k = 0; k < (int)pad->lamps; k++) {
         double p[3];
@@ -42,7 +42,7 @@ static void show(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_pad
     }
 }
 
-static double between(const double a[2], const double b[2])
+static double distance(const double a[2], const double b[2])
 {
     return hypot(a[0] - b[0], a[1] - b[1]);
 }
@@ -52,7 +52,7 @@ static int32_t nearest_spot(const lamp_spots *spots, const double uv[2], double 
     int32_t best = -1;
     double least = INFINITY;
     for (int k = 0; k < spots->n; k++) {
-        const double away = between(uv, spots->spot[k].uv);
+        const double away = distance(uv, spots->spot[k].uv);
         if (away < least) {
             least = away, best = k;
         }
@@ -62,7 +62,7 @@ static int32_t nearest_spot(const lamp_spots *spots, const double uv[2], double 
 
 /* Compare the place of a spot with the middle of the lamps that are assigned to it. If they differ, the lamps lose the spot. Returns
  * whether they keep it. */
-static int keep_group(const dl_lamp_pattern *pad, const shown_lamps *shown, const lamp_spot *spot, int32_t s, double reach_px,
+static int keep_group(const dl_lamp_pattern *pad, const projected_lamps *shown, const lamp_spot *spot, int32_t s, double reach_px,
                       int32_t spot_of[DL_LAMPS_MAX])
 {
     double middle[2] = {0.0, 0.0};
@@ -76,7 +76,7 @@ static int keep_group(const dl_lamp_pattern *pad, const shown_lamps *shown, cons
         return 0;
     }
     middle[0] /= n, middle[1] /= n;
-    if (between(middle, spot->uv) <= reach_px + (n == 1 ? ALONE : SHARED) * spot->radius) {
+    if (distance(middle, spot->uv) <= reach_px + (n == 1 ? ALONE : SHARED) * spot->radius) {
         return 1;
     }
     for (int k = 0; k < (int)pad->lamps; k++) {
@@ -86,13 +86,13 @@ static int keep_group(const dl_lamp_pattern *pad, const shown_lamps *shown, cons
 }
 
 /* Count the lamps in view without a spot whose spots would be seen apart from those of other lamps. */
-static int missing(const dl_lamp_pattern *pad, const shown_lamps *shown, const int32_t spot_of[DL_LAMPS_MAX])
+static int count_missing(const dl_lamp_pattern *pad, const projected_lamps *shown, const int32_t spot_of[DL_LAMPS_MAX])
 {
     int n = 0;
     for (int k = 0; k < (int)pad->lamps; k++) {
         int apart = shown->in_view[k] && spot_of[k] < 0;
         for (int i = 0; i < (int)pad->lamps && apart; i++) {
-            apart = spot_of[i] < 0 || between(shown->uv[k], shown->uv[i]) > APART_PX;
+            apart = spot_of[i] < 0 || distance(shown->uv[k], shown->uv[i]) > APART_PX;
         }
         n += apart;
     }
@@ -100,14 +100,14 @@ static int missing(const dl_lamp_pattern *pad, const shown_lamps *shown, const i
 }
 
 /* The length of what of a circle's width lies within the frame. */
-static double within(double at, double radius, double length)
+static double length_in_frame(double at, double radius, double length)
 {
     return fmax(1.0, fmin(at + radius, length) - fmax(at - radius, 0.0));
 }
 
 /* Count the spots about the pad that no lamp explains. */
-static void look_about(const dl_lens *camera, const dl_lamp_pattern *pad, const lamp_spots *spots, const dl_pad_pose *pose,
-                       const int explained[DL_LAMP_SPOTS_MAX], lamp_assignment *out)
+static void count_strangers(const dl_lens *camera, const dl_lamp_pattern *pad, const lamp_spots *spots, const dl_pad_pose *pose,
+                            const int explained[DL_LAMP_SPOTS_MAX], lamp_assignment *out)
 {
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY}, reach_m = 0.0, p[3], uv[2];
     for (int k = 0; k < (int)pad->lamps; k++) {
@@ -125,18 +125,20 @@ static void look_about(const dl_lens *camera, const dl_lamp_pattern *pad, const 
     }
     camera_project(camera, p, uv);
     const double radius = camera->fx * ABOUT * reach_m / p[2];
-    out->area_px2 = PI / 4.0 * within(uv[0], radius, (double)camera->width) * within(uv[1], radius, (double)camera->height);
+    const double width_px = length_in_frame(uv[0], radius, (double)camera->width);
+    const double height_px = length_in_frame(uv[1], radius, (double)camera->height);
+    out->area_px2 = PI / 4.0 * width_px * height_px;
     for (int k = 0; k < spots->n; k++) {
-        out->strangers += !explained[k] && between(uv, spots->spot[k].uv) < radius;
+        out->strangers += !explained[k] && distance(uv, spots->spot[k].uv) < radius;
     }
 }
 
 void assign_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const lamp_spots *spots, const dl_pad_pose *pose, double reach_px,
                   lamp_assignment *out)
 {
-    shown_lamps shown;
+    projected_lamps shown;
     int explained[DL_LAMP_SPOTS_MAX], in_view = 0;
-    show(camera, pad, pose, &shown);
+    project_lamps(camera, pad, pose, &shown);
     for (int k = 0; k < (int)pad->lamps; k++) {
         in_view += shown.in_view[k];
         out->spot[k] = shown.in_view[k] ? nearest_spot(spots, shown.uv[k], reach_px) : -1;
@@ -146,10 +148,10 @@ void assign_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const lamp_
         explained[s] = keep_group(pad, &shown, &spots->spot[s], s, reach_px, out->spot);
         out->groups += explained[s];
     }
-    out->expected = out->groups + missing(pad, &shown, out->spot);
+    out->expected = out->groups + count_missing(pad, &shown, out->spot);
     if (in_view == 0) {
         out->strangers = 0, out->area_px2 = 1.0;
         return;
     }
-    look_about(camera, pad, spots, pose, explained, out);
+    count_strangers(camera, pad, spots, pose, explained, out);
 }

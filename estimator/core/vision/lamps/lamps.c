@@ -293,7 +293,7 @@ static void shift(const dark_frame *f, double reach_px, double within_px, dl_pad
 }
 
 /* Look where the pad is expected; returns the number of answers, none if these lights are hardly the pad's. */
-static int look(dark_frame *f, const dl_expected_lamps *at, explained_lamps *out)
+static int find_expected(dark_frame *f, const dl_expected_lamps *at, explained_lamps *out)
 {
     dl_pad_pose pose = at->pose;
     shift(f, at->reach_px, first_reach(f, &pose), &pose);
@@ -301,7 +301,7 @@ static int look(dark_frame *f, const dl_expected_lamps *at, explained_lamps *out
 }
 
 /* Search the spots of the whole frame; returns the number of answers. */
-static int search(const dark_frame *f, uint32_t *scratch, explained_lamps found[LAMP_GUESSES])
+static int find_anywhere(const dark_frame *f, uint32_t *scratch, explained_lamps found[LAMP_GUESSES])
 {
     dl_pad_pose guesses[LAMP_GUESSES];
     const int tried = guess_lamps(f->camera, f->pad, f->prior, &f->spots, scratch, guesses);
@@ -348,13 +348,13 @@ int32_t dl_find_lamps(dl_tracker *t, const dl_image *image, const dl_lamp_patter
     int part[4], n = 0, is_whole = 0;
     if (at && part_about(camera, pad, at, part)) {
         is_whole = (part[2] - part[0]) * (double)(part[3] - part[1]) > MOST_OF_FRAME * whole[2] * whole[3];
-        n = find_spots(&f, frame, light, is_whole ? whole : part, scratch) ? look(&f, at, found) : 0;
+        n = find_spots(&f, frame, light, is_whole ? whole : part, scratch) ? find_expected(&f, at, found) : 0;
     }
     if (n == 0) {
         if (!is_whole && !find_spots(&f, frame, light, whole, scratch)) {
             return DL_TOO_BRIGHT;
         }
-        n = search(&f, scratch, found);
+        n = find_anywhere(&f, scratch, found);
     }
     return write_surest(&f, n, found, out);
 }

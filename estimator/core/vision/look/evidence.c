@@ -52,15 +52,10 @@ static const double IN_PLACE_PX = 0.6, ASTRAY_PX = 0.9;
 /* Least contrast that another is compared with. */
 static const double LEAST_CONTRAST = 1e-3, NO_CONTRAST = 1e-6;
 
-static double within(double low, double high, double value)
-{
-    return fmin(high, fmax(low, value));
-}
-
 /* 0..1: 1 at `yes`, 0 at `no`, and linear between. */
-static double between(double yes, double no, double value)
+static double ramp(double yes, double no, double value)
 {
-    return within(0.0, 1.0, (value - no) / (yes - no));
+    return clipped((value - no) / (yes - no), 0.0, 1.0);
 }
 
 static int is_seen(const dl_edge_support *edge)
@@ -102,7 +97,7 @@ static double no_ring(const dl_registration *found, const dl_aligned_pad *aligne
         return 1.0;
     }
     const int half = ring->in_view > 0.25 && ring->snr > 2.0 * SNR_SEEN && ring->likeness > 0.8 && ring->inliers > 0.25;
-    return (half ? HALF_A_RING : 1.0) * between(RING_GAIN_LOW, RING_GAIN_HIGH, aligned->features[FEATURE_RING]);
+    return (half ? HALF_A_RING : 1.0) * ramp(RING_GAIN_LOW, RING_GAIN_HIGH, aligned->features[FEATURE_RING]);
 }
 
 /* How surely the disc's contrast is less than a third of that of its kind of paint. A grey disc may be as bright as any deck: there a
@@ -111,15 +106,15 @@ static double no_disc(const dl_pad_verification *judge, const dl_registration *f
 {
     const dl_edge_support *disc = &found->edges[DISC];
     const double h = fmax(contrast(&found->edges[H]), LEAST_CONTRAST);
-    const double less = within(0.0, 1.0, 2.0 * (log(PLAIN_DISC * h / fmax(contrast(disc), NO_CONTRAST)) - 0.5));
-    return judge->disc_has_colour ? less : less * between(SNR_GREY_HIDDEN, SNR_GREY_SHOWN, disc->snr);
+    const double less = clipped(2.0 * (log(PLAIN_DISC * h / fmax(contrast(disc), NO_CONTRAST)) - 0.5), 0.0, 1.0);
+    return judge->disc_has_colour ? less : less * ramp(SNR_GREY_HIDDEN, SNR_GREY_SHOWN, disc->snr);
 }
 
 /* How surely the H shows less or more than the ring beside it implies. */
 static double h_contrast_odd(const dl_registration *found)
 {
     const double ring = fmax(contrast(&found->edges[RING]), NO_CONTRAST), h = fmax(contrast(&found->edges[H]), NO_CONTRAST);
-    return within(0.0, 1.0, 2.0 * fmax(log(H_OVER_RING_LOW * ring / h), log(h / (H_OVER_RING_HIGH * ring))));
+    return clipped(2.0 * fmax(log(H_OVER_RING_LOW * ring / h), log(h / (H_OVER_RING_HIGH * ring))), 0.0, 1.0);
 }
 
 /* How surely the H's paint is not brighter than the disc's in some channel, although the pad's is in all. */
@@ -130,7 +125,7 @@ static double not_brighter(const dl_pad_verification *judge, const dl_aligned_pa
             return 0.0;
         }
     }
-    return between(NOT_BRIGHTER, BRIGHTER, aligned->features[FEATURE_WHITE]);
+    return ramp(NOT_BRIGHTER, BRIGHTER, aligned->features[FEATURE_WHITE]);
 }
 
 /* Evidence for a pad whose disc has few pixels, where contrasts say more than shapes. */
@@ -141,18 +136,18 @@ static void from_afar(const dl_pad_verification *judge, const dl_registration *f
     out[EVIDENCE_DENSE] = 1.0;
     out[EVIDENCE_DENSE_INLIERS] = found->inliers;
     out[EVIDENCE_DENSE_TEMPLATE_SCORE] = template_score;
-    out[EVIDENCE_DISAGREES] = between(DISAGREES, AGREES, found->inliers);
-    out[EVIDENCE_HALF_DISAGREES] = between(HALF_DISAGREES, MOST_AGREE, found->inliers) *
-                                   between(HARDLY_FOLLOWS, FOLLOWS, template_score) *
-                                   between(SNR_DULL, SNR_CLEAR, found->edges[DISC].snr);
+    out[EVIDENCE_DISAGREES] = ramp(DISAGREES, AGREES, found->inliers);
+    out[EVIDENCE_HALF_DISAGREES] = ramp(HALF_DISAGREES, MOST_AGREE, found->inliers) *
+                                   ramp(HARDLY_FOLLOWS, FOLLOWS, template_score) *
+                                   ramp(SNR_DULL, SNR_CLEAR, found->edges[DISC].snr);
     if (judge->has_field) {
-        out[EVIDENCE_DENSE_DISC] = within(-1.0, 1.0, 0.5 * log(fmax(found->edges[DISC].snr, 1e-3) / SNR_SEEN));
+        out[EVIDENCE_DENSE_DISC] = clipped(0.5 * log(fmax(found->edges[DISC].snr, 1e-3) / SNR_SEEN), -1.0, 1.0);
     }
     if (judge->has_field && judge->has_letters) {
         out[EVIDENCE_NO_DISC] = no_disc(judge, found);
     }
     if (judge->has_letters && judge->disc_has_colour) {
-        out[EVIDENCE_H_DISAGREES] = between(HALF_AGREES, MORE_AGREES, found->inliers) * (1.0 - found->edges[H].inliers);
+        out[EVIDENCE_H_DISAGREES] = ramp(HALF_AGREES, MORE_AGREES, found->inliers) * (1.0 - found->edges[H].inliers);
     }
     if (has_both) {
         double off[CHANNELS];
@@ -171,13 +166,13 @@ static void from_near(const dl_pad_verification *judge, const dl_registration *f
     const dl_edge_support *disc = &found->edges[DISC], *ring = &found->edges[RING], *h = &found->edges[H];
     const int other = is_seen(disc) || (is_seen(ring) && ring->in_view > RING_IN_VIEW) || is_seen(&found->edges[ARROW]);
     out[EVIDENCE_DISC_UNSEEN] = disc->snr < SNR_SEEN ? disc_shown : 0.0;
-    out[EVIDENCE_CORNER] = judge->has_letters && is_seen(h) && !is_seen(disc) ? between(CORNER, NO_CORNER, h->in_view) : 0.0;
+    out[EVIDENCE_CORNER] = judge->has_letters && is_seen(h) && !is_seen(disc) ? ramp(CORNER, NO_CORNER, h->in_view) : 0.0;
     /* A sheet without a disc may be bent, and an unknown lens displaces large drawings: their support says more. */
-    out[EVIDENCE_EDGES_ASTRAY] = judge->has_field ? between(ASTRAY_PX, IN_PLACE_PX, found->edge_rms_px) : 0.0;
+    out[EVIDENCE_EDGES_ASTRAY] = judge->has_field ? ramp(ASTRAY_PX, IN_PLACE_PX, found->edge_rms_px) : 0.0;
     out[EVIDENCE_NO_H_IN_VIEW] = judge->has_letters && !judge->has_fiducials && h->in_view <= H_IN_VIEW && no_h_shows(found);
     const dl_edge_support *upper = &found->edges[UPPER];
     const double no_upper = upper->in_view > UPPER_IN_VIEW && upper->snr < SNR_SEEN;
-    out[EVIDENCE_H_ASTRAY] = other ? 0.0 : fmax(no_upper, between(OTHER_H, THIS_H, h->inliers));
+    out[EVIDENCE_H_ASTRAY] = other ? 0.0 : fmax(no_upper, ramp(OTHER_H, THIS_H, h->inliers));
 }
 
 void look_evidence(const dl_pad_verification *judge, const double weights[DL_EVIDENCE], const dl_registration *found, const dl_aligned_pad *aligned,
@@ -188,7 +183,7 @@ void look_evidence(const dl_pad_verification *judge, const double weights[DL_EVI
     for (int i = 0; i < DL_FEATURES; i++) {
         score += judge->template_weights[i] * aligned->features[i];
     }
-    score = within(-8.0, 8.0, score);
+    score = clipped(score, -8.0, 8.0);
     for (int k = 0; k < DL_EDGE_KINDS; k++) {
         in_view[k] = fmin(1.0, TELLING * edges[k].in_view);
     }

@@ -61,7 +61,7 @@ int64_t search_most(int64_t width, int64_t height)
     return most > blobs ? most : blobs;
 }
 
-static int known(const dl_circle *one, const dl_circle *others, int n)
+static int is_among(const dl_circle *one, const dl_circle *others, int n)
 {
     for (int k = 0; k < n; k++) {
         const double apart = hypot(one->centre[0] - others[k].centre[0], one->centre[1] - others[k].centre[1]);
@@ -108,7 +108,7 @@ int32_t dl_search_circles(dl_tracker *t, const dl_frame *frame, const dl_image *
         if (!search_peak(&image, &rows, &peak)) {
             break;
         }
-        n += search_fit(&image, &radii, &rows, &peak, &out[n]) && !known(&out[n], out, n);
+        n += search_fit(&image, &radii, &rows, &peak, &out[n]) && !is_among(&out[n], out, n);
     }
     return n;
 }

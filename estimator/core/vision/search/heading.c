@@ -116,7 +116,7 @@ static void read_corners(int w, int h, const uint8_t *px, int32_t stride, const 
 
 /* One channel of each cell between its four pixels, 0..1. */
 WIDE
-static void between(const polar_places *at, const polar_corners *of, int channel, float *restrict out)
+static void interpolate(const polar_places *at, const polar_corners *of, int channel, float *restrict out)
 {
     const int shift = 8 * channel;
     for (int k = 0; k < CELLS; k++) {
@@ -185,8 +185,8 @@ static void add_up(const dl_polar_pad *pad, const float light[3][CELLS], const p
     out->in_view = out->whole[0];
 }
 
-static void look(const dl_lens *c, const dl_polar_pad *pad, const dl_image *image, int32_t step, const dl_pad_pose *pose, const double *side,
-                 polar_view *out, disc_sums *sums)
+static void read_view(const dl_lens *c, const dl_polar_pad *pad, const dl_image *image, int32_t step, const dl_pad_pose *pose,
+                      const double *side, polar_view *out, disc_sums *sums)
 {
     const int w = (int)image->width, h = (int)image->height;
     const double rim_m = RIM_PX * step * pose->t[2] / c->fx, within = pad->radius_m - fmin(rim_m, WIDEST_RIM * pad->radius_m);
@@ -202,7 +202,7 @@ static void look(const dl_lens *c, const dl_polar_pad *pad, const dl_image *imag
     choose(pad, step, w, h, within, side ? side : any_side, side ? 0.0 : -1.0, &at);
     read_corners(w, h, image->px, (int32_t)image->stride, &at, &of);
     for (int i = 0; i < 3; i++) {
-        between(&at, &of, i, light[i]);
+        interpolate(&at, &of, i, light[i]);
     }
     set_cell_weights(pad, &at, (const float(*)[CELLS])light, out);
     add_up(pad, (const float(*)[CELLS])light, out, sums);
@@ -312,7 +312,7 @@ int search_heading(const dl_lens *c, const dl_polar_pad *pad, const dl_image *im
     float h[VALUES][DL_POLAR_ANGLES], arrow[VALUES][DL_POLAR_ANGLES];
     double score[DL_POLAR_ANGLES];
     disc_sums of;
-    look(c, pad, image, step, pose, side, &seen, &of);
+    read_view(c, pad, image, step, pose, side, &seen, &of);
     if (!(of.in_view >= LEAST_IN_VIEW * of.area)) {
         return 0;
     }
