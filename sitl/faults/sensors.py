@@ -5,7 +5,7 @@ Offsets and the like carry the unit of the sensor in their name.
 """
 
 import math
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from estimator.contracts.keys import choice, number
 from sitl.faults.fault import Fault
@@ -29,8 +29,13 @@ class ReadingErrors(NamedTuple):
 
 
 class SensorFault(Fault, frozen=True):
-    """A fault of one sensor; each kind says its numbers in `errors`."""
+    """A fault of one sensor. The numbers of a kind have the names of `ERRORS`, with the kind's own unit."""
 
+    ERRORS: ClassVar[tuple[str, ...]] = ("offset", "drift", "noise", "limit")
+    UNIT: ClassVar[float] = 1.0
+    """One such unit, in SI units or radians."""
+    AXES: ClassVar[str] = ""
+    """Names of the values of a reading that has several."""
     frozen: Annotated[bool, choice("whether the reading at the beginning is repeated")] = False
     delay_s: Annotated[float, number("time by which readings are older than they claim", "s", 0.0, MOST_DELAY_S)] = 0.0
     dropped_fraction: Annotated[
@@ -42,9 +47,17 @@ class SensorFault(Fault, frozen=True):
     scale: Annotated[float, number("reported value over the true value", "1", -10.0, 10.0)] = 1.0
 
     @property
+    def axes(self) -> tuple[bool, ...]:
+        """The values of the reading that the fault acts on."""
+        return tuple(getattr(self, "axis", "all") in (name, "all") for name in self.AXES) or (True,)
+
+    @property
     def errors(self) -> ReadingErrors:
         """The numbers of this kind in SI units."""
-        return ReadingErrors()
+        numbers = [(name.partition("_")[0], getattr(self, name)) for name in self.__struct_fields__]
+        given = {name: self.UNIT * value for name, value in numbers if name in self.ERRORS and value is not None}
+        offset, drift = (tuple(given[name] if on else 0.0 for on in self.axes) for name in ("offset", "drift"))
+        return ReadingErrors(offset, drift, given["noise"], given.get("limit", math.inf), self.axes)
 
     def check(self) -> None:
         """Refuse a fault without an effect; raises ValueError."""
@@ -54,44 +67,27 @@ class SensorFault(Fault, frozen=True):
             raise ValueError("nothing says what is wrong with the sensor: give frozen, delay_s, scale or another effect")
 
 
-def _three(axis: Axis, value: float) -> tuple[float, ...]:
-    return tuple(value if on else 0.0 for on in _axes(axis))
-
-
-def _axes(axis: Axis) -> tuple[bool, ...]:
-    return tuple(axis in (name, "all") for name in "xyz")
-
-
 class Accelerometer(SensorFault, frozen=True, tag="accelerometer"):
     """The accelerometer; a spike where the fault lasts for milliseconds."""
 
+    AXES = "xyz"
     axis: Annotated[Axis, choice(_AXIS)] = "all"
     offset_m_s2: Annotated[float, number(_OFFSET, "m/s^2", -1e6, 1e6)] = 0.0
     drift_m_s3: Annotated[float, number(_DRIFT, "m/s^3", -1e3, 1e3)] = 0.0
     noise_m_s2: Annotated[float, number(_NOISE, "m/s^2", 0.0, 1e3)] = 0.0
     limit_m_s2: Annotated[float, number(_LIMIT, "m/s^2", 0.0, 1e3)] | None = None
 
-    @property
-    def errors(self) -> ReadingErrors:
-        limit = math.inf if self.limit_m_s2 is None else self.limit_m_s2
-        offset, drift = _three(self.axis, self.offset_m_s2), _three(self.axis, self.drift_m_s3)
-        return ReadingErrors(offset, drift, self.noise_m_s2, limit, _axes(self.axis))
-
 
 class Gyro(SensorFault, frozen=True, tag="gyro"):
     """The gyro."""
 
+    UNIT = math.radians(1.0)
+    AXES = "xyz"
     axis: Annotated[Axis, choice(_AXIS)] = "all"
     offset_deg_s: Annotated[float, number(_OFFSET, "deg/s", -1e5, 1e5)] = 0.0
     drift_deg_s2: Annotated[float, number(_DRIFT, "deg/s^2", -1e3, 1e3)] = 0.0
     noise_deg_s: Annotated[float, number(_NOISE, "deg/s", 0.0, 1e4)] = 0.0
     limit_deg_s: Annotated[float, number(_LIMIT, "deg/s", 0.0, 1e4)] | None = None
-
-    @property
-    def errors(self) -> ReadingErrors:
-        limit = math.inf if self.limit_deg_s is None else math.radians(self.limit_deg_s)
-        offset, drift = _three(self.axis, math.radians(self.offset_deg_s)), _three(self.axis, math.radians(self.drift_deg_s2))
-        return ReadingErrors(offset, drift, math.radians(self.noise_deg_s), limit, _axes(self.axis))
 
 
 class AttitudeReading(SensorFault, frozen=True, tag="attitude"):
@@ -115,30 +111,25 @@ class AttitudeReading(SensorFault, frozen=True, tag="attitude"):
 class HeadingReading(SensorFault, frozen=True, tag="heading"):
     """The reported heading; the magnetic field turns with an offset or a drift, as beside steel."""
 
+    UNIT = math.radians(1.0)
     offset_deg: Annotated[float, number("added heading, clockwise", "deg", -180.0, 180.0)] = 0.0
     drift_deg_s: Annotated[float, number("added heading for each second since the fault began", "deg/s", -90.0, 90.0)] = 0.0
     noise_deg: Annotated[float, number(_NOISE, "deg", 0.0, 180.0)] = 0.0
 
     @property
-    def errors(self) -> ReadingErrors:
-        offset, drift = (0.0, 0.0, math.radians(self.offset_deg)), (0.0, 0.0, math.radians(self.drift_deg_s))
-        return ReadingErrors(offset, drift, math.radians(self.noise_deg), math.inf, (False, False, True))
+    def axes(self) -> tuple[bool, ...]:
+        return (False, False, True)
 
 
 class VelocityReading(SensorFault, frozen=True, tag="velocity"):
     """The velocity that the vehicle reports; its own loops go on with the right one."""
 
+    AXES = "xy"
     axis: Annotated[Literal["x", "y", "all"], choice("affected axis: x forward, y right")] = "all"
     offset_m_s: Annotated[float, number(_OFFSET, "m/s", -20.0, 20.0)] = 0.0
     drift_m_s2: Annotated[float, number(_DRIFT, "m/s^2", -10.0, 10.0)] = 0.0
     noise_m_s: Annotated[float, number(_NOISE, "m/s", 0.0, 20.0)] = 0.0
     limit_m_s: Annotated[float, number(_LIMIT, "m/s", 0.0, 20.0)] | None = None
-
-    @property
-    def errors(self) -> ReadingErrors:
-        limit = math.inf if self.limit_m_s is None else self.limit_m_s
-        offset, drift = _three(self.axis, self.offset_m_s)[:2], _three(self.axis, self.drift_m_s2)[:2]
-        return ReadingErrors(offset, drift, self.noise_m_s, limit, _axes(self.axis)[:2])
 
 
 class Ultrasound(SensorFault, frozen=True, tag="ultrasound"):
@@ -149,11 +140,6 @@ class Ultrasound(SensorFault, frozen=True, tag="ultrasound"):
     noise_m: Annotated[float, number(_NOISE, "m", 0.0, 6.0)] = 0.0
     limit_m: Annotated[float, number(_LIMIT, "m", 0.0, 20.0)] | None = None
 
-    @property
-    def errors(self) -> ReadingErrors:
-        limit = math.inf if self.limit_m is None else self.limit_m
-        return ReadingErrors((self.offset_m,), (self.drift_m_s,), self.noise_m, limit)
-
 
 class Barometer(SensorFault, frozen=True, tag="barometer"):
     """The barometer; 12 Pa more are one metre less of height."""
@@ -162,20 +148,13 @@ class Barometer(SensorFault, frozen=True, tag="barometer"):
     drift_pa_s: Annotated[float, number(_DRIFT, "Pa/s", -200.0, 200.0)] = 0.0
     noise_pa: Annotated[float, number(_NOISE, "Pa", 0.0, 2000.0)] = 0.0
 
-    @property
-    def errors(self) -> ReadingErrors:
-        return ReadingErrors((self.offset_pa,), (self.drift_pa_s,), self.noise_pa)
-
 
 class Magnetometer(SensorFault, frozen=True, tag="magnetometer"):
     """The magnetometer."""
 
+    UNIT = 1e-6
+    AXES = "xyz"
     axis: Annotated[Axis, choice(_AXIS)] = "all"
     offset_ut: Annotated[float, number(_OFFSET, "uT", -200.0, 200.0)] = 0.0
     drift_ut_s: Annotated[float, number(_DRIFT, "uT/s", -50.0, 50.0)] = 0.0
     noise_ut: Annotated[float, number(_NOISE, "uT", 0.0, 200.0)] = 0.0
-
-    @property
-    def errors(self) -> ReadingErrors:
-        offset, drift = _three(self.axis, 1e-6 * self.offset_ut), _three(self.axis, 1e-6 * self.drift_ut_s)
-        return ReadingErrors(offset, drift, 1e-6 * self.noise_ut, math.inf, _axes(self.axis))

@@ -311,28 +311,12 @@ def _array(value: Sequence[float] | float | None) -> F64 | None:
 
 def _put(r: Readings, field: Field, value: F64 | None) -> Readings:
     """Return the readings with another value; a sensor that can fail may have None, the others then keep theirs."""
-    if field == "ultrasound_m":
-        return replace(r, ultrasound_m=None if value is None else max(0.0, float(value[0])))
-    if field == "magnetometer":
-        return replace(r, magnetometer=None if value is None else _three(value))
     if value is None:
-        return r
-    match field:
-        case "f_body":
-            return replace(r, f_body=_three(value))
-        case "w_body":
-            return replace(r, w_body=_three(value))
-        case "rpy_rad":
-            return replace(r, rpy_rad=_three(value))
-        case "v_level_m_s":
-            return replace(r, v_level_m_s=(float(value[0]), float(value[1])))
-        case "pressure_pa":
-            return replace(r, pressure_pa=float(value[0]))
-
-
-def _three(value: F64) -> tuple[float, float, float]:
-    x, y, z = value.tolist()
-    return x, y, z
+        return replace(r, **{field: None}) if field in ("ultrasound_m", "magnetometer") else r
+    numbers = value.tolist()
+    if field == "ultrasound_m":
+        numbers = [max(0.0, numbers[0])]
+    return replace(r, **{field: tuple(numbers) if len(numbers) > 1 else numbers[0]})
 
 
 def _turned(field: tuple[float, float, float] | None, by_rad: float) -> tuple[float, float, float] | None:

@@ -4,13 +4,14 @@ vehicle = load(path)               # of a shipped one: configs/vehicles/ardrone2
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
 from msgspec import Meta, Struct
+from msgspec.structs import asdict
 
 from companion.settings.load import read_toml
 from companion.settings.schema import explain
@@ -282,31 +283,8 @@ class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
             tilt_max_rad=math.radians(self.loops.tilt_max_deg),
             yaw_rate_p=self.loops.yaw_rate_p,
         )
-        feet = Feet(
-            half_base_m=self.feet.half_base_m,
-            below_m=self.feet.below_m,
-            top_m=self.feet.top_m,
-            stiffness_n_m=self.feet.stiffness_n_m,
-            friction=self.feet.friction,
-        )
-        return Airframe(
-            mass_kg=self.mass_kg,
-            inertia_kg_m2=self.inertia_kg_m2,
-            thrust_max_n=self.thrust_max_n,
-            torque_max_n_m=self.torque_max_n_m,
-            motor_lag_s=self.motor_lag_s,
-            command_delay_s=self.command_delay_s,
-            layout=self.layout,
-            arm_m=self.arm_m,
-            rotor_radius_m=self.rotor_radius_m,
-            ground_effect=self.ground_effect,
-            rotors_above_m=self.rotors_above_m,
-            yaw_torque_per_thrust_m=self.yaw_torque_per_thrust_m,
-            drag_per_s=self.drag_per_s,
-            landing_speed_m_s=self.landing_speed_m_s,
-            loops=loops,
-            feet=feet,
-        )
+        shared = {one.name: getattr(self, one.name) for one in fields(Airframe) if hasattr(self, one.name)}
+        return Airframe(**{**shared, "loops": loops, "feet": Feet(**asdict(self.feet))})
 
     def stick_limits(self) -> StickLimits:
         """Return what a full stick requests."""
@@ -377,15 +355,9 @@ class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):
         mass = base.mass_kg if self.mass_kg is None else self.mass_kg
         k = mass / base.mass_kg
         ix, iy, iz = base.inertia_kg_m2
-        return replace(
-            base,
-            mass_kg=mass,
-            inertia_kg_m2=(k * ix, k * iy, k * iz),
-            command_delay_s=base.command_delay_s if self.command_delay_s is None else self.command_delay_s,
-            motor_lag_s=base.motor_lag_s if self.motor_lag_s is None else self.motor_lag_s,
-            landing_speed_m_s=base.landing_speed_m_s if self.landing_speed_m_s is None else self.landing_speed_m_s,
-            ground_effect=base.ground_effect if self.ground_effect is None else self.ground_effect,
-        )
+        names = ("command_delay_s", "motor_lag_s", "landing_speed_m_s", "ground_effect")
+        changed = {name: value for name in names if (value := getattr(self, name)) is not None}
+        return replace(base, mass_kg=mass, inertia_kg_m2=(k * ix, k * iy, k * iz), **changed)
 
     def stick_limits(self, vehicle: VehicleFile) -> StickLimits:
         """Return what a full stick of a vehicle requests at first, with these changes."""

@@ -13,12 +13,11 @@ from companion.settings.load import load as load_settings
 from estimator.contracts.time import NS_PER_S
 from sitl.campaign.figures import in_words
 from sitl.flight.ending import Ending
-from sitl.flight.grade import Grade
 from sitl.flight.one_flight import TRUTH_EACH, FlyOptions, fly, settings_for
 from sitl.scenario.scenario import load
 from sitl.scenario.with_fault import faulty
 from sitl.world.truth import Truth
-from tests.fly import ObservedCalls, land, near, new_flight, simulate
+from tests.fly import ObservedCalls, land, near, simulate
 from tests.make import change
 from tests.sitl.campaign.fakes import tally_of
 
@@ -56,16 +55,6 @@ def test_what_is_flown_on_without_a_link_is_reported_and_is_no_blind_descent() -
     assert ending.judged is not None
     assert ending.judged.unsafe == ()
     assert "while nothing reached it" in ending.judged.because
-
-
-def test_a_question_to_the_operator_that_is_open_when_time_ends_is_a_refusal() -> None:
-    scenario = near(duration_limit_s=1.0, expect="either", because="somebody is asked")
-    settings = settings_for(scenario, None)
-    flight = new_flight(scenario, 3, settings=settings)
-    flight.world.guidance_phase = "descend"
-    assert flight.result().grade is Grade.FAILED
-    flight.world.guidance_phase = State.ANOTHER_PAD.value
-    assert flight.result().grade is Grade.REFUSED_RIGHTLY
 
 
 def test_a_flight_whose_guidance_still_tries_goes_on_in_overtime_and_no_other() -> None:

@@ -533,16 +533,6 @@ def test_a_descent_while_nothing_reaches_the_vehicle_is_kept_apart() -> None:
     assert (lost.worst.descent_m, lost.unreached_m) == (pytest.approx(0.25), pytest.approx(1.25))
     assert back.worst.descent_m == pytest.approx(0.75), "what it did alone is not charged"
     assert back.unreached_m == pytest.approx(0.75)
-    for height, up in ((2.0, 1.0), (3.0, -1.0)):
-        seen_s = [Step(at_s, 3.0, seen=at_s == 0.0) for at_s in (0.0, 1.2)]
-        goes = [
-            Step(1.5, height),
-            Step(2.0, height, reached=False),
-            Step(3.0, height - 0.5, reached=False),
-            Step(3.1, height - 0.5),
-        ]
-        there = [replace_step(step, deck_up=up, seen=False) for step in (*goes, Step(4.0, height - 0.8))]
-        assert judged([*seen_s, *there]).sight.worst.descent_m == pytest.approx(0.3), "nor over a deck that came up or fell"
     deck = ((0.0, True, 0.4), (0.1, False, 0.05), (0.5, False, 0.1), (0.7, False, 0.4), (0.8, True, 0.4), (0.9, False, -0.2))
     falls = [Step(at_s, deck_falls=m_s, reached=reached) for at_s, reached, m_s in deck]
     assert judged(falls).sight.deck_fell_m_s == pytest.approx(0.1), "as long as the last command was meant to meet the deck"

@@ -115,12 +115,10 @@ def test_a_blended_loop_is_smooth_where_it_closes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "the first line must be time_s,surge_m"),
         ("t,x,y\n1,2,3\n", "the first line must be time_s,surge_m"),
         (HEADER + row(0) + row(0.1), "2 rows of motion; four or more are needed"),
         (HEADER + row(0) + "0.1,1,2\n", "line 3 has 3 cells, not 7"),
         (HEADER + row(0) + "0.1,0,0,nan,0,0,0\n", "line 3: heave_down_m must be a finite number, found 'nan'"),
-        (HEADER + row(0) + "0.1,0,high,0,0,0,0\n", "line 3: sway_m must be a finite number, found 'high'"),
         (HEADER + row(0.1) + row(0.1), "line 3: time_s must ascend, found 0.1 after 0.1"),
         (HEADER + row(0) + row(5), "line 3: a gap of 5 s"),
         (HEADER + row(0) + "0.1,0,0,0,95,0,0\n", "line 3: roll_deg must lie within 80, found 95"),
@@ -143,10 +141,8 @@ CLOSED = "[closed_form]\nblock = 0.6\nroll_period_s = 2.2\nroll_damping = 0.2\n"
     ("rest", "said"),
     [
         ("", "exactly one of closed_form, table and recording must say how it moves, found 0"),
-        (CLOSED + '[recording]\nfile = "motion.csv"\n', "exactly one of closed_form, table and recording"),
         ("pad_forward_m = 3.0\n" + CLOSED, "the pad's centre must lie on the deck"),
         ("[closed_form]\nblock = 0.6\nroll_damping = 0.2\n", "closed_form.roll_period_s is missing: it must be a number"),
-        ("heigth_m = 3.0\n" + CLOSED, "heigth_m is not a known key"),
         ('[recording]\nfile = "none.csv"\n', "none.csv: not readable"),
         ('[recording]\nfile = "motion.csv"\nloop_blend_s = 20.0\n', "30.0 s of motion are too short to blend 20 s of them"),
         (
@@ -173,7 +169,6 @@ def test_a_bad_vessel_is_refused_in_one_line(tmp_path: Path, rest: str, said: st
     ("vessel", "said"),
     [
         ('file = "ferry"\nhull = "ferry"', "vessel: hull and file both name a ship: give one"),
-        ('file = "fery"', "vessel.file: there is no file"),
         ("turn_rate_deg_s = 1.0", "vessel: turn_rate_deg_s needs speed_m_s"),
         ("turn_at_s = 9.0", "vessel: turn_at_s and turn_over_s belong to a turn"),
         ('moored = false\nspeed_m_s = 2.0\nturn_rate_deg_s = 1.0\nhull = "otter"', "hull otter: a turn needs gm_m and kg_m"),

@@ -1,10 +1,36 @@
-"""Start ArduCopter on the simulated physics. Source: its own --help and the documentation of its parameters."""
+"""Start ArduCopter on the simulated physics, and answer it by its JSON interface: servo outputs in, state out, in lock step.
 
-from collections.abc import Mapping
+    sim_vehicle.py -v ArduCopter -f JSON:127.0.0.1 --no-rebuild ...      # ArduPilot sends requests, this module answers
+
+ArduPilot sends a binary packet from its own port to 9002 and waits; the answer is one line of JSON. Its clock follows the
+timestamps of the answers. A repeated frame number means that an answer was lost, a smaller one that ArduPilot was restarted.
+
+Source: ArduPilot, libraries/SITL/examples/JSON/readme.md, SIM_JSON.cpp, its --help and the documentation of its parameters.
+"""
+
+import asyncio
+import json
+import struct
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from sitl.emulators.autopilots.ardupilot_json import CURVE
-from sitl.emulators.autopilots.px4_hil import Home
+from drivers.mailbox import Latest
+from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
+from sitl.emulators.autopilots.motors import Motors
+from sitl.emulators.autopilots.px4 import Home
+
+PORT = 9002
+_MAGIC = {18458: 16, 29569: 32}
+"""Number of channels by magic number of a packet."""
+_HEADER = struct.Struct("<HHI")
+STEP_S = 0.00125
+"""Step of the physics, s: half a cycle of ArduCopter's main loop, which misses one cycle in four at a whole cycle. ArduCopter
+first requests 1200 Hz and then adopts the rate of the timestamps."""
+CURVE = 0.65
+"""MOT_THST_EXPO that ArduCopter assumes by default."""
 
 DEFAULTS = "decklander.parm"
 PARAMETERS: dict[str, float] = {
@@ -19,27 +45,9 @@ PARAMETERS: dict[str, float] = {
     "ATC_RAT_YAW_I": 0.06,
     "ATC_ANG_YAW_P": 3.0,
     # Calibration of its simulated compass and accelerometers, so that it arms
-    "COMPASS_OFS_X": 5,
-    "COMPASS_OFS_Y": 13,
-    "COMPASS_OFS_Z": -18,
-    "COMPASS_OFS2_X": 5,
-    "COMPASS_OFS2_Y": 13,
-    "COMPASS_OFS2_Z": -18,
-    "COMPASS_OFS3_X": 5,
-    "COMPASS_OFS3_Y": 13,
-    "COMPASS_OFS3_Z": -18,
-    "INS_ACCOFFS_X": 0.001,
-    "INS_ACCOFFS_Y": 0.001,
-    "INS_ACCOFFS_Z": 0.001,
-    "INS_ACCSCAL_X": 1.001,
-    "INS_ACCSCAL_Y": 1.001,
-    "INS_ACCSCAL_Z": 1.001,
-    "INS_ACC2OFFS_X": 0.001,
-    "INS_ACC2OFFS_Y": 0.001,
-    "INS_ACC2OFFS_Z": 0.001,
-    "INS_ACC2SCAL_X": 1.001,
-    "INS_ACC2SCAL_Y": 1.001,
-    "INS_ACC2SCAL_Z": 1.001,
+    **{f"COMPASS_OFS{n}_{axis}": value for n in ("", 2, 3) for axis, value in (("X", 5), ("Y", 13), ("Z", -18))},
+    **{f"INS_ACC{n}OFFS_{axis}": 0.001 for n in ("", 2) for axis in "XYZ"},
+    **{f"INS_ACC{n}SCAL_{axis}": 1.001 for n in ("", 2) for axis in "XYZ"},
     "INS_GYR_CAL": 0,
     # Flight without a remote control and without a ground station's heartbeat
     "FS_THR_ENABLE": 0,
@@ -77,7 +85,6 @@ def argv(
     physics_port: int,
     mavlink_ports: tuple[int, int],
     heading_deg: float = 0.0,
-    home: Home | None = None,
     parameters: Mapping[str, float] | None = None,
     speedup: float = 1.0,
 ) -> list[str]:
@@ -88,7 +95,7 @@ def argv(
         mavlink_ports: UDP ports on the loopback to which its first two MAVLink ports send.
         heading_deg: initial heading of the vehicle.
     """
-    at = home or Home()
+    at = Home()
     defaults = folder / DEFAULTS
     asked = {**PARAMETERS, **(parameters or {})}
     defaults.write_text("".join(f"{name} {value:g}\n" for name, value in asked.items()))
@@ -100,3 +107,138 @@ def argv(
         "--home", place, "--defaults", str(defaults), "--speedup", f"{speedup:g}", "--rc-in-port", "0", "--wipe",
         "--serial0", first, "--serial1", second, *others,
     ]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Servos:
+    """One packet from ArduPilot."""
+
+    rate_hz: int
+    frame: int
+    pwm_us: tuple[int, ...]
+
+    @property
+    def motors(self) -> Motors:
+        """Commands 0..1 of the first four motors; 1000 us and less is a stopped motor."""
+        a, b, c, d = (min(max((p - 1000) / 1000, 0.0), 1.0) for p in self.pwm_us[:4])
+        return (a, b, c, d)
+
+
+def decode(data: bytes) -> Servos | None:
+    """Return the decoded packet, or None if the bytes are not one."""
+    if len(data) < _HEADER.size:
+        return None
+    magic, rate_hz, frame = _HEADER.unpack_from(data)
+    channels = _MAGIC.get(magic)
+    if channels is None or len(data) != _HEADER.size + 2 * channels or not 50 <= rate_hz <= 10_000:
+        return None
+    return Servos(rate_hz, frame, struct.unpack_from(f"<{channels}H", data, _HEADER.size))
+
+
+def encode(state: BodyState) -> bytes:
+    """Return the answer for a state: a line of JSON in SI units, ned and body axes."""
+    output: dict[str, Any] = {
+        "timestamp": state.t_s,
+        "imu": {"gyro": _list(state.w_body), "accel_body": _list(state.f_body)},
+        "position": _list(state.p_ned),
+        "quaternion": _list(state.R_ned_body.quat_wxyz),
+        "velocity": _list(state.v_ned),
+    }
+    if state.range_m is not None:
+        output["rng_1"] = state.range_m
+    return json.dumps(output, separators=(",", ":")).encode() + b"\n"
+
+
+def _list(values: Any) -> list[float]:
+    return [float(v) for v in values]
+
+
+class JsonBackend:
+    """One body behind the JSON interface. It does no I/O: it takes a packet and returns the answer.
+
+    Args:
+        make: makes a body with a physics step of the given length, s; called again when ArduPilot was restarted.
+        stepped: called after each step.
+        body: the first body, with a physics step of `STEP_S`; None to make it with the first packet.
+    """
+
+    def __init__(
+        self, make: Callable[[float], Body], stepped: Callable[[Body], None] = lambda body: None, body: Body | None = None
+    ) -> None:
+        self._make = make
+        self._stepped = stepped
+        self._frame: int | None = None
+        self._answer = b""
+        self.body = body
+        self.refused = 0
+        """Number of datagrams that were not packets."""
+        self.restarts = 0
+
+    def on_packet(self, data: bytes) -> bytes | None:
+        """Return the answer to a datagram, or None if it needs none."""
+        servos = decode(data)
+        if servos is None:
+            self.refused += 1
+            return None
+        if self._frame is not None and servos.frame == self._frame:
+            return self._answer
+        if self.body is None or (self._frame is not None and servos.frame < self._frame):
+            self.restarts += self.body is not None
+            self.body = self._make(STEP_S)
+        self._frame = servos.frame
+        for _ in range(max(round(1.0 / servos.rate_hz / self.body.step_s), 1)):
+            self.body.step(servos.motors)
+            self._stepped(self.body)
+        self._answer = encode(self.body.state())
+        return self._answer
+
+
+class _Datagrams(asyncio.DatagramProtocol):
+    def __init__(self) -> None:
+        self.inbox: Latest[tuple[bytes, Any]] = Latest()
+        self.answering = b""
+        """The packet that is being answered. ArduPilot repeats a packet after one second without an answer."""
+        self._transport: Any = None  # the event loops' datagram transports share no class that has sendto
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = transport
+
+    def datagram_received(self, data: bytes, addr: Any) -> None:
+        if data != self.answering:
+            self.inbox.offer((data, addr))
+
+    async def answer(self, backend: JsonBackend, settle: Settle) -> None:
+        async for data, addr in self.inbox:
+            self.answering = data
+            answer = backend.on_packet(data)
+            if answer is not None:
+                await settle()
+                self._transport.sendto(answer, addr)
+            self.answering = b""
+
+
+@asynccontextmanager
+async def serve_json(
+    backend: JsonBackend, host: str = "127.0.0.1", port: int = PORT, *, settle: Settle = at_once
+) -> AsyncIterator[int]:
+    """Answer ArduPilot on this port (0: any free one) until the context ends, and yield the port.
+
+    Raises:
+        OSError: the port is in use.
+    """
+    loop = asyncio.get_running_loop()
+    transport, protocol = await loop.create_datagram_endpoint(_Datagrams, local_addr=(host, port))
+    failed: Exception | None = None
+    try:
+        async with asyncio.TaskGroup() as group:
+            task = group.create_task(protocol.answer(backend, settle))
+            try:
+                yield int(transport.get_extra_info("sockname")[1])
+            except Exception as why:  # the caller's own error must not come out wrapped in a group
+                failed = why
+            finally:
+                task.cancel()
+    finally:
+        transport.close()
+    if failed is not None:
+        raise failed

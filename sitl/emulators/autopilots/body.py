@@ -1,7 +1,7 @@
 """A motor-driven vehicle over a vessel on a sea, advanced step by step by the program that commands the motors."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 
 import msgspec
@@ -33,8 +33,14 @@ from sitl.world.stage import (
 )
 from sitl.world.truth import RenderedFrame, Touchdown, touchdown_of
 
+Settle = Callable[[], Awaitable[None]]
+"""Awaited after each step, before a program gets its state; the program's time stands still until it returns."""
 _CHUNK_S = 0.25
 _SEA_S = 0.02
+
+
+async def at_once() -> None:
+    """Settle nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,13 +34,13 @@ from estimator.contracts.geodesy import ned_between
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.film import SimulatedExposure
 from sitl.emulators.autopilots import arducopter, px4
-from sitl.emulators.autopilots.ardupilot_json import CURVE, STEP_S, JsonBackend, serve_json
+from sitl.emulators.autopilots.arducopter import CURVE, STEP_S, JsonBackend, serve_json
 from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, beside_autopilot
 from sitl.emulators.autopilots.body import Body, BodyTouchdown, Silence, view_of
 from sitl.emulators.autopilots.lock_step import FaultyLink, LockStepCamera, LockStepClock
 from sitl.emulators.autopilots.observed_body import GradedBody, PerceivedBody
 from sitl.emulators.autopilots.program import Program, reserved_port, running
-from sitl.emulators.autopilots.px4_hil import HilBackend, serve_hil
+from sitl.emulators.autopilots.px4 import HilBackend, serve_hil
 from sitl.emulators.autopilots.stand_in import base as in_process
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import StandIn

@@ -1,18 +1,34 @@
-"""Start PX4 on the simulated physics.
+"""Start PX4 on the simulated physics, and step with it by its simulator interface, in lock step over TCP.
 
-PX4's ports are fixed: it connects to 4560 for the physics, and sends to companions on 14540 and to ground stations on 14550.
+    PX4_SIM_HOSTNAME=127.0.0.1 px4 -i 0 ...      # with the airframe of "none_iris"; PX4 connects to port 4560
 
-Source: PX4 1.16, ROMFS/px4fmu_common/init.d-posix (rcS, px4-rc.simulator, px4-rc.mavlink).
+The simulator listens and PX4 connects. Each HIL_SENSOR sets PX4's clock; in lock step PX4 answers it with one
+HIL_ACTUATOR_CONTROLS before the next is sent. PX4's ports are fixed: it sends to companions on 14540 and to ground stations on
+14550.
+
+Source: PX4 1.16, SimulatorMavlink.cpp, docs "Simulator MAVLink API" and ROMFS/px4fmu_common/init.d-posix (rcS,
+px4-rc.simulator, px4-rc.mavlink).
 """
 
-from collections.abc import Mapping
+import asyncio
+import math
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
-from estimator.contracts.errors import BadInput
-from sitl.emulators.autopilots.program import GUIDE
-from sitl.emulators.autopilots.px4_hil import PORT, Home
+import numpy as np
 
-PHYSICS_PORT = PORT
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import Message, mav
+from estimator.contracts.errors import BadInput, SetupImpossible
+from estimator.contracts.geodesy import GeoPoint, moved, pressure_of_height_pa
+from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
+from sitl.emulators.autopilots.motors import Motors
+from sitl.emulators.autopilots.program import GUIDE
+from sitl.sensors.gnss import ORIGIN_DEG
+
+PHYSICS_PORT = 4560
 MAVLINK_PORTS = (14540, 14550)
 STEP_S = 0.004
 """Step of the physics, s: PX4's start-up files set IMU_INTEG_RATE to 250 Hz in simulation."""
@@ -28,11 +44,194 @@ PARAMETERS: dict[str, float] = {
     "THR_MDL_FAC": 0.0,
     "MPC_THR_HOVER": 0.48,
 }
+_ALL_SENSORS = 0x1FFF
+_ARMED = 128
 
 
-def start(
-    binary: Path, *, height_m: float, home: Home | None = None, parameters: Mapping[str, float] | None = None
-) -> tuple[list[str], dict[str, str]]:
+@dataclass(frozen=True, slots=True)
+class Home:
+    """The position on earth of the world's origin, and the magnetic field there."""
+
+    latitude_deg: float = ORIGIN_DEG[0]
+    longitude_deg: float = ORIGIN_DEG[1]
+    altitude_m: float = 0.0
+    field_ned_gauss: tuple[float, float, float] = (0.136, 0.008, 0.497)
+    """The magnetic field at Trondheim by the World Magnetic Model, rounded."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """Standard deviation of each reading: PX4's filter takes a sensor without noise for a stuck one."""
+
+    acc_m_s2: float = 0.02
+    gyro_rad_s: float = 0.001
+    mag_gauss: float = 0.002
+    pressure_hpa: float = 0.01
+    gnss_m: float = 0.05
+
+
+def sensors(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Generator) -> Message:
+    """Return the HIL_SENSOR message for a state."""
+    acc = state.f_body + rng.normal(0.0, noise.acc_m_s2, 3)
+    gyro = state.w_body + rng.normal(0.0, noise.gyro_rad_s, 3)
+    mag = state.R_ned_body.inv @ np.array(home.field_ned_gauss) + rng.normal(0.0, noise.mag_gauss, 3)
+    height_m = home.altitude_m - float(state.p_ned[2])
+    pressure_hpa = pressure_of_height_pa(height_m) / 100.0 + float(rng.normal(0.0, noise.pressure_hpa))
+    return mav.MAVLink_hil_sensor_message(
+        _us(state), *map(float, acc), *map(float, gyro), *map(float, mag), pressure_hpa, 0.0, height_m, 20.0, _ALL_SENSORS
+    )
+
+
+def gnss(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Generator) -> Message:
+    """Return the HIL_GPS message for a state."""
+    p_ned = state.p_ned + rng.normal(0.0, noise.gnss_m, 3)
+    place = moved(GeoPoint.of_degrees(home.latitude_deg, home.longitude_deg, home.altitude_m), p_ned)
+    latitude, longitude = math.degrees(place.latitude_rad), math.degrees(place.longitude_rad)
+    vn, ve, vd = (round(100.0 * float(v)) for v in state.v_ned)
+    speed, course = round(math.hypot(vn, ve)), math.degrees(math.atan2(ve, vn)) % 360.0
+    return mav.MAVLink_hil_gps_message(
+        _us(state), 3, round(latitude * 1e7), round(longitude * 1e7), round(1000.0 * (home.altitude_m - float(p_ned[2]))), 30, 40,
+        min(speed, 65535), vn, ve, vd, round(100.0 * course) % 36000, 14,
+    )  # fmt: skip
+
+
+def motors_of(message: Message) -> Motors:
+    """Return the motors of a HIL_ACTUATOR_CONTROLS. All are at rest while not armed; one whose value is not finite is at rest."""
+    if not message.mode & _ARMED:
+        return (0.0, 0.0, 0.0, 0.0)
+    a, b, c, d = (min(max(float(v), 0.0), 1.0) if math.isfinite(v) else 0.0 for v in message.controls[:4])
+    return (a, b, c, d)
+
+
+def _us(state: BodyState) -> int:
+    return round(state.t_s * 1e6)
+
+
+class HilBackend:
+    """One body behind the simulator interface. It does no I/O: it takes messages and returns messages.
+
+    Args:
+        gnss_hz: rate of HIL_GPS.
+        stepped: called after each step.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        *,
+        seed: int = 0,
+        gnss_hz: float = 10.0,
+        stepped: Callable[[Body], None] = lambda body: None,
+    ) -> None:
+        self.body = body
+        self._home, self._noise = Home(), SensorNoise()
+        self._rng = np.random.default_rng(seed)
+        self._gnss_s = 1.0 / gnss_hz
+        self._next_gnss_s = 0.0
+        self._stepped = stepped
+
+    def begin(self) -> list[Message]:
+        """Return the first readings; PX4 sends nothing before it has the time from them."""
+        return self._readings()
+
+    def nudge(self) -> list[Message]:
+        """Return the readings one step later, with all motors stopped."""
+        self.body.step((0.0, 0.0, 0.0, 0.0))
+        self._stepped(self.body)
+        return self._readings()
+
+    def on_message(self, message: Message) -> list[Message]:
+        """Return the readings one step after an actuator message, or nothing for any other message."""
+        if message.get_type() != "HIL_ACTUATOR_CONTROLS":
+            return []
+        self.body.step(motors_of(message))
+        self._stepped(self.body)
+        return self._readings()
+
+    def _readings(self) -> list[Message]:
+        state = self.body.state()
+        out = [sensors(state, self._home, self._noise, self._rng)]
+        if state.t_s >= self._next_gnss_s:
+            self._next_gnss_s += self._gnss_s
+            out.append(gnss(state, self._home, self._noise, self._rng))
+        return out
+
+
+async def _converse(
+    backend: HilBackend, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, nudge_s: float, settle: Settle
+) -> None:
+    codec = Codec(1, 51)
+    first = True
+    try:
+        for message in backend.begin():
+            writer.write(codec.pack(message))
+        while True:
+            try:
+                async with asyncio.timeout(nudge_s if first else None):
+                    data = await reader.read(4096)
+            except TimeoutError:
+                # Before its loops run, PX4 answers nothing but needs time to advance.
+                messages = backend.nudge()
+                await settle()
+                for message in messages:
+                    writer.write(codec.pack(message))
+                continue
+            if not data:
+                return
+            for received_at in codec.feed(data):
+                messages = backend.on_message(received_at)
+                if messages:
+                    first = False
+                    await settle()
+                for message in messages:
+                    writer.write(codec.pack(message))
+            await writer.drain()
+    except ConnectionError:
+        return
+    finally:
+        writer.close()
+
+
+@asynccontextmanager
+async def serve_hil(
+    backend: HilBackend, host: str = "127.0.0.1", port: int = PHYSICS_PORT, nudge_s: float = 0.004, *, settle: Settle = at_once
+) -> AsyncIterator[int]:
+    """Wait for PX4 on this port (0: any free one), step with it until the context ends, and yield the port.
+
+    Args:
+        nudge_s: interval, s, at which the world moves one step until PX4 sends its first actuator message.
+
+    Raises:
+        SetupImpossible: the port is in use.
+    """
+    open_writers: set[asyncio.StreamWriter] = set()
+
+    async def met(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        open_writers.add(writer)
+        try:
+            await _converse(backend, reader, writer, nudge_s, settle)
+        except asyncio.CancelledError:
+            # asyncio's streams write a traceback for a conversation that ends cancelled; this one ends with the flight.
+            writer.close()
+        finally:
+            open_writers.discard(writer)
+
+    try:
+        server = await asyncio.start_server(met, host, port)
+    except OSError as why:
+        raise SetupImpossible(
+            f"PX4 looks for its simulator at {host}:{port}, which is taken: another flight or simulator runs there"
+        ) from why
+    try:
+        yield int(server.sockets[0].getsockname()[1])
+    finally:
+        server.close()
+        for writer in tuple(open_writers):
+            writer.close()
+        await server.wait_closed()
+
+
+def start(binary: Path, *, height_m: float, parameters: Mapping[str, float] | None = None) -> tuple[list[str], dict[str, str]]:
     """Return the command line and the variables to add to the environment.
 
     Args:
@@ -46,7 +245,7 @@ def start(
         raise BadInput(
             f"--binary: there is no {etc / 'init.d-posix' / 'rcS'}; PX4 needs its build's etc beside bin (see {GUIDE})"
         )
-    at = home or Home()
+    at = Home()
     asked = {**PARAMETERS, "MIS_TAKEOFF_ALT": height_m, **(parameters or {})}
     environment = {
         "PX4_SIM_MODEL": "none_iris",

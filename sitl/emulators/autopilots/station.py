@@ -45,16 +45,15 @@ class Task(Enum):
     FAILED = "failed"
 
 
-@dataclass(frozen=True, slots=True)
-class StationTimeouts:
-    """Longest duration of each task, s."""
-
-    meet_s: float = 60.0
-    arm_s: float = 90.0
-    take_off_s: float = 30.0
-    go_s: float = 60.0
-    rest_s: float = 15.0
-    order_s: float = 10.0
+_LIMITS: dict[Task, tuple[float, str]] = {
+    Task.MEET: (60.0, "no heartbeat of the autopilot arrived"),
+    Task.ARM: (90.0, "the autopilot would not arm: {text}"),
+    Task.TAKE_OFF: (30.0, "it did not take off: {text}"),
+    Task.GO: (60.0, "it did not reach the start of the landing"),
+    Task.REST: (15.0, "the start of the landing did not come up to it"),
+    Task.ORDER: (10.0, "the {lander} did not answer the order to land"),
+}
+"""Longest duration of each task, s, and the failure after it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,12 +92,10 @@ class GroundStation:
         *,
         height_m: float,
         system: int = 1,
-        timeouts: StationTimeouts | None = None,
         unaided: bool = False,
     ) -> None:
         self._stack, self._height_m, self._unaided = stack, height_m, unaided
         self._autopilot, self._companion = (system, _AUTOPILOT), (system, COMPANION)
-        self._timeouts = timeouts or StationTimeouts()
         self._since: MonoNs | None = None
         self._asked: dict[str, MonoNs] = {}
         self._there_since: MonoNs | None = None
@@ -175,14 +172,13 @@ class GroundStation:
         if self._since is None:
             self._since = now
         out = [_heartbeat()] if self._due("heartbeat", now) else []
-        return out + self._handlers[self.task](self, now, view)
-
-    def _meet(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        self._give_up_after(self._timeouts.meet_s, now, "no heartbeat of the autopilot arrived")
-        return []
+        task = self.task
+        if task in _LIMITS and seconds_between(self._since, now) > _LIMITS[task][0]:
+            lander = "autopilot" if self._unaided else "companion"
+            self._fail(_LIMITS[task][1].format(text=self._last_status_text, lander=lander))
+        return out + self._handlers[task](self, now, view)
 
     def _arm(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        self._give_up_after(self._timeouts.arm_s, now, f"the autopilot would not arm: {self._last_status_text}")
         mode = VELOCITY_MODE[self._stack]
         out = self._carried(now, view, 0.0)
         if self.mode != mode:
@@ -190,7 +186,6 @@ class GroundStation:
         return [*out, *([self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)] if self._due("arm", now) else [])]
 
     def _take_off(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        self._give_up_after(self._timeouts.take_off_s, now, f"it did not take off: {self._last_status_text}")
         if view.height_m > 0.85 * self._height_m:
             self._next(Task.GO, now)
             return []
@@ -208,7 +203,6 @@ class GroundStation:
         return [velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v, 0.0), view.yaw_rad)]
 
     def _go(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        self._give_up_after(self._timeouts.go_s, now, "it did not reach the start of the landing")
         # At rest the vehicle is overtaken: it stops ahead of the start, and the landing is ordered when that has come up.
         to_goal = view.to_start_level + (_REST_S * view.v_start_level if view.rests else 0.0)
         # The start heaves with the pad, so the vehicle does not follow it after that.
@@ -226,14 +220,11 @@ class GroundStation:
         return [*takes, velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, rate), view.yaw_rad)]
 
     def _rest(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        self._give_up_after(self._timeouts.rest_s, now, "the start of the landing did not come up to it")
         if float(view.to_start_level[:2] @ view.v_start_level[:2]) >= 0.0:
             self._next(Task.ORDER, now)
         return [self._goes_with(view, now)]
 
     def _order(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        whom = "autopilot" if self._unaided else "companion"
-        self._give_up_after(self._timeouts.order_s, now, f"the {whom} did not answer the order to land")
         order = [self._order_to_land()] if self._due("order", now) else []
         # Until somebody else steers, its setpoints must not end.
         return [*order, self._goes_with(view, now)]
@@ -256,7 +247,7 @@ class GroundStation:
         return []
 
     _handlers: dict[Task, Callable[[GroundStation, MonoNs, OperatorView], list[Message]]] = {  # noqa: RUF012
-        Task.MEET: _meet,
+        Task.MEET: _nothing,
         Task.ARM: _arm,
         Task.TAKE_OFF: _take_off,
         Task.GO: _go,
@@ -277,10 +268,6 @@ class GroundStation:
 
     def _fail(self, why: str) -> None:
         self.task, self.failure = Task.FAILED, why
-
-    def _give_up_after(self, seconds: float, now: MonoNs, why: str) -> None:
-        if self._since is not None and seconds_between(self._since, now) > seconds:
-            self._fail(why)
 
     def _due(self, what: str, now: MonoNs) -> bool:
         last = self._asked.get(what)

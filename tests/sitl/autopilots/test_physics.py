@@ -12,11 +12,10 @@ from msgspec.structs import replace
 from drivers.mavlink.dialect import mav
 from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.geodesy import GeoPoint, ned_between
-from sitl.emulators.autopilots.ardupilot_json import CURVE, JsonBackend, decode
+from sitl.emulators.autopilots.arducopter import CURVE, JsonBackend, decode
 from sitl.emulators.autopilots.body import Body
-from sitl.emulators.autopilots.motors import thrust_fraction, wrench
-from sitl.emulators.autopilots.px4_hil import HilBackend, Home, SensorNoise, gnss, motors_of, sensors, serve_hil
-from sitl.emulators.autopilots.stand_in.cascade import command_of
+from sitl.emulators.autopilots.motors import wrench
+from sitl.emulators.autopilots.px4 import HilBackend, Home, SensorNoise, gnss, motors_of, sensors, serve_hil
 from sitl.scenario.scenario import Scenario, load
 from sitl.sensors.gnss import ORIGIN
 from sitl.vehicle.airframe import Airframe
@@ -47,14 +46,6 @@ def test_each_motor_turns_the_body_the_way_the_autopilots_expect() -> None:
     thrust, torque = wrench(f, [1.0] * 4, 0.0)
     assert thrust == pytest.approx(f.thrust_max_n)
     assert torque == pytest.approx((0.0, 0.0, 0.0))
-
-
-def test_the_curve_of_a_motor_and_its_inverse() -> None:
-    for curve in (0.0, 0.65, 1.0):
-        for share in (0.0, 0.2, 0.7, 1.0):
-            assert thrust_fraction(command_of(share, curve), curve) == pytest.approx(share)
-    assert thrust_fraction(-1.0, 0.5) == 0.0
-    assert thrust_fraction(2.0, 0.5) == 1.0
 
 
 def test_a_body_stands_on_a_moving_deck_and_goes_with_it() -> None:

@@ -16,7 +16,7 @@ from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.vehicle import Stack, set_mode
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.time import MonoNs
-from sitl.emulators.autopilots.ardupilot_json import CURVE
+from sitl.emulators.autopilots.arducopter import CURVE
 from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import STEP_S, StandIn
@@ -135,16 +135,6 @@ def test_px4_arms_on_a_ship_under_way_only_without_the_checks_of_drift(speed_m_s
     deck.fly(12.0 if not arms else 3.0)
     assert (deck.order(*ARM) == 0) is arms
     assert deck.pilot.armed is arms
-
-
-def test_px4_says_a_refusal_in_two_chunks() -> None:
-    deck = Deck("calm", Stack.PX4)
-    assert deck.order(*ARM) == mav.MAV_RESULT_TEMPORARILY_REJECTED
-    first, second = deck.texts
-    assert (first.id, first.chunk_seq, second.chunk_seq) == (second.id, 0, 1)
-    assert first.id > 0
-    assert (first.text + second.text).startswith("Arming denied")
-    assert second.text == "t", "which is all that a reader sees who takes each for a text of its own"
 
 
 def landed(deck: Deck, seconds: float) -> float | None:

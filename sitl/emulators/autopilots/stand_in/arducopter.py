@@ -16,7 +16,7 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.ports import Clock
 from sitl.emulators.autopilots import arducopter
-from sitl.emulators.autopilots.ardupilot_json import CURVE
+from sitl.emulators.autopilots.arducopter import CURVE
 from sitl.emulators.autopilots.body import BodyState
 from sitl.emulators.autopilots.motors import Motors
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
