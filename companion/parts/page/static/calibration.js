@@ -1,5 +1,5 @@
 // A guided calibration: which parts of the picture the board was in, what is missing, the error so far, the finished file.
-import { $ } from "./elements.js";
+import { $, part } from "./elements.js";
 
 export class Calibration {
   #link;
@@ -49,7 +49,7 @@ export class Calibration {
     const key = missing.join("|");
     if ($("calibration-lacks").dataset.shown === key) return;
     $("calibration-lacks").dataset.shown = key;
-    $("calibration-lacks").replaceChildren(...missing.map((lack) => Object.assign(document.createElement("li"), { textContent: lack })));
+    $("calibration-lacks").replaceChildren(...missing.map((lack) => part("li", lack)));
   }
 
   #grid(cells) {
@@ -57,15 +57,13 @@ export class Calibration {
     const covered = flat.filter((count) => count > 0).length;
     const grid = $("calibration-grid");
     grid.setAttribute("aria-label", `Parts of the picture that held the board: ${covered} of ${flat.length}`);
-    if (grid.children.length !== flat.length) grid.replaceChildren(...flat.map(() => document.createElement("i")));
+    if (grid.children.length !== flat.length) grid.replaceChildren(...flat.map(() => part("i", "")));
     flat.forEach((count, i) => grid.children[i].classList.toggle("held", count > 0));
   }
 
   #download() {
-    const anchor = document.createElement("a");
-    anchor.href = URL.createObjectURL(new Blob([this.#file], { type: "application/toml" }));
-    anchor.download = "camera_calibrated.toml";
-    anchor.click();
-    setTimeout(() => URL.revokeObjectURL(anchor.href), 1000);
+    const href = URL.createObjectURL(new Blob([this.#file], { type: "application/toml" }));
+    part("a", "", { href, download: "camera_calibrated.toml" }).click();
+    setTimeout(() => URL.revokeObjectURL(href), 1000);
   }
 }

@@ -28,11 +28,10 @@ export class Doctor {
   }
 
   #line({ rule, severity, what, fix }) {
-    const line = document.createElement("li");
-    line.dataset.level = LEVELS[severity];
+    const line = part("li", "", { "data-level": LEVELS[severity] });
     const head = part("p", "");
     head.append(part("b", severity), ` ${what} `, part("code", rule));
-    line.append(head, part("p", `Cure: ${fix}`, "cure"));
+    line.append(head, part("p", `Cure: ${fix}`, { class: "cure" }));
     return line;
   }
 }

@@ -1,9 +1,9 @@
-// Elements of the page: find one by its id, make one with a text.
+// Elements of the page: find one by its id, make one with a text and attributes.
 export const $ = (id) => document.getElementById(id);
 
-export function part(tag, text, name = "") {
+export function part(tag, text, attributes = {}) {
   const element = document.createElement(tag);
   element.textContent = text;
-  if (name) element.className = name;
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
   return element;
 }

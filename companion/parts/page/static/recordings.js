@@ -1,5 +1,5 @@
 // The recordings on the drone's computer: a list, a download by an address that holds once, and the report of a flight.
-import { $ } from "./elements.js";
+import { $, part } from "./elements.js";
 
 export class RecordingsList {
   #link;
@@ -29,45 +29,29 @@ export class RecordingsList {
   }
 
   #line({ name, size_bytes, unix_s }) {
-    const line = document.createElement("li");
-    const about = document.createElement("span");
+    const line = part("li", "");
     const size = size_bytes < 1e6 ? `${(size_bytes / 1e3).toFixed(0)} kB` : `${(size_bytes / 1e6).toFixed(1)} MB`;
-    about.textContent = `${new Date(1000 * unix_s).toLocaleString()} · ${size}`;
-    about.title = name;
+    const about = part("span", `${new Date(1000 * unix_s).toLocaleString()} · ${size}`, { title: name });
     line.append(about, this.#opening(name), this.#button("Download", name, "download"));
     return line;
   }
 
   #opening(name) {
-    const address = this.#reports.get(name);
-    if (address === undefined) return this.#button("Report", name, "report");
-    const anchor = document.createElement("a");
-    anchor.className = "order small";
-    anchor.href = address;
-    anchor.target = "_blank";
-    anchor.rel = "noopener";
-    anchor.textContent = "Open report";
-    anchor.setAttribute("aria-label", `Open the report of ${name}`);
-    return anchor;
+    const href = this.#reports.get(name);
+    if (href === undefined) return this.#button("Report", name, "report");
+    const label = `Open the report of ${name}`;
+    return part("a", "Open report", { class: "order small", href, target: "_blank", rel: "noopener", "aria-label": label });
   }
 
   #button(words, name, kind) {
-    const button = document.createElement("button");
-    button.type = "button";
-    button.className = "order small";
-    button.textContent = words;
-    button.setAttribute("aria-label", `${words} ${name}`);
+    const button = part("button", words, { type: "button", class: "order small", "aria-label": `${words} ${name}` });
     button.addEventListener("click", () => this.#ask({ kind, name }));
     return button;
   }
 
   #load({ name, address, text }) {
     $("recordings-note").textContent = address === null ? `${name}: ${text}` : `${name}: loading`;
-    if (address === null) return;
-    const anchor = document.createElement("a");
-    anchor.href = address;
-    anchor.download = name;
-    anchor.click();
+    if (address !== null) part("a", "", { href: address, download: name }).click();
   }
 
   #report({ name, address, text }) {

@@ -1,5 +1,7 @@
 // Flight by hand: touch, keyboard or gamepad. Positions leave 20 times a second while this page has the hand; when they stop
 // (a hidden tab, a lost link) the service holds.
+import { part } from "./elements.js";
+
 const EACH_MS = 50;
 const DEAD = 0.1;
 const ASKED_MS = 1000; // the sticks leave before the state says who has the hand: the service waits for them half a second
@@ -91,11 +93,8 @@ class Pad {
 
   constructor(host, name, horizontal, vertical) {
     this.#axes = [horizontal, vertical];
-    const pad = document.createElement("div");
-    pad.className = "stick";
-    pad.setAttribute("role", "img");
-    pad.setAttribute("aria-label", `${name}: touch and drag; or use the keyboard`);
-    this.#knob = document.createElement("span");
+    const pad = part("div", "", { class: "stick", role: "img", "aria-label": `${name}: touch and drag; or use the keyboard` });
+    this.#knob = part("span", "");
     pad.append(this.#knob);
     host.append(pad);
     const move = (event) => {

@@ -1,5 +1,5 @@
 // What the page says in words and figures: phase and reason, who commands, figures, health and its causes, events.
-import { $ } from "./elements.js";
+import { $, part } from "./elements.js";
 
 const EVENTS = 100;
 const DEGREES = 180 / Math.PI;
@@ -12,11 +12,7 @@ function set(id, text, unit = "", level = "") {
   element.dataset.shown = key;
   element.dataset.level = level;
   element.replaceChildren(text);
-  if (unit) {
-    const small = document.createElement("small");
-    small.textContent = unit;
-    element.append(small);
-  }
+  if (unit) element.append(part("small", unit));
 }
 
 function words(id, text) {
@@ -99,8 +95,5 @@ export function event(message) {
 }
 
 function item(tag, text, level = "") {
-  const element = document.createElement(tag);
-  element.textContent = text;
-  if (level) element.dataset.level = level;
-  return element;
+  return part(tag, text, level ? { "data-level": level } : {});
 }
