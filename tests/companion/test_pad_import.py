@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from companion.cli.main import main
+from companion.cli.pad_import import clicked
 from companion.settings.load import read_toml
-from companion.tools.pads.clicked import clicked
 from companion.tools.pads.clutter import VIEWS, kind_of, view
 from companion.tools.pads.price import CAMERA, planted, price
 from companion.tools.pads.svg import read_svg

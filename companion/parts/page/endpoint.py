@@ -51,7 +51,7 @@ from companion.parts.page.messages import (
 from companion.parts.page.state import AHEAD_S, HORIZONS_S, jpeg, page_health, picture_lines, video_quality
 from companion.parts.page.viewer import PageViewer, Tool
 from companion.recording.frame_encoder import FrameEncoder, codec_name
-from companion.tools.report.expected_place import camera_lean
+from companion.tools.report.overlay import camera_lean
 from drivers.mailbox import Latest
 from drivers.pyav import has_pyav
 from estimator.contracts.geometry import Rotation

@@ -16,8 +16,7 @@ from companion.base.worker import Worker
 from companion.guidance.pilot import Pilot
 from companion.recording.frame_encoder import CLOCK_HZ, TimedFrames, prepare
 from companion.settings.links import VideoStreamOptions
-from companion.tools.report.expected_place import camera_lean
-from companion.tools.report.overlay import Overlay, annotate, annotated_size
+from companion.tools.report.overlay import Overlay, annotate, annotated_size, camera_lean
 from drivers.mailbox import Latest
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import RelativeState

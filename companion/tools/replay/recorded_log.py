@@ -13,7 +13,6 @@ from companion.facts.records import ContactRecord, FusionRecord, HealthRecord, O
 from companion.recording import decode
 from companion.recording.frame_video import VideoImage
 from companion.recording.reading import SETTINGS, RecordedFrame, Recording, instant
-from companion.tools.report.expected_place import less_innovation
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import (
     FlightLog,
@@ -23,6 +22,7 @@ from companion.tools.report.flight_log import (
     StageTime,
     TruthSample,
 )
+from companion.tools.report.overlay import less_innovation
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult

@@ -12,7 +12,7 @@ from companion.base.observer import Decision, DeckOutlook, NullObserver, Process
 from companion.base.orders import HandledOrder
 from companion.base.things import ThingReport, things_of
 from companion.recording.frame_video import VideoImage
-from companion.tools.report.expected_place import expected_in_body, held_rotation
+from companion.tools.report.overlay import expected_in_body, held_rotation
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult

@@ -25,7 +25,7 @@ from companion.settings.load import camera_model, load, pad_model
 from companion.settings.settings_file import SettingsFile
 from companion.tools.doctor import live, rules_values
 from companion.tools.doctor.diagnose import PARAMETERS
-from companion.tools.report.expected_place import camera_lean
+from companion.tools.report.overlay import camera_lean
 from drivers.clock import SystemClock
 from drivers.mavlink import samples
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
