@@ -20,7 +20,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, NoReturn, Protocol
+from typing import Any, ClassVar, NoReturn
 
 import serial
 
@@ -126,32 +126,6 @@ class WireCounts:
     tried: set[Any] = field(default_factory=set)
 
 
-class Wire(Protocol):
-    """The interface of an open connection to its endpoint."""
-
-    @property
-    def local(self) -> Address | None:
-        """Address bound on this side, None where there is none."""
-        ...
-
-    def send(self, pack: Pack, to: Address | None, newest_of: str = "") -> bool:
-        """Send now, or as soon as the line takes it; return whether it went or waits.
-
-        Args:
-            to: the peer, for a socket that listens.
-            newest_of: of the messages with this name only the newest waits, ahead of all others; empty for one of the others.
-        """
-        ...
-
-    async def broken(self) -> NoReturn:
-        """Wait until it no longer works.
-
-        Raises:
-            Recoverable: always, with the reason.
-        """
-        ...
-
-
 class SendQueue:
     """The messages that wait for a line: of each named kind the newest, ahead of the others; none older than `QUEUE_S`."""
 
@@ -181,7 +155,9 @@ class SendQueue:
         return b""
 
 
-class _Breakable:
+class Wire(ABC):
+    """An open connection to its endpoint."""
+
     def __init__(self, clock: Clock, received: Received, counts: WireCounts) -> None:
         self._end: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self._clock, self._received, self._counts = clock, received, counts
@@ -190,7 +166,17 @@ class _Breakable:
 
     @property
     def local(self) -> Address | None:
+        """Address bound on this side, None where there is none."""
         return None
+
+    @abstractmethod
+    def send(self, pack: Pack, to: Address | None, newest_of: str = "") -> bool:
+        """Send now, or as soon as the line takes it; return whether it went or waits.
+
+        Args:
+            to: the peer, for a socket that listens.
+            newest_of: of the messages with this name only the newest waits, ahead of all others; empty for one of the others.
+        """
 
     @property
     def quiet_s(self) -> float:
@@ -207,10 +193,15 @@ class _Breakable:
             self._end.set_result(why)
 
     async def broken(self) -> NoReturn:
+        """Wait until it no longer works.
+
+        Raises:
+            Recoverable: always, with the reason.
+        """
         raise Recoverable(await asyncio.shield(self._end))
 
 
-class _Datagrams(_Breakable, asyncio.DatagramProtocol):
+class _Datagrams(Wire, asyncio.DatagramProtocol):
     def __init__(self, clock: Clock, received: Received, counts: WireCounts, listening: bool) -> None:
         super().__init__(clock, received, counts)
         self._listening = listening
@@ -252,7 +243,7 @@ class _Datagrams(_Breakable, asyncio.DatagramProtocol):
         return bool(data)
 
 
-class _Paced(_Breakable, ABC):
+class _Paced(Wire):
     """A stream that is given no more than it takes in time."""
 
     _KERNEL_S: ClassVar[float]

@@ -21,7 +21,7 @@ from drivers.camera.exposure import ExposureDrive, ExposureSetting
 from drivers.camera.images import claimed_size
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource, stamp_of
-from drivers.camera.v4l2_device import Buffer, Device, KernelDevice
+from drivers.camera.v4l2_device import Buffer, KernelDevice
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
@@ -117,7 +117,7 @@ class ExposureSetter:
         drive: None for a camera that is not driven.
     """
 
-    def __init__(self, device: Device, drive: ExposureDrive | None) -> None:
+    def __init__(self, device: KernelDevice, drive: ExposureDrive | None) -> None:
         self._driven, self._drive = device.driven, drive
         self._setting: asyncio.Future[ExposureSetting] | None = None
         self._asked_at = 0
@@ -164,7 +164,7 @@ class ExposureSetter:
 
 _WRAP = 1 << 32
 
-OpenDevice = Callable[[str, CameraOptions, Size], Device]
+OpenDevice = Callable[[str, CameraOptions, Size], KernelDevice]
 
 
 class V4l2Channel:
@@ -206,7 +206,7 @@ class V4l2Channel:
                 # A buffer still being decoded was copied out, so the device may go at once; its closing may block for long.
                 await asyncio.shield(loop.run_in_executor(pool, device.close))
 
-    def _opened(self) -> Device:
+    def _opened(self) -> KernelDevice:
         name = self._o.device
         path = find(name, cameras())
         if path is None:
@@ -218,7 +218,7 @@ class V4l2Channel:
             gone = why.errno in (errno.ENODEV, errno.ENOENT, errno.ENXIO)
             raise CameraLost("absent" if gone else "failed", f"{name}: {why.strerror or why}") from why
 
-    async def _watch(self, device: Device, pool: ThreadPoolExecutor, control: ExposureSetter) -> None:
+    async def _watch(self, device: KernelDevice, pool: ThreadPoolExecutor, control: ExposureSetter) -> None:
         loop = asyncio.get_running_loop()
         counters = self._camera.counters
         last: int | None = None
@@ -252,7 +252,7 @@ class V4l2Channel:
             frame = Frame(stamp, buffer.sequence, px, exposure_s, gain, device.layout.format == "H264")
             counters.frames_replaced += self._camera.frames.offer(frame) is not None
 
-    async def _readable(self, device: Device) -> MonoNs:
+    async def _readable(self, device: KernelDevice) -> MonoNs:
         """Wait until the device is readable and return that instant."""
         loop = asyncio.get_running_loop()
         ready: asyncio.Future[MonoNs] = loop.create_future()
@@ -267,7 +267,7 @@ class V4l2Channel:
         finally:
             loop.remove_reader(fd)
 
-    def _drain(self, device: Device) -> list[Buffer]:
+    def _drain(self, device: KernelDevice) -> list[Buffer]:
         batch: list[Buffer] = []
         try:
             while len(batch) < self._o.buffers and (buffer := device.dequeue()) is not None:
@@ -276,7 +276,7 @@ class V4l2Channel:
             raise CameraLost("unplugged", f"{self._o.device}: {why.strerror or why}") from why
         return batch
 
-    def _newest(self, device: Device, batch: Sequence[Buffer], gap: bool) -> tuple[Buffer, NDArray[np.uint8]] | None:
+    def _newest(self, device: KernelDevice, batch: Sequence[Buffer], gap: bool) -> tuple[Buffer, NDArray[np.uint8]] | None:
         if device.layout.format == "H264":
             return self._newest_h264(device, batch, gap)
         counters = self._camera.counters
@@ -304,7 +304,7 @@ class V4l2Channel:
                 self._o.device, *claimed, layout.width, layout.height,
             )  # fmt: skip
 
-    def _newest_h264(self, device: Device, batch: Sequence[Buffer], gap: bool) -> tuple[Buffer, NDArray[np.uint8]] | None:
+    def _newest_h264(self, device: KernelDevice, batch: Sequence[Buffer], gap: bool) -> tuple[Buffer, NDArray[np.uint8]] | None:
         counters, decoder = self._camera.counters, self._h264
         if gap:
             decoder.broken()

@@ -14,7 +14,6 @@ import mmap
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 from drivers.camera import v4l2_kernel as kernel
 from drivers.camera.exposure import ExposureRange, ExposureSetting
@@ -147,43 +146,6 @@ class Buffer:
     """True if the kernel reports damaged content."""
 
 
-class DrivenExposure(Protocol):
-    """The exposure of a device as the driver sets it."""
-
-    can: ExposureRange
-    held: ExposureSetting
-
-    def set(self, wanted: ExposureSetting) -> ExposureSetting:
-        """Set the exposure, which may block, and return what the camera holds then.
-
-        Raises:
-            OSError: the camera refuses it, or is gone.
-        """
-        ...
-
-
-class Device(Protocol):
-    """The interface of a device that the driver uses."""
-
-    layout: FrameLayout
-    rate_hz: float
-    exposure_s: float | None
-    driven: DrivenExposure | None
-    """The exposure, where the options say that it is driven."""
-
-    def fileno(self) -> int: ...
-
-    def dequeue(self) -> Buffer | None:
-        """Return the oldest waiting buffer, None if none waits.
-
-        Raises:
-            OSError: the device is gone.
-        """
-        ...
-
-    def close(self) -> None: ...
-
-
 class KernelDevice:
     """An open device that has the options' settings and streams.
 
@@ -204,7 +166,8 @@ class KernelDevice:
             self._check()
             self.layout, self.rate_hz = self._set_format(options, *size)
             self._set_controls(options.control_values())
-            self.driven: DrivenExposure | None = None
+            self.driven: KernelExposure | None = None
+            """The exposure, where the options say that it is driven."""
             if options.exposure.driven:
                 self.driven = KernelExposure(self.fileno(), path, options.exposure, self.rate_hz)
             self.exposure_s = self._exposure()
@@ -219,6 +182,11 @@ class KernelDevice:
         return self._fd
 
     def dequeue(self) -> Buffer | None:
+        """Return the oldest waiting buffer, None if none waits.
+
+        Raises:
+            OSError: the device is gone.
+        """
         try:
             buff = kernel.dequeue(self.fileno())
         except BlockingIOError:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from estimator.contracts.errors import SetupImpossible
 
@@ -72,35 +72,6 @@ class AxisRange(NamedTuple):
     resolution: int = 0
 
 
-class InputDevice(Protocol):
-    """The interface of an open device that the driver uses."""
-
-    path: str
-    name: str
-    axes: frozenset[int]
-    buttons: frozenset[int]
-
-    def fileno(self) -> int: ...
-
-    def read(self) -> bytes:
-        """Return the events that wait, as bytes; empty if none waits.
-
-        Raises:
-            OSError: the device is gone.
-        """
-        ...
-
-    def axis(self, code: int) -> AxisRange:
-        """Return the range and the present value of an axis.
-
-        Raises:
-            OSError: the device is gone or has no such axis.
-        """
-        ...
-
-    def close(self) -> None: ...
-
-
 class EventDevice:
     """An open event device.
 
@@ -131,6 +102,11 @@ class EventDevice:
         return self._file
 
     def read(self) -> bytes:
+        """Return the events that wait, as bytes; empty if none waits.
+
+        Raises:
+            OSError: the device is gone.
+        """
         try:
             data = os.read(self._file, _READ_EVENTS * EVENT.size)
         except BlockingIOError:
@@ -140,6 +116,11 @@ class EventDevice:
         return data
 
     def axis(self, code: int) -> AxisRange:
+        """Return the range and the present value of an axis.
+
+        Raises:
+            OSError: the device is gone or has no such axis.
+        """
         return AxisRange(*struct.unpack("6i", self._ask(eviocgabs(code), struct.calcsize("6i"))))
 
     def close(self) -> None:
@@ -151,7 +132,7 @@ class EventDevice:
         return answer.tobytes()
 
 
-def is_gamepad(device: InputDevice) -> bool:
+def is_gamepad(device: EventDevice) -> bool:
     """Return whether the device has two axes and a button of a gamepad or joystick."""
     return len(device.axes & {AXES["ABS_X"], AXES["ABS_Y"]}) == 2 and bool(device.buttons & set(BUTTONS.values()))
 

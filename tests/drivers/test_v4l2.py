@@ -14,7 +14,7 @@ from collections import deque
 from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import av
 import cv2
@@ -31,7 +31,7 @@ from drivers.camera.exposure_options import ExposureOptions
 from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import CameraCounters, CameraLost, VideoSource
 from drivers.camera.v4l2 import CaptureDevice, V4l2Channel, cameras, find, kernel_stamp
-from drivers.camera.v4l2_device import Buffer, DrivenExposure, KernelExposure
+from drivers.camera.v4l2_device import Buffer, KernelExposure
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, stands_alone, to_bgr
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
@@ -90,7 +90,7 @@ class FakeDevice:
         self.layout = FrameLayout(form, W, H, stride)
         self.rate_hz = 30.0
         self.exposure_s: float | None = 0.01
-        self.driven: DrivenExposure | None = None
+        self.driven: Any = None
         self.queue: deque[Buffer] = deque()
         self.gone = False
         self.closed = False
@@ -134,7 +134,7 @@ def buffer(sequence: int, data: bytes | None = None, error: bool = False, age_s:
 
 async def run_channel(camera: VideoSource, device: FakeDevice, story: Any, **more: Any) -> str:
     """Run the channel beside `story` until it is lost; the reason."""
-    channel = V4l2Channel(camera_options(**more), (W, H), CLOCK, camera, lambda path, o, size: device)
+    channel = V4l2Channel(camera_options(**more), (W, H), CLOCK, camera, lambda path, o, size: cast(Any, device))
     async with asyncio.timeout(60), asyncio.TaskGroup() as group:
         group.create_task(story())
         try:
@@ -265,7 +265,7 @@ async def test_cancelled_at_any_time_it_closes_the_device() -> None:
 
         def open_device(
             path: str, o: CameraOptions, size: Size, device: FakeDevice = device, opened: asyncio.Event = opened
-        ) -> FakeDevice:
+        ) -> Any:
             loop.call_soon_threadsafe(opened.set)
             return device
 

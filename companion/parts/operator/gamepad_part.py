@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
-from drivers.gamepad.device import AXES, AxisRange, InputDevice, events_in, gamepads
+from drivers.gamepad.device import AXES, AxisRange, EventDevice, events_in, gamepads
 from drivers.gamepad.mapping import STICKS, GamepadMapping, GamepadMemory, gamepad_step, positions, start
 from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.ports import Clock
@@ -37,7 +37,7 @@ class GamepadPart:
         wanted: str,
         pilot: Pilot,
         clock: Clock,
-        find: Callable[[], Iterable[InputDevice]] = gamepads,
+        find: Callable[[], Iterable[EventDevice]] = gamepads,
     ) -> None:
         self._mapping = mapping
         self._wanted = wanted
@@ -66,9 +66,9 @@ class GamepadPart:
                 await self._serve(device)
             await self._clock.sleep(wait_s)
 
-    def _chosen(self) -> InputDevice | None:
+    def _chosen(self) -> EventDevice | None:
         """Return the wanted gamepad, open, or None; the others are closed."""
-        chosen: InputDevice | None = None
+        chosen: EventDevice | None = None
         for device in self._find():
             if chosen is None and (self._wanted in (device.path, "any") or self._wanted.lower() in device.name.lower()):
                 chosen = device
@@ -76,7 +76,7 @@ class GamepadPart:
                 device.close()
         return chosen
 
-    async def _serve(self, device: InputDevice) -> None:
+    async def _serve(self, device: EventDevice) -> None:
         session = _Session(device, self._mapping, self._pilot, self._clock, self._counts)
         loop = asyncio.get_running_loop()
         self._plugged = True
@@ -99,7 +99,7 @@ class GamepadPart:
 class _Session:
     """One gamepad while it is plugged in."""
 
-    def __init__(self, device: InputDevice, mapping: GamepadMapping, pilot: Pilot, clock: Clock, counts: Counter[str]) -> None:
+    def __init__(self, device: EventDevice, mapping: GamepadMapping, pilot: Pilot, clock: Clock, counts: Counter[str]) -> None:
         self._device = device
         self._mapping = mapping
         self._arbiter = pilot.operator

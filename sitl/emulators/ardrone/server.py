@@ -23,7 +23,7 @@ from sitl.ardrone.generations import FIRST, SECOND, Generation
 from sitl.ardrone.navdata_from_world import SentFrame
 from sitl.emulators.ardrone.sockets import Address, DatagramPort, StreamPort
 from sitl.emulators.ardrone.truth_log import TruthLog
-from sitl.emulators.ardrone.wire_pictures import PavePictures, Shot, UvlcPictures, WirePicture, WirePictures
+from sitl.emulators.ardrone.wire_pictures import PavePictures, Shot, UvlcPictures, WirePicture
 from sitl.faults.faulty_streams import LAG_S, Fate, InTransit
 from sitl.world.truth import RenderedFrame
 from sitl.world.world import World
@@ -109,7 +109,7 @@ class ArDroneServer:
         self._navdata = DatagramPort("navdata", now, counters, clients_max=8, backlog_max=_BACKLOG_MAX)
         first = self._habits.generation is FIRST
         self._video = DatagramPort("video", now, counters) if first else StreamPort("video", counters, buffer=_VIDEO_SEND_BUFFER)
-        self._pictures: WirePictures = UvlcPictures() if first else PavePictures(self._habits.pave_header_size, self._habits.crf)
+        self._pictures = UvlcPictures() if first else PavePictures(self._habits.pave_header_size, self._habits.crf)
         self._control = StreamPort("control", counters, clients_max=8, backlog_max=_BACKLOG_MAX)
         self._at = DatagramPort("at", now, counters, take=self._take)
         self._ticks = 0

@@ -7,7 +7,7 @@ import socket
 from collections import Counter
 from collections.abc import Callable
 from contextlib import AsyncExitStack, suppress
-from typing import Protocol, cast
+from typing import Any
 
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -17,16 +17,6 @@ LEASE_S = 10.0
 """Time for which a UDP client is served after its last datagram; every client repeats its request when its stream stops."""
 _UNICAST = (b"\x01", b"\x01\x00\x00\x00")
 """The datagrams that request a stream."""
-
-
-class _BufferedDatagrams(Protocol):
-    """The methods of every event loop's datagram transport; the standard library's own class lacks the last."""
-
-    def is_closing(self) -> bool: ...
-
-    def sendto(self, data: bytes, addr: Address) -> None: ...
-
-    def get_write_buffer_size(self) -> int: ...
 
 
 class DatagramPort(asyncio.DatagramProtocol):
@@ -55,7 +45,8 @@ class DatagramPort(asyncio.DatagramProtocol):
         self._backlog_max = backlog_max
         self._take = take
         self._clients: dict[Address, MonoNs] = {}
-        self._transport: _BufferedDatagrams | None = None
+        self._transport: Any = None
+        # The loops' datagram transports share no class that has all methods used here.
 
     @property
     def busy(self) -> bool:
@@ -77,7 +68,7 @@ class DatagramPort(asyncio.DatagramProtocol):
         return int(transport.get_extra_info("sockname")[1])
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(_BufferedDatagrams, transport)
+        self._transport = transport
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
         if self._take is not None:

@@ -7,7 +7,6 @@ horizon and water at sea, and never a pad.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -192,14 +191,6 @@ class WirePicture:
     data: bytes
     payload_bytes: int
     bitrate_kbps: int
-
-
-class WirePictures(Protocol):
-    """Makes wire pictures of shots, in order."""
-
-    def make(self, shot: Shot) -> WirePicture:
-        """Return the picture of a shot; it is called from one thread."""
-        ...
 
 
 class PavePictures:

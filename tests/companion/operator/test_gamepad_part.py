@@ -8,6 +8,7 @@ import struct
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,7 +17,7 @@ from companion.guidance.make_pilot import make_pilot
 from companion.parts.operator.gamepad_part import GamepadPart
 from companion.settings.load import load
 from companion.settings.referenced_files import mapping_of
-from drivers.gamepad.device import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, EVENT, SYN_DROPPED, AxisRange, InputDevice, gamepads
+from drivers.gamepad.device import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, EVENT, SYN_DROPPED, AxisRange, gamepads
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp
@@ -79,7 +80,7 @@ class Rig:
         self.pilot.operator.on_order = self.orders.append
         self.command: object = None
 
-    def _find(self) -> Iterator[InputDevice]:
+    def _find(self) -> Iterator[Any]:
         yield from [d for d in self.plugged if not d.closed]
 
     async def live(self) -> None:
