@@ -11,8 +11,8 @@ time. Both end: an ultrasound that reads one value for ever is not believed beyo
 from dataclasses import dataclass, replace
 
 from drivers.ardrone.at import REF_BASE, REF_TAKE_OFF, AtCommand, ComWdg, Pcmd, Ref
-from drivers.ardrone.landing_watch import FRESH_S, DroneReport, LandingWatch
-from drivers.ardrone.navdata import ControlState, NavdataState
+from drivers.ardrone.landing_watch import FRESH_S, LandingWatch
+from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from estimator.contracts.time import MonoNs, seconds_between
 
 HOVER = Pcmd(0, 0.0, 0.0, 0.0, 0.0)
@@ -73,7 +73,7 @@ class CommandArbiter:
         """The newest datagram that ordered a climb; None if the newest did not."""
         self._latest: TimedCommand | None = None
         self._watch = LandingWatch()
-        self._report: tuple[DroneReport, MonoNs] | None = None
+        self._report: tuple[Navdata, MonoNs] | None = None
         """The newest report, and when it was received."""
         self.hovers = 0
         """Number of datagrams in which hover replaced an expired command."""
@@ -88,7 +88,7 @@ class CommandArbiter:
         self._latest = command
         self._lost, self._climbed_m, self._climbed_at = False, 0.0, None
 
-    def on_report(self, report: DroneReport, now: MonoNs) -> None:
+    def on_report(self, report: Navdata, now: MonoNs) -> None:
         """Take a report that the sender itself received from the drone while the service is silent."""
         self._report = report, now
         self._watch.on_report(report, now, ordered=self._latest is not None and self._latest.landing)
@@ -106,7 +106,7 @@ class CommandArbiter:
         report = self._reported(now, _REPORT_S)
         if report is None:
             return False
-        return not report.flying and (report.control is None or report.control in _ON_GROUND)
+        return not report.flying and (report.control_state is None or report.control_state in _ON_GROUND)
 
     def commands(self, now: MonoNs) -> list[AtCommand]:
         """Return the commands of one datagram; none before the first command and after `hold_s` of silence."""
@@ -123,19 +123,19 @@ class CommandArbiter:
         if report is None:
             return [*([ComWdg()] if latest.watchdog else []), sticks]
         out: list[AtCommand] = [ComWdg()] if report.state & NavdataState.COM_WATCHDOG else []
-        stays_up = not ends and report.flying and (report.control is not ControlState.LANDING or self._watch.calls_off(now))
+        stays_up = not ends and report.flying and (report.control_state is not ControlState.LANDING or self._watch.calls_off(now))
         return [*out, *([Ref(STAY_UP)] if stays_up else []), sticks]
 
     def gone(self, now: MonoNs) -> bool:
         """Return whether the service is gone, by its socket or by its silence."""
         return self._lost or self.silent_s(now) > GONE_S
 
-    def _climbs(self, report: DroneReport | None, latest: TimedCommand, now: MonoNs) -> bool:
+    def _climbs(self, report: Navdata | None, latest: TimedCommand, now: MonoNs) -> bool:
         """Return whether this period's datagram orders a climb, and count it."""
         if self._climbed_at is not None:
             self._climbed_m += self._climb_m_s * min(_STARVED_S, seconds_between(self._climbed_at, now))
         height_m = None if report is None else report.altitude_m
-        if not self.gone(now) or (report is not None and not (report.flying and report.control in _OBEYS)):
+        if not self.gone(now) or (report is not None and not (report.flying and report.control_state in _OBEYS)):
             climbs = False
         elif height_m is not None and height_m > 0.0:
             climbs = height_m < CLEAR_M and self._climbed_m < _CLIMBED_MOST * CLEAR_M
@@ -144,7 +144,7 @@ class CommandArbiter:
         self._climbed_at = now if climbs else None
         return climbs
 
-    def _reported(self, now: MonoNs, within_s: float) -> DroneReport | None:
+    def _reported(self, now: MonoNs, within_s: float) -> Navdata | None:
         """Return the newest report, or None if it is older than `within_s` seconds."""
         if self._report is None:
             return None

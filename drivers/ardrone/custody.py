@@ -23,7 +23,7 @@ from msgspec import Struct
 from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
 from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, Pcmd
 from drivers.ardrone.counters import Counters
-from drivers.ardrone.landing_watch import FRESH_S, ORDERED_ABOVE_M, SILENT_ABOVE_M, Cause, DroneReport, LandingWatch
+from drivers.ardrone.landing_watch import FRESH_S, ORDERED_ABOVE_M, SILENT_ABOVE_M, Cause, LandingWatch
 from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import VelocityLoop
@@ -158,7 +158,7 @@ class CustodyKeeper:
         self._since = MonoNs(0)
         """Time at which the state began, or was last ordered again."""
         self._watch = LandingWatch()
-        self._report: DroneReport | None = None
+        self._report: Navdata | None = None
         self.control: ControlState | None = None
         """The newest control state; a datagram need not carry it."""
         self._heard: MonoNs | None = None
@@ -188,19 +188,19 @@ class CustodyKeeper:
             self._since = now
         self._happens(event, now)
 
-    def on_report(self, report: DroneReport, now: MonoNs) -> None:
+    def on_report(self, report: Navdata, now: MonoNs) -> None:
         """Take the drone's report, in order."""
         self._report, self._heard = report, now
         if self.state in _LANDINGS:
             self._landed_by_us = now
-        if report.control is not None:
-            self.control = report.control
+        if report.control_state is not None:
+            self.control = report.control_state
         ordered = self._landed_by_us is not None and seconds_between(self._landed_by_us, now) <= _ORDER_LATE_S
         self._watch.on_report(report, now, ordered=ordered)
         if (event := self._reported(report, now)) is not None:
             self._happens(event, now)
 
-    def _reported(self, report: DroneReport, now: MonoNs) -> CustodyEvent | None:
+    def _reported(self, report: Navdata, now: MonoNs) -> CustodyEvent | None:
         """Return the event that a report is; None if it contradicts itself."""
         if report.state & NavdataState.EMERGENCY:
             return CustodyEvent.DEAD
@@ -339,7 +339,7 @@ class CommandStreamer:
     def on_navdata(self, navdata: Navdata, now: MonoNs) -> None:
         """Take the next navdata datagram, in order."""
         self._watchdog = bool(navdata.state & NavdataState.COM_WATCHDOG)
-        self._custody.on_report(DroneReport.of(navdata), now)
+        self._custody.on_report(navdata, now)
         if self._custody.state is Custody.STANDS:
             self._loop.reset()
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from enum import Enum
 
-from msgspec import Struct
-
 from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -46,40 +44,18 @@ class Cause(Enum):
     """A person, a low battery or a fault began the landing."""
 
 
-class DroneReport(Struct, frozen=True):
-    """The part of a navdata datagram that says whether the drone flies.
-
-    `control` and `altitude_m` (metres over what is below, by ultrasound) are None where the datagram does not carry them.
-    """
-
-    state: int
-    control: ControlState | None
-    altitude_m: float | None
-
-    @staticmethod
-    def of(navdata: Navdata) -> DroneReport:
-        """Return the report that a datagram holds."""
-        altitude_mm = navdata.altitude_mm
-        return DroneReport(navdata.state, navdata.control_state, None if altitude_mm is None else 1e-3 * altitude_mm)
-
-    @property
-    def flying(self) -> bool:
-        """True if the drone is in the air, a landing under way included."""
-        return bool(self.state & NavdataState.FLYING)
-
-
 class LandingWatch:
     """Follows the reports and remembers who began the present landing."""
 
     def __init__(self) -> None:
-        self._newest: tuple[DroneReport, MonoNs] | None = None
+        self._newest: tuple[Navdata, MonoNs] | None = None
         """The newest report, and when it was received."""
         self._unheard_since: MonoNs | None = None
         """The first of the newest reports that all say that the drone receives no commands; None if the newest does not."""
         self.cause: Cause | None = None
         """The cause of the present landing; None while the drone is not landing."""
 
-    def on_report(self, report: DroneReport, now: MonoNs, *, ordered: bool) -> None:
+    def on_report(self, report: Navdata, now: MonoNs, *, ordered: bool) -> None:
         """Take the newest report; `ordered` says whether we are asking the drone to land."""
         gap = self._newest is None or seconds_between(self._newest[1], now) > GAP_S
         self._newest = report, now
@@ -87,9 +63,9 @@ class LandingWatch:
             self._unheard_since = None
         elif self._unheard_since is None:
             self._unheard_since = now
-        if report.control is None:
+        if report.control_state is None:
             return
-        if not (report.flying and report.control is ControlState.LANDING):
+        if not (report.flying and report.control_state is ControlState.LANDING):
             self.cause = None
         elif self.cause is None:
             silent = self._unheard_since is not None and (gap or seconds_between(self._unheard_since, now) > GAP_S)

@@ -140,6 +140,16 @@ class Navdata(Struct, frozen=True):
         return None if self.ctrl_state is None else _CONTROL_STATES.get(self.ctrl_state >> 16)
 
     @property
+    def altitude_m(self) -> float | None:
+        """The height over what is below by ultrasound, metres; None if the datagram does not hold it."""
+        return None if self.altitude_mm is None else 1e-3 * self.altitude_mm
+
+    @property
+    def flying(self) -> bool:
+        """True if the drone is in the air, a landing under way included."""
+        return bool(self.state & NavdataState.FLYING)
+
+    @property
     def time_us(self) -> int | None:
         """The time of the drone's clock, microseconds, from 0 to 2048 s; None if the datagram does not hold it."""
         return None if self.clock is None else (self.clock >> 21) * 1_000_000 + (self.clock & 0x1FFFFF)

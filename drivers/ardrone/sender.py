@@ -19,7 +19,6 @@ import msgspec
 
 from drivers.ardrone.arbiter import HOVER, CommandArbiter
 from drivers.ardrone.at import numbered
-from drivers.ardrone.landing_watch import DroneReport
 from drivers.ardrone.navdata import decode
 from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.sender_lock import claim, yield_to
@@ -254,7 +253,7 @@ class Sender:
         navdata = decode(newest)
         if not isinstance(navdata, Refusal):
             self._asked = time.monotonic_ns()
-            self._arbiter.on_report(DroneReport.of(navdata), MonoNs(self._asked))
+            self._arbiter.on_report(navdata, MonoNs(self._asked))
 
 
 def _connect(host: str, port: int) -> socket.socket:

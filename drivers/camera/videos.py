@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 from drivers.camera.images import MOST_PIXELS, ImageRefused
 from drivers.pyav import require_pyav
@@ -22,13 +22,6 @@ _PID_LEAST = 16
 """A stream within a transport stream has its PID as number, and that is no lower."""
 _MARGIN = 4
 """Frames may have this many times the expected pixels: one of a wrong size is better named by whoever knows the camera."""
-
-
-class Readable(Protocol):
-    """Bytes that FFmpeg reads."""
-
-    def read(self, most: int, /) -> bytes:
-        """Return at most so many bytes; none at the end."""
 
 
 def most_pixels(size: tuple[int, int] | None) -> int:
@@ -74,7 +67,7 @@ def predicts_frames(stream: VideoStream) -> bool:
 
 
 def open_video(
-    source: str | Readable,
+    source: Any,
     size: tuple[int, int] | None = None,
     *,
     options: Mapping[str, str] | None = None,
@@ -84,6 +77,7 @@ def open_video(
     """Open a file, an address or an object with `read`; a frame above the bound then fails to decode.
 
     Args:
+        source: the path, the address, or the object.
         size: width and height that are expected; None where they are not known.
         options: options of the container.
         codec_options: options of the decoders.

@@ -86,12 +86,6 @@ class NamedSenders:
 
 
 @dataclass(slots=True)
-class _Held:
-    source: Source
-    received_at: MonoNs
-
-
-@dataclass(slots=True)
 class _UnknownSender:
     since: MonoNs
     logged: bool = False
@@ -106,7 +100,8 @@ class Access:
     """The autopilot's peer and its (system, component)."""
     refused: Counter[str] = field(default_factory=Counter)
     """The number of messages that were refused, by reason: impostor, unknown."""
-    _held: dict[int, _Held] = field(default_factory=dict)
+    _held: dict[int, tuple[Source, MonoNs]] = field(default_factory=dict)
+    """Where each named system was received from, and when last."""
     _unknown_senders: dict[tuple[int, int], _UnknownSender] = field(default_factory=dict)
 
     def level(self, source: Source, ids: tuple[int, int], now: MonoNs, *, asked_for: bool, signed: bool) -> AccessLevel:
@@ -143,9 +138,9 @@ class Access:
 
     def _holds(self, system: int, source: Source, now: MonoNs) -> bool:
         held = self._held.get(system)
-        if held is not None and held.source != source and seconds_between(held.received_at, now) <= self.options.silence_s:
+        if held is not None and held[0] != source and seconds_between(held[1], now) <= self.options.silence_s:
             return False
-        self._held[system] = _Held(source, now)  # as many as the settings name
+        self._held[system] = source, now  # as many as the settings name
         return True
 
     def refuse_unknown(self, ids: tuple[int, int], peer: Address | None, now: MonoNs) -> None:

@@ -92,11 +92,8 @@ def set_mode(stack: Stack, target: tuple[int, int], name: str) -> Message:
     Raises:
         KeyError: the stack has no such mode.
     """
-    if stack is Stack.PX4:
-        main, sub = _PX4_NUMBERS[name]
-        return mav.MAVLink_command_long_message(*target, mav.MAV_CMD_DO_SET_MODE, 0, CUSTOM, main, sub, 0, 0, 0, 0)
-    number = _COPTER_NUMBERS[name]
-    return mav.MAVLink_command_long_message(*target, mav.MAV_CMD_DO_SET_MODE, 0, CUSTOM, number, 0, 0, 0, 0, 0)
+    main, sub = _PX4_NUMBERS[name] if stack is Stack.PX4 else (_COPTER_NUMBERS[name], 0)
+    return mav.MAVLink_command_long_message(*target, mav.MAV_CMD_DO_SET_MODE, 0, CUSTOM, main, sub, 0, 0, 0, 0)
 
 
 def reposition(target: tuple[int, int], goal: GeoPoint) -> Message:

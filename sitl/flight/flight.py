@@ -27,7 +27,6 @@ from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.custody import CommandStreamer
-from drivers.ardrone.landing_watch import DroneReport
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataOrder, SequencePlace
 from drivers.ardrone.samples import NavdataSampler
@@ -273,7 +272,7 @@ class Flight:
         """Act as the sender, which outlives the service."""
         self._send_navdata(now)
         while (arrived := self._arrived_navdata(now)) is not None:
-            self._arbiter.on_report(DroneReport.of(arrived[0]), arrived[2])
+            self._arbiter.on_report(arrived[0], arrived[2])
         if now >= self._due_command:
             self._due_command = after(self._due_command, self._options.command_period_s)
             self._send(self._arbiter.commands(now))

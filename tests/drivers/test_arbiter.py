@@ -3,11 +3,12 @@
 from collections.abc import Callable
 
 import pytest
+from msgspec.structs import replace
 
 from drivers.ardrone import at
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.arbiter import CLEAR_M, HOVER, CommandArbiter, TimedCommand
-from drivers.ardrone.landing_watch import Cause, DroneReport, LandingWatch
+from drivers.ardrone.landing_watch import Cause, LandingWatch
 from estimator.contracts.time import MonoNs
 
 AHEAD = at.Pcmd(at.PCMD_PROGRESSIVE, 0.0, -0.5, 0.0, 0.0)
@@ -21,9 +22,12 @@ def ms(t: int) -> MonoNs:
     return MonoNs(5_000_000_000 + t * 1_000_000)
 
 
-def drone_report(control: nd.ControlState, altitude_m: float | None = 1.5, bits: int = 0) -> DroneReport:
+def drone_report(control: nd.ControlState | None, altitude_m: float | None = 1.5, bits: int = 0) -> nd.Navdata:
     in_the_air = control not in (nd.ControlState.LANDED, nd.ControlState.INIT)
-    return DroneReport(bits | (nd.NavdataState.FLYING if in_the_air else 0), control, altitude_m)
+    word = None if control is None else control.word
+    altitude_mm = None if altitude_m is None else round(1000 * altitude_m)
+    state = bits | (nd.NavdataState.FLYING if in_the_air else 0)
+    return nd.Navdata(state, 1, ctrl_state=word, altitude_mm=altitude_mm)
 
 
 def test_a_word_is_flown_up_to_its_deadline_and_hover_after_it() -> None:
@@ -57,7 +61,7 @@ def test_a_drone_in_the_air_is_held_there_and_its_watchdog_answered() -> None:
     assert arbiter.on_ground(ms(1401))
 
 
-def climbed_m(sticks: at.Pcmd, ref: int | None, reports: Callable[[float], DroneReport | None], *, died: bool = True) -> float:
+def climbed_m(sticks: at.Pcmd, ref: int | None, reports: Callable[[float], nd.Navdata | None], *, died: bool = True) -> float:
     """Return the height that an arbiter climbs in 20 s after its service has died, or fell silent.
 
     Args:
@@ -130,7 +134,7 @@ def test_it_is_held_for_a_bounded_time() -> None:
 def test_it_stands_where_state_and_control_both_say_so(control: nd.ControlState | None, flying: bool, on_ground: bool) -> None:
     arbiter = CommandArbiter(60.0, 2.0)
     assert not arbiter.on_ground(ms(200)), "nobody has said so"
-    arbiter.on_report(DroneReport(nd.NavdataState.FLYING if flying else 0, control, 1.5), ms(200))
+    arbiter.on_report(replace(drone_report(control), state=nd.NavdataState.FLYING if flying else 0), ms(200))
     assert arbiter.on_ground(ms(300)) is on_ground
     assert not arbiter.on_ground(ms(1300)), "said too long ago"
 

@@ -14,8 +14,7 @@ from drivers.ardrone.arbiter import STAY_UP
 from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, REF_TAKE_OFF
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.custody import DEAD_OR_CUT, TABLE, Custody, CustodyEvent, CustodyKeeper, lines
-from drivers.ardrone.landing_watch import DroneReport
-from drivers.ardrone.navdata import ControlState, NavdataState
+from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff
 from estimator.contracts.time import MonoNs
@@ -77,10 +76,10 @@ class ToyDrone:
             self.height_m = max(0.0, self.height_m - 0.4 * PERIOD_S)
             self.control = ControlState.LANDED if self.height_m == 0.0 else self.control
 
-    def report(self) -> DroneReport:
+    def report(self) -> Navdata:
         state = (NavdataState.FLYING if self.in_the_air else 0) | (NavdataState.EMERGENCY if self.emergency else 0)
         state |= NavdataState.COM_WATCHDOG if self.silent_s > 2.0 else 0
-        return DroneReport(state, self.control, self.height_m)
+        return Navdata(state, 1, ctrl_state=self.control.word, altitude_mm=round(1000 * self.height_m))
 
 
 class Wire:

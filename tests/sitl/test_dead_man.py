@@ -11,7 +11,6 @@ from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.custody import CommandStreamer
-from drivers.ardrone.landing_watch import DroneReport
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import NavdataSampler
 from drivers.ardrone.setup import configuration_commands
@@ -84,7 +83,7 @@ class Bench:
                 if guidance is not None and self.ticks % CYCLE_TICKS == 0:
                     self.streamer.take(guidance(), received_at)
             elif sender and self.arbiter.silent_s(now) > 0.0:
-                self.arbiter.on_report(DroneReport.of(navdata), received_at)
+                self.arbiter.on_report(navdata, received_at)
             if self.ticks % PERIOD_TICKS == 0:
                 if service:
                     self.arbiter.take(self.streamer.command(received_at))

@@ -16,7 +16,7 @@ import signal
 import stat
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -36,17 +36,6 @@ from sitl.world.world import World
 _POLL_S = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class PauseBetweenFlights:
-    """The pause between two flights."""
-
-    landed_s: float = 3.0
-    """Time for which the drone reports that it has landed, s."""
-    silent_s: float = 2.0
-    """Time without any packet, s: long enough for a client to give up its estimate of the drone's state, since on the ground it
-    commands the motors off."""
-
-
 async def fly_repeatedly(
     server: ArDroneServer,
     scenario: Scenario,
@@ -55,7 +44,8 @@ async def fly_repeatedly(
     say: Callable[..., None],
     *,
     faults: bool = False,
-    pause: PauseBetweenFlights | None = None,
+    landed_s: float = 3.0,
+    silent_s: float = 2.0,
 ) -> None:
     """Wait for the flight to end, report its result, and begin the next with the next seed, until cancelled.
 
@@ -64,11 +54,12 @@ async def fly_repeatedly(
         scenario: the scenario of the further flights.
         seed: the seed of the first flight.
         clock: the clock of the server.
-        pause: the pause between two flights.
         say: called after each flight with `event="flight"`, its ending and its contact.
         faults: give each further flight the faults of a shipped fault scenario.
+        landed_s: time for which the drone reports that it has landed, s.
+        silent_s: time without any packet, s: long enough for a client to give up its estimate of the drone's state, since on the
+            ground it commands the motors off.
     """
-    pause = pause or PauseBetweenFlights()
     while True:
         sent, stood_s = server.counters["video_sent"], server.stood_still_s
         ended = await _end(server, clock)
@@ -78,9 +69,9 @@ async def fly_repeatedly(
         following = faulty(scenario, seed) if faults else scenario
         rested = clock.now()
         world = await asyncio.to_thread(_prepared, following, seed)
-        await clock.sleep(max(0.0, pause.landed_s - seconds_between(rested, clock.now())))
+        await clock.sleep(max(0.0, landed_s - seconds_between(rested, clock.now())))
         server.silent = True
-        await clock.sleep(pause.silent_s)
+        await clock.sleep(silent_s)
         server.enter(world)
         server.silent = False
 

@@ -19,7 +19,7 @@ from estimator.contracts.commands import Land, TakeOff, Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.emulators.ardrone import serve, truth_log
-from sitl.emulators.ardrone.serve import PauseBetweenFlights, fly_repeatedly
+from sitl.emulators.ardrone.serve import fly_repeatedly
 from sitl.emulators.ardrone.server import ArDroneServer, Ports
 from sitl.perception.levels import perceive, represents
 from sitl.perception.port import Perception
@@ -191,7 +191,7 @@ async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_cli
                         drone.command(Land())
 
             pilot = group.create_task(fly())
-            flights = group.create_task(fly_repeatedly(server, NEAR, 1, patient, tell, pause=PauseBetweenFlights(0.3, 1.5)))
+            flights = group.create_task(fly_repeatedly(server, NEAR, 1, patient, tell, landed_s=0.3, silent_s=1.5))
             await done.wait()
             while len(changes) < 7:  # noqa: ASYNC110 - the third landing is still on its way to the driver
                 await asyncio.sleep(0.01)
