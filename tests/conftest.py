@@ -122,7 +122,6 @@ SLOW = (
     "tests/sitl/test_film.py",
     "tests/sitl/test_scenario.py",
     "tests/companion/operator/test_local_socket.py",
-    "tests/drivers/test_pave.py",
     "tests/drivers/test_video.py",
     "tests/companion/test_fusion_records.py",
     "tests/companion/mqtt/test_outage.py",
