@@ -101,7 +101,7 @@ class Access:
     refused: Counter[str] = field(default_factory=Counter)
     """The number of messages that were refused, by reason: impostor, unknown."""
     _held: dict[int, tuple[Source, MonoNs]] = field(default_factory=dict)
-    """Where each named system was received from, and when last."""
+    """The last place and time of each named system."""
     _unknown_senders: dict[tuple[int, int], _UnknownSender] = field(default_factory=dict)
 
     def level(self, source: Source, ids: tuple[int, int], now: MonoNs, *, asked_for: bool, signed: bool) -> AccessLevel:
