@@ -102,12 +102,6 @@ def _cells(pad: Pad) -> tuple[F64, NDArray[np.int64]]:
     return np.stack([x.ravel(), y.ravel()], axis=1)[inside], inside
 
 
-@lru_cache(maxsize=8)
-def _points(pad: Pad) -> F64:
-    """Return the cells' centres, (cells, 3) m."""
-    return np.pad(_cells(pad)[0], ((0, 0), (0, 1)))
-
-
 @lru_cache(maxsize=16)
 def _shares(pad: Pad, blur: int) -> F32:
     """Return the coverage of each cell by each paint, (cells, 4), at one of `BLURS_M`."""
@@ -116,7 +110,6 @@ def _shares(pad: Pad, blur: int) -> F32:
     return np.asarray(maps[at[:, 0], at[:, 1]], np.float32) / np.float32(DL_TEMPLATE_ONE)
 
 
-@lru_cache(maxsize=8)
 def _nominal(pad: Pad) -> F64:
     """Return the light of the compared paints in the drawing, (3, 3) in blue, green, red."""
     colours = pad.markings.colours
@@ -181,7 +174,7 @@ def check_deck(
     if cell_px < _CELL_PX_LEAST:
         return memory
     level = max(0, math.floor(math.log2(cell_px / 3.0)))
-    values, shown = _read(pyramid, level, camera, pose.points(_points(pad)))
+    values, shown = _read(pyramid, level, camera, pose.points(np.pad(_cells(pad)[0], ((0, 0), (0, 1)))))
     blur_m = math.hypot(px_m * math.hypot(blur_px, 0.5 * (1 << level)), sigma_m)
     return _after(memory if 0.0 <= since_s < LASTS_S else None, pad, values, shown, blur_m, at)
 

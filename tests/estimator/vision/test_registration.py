@@ -34,13 +34,18 @@ from tests.support.shipped import shipped_camera, shipped_pad
 TRACK = RegistrationOptions(coarse=False)
 
 
+def nees(found: Registration, view: RenderedView) -> float:
+    e = error(found.pose, view.pose)
+    return float(e @ np.linalg.solve(found.cov, e))
+
+
 @pytest.mark.parametrize(
     ("height_m", "lateral_mm", "range_mm", "bias_mm", "heading_deg"),
     [(0.3, 0.03, 0.05, 0.05, 0.01), (1.0, 0.05, 0.1, 0.2, 0.02), (5.0, 0.15, 2.0, 2.0, 0.1), (10.0, 0.5, 10.0, 8.0, 0.4)],
 )
 def test_accuracy_and_covariance(camera, pad, height_m, lateral_mm, range_mm, bias_mm, heading_deg):
     stage = Stage(camera, pad)
-    off, turn, nees = [], [], []
+    off, turn, squares = [], [], []
     for _ in range(24):
         view = stage.view(height_m)
         found = register(view.px, camera, pad, stage.start(view, 0.5), view.orientation(), TRACK)
@@ -48,29 +53,27 @@ def test_accuracy_and_covariance(camera, pad, height_m, lateral_mm, range_mm, bi
         d, angle = pad_error(found.pose, view.pose)
         off.append(d * 1e3)
         turn.append(math.degrees(angle))
-        e = error(found.pose, view.pose)
-        nees.append(e @ np.linalg.solve(found.cov, e))
+        squares.append(nees(found, view))
     std, mean = np.std(off, axis=0), np.mean(off, axis=0)
     assert std[:2].max() < lateral_mm
     assert std[2] < range_mm
     assert abs(mean[2]) < bias_mm
     assert float(np.std(turn)) < heading_deg
     # Never overconfident; the floor under edges' places makes it modest where noise hardly matters.
-    assert 0.4 < float(np.mean(nees)) < chdtri(6 * len(nees), 0.001) / len(nees)
+    assert 0.4 < float(np.mean(squares)) < chdtri(6 * len(squares), 0.001) / len(squares)
 
 
 @pytest.mark.parametrize("height_m", [20.0, 30.0])
 def test_the_distant_disc(camera: Camera, pad: Pad, height_m: float) -> None:
     stage = Stage(camera, pad)
-    nees, away = [], []
+    squares, away = [], []
     for _ in range(20):
         view = stage.view(height_m)
         found = register(view.px, camera, pad, stage.start(view, 0.3), view.orientation(), TRACK)
         assert found is not None
-        e = error(found.pose, view.pose)
-        nees.append(e @ np.linalg.solve(found.cov, e))
-        away.append(e[2] / height_m)
-    assert float(np.mean(nees)) < 14.0
+        squares.append(nees(found, view))
+        away.append(error(found.pose, view.pose)[2] / height_m)
+    assert float(np.mean(squares)) < 14.0
     assert abs(float(np.mean(away))) < 0.01
     assert float(np.std(away)) < 0.012
 
@@ -123,9 +126,8 @@ def test_a_tilted_deck_is_measured(camera: Camera, pad: Pad) -> None:
         prior = view.orientation(math.radians(0.05), math.radians(4.0))
         found = register(view.px, camera, pad, stage.start(view, 0.5), prior, TRACK)
         assert found is not None
-        e = error(found.pose, view.pose)
-        assert math.degrees(np.abs(e[3:]).max()) < 0.2
-        assert e @ np.linalg.solve(found.cov, e) < chdtri(6, 0.0001)
+        assert math.degrees(np.abs(error(found.pose, view.pose)[3:]).max()) < 0.2
+        assert nees(found, view) < chdtri(6, 0.0001)
 
 
 def half_hidden(view: RenderedView, pad: Pad, camera: Camera, towards_rad: float) -> NDArray[np.uint8]:
@@ -195,15 +197,14 @@ def test_what_the_edges_do_not_fix_is_uncertain(camera: Camera, pad: Pad) -> Non
 def test_one_end_of_an_h_leg(camera: Camera, pad: Pad) -> None:
     """Only a piece of the H is in the frame at 12 cm: resolved parameters are right, unresolved ones are marked."""
     stage = Stage(camera, pad)
-    nees = []
+    squares = []
     for _ in range(12):
         view = stage.view(0.12, lateral=0.3)
         found = register(view.px, camera, pad, stage.start(view, 0.7), view.orientation(), TRACK)
         assert found is not None
-        e = error(found.pose, view.pose)
-        nees.append(e @ np.linalg.solve(found.cov, e))
-    assert float(np.median(nees)) < chdtri(6, 0.05)
-    assert max(nees) < 60.0
+        squares.append(nees(found, view))
+    assert float(np.median(squares)) < chdtri(6, 0.05)
+    assert max(squares) < 60.0
 
 
 def test_the_arrow_shows_the_heading(camera: Camera, pad: Pad) -> None:
@@ -292,8 +293,8 @@ def test_a_blur_that_a_tilt_slants_does_not_turn_the_pad(camera: Camera, pad: Pa
 def test_what_all_channels_see_is_one_witness_and_wider_than_a_pixel(camera: Camera, pad: Pad, name: str) -> None:
     """Stones, puddles and wear darken blue, green and red together, and pass through the lens, as a sensor's noise does not."""
     off, cov = surrounded_errors(camera, pad, name, 10.0, 12.0, 24)
-    nees = np.array([e @ np.linalg.solve(c, e) for e, c in zip(off, cov, strict=True)]) / 6.0
-    assert 0.5 < float(nees.mean()) < 1.6
+    squares = np.array([e @ np.linalg.solve(c, e) for e, c in zip(off, cov, strict=True)]) / 6.0
+    assert 0.5 < float(squares.mean()) < 1.6
 
 
 @pytest.mark.parametrize("name", ["asphalt", "edge of the deck", "sea"])
@@ -338,11 +339,6 @@ def coded_views(camera: Camera, pad: Pad, height_m: float, frames: int) -> list[
         px = np.asarray(image.to_ndarray(format="bgr24"), np.uint8)
         views.append(replace(view, px=px))
     return views
-
-
-def nees(found: Registration, view: RenderedView) -> float:
-    e = error(found.pose, view.pose)
-    return float(e @ np.linalg.solve(found.cov, e))
 
 
 @pytest.mark.parametrize("height_m", [1.5, 4.0, 12.0])
