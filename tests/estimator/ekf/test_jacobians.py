@@ -18,16 +18,12 @@ from estimator.ekf.state import (
     ATT_ERR,
     CAMERA_DELAY,
     CAMERA_MOUNT,
-    DECK_DISP,
-    DECK_RATE,
     GYRO_BIAS,
     PAD_YAW,
     POS_REL,
     RANGE_OFFSET,
-    TURN_RATE,
     VEL,
     VESSEL_VEL,
-    YAW_RATE,
     N,
 )
 from tests.estimator.ekf import oracle
@@ -116,25 +112,6 @@ def test_a_late_frame_of_a_body_that_rocks_is_predicted_by_the_rate_of_its_expos
         b = known(PARAMS, R, x=x, w=np.array([rate, 0.0, 0.0]), w_smooth=np.array([smooth, 0.0, 0.0]))
         off.append(float(np.linalg.norm(sighting_rows(b, seen(R @ shown.T @ d_ned)).innov[:3])))
     assert max(off) < 0.05
-
-
-@pytest.mark.parametrize("whole", [False, True])
-def test_a_stamp_s_sigma_is_noise_along_what_the_image_does_meanwhile(whole: bool) -> None:
-    """A rate that changes while a stamp may err is noise across the view as well."""
-    b, d = drawn(5), np.array([0.3, -0.2, 4.0])
-    pose = Pose6(d, Rotation.identity(), 1e-3 * np.eye(6)) if whole else None
-    sharp, steady, changing = (
-        sighting_rows(b.copy(w_smooth=w_smooth), seen(d, 0.4, sigma_s=sigma_s, pose6=pose))
-        for sigma_s, w_smooth in ((0.0, b.w), (0.02, b.w), (0.02, b.w - [0.5, 0.0, 0.0]))
-    )
-    deck = np.append(b.x[DECK_RATE[3:]], b.x[YAW_RATE] + b.x[TURN_RATE])
-    H = sharp.H
-    rate = H[:, CAMERA_DELAY] + H[:, POS_REL] @ b.x[DECK_RATE[:3]] + H[:, [DECK_DISP[3], DECK_DISP[4], PAD_YAW]] @ deck
-    assert float(np.linalg.norm(rate)) > 0.1
-    np.testing.assert_allclose(steady.R - sharp.R, np.outer(rate, rate) * 0.02**2, atol=1e-12)
-    more = np.diag(changing.R - steady.R)
-    assert more[:3].sum() == pytest.approx((0.02 * 0.5) ** 2 * 2.0 * d @ d)
-    np.testing.assert_allclose(more[3:], (0.02 * 0.5) ** 2)
 
 
 @SEEDS

@@ -17,7 +17,7 @@ from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.core.library import CORE
 from estimator.ekf import EkfOptions, Event, Filter
 from estimator.ekf.params import FilterParams
-from estimator.ekf.state import ACCEL_BIAS, CAMERA_MOUNT, GYRO_BIAS, POS_REL, N
+from estimator.ekf.state import ACCEL_BIAS, CAMERA_MOUNT, GYRO_BIAS, POS_REL, VEL_SCALE, N
 from tests.estimator.ekf import oracle
 from tests.estimator.ekf.core_state import (
     MS,
@@ -189,12 +189,13 @@ def drawn_state(rng: np.random.Generator, params: FilterParams) -> State:
         """Return an instant that long before `T`, or -1 for none."""
         return int(rng.choice([-1, *(T - one * MS for one in ms)]))
 
-    n, R, size = int(rng.integers(0, 7)), TILTED, float(rng.uniform(0.1, 5.0))
+    n, R, size, x = int(rng.integers(0, 7)), TILTED, float(rng.uniform(0.1, 5.0)), drawn_x(int(rng.integers(2**31)), 0.3)
+    x[VEL_SCALE] = rng.choice([x[VEL_SCALE], 0.201, 2.999], p=[0.7, 0.15, 0.15])
     numbers = rng.uniform(-2.5, 6.5, (n, 3)) * 1e-3, rng.normal(0.0, 6.0, (n, 3))
     rejected, zeros = int(rng.integers(0, 6)), np.zeros((3, 3))
     streak = (rejected, T - 800 * MS, T - 60 * MS, rng.normal(size=3), 1e-4) if rejected else (0, 0, 0, np.zeros(3), 0.0)
     b = known(
-        params, x=drawn_x(int(rng.integers(2**31)), 0.3), P=correlated(int(rng.integers(2**31)), size),
+        params, x=x, P=correlated(int(rng.integers(2**31)), size),
         agreed=int(rng.integers(0, 8)), sighted=T - 20 * MS if rng.random() < 0.8 else -1,
         over_pad=float(rng.uniform(-5.0, 5.0)), t_imu=ago(5),
         w=0.03 * rng.normal(size=3), w_smooth=0.03 * rng.normal(size=3), f=REST + 0.2 * rng.normal(size=3),
