@@ -21,7 +21,7 @@ from companion.cli.progress import shown
 from companion.settings.load import find_file, shipped
 from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
-from estimator.contracts.time import NS_PER_S, MonoNs
+from estimator.contracts.time import MonoNs
 from sitl.campaign.overrides import Overridable
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.emulators.autopilots.follow import FollowEnd, follow
@@ -262,6 +262,5 @@ def _ending_of(scenario: str, seed: int, end: FollowEnd) -> Ending:
     contacts: tuple[Contact, ...] = ()
     if end.landing is not None:
         t = end.landing
-        surface = "pad" if t.on_pad else "deck" if t.on_deck else "water"
-        contacts = (Contact(MonoNs(round(t.t_s * NS_PER_S)), surface, t.lateral_m, t.yaw_rad, t.speed_m_s, t.slide_m_s),)
+        contacts = (Contact(t.at, t.surface, t.lateral_m, t.yaw_rad, t.vertical_speed_m_s, t.lateral_speed_m_s),)
     return Ending(scenario, seed, end.outcome, contacts, end.duration_s, end.health.frames)

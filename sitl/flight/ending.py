@@ -114,7 +114,7 @@ class FlightGrade:
     highest_m: float | None = None
     """Highest height over the pad while guidance commanded, also after the outcome; None if it never did."""
     named: tuple[tuple[str, float], ...] = ()
-    """Untrusted sensors in words, each with the time in s; see `FlightResult`."""
+    """The estimator's words on each sensor that it did not trust, and when they came first, in s after the start."""
     counts: Mapping[str, list[float]] = field(default_factory=dict)
     """Counts of the referee, each beside its limit."""
 

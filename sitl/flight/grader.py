@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 from companion.base.health import Health
@@ -17,11 +17,12 @@ from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.solids import Solid
 from sitl.faults.kinds import Bystander, ObjectOnPad
 from sitl.faults.timer import FaultTimer
-from sitl.flight.grade import AtEnd, Grade, grade, on_pad_m
+from sitl.flight.ending import FlightGrade
+from sitl.flight.grade import AtEnd, grade, on_pad_m, outside_commit
 from sitl.flight.hands import of_at
-from sitl.flight.referee import BlindDescent, Errand, Referee
+from sitl.flight.referee import Errand, Referee
 from sitl.scenario.scenario import Scenario, pad_model, vehicle_model
-from sitl.world.truth import RenderedFrame, Touchdown, Truth
+from sitl.world.truth import RenderedFrame, Truth
 
 GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
 """The phases of guidance that end an attempt by climbing."""
@@ -84,34 +85,14 @@ class FlightResult:
     outcome: FlightOutcome | None
     """The pilot's outcome; None if the scenario's time ran out."""
     duration_s: float
-    touchdown: Touchdown | None
-    """The newest contact."""
     health: Health
     truth: Truth
     """The true state at the end of the flight."""
-    blind: BlindDescent
-    """The deepest descent without true sight of the pad."""
-    unsafe: tuple[str, ...]
-    """The unsafe events, one line each."""
-    grade: Grade
-    because: str
-    """The reason for the grade."""
-    refused: str | None
-    """The reason why the pilot gave up; None if it did not."""
-    go_arounds: int
-    """Number of go-arounds."""
-    faults: tuple[tuple[str, float], ...]
-    """Each fault that began, in words, and the time at which it began, in seconds after the start."""
-    highest_m: float = -math.inf
-    """Highest height over the highest level of the pad so far, while guidance commanded."""
-    named: tuple[tuple[str, float], ...] = ()
-    """The estimator's words on each sensor that it did not trust, and when they came first, in seconds after the start."""
-    counts: dict[str, list[float]] = field(default_factory=dict)
-    """Counts of the referee, each beside its limit."""
+    judged: FlightGrade
 
     @property
     def landed_on_pad(self) -> bool:
-        return self.outcome is FlightOutcome.LANDED and self.touchdown is not None and self.touchdown.on_pad
+        return self.outcome is FlightOutcome.LANDED and on_pad_m(self.truth.contacts) is not None
 
 
 def errand_of(scenario: Scenario, settings: Settings, com_watchdog_s: float) -> Errand:
@@ -264,23 +245,23 @@ class FlightGrader:
                 )
                 + " then"
             )
-        return FlightResult(
-            outcome,
-            seconds_between(world.started, world.at),
-            truth.touchdown,
-            health,
-            truth,
-            referee.sight.worst,
-            unsafe,
-            worth,
+        lowest_m = referee.sight.worst.lowest_m
+        judged = FlightGrade(
+            worth.value,
             because,
+            unsafe,
             refused,
+            outside_commit(truth.contacts),
+            round(lowest_m, 3) if math.isfinite(lowest_m) else None,
             self._go_arounds,
             tuple((fault.words, began_s) for fault, began_s in world.faults.begun),
-            referee.highest_m,
+            scenario.expect,
+            0.0,
+            round(referee.highest_m, 3) if math.isfinite(referee.highest_m) else None,
             tuple(self._named.items()),
             referee.as_json(),
         )
+        return FlightResult(outcome, seconds_between(world.started, world.at), health, truth, judged)
 
     def _refused(self, outcome: FlightOutcome | None) -> str | None:
         """Return why the pilot gave up; None if it did not."""

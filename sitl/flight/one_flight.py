@@ -3,12 +3,11 @@
 `simulate`, the benches and campaigns all fly by `fly`.
 """
 
-import math
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import msgspec
@@ -22,9 +21,8 @@ from drivers.mavlink.gimbal_options import GimbalOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from sitl.camera.render_worker import render_worker
-from sitl.flight.ending import Contact, Ending, FlightGrade
+from sitl.flight.ending import Contact, Ending
 from sitl.flight.flight import Flight, Timing
-from sitl.flight.grade import outside_commit
 from sitl.flight.grader import FlightResult
 from sitl.perception.levels import perceive
 from sitl.perception.port import LEVELS, Level
@@ -179,23 +177,17 @@ def fly(
 def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cpu_s: float) -> Ending:
     """Return how a flight in virtual time ended, with the simulator's grade."""
     contacts = tuple(contact_of(t) for t in result.truth.contacts)
-    judged = FlightGrade(
-        result.grade.value,
-        result.because,
-        result.unsafe,
-        result.refused,
-        outside_commit(result.truth.contacts),
-        round(result.blind.lowest_m, 3) if math.isfinite(result.blind.lowest_m) else None,
-        result.go_arounds,
-        result.faults,
-        scenario.expect,
-        cpu_s,
-        round(result.highest_m, 3) if math.isfinite(result.highest_m) else None,
-        result.named,
-        result.counts,
-    )
     frames, wrong = Counter(result.health.frames), scenario.wrong_model.as_json()
-    return Ending(name, seed, result.outcome, contacts, result.duration_s, frames, judged=judged, wrong_model=wrong)
+    return Ending(
+        name,
+        seed,
+        result.outcome,
+        contacts,
+        result.duration_s,
+        frames,
+        judged=replace(result.judged, cpu_s=cpu_s),
+        wrong_model=wrong,
+    )
 
 
 def contact_of(t: Touchdown) -> Contact:

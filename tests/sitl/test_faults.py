@@ -39,7 +39,6 @@ from sitl.faults.sensors import (
 )
 from sitl.faults.timer import FaultTimer
 from sitl.flight.flight import Flight
-from sitl.flight.grade import Grade
 from sitl.scenario.scenario import Scenario, Start
 from sitl.sea.sea import Sea
 from sitl.sensors.sensors import Readings
@@ -270,10 +269,11 @@ def test_a_refusal_says_what_guidance_reported_and_what_became_of_the_frames(mon
     while flight.step():
         pass
     result = flight.result()
-    assert result.refused is not None
-    assert result.refused.startswith("the pad was not found again; frames since the pad was last truly seen: ")
-    assert "no_pad" in result.refused
-    assert result.grade is Grade.FAILED, "this scenario expects a landing"
+    refused = result.judged.refused
+    assert refused is not None
+    assert refused.startswith("the pad was not found again; frames since the pad was last truly seen: ")
+    assert "no_pad" in refused
+    assert result.judged.grade == "failed", "this scenario expects a landing"
 
 
 def test_the_simulated_drone_takes_every_key_of_the_configuration_or_the_run_ends() -> None:

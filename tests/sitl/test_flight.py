@@ -93,9 +93,9 @@ def test_it_lands_on_the_pad_and_every_frame_is_counted() -> None:
     result, diary = calm()
     assert result.outcome is FlightOutcome.LANDED
     assert result.landed_on_pad
-    assert result.touchdown is not None
-    assert result.touchdown.lateral_m < 0.25
-    assert result.touchdown.vertical_speed_m_s < 0.8
+    assert result.truth.touchdown is not None
+    assert result.truth.touchdown.lateral_m < 0.25
+    assert result.truth.touchdown.vertical_speed_m_s < 0.8
     assert result.health.frames.total() == len(diary.verdicts)
     assert result.health.frames[Verdict.FUSED] > 0.6 * result.health.frames.total()
 

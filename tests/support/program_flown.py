@@ -179,7 +179,7 @@ class ProgramFlown(OrderedFlight):
         self.guidance.command = Velocity(np.array([0.0, 0.0, 1.0]), 0.0)
         self.until(lambda: self.toy.height_m < 1.0)
         self.guidance.command, began_s = Land(), self.body.t_s
-        self.until(lambda: (contact := self.body.landing()) is not None and contact.t_s > began_s)
+        self.until(lambda: (contact := self.body.landing()) is not None and contact.at > 1e9 * began_s)
 
     # The world
 

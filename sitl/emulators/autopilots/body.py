@@ -61,24 +61,6 @@ class BodyState:
     """Distance along the body's down axis to the deck or the still water, m; None beyond 40 m and if the axis points upwards."""
 
 
-@dataclass(frozen=True, slots=True)
-class BodyTouchdown:
-    """The newest contact with a surface after flight."""
-
-    t_s: float
-    on_deck: bool
-    on_pad: bool
-    """True if the vehicle is on deck with all feet over the pad's disc."""
-    lateral_m: float
-    """Distance from the pad's centre along the deck, m."""
-    yaw_rad: float
-    """Heading relative to the arrow, clockwise from above, rad."""
-    speed_m_s: float
-    """Closing speed into the deck, m/s."""
-    slide_m_s: float
-    """Speed along the deck, relative to it, m/s."""
-
-
 class Body:
     """A motor-driven vehicle and its surroundings.
 
@@ -154,14 +136,10 @@ class Body:
     def R_ned_pad(self) -> Rotation:
         return Rotation(np.array(self._ground.R))
 
-    def landing(self) -> BodyTouchdown | None:
-        """Return the landing, or None before the first contact."""
+    def landing(self) -> Touchdown | None:
+        """Return the newest contact with a surface after flight, by the time since the start; None before the first."""
         v = self._vehicle
-        if v.touched_what not in (DECK, SEA):
-            return None
-        t = self.touchdown(MonoNs(0), None)
-        on_deck = t.surface != "water"
-        return BodyTouchdown(v.touched_s, on_deck, t.on_pad, t.lateral_m, t.yaw_rad, t.vertical_speed_m_s, t.lateral_speed_m_s)
+        return self.touchdown(MonoNs(round(v.touched_s * NS_PER_S)), None) if v.touched_what in (DECK, SEA) else None
 
     def touchdown(self, at: MonoNs, guidance_phase: str | None) -> Touchdown:
         """Return the newest contact, which began at an instant and in a phase of guidance that the caller knows."""

@@ -31,12 +31,12 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geodesy import ned_between
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 from sitl.camera.film import SimulatedExposure
 from sitl.emulators.autopilots import arducopter, px4
 from sitl.emulators.autopilots.arducopter import CURVE, STEP_S, JsonBackend, serve_json
 from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, beside_autopilot
-from sitl.emulators.autopilots.body import Body, BodyTouchdown, Silence, view_of
+from sitl.emulators.autopilots.body import Body, Silence, view_of
 from sitl.emulators.autopilots.lock_step import FaultyLink, LockStepCamera, LockStepClock
 from sitl.emulators.autopilots.observed_body import GradedBody, PerceivedBody
 from sitl.emulators.autopilots.program import Program, reserved_port, running
@@ -93,7 +93,7 @@ class FlightEnd:
 
     outcome: FlightOutcome | None
     """The pilot's outcome, and of an unaided flight a landing where the motors stopped; None if the flight ended otherwise."""
-    landing: BodyTouchdown | None
+    landing: Touchdown | None
     duration_s: float
     """Time since the landing was commanded."""
     health: Health
@@ -295,7 +295,7 @@ class AutopilotFlight:
         began = station.began or ended
         texts = tuple((seconds_between(self.clock.started, at), component, text) for at, component, text in station.texts)
         landing = None if self.body is None or station.began is None else self.body.landing()
-        stopped = None if landing is None or self._stopped_s is None else max(self._stopped_s - landing.t_s, 0.0)
+        stopped = None if landing is None or self._stopped_s is None else max(self._stopped_s - landing.at / NS_PER_S, 0.0)
         pilot, health = service.now.pilot, service.now.daemon.health
         outcome = pilot.outcome
         if self.autopilot.unaided:

@@ -28,14 +28,13 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
-from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 from sitl.camera.camera import Exposure
 from sitl.emulators.autopilots.beside import FlightDaemon, beside_autopilot
-from sitl.emulators.autopilots.body import BodyTouchdown
 from sitl.scenario.scenario import Scenario, pad_model
 from sitl.vehicle.airframe import Airframe
 from sitl.world.stage import flight_seeds, renderer, sea_and_vessel
-from sitl.world.truth import RenderedFrame
+from sitl.world.truth import RenderedFrame, Surface, Touchdown
 
 TRUTH = {Stack.ARDUPILOT: "SIM_STATE", Stack.PX4: "HIL_STATE_QUATERNION"}
 """The message in which the simulator of each stack reports the true state."""
@@ -172,7 +171,7 @@ class FollowEnd:
     """The result of the flight."""
 
     outcome: FlightOutcome | None
-    landing: BodyTouchdown | None
+    landing: Touchdown | None
     duration_s: float
     """Time since the vehicle was first seen flying, s."""
     health: Health
@@ -224,7 +223,7 @@ class DeckUnder:
         """Return the body's height over the pad's centre, metres."""
         return float((self._deck(pose.at)[1] - pose.p_ned - self._shift)[2])
 
-    def landing(self, pose: AutopilotPose, descent_rate_m_s: float) -> BodyTouchdown:
+    def landing(self, pose: AutopilotPose, descent_rate_m_s: float) -> Touchdown:
         """Return the landing that this pose would be if the body were on the deck there.
 
         Args:
@@ -235,9 +234,9 @@ class DeckUnder:
         lateral_m = float(np.hypot(d[0], d[1]))
         yaw = wrap_pi(pose.R_ned_body.rpy_rad[2] - Rotation(R).rpy_rad[2])
         slide = pose.v_ned - v
-        return BodyTouchdown(
-            t_s, True, lateral_m <= self.pad_radius_m, lateral_m, yaw, descent_rate_m_s, math.hypot(slide[0], slide[1])
-        )
+        surface: Surface = "pad" if lateral_m <= self.pad_radius_m else "deck"
+        slide_m_s = math.hypot(slide[0], slide[1])
+        return Touchdown(MonoNs(round(t_s * NS_PER_S)), surface, d, lateral_m, yaw, descent_rate_m_s, slide_m_s)
 
 
 async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, observers: Sequence[Observer] = ()) -> FollowEnd:
@@ -284,7 +283,7 @@ class _Watcher:
         self.frames = 0
 
     @property
-    def landing(self) -> BodyTouchdown | None:
+    def landing(self) -> Touchdown | None:
         """The landing by the last received pose; None if none was received."""
         if self._deck is None or self._last is None:
             return None

@@ -22,7 +22,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera.camera import Exposure
 from sitl.camera.render_worker import RenderWorker
-from sitl.emulators.autopilots.body import Body, BodyTouchdown
+from sitl.emulators.autopilots.body import Body
 from sitl.faults.corrupted import Corruptions
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import LightFalls, OperatorActs
@@ -66,7 +66,7 @@ class GradedBody(NullObserver):
         """Instant of the order to land."""
         self._body: Body | None = None
         self._contacts: list[Touchdown] = []
-        self._newest: BodyTouchdown | None = None
+        self._newest: Touchdown | None = None
         self._watched: MonoNs | None = None
 
     @property
@@ -102,7 +102,7 @@ class GradedBody(NullObserver):
         self.started, now, landing = began, self._clock.now(), body.landing()
         if self.active("service_killed"):
             self.guidance_phase = None
-        if landing is not None and (self._newest is None or landing.t_s != self._newest.t_s):
+        if landing is not None and (self._newest is None or landing.at != self._newest.at):
             self._newest = landing
             self._contacts.append(body.touchdown(now, self.guidance_phase))
         if not self.faults:

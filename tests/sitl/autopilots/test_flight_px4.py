@@ -110,7 +110,7 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
     assert end.outcome is FlightOutcome.LANDED
     assert end.landing is not None
     assert end.landing.on_pad
-    assert end.landing.speed_m_s < 0.8
+    assert end.landing.vertical_speed_m_s < 0.8
     assert any("Decklander: down" in text for _, _, text in end.texts)
     environment = (folder / "environment").read_text()
     assert "PX4_SIM_HOSTNAME=127.0.0.1" in environment

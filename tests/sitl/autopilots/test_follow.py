@@ -98,7 +98,7 @@ def test_the_pad_lies_where_the_scenarios_start_says() -> None:
     landing = flying.landing(over, 0.4)
     assert landing.on_pad
     assert landing.lateral_m == pytest.approx(0.0, abs=1e-6)
-    assert landing.speed_m_s == 0.4
+    assert landing.vertical_speed_m_s == 0.4
     beside = flying.landing(first, 0.4)
     assert not beside.on_pad
     assert beside.lateral_m == pytest.approx(math.hypot(ahead, right))
@@ -150,7 +150,7 @@ async def test_followed_seen_and_landed_in_real_time() -> None:
     assert end.landing is not None
     assert end.landing.lateral_m < 0.15
     assert end.landing.on_pad
-    assert end.landing.speed_m_s == pytest.approx(0.4, abs=0.05)
+    assert end.landing.vertical_speed_m_s == pytest.approx(0.4, abs=0.05)
     # It began at (3, 4); the pad lay 0.2 m ahead of it and 0.15 m to the left.
     assert fake.p_ned[:2] == pytest.approx((3.2, 3.85), abs=0.15)
     assert fake.of("LANDING_TARGET"), "and the autopilot was told of the pad"

@@ -17,7 +17,6 @@ from estimator.contracts.time import MonoNs
 from sitl.campaign.overrides import Overridable
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.faults.kinds import OperatorActs, ServiceKilled
-from sitl.flight.grade import Grade
 from sitl.flight.hands import HandsWatch
 from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
@@ -74,7 +73,7 @@ def assert_landed_and_stopped_at_once(flight: AutopilotFlight, end: FlightEnd) -
     assert end.landing.on_pad
     assert end.landing.lateral_m < 0.12
     # On a starved machine the stand-in of ArduCopter receives late: it slid 0.43 and 0.62 m/s there, and 0.06 to 0.2 otherwise.
-    assert end.landing.slide_m_s < (0.8 if flight.autopilot.name == "arducopter" else 0.3)
+    assert end.landing.lateral_speed_m_s < (0.8 if flight.autopilot.name == "arducopter" else 0.3)
     assert abs(math.degrees(end.landing.yaw_rad)) < 8.0, "from 20 degrees off the arrow"
     assert end.armed_after_contact_s is not None
     assert end.armed_after_contact_s < 1.0
@@ -143,7 +142,7 @@ async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(stack,
     assert not silence.touched
     assert_landed_and_stopped_at_once(flight, end)
     assert end.result is not None
-    assert end.result.grade is Grade.ON_PAD
+    assert end.result.judged.grade == "on pad"
 
 
 @pytest.mark.hazard("H4", "H6")
@@ -168,8 +167,8 @@ async def test_a_pilot_who_switches_the_mode_is_obeyed_and_gives_it_back(
     assert [act for _, act in modes] == ["mode", "begin"]
     assert modes[1][0] - modes[0][0] == pytest.approx(2.0, abs=0.2)
     assert end.result is not None
-    assert end.result.unsafe == ()
-    assert end.result.grade is Grade.ON_PAD
+    assert end.result.judged.unsafe == ()
+    assert end.result.judged.grade == "on pad"
 
 
 @pytest.mark.timeout(400)
@@ -183,7 +182,7 @@ async def test_unaided_it_lands_over_the_ground_while_the_ship_goes_on(tmp_path:
     assert end.landing is not None
     assert not end.landing.on_pad
     assert end.landing.lateral_m > 5.0, "the ship's way in the time of the descent"
-    assert end.landing.slide_m_s > 1.0, "the ship's speed"
+    assert end.landing.lateral_speed_m_s > 1.0, "the ship's speed"
 
 
 async def test_killed_for_good_it_is_left_alone(tmp_path: Path) -> None:
@@ -192,7 +191,7 @@ async def test_killed_for_good_it_is_left_alone(tmp_path: Path) -> None:
     assert end.outcome is None
     assert end.contacts == ()
     assert end.result is not None
-    assert end.result.because.startswith("hovered without a service")
+    assert end.result.judged.because.startswith("hovered without a service")
 
 
 @pytest.mark.hazard("H4", "H5")
