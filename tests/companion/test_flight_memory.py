@@ -11,17 +11,16 @@ from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot
 from companion.service.assemble import FlightKeeper, keeper_of, no_modes
 from estimator.contracts.commands import Hover, Velocity
-from tests.companion.test_pilot import Cockpit
+from tests.companion.test_safety import Loop
 from tests.make import ns
 
 
-def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = True) -> Cockpit:
+def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = True) -> Loop:
     """Return a new service, 2 s after that record, in its first cycle without sight."""
-    cockpit = Cockpit(automatic=automatic)
-    cockpit.pilot.landing.before = before
-    cockpit.now, cockpit.flying = ns(102.0), flying
-    cockpit.tick(sighted=False)
-    return cockpit
+    loop = Loop(automatic=automatic, flying=flying)
+    loop.pilot.landing.before, loop.now = before, ns(102.0)
+    loop.tick("no frames")
+    return loop
 
 
 @pytest.mark.parametrize(
@@ -35,9 +34,9 @@ def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = 
     ],
 )  # fmt: skip
 def test_a_landing_goes_on_and_a_person_s_hold_stays_one(state: State, begun: bool, automatic: bool, then: State) -> None:
-    cockpit = back(FlightMemory(ns(100.0), state.name, begun, 0.3), automatic=automatic)
-    assert cockpit.pilot.state is then
-    assert cockpit.pilot.landing.mission.begun is (then is State.SEARCH or (begun and then is not State.READY))
+    loop = back(FlightMemory(ns(100.0), state.name, begun, 0.3), automatic=automatic)
+    assert loop.pilot.state is then
+    assert loop.pilot.landing.mission.begun is (then is State.SEARCH or (begun and then is not State.READY))
 
 
 @pytest.mark.parametrize(
@@ -56,21 +55,21 @@ def test_what_is_old_from_the_future_or_strange_is_not_used(memory: FlightMemory
 @pytest.mark.parametrize("automatic", [False, True])
 def test_a_vehicle_that_changed_its_mode_meanwhile_is_a_person_s_until_he_orders_to_begin(state: State, automatic: bool) -> None:
     left = () if state is State.TAKEN else ("guided", "auto.loiter")
-    cockpit = back(FlightMemory(ns(100.0), state.name, True, 0.3, left), automatic=automatic)
-    cockpit.pilot.landing._resumes = automatic  # its velocity mode would be an order
-    assert {cockpit.tick(sighted=True) for _ in range(20)} == {Hover()}
-    assert cockpit.pilot.state is (State.TAKEN if automatic else State.READY)
-    cockpit.pilot.begin()
-    assert isinstance(cockpit.tick(sighted=False), Velocity)
+    loop = back(FlightMemory(ns(100.0), state.name, True, 0.3, left), automatic=automatic)
+    loop.pilot.landing._resumes = automatic  # its velocity mode would be an order
+    assert {loop.tick().command for _ in range(20)} == {Hover()}
+    assert loop.pilot.state is (State.TAKEN if automatic else State.READY)
+    loop.pilot.begin()
+    assert isinstance(loop.tick("no frames").command, Velocity)
     same = FlightMemory(ns(100.0), "COMMIT", True, 0.3, ("guided", "hovering"))
     assert back(same, automatic=False).pilot.state is State.SEARCH
 
 
 def test_a_vehicle_that_stood_meanwhile_begins_another_flight() -> None:
-    cockpit = back(FlightMemory(ns(100.0), "PAUSED", True), flying=False)
-    cockpit.flying = True
-    cockpit.tick(sighted=False)
-    assert cockpit.pilot.state is State.SEARCH
+    loop = back(FlightMemory(ns(100.0), "PAUSED", True), flying=False)
+    loop.flying = True
+    loop.tick("no frames")
+    assert loop.pilot.state is State.SEARCH
 
 
 def test_a_height_that_was_known_spares_a_climb_as_far_as_a_deck_cannot_have_taken_it() -> None:
@@ -81,18 +80,18 @@ def test_a_height_that_was_known_spares_a_climb_as_far_as_a_deck_cannot_have_tak
 
 
 def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_the_next_service(tmp_path: Path) -> None:
-    path, first, first_one = tmp_path / "flight", Cockpit(), "AR.Drone at 1.2.3.4"
+    path, first, first_one = tmp_path / "flight", Loop(), "AR.Drone at 1.2.3.4"
     keeper = FlightKeeper(path, first.pilot, first_one, "boot", lambda mode: (mode, "brake"))
     texts = set()
     for _ in range(100):
-        first.tick(sighted=True)
+        first.tick()
         keeper.on_decision(first.pilot.decide(first.now))
         assert keeper._writer is not None
         keeper._writer.join()
         texts.add(path.read_bytes())
     assert 2 <= len(texts) < 20
     for vehicle, boot, used in ((first_one, "boot", True), ("another", "boot", False), (first_one, "b", False)):
-        second: Pilot = Cockpit().pilot
+        second: Pilot = Loop().pilot
         FlightKeeper(path, second, vehicle, boot, no_modes)
         assert (second.landing.before is not None) is used
         assert second.landing.before is None or second.landing.before.modes == ("hovering", "brake")
@@ -111,7 +110,7 @@ def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_the_ne
 )
 def test_a_file_with_a_fault_is_named_and_not_used(text: bytes, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "flight").write_bytes(text)
-    pilot = Cockpit().pilot
+    pilot = Loop().pilot
     with caplog.at_level(logging.ERROR):
         FlightKeeper(tmp_path / "flight", pilot, "v", "b", no_modes)
     assert pilot.landing.before is None
@@ -119,13 +118,13 @@ def test_a_file_with_a_fault_is_named_and_not_used(text: bytes, tmp_path: Path, 
 
 
 def test_a_folder_that_cannot_be_written_is_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    cockpit = Cockpit()
-    keeper = keeper_of(cockpit.pilot, "v", {"STATE_DIRECTORY": str(tmp_path / "absent")}, no_modes)
+    loop = Loop()
+    keeper = keeper_of(loop.pilot, "v", {"STATE_DIRECTORY": str(tmp_path / "absent")}, no_modes)
     assert keeper is not None
     for _ in range(60):
-        cockpit.tick(sighted=True)
-        keeper.on_decision(cockpit.pilot.decide(cockpit.now))
+        loop.tick()
+        keeper.on_decision(loop.pilot.decide(loop.now))
         assert keeper._writer is not None
         keeper._writer.join()
     assert caplog.text.count("cannot be written") == 1
-    assert keeper_of(cockpit.pilot, "v", {}, no_modes) is None
+    assert keeper_of(loop.pilot, "v", {}, no_modes) is None

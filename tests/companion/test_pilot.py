@@ -16,8 +16,8 @@ from companion.guidance.mission.machine import mission_step
 from companion.guidance.mission.progress import Progress
 from companion.guidance.pilot import Pilot
 from companion.settings.guidance import FollowDeckOptions, GuidanceOptions
-from companion.settings.load import camera_model, load, pad_model
-from estimator.contracts.commands import Command, Hover
+from companion.settings.load import load
+from estimator.contracts.commands import Hover
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
@@ -25,72 +25,37 @@ from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Geo
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection
-from estimator.vision.options import TrackerOptions
-from estimator.vision.tracker import TrackerConfig
+from tests.companion.test_safety import EYES, TICK_S, Loop
 from tests.make import ns, status
-
-SIM = load("sim")
-EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), TrackerOptions(colours="simulator"))
-TICK_S = 0.02
-
-
-class Cockpit:
-    """A pilot whose senses are told by hand: the body at rest above the pad unless moved, every reading noisy."""
-
-    def __init__(self, *, automatic: bool = True, path: str = "dead_reckoning") -> None:
-        options = EstimatorOptions(path=path)  # type: ignore[arg-type]
-        self.pilot = Pilot(EYES, options, GuidanceOptions(mission="thesis", controller="pid"), PilotOptions(automatic=automatic))
-        self.now = MonoNs(0)
-        self.d = np.array([0.3, -0.2, 3.0])
-        self.flying: bool | None = True
-        self.emergency = False
-        self.rng = np.random.default_rng(1)
-
-    def noise(self, sigma: float) -> np.ndarray:
-        return self.rng.normal(0.0, sigma, 3)
-
-    def tick(self, sighted: bool) -> Command | None:
-        self.now = after(self.now, TICK_S)
-        stamp = Stamp(self.now, self.now, 0.001, "sim")
-        self.pilot.on_sample(Attitude(stamp, Rotation.from_rotvec(self.noise(1e-4)), 1e-5 * np.eye(3)))
-        self.pilot.on_sample(Imu(stamp, self.noise(1e-3), np.array([0.0, 0.0, -9.80665]) + self.noise(0.01)))
-        self.pilot.on_sample(BodyVelocity(stamp, self.noise(1e-4), np.diag([0.01, 0.01, UNKNOWN_VAR])))
-        self.pilot.on_sample(VehicleStatus(stamp, self.flying, "hovering", 0.9, self.emergency, True))
-        if sighted:
-            measured_at = Stamp(after(self.now, -0.05), self.now, 0.001, "sim")
-            cov = np.diag([1e-4, 1e-4, 1e-4, 1e-3])
-            sighting = Sighting(measured_at, 1, "selected", self.d, 0.1, False, cov, 0.9)
-            self.pilot.on_detection(Detection(sighting, "arrow", {}))
-        return self.pilot.decide(self.now).command
 
 
 def test_it_leaves_the_vehicle_alone_until_it_flies_and_hovers_until_it_sees() -> None:
-    cockpit = Cockpit()
-    cockpit.flying = False
-    assert cockpit.tick(sighted=True) is None
-    cockpit.flying = True
-    assert {type(cockpit.tick(sighted=False)) for _ in range(160)} == {Hover}, "its ultrasound would find a deck that is near"
+    loop = Loop(flying=False)
+    assert loop.tick().command is None
+    loop.flying = True
+    commands = {type(loop.tick("no frames").command) for _ in range(64)}
+    assert commands == {Hover}, "its ultrasound would find a deck that is near"
 
 
 @pytest.mark.hazard("H2")
 def test_a_pad_elsewhere_is_for_the_guard_to_judge_with_the_tracked_one_and_without() -> None:
-    cockpit = Cockpit()
+    loop = Loop()
     for _ in range(60):
-        cockpit.tick(True)
+        loop.tick()
 
     def judged(tracked: float | None) -> Verdict:
-        stamp = Stamp(after(cockpit.now, -0.04), cockpit.now, 0.001, "sim")
-        here = Sighting(stamp, 1, "registration", cockpit.d, 0.1, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), tracked or 0.0)
-        there = structs.replace(here, d_body_pad_level=cockpit.d + np.array([0.0, 1.5, 0.0]), confidence=0.9)
+        stamp = Stamp(after(loop.now, -0.04), loop.now, 0.001, "sim")
+        here = Sighting(stamp, 1, "registration", loop.d, 0.1, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), tracked or 0.0)
+        there = structs.replace(here, d_body_pad_level=loop.d + np.array([0.0, 1.5, 0.0]), confidence=0.9)
         selected = None if tracked is None else here
-        return cockpit.pilot.on_detection(Detection(selected, "registration", {}, elsewhere=there))[0]
+        return loop.pilot.on_detection(Detection(selected, "registration", {}, elsewhere=there))[0]
 
     assert [judged(tracked) for tracked in (None, 0.1, 0.4)] == [Verdict.ELSEWHERE, Verdict.ELSEWHERE, Verdict.FUSED]
 
 
 def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    cockpit = Cockpit()
-    cockpit.tick(sighted=True)
+    loop = Loop()
+    loop.tick()
     cycles: list[GuidanceCycle] = []
 
     def seen(progress: Progress, s: GuidanceCycle, *args: Any, **kwargs: Any) -> Any:
@@ -99,16 +64,16 @@ def test_the_ship_s_own_word_does_not_break_the_vehicle_s_silence(monkeypatch: p
 
     monkeypatch.setattr("companion.guidance.landing.mission_step", seen)
     for _ in range(50):
-        cockpit.now = now = after(cockpit.now, TICK_S)
+        loop.now = now = after(loop.now, TICK_S)
         stamp = Stamp(now, now, 0.001, "sim")
-        cockpit.pilot.on_sample(GeoFix(stamp, "vessel", GeoPoint(0.9, 0.1, 0.0), 2.0))
-        cockpit.pilot.on_sample(VesselReport(stamp, None, None, 0.5, 0.1))
-        cockpit.pilot.decide(now)
+        loop.pilot.on_sample(GeoFix(stamp, "vessel", GeoPoint(0.9, 0.1, 0.0), 2.0))
+        loop.pilot.on_sample(VesselReport(stamp, None, None, 0.5, 0.1))
+        loop.pilot.decide(now)
     assert (cycles[-1].silent_s, cycles[-1].age_s) == pytest.approx((50 * TICK_S, 50 * TICK_S))
     for delay_s in (0.3, 0.4):
-        late = Stamp(after(cockpit.now, -delay_s), cockpit.now, 0.001, "sim")
-        cockpit.pilot.on_sample(Attitude(late, Rotation.identity(), 1e-5 * np.eye(3)))
-        cockpit.pilot.decide(cockpit.now)
+        late = Stamp(after(loop.now, -delay_s), loop.now, 0.001, "sim")
+        loop.pilot.on_sample(Attitude(late, Rotation.identity(), 1e-5 * np.eye(3)))
+        loop.pilot.decide(loop.now)
         assert (cycles[-1].silent_s, cycles[-1].age_s) == pytest.approx((0.0, 0.3)), "late samples break it and are still old"
 
 
@@ -125,7 +90,7 @@ def test_the_vehicle_s_own_limit_of_the_tilt_counts_up_to_the_owner_s(own_deg: f
 @given(cuts=st.lists(st.integers(1, 9), min_size=1, max_size=8), flies_from=st.integers(0, 30), seed=st.integers(0, 9))
 def test_samples_together_fly_as_samples_one_by_one(cuts: list[int], flies_from: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    pilots = [Cockpit(automatic=True).pilot for _ in range(2)]
+    pilots = [Loop().pilot for _ in range(2)]
     samples: list[Sample] = []
     for n in range(60):
         stamp = Stamp(MonoNs(n * 5_000_000), MonoNs(n * 5_000_000 + 1_000_000), 0.001, "sim")

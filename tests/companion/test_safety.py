@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from companion.base.observer import Decision
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
+from companion.guidance.landing import PilotOptions
 from companion.guidance.mission.cycle import fit_to_steer
 from companion.guidance.pilot import Pilot
 from companion.settings.guidance import GuidanceOptions
@@ -56,9 +57,12 @@ class Loop:
     """Vision reports things about it."""
     glare: float = 0.0
     """Share of the pad that vision cannot see for glare."""
+    automatic: bool = True
+    flying: bool = True
 
     def __post_init__(self) -> None:
-        self.pilot = Pilot(EYES, EstimatorOptions(path=self.path), self.guidance)
+        options = PilotOptions(automatic=self.automatic)
+        self.pilot = Pilot(EYES, EstimatorOptions(path=self.path), self.guidance, options)
         self.rng = np.random.default_rng(7)
         self.now = MonoNs(10**12)
         self.ticks = 0
@@ -108,7 +112,7 @@ class Loop:
             self.pilot.on_sample(
                 Range(now, self.d[2] * (1.6 if fault == "range wrong" else 1.0) + abs(self.noise(0.005)[0]), 0.02)
             )
-        self.pilot.on_sample(VehicleStatus(now, True, "flying", 0.9, False, True))
+        self.pilot.on_sample(VehicleStatus(now, self.flying, "hovering", 0.9, False, True))
 
     def track(self, fault: str) -> None:
         late_s = 0.36 if fault == "stamps old" else 0.06
@@ -345,17 +349,3 @@ def test_a_pad_in_glare_is_not_landed_upon_before_it_is_seen_or_called_clear(pas
     else:
         assert loop.pilot.operator.take(OperatorOrder.CLEAR, OrderSender(OrderSource.PAGE), loop.now).accepted
     loop.until(lambda decision: loop.pilot.phase == "commit")
-
-
-def test_what_passed_delays_the_landing_and_the_operator_may_overrule_what_stays() -> None:
-    loop = Loop("ekf", GuidanceOptions(mission="thesis", controller="pid"))
-    loop.until(below(2.2, loop))
-    loop.thing = CRATE
-    loop.until(lambda decision: "something" in decision.reason)
-    loop.thing = None
-    loop.until(lambda decision: loop.pilot.phase == "descend")
-    loop.thing = CRATE
-    loop.until(lambda decision: "something" in decision.reason)
-    assert loop.pilot.operator.take(OperatorOrder.CLEAR, OrderSender(OrderSource.PAGE), loop.now).accepted
-    loop.until(lambda decision: isinstance(decision.command, Land))
-    assert loop.d[2] < 0.45

@@ -103,15 +103,6 @@ def test_a_drone_that_flies_away_by_a_velocity_that_lies_meets_no_wind() -> None
     assert trim_level(after, 0.4) == pytest.approx([push[0] * math.cos(0.4), -push[0] * math.sin(0.4)], abs=0.1)
 
 
-def test_a_pause_keeps_what_is_known_and_no_motion_changes_nothing() -> None:
-    watch = WindWatch()
-    for n in range(400):
-        watch = watched(watch, leaning(n * DT, 0.3, np.array([1.4, 0.0]), np.zeros(2)))
-    assert watched(watch, Knowledge(ns(8.1), None)) is watch
-    late = watched(watch, leaning(60.0, 0.3, np.array([9.0, 9.0]), np.zeros(2)))
-    assert (late.mean, late.known_s) == (watch.mean, watch.known_s)
-
-
 @given(st.floats(-3.1, 3.1))
 @settings(max_examples=30, deadline=None)
 def test_the_turn_across_the_wind_is_the_smaller_one_to_the_wider_side(bearing: float) -> None:
