@@ -50,7 +50,7 @@ from tests.support.approach_settings import DURATION_S, OPTIONS, setting
 from tests.support.estimator_truth import TruthFlight, events, ns
 from tests.support.mocap_flight import DELAY_S, FOLDER, Event, MocapFilter, MocapRecording, load, run, sightings
 from tests.support.voyage_score import Score
-from tests.support.voyage_score import fly as fly_voyage
+from tests.support.voyage_score import fly_voyage as fly_voyage
 from tests.support.voyage_truth import SEAS, VoyageScene
 
 HOLD_S = (12.0, 26.0)

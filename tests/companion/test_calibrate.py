@@ -319,7 +319,7 @@ def test_calibrated_values_that_are_none_are_refused(values: dict[str, object], 
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Settings]:
+def recorded_rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Settings]:
     """Return a recording with a camera file of the user's own, and the folder of both."""
     folder = tmp_path_factory.mktemp("flown")
     camera, rig = folder / "mine.toml", folder / "rig.toml"
@@ -331,8 +331,8 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Setting
     return folder, rig, settings
 
 
-def test_the_mount_is_written_into_a_copy_of_the_camera_file(flown, tmp_path, capsys):
-    folder, _, settings = flown
+def test_the_mount_is_written_into_a_copy_of_the_camera_file(recorded_rig, tmp_path, capsys):
+    folder, _, settings = recorded_rig
     out = tmp_path / "new.toml"
     assert main(["calibrate", "mount", str(folder / "flight.mcap"), "--out", str(out)]) == 0
     output = capsys.readouterr().out
@@ -352,8 +352,8 @@ def test_the_mount_is_written_into_a_copy_of_the_camera_file(flown, tmp_path, ca
     assert "name a new one" in capsys.readouterr().err
 
 
-def test_the_delay_is_written_into_a_copy_of_the_settings(flown, tmp_path, capsys):
-    folder, rig, settings = flown
+def test_the_delay_is_written_into_a_copy_of_the_settings(recorded_rig, tmp_path, capsys):
+    folder, rig, settings = recorded_rig
     out = tmp_path / "rig.toml"
     words = ["calibrate", "delay", str(folder / "flight.mcap"), "--config", str(rig), "--out", str(out), "--json"]
     assert main(words) == 0
@@ -381,7 +381,7 @@ def test_a_readout_time_is_found_within_its_sigma_and_does_not_spoil_mount_and_d
 
 
 def test_a_readout_needs_the_images(flown: tuple[Path, Path, Settings], capsys: pytest.CaptureFixture[str]) -> None:
-    folder, _, _ = flown
+    folder, _, _ = recorded_rig
     assert main(["calibrate", "readout", str(folder / "flight.mcap"), "--out", str(folder / "no.toml")]) == 2
     assert "holds the images of 0 views" in capsys.readouterr().err
     assert not (folder / "no.toml").exists()

@@ -28,7 +28,7 @@ def course(t: float, v: tuple[float, float], heading: float | None = None) -> Ve
     return VesselReport(stamp(t), np.array([*v, 0.0]), 0.01 * np.eye(3), heading, sigma)
 
 
-def after(*samples, limits: ReportLimits | None = None, yaw: float = 0.0, until: float = 10.0) -> VesselTrack:
+def track_after(*samples, limits: ReportLimits | None = None, yaw: float = 0.0, until: float = 10.0) -> VesselTrack:
     """Return a track after these samples, of a vehicle 30 m up at the harbour whose own reports never stop."""
     track = VesselTrack(limits or ReportLimits())
     for sample in samples:
@@ -37,7 +37,7 @@ def after(*samples, limits: ReportLimits | None = None, yaw: float = 0.0, until:
     return track.on_sample(attitude(until, yaw=yaw))
 
 
-def known(track: VesselTrack, t: float) -> VesselPosition:
+def position_at(track: VesselTrack, t: float) -> VesselPosition:
     place = track.position(ns(t))
     assert isinstance(place, VesselPosition), place
     return place
@@ -50,8 +50,8 @@ def cause(track: VesselTrack, t: float) -> ReasonCause:
 
 
 def test_the_place_goes_on_with_her_velocity_and_turns_into_the_drone_s_axes() -> None:
-    track = after(course(8.0, (3.0, 0.0)), fix("vessel", 8.0, 40.0, 10.0, 4.0), yaw=math.pi / 2)
-    place = known(track, 10.0)
+    track = track_after(course(8.0, (3.0, 0.0)), fix("vessel", 8.0, 40.0, 10.0, 4.0), yaw=math.pi / 2)
+    place = position_at(track, 10.0)
     assert place.d_body_pad_level == pytest.approx([10.0, -46.0], abs=0.01), "46 m north, 10 m east, and the nose is east"
     assert place.v_level == pytest.approx([0.0, -3.0], abs=1e-6)
     assert place.height_m == pytest.approx(26.0, abs=0.01)
@@ -62,21 +62,21 @@ def test_the_place_goes_on_with_her_velocity_and_turns_into_the_drone_s_axes() -
 def test_the_pad_lies_where_the_ship_s_heading_puts_it() -> None:
     limits = ReportLimits(pad_forward_m=-12.0, pad_right_m=3.0, pad_up_m=2.0)
     samples = course(9.0, (0.0, 0.0), heading=math.pi / 2), fix("vessel", 9.0, 0.0, 50.0, 4.0)
-    place = known(after(*samples, limits=limits), 9.0)
+    place = position_at(track_after(*samples, limits=limits), 9.0)
     assert place.d_body_pad_level == pytest.approx([-3.0, 38.0], abs=0.01)
     assert place.height_m == pytest.approx(24.0, abs=0.01)
-    adrift = known(after(course(9.0, (0.0, 0.0)), fix("vessel", 9.0, 0.0, 50.0, 4.0), limits=limits), 9.0)
+    adrift = position_at(track_after(course(9.0, (0.0, 0.0)), fix("vessel", 9.0, 0.0, 50.0, 4.0), limits=limits), 9.0)
     assert not adrift.bow_known
     assert adrift.sigma_m > 12.0, "a pad whose side nobody knows is as uncertain as it is far from the receiver"
 
 
 def test_it_is_less_certain_with_age_and_unknown_in_the_end() -> None:
-    track = after(course(5.0, (1.5, 0.0)), fix("vessel", 5.0, 60.0, 0.0), until=5.0)
+    track = track_after(course(5.0, (1.5, 0.0)), fix("vessel", 5.0, 60.0, 0.0), until=5.0)
     sigmas = []
     for t in (5.0, 6.0, 8.0, 9.9):
         track = track.on_sample(fix("vehicle", t, 0.0, 0.0, 30.0, v=(0.0, 0.0)))
         track = track.on_sample(attitude(t))
-        sigmas.append(known(track, t).sigma_m)
+        sigmas.append(position_at(track, t).sigma_m)
     assert sigmas == sorted(sigmas)
     assert sigmas[-1] > sigmas[0] + 0.5
     track = track.on_sample(fix("vehicle", 10.2, 0.0, 0.0, 30.0))
@@ -94,9 +94,9 @@ def test_it_is_less_certain_with_age_and_unknown_in_the_end() -> None:
 )
 def test_what_cannot_be_hers_is_refused_counted_and_named(report: GeoFix, counter: str, why: ReasonCause) -> None:
     before = fix("vessel", 9.0, 40.0, 0.0)
-    track = after(before, report)
+    track = track_after(before, report)
     assert track.counted() == {"taken": 1, counter: 1}
-    assert known(track, 10.0).d_body_pad_level == pytest.approx([40.0, 0.0], abs=0.01), (
+    assert position_at(track, 10.0).d_body_pad_level == pytest.approx([40.0, 0.0], abs=0.01), (
         "flown by the one before, while it is fresh"
     )
     late = report.stamp.received_at * 1e-9 + 4.9
@@ -107,11 +107,11 @@ def test_what_cannot_be_hers_is_refused_counted_and_named(report: GeoFix, counte
 
 def test_a_jump_is_accepted_when_a_person_begins_again_or_after_a_long_silence() -> None:
     jumped = fix("vessel", 9.5, 140.0, 0.0)
-    track = after(fix("vessel", 9.0, 40.0, 0.0), jumped)
+    track = track_after(fix("vessel", 9.0, 40.0, 0.0), jumped)
     again = track.restarted().on_sample(fix("vessel", 10.0, 140.0, 0.0))
-    assert known(again, 10.0).distance_m == pytest.approx(140.0, abs=0.1)
-    later = after(fix("vessel", 9.0, 40.0, 0.0), fix("vessel", 45.0, 140.0, 0.0), until=45.0)
-    assert known(later, 45.0).distance_m == pytest.approx(140.0, abs=0.1)
+    assert position_at(again, 10.0).distance_m == pytest.approx(140.0, abs=0.1)
+    later = track_after(fix("vessel", 9.0, 40.0, 0.0), fix("vessel", 45.0, 140.0, 0.0), until=45.0)
+    assert position_at(later, 45.0).distance_m == pytest.approx(140.0, abs=0.1)
 
 
 def test_a_drone_without_a_place_or_a_heading_of_its_own_is_reported() -> None:
@@ -119,8 +119,8 @@ def test_a_drone_without_a_place_or_a_heading_of_its_own_is_reported() -> None:
     assert cause(track, 1.0) is ReasonCause.NO_OWN_PLACE
     track = track.on_sample(fix("vehicle", 1.0, 0.0, 0.0))
     assert cause(track, 1.0) is ReasonCause.NO_OWN_HEADING
-    assert cause(after(), 10.0) is ReasonCause.VESSEL_SILENT
-    assert cause(after(fix("vessel", 9.9, 40.0, 0.0, sigma_m=40.0)), 10.0) is ReasonCause.VESSEL_SIGMA
+    assert cause(track_after(), 10.0) is ReasonCause.VESSEL_SILENT
+    assert cause(track_after(fix("vessel", 9.9, 40.0, 0.0, sigma_m=40.0)), 10.0) is ReasonCause.VESSEL_SIGMA
 
 
 REPORT = st.builds(

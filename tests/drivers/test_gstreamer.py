@@ -44,7 +44,7 @@ real = pytest.mark.skipif(
 )
 
 
-def options(pipeline: str, **more: Any) -> CameraOptions:
+def camera_options(pipeline: str, **more: Any) -> CameraOptions:
     usual: dict[str, Any] = {"silence_s": 5.0, "reconnect_first_s": 0.01, "reconnect_most_s": 0.02}
     return CameraOptions(source="gstreamer", device=pipeline, **(usual | more))
 
@@ -70,7 +70,7 @@ def program(folder: Path, said: bytes, code: int = 0, *, stays: bool = False) ->
 async def ending(python: str, *, silence_s: float = 5.0) -> tuple[Exception, VideoSource, list[Frame]]:
     """Run once on this program; return what ended it, and the frames that came before."""
     camera, frames = VideoSource(), []
-    channel = GstreamerChannel(options("any", silence_s=silence_s), (W, H), CLOCK, camera, [python])
+    channel = GstreamerChannel(camera_options("any", silence_s=silence_s), (W, H), CLOCK, camera, [python])
 
     async def read() -> None:
         async for frame in camera.frames:
@@ -141,7 +141,7 @@ async def test_a_pipeline_that_cannot_be_built_again_is_lost_and_tried_again(tmp
     good, bad = message(wire.READY) + message(wire.FRAME, rows(1)), message(wire.FAULT, b'no element "camerasrc"')
     python = program(tmp_path, good)
     camera = VideoSource()
-    channel = GstreamerChannel(options("any"), (W, H), CLOCK, camera, [python])
+    channel = GstreamerChannel(camera_options("any"), (W, H), CLOCK, camera, [python])
     async with asyncio.timeout(60):
         with pytest.raises(CameraLost, match="its process ended"):
             await channel.run()
@@ -173,7 +173,7 @@ def test_garbage_is_a_lost_camera(garbage: bytes, tmp_path: Path) -> None:
 
 @real
 async def test_frames_of_a_real_pipeline_are_young_in_order_and_of_the_right_colour() -> None:
-    async with asyncio.timeout(120), open_camera(options(LIVE), (W, H), CLOCK) as camera:
+    async with asyncio.timeout(120), open_camera(camera_options(LIVE), (W, H), CLOCK) as camera:
         frames = [await camera.frames.get() for _ in range(12)]
         assert camera.down is None
     assert frames[0].px.shape == (H, W, 3)
@@ -189,7 +189,7 @@ async def test_frames_of_a_real_pipeline_are_young_in_order_and_of_the_right_col
 
 @real
 async def test_a_process_that_crashes_or_hangs_is_started_again() -> None:
-    async with asyncio.timeout(120), open_camera(options(LIVE, silence_s=0.5), (W, H), CLOCK) as camera:
+    async with asyncio.timeout(120), open_camera(camera_options(LIVE, silence_s=0.5), (W, H), CLOCK) as camera:
         for sent, reason in ((signal.SIGKILL, "failed"), (signal.SIGSTOP, "silent")):
             await camera.frames.get()
             (child,) = children()
@@ -251,5 +251,5 @@ def test_it_does_not_outlive_the_service(tmp_path: Path) -> None:
 )
 async def test_a_text_that_is_no_pipeline_is_one_clear_error(pipeline: str, words: str) -> None:
     with pytest.raises((BadInput, ValueError), match=words):
-        async with asyncio.timeout(60), open_camera(options(pipeline), (W, H), CLOCK) as camera:
+        async with asyncio.timeout(60), open_camera(camera_options(pipeline), (W, H), CLOCK) as camera:
             await camera.frames.get()

@@ -16,7 +16,7 @@ TICK = 33_000_000
 angles = st.floats(-math.pi, math.pi, exclude_min=True)
 
 
-def run(values, yaws=None, ambiguous=None, ticks=None, state=None) -> list[Any]:
+def filter_values(values, yaws=None, ambiguous=None, ticks=None, state=None) -> list[Any]:
     state = state or MedianMean()
     out: list[Any] = []
     for i, v in enumerate(values):
@@ -28,12 +28,12 @@ def run(values, yaws=None, ambiguous=None, ticks=None, state=None) -> list[Any]:
 
 
 def test_a_single_outlier_leaves_no_trace():
-    out = run([1.0, 1.0, 1.0, 50.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    out = filter_values([1.0, 1.0, 1.0, 50.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     assert [f.d_body_pad_level[0] for f in out] == [1.0] * 9
 
 
 def test_a_ramp_comes_out_two_samples_late_and_reports_it():
-    out = run([0.1 * i for i in range(10)])
+    out = filter_values([0.1 * i for i in range(10)])
     for i, f in enumerate(out):
         lag = (f.measured_at - f.holds_at) / TICK
         assert f.d_body_pad_level[0] == pytest.approx(0.1 * (i - lag), abs=1e-9)
@@ -43,7 +43,7 @@ def test_a_ramp_comes_out_two_samples_late_and_reports_it():
 
 
 def test_a_gap_forgets_the_past():
-    out = run([1.0, 1.0, 1.0, 5.0, 5.0], ticks=[0, 1, 2, 30, 31])
+    out = filter_values([1.0, 1.0, 1.0, 5.0, 5.0], ticks=[0, 1, 2, 30, 31])
     assert out[3].d_body_pad_level[0] == 5.0
     assert out[3].samples == 1
 
@@ -59,8 +59,8 @@ def test_a_sighting_that_is_not_newer_changes_nothing():
 @settings(max_examples=60)
 @given(angles, st.lists(st.floats(-0.05, 0.05), min_size=1, max_size=8))
 def test_heading_is_the_same_wherever_the_circle_is_cut(base, wobbles):
-    at_zero = run([0.0] * len(wobbles), yaws=wobbles)
-    turned = run([0.0] * len(wobbles), yaws=[wrap_pi(base + w) for w in wobbles])
+    at_zero = filter_values([0.0] * len(wobbles), yaws=wobbles)
+    turned = filter_values([0.0] * len(wobbles), yaws=[wrap_pi(base + w) for w in wobbles])
     for a, b in zip(at_zero, turned, strict=True):
         assert abs(wrap_pi(b.yaw_rad - a.yaw_rad - base)) < 1e-6
 
@@ -74,14 +74,14 @@ def test_circular_median_ignores_one_wild_angle_of_three(base, a, b, wild):
 def test_an_h_alone_keeps_the_branch_the_arrow_chose():
     yaws = [3.0, 3.0, 3.0] + [wrap_pi(3.0 + math.pi)] * 12
     ambiguous = [False] * 3 + [True] * 12
-    for f in run([0.0] * 15, yaws=yaws, ambiguous=ambiguous):
+    for f in filter_values([0.0] * 15, yaws=yaws, ambiguous=ambiguous):
         assert abs(wrap_pi(f.yaw_rad - 3.0)) < 1e-9
         assert not f.yaw_ambiguous
 
 
 def test_an_h_alone_from_the_start_stays_ambiguous_until_the_arrow_shows():
     h = [0.2, wrap_pi(0.2 + math.pi), 0.2, 0.2]
-    out = run([0.0] * 5, yaws=[*h, wrap_pi(0.2 + math.pi)], ambiguous=[True] * 4 + [False])
+    out = filter_values([0.0] * 5, yaws=[*h, wrap_pi(0.2 + math.pi)], ambiguous=[True] * 4 + [False])
     assert all(f.yaw_ambiguous for f in out[:4])
     assert abs(wrap_pi(2 * (out[3].yaw_rad - 0.2))) < 1e-9
     assert not out[4].yaw_ambiguous

@@ -121,7 +121,7 @@ def sensed(i: int) -> list[Event]:
     ]
 
 
-def flown() -> tuple[RelativeEstimator, list[FusionResult]]:
+def fused_flight() -> tuple[RelativeEstimator, list[FusionResult]]:
     """Return a second of flight, and every result of it."""
     memory, results = RelativeEstimator(EVERY_PATH, shadows=SHADOWS), list[FusionResult]()
     for i in range(101):
@@ -136,7 +136,7 @@ def flown() -> tuple[RelativeEstimator, list[FusionResult]]:
 
 @pytest.fixture
 def hovering() -> tuple[RelativeEstimator, list[FusionResult]]:
-    return flown()
+    return fused_flight()
 
 
 def ekf_result(memory: RelativeEstimator, event: Event) -> FusionResult:
@@ -164,7 +164,7 @@ def test_every_comparison_carries_figures_that_agree_with_one_another(hovering):
 
 
 def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_refused() -> None:
-    good, bad = (ekf_result(flown()[0], pad_seen(1.0, aside_m=aside)) for aside in (0.01, 0.18))
+    good, bad = (ekf_result(fused_flight()[0], pad_seen(1.0, aside_m=aside)) for aside in (0.01, 0.18))
     assert (good.verdict, bad.verdict) == (Verdict.FUSED, Verdict.GATED)
     assert good.innovation is not None
     assert bad.innovation is not None

@@ -12,12 +12,12 @@ from estimator.contracts.samples import Imu
 from estimator.options import EstimatorOptions
 from estimator.pipeline import RelativeEstimator
 from tests.support.estimator_truth import EPOCH_NS, Event, TruthFlight, events, ns
-from tests.support.lying_imu import BEGIN_S, changed, fly, frozen, setting
+from tests.support.lying_imu import BEGIN_S, changed, fly_lying, frozen, setting
 
 
 @pytest.mark.parametrize(("half", "word", "seed"), [("f_body", "accelerometer", 0), ("w_body", "gyro", 1)])
 def test_half_of_an_imu_frozen_for_five_seconds_is_named_at_once_and_costs_centimetres(half: str, word: str, seed: int) -> None:
-    out = fly(setting(seed), frozen(half), 5.0)
+    out = fly_lying(setting(seed), frozen(half), 5.0)
     assert out.named_after_s(f"the {word} repeats its readings") < 0.2
     assert max(out.error_m) < 0.3, "asked: below half a metre"
     assert 0.4 < float(np.mean(out.nees[out.during(BEGIN_S, BEGIN_S + 5.0)])) < 1.5, "sigma is honest"
@@ -39,7 +39,7 @@ def test_half_of_an_imu_frozen_for_five_seconds_is_named_at_once_and_costs_centi
     ],
 )
 def test_a_half_that_moves_and_lies_is_named_with_its_size_and_the_estimate_goes_on(fault, words, within_s):
-    out = fly(setting(3), fault, 4.0)
+    out = fly_lying(setting(3), fault, 4.0)
     named = out.named_after_s(words)
     assert named < within_s, out.named
     assert out.restarts == 1
@@ -52,14 +52,14 @@ def test_without_a_witness_on_the_ground_the_arbiter_keeps_a_lie_from_steering_a
     def blind(event: Event) -> bool:
         return type(event).__name__ in ("Baro", "Range", "BodyVelocity")
 
-    out = fly(setting(1), changed(f=1.3), 4.0, blind)
+    out = fly_lying(setting(1), changed(f=1.3), 4.0, blind)
     assert out.deceived_s() < 0.6
     assert max(out.error_m[out.during(BEGIN_S + 6.5, 16.0)]) < 0.3
     assert out.consistent[-1]
 
 
 def test_a_clean_flight_in_a_high_sea_names_nobody() -> None:
-    out = fly(setting(5, sea=6), lambda imu: imu, 0.0)
+    out = fly_lying(setting(5, sea=6), lambda imu: imu, 0.0)
     assert out.restarts == 0
     assert not out.named
 

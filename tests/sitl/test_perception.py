@@ -70,7 +70,7 @@ class Diary(NullObserver):
         return self._digest.hexdigest()
 
 
-def fly(level: Level, scenario: Scenario, seed: int, limit_s: float | None = None) -> tuple[FlightResult, Diary]:
+def fly_at_level(level: Level, scenario: Scenario, seed: int, limit_s: float | None = None) -> tuple[FlightResult, Diary]:
     if limit_s is not None:
         scenario = msgspec.structs.replace(scenario, duration_limit_s=limit_s)
     diary, perception = Diary(), perceive(level)
@@ -88,7 +88,7 @@ def a_view(height_m: float = 2.0, shown: float = 1.0, tilt_rad: float = 0.0) -> 
 
 @pytest.mark.parametrize("level", ["model", "truth"])
 def test_it_lands_without_a_picture(level: Level) -> None:
-    result, diary = fly(level, LOW, 3)
+    result, diary = fly_at_level(level, LOW, 3)
     assert result.outcome is FlightOutcome.LANDED
     assert result.landed_on_pad
     assert result.health.frames.total() == len(diary.verdicts) > 100
@@ -108,35 +108,35 @@ def test_a_drone_whose_video_is_coded_is_flown_without_pictures(level: Level) ->
 
 @pytest.mark.parametrize("level", ["model", "truth"])
 def test_a_seed_is_a_flight_to_the_bit_and_another_seed_another(level: Level) -> None:
-    one, again, other = (fly(level, LOW, seed, limit_s=1.5)[1].digest for seed in (3, 3, 4))
+    one, again, other = (fly_at_level(level, LOW, seed, limit_s=1.5)[1].digest for seed in (3, 3, 4))
     assert one == again
     assert one != other
 
 
 def test_faults_of_frames_act_in_the_model_as_in_pictures() -> None:
     """The verdicts are those that the pilot gives pictures with the same fault."""
-    frozen = fly("model", faulty("frames_frozen", 0.5, 1.0), 3, limit_s=1.6)[1].verdicts
+    frozen = fly_at_level("model", faulty("frames_frozen", 0.5, 1.0), 3, limit_s=1.6)[1].verdicts
     assert frozen.count(Verdict.REPEATED) >= 25
-    covered = fly("model", faulty("lens_covered", 0.5, 1.0), 3, limit_s=1.6)[1].verdicts
+    covered = fly_at_level("model", faulty("lens_covered", 0.5, 1.0), 3, limit_s=1.6)[1].verdicts
     assert covered.count(Verdict.NO_PAD) >= 25
-    dropped = fly("model", faulty("frames", 0.5, 1.0, dropped_fraction=1.0), 3, limit_s=1.6)[1].verdicts
+    dropped = fly_at_level("model", faulty("frames", 0.5, 1.0, dropped_fraction=1.0), 3, limit_s=1.6)[1].verdicts
     assert len(dropped) <= len(frozen) - 25
-    late = fly("model", faulty("frames", 0.3, 1.3, delay_s=0.8), 3, limit_s=1.6)[1].verdicts
+    late = fly_at_level("model", faulty("frames", 0.3, 1.3, delay_s=0.8), 3, limit_s=1.6)[1].verdicts
     assert Verdict.TOO_OLD in late
-    stamped = fly("model", faulty("frames_misstamped", 0.5, 1.0, by_s=-2.0), 3, limit_s=1.6)[1].verdicts
+    stamped = fly_at_level("model", faulty("frames_misstamped", 0.5, 1.0, by_s=-2.0), 3, limit_s=1.6)[1].verdicts
     assert {Verdict.TOO_OLD, Verdict.NO_ATTITUDE} & set(stamped)
 
 
 @pytest.mark.parametrize("level", ["model", "pixels"])
 def test_a_shifted_pad_is_elsewhere_while_the_picture_holds_it(level: Level) -> None:
     """The picture reaches 1.7 m to the right from 2 m over the deck, but only 1 m ahead: there the shifted pad is cut off."""
-    reports = fly(level, faulty("frames_shifted", 0.8, 1.0, right_m=1.0), 3, limit_s=1.4)[1].verdicts
+    reports = fly_at_level(level, faulty("frames_shifted", 0.8, 1.0, right_m=1.0), 3, limit_s=1.4)[1].verdicts
     seen = reports.index(Verdict.ELSEWHERE)
     # Once they agree with one another they come as far as the filter, which refuses them.
     assert len(reports[seen:]) >= 15
     assert set(reports[:seen]) == {Verdict.FUSED}
     assert set(reports[seen:]) <= {Verdict.ELSEWHERE, Verdict.GATED}
-    cut = fly(level, faulty("frames_shifted", 0.8, 1.0, forward_m=1.3), 3, limit_s=1.4)[1].verdicts
+    cut = fly_at_level(level, faulty("frames_shifted", 0.8, 1.0, forward_m=1.3), 3, limit_s=1.4)[1].verdicts
     assert cut.count(Verdict.FUSED) == reports.count(Verdict.FUSED), "nothing beside the pad is taken for it"
     assert set(cut) <= {Verdict.FUSED, Verdict.NO_PAD, Verdict.LOW_CONFIDENCE}
 

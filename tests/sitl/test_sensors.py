@@ -49,7 +49,7 @@ def setup(settings: SensorSettings, seed: int = 1, p: tuple[float, float, float]
     return v, Sensors(settings, v, sense)
 
 
-def fly(v: Vehicle, s: Sensors, steps: int) -> list[Readings]:
+def fly_sensing(v: Vehicle, s: Sensors, steps: int) -> list[Readings]:
     physics, out = Physics(v, s, Waves.flat()), []
     for n in range(steps):
         physics.run(STILL_DECK, 0, 1)
@@ -72,7 +72,7 @@ def echo(cone_deg: float, p: tuple[float, float, float], roll_deg: float = 0.0) 
 def test_perfect_sensors_tell_the_truth() -> None:
     v, s = setup(PERFECT)
     v.command(0.3, -0.4, 0.2, 0.5, True)
-    r = fly(v, s, 300)[-1]
+    r = fly_sensing(v, s, 300)[-1]
     assert r.f_body == pytest.approx(v.f_body, abs=1e-12)
     assert r.w_body == pytest.approx(v.w_body, abs=1e-12)
     assert r.rpy_rad == pytest.approx(Rotation(v.R_ned_body).rpy_rad, abs=1e-12)
@@ -87,12 +87,12 @@ def test_perfect_sensors_tell_the_truth() -> None:
 def test_inertial_errors_have_their_size() -> None:
     """Noise within a flight, biases between flights."""
     settings = SensorSettings()
-    r = fly(*setup(settings), 2000)[500:]
+    r = fly_sensing(*setup(settings), 2000)[500:]
     f, w = np.array([x.f_body for x in r]), np.array([x.w_body for x in r])
     assert (np.diff(f, axis=0).std(axis=0) / math.sqrt(2)) == pytest.approx([settings.accel_noise_sigma_m_s2] * 3, rel=0.08)
     assert (np.diff(w, axis=0).std(axis=0) / math.sqrt(2)) == pytest.approx([settings.gyro_noise_sigma_rad_s] * 3, rel=0.08)
     quiet = msgspec.structs.replace(PERFECT, accel_bias_sigma_m_s2=0.6, gyro_bias_sigma_rad_s=0.01, heading_bias_sigma_deg=3.0)
-    flights = [fly(*setup(quiet, seed), 1)[0] for seed in range(150)]
+    flights = [fly_sensing(*setup(quiet, seed), 1)[0] for seed in range(150)]
     bias = np.array([x.f_body for x in flights]) - [0.0, 0.0, -9.80665]
     assert bias.std(axis=0) == pytest.approx([0.6] * 3, rel=0.2)
     assert np.array([x.w_body for x in flights]).std(axis=0) == pytest.approx([0.01] * 3, rel=0.2)
@@ -115,7 +115,7 @@ def test_attitude_error_is_slow_and_has_its_size() -> None:
 def test_velocity_reads_low_and_lags() -> None:
     v, s = setup(SensorSettings(tilt_bias_sigma_deg=0.0, tilt_drift_sigma_deg=0.0), p=(-40.0, 0.0, -3.0))
     v.command(0.0, -0.5, 0.0, 0.0, True)
-    r = fly(v, s, 2500)[-500:]
+    r = fly_sensing(v, s, 2500)[-500:]
     assert np.mean([x.v_level_m_s[0] for x in r]) / v.v_ned[0] == pytest.approx(0.83, abs=0.02)
     assert len(r[-1].v_level_m_s) == 2
 
@@ -130,7 +130,7 @@ def test_ultrasound_meets_deck_edge_and_water() -> None:
 
 def test_ultrasound_has_a_rate_a_delay_and_limits() -> None:
     v, s = setup(msgspec.structs.replace(PERFECT, ultrasound_sigma_m=0.005, ultrasound_delay_s=0.06))
-    received_at = [x.ultrasound_m for x in fly(v, s, 500)]
+    received_at = [x.ultrasound_m for x in fly_sensing(v, s, 500)]
     first = next(n for n, h in enumerate(received_at) if h is not None)
     assert (first + 1) * DT == pytest.approx(0.04 + 0.06, abs=DT)
     values = np.array(received_at[first:], dtype=float)
@@ -139,7 +139,7 @@ def test_ultrasound_has_a_rate_a_delay_and_limits() -> None:
     assert values[::10].std() == pytest.approx(0.005, rel=0.35)
     for height, hears in ((5.9, True), (6.2, False), (0.25, True), (0.15, False)):
         v, s = setup(PERFECT, p=(0.0, 0.0, -0.5 - height))
-        assert (fly(v, s, 20)[-1].ultrasound_m is not None) is hears
+        assert (fly_sensing(v, s, 20)[-1].ultrasound_m is not None) is hears
 
 
 @pytest.mark.skipif(not RECORDED.exists(), reason="the recorded flight is not at hand")

@@ -32,7 +32,7 @@ def flying(airframe: Airframe = STILL, height_m: float = 10.0, yaw_rad: float = 
     return v
 
 
-def run(v: Vehicle, seconds: float, ground: Ground = NOWHERE) -> None:
+def run_vehicle(v: Vehicle, seconds: float, ground: Ground = NOWHERE) -> None:
     for _ in range(round(seconds / v.step_s)):
         v.step(ground)
 
@@ -64,7 +64,7 @@ def test_keeps_its_angular_momentum_when_tumbling() -> None:
     v.w = (2.0, -1.0, 3.0)
     inertia = np.array(STILL.inertia_kg_m2)
     before = v.R_ned_body @ (inertia * v.w_body)
-    run(v, 2.0)
+    run_vehicle(v, 2.0)
     after = v.R_ned_body @ (inertia * v.w_body)
     assert np.linalg.norm(after - before) < 0.02 * np.linalg.norm(before)
     assert np.abs(v.R_ned_body @ v.R_ned_body.T - np.eye(3)).max() < 1e-12
@@ -83,7 +83,7 @@ def test_keeps_its_angular_momentum_when_tumbling() -> None:
 def test_each_stick_moves_its_own_way(yaw_rad, stick, expected):
     v = flying(yaw_rad=yaw_rad)
     v.command(*stick, progressive=True)
-    run(v, 2.0)
+    run_vehicle(v, 2.0)
     level = Rotation.from_rpy(0.0, 0.0, yaw_rad).matrix.T @ v.v_ned
     moved = np.array([*level, v.w_body[2]])
     assert moved @ np.array(expected) > 0.3
@@ -94,7 +94,7 @@ def test_hover_stops_and_stays_against_a_new_wind() -> None:
     v = flying()
     v.v = (1.5, -1.0, 0.0)
     v.extra_wind = (3.0, 0.0, 0.0)
-    run(v, 30.0)
+    run_vehicle(v, 30.0)
     assert np.abs(v.v_ned).max() < 0.01
     assert Rotation(v.R_ned_body).rpy_rad[1] == pytest.approx(3.0 * STILL.drag_per_s[0] / G_M_S2, rel=0.05)
 
@@ -107,7 +107,7 @@ def test_flow_over_a_rolling_deck_is_by_the_point_below_and_not_by_the_height_ab
     deck = Ground.of(np.array([0.0, 0.0, -0.5]), np.zeros(3), R, np.array([rate, 0.0, 0.0]))
     v = flying(height_m=height)
     v.place(np.array([0.0, arm_m, -height]), np.zeros(3), 0.0)
-    run(v, 0.1, deck)
+    run_vehicle(v, 0.1, deck)
     assert v.flow[1] == pytest.approx(rate * arm_m * math.tan(roll), abs=0.01)
     assert v.flow[0] == pytest.approx(0.0, abs=0.01)
 
@@ -130,9 +130,9 @@ def test_lands_by_itself_and_stands() -> None:
     v = flying(height_m=2.5)
     v.land()
     assert v.phase == VehiclePhase.LANDING
-    run(v, 2.0, flat_deck())
+    run_vehicle(v, 2.0, flat_deck())
     assert v.v_ned[2] == pytest.approx(STILL.landing_speed_m_s, abs=0.05)
-    run(v, 8.0, flat_deck())
+    run_vehicle(v, 8.0, flat_deck())
     assert v.phase == VehiclePhase.LANDED
     assert v.touched_what == DECK
     assert 0.02 < v.touched_v[2] < STILL.landing_speed_m_s
@@ -147,7 +147,7 @@ def test_any_fall_ends_on_the_deck_not_in_it(roll_deg: float, height_m: float) -
     v.q = tuple(Rotation.from_rpy(math.radians(roll_deg), 0.1, 0.0).quat_wxyz.tolist())
     v.cut_motors()
     v.thrust_n = 0.0
-    run(v, 5.0, flat_deck())
+    run_vehicle(v, 5.0, flat_deck())
     assert v.touched_what == DECK
     assert not v.ditched
     assert v.tied
@@ -191,7 +191,7 @@ def test_water_ends_the_flight() -> None:
     v = flying(height_m=2.0)
     v.p = (0.0, 4.0, -2.0)
     v.land()
-    run(v, 12.0, flat_deck())
+    run_vehicle(v, 12.0, flat_deck())
     assert v.phase == VehiclePhase.EMERGENCY
     assert v.touched_what == SEA
     assert v.ditched
@@ -206,6 +206,6 @@ def test_emergency_ends_on_deck_only() -> None:
     v.cut_motors()
     v.leave_emergency()
     assert v.phase == VehiclePhase.EMERGENCY
-    run(v, 2.0, flat_deck())
+    run_vehicle(v, 2.0, flat_deck())
     v.leave_emergency()
     assert v.phase == VehiclePhase.LANDED

@@ -26,7 +26,7 @@ from sitl.world.stage import airframe, true_camera
 from sitl.world.truth import Touchdown, Truth
 from sitl.world.world import Stick, World
 from tests.fly import land, near
-from tests.sitl.test_world import CALM, run, with_
+from tests.sitl.test_world import CALM, run_world, with_
 
 UNKIND: dict[str, Any] = {
     "rotor_saturation": True, "battery_sag": 0.15, "drag_per_m": 0.01, "rotor_drag": True, "downwash_m_s2": 1.0,
@@ -77,7 +77,7 @@ def hovered(effects: EffectSettings, height_m: float = 0.6, **more: Any) -> tupl
     start = msgspec.structs.replace(CALM.start, height_m=height_m)
     world = World(with_(CALM, effects=effects, wind=wind, start=start, **more), seed=5)
     world.stick(Stick(pitch=-0.6, roll=0.8, gaz=-0.1, progressive=True))
-    run(world, 2.0)
+    run_world(world, 2.0)
     return [round(x, 9) for x in world.truth().p_body_ned.tolist()], world.readings().f_body
 
 
@@ -101,7 +101,7 @@ def test_a_rotor_at_its_limit_gives_no_more_torque() -> None:
         world = World(with_(CALM, effects=effects), seed=1)
         world.limits.euler_angle_max_rad, world.limits.vz_max_m_s = 0.5, 2.0
         world.stick(Stick(roll=1.0, gaz=1.0, progressive=True))
-        run(world, 0.25)
+        run_world(world, 0.25)
         return float(np.abs(world.truth().w_body).max())
 
     assert turned(EffectSettings(rotor_saturation=True)) < turned(EffectSettings())
@@ -111,7 +111,7 @@ def test_a_thing_on_the_pad_holds_a_vehicle_up() -> None:
     def stands_m(height_m: float) -> float:
         world = World(with_(CALM, effects=EffectSettings(thing_height_m=height_m, thing_radius_m=0.5)), seed=2)
         world.land()
-        run(world, 12.0)
+        run_world(world, 12.0)
         return float(world.truth().d_body_pad_level[2])
 
     assert stands_m(0.05) - stands_m(0.0) == pytest.approx(0.05, abs=0.005)

@@ -35,7 +35,7 @@ def with_(scenario: Scenario, **parts: Any) -> Scenario:
     return msgspec.structs.replace(scenario, **parts)
 
 
-def run(world: World, seconds: float) -> None:
+def run_world(world: World, seconds: float) -> None:
     world.advance(after(world.now, seconds))
 
 
@@ -54,7 +54,7 @@ def test_starts_where_the_scenario_says() -> None:
         assert truth.phase == VehiclePhase.HOVERING
         assert truth.touchdown is None
     world = World(with_(CALM, start=Start(where="pad", heading_deg=15.0)), 1)
-    run(world, 1.0)
+    run_world(world, 1.0)
     truth = world.truth()
     assert truth.phase == VehiclePhase.LANDED
     assert truth.d_body_pad_level == pytest.approx([0.0, 0.0, 0.045], abs=1e-9)
@@ -65,12 +65,12 @@ def test_truth_keeps_the_conventions() -> None:
     """d_body_pad_level by rotations of the contracts; v_pad_level is its rate in a frame that does not turn."""
     world = World(load("demo"), 2)
     world.stick(Stick(0.3, -0.2, 0.1, 0.5, True))
-    run(world, 2.0)
+    run_world(world, 2.0)
     t = world.truth()
     R_level_ned = Rotation.from_rpy(0.0, 0.0, t.R_ned_body.rpy_rad[2]).inv
     assert t.d_body_pad_level == pytest.approx(R_level_ned @ (t.p_pad_ned - t.p_body_ned), abs=1e-12)
     before = t.p_pad_ned - t.p_body_ned
-    run(world, 0.004)
+    run_world(world, 0.004)
     later = world.truth()
     rate = R_level_ned @ ((later.p_pad_ned - later.p_body_ned - before) / 0.004)
     assert t.v_pad_level == pytest.approx(rate, abs=0.02)
@@ -116,15 +116,15 @@ def test_takes_off_from_a_moving_deck_and_comes_back() -> None:
     assert phase_of(world) == VehiclePhase.LANDED
     world.take_off()
     assert phase_of(world) == VehiclePhase.TAKING_OFF
-    run(world, 6.0)
+    run_world(world, 6.0)
     assert phase_of(world) == VehiclePhase.HOVERING
     assert world.truth().d_body_pad_level[2] > 0.6
     assert world.truth().touchdown is None
     world.stick(Stick(0.0, 0.0, 0.0, 0.0, True))
-    run(world, 0.1)
+    run_world(world, 0.1)
     assert phase_of(world) == VehiclePhase.FLYING
     world.land()
-    run(world, 8.0)
+    run_world(world, 8.0)
     assert phase_of(world) == VehiclePhase.LANDED
     touch = world.truth().touchdown
     assert touch is not None
@@ -136,12 +136,12 @@ def test_every_contact_of_a_flight_is_kept_with_what_the_vehicle_was_doing() -> 
     world = World(with_(CALM, start=Start(height_m=0.6)), 1)
     world.guidance_phase = State.DESCEND.value
     world.stick(Stick(gaz=-0.8, progressive=True))
-    run(world, 1.5)
+    run_world(world, 1.5)
     world.stick(Stick(gaz=1.0, progressive=True))
-    run(world, 1.0)
+    run_world(world, 1.0)
     world.guidance_phase = State.COMMIT.value
     world.land()
-    run(world, 4.0)
+    run_world(world, 4.0)
     truth = world.truth()
     strike, landing = truth.contacts
     assert truth.touchdown is landing
@@ -165,6 +165,6 @@ def test_velocity_may_be_reported_against_the_water() -> None:
         ship = VesselSettings(hull="supply_ship", moored=False, speed_m_s=1.5)
         quiet = SensorSettings(velocity_over=over, tilt_bias_sigma_deg=0.0, tilt_drift_sigma_deg=0.0)
         world = World(with_(CALM, vessel=ship, sensors=quiet), 1)
-        run(world, 0.2)
+        run_world(world, 0.2)
         reported.append(world.readings().v_level_m_s[0])
     assert reported[1] - reported[0] == pytest.approx(0.83 * 1.5, abs=0.1)

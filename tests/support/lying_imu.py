@@ -49,7 +49,7 @@ class Flown:
         return min((t for text, t in self.named.items() if words in text), default=math.inf)
 
 
-def fly(setting: Setting, fault: Fault, lasts_s: float, blind: Callable[[Event], bool] = lambda e: False) -> Flown:
+def fly_lying(setting: Setting, fault: Fault, lasts_s: float, blind: Callable[[Event], bool] = lambda e: False) -> Flown:
     """Fly with a fault of the IMU from `BEGIN_S` on.
 
     Args:

@@ -65,7 +65,7 @@ class MocapRecording:
         return Rotation.from_rpy(0.0, 0.0, -psi) @ self.d_ned(t_s), psi
 
 
-def stamp(measured_at_s: float, received_at_s: float | None = None) -> Stamp:
+def synced_stamp(measured_at_s: float, received_at_s: float | None = None) -> Stamp:
     measured_at = round(measured_at_s * 1e9)
     return Stamp(
         MonoNs(measured_at), MonoNs(measured_at if received_at_s is None else round(received_at_s * 1e9)), 0.002, "synced"
@@ -109,7 +109,7 @@ def load(folder: Path = FOLDER) -> MocapRecording:
     out: list[Event] = []
     last_height = -1.0
     for k in range(t.size):
-        s = stamp(t[k])
+        s = synced_stamp(t[k])
         out.append(Imu(s, w[k], f[k]))
         out.append(Attitude(s, Rotation.from_rpy(*rpy[k]), COV_ATTITUDE))
         if height[k] > 0.2:
@@ -146,7 +146,7 @@ def sightings(flight: MocapRecording, rate_hz: float, blind: Sequence[tuple[floa
         cov[:3, :3] = level.rotate_cov(np.diag(np.square(SIGMA_M))) + lever @ COV_ATTITUDE @ lever.T
         cov[3, 3] = SIGMA_YAW_RAD**2
         seen = Sighting(
-            stamp(measured_at, measured_at + DELAY_S), seq, "selected", d, wrap_pi(yaw), False, 0.5 * (cov + cov.T), 1.0
+            synced_stamp(measured_at, measured_at + DELAY_S), seq, "selected", d, wrap_pi(yaw), False, 0.5 * (cov + cov.T), 1.0
         )
         out.append(seen)
     return out

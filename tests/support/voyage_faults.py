@@ -11,7 +11,7 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range
 from estimator.contracts.time import MonoNs
-from tests.support.voyage_score import Score, fly
+from tests.support.voyage_score import Score, fly_voyage
 from tests.support.voyage_truth import Event, VoyageScene
 
 BEGIN_S = 12.0
@@ -94,4 +94,4 @@ def suffered(name: str, scene: VoyageScene = SCENE) -> tuple[Score, float]:
     def spoil(e: Event, t: float) -> Sequence[Event]:
         return fault.spoil(e) if BEGIN_S <= t < end else [e]
 
-    return fly(scene, since_s=11.0, spoil=spoil, forecasts=False), end
+    return fly_voyage(scene, since_s=11.0, spoil=spoil, forecasts=False), end

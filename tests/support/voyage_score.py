@@ -51,7 +51,7 @@ class Score:
         return float(np.sqrt(np.mean(np.square(self.error_m))))
 
 
-def fly(
+def fly_voyage(
     scene: VoyageScene,
     options: ekf.EkfOptions = OPTIONS,
     *,

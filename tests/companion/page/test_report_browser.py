@@ -13,14 +13,14 @@ from companion.tools.report.video import film_of
 from estimator.contracts.time import MonoNs
 from tests.companion.page.test_browser import LAPTOP, PHONE, Window, chromium
 from tests.companion.page.test_browser import pytestmark as of_a_browser
-from tests.companion.test_report import flight
+from tests.companion.test_report import report_flight
 
 pytestmark = of_a_browser
 
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_report(flight(), tmp_path_factory.mktemp("report"))
+    return write_report(report_flight(), tmp_path_factory.mktemp("report"))
 
 
 @asynccontextmanager
@@ -187,7 +187,7 @@ async def test_nothing_overlaps_or_is_too_small_on_phone_and_laptop(report: Path
 
 @pytest.mark.timeout(300)
 async def test_two_films_go_together(tmp_path: Path) -> None:
-    logs = [flight(), flight()]
+    logs = [report_flight(), report_flight()]
     logs[1].transitions = [replace(change, at=MonoNs(change.at - 500_000_000)) for change in logs[1].transitions]
     page = write_page(tmp_path / "both.html", render_comparison(logs, [film_of(log) for log in logs]))
     async with opened(page) as (one, asked):

@@ -25,7 +25,7 @@ Change = Callable[[Event, float], Event]
 """The event that a test puts in place of one that was measured at so many seconds."""
 
 
-def fly(
+def fly_gated(
     flight: TruthFlight, change: Change = lambda event, t: event, options: EkfOptions | None = None, until_s: float = 60.0
 ) -> Iterator[tuple[Filter, float, Event, Verdict]]:
     """Yield the filter, each event's instant, the event and its verdict."""
@@ -58,7 +58,7 @@ def level(flight: TruthFlight, t_s: float, ned: np.ndarray) -> np.ndarray:
 def test_five_percent_wrong_sightings_never_capture_it() -> None:
     flight = TruthFlight(replace(CALM, outliers=0.05, duration_s=12.0))
     gated, next_s, worst = 0, 2.0, 0.0
-    for ekf, _, event, verdict in fly(flight):
+    for ekf, _, event, verdict in fly_gated(flight):
         gated += isinstance(event, Sighting) and verdict is Verdict.GATED
         while event.stamp.received_at > ns(next_s):
             worst = max(worst, error_m(ekf, flight, next_s))
@@ -77,7 +77,7 @@ def test_a_false_pad_beside_the_true_one_is_refused_as_long_as_the_true_one_show
         false = is_false(event, t) and isinstance(event, Sighting)
         return shifted(event, level(flight, t, np.array([0.6, 0.3, 0.0]))) if false else event
 
-    flown = list(fly(flight, change))
+    flown = list(fly_gated(flight, change))
     assert {verdict for _, t, event, verdict in flown if is_false(event, t)} == {Verdict.GATED}
     assert error_m(flown[-1][0], flight, 8.9) < 0.1
 
@@ -90,7 +90,7 @@ def test_a_pad_that_has_moved_for_good_is_accepted_after_a_while() -> None:
         return shifted(event, level(flight, t, jump)) if isinstance(event, Sighting) and t > 4.0 else event
 
     verdicts = []
-    for ekf, t, event, verdict in fly(flight, change):
+    for ekf, t, event, verdict in fly_gated(flight, change):
         if isinstance(event, Sighting) and t > 4.0:
             verdicts.append((t, verdict))
             state = ekf.at(event.stamp.received_at)
@@ -106,14 +106,14 @@ def test_a_pad_that_has_moved_for_good_is_accepted_after_a_while() -> None:
 
 def test_a_state_that_drifts_away_from_what_is_seen_finds_back() -> None:
     """Waves not learned yet, the deck rises 1.5 m/s more than expected: refused sightings agree, though each is farther."""
-    flown = fly(TruthFlight(setting(86)), options=OPTIONS, until_s=10.0)
+    flown = fly_gated(TruthFlight(setting(86)), options=OPTIONS, until_s=10.0)
     fused = [t for _, t, event, verdict in flown if isinstance(event, Sighting) and verdict is Verdict.FUSED and t > 2.0]
     assert max(np.diff([2.0, *sorted(fused)])) < 1.5
 
 
 def test_a_slow_vessel_s_ground_is_not_taken_for_its_deck() -> None:
     """0.2 m/s under way, a sensor over the ground, and an accelerometer that errs by more than that within two seconds."""
-    ekf = list(fly(TruthFlight(setting(37)), options=OPTIONS, until_s=10.0))[-1][0]
+    ekf = list(fly_gated(TruthFlight(setting(37)), options=OPTIONS, until_s=10.0))[-1][0]
     assert newest(ekf).over_pad < -1.0
     assert abs(newest(ekf).x[VEL_SCALE] / setting(37).velocity_scale - 1.0) < 0.05
 
@@ -123,7 +123,7 @@ def test_a_wrong_first_sighting_is_soon_overthrown() -> None:
         return shifted(event, np.array([2.0, 2.0, 1.0])) if isinstance(event, Sighting) and event.seq == 1 else event
 
     flight = TruthFlight(CALM)
-    assert error_m(list(fly(flight, change, until_s=2.0))[-1][0], flight, 2.0) < 0.25
+    assert error_m(list(fly_gated(flight, change, until_s=2.0))[-1][0], flight, 2.0) < 0.25
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_a_range_counts_over_the_deck_and_is_refused_beyond_its_edge(flown: Sett
         return structs.replace(event, range_m=event.range_m + by_m) if isinstance(event, Range) and t > 5.0 else event
 
     flight = TruthFlight(flown)
-    found = list(fly(flight, change))
+    found = list(fly_gated(flight, change))
     verdicts = [v for _, t, event, v in found if isinstance(event, Range) and t > 5.0]
     assert verdicts.count(verdict) > 0.95 * len(verdicts)
     assert flown is BESIDE or error_m(found[-1][0], flight, 8.9) < 0.1
@@ -147,7 +147,7 @@ def test_an_offset_of_the_range_sensor_is_learned_and_not_accepted() -> None:
         return structs.replace(event, range_m=event.range_m - 0.06) if isinstance(event, Range) else event
 
     flight = TruthFlight(OVER)
-    state = list(fly(flight, change))[-1][0].at(ns(8.9))
+    state = list(fly_gated(flight, change))[-1][0].at(ns(8.9))
     assert state is not None
     assert abs(dict(state.details)["range_offset_m"] + 0.06) < 0.02
     assert abs(state.d_body_pad_level[2] - flight.relative(np.array([8.9]))[0][0, 2]) < 0.02

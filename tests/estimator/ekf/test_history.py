@@ -18,7 +18,7 @@ from tests.support.estimator_truth import EPOCH_NS, Setting, TruthFlight, events
 SETTING = Setting(seed=4, sea=4, duration_s=5.0, pose6=True, range_hz=20.0, baro_hz=10.0, imu_hz=100.0, outliers=0.05)
 
 
-def run(what: list[Any], options: EkfOptions | None = None) -> tuple[Filter, list[Verdict]]:
+def put_all(what: list[Any], options: EkfOptions | None = None) -> tuple[Filter, list[Verdict]]:
     ekf = Filter(options or EkfOptions())
     return ekf, [put(ekf, event).verdict for event in what]
 
@@ -44,9 +44,9 @@ def test_late_and_shuffled_equals_in_order() -> None:
     rng = np.random.default_rng(0)
     jumbled = sorted(received, key=lambda e: e.stamp.received_at + rng.uniform(0.0, 0.25e9))
     options = EkfOptions(max_ahead_s=0.5)
-    reference, _ = run(in_order, options)
+    reference, _ = put_all(in_order, options)
     for order in (received, jumbled):
-        late, verdicts = run(order, options)
+        late, verdicts = put_all(order, options)
         assert Verdict.TOO_OLD not in verdicts
         for t in (4.6, 4.9, 5.1):
             assert apart(late.at(ns(t)), reference.at(ns(t))) < 1e-9
@@ -54,7 +54,7 @@ def test_late_and_shuffled_equals_in_order() -> None:
 
 def test_events_together_are_one_after_the_other() -> None:
     received = events(TruthFlight(SETTING))
-    one_by_one, verdicts = run(received)
+    one_by_one, verdicts = put_all(received)
     together, rng, at = Filter(), np.random.default_rng(0), 0
     found: list[Verdict] = []
     while at < len(received):
@@ -68,7 +68,7 @@ def test_events_together_are_one_after_the_other() -> None:
 
 def test_a_saved_filter_goes_on_as_the_first_does_and_apart_from_it() -> None:
     received = events(TruthFlight(SETTING))
-    half, _ = run(received[:600])
+    half, _ = put_all(received[:600])
     before, saved = half.at(ns(3.0)), pickle.loads(pickle.dumps(half))
     saved.put(received[600:900])
     assert apart(before, half.at(ns(3.0))) == 0.0
@@ -80,7 +80,7 @@ def test_a_saved_filter_goes_on_as_the_first_does_and_apart_from_it() -> None:
 
 
 def test_too_old_and_too_new() -> None:
-    ekf, _ = run([e for e in events(TruthFlight(SETTING)) if isinstance(e, Imu)])
+    ekf, _ = put_all([e for e in events(TruthFlight(SETTING)) if isinstance(e, Imu)])
     now, before = EPOCH_NS + 5_000_000_000, newest(ekf)
     old, new = (baro(stamp_at(now + by_ms * MS, now, sigma_s=0.1)) for by_ms in (-2000, 300))
     assert [result.verdict for result in ekf.put([old, new])] == [Verdict.TOO_OLD, Verdict.TOO_NEW]
@@ -88,7 +88,7 @@ def test_too_old_and_too_new() -> None:
 
 
 def test_a_pause_of_all_streams_does_not_lock_out_what_follows() -> None:
-    ekf, _ = run(events(TruthFlight(SETTING)))
+    ekf, _ = put_all(events(TruthFlight(SETTING)))
     later = [
         e for e in events(TruthFlight(Setting(seed=4, sea=4, duration_s=15.0, imu_hz=100.0))) if e.stamp.measured_at > ns(13.0)
     ]
@@ -99,7 +99,7 @@ def test_a_pause_of_all_streams_does_not_lock_out_what_follows() -> None:
 
 
 def test_history_is_bounded() -> None:
-    ekf, _ = run(events(TruthFlight(SETTING)), EkfOptions(history_s=0.5))
+    ekf, _ = put_all(events(TruthFlight(SETTING)), EkfOptions(history_s=0.5))
     newest_at = newest(ekf).t
     assert state_of(ekf, newest_at - 490 * MS) is not None
     assert state_of(ekf, newest_at - 560 * MS) is None

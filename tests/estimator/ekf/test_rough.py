@@ -15,7 +15,7 @@ from estimator.ekf.state import TURN_RATE
 from tests.estimator.ekf.core_state import copied, newest
 from tests.support import voyage_faults, voyage_truth
 from tests.support.voyage_faults import BEGIN_S, SCENE, suffered
-from tests.support.voyage_score import CHI2_7, Score, fly
+from tests.support.voyage_score import CHI2_7, Score, fly_voyage
 from tests.support.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
 
 QUICK = VoyageScene(duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, range_hz=5.0, gaps=1)
@@ -23,7 +23,7 @@ QUICK = VoyageScene(duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, range_hz=5.0
 
 @pytest.mark.parametrize("sea", ["small boat", "turning", "swell and wind", "narrow"])
 def test_rough_seas_with_every_sensor_error_at_once(sea: str) -> None:
-    s = fly(replace(QUICK, sea=sea, seed=2), since_s=6.0)
+    s = fly_voyage(replace(QUICK, sea=sea, seed=2), since_s=6.0)
     assert s.rms_m < 0.13
     assert 0.3 < np.mean(s.nees) / 7.0 < 1.6
     assert s.inside > 0.8
@@ -39,7 +39,7 @@ def test_rough_seas_with_every_sensor_error_at_once(sea: str) -> None:
 def test_the_rate_of_a_turn_is_learned_and_goes_on_out_of_sight() -> None:
     """Three degrees a second at 2 m/s: without a rate of turn the filter errs by two metres after 3 s."""
     scene = replace(QUICK, sea="turning", seed=4, speed_m_s=2.0, blind=((15.0, 18.0),), gaps=0)
-    s = fly(scene, since_s=15.0, forecasts=False)
+    s = fly_voyage(scene, since_s=15.0, forecasts=False)
     assert s.memory is not None
     assert abs(abs(math.degrees(newest(s.memory).x[TURN_RATE])) - 3.0) < 1.0
     gap = [e for t, e in zip(s.t, s.error_m, strict=True) if t < 18.2]
@@ -71,7 +71,7 @@ def test_a_cold_start_in_flight_with_an_attitude_that_is_degrees_off() -> None:
     worst = []
     for seed in (1, 2):
         scene = replace(QUICK, seed=seed, attitude_bias_deg=6.0, duration_s=14.0, gaps=0)
-        s = fly(scene, since_s=6.5, from_s=6.0, forecasts=False)
+        s = fly_voyage(scene, since_s=6.5, from_s=6.0, forecasts=False)
         t = np.array(s.t)
         assert np.mean(np.array(s.nees)[t < 11.0]) / 7.0 < 2.5
         worst.append(np.sqrt(np.mean(np.array(s.error_m)[t > 11.0] ** 2)))
@@ -81,7 +81,7 @@ def test_a_cold_start_in_flight_with_an_attitude_that_is_degrees_off() -> None:
 
 def test_a_pad_that_stands_is_not_reported_to_move_because_the_attitude_errs() -> None:
     scene = replace(QUICK, sea="calm", speed_m_s=0.0, attitude_bias_deg=3.0, outliers=0.0)
-    s = fly(scene, since_s=7.0, from_s=6.0, forecasts=False)
+    s = fly_voyage(scene, since_s=7.0, from_s=6.0, forecasts=False)
     assert s.memory is not None
     state = s.memory.at(ns(19.9))
     assert state is not None
@@ -165,7 +165,7 @@ def test_sightings_three_times_as_bad_as_they_say_are_not_consistent() -> None:
 def test_a_wake_after_a_calm_is_followed_from_its_first_second() -> None:
     """A filter that does not widen what it claims of the deck refuses the pad for a while: 0.46 m rms, NEES/7 3.8."""
     scene = VoyageScene(seed=406, sea="wake", hidden_delay_s=-0.03, duration_s=17.0, imu_hz=50.0, range_hz=5.0)
-    s = fly(scene, since_s=10.0, forecasts=False)
+    s = fly_voyage(scene, since_s=10.0, forecasts=False)
     assert np.mean(s.nees) / 7.0 < 3.2
     assert s.rms_m < 0.3
 

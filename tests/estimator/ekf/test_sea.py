@@ -43,7 +43,7 @@ def test_a_deck_at_rest_is_found_to_be_at_rest() -> None:
     assert bank.sigma[:3].max() < 0.05
 
 
-def run(s: Setting) -> tuple[TruthFlight, Filter, list[float], dict[float, list[bool]]]:
+def estimate_sea(s: Setting) -> tuple[TruthFlight, Filter, list[float], dict[float, list[bool]]]:
     """Return flight, filter, the NEES of the estimate twice a second after 6 s, and which bands of forecasts hold the deck."""
     flight, ekf, nees, next_s = TruthFlight(s), Filter(), list[float](), 6.0
     inside: dict[float, list[bool]] = {0.68: [], 0.95: []}
@@ -71,7 +71,7 @@ def run(s: Setting) -> tuple[TruthFlight, Filter, list[float], dict[float, list[
 def test_consistent_and_the_forecast_holds_its_bands() -> None:
     nees, inside = list[float](), dict[float, list[bool]]()
     for seed in (3, 4):
-        _, _, more, held = run(replace(QUICK, seed=seed))
+        _, _, more, held = estimate_sea(replace(QUICK, seed=seed))
         nees, inside = nees + more, {p: inside.get(p, []) + each for p, each in held.items()}
     assert np.mean(inside[0.68]) > 0.5
     assert np.mean(inside[0.95]) > 0.8
@@ -79,7 +79,7 @@ def test_consistent_and_the_forecast_holds_its_bands() -> None:
 
 
 def test_forecast_grows_with_the_horizon_and_starts_at_the_estimate() -> None:
-    _, ekf, _, _ = run(replace(QUICK, duration_s=8.0))
+    _, ekf, _, _ = estimate_sea(replace(QUICK, duration_s=8.0))
     found, state = ekf.forecast(ns(7.9), (0.0, 1.0, 3.0)), ekf.at(ns(7.9))
     assert found is not None
     assert state is not None
@@ -90,7 +90,7 @@ def test_forecast_grows_with_the_horizon_and_starts_at_the_estimate() -> None:
 
 @pytest.mark.parametrize(("sea", "speed", "least", "most"), [(0, 0.0, 0.0, 0.2), (0, 1.0, 0.9, 1.0), (4, 0.0, 0.99, 1.0)])
 def test_moving_or_not(sea: int, speed: float, least: float, most: float) -> None:
-    _, ekf, _, _ = run(replace(QUICK, sea=sea, vessel_speed_m_s=speed, duration_s=14.0, accel_bias=0.05))
+    _, ekf, _, _ = estimate_sea(replace(QUICK, sea=sea, vessel_speed_m_s=speed, duration_s=14.0, accel_bias=0.05))
     state = ekf.at(ns(13.9))
     assert state is not None
     assert least <= dict(state.details)["probability_moving"] <= most

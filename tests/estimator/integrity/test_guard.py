@@ -29,7 +29,7 @@ T, HEADING = 100.0, 0.5
 NOW = ns(T)
 
 
-def attitude(t: float, roll: float = 0.0) -> Attitude:
+def attitude_of(t: float, roll: float = 0.0) -> Attitude:
     return make.attitude(t, roll, 0.0, HEADING)
 
 
@@ -87,8 +87,8 @@ def test_the_heading_that_a_gyro_held_goes_with_the_gyro_once_it_is_named() -> N
         assert isinstance(passed, Attitude)
         off_deg.append(abs(math.degrees(passed.R_ned_body.rpy_rad[2] - HEADING)))
         if n % 3 == 0:
-            guard, _ = see(guard, sighting(t), attitude(t))
-            guard = judged(guard, sighting(t), attitude(t), is_fused=True)
+            guard, _ = see(guard, sighting(t), attitude_of(t))
+            guard = judged(guard, sighting(t), attitude_of(t), is_fused=True)
         if guard.inertial.gyro_fault is not None:
             break
     assert "yaw" in guard.lost[0]
@@ -112,7 +112,7 @@ def test_a_frame_that_repeats_is_refused() -> None:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_sighting_is_placed_in_axes_of_fixed_heading_with_its_own_uncertainty(known: bool) -> None:
-    guard, verdict = see(IntegrityGuard(), sighting(T), attitude(T) if known else None)
+    guard, verdict = see(IntegrityGuard(), sighting(T), attitude_of(T) if known else None)
     c, s = (math.cos(HEADING), math.sin(HEADING)) if known else (1.0, 0.0)
     assert verdict is None
     assert guard.tracks.last is not None
@@ -122,9 +122,9 @@ def test_a_sighting_is_placed_in_axes_of_fixed_heading_with_its_own_uncertainty(
 
 def followed() -> IntegrityGuard:
     """Return a guard that has seen the pad, which was fused nine times."""
-    guard, _ = see(IntegrityGuard(), sighting(T), attitude(T))
+    guard, _ = see(IntegrityGuard(), sighting(T), attitude_of(T))
     for _ in range(9):
-        guard = judged(guard, sighting(T), attitude(T), True)
+        guard = judged(guard, sighting(T), attitude_of(T), True)
     return guard
 
 
@@ -136,14 +136,14 @@ def followed() -> IntegrityGuard:
     ],
 )  # fmt: skip
 def test_another_place_is_refused_unless_the_estimate_expects_it(expected, verdict):
-    guard, found = see(followed(), sighting(T + 0.5, (1.0, -0.5, 2.0)), attitude(T + 0.5), expected)
+    guard, found = see(followed(), sighting(T + 0.5, (1.0, -0.5, 2.0)), attitude_of(T + 0.5), expected)
     assert (found, len(guard.tracks.candidates)) == (verdict, verdict is not None)
 
 
 @pytest.mark.parametrize(("adrift", "beside_m", "taken"), [(True, 2.9, True), (True, 3.1, False), (False, 2.9, False)])
 def test_a_pad_that_its_ship_swung_out_of_sight_goes_on_where_the_estimate_can_have_it(adrift, beside_m, taken):
     swung = replace(estimate((1.0, 0.5, 2.0), 0.6), adrift=adrift)
-    guard, verdict = see(followed(), sighting(T + 0.5, (1.0 + beside_m, 0.5, 2.0)), attitude(T + 0.5), swung)
+    guard, verdict = see(followed(), sighting(T + 0.5, (1.0 + beside_m, 0.5, 2.0)), attitude_of(T + 0.5), swung)
     assert (verdict, guard.tracks.number) == (None if taken else Verdict.ELSEWHERE, 1)
     assert bool(guard.tracks.candidates) is not taken
 
@@ -185,7 +185,7 @@ def test_a_delay_that_has_held_in_flight_is_kept_until_the_vehicle_stands(flying
 def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(flying, known, verdict):
     guard, found = IntegrityGuard(flying=flying), None
     for i in range(12):
-        at = attitude(T + 0.04 * i, 0.02 * (-1) ** i)
+        at = attitude_of(T + 0.04 * i, 0.02 * (-1) ** i)
         x, y, z = (at.R_ned_body.without_heading() @ np.array([0.1, 0.0, 2.0])).tolist()
         seen = sighting(T + 0.04 * i, (x, y, z))
         guard, found = see(guard, seen, at if known else None)
@@ -197,7 +197,7 @@ def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(flyi
 @pytest.mark.parametrize(("leap_m", "height_m"), [(0.2, 0.6), (0.25, 1.0), (0.25, 2.5), (0.37, 1.8), (0.8, 2.5)])
 def test_a_pad_in_sight_that_leaps_is_another_one_however_near_it_is(leap_m: float, height_m: float) -> None:
     """WHY: everything 37 cm aside, less than half of the distance of two pads, was landed on with the feet over the rim."""
-    rng, guard, n, at = np.random.default_rng(4), IntegrityGuard(), 0, attitude(T)
+    rng, guard, n, at = np.random.default_rng(4), IntegrityGuard(), 0, attitude_of(T)
     while guard.tracks.number < 2:
         t, leapt = T + 0.033 * n, n >= 60
         x, y, z = rng.normal((0.1 + leap_m * leapt, 0.0, height_m), 0.01).tolist()
@@ -212,9 +212,9 @@ def test_a_pad_in_sight_that_leaps_is_another_one_however_near_it_is(leap_m: flo
 
 def test_a_pad_above_a_camera_that_looks_down_is_impossible_and_changes_nothing() -> None:
     before = followed()
-    guard, verdict = see(before, sighting(T + 0.033, (1.0, 0.5, -2.0)), attitude(T))
+    guard, verdict = see(before, sighting(T + 0.033, (1.0, 0.5, -2.0)), attitude_of(T))
     assert (verdict, guard is before) == (Verdict.IMPOSSIBLE, True)
-    assert see(IntegrityGuard(), sighting(T, (0.0, 0.0, -0.1)), attitude(T))[1] is None, "it stands on it"
+    assert see(IntegrityGuard(), sighting(T, (0.0, 0.0, -0.1)), attitude_of(T))[1] is None, "it stands on it"
 
 
 @pytest.mark.parametrize(
@@ -225,17 +225,17 @@ def test_a_pad_that_was_followed_without_an_attitude_is_known_again_whatever_the
     p, guard = np.array([0.2, 0.1, 3.0]), IntegrityGuard(options=IntegrityOptions(view_turned_min_rad=1.0))
     times = [T + 0.033 * n for n in range(83)]
     for t in times[:20]:
-        guard, found = see(guard, sighting(t, (0.2, 0.1, 3.0)), attitude(t))
+        guard, found = see(guard, sighting(t, (0.2, 0.1, 3.0)), attitude_of(t))
         assert found is None
-        guard = judged(guard, sighting(t, (0.2, 0.1, 3.0)), attitude(t), True)
+        guard = judged(guard, sighting(t, (0.2, 0.1, 3.0)), attitude_of(t), True)
     for n, t in enumerate(times[20:81]):
         x, y, z = Rotation.from_rpy(math.radians(tilts_to_deg) * n / 60, 0.0, 0.0).inv @ p
-        guard = follow(guard, sighting(t, (x, y, z)), attitude(T))
+        guard = follow(guard, sighting(t, (x, y, z)), attitude_of(T))
     assert guard.tracks.last is not None
     assert (guard.tracks.last.t, guard.tracks.n) == (ns(times[80]), 20), "followed, and no sighting of the track"
     verdicts = []
     for t in times[81:]:
-        now = attitude(t, math.radians(tilts_to_deg))
+        now = attitude_of(t, math.radians(tilts_to_deg))
         guard, found = see(guard, sighting(t, (0.2 + aside_m, 0.1, 3.0)), now, estimate((-2.0, 0.0, 4.0), 0.01))
         guard, _ = admit_one(guard, now)
         verdicts.append(found)
@@ -318,8 +318,8 @@ class Streams:
 
     def _see(self, t: float, fault: IntegrityAlert | None) -> None:
         at = t - LATE_S
-        attitude = min(self._attitudes[-20:], key=lambda each: abs(each.stamp.measured_at * 1e-9 - at))
-        R, level = self._body(at).without_heading(), attitude.R_ned_body.without_heading()
+        attitude_of = min(self._attitudes[-20:], key=lambda each: abs(each.stamp.measured_at * 1e-9 - at))
+        R, level = self._body(at).without_heading(), attitude_of.R_ned_body.without_heading()
         d_body = R.inv @ PAD
         if fault is IntegrityAlert.VIEW_FROZEN:
             d_body = PAD
@@ -335,9 +335,9 @@ class Streams:
         belief = RelativeState(
             exposed.measured_at, "ekf", believed, np.zeros(3), 0.0, 1e-4 * np.eye(7), exposed.measured_at, consistent=True
         )
-        self.guard, verdict = admit_sighting(self.guard, seen, attitude, belief)
+        self.guard, verdict = admit_sighting(self.guard, seen, attitude_of, belief)
         if verdict is None:
-            self.guard = judged(self.guard, seen, attitude, is_fused=True)
+            self.guard = judged(self.guard, seen, attitude_of, is_fused=True)
 
 
 @pytest.mark.hazard("H4")

@@ -31,7 +31,7 @@ FLIGHT = Path(__file__).parents[3] / "../shared/data/flight_with_mocap"
 IMPOSSIBLE, FROZEN, TOO_OLD, TOO_NEW = Verdict.IMPOSSIBLE, Verdict.FROZEN, Verdict.TOO_OLD, Verdict.TOO_NEW
 
 
-def run(*events: Reading, flying: bool = True) -> list[Verdict | None]:
+def judge(*events: Reading, flying: bool = True) -> list[Verdict | None]:
     """Return the verdicts on the readings of one stream."""
     state, out = SensorWatch(), []
     for event in events:
@@ -62,7 +62,7 @@ def speed(axis: int, v_m_s: float) -> BodyVelocity:
     ],
 )  # fmt: skip
 def test_what_no_vehicle_does_is_impossible(event: Reading, verdict: Verdict | None) -> None:
-    assert run(event) == [verdict]
+    assert judge(event) == [verdict]
 
 
 @pytest.mark.parametrize(
@@ -82,11 +82,11 @@ def test_a_reading_that_holds_to_the_bit_is_frozen_after_its_time_and_in_flight_
 ) -> None:
     n = round(min(frozen_s, 3.0) / 0.005)
     events = [make(0.005 * i) for i in range(n + 20)]
-    found = run(*events)
+    found = judge(*events)
     assert found[:n] == [None] * n
     assert found[-1] is (FROZEN if frozen_s < math.inf else None)
-    assert set(run(*events, flying=False)) == {None}
-    assert run(*events, noisy_imu(9.0))[-1] is None, "one bit has changed"
+    assert set(judge(*events, flying=False)) == {None}
+    assert judge(*events, noisy_imu(9.0))[-1] is None, "one bit has changed"
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_a_reading_that_holds_to_the_bit_is_frozen_after_its_time_and_in_flight_
     ],
 )
 def test_a_spike_is_refused_and_a_lasting_step_is_let_through(make: Callable[[float, float], Reading], high: float) -> None:
-    found = run(*(make(0.02 * i, high if i >= 50 else 0.0) for i in range(100)))
+    found = judge(*(make(0.02 * i, high if i >= 50 else 0.0) for i in range(100)))
     assert found[:50] == [None] * 50
     assert found[50:74] == [IMPOSSIBLE] * 24
     assert found[-1] is None
@@ -118,7 +118,7 @@ def test_a_spike_is_refused_and_a_lasting_step_is_let_through(make: Callable[[fl
     ids=["forces step", "reports step", "one instant", "from before", "impossible first", "150 ms", "a heading turns"],
 )
 def test_what_is_a_step_and_what_is_none(events: tuple[Reading, ...], verdicts: list[Verdict | None]) -> None:
-    assert run(*events) == verdicts
+    assert judge(*events) == verdicts
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_what_is_a_step_and_what_is_none(events: tuple[Reading, ...], verdicts: 
 def test_upside_down_is_a_step_though_rounding_puts_the_poles_farther_apart_than_two(roll: float, pitch: float) -> None:
     poles = [Rotation.from_rpy(roll, pitch, 1.0), Rotation.from_rpy(roll + math.pi, -pitch, 1.0)]
     assert math.dist(*(pole.matrix[2].tolist() for pole in poles)) > 2.0
-    assert run(*(Attitude(stamp(1.0 + 0.02 * i), pole, np.eye(3)) for i, pole in enumerate(poles))) == [None, IMPOSSIBLE]
+    assert judge(*(Attitude(stamp(1.0 + 0.02 * i), pole, np.eye(3)) for i, pole in enumerate(poles))) == [None, IMPOSSIBLE]
 
 
 @pytest.mark.skipif(not FLIGHT.is_dir(), reason="the recorded flight is not on this machine")
@@ -141,9 +141,9 @@ def test_nothing_of_a_real_flight_is_refused() -> None:
     moving = [r for r in rows("navdata.csv") if r["motor1"] > 0 and r["altd_mm"] > 0]
     assert len(moving) > 7000
     sensed = (imu(r["t_stamp_s"], (r["wx"], r["wy"], r["wz"]), (r["ax"], r["ay"], -r["az"])) for r in rows("imu.csv"))
-    assert set(run(*sensed)) == {None}
-    assert set(run(*(velocity(r["t_stamp_s"], (1e-3 * r["vx_mm_s"], 1e-3 * r["vy_mm_s"], 0)) for r in moving))) == {None}
-    assert set(run(*(range_down(r["t_stamp_s"], 1e-3 * r["altd_mm"]) for r in moving))) == {None}
+    assert set(judge(*sensed)) == {None}
+    assert set(judge(*(velocity(r["t_stamp_s"], (1e-3 * r["vx_mm_s"], 1e-3 * r["vy_mm_s"], 0)) for r in moving))) == {None}
+    assert set(judge(*(range_down(r["t_stamp_s"], 1e-3 * r["altd_mm"]) for r in moving))) == {None}
 
 
 # Frames

@@ -40,7 +40,7 @@ class Aimed(NamedTuple):
         return look(FrameView(Pyramid(np.ascontiguousarray(self.px)), self.camera, pad), self.start, self.orientation, TRACK)
 
 
-def numbers(level: NDArray[Any]) -> F64:
+def level_numbers(level: NDArray[Any]) -> F64:
     """Return the numbers of the core's `dl_level_sighting`."""
     return np.atleast_1d(level).view(np.float64)
 
@@ -103,7 +103,7 @@ def test_a_frame_upside_down_has_the_same_pose_covariance_and_sighting(k: int, p
     scale = np.sqrt(np.outer(np.diag(ours.cov), np.diag(ours.cov)))
     assert np.abs((turn @ theirs.cov @ turn - ours.cov) / scale).max() < 0.01
     # Body and deck are the same, so that nothing turns in level; the words are place, rotation and their covariances.
-    assert numbers(other.in_level) == pytest.approx(numbers(found.in_level), rel=0.02, abs=1e-5)
+    assert level_numbers(other.in_level) == pytest.approx(level_numbers(found.in_level), rel=0.02, abs=1e-5)
     assert (theirs.dense, theirs.yaw_ambiguous) == (ours.dense, ours.yaw_ambiguous)
     for kind, edges in ours.edges.items():
         assert theirs.edges[kind].inliers == pytest.approx(edges.inliers, abs=2e-3)
@@ -122,7 +122,7 @@ def test_a_distant_pad_in_a_mirror_has_the_mirrored_pose(k: int, pad_name: str, 
     assert other is not None
     assert other.evidence == pytest.approx(found.evidence, abs=2e-3)
     across = np.array([1.0, -1.0, 1.0])
-    assert numbers(other.in_level)[:3] * across == pytest.approx(numbers(found.in_level)[:3], abs=1e-4)
+    assert level_numbers(other.in_level)[:3] * across == pytest.approx(level_numbers(found.in_level)[:3], abs=1e-4)
 
 
 @pytest.mark.parametrize("pad_name", ["thesis", "printed", "icao"])

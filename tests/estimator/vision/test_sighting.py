@@ -25,7 +25,7 @@ CAMERA = Camera(640, 360, 370.0, 370.0, 319.5, 179.5, np.zeros(5), MOUNT)
 FRAME = Frame(Stamp.from_seconds(1.0), 1, np.zeros((360, 640, 3), np.uint8))
 
 
-def seen(seed: int, cov_tilt: F64) -> tuple[PadPose, F64, Orientation]:
+def pose_seen(seed: int, cov_tilt: F64) -> tuple[PadPose, F64, Orientation]:
     """Return a pose of the pad in `cam` with its covariance, and what the attitude said."""
     rng = np.random.default_rng(seed)
     roll, pitch = rng.normal(0.0, 0.15, 2)
@@ -37,7 +37,7 @@ def seen(seed: int, cov_tilt: F64) -> tuple[PadPose, F64, Orientation]:
 
 
 def test_a_heading_that_the_pose_does_not_hold_is_none() -> None:
-    pose, cov, orientation = seen(0, 1e-4 * np.eye(2))
+    pose, cov, orientation = pose_seen(0, 1e-4 * np.eye(2))
     found = sighting_of(FRAME, pose, cov + np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), CAMERA, orientation, True, 0.9)
     assert (found.yaw_rad, found.yaw_ambiguous) == (None, False)
     np.testing.assert_array_equal(found.cov[3], [0.0, 0.0, 0.0, UNKNOWN_YAW_VAR])
@@ -45,7 +45,7 @@ def test_a_heading_that_the_pose_does_not_hold_is_none() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_sighting_gives_its_pose_back(seed: int) -> None:
-    pose, cov, orientation = seen(seed, np.diag([0.01, 0.012]) ** 2)
+    pose, cov, orientation = pose_seen(seed, np.diag([0.01, 0.012]) ** 2)
     back = camera_pose(sighting_of(FRAME, pose, cov, CAMERA, orientation, False, 0.9), CAMERA, orientation)
     assert back is not None
     np.testing.assert_allclose(back.R_cam_pad, pose.R_cam_pad.matrix, atol=1e-11)
@@ -91,12 +91,12 @@ def levelled(camera: Camera, deck: F64, off: F64, tilt: F64, sigma_deck: float =
 
 def level_errors(camera: Camera, deck: F64, off: F64, tilt: F64) -> F64:
     """Return the errors of a sighting, (7,): place, small rotation, heading."""
-    seen = levelled(camera, deck, off, tilt)
-    assert seen.pose6 is not None
-    assert seen.yaw_rad is not None
+    pose_seen = levelled(camera, deck, off, tilt)
+    assert pose_seen.pose6 is not None
+    assert pose_seen.yaw_rad is not None
     R = oracle.exp(np.array([*deck, 0.0])) @ rpy_matrix(0.0, 0.0, -YAW)
-    turn = oracle.log(seen.pose6.R_level_pad.matrix @ R.T)
-    return np.array([*(seen.d_body_pad_level - PLACE), *turn, wrap_pi(seen.yaw_rad + math.atan2(R[1, 0], R[0, 0]))])
+    turn = oracle.log(pose_seen.pose6.R_level_pad.matrix @ R.T)
+    return np.array([*(pose_seen.d_body_pad_level - PLACE), *turn, wrap_pi(pose_seen.yaw_rad + math.atan2(R[1, 0], R[0, 0]))])
 
 
 def test_the_covariance_is_what_every_error_does_to_place_rotation_and_heading(camera: Camera) -> None:
@@ -107,17 +107,17 @@ def test_the_covariance_is_what_every_error_does_to_place_rotation_and_heading(c
     J, given = np.array(columns).T, np.zeros((10, 10))
     given[:2, :2], given[2:8, 2:8], given[8:, 8:] = SIGMA_DECK**2 * np.eye(2), cov_pose(), COV_TILT
     expected = J @ given @ J.T
-    seen = levelled(camera, np.zeros(2), np.zeros(6), np.zeros(2))
-    assert seen.pose6 is not None
-    np.testing.assert_allclose(seen.pose6.cov, expected[:6, :6], rtol=1e-5, atol=1e-10)
+    pose_seen = levelled(camera, np.zeros(2), np.zeros(6), np.zeros(2))
+    assert pose_seen.pose6 is not None
+    np.testing.assert_allclose(pose_seen.pose6.cov, expected[:6, :6], rtol=1e-5, atol=1e-10)
     of = [0, 1, 2, 6]
-    np.testing.assert_allclose(seen.cov, expected[np.ix_(of, of)], rtol=1e-5, atol=1e-10)
+    np.testing.assert_allclose(pose_seen.cov, expected[np.ix_(of, of)], rtol=1e-5, atol=1e-10)
 
 
 def test_a_frame_s_tilt_is_the_attitude_s_error_as_far_as_the_deck_s_is_known(camera: Camera) -> None:
     tilt = np.array([0.03, -0.02])
     by_deck = [levelled(camera, np.zeros(2), np.zeros(6), tilt, sigma) for sigma in (1e-6, SIGMA_DECK, 10.0)]
-    off = [float(np.linalg.norm(seen.d_body_pad_level - PLACE)) for seen in by_deck]
+    off = [float(np.linalg.norm(pose_seen.d_body_pad_level - PLACE)) for pose_seen in by_deck]
     assert off[0] < 3e-3
     assert off[0] < 0.2 * off[1] < 0.2 * off[2]
 
@@ -126,36 +126,36 @@ def test_a_frame_s_tilt_is_the_attitude_s_error_as_far_as_the_deck_s_is_known(ca
 def test_a_deck_known_to_be_level_and_an_attitude_known_for_certain_break_nothing(camera: Camera, cov: F64) -> None:
     orientation = Orientation(ROLL, PITCH, cov, 0.0, True)
     pose = posed(np.zeros(2), np.zeros(6))
-    seen = sighting_of(BLANK, pose, cov_pose(), replace(camera, T_body_cam=TURNED_MOUNT), orientation, False, 1.0)
-    np.testing.assert_allclose(seen.d_body_pad_level, PLACE, atol=1e-12)
-    assert np.linalg.eigvalsh(seen.cov).min() > 0.0
+    pose_seen = sighting_of(BLANK, pose, cov_pose(), replace(camera, T_body_cam=TURNED_MOUNT), orientation, False, 1.0)
+    np.testing.assert_allclose(pose_seen.d_body_pad_level, PLACE, atol=1e-12)
+    assert np.linalg.eigvalsh(pose_seen.cov).min() > 0.0
 
 
 def test_an_arrow_that_points_straight_up_breaks_nothing(camera: Camera) -> None:
     R = rpy_matrix(ROLL, PITCH, 0.0) @ TURNED_MOUNT.R.matrix
     pose = PadPose(Rotation(R.T @ np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])), np.array([0.0, 0.0, 2.0]))
     orientation = Orientation(ROLL, PITCH, COV_TILT, SIGMA_DECK, True)
-    seen = sighting_of(BLANK, pose, cov_pose(), replace(camera, T_body_cam=TURNED_MOUNT), orientation, True, 1.0)
-    assert np.isfinite(seen.cov).all()
+    pose_seen = sighting_of(BLANK, pose, cov_pose(), replace(camera, T_body_cam=TURNED_MOUNT), orientation, True, 1.0)
+    assert np.isfinite(pose_seen.cov).all()
 
 
 def test_a_rotation_that_rounding_has_stretched_is_brought_back(camera: Camera) -> None:
     pose = posed(np.zeros(2), np.zeros(6))
     stretched = PadPose(Rotation(pose.R_cam_pad.matrix * (1.0 + 2e-7)), pose.t_cam_pad)
     orientation = Orientation(ROLL, PITCH, COV_TILT, SIGMA_DECK, True)
-    seen = sighting_of(BLANK, stretched, cov_pose(), replace(camera, T_body_cam=TURNED_MOUNT), orientation, False, 1.0)
-    assert seen.pose6 is not None
-    R = seen.pose6.R_level_pad.matrix
+    pose_seen = sighting_of(BLANK, stretched, cov_pose(), replace(camera, T_body_cam=TURNED_MOUNT), orientation, False, 1.0)
+    assert pose_seen.pose6 is not None
+    R = pose_seen.pose6.R_level_pad.matrix
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
 
 
 def test_the_heading_of_a_tilted_pad_is_that_of_its_arrow_along_the_horizon(camera: Camera) -> None:
     deck = np.array([0.3, -0.4])
-    seen = levelled(camera, deck, np.zeros(6), np.zeros(2), 10.0)
-    assert seen.pose6 is not None
-    R, rows = seen.pose6.R_level_pad.matrix, np.eye(4, 6)
+    pose_seen = levelled(camera, deck, np.zeros(6), np.zeros(2), 10.0)
+    assert pose_seen.pose6 is not None
+    R, rows = pose_seen.pose6.R_level_pad.matrix, np.eye(4, 6)
     for k in range(3):
         more, less = (oracle.exp(sign * STEP * np.eye(3)[k]) @ R for sign in (1, -1))
         rows[3, 3 + k] = (math.atan2(less[1, 0], less[0, 0]) - math.atan2(more[1, 0], more[0, 0])) / (2.0 * STEP)
-    np.testing.assert_allclose(seen.cov, rows @ seen.pose6.cov @ rows.T, rtol=1e-6, atol=1e-12)
-    assert seen.yaw_rad == pytest.approx(-math.atan2(R[1, 0], R[0, 0]), abs=1e-12)
+    np.testing.assert_allclose(pose_seen.cov, rows @ pose_seen.pose6.cov @ rows.T, rtol=1e-6, atol=1e-12)
+    assert pose_seen.yaw_rad == pytest.approx(-math.atan2(R[1, 0], R[0, 0]), abs=1e-12)

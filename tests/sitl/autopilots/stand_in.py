@@ -37,7 +37,7 @@ def state_of(said: dict[str, Any]) -> BodyState:
     return BodyState(said["timestamp"], p, v, Rotation.from_quat(said["quaternion"]), w, f, said.get("rng_1"))
 
 
-async def run(args: argparse.Namespace, parameters: dict[str, float]) -> None:
+async def serve(args: argparse.Namespace, parameters: dict[str, float]) -> None:
     """Step by step, until the physics is gone."""
     clock = LockStepClock()
     standin = CopterStandIn(clock, parameters, STEP_S)
@@ -65,7 +65,7 @@ async def run(args: argparse.Namespace, parameters: dict[str, float]) -> None:
             await clock.settle()
 
 
-def main(argv: list[str]) -> None:
+def start(argv: list[str]) -> None:
     parser = argparse.ArgumentParser()
     serials = [f"serial{n}" for n in (0, 1, 2, 5, 6, 7, 8)]
     for name in ("model", "sim-address", "home", "defaults", "speedup", "rc-in-port", *serials):
@@ -76,8 +76,8 @@ def main(argv: list[str]) -> None:
     if args.model != f"JSON:{HOST}":
         sys.exit(f"Vehicle model ({args.model}) not found")
     lines = (line.split() for line in Path(args.defaults).read_text().splitlines())
-    asyncio.run(run(args, {name: float(value) for name, value in lines}))
+    asyncio.run(serve(args, {name: float(value) for name, value in lines}))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    start(sys.argv[1:])

@@ -77,7 +77,7 @@ def fake_fly(
     }
 
 
-def main(folder: str, runs: str, delay_s: str = "0", workers: str = "2") -> None:
+def run_campaign(folder: str, runs: str, delay_s: str = "0", workers: str = "2") -> None:
     own = plan(start={"height_m": 2.0 + float(delay_s)})
     seeds = seeds_of(0, int(runs))
     with (
@@ -88,4 +88,4 @@ def main(folder: str, runs: str, delay_s: str = "0", workers: str = "2") -> None
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    run_campaign(*sys.argv[1:])

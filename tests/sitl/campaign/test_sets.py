@@ -19,7 +19,7 @@ from tests.fly import NEAR
 TWO = 'title = "two"\nperception = "truth"\n[[scenario]]\nname = "near.toml"\n[[scenario]]\nname = "held.toml"\n'
 
 
-def written(folder: Path, text: str = TWO) -> str:
+def set_file(folder: Path, text: str = TWO) -> str:
     (folder / "near.toml").write_text(NEAR)
     (folder / "held.toml").write_text(
         'title = "held"\nbase = "near.toml"\nexpect = "hold"\nduration_limit_s = 2.0\n[[faults]]\nkind = "operator"\nat_s = 0.5\n'
@@ -30,7 +30,7 @@ def written(folder: Path, text: str = TWO) -> str:
 
 
 def test_a_set_is_flown_scenario_by_scenario_into_one_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    chosen, out = written(tmp_path), str(tmp_path / "out")
+    chosen, out = set_file(tmp_path), str(tmp_path / "out")
     command = ["campaign", chosen, "--runs", "2", "--workers", "1", "--out", out]
     code = cli.main([*command, "--json"])
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
@@ -51,7 +51,7 @@ def test_a_set_is_flown_scenario_by_scenario_into_one_folder(tmp_path: Path, cap
 
 
 def test_the_report_of_a_set_prints_commands_that_fly_the_same_flights_again(tmp_path, capsys):
-    chosen, out = written(tmp_path, TWO.replace('[[scenario]]\nname = "near.toml"\n', "")), tmp_path / "out"
+    chosen, out = set_file(tmp_path, TWO.replace('[[scenario]]\nname = "near.toml"\n', "")), tmp_path / "out"
     own = ["--set", "wind.speed_m_s=3.5", "--set", "guidance.cone.descent_rate_m_s=0.4"]
     assert cli.main(["campaign", chosen, "--runs", "2", "--workers", "1", "--out", str(out), *own, "--report", "--json"]) == 0
     flights = [json.loads(line) for line in capsys.readouterr().out.splitlines()][:-1]
@@ -79,7 +79,7 @@ def test_shipped_sets_load_and_every_scenario_acts_at_its_level(name: str) -> No
 
 
 def test_a_set_may_give_its_scenarios_another_base(tmp_path: Path) -> None:
-    path = written(tmp_path, TWO.replace('[[scenario]]\nname = "near.toml"\n', 'base = "sea_state_4"\n'))
+    path = set_file(tmp_path, TWO.replace('[[scenario]]\nname = "near.toml"\n', 'base = "sea_state_4"\n'))
     _, scenarios = load_set(path)
     rough = load_scenario("sea_state_4")
     assert scenarios["held.toml"].sea == rough.sea
@@ -97,7 +97,7 @@ def test_a_set_may_give_its_scenarios_another_base(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_wrong_with_a_set_is_named(tmp_path: Path, text: str, said: str) -> None:
-    path = written(tmp_path, text)
+    path = set_file(tmp_path, text)
     with pytest.raises(BadInput) as why:
         load_set(path)
     assert str(why.value).startswith(f"{path}: ")
