@@ -23,7 +23,6 @@ from companion.guidance.mission.limits import (
     no_return_m,
     of_try,
     sigma_m,
-    stop_m,
     to_contact_s,
 )
 from companion.settings.load import load
@@ -213,13 +212,6 @@ def test_nobody_lands_for_a_second_after_a_deck_moved_as_no_deck_does() -> None:
     landing.judge(ns(NOW), swings(4.0))
     landing.judge(ns(NOW + 0.1), swings(0.1))
     assert [landing.doubted(ns(NOW + s)) for s in (0.1, 0.9, 1.1)] == [IntegrityAlert.DECK, IntegrityAlert.DECK, None]
-
-
-def test_feet_that_slide_come_to_stand_farther_on() -> None:
-    """Feet at a speed v slide v^2 / (2 0.5 g). The body goes against the pad's velocity relative to it."""
-    assert stop_m(estimate(NOW, (0.1, 0.0, 0.1), (1.0, 0.0, 0.0))) == pytest.approx(0.1 + 1.0 / G_M_S2)
-    assert stop_m(estimate(NOW, (0.1, 0.0, 0.1), (-1.0, 0.0, 0.0))) == pytest.approx(abs(0.1 - 1.0 / G_M_S2))
-    assert stop_m(estimate(NOW, (0.1, 0.2, 0.1))) == pytest.approx(math.hypot(0.1, 0.2))
 
 
 @pytest.mark.hazard("H3")
