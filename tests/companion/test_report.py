@@ -64,7 +64,7 @@ def truth_at(t):
     return np.array([0.6 * math.cos(t), 0.5 - 0.1 * t, 3.0 - 0.6 * t]), math.remainder(3.0 + 0.2 * t, math.tau)
 
 
-def flight(images=True) -> FlightLog:
+def report_flight(images=True) -> FlightLog:
     rng = np.random.default_rng(4)
     log = FlightLog("A test <flight> & more", ns(100), PAD, CAMERA, outcome="landed", facts=[("scenario", "calm & <b>")])
     for i in range(401):
@@ -114,21 +114,21 @@ def flight(images=True) -> FlightLog:
 
 
 def test_truth_is_interpolated_across_the_wrap_and_not_beyond_its_record():
-    truth = TruthTrack(flight().truth)
+    truth = TruthTrack(report_flight().truth)
     got = truth.at([ns(100 + t) for t in (0.005, 0.705, 2.345)])
     for row, t in zip(got, (0.005, 0.705, 2.345), strict=True):
         d, yaw = truth_at(t)
         np.testing.assert_allclose(row[:3], d, atol=1e-4)
         assert abs(math.remainder(row[3] - yaw, math.tau)) < 1e-6
     assert np.all(np.isnan(truth.at([ns(99.9), ns(104.2)])))
-    holed = TruthTrack([s for s in flight().truth if not 1.0 < (s.at - ns(100)) * 1e-9 < 2.0])
+    holed = TruthTrack([s for s in report_flight().truth if not 1.0 < (s.at - ns(100)) * 1e-9 < 2.0])
     assert np.all(np.isnan(holed.at([ns(101.5)])))
     assert np.all(np.isfinite(holed.at([ns(100.5), ns(102.5)])))
     assert np.all(np.isnan(TruthTrack([]).at([ns(1)])))
 
 
 def test_error_statistics_are_those_put_in():
-    rows = {r.name: r for r in error_rows(flight(), all_series(flight()))}
+    rows = {r.name: r for r in error_rows(report_flight(), all_series(report_flight()))}
     assert rows["ellipse"].count == 50
     assert rows["ellipse"].fraction == pytest.approx(50 / 125)
     assert rows["ellipse"].lateral_median_m == pytest.approx(0.05 * math.sqrt(2 * math.log(2)), rel=0.3)
@@ -142,7 +142,7 @@ def test_error_statistics_are_those_put_in():
 
 
 def test_the_decks_tilt_is_compared_with_truth_at_the_instant_that_it_is_forecast_for():
-    log = flight()
+    log = report_flight()
     assert deck_rows(log) == []
     log.truth = [replace(s, R_ned_pad=Rotation.from_rpy(0.01 * k * 1e-2, 0.0, 0.5)) for k, s in enumerate(log.truth)]
     for made_s in (0.0, 0.5, 1.0):
@@ -198,7 +198,7 @@ def column(data, number):
 
 
 def test_the_page_is_one_file_and_says_what_happened(tmp_path):
-    page = write_report(flight(), tmp_path / "report")
+    page = write_report(report_flight(), tmp_path / "report")
     text = page.read_text("utf-8")
     assert [p.name for p in page.parent.iterdir()] == ["index.html"]
     assert "http://" not in text
@@ -221,7 +221,7 @@ def test_the_page_is_one_file_and_says_what_happened(tmp_path):
 
 
 def test_the_page_draws_what_was_put_in():
-    data = json.loads(parts_of(render(flight(), None)).texts["data"])
+    data = json.loads(parts_of(render(report_flight(), None)).texts["data"])
     forward = next(p for p in data["plots"] if p["title"] == "forward")
     truth = next(layer for layer in forward["layers"] if layer["name"] == "truth")
     t = column(data, truth["t"])
@@ -240,7 +240,7 @@ def test_the_page_draws_what_was_put_in():
 
 
 def test_text_cannot_end_the_data_early():
-    log = flight(images=False)
+    log = report_flight(images=False)
     log.phases = [PhaseChange(ns(100), "</script><img src=x>")]
     text = render(log, None)
     assert "</script><img" not in text
@@ -264,15 +264,15 @@ def test_thinning_keeps_every_extreme_and_every_gap(n, odd):
 
 
 def test_an_hour_stays_small_and_says_that_it_was_thinned():
-    log = flight(images=False)
+    log = report_flight(images=False)
     log.truth = [TruthSample(ns(100 + 0.01 * i), np.array([0.1, 0.2, 3.0]), np.zeros(3), 0.1) for i in range(20_000)]
     text = render(log, None)
     assert "values are drawn: of longer series the least and the greatest" in text
-    assert "Every one of" in render(flight(images=False), None)
+    assert "Every one of" in render(report_flight(images=False), None)
 
 
 def test_a_forecast_stands_where_it_was_made_for():
-    log = flight(images=False)
+    log = report_flight(images=False)
     log.decks = [
         DeckSample(ns(101), ns(101), 0.1, 0.01, 0.02, 0.001, 0.03, 0.001),
         DeckSample(ns(102), ns(101), 0.2, 0.05, 0.04, 0.002, 0.05, 0.002),
@@ -283,7 +283,7 @@ def test_a_forecast_stands_where_it_was_made_for():
 
 
 def test_the_path_that_steered_has_the_band():
-    log = flight(images=False)
+    log = report_flight(images=False)
     bands = {layer.name for plot in place(log, all_series(log)).plots for layer in plot.layers if layer.style == "band"}
     assert bands == {"dead_reckoning"}
 
@@ -294,7 +294,7 @@ def test_an_empty_flight_still_has_a_page(tmp_path):
     absent = ("No touchdown", "No frames", "Neither truth", "Nothing was estimated", "No commands", "No times", "No results")
     assert [words for words in absent if words not in text] == []
     assert [p.name for p in tmp_path.iterdir()] == ["index.html"]
-    without_truth = flight(images=False)
+    without_truth = report_flight(images=False)
     without_truth.truth = []
     text = render(without_truth, None)
     assert "No truth was recorded" in text
@@ -302,7 +302,7 @@ def test_an_empty_flight_still_has_a_page(tmp_path):
 
 
 def test_the_video_is_what_browsers_play(tmp_path):
-    film = film_of(flight(), scale=1.0)
+    film = film_of(report_flight(), scale=1.0)
     assert film is not None
     assert (film.frames, film.began) == (100, ns(100))
     path, data = tmp_path / "flight.mp4", film.data
@@ -323,7 +323,7 @@ def test_the_video_is_what_browsers_play(tmp_path):
 
 def test_the_video_shows_the_pad_of_the_path_that_steered(tmp_path):
     """A shadow path that is metres off is in the log, before or after the one that steered."""
-    log = flight()
+    log = report_flight()
     shadow = [
         RelativeState(
             e.at, "median_mean", e.d_body_pad_level + np.array([0, 9.0, 0]), e.v_pad_level, e.yaw_rad, e.cov, e.at, True
@@ -375,7 +375,7 @@ def test_a_long_film_stays_small_enough_to_be_mailed(tmp_path):
 
 
 def test_broken_images_are_passed_over(tmp_path):
-    log = flight()
+    log = report_flight()
     log.frames = [
         FrameRecord(ns(100), 0, Verdict.FAILED, None, image=b"no frame"),
         FrameRecord(ns(100.1), 1, Verdict.FAILED, None, image=Path(tmp_path / "gone.jpg")),

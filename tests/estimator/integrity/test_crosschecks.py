@@ -33,7 +33,7 @@ Error = Callable[[float, np.random.Generator], float]
 # The heading
 
 
-def flown(error_deg: Error, seconds: float = 10.0, bias_deg_s: float = 0.0, *, gyro: bool = True) -> F64:
+def headings(error_deg: Error, seconds: float = 10.0, bias_deg_s: float = 0.0, *, gyro: bool = True) -> F64:
     """Return the true heading, the reported one and the one that is used, (n, 3) deg, for a body that turns to and fro."""
     watch, rows, rng = HeadingWatch(), [], np.random.default_rng(3)
     for i in range(round(seconds / DT)):
@@ -55,8 +55,8 @@ def off_deg(rows: F64, column: int) -> F64:
 
 def test_a_heading_that_turns_as_the_body_does_passes_unchanged_and_so_does_any_without_a_gyro() -> None:
     for rows in (
-        flown(lambda t, rng: 3.0 * math.sin(0.3 * t) + rng.normal(0.0, 0.5), bias_deg_s=0.8),
-        flown(lambda t, rng: 15.0 * t, gyro=False),
+        headings(lambda t, rng: 3.0 * math.sin(0.3 * t) + rng.normal(0.0, 0.5), bias_deg_s=0.8),
+        headings(lambda t, rng: 15.0 * t, gyro=False),
     ):
         np.testing.assert_array_equal(rows[:, 1], rows[:, 2])
 
@@ -72,13 +72,13 @@ def test_a_heading_that_turns_as_the_body_does_passes_unchanged_and_so_does_any_
 )
 def test_one_that_turns_by_itself_is_replaced_by_the_gyros(error_deg: Error) -> None:
     """WHY: such a compass turned the whole estimate; the pad seemed to be elsewhere, and the flight was given up."""
-    rows = flown(error_deg)
+    rows = headings(error_deg)
     assert np.abs(off_deg(rows, 1)).max() > 45.0
     assert np.abs(off_deg(rows, 2)).max() < 12.0
 
 
 def test_another_north_is_taken_over_in_time_and_without_a_large_jump() -> None:
-    off = off_deg(flown(lambda t, rng: 30.0 * (t > 2.0), seconds=70.0), 2)
+    off = off_deg(headings(lambda t, rng: 30.0 * (t > 2.0), seconds=70.0), 2)
     assert off[-1] == pytest.approx(30.0)
     assert np.abs(np.diff(off)).max() < LIMITS.heading_tolerance_deg + 0.1
 
