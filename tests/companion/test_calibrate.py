@@ -380,7 +380,7 @@ def test_a_readout_time_is_found_within_its_sigma_and_does_not_spoil_mount_and_d
     assert fit_mount(views).values[READOUT] == pytest.approx(0.0, abs=1e-5), "poses that do not say leave it as it is"
 
 
-def test_a_readout_needs_the_images(flown: tuple[Path, Path, Settings], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_readout_needs_the_images(recorded_rig: tuple[Path, Path, Settings], capsys: pytest.CaptureFixture[str]) -> None:
     folder, _, _ = recorded_rig
     assert main(["calibrate", "readout", str(folder / "flight.mcap"), "--out", str(folder / "no.toml")]) == 2
     assert "holds the images of 0 views" in capsys.readouterr().err
