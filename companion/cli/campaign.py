@@ -40,7 +40,7 @@ from sitl.campaign.plan import (
 )
 from sitl.campaign.random_faults import Cases, FaultTally, fly_with_random_faults
 from sitl.campaign.report import AXES, MAP, REPORT, render_map, render_report
-from sitl.campaign.soak import SoakOptions, soak
+from sitl.campaign.soak import Draw, SoakOptions, soak
 from sitl.campaign.store import FLIGHTS, FolderStore, flights_in, fly_left, manifest_of, manifest_of_plan, wall_s_in, write_whole
 from sitl.campaign.task import Flight, Flyer, fly_flight, job_of
 from sitl.campaign.workers import ClusterWorkers, LocalWorkers
@@ -436,8 +436,12 @@ def run_soak(args: argparse.Namespace, plan: CampaignPlan, given: Overridable) -
     failed_max = args.failed_max or 0
     if failed_max < 0:
         raise BadInput(f"--failed-max must be 0 or more, got {failed_max}")
+    draw: Draw | None = None
     if args.plot is not None:
         require_drawing("--plot")
+        from sitl.campaign import plots
+
+        draw = plots.soak
     options = SoakOptions(
         seed=seed,
         hours=hours,
@@ -450,4 +454,4 @@ def run_soak(args: argparse.Namespace, plan: CampaignPlan, given: Overridable) -
         readings=args.readings,
         json=args.json,
     )
-    return soak(options, plan, *given.with_values((), "--set"))
+    return soak(options, plan, *given.with_values((), "--set"), draw)

@@ -11,7 +11,7 @@ import tempfile
 import time
 import weakref
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from enum import Enum
@@ -262,11 +262,16 @@ class Tally:
         return lines
 
 
-def soak(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings: Settings) -> int:
+Draw = Callable[[Path, Sequence[Reading], Sequence[Flown]], None]
+"""Writes the plot of a soak (`plots.soak`)."""
+
+
+def soak(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings: Settings, draw: Draw | None = None) -> int:
     """Fly, print what was found, and return the exit code.
 
     Args:
         plan: says what is flown, and how a flight is flown again.
+        draw: needed where the options name a plot.
         scenario: the scenario of the plan.
         settings: the settings of the plan.
 
@@ -300,10 +305,8 @@ def soak(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings:
         lines += ["too short to measure growth"] if found is None else found.in_words(options.virtual)
         lines += [f"FAULT: {fault}" for fault in [*faults, *(found.faults if found is not None else ())]]
         sys.stdout.write("\n".join(lines) + "\n")
-    if options.plot is not None:
-        from sitl.campaign import plots
-
-        plots.soak(options.plot, readings, list(tally.flights))
+    if options.plot is not None and draw is not None:
+        draw(options.plot, readings, list(tally.flights))
     if interrupted is not None:
         raise interrupted
     return 0 if found is not None and not found.faults and not faults else 1
