@@ -69,10 +69,9 @@ def command_lines() -> list[tuple[str, list[str]]]:
 def test_command_lines_parse(where: str, words: list[str]) -> None:
     assert words[0] in COMMANDS, where
     parser = argparse.ArgumentParser(prog="decklander", exit_on_error=False, allow_abbrev=False)
-    module = importlib.import_module(COMMANDS[words[0]][0])
-    module.add_parser(parser.add_subparsers(dest="command"))
+    importlib.import_module(COMMANDS[words[0]][0]).add_arguments(parser)
     try:
-        parser.parse_args(words)
+        parser.parse_args(words[1:])
     except (SystemExit, argparse.ArgumentError) as why:
         pytest.fail(f"{where}: decklander {' '.join(words)}: {why}")
 
