@@ -12,11 +12,10 @@ from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load
 from companion.settings.model import Settings
 from drivers.ardrone import at, control, navdata
-from drivers.ardrone.counters import Counters
+from drivers.ardrone.counters import Counters, Refusal
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.pave import FrameType, PaveHeader, PaveParser
-from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.video import VideoDecoder
 from estimator.contracts.pictures import PictureRefusal
 from estimator.contracts.samples import Sample

@@ -17,14 +17,13 @@ import numpy as np
 
 from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight, identify
-from companion.cli.options import file_errors, option, print_result
+from companion.cli.options import file_errors, option, print_result, require_drawing
 from companion.tools.calibrate import assess
 from companion.tools.calibrate.board import BOARDS, Board, Collection
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
 from companion.tools.calibrate.guide import Guide, GuideState, add_file, files_of, watch
 from companion.tools.calibrate.solve import LEAST_VIEWS, LensChoice, Solution, solve
 from companion.tools.calibrate.touchdown_cost import of_distance
-from companion.tools.report.drawing import require_drawing
 from drivers.camera.images import PICTURES
 from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
 from estimator.contracts.errors import BadInput

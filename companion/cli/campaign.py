@@ -14,10 +14,9 @@ from pathlib import Path
 
 from companion.base.signals import Stopped
 from companion.cli import perception_option
-from companion.cli.options import file_errors, option
+from companion.cli.options import file_errors, option, require_drawing
 from companion.cli.progress import CampaignProgress
 from companion.settings.load import shipped
-from companion.tools.report.drawing import require_drawing
 from estimator.contracts.errors import BadInput
 from estimator.pipeline import RelativeEstimator
 from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_columns, in_rows, in_words, tallies_of

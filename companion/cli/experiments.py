@@ -8,9 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from companion.cli.options import check_seed, file_errors, option, print_result
+from companion.cli.options import check_seed, file_errors, option, print_result, require_drawing
 from companion.settings.load import SHIPPED, load, pad_of_file, read_camera
-from companion.tools.report.drawing import require_drawing
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from study.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, lags

@@ -8,6 +8,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -99,3 +100,16 @@ def prepare_folder(folder: Path | None) -> None:
             pass
     except OSError as why:
         raise BadInput(f"--report {folder}: {fault_of(why)}") from why
+
+
+def require_drawing(option: str, instead: str = "") -> None:
+    """Refuse an option that draws where matplotlib is not installed; `instead` says what the person can do without it.
+
+    Raises:
+        BadInput: matplotlib is not installed; the message says how to install it.
+    """
+    if find_spec("matplotlib") is None:
+        raise BadInput(
+            f"{option} draws with matplotlib, which is not installed: install requirements/report.txt, "
+            f"or the extra decklander[report]{instead}"
+        )

@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from companion.settings import files
     from companion.settings.load import camera_model, load
-    from companion.tools.ros2.typestore import require_rosbags
+    from companion.tools.ros2.messages import require_rosbags
 
     require_rosbags("decklander ros2")
     if args.seconds is not None and not 0 < args.seconds < 1e9:

@@ -203,8 +203,7 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     losses_max: Annotated[int, number("largest number of losses of sight below the safe height in one try", "1", 0, 1000)] = 8
     blind_descent_max_m: Annotated[float, number("largest total descent of one try without sight", "m", 0.05, 10.0)] = 0.5
     go_arounds_max: Annotated[
-        int,
-        number("number of go-arounds that begin another try; then the drone holds and waits", "1", 0, 100, public=True),
+        int, number("number of go-arounds that begin another try; then the drone holds and waits", "1", 0, 100, public=True)
     ] = 5
     safe_height_m: Annotated[float, number("height over the pad to which it climbs", "m", 0.5, 50.0, public=True)] = 2.0
     climb_m_s: Annotated[float, number("rate against the deck with which it climbs", "m/s", 0.05, 2.0)] = 0.5

@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Struct
 
-from drivers.ardrone.refusal import Refusal
+from drivers.ardrone.counters import Refusal
 
 REF_BASE = 0x11540000
 """Bits 18, 20, 22, 24, 28, which are always set. A flying drone lands when REF comes without `REF_TAKE_OFF`."""

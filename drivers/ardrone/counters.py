@@ -2,8 +2,22 @@
 
 from collections import Counter
 from dataclasses import dataclass, field, fields
+from enum import Enum
 
-from drivers.ardrone.refusal import Refusal
+
+class Refusal(Enum):
+    """The reason for which wire input is refused: counted, never an exception. The value is the name of its counter."""
+
+    TOO_SHORT = "too_short"
+    """The input is shorter than a header."""
+    BAD_MAGIC = "bad_magic"
+    """The input does not begin as this format begins."""
+    TORN = "torn"
+    """The input ends inside an element, or goes on after its end."""
+    BAD_CHECKSUM = "bad_checksum"
+    UNKNOWN_COMMAND = "unknown_command"
+    BAD_ARGUMENTS = "bad_arguments"
+    """A known command has too few, too many or unreadable arguments."""
 
 
 @dataclass(slots=True)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from msgspec import Struct
 
-from drivers.ardrone.refusal import Refusal
+from drivers.ardrone.counters import Refusal
 
 MAGIC = 0x55667788
 CHECKSUM_TAG = 0xFFFF

@@ -3,11 +3,10 @@
 from collections.abc import Callable
 from enum import Enum
 
-from drivers.ardrone.counters import Counters
+from drivers.ardrone.counters import Counters, Refusal
 from drivers.ardrone.datagrams import WaitingDatagrams, open_waiting
 from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.samples import NavdataSampler
 from drivers.clock_map import ClockMap, ClockMapOptions
 from estimator.contracts.errors import Recoverable

@@ -19,8 +19,8 @@ import msgspec
 
 from drivers.ardrone.arbiter import HOVER, CommandArbiter
 from drivers.ardrone.at import numbered
+from drivers.ardrone.counters import Refusal
 from drivers.ardrone.navdata import decode
-from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.sender_lock import claim, yield_to
 from drivers.ardrone.sender_wire import (
     BUSY,

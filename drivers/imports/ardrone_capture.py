@@ -5,9 +5,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from drivers.ardrone.counters import Refusal
 from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.pave import PaveParser
-from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.samples import AS_REPORTED, NavdataSampler
 from drivers.ardrone.video import VideoDecoder
 from drivers.imports.stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline

@@ -15,8 +15,7 @@ Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
 
 _HEAD = struct.Struct("@I4x3qQ")
 """The numbers of an event before its sample: kind, instants of measuring and of reception, frame, method."""
-_LOST_S = struct.Struct("2d")
-"""The times for which gyro and accelerometer were lost, s."""
+_LOST_S = struct.Struct("2d")  # the times for which gyro and accelerometer were lost, s
 _new, _bytes_of, _EVENT = CORE.ffi.new, CORE.ffi.buffer, CORE.ffi.typeof("dl_event *")
 
 

@@ -19,7 +19,7 @@ from sitl.ardrone.config import Configuration, tilting
 from sitl.ardrone.generations import SECOND, Generation
 from sitl.ardrone.navdata_from_world import SentFrame, Situation, datagram, further_fields, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
-from sitl.sensors.gnss import GnssErrors
+from sitl.sensors.sensors import GnssErrors
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import Stick, World
 

@@ -12,8 +12,8 @@ from functools import cache
 from typing import assert_never
 
 from drivers.ardrone import at
+from drivers.ardrone.counters import Refusal
 from drivers.ardrone.navdata import ControlState, NavdataState
-from drivers.ardrone.refusal import Refusal
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.config import Answer, Configuration, Ids
 from sitl.vehicle.vehicle import VehiclePhase

@@ -14,7 +14,7 @@ from sitl.faults.corrupted import Corruptions
 from sitl.faults.kinds import VesselReports
 from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import Scenario
-from sitl.sensors.gnss import SIGMA_M, GnssErrors
+from sitl.sensors.sensors import SIGMA_M, GnssErrors
 from sitl.world.truth import Truth
 
 _DELAY_S = 0.2

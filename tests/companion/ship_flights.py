@@ -22,7 +22,7 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import F64
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from sitl.sensors.gnss import ORIGIN
+from sitl.sensors.sensors import ORIGIN
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.ardrone import at
-from drivers.ardrone.refusal import Refusal
+from drivers.ardrone.counters import Refusal
 from tests.drivers.captures import CAPTURES, needs_captures
 
 f32 = st.floats(allow_nan=False, allow_infinity=False, width=32)

@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.counters import Counters
+from drivers.ardrone.counters import Counters, Refusal
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.samples import AS_REPORTED, NavdataSampler
 from drivers.clock import SystemClock
 from estimator.contracts.geodesy import height_of_pressure_m, pressure_of_height_pa

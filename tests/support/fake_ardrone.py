@@ -8,8 +8,8 @@ from typing import Any
 
 from drivers.ardrone import at, control
 from drivers.ardrone import navdata as nd
+from drivers.ardrone.counters import Refusal
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.refusal import Refusal
 from drivers.clock import SystemClock
 from sitl.emulators.ardrone.sockets import DatagramPort, StreamPort
 

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
 from companion.base.mission import FAULTS, FLOWN
-from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame
+from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame, ThingReport, things_of
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
-from companion.base.things import ThingReport, things_of
 from companion.base.worker import Worker
 from companion.facts import encode as facts
 from companion.facts.wire import OrderRequest, RequestRefused, SticksRequest

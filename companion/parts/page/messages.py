@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.base.things import ThingReport
+from companion.base.observer import ThingReport
 from companion.facts.records import BeliefRecord, DeckRecord
 from companion.facts.wire import FlightState, OrderAnswer, OrderRequest, RequestRefused, SticksRequest, read
 

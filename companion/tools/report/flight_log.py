@@ -8,9 +8,8 @@ from pathlib import Path
 import cv2
 
 from companion.base.mission import StateChange
-from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame
+from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame, ThingReport, things_of
 from companion.base.orders import HandledOrder
-from companion.base.things import ThingReport, things_of
 from companion.recording.frame_video import VideoImage
 from companion.tools.report.overlay import expected_in_body, held_rotation
 from estimator.contracts.commands import Command

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from companion.recording.reading import Recording, instant
-from companion.tools.ros2.messages import Message, RosMessages
+from companion.tools.ros2.messages import Message, RosMessages, require_rosbags, typestore
 from companion.tools.ros2.node import KEPT
-from companion.tools.ros2.typestore import require_rosbags, typestore
 from estimator.contracts.errors import BadInput
 
 _METADATA_VERSION: Final = 8

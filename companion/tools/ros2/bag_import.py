@@ -17,8 +17,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from companion.tools.ros2.messages import LEVEL, UP, from_enu_attitude
-from companion.tools.ros2.typestore import require_rosbags, typestore
+from companion.tools.ros2.messages import LEVEL, UP, from_enu_attitude, require_rosbags, typestore
 from drivers.camera.images import ImageRefused, decode
 from drivers.imports.stamps import SIGMA_S, SIGMA_TILT_RAD, SIGMA_YAW_RAD, Tell, timeline
 from estimator.contracts.errors import BadInput

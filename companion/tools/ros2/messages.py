@@ -7,6 +7,7 @@ in a covariance of `sensor_msgs/Imu`, nan for a place's height, and the variance
 
 import math
 from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from companion.recording.frame_video import VideoImage
 from companion.recording.message_encoder import packed
 from companion.recording.reading import Event, RecordedFrame, instant
 from estimator.contracts.commands import Hover, Lean, Velocity
+from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, VehicleStatus, VesselReport
@@ -428,3 +430,25 @@ def _image(frame: RecordedFrame) -> tuple[str, bytes] | None:
         px = frame.image.px()
         return None if px is None else ("jpeg", packed(px, "jpeg", _JPEG_QUALITY))
     return ("png" if frame.image.startswith(b"\x89PNG") else "jpeg"), frame.image
+
+
+def require_rosbags(option: str) -> None:
+    """Refuse `option` where rosbags is not installed.
+
+    Raises:
+        BadInput: it is not; the message says how to install it.
+    """
+    if find_spec("rosbags") is None:
+        raise BadInput(
+            f"{option} needs rosbags, which is not installed: install requirements/ros2.txt, or the extra decklander[ros2]"
+        )
+
+
+def typestore() -> Any:
+    """Return the standard messages.
+
+    Those that later grew have the fields of Jazzy. An older ROS reads them: it leaves out what comes after the end.
+    """
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)

@@ -12,8 +12,7 @@ from companion.facts import records as rec
 from companion.recording import channels
 from companion.recording.reading import FOR_VIEWERS, NOT_UNDERSTOOD, EventAssembly, instant
 from companion.tools.ros2.live_client import LiveClient
-from companion.tools.ros2.messages import RosMessages
-from companion.tools.ros2.typestore import typestore
+from companion.tools.ros2.messages import RosMessages, typestore
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 

@@ -54,7 +54,7 @@ from sitl.flight.person import SimulatedPerson
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception
 from sitl.scenario.scenario import Scenario, vehicle_model
-from sitl.sensors.gnss import ORIGIN
+from sitl.sensors.sensors import ORIGIN
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
 
 Name = Literal["arducopter", "px4"]

@@ -26,7 +26,7 @@ from estimator.contracts.geodesy import GeoPoint, moved, pressure_of_height_pa
 from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
 from sitl.emulators.autopilots.motors import Motors
 from sitl.emulators.autopilots.program import GUIDE
-from sitl.sensors.gnss import ORIGIN_DEG
+from sitl.sensors.sensors import ORIGIN_DEG
 
 PHYSICS_PORT = 4560
 MAVLINK_PORTS = (14540, 14550)

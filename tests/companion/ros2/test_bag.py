@@ -15,8 +15,7 @@ from companion.cli import main as cli
 from companion.facts.records import TruthRecord
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.tools.ros2 import bag
-from companion.tools.ros2.messages import RosMessages
-from companion.tools.ros2.typestore import typestore
+from companion.tools.ros2.messages import RosMessages, typestore
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Imu, Range
 from tests.fly import record_to
@@ -220,7 +219,7 @@ GOLDEN = Path(__file__).parents[2] / "golden/frames.mcap"
 
 
 def test_without_the_library_one_line_says_how_to_get_it(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("companion.tools.ros2.typestore.find_spec", lambda name: None)
+    monkeypatch.setattr("companion.tools.ros2.messages.find_spec", lambda name: None)
     assert cli.main(["record", "export", str(GOLDEN), "--format", "ros2", "--output", str(tmp_path / "bag")]) == 2
     printed = capsys.readouterr().err
     assert printed.count("\n") == 1

@@ -17,7 +17,7 @@ from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.motors import wrench
 from sitl.emulators.autopilots.px4 import HilBackend, Home, SensorNoise, gnss, motors_of, sensors, serve_hil
 from sitl.scenario.scenario import Scenario, load
-from sitl.sensors.gnss import ORIGIN
+from sitl.sensors.sensors import ORIGIN
 from sitl.vehicle.airframe import Airframe
 
 HOST = "127.0.0.1"

@@ -35,7 +35,7 @@ from sitl.emulators.autopilots.body import Body, BodyState
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.emulators.autopilots.motors import Motors
 from sitl.emulators.autopilots.stand_in.gimbal import GimbalLink
-from sitl.sensors.gnss import ORIGIN
+from sitl.sensors.sensors import ORIGIN
 
 EPOCH_NS = 5_000_000_000
 """The autopilot booted this long before this process' clock began."""

@@ -21,7 +21,7 @@ from sitl.emulators.autopilots.body import BodyState
 from sitl.emulators.autopilots.motors import Motors
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.emulators.autopilots.stand_in.cascade import PX4_GAINS, Cascade
-from sitl.sensors.gnss import ORIGIN
+from sitl.sensors.sensors import ORIGIN
 from sitl.vehicle.airframe import Airframe
 
 DEFAULTS: dict[str, float] = {
