@@ -6,6 +6,7 @@ request for a HEARTBEAT. What our messages ask for is logged.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
@@ -189,7 +190,7 @@ _BEAT, _FAILED = mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3), int(mav.MAV_RE
 PAGE = OrderSender(OrderSource.PAGE, "1")
 
 
-class OrderedFlight:
+class OrderedFlight(ABC):
     """A flight under the arbiter and the driver, 25 steps a second; its heirs step it and know who holds the vehicle."""
 
     patience_s, begins_after_s = 20.0, 0.5
@@ -199,21 +200,21 @@ class OrderedFlight:
     arbiter: OperatorArbiter
 
     @property
+    @abstractmethod
     def hand(self) -> Hand:
         """The holder of the vehicle by the driver."""
-        raise NotImplementedError
 
     @property
-    def now(self) -> MonoNs:
-        raise NotImplementedError
+    @abstractmethod
+    def now(self) -> MonoNs: ...
 
+    @abstractmethod
     def step(self) -> None:
         """Run one cycle."""
-        raise NotImplementedError
 
+    @abstractmethod
     def reach_deck(self) -> None:
         """Come to stand on the deck."""
-        raise NotImplementedError
 
     def order(self, order: OperatorOrder) -> str | None:
         """Give an order at the computer; return why it is refused."""

@@ -105,11 +105,6 @@ class Watcher:
                 self._ready = self.parser.feed(data)
         return self._ready.pop(0)
 
-    async def exhausted(self) -> None:
-        """Read until the connection fails or ends, which raises; returns if frames keep coming for three seconds."""
-        for _ in range(90):
-            await self.frame()
-
     def close(self) -> None:
         self.socket.close()
 
