@@ -29,7 +29,9 @@ from companion.parts.recorder.setup import about, recorder_to_file
 from companion.settings.load import Settings, load
 from companion.settings.model import CameraSettings, PadSettings
 from estimator.contracts.estimates import PathName
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample
+from estimator.contracts.time import MonoNs
 from sitl.flight.ending import Ending
 from sitl.flight.flight import Flight
 from sitl.flight.one_flight import FlyOptions, fly, settings_for
@@ -69,6 +71,7 @@ class ObservedCalls(NullObserver):
         self.samples: list[Sample] = []
         self.frames: list[ProcessedFrame] = []
         self.decisions: list[Decision] = []
+        self.results: list[tuple[MonoNs, FusionResult]] = []
 
     def on_sample(self, sample: Sample) -> None:
         self.samples.append(sample)
@@ -78,6 +81,9 @@ class ObservedCalls(NullObserver):
 
     def on_decision(self, decision: Decision) -> None:
         self.decisions.append(decision)
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        self.results.append((at, result))
 
 
 def near(**over: Any) -> Scenario:

@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.cli.main import main
 from examples import make_data
 from examples.known_controllers import Lateral, Lqr, Mpc, integrators
 from tests.fly import record_to
@@ -94,11 +93,6 @@ def test_a_recording_is_read(tmp_path: Path) -> None:
     assert len(decisions) > 10
     assert all(re.fullmatch(r" *[\d.]+ s [a-z ]+: [\d.]+ m up, [\d.]+ m off", line) for line in decisions), decisions[0]
     assert re.fullmatch(r"frames: \{'fused': \d+.*\}", frames)
-
-
-def test_detect_finds_the_pad_in_the_shipped_image(capsys: object) -> None:
-    arguments = ["detect", str(DATA / "pad.jpg"), "--camera", "sim", "--attitude", str(DATA / "attitude.csv")]
-    assert main(arguments) == 0
 
 
 def test_the_data_is_small_and_the_script_s_columns_are_the_file_s() -> None:

@@ -58,8 +58,7 @@ class Guest:
     def __init__(self, root: Path) -> None:
         self.root = root
         self._unshare = subprocess.Popen(
-            ["unshare", *_SPACES, "--fork", "--kill-child", "sh", "-c",
-             _BOOT.format(root=root)],
+            ["unshare", *_SPACES, "--fork", "--kill-child", "sh", "-c", _BOOT.format(root=root)],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
         )  # fmt: skip
         children = Path(f"/proc/{self._unshare.pid}/task/{self._unshare.pid}/children")
@@ -72,16 +71,8 @@ class Guest:
         )
 
     def run(self, command: str) -> subprocess.CompletedProcess[str]:
-        inside = [
-            "chroot",
-            str(self.root),
-            "env",
-            "-i",
-            "PATH=/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
-            "HOME=/tmp",
-            "sh",
-            "-c",
-        ]
+        clean = ["env", "-i", "PATH=/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "HOME=/tmp"]
+        inside = ["chroot", str(self.root), *clean, "sh", "-c"]
         return subprocess.run(
             ["nsenter", "--target", self._init, *_SPACES, "--", *inside, command],
             stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=LONG_S,

@@ -10,8 +10,8 @@ import time
 import urllib.request
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from qualification.packaging.image import ROOT, Image, chroot
 
@@ -27,20 +27,10 @@ def fly(work: Path, service: Image, broker: Image, config: Path = CONFIG) -> Non
         CalledProcessError: something was not so; what stands above.
     """
     (work / "hosts").write_text("127.0.0.1 localhost sim broker daemon\n")
-    plan = {
-        name: {"root": str(image.root), "environment": image.environment, "user": image.user, "folder": image.folder}
-        | {"health": image.health, "entry": image.entry}
-        for name, image in (("service", service), ("broker", broker))
-    }
+    plan = [asdict(image) | {"root": str(image.root)} for image in (service, broker)]
     (work / "plan.json").write_text(json.dumps(plan))
     inside = f"ip link set lo up && exec {sys.executable} -m qualification.packaging.image_flight {work} {config.resolve()}"
     subprocess.run(["unshare", "--net", "sh", "-c", inside], cwd=ROOT, check=True)
-
-
-def _image(of: dict[str, Any]) -> Image:
-    return Image(
-        Path(str(of["root"])), dict(of["environment"]), str(of["folder"]), str(of["user"]), list(of["health"]), list(of["entry"])
-    )
 
 
 def _until(what: str, condition: Callable[[], object], seconds: float, children: dict[str, subprocess.Popen[str]]) -> float:
@@ -59,7 +49,7 @@ def _until(what: str, condition: Callable[[], object], seconds: float, children:
 
 def main(work: Path, config: Path) -> None:
     plan = json.loads((work / "plan.json").read_text())
-    service, broker = _image(plan["service"]), _image(plan["broker"])
+    service, broker = (Image(**of | {"root": Path(of["root"])}) for of in plan)
     folders = {name: work / f"volume-{name}" for name in ("broker", "keys", "scrape", "state")}
     for folder in folders.values():
         folder.mkdir()
@@ -92,19 +82,11 @@ def main(work: Path, config: Path) -> None:
         _until("the broker answers in TLS", lambda: ask(broker, alive, [keys]).returncode == 0, 60, children)
         wrong = ["sh", "-c", " ".join([*sub, "-u", "ground", "-P", "guess", "-t", "'#'", "-E", "-W", "2"])]
         assert ask(broker, wrong, [keys]).returncode != 0, "the broker lets in whoever guesses"
-        start(
-            "sim",
-            service,
-            ["python", "-m", "sitl.emulators.ardrone.serve", "demo", "--host", "0.0.0.0", "--seed", "1", "--repeat"],
-            [],
-        )
+        drone = ["python", "-m", "sitl.emulators.ardrone.serve", "demo", "--host", "0.0.0.0", "--seed", "1", "--repeat"]
+        start("sim", service, drone, [])
         _until("the simulated drone listens", lambda: '"ready"' in (work / "sim.log").read_text(), 60, children)
-        start(
-            "daemon",
-            service,
-            [*service.entry, "run", "--config", "/etc/decklander/rig.toml"],
-            [f"{config}:/etc/decklander/rig.toml", keys, scrape, state],
-        )
+        lent = [f"{config}:/etc/decklander/rig.toml", keys, scrape, state]
+        start("daemon", service, [*service.entry, "run", "--config", "/etc/decklander/rig.toml"], lent)
         _until("the health check says yes", lambda: ask(service, service.health, []).returncode == 0, 60, children)
         print(f"image runs as: {ask(service, ['id'], []).stdout.strip()}", flush=True)
         assert ask(service, ["touch", "/usr/x"], []).returncode != 0, "the root can be written to"
@@ -112,12 +94,8 @@ def main(work: Path, config: Path) -> None:
         received_at = ask(broker, on_message, [keys])
         assert "belief" in json.loads(received_at.stdout), received_at.stderr
         _until("it stands on the pad", lambda: '"on_pad":true' in (work / "sim.log").read_text(), LANDED_S, children)
-        _until(
-            "the next flight has begun",
-            lambda: json.loads(ask(broker, on_message, [keys]).stdout)["vehicle"]["flying"],
-            60,
-            children,
-        )
+        flying = '"flying":true'
+        _until("the next flight has begun", lambda: flying in ask(broker, on_message, [keys]).stdout, 60, children)
         token = (folders["scrape"] / "metrics.token").read_text().strip()
         scraping = urllib.request.Request("http://127.0.0.1:8480/metrics", headers={"Authorization": f"Bearer {token}"})
         text = urllib.request.urlopen(scraping, timeout=5).read().decode()
@@ -125,11 +103,7 @@ def main(work: Path, config: Path) -> None:
         missing = sorted(name for name in wanted if not re.search(rf"^# TYPE {name} ", text, re.MULTILINE))
         assert missing == [], f"the dashboard asks for what is not told: {missing}"
         print(f"the dashboard's {len(wanted)} figures are all told; the simulated drone said:", flush=True)
-        print(
-            "".join(line for line in (work / "sim.log").read_text().splitlines(keepends=True) if "flight" in line),
-            end="",
-            flush=True,
-        )
+        print(*(line for line in (work / "sim.log").read_text().splitlines() if "flight" in line), sep="\n", flush=True)
     finally:
         # unshare itself is deaf to SIGTERM, and a process that changed its user outlives it: the group is what ends.
         for number in (signal.SIGTERM, signal.SIGKILL):

@@ -2,8 +2,7 @@
 
 import pytest
 
-from benches.chaos import KINDS, WORDS, Chaos, Event, Seen, as_toml, draw, judged, message_ids, of_toml
-from drivers.mavlink.dialect import mav
+from benches.chaos import Chaos, Event, Seen, as_toml, draw, judged, of_toml
 
 
 def chaos_flight(lines: tuple[tuple[float, str], ...] = (), hole: tuple[float, float] = (0.0, 0.0)) -> Seen:
@@ -13,14 +12,6 @@ def chaos_flight(lines: tuple[tuple[float, str], ...] = (), hole: tuple[float, f
     out = Seen(lines=list(lines), began=100.0, code=0)
     out.commands, out.beats = ([t for t in ts if not hole[0] < t < hole[1]] for ts in (commands, beats))
     return out
-
-
-def test_a_seed_is_a_flight_and_all_kinds_are_drawn() -> None:
-    drawn = [draw(seed, None) for seed in range(200)]
-    assert drawn == [draw(seed, None) for seed in range(200)]
-    assert {event.kind for chaos in drawn for event in chaos.events} == set(KINDS) >= set(WORDS)
-    assert {chaos.vehicle for chaos in drawn} == {"mavlink", "ardrone"}
-    assert all(1 <= len(chaos.events) <= 3 for chaos in drawn)
 
 
 def test_what_is_written_is_flown_again() -> None:
@@ -45,11 +36,3 @@ def test_an_event_without_a_word_in_time_is_reported() -> None:
     assert not late.good
     asleep = Chaos(1, "mavlink", (Event("disk_full", 2.0, 1.0), Event("service_stopped", 1.0, 3.0)))
     assert judged(asleep, chaos_flight(((104.0, "the service stood still"),))).good, "a stopped service meets no full disk"
-
-
-def test_messages_are_distinguished_in_a_datagram() -> None:
-    packer = mav.MAVLink(None, 1, 191)
-    data = b"".join(
-        m.pack(packer) for m in (mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), mav.MAVLink_system_time_message(1, 2))
-    )
-    assert list(message_ids(data)) == [0, 2]

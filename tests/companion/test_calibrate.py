@@ -251,32 +251,6 @@ async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, P
         await watch(absent, (480, 320), guide, reported.append, timeout_s=1.0, first_s=0.2)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--squares", "7by10"], "--squares"),
-        (["--marker-mm", "24.9"], "markers must be"),
-        (["--rpy-deg", "0,0"], "--rpy-deg"),
-        (["--out", "none/such/camera.toml"], "--out"),
-        (["--device", "cam"], "either images and videos, or --device"),
-    ],
-)
-def test_wrong_use_is_one_line(folders, tmp_path, capsys, arguments, words):
-    assert main(["calibrate", "camera", str(folders["charuco"]), "--out", str(tmp_path / "c.toml"), *arguments]) == 2
-    output = capsys.readouterr().err
-    assert words in output
-    assert output.count("\n") == 1
-
-
-def test_images_of_two_sizes_and_images_that_are_none_are_named(tmp_path: Path) -> None:
-    collection = Collection(CHARUCO, moving=False)
-    collection.add("a", np.zeros((64, 64), np.uint8))
-    with pytest.raises(BadInput, match="b: 64x32 px"):
-        collection.add("b", np.zeros((32, 64), np.uint8))
-    (tmp_path / "x.png").write_text("none")
-    assert main(["calibrate", "camera", str(tmp_path), "--out", str(tmp_path / "c.toml")]) == 2
-
-
 TURNED = np.radians([2.1, -1.4, 0.9])
 
 
@@ -367,7 +341,7 @@ def test_the_delay_is_written_into_a_copy_of_the_settings(recorded_rig, tmp_path
     assert "# The simulated AR.Drone on this machine" in out.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(("seed", "readout_s"), [(7, 0.03), (8, 0.0), (9, -0.02)])
+@pytest.mark.parametrize(("seed", "readout_s"), [(7, 0.03), (9, -0.02)])
 def test_a_readout_time_is_found_within_its_sigma_and_does_not_spoil_mount_and_delay(seed: int, readout_s: float) -> None:
     """Each pose is turned as a rolling shutter turns it: about the view by the roll's rate, by its tilt by the pitch's."""
     views = flights.flight(seed, TURNED, 0.02, seconds=40.0)

@@ -1,8 +1,6 @@
 """Camera files and tables of a rig: formats of others, sizes that images claim, keys that do not go together."""
 
 import asyncio
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from pathlib import Path
 
 import av
@@ -15,13 +13,13 @@ from companion.settings.load import from_mapping, load, read_camera
 from companion.tools.calibrate.camera_file import FOREIGN, foreign
 from drivers.camera.options import CameraOptions
 from drivers.clock import SystemClock
-from drivers.mailbox import Latest, Line
-from estimator.contracts.commands import Command, Hover
+from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
-from estimator.contracts.samples import Frame, Range, Sample
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.samples import Range
 from estimator.vision.camera import Camera
+from tests.companion.test_daemon import FakeVehicle
+from tests.make import range_down
 
 DOWN = Transform(Rotation.from_rpy(0.0, 0.0, np.pi / 2), np.zeros(3))
 BENT = (-0.21, 0.06, 0.0011, -0.0007, 0.0)
@@ -145,20 +143,6 @@ def test_keys_that_do_not_go_together_are_refused_when_the_file_is_read(tmp_path
             load(file)
 
 
-class Vehicle:
-    def __init__(self) -> None:
-        self.frames: Latest[Frame] = Latest()
-        self.samples: Line[Sample] = Line(8)
-        self.commands: list[Command] = []
-        self.released = False
-
-    def command(self, command: Command) -> None:
-        self.commands.append(command)
-
-    def release(self) -> None:
-        self.released = True
-
-
 async def test_frames_are_the_cameras_and_the_rest_is_the_vehicles(tmp_path: Path) -> None:
     path = tmp_path / "deck.mp4"
     with av.open(str(path), "w") as out:
@@ -167,22 +151,14 @@ async def test_frames_are_the_cameras_and_the_rest_is_the_vehicles(tmp_path: Pat
         for _ in range(10):
             out.mux(stream.encode(av.VideoFrame.from_ndarray(np.full((48, 64, 3), 90, np.uint8), format="bgr24")))
         out.mux(stream.encode(None))
-    vehicle, closed = Vehicle(), []
-
-    @asynccontextmanager
-    async def open_vehicle() -> AsyncIterator[Vehicle]:
-        try:
-            yield vehicle
-        finally:
-            closed.append(True)
-
+    vehicle = FakeVehicle()
     film = CameraOptions(source="stream", device=str(path))
-    async with asyncio.timeout(60), with_camera(open_vehicle, film, (64, 48), SystemClock())() as link:
+    async with asyncio.timeout(60), with_camera(vehicle.open, film, (64, 48), SystemClock())() as link:
         frame = await link.frames.get()
         assert frame.px.shape == (48, 64, 3)
-        vehicle.samples.offer(Range(Stamp(MonoNs(1), MonoNs(1), 0.0, "sim"), 2.0, 0.1))
+        vehicle.samples.offer(range_down(1.0, 2.0))
         sample = await link.samples.get()
         assert isinstance(sample, Range)
         link.command(Hover())
     assert vehicle.commands == [Hover()]
-    assert closed == [True]
+    assert vehicle.left_hovering == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import re
+import shlex
 import subprocess
 import sys
 import time
@@ -106,12 +107,9 @@ def test_a_bug_of_ours_is_not_hidden(command: SimpleNamespace) -> None:
         (["demi"], "did you mean 'demo'?"),
         (["zzz"], "known are demo, detect"),
         (["--nonsense"], "--nonsense"),
-        (["config"], "ACTION"),
         (["config", "chekc", "x"], "chekc"),
-        (["config", "check"], "FILE"),
         (["simulate", "calm", "--recrod", "x"], "did you mean '--record'? (see decklander simulate --help)"),
         (["report", "x.mcap", "--report", "x"], "unrecognized arguments: --report x (see decklander report --help)"),
-        (["simulate", "calm", "--video", "x"], "unrecognized arguments: --video x (see decklander simulate --help)"),
     ],
 )
 def test_wrong_use_ends_with_two_and_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -206,40 +204,19 @@ def test_a_reader_that_went_away_is_no_traceback() -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-@pytest.mark.parametrize("words", [["pad", "list"], ["config", "schema"]], ids=["little", "more than a buffer"])
-def test_a_full_disk_below_the_output_is_no_traceback(words: list[str]) -> None:
-    with open("/dev/full", "wb") as full:
-        ended = subprocess.run(
-            [sys.executable, "-m", "companion.cli.main", *words], cwd=ROOT, stdout=full, stderr=subprocess.PIPE, timeout=60,
-            check=False,
-        )  # fmt: skip
-    assert (ended.returncode, ended.stderr) == (1, b"decklander: cannot write the output: No space left on device\n")
-
-
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "<&- >&-"])
-def test_a_closed_standard_stream_is_no_traceback(closed: str) -> None:
-    shell = ["sh", "-c", f'exec "$0" -m companion.cli.main pad list {closed}', sys.executable]
-    ended = subprocess.run(shell, cwd=ROOT, capture_output=True, timeout=60, check=False)
-    assert (ended.returncode, ended.stderr) == (0, b"")
-
-
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "code", "said"),
     [
-        (["simulate", "calm", "--base", "nope"], "decklander: base: there is no file 'nope'"),
-        (["simulate", "."], "decklander: scenario: '.' is a folder, and not a file\n"),
-        (["simulate", ""], "decklander: scenario: there is no file ''"),
-        (["simulate", "calm", "--config", ""], "decklander: settings: there is no file ''"),
-        (["campaign", "thirty_fault"], "there is a set 'thirty_faults'\n"),
-        (["doctor", "--snapshot", "README.md"], "README.md: no snapshot of a set-up: "),
+        ("pad list > /dev/full", 1, b"decklander: cannot write the output: No space left on device\n"),
+        ("config schema > /dev/full", 1, b"decklander: cannot write the output: No space left on device\n"),
+        ("pad list <&- >&-", 0, b""),
     ],
+    ids=["a full disk", "a full disk before the end", "closed streams"],
 )
-def test_a_name_that_cannot_be_meant_is_one_clear_line(words, said, monkeypatch, capsys):
-    monkeypatch.chdir(ROOT)
-    assert cli.main(words) == 2
-    err = capsys.readouterr().err
-    assert said in err
-    assert err.count("\n") == 1
+def test_standard_streams_that_cannot_be_used_are_no_traceback(words: str, code: int, said: bytes) -> None:
+    shell = ["sh", "-c", f'exec "$0" -m companion.cli.main {words}', sys.executable]
+    ended = subprocess.run(shell, cwd=ROOT, capture_output=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr) == (code, said)
 
 
 def test_the_version_is_the_project_s() -> None:
@@ -247,3 +224,109 @@ def test_the_version_is_the_project_s() -> None:
         pytest.skip("the project is not installed here; make test installs it")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert decklander("--version").stdout == f"decklander {project['version']}\n"
+
+
+FILES = {
+    "bad.toml": "width = 640\nheight = 360\n",
+    "small.toml": "width=320\nheight=180\nfx=187\nfy=187\ncx=159.5\ncy=89.5\n",
+    "headless.csv": "a.png,1,2\n",
+    "flat.csv": "source,roll_deg,pitch_deg\npad.jpg,flat,0\n",
+    "other.csv": "source,roll_deg,pitch_deg\nz.png,1,2\n",
+    "twice.csv": "source,roll_deg,pitch_deg\npad.jpg,1,2\npad.jpg,1,2\n",
+    "link.key": "x" * 32,
+    "empty/notes.txt": "no image\n",
+}
+"""Files of the folder in which wrong use is tried, beside the shipped image pad.jpg."""
+WRONG = {
+    "record info none.mcap": "No such file",
+    "record cut {flown} --output {flown}": "is one of the files that are read",
+    "record cut {flown} --output x.mcap --from 2 --to 1": "--to 1 must be later",
+    "record cut {flown} --output x.mcap --samples-each 0": "must be 1 or more",
+    "record cut {flown} --output no/such/folder/x.mcap": "No such file",
+    "record import none.mp4 --config sim --output x.mcap": "none.mp4: No such file",
+    "record import none.mp4@soon --config sim --output x.mcap": "after @ comes a number",
+    "replay none.mcap": "No such file",
+    "replay {flown} --sightings --mavlink udpout://127.0.0.1:1": "--realtime",
+    "replay {flown} --sightings --config zzz": "there is no file 'zzz'",
+    "replay {flown} --set guidance.rate=40": "no key 'guidance.rate'; did you mean 'guidance.rate_hz'?",
+    "replay {flown} --set guidance.rate_hz=fast": "guidance.rate_hz needs a number, found 'fast'",
+    "replay {flown} --set guidance.rate_hz=4000": "guidance.rate_hz must be",
+    "replay {flown} --set guidance.rate_hz": "write KEY=VALUE",
+    "keys install --link udp:1 link.key": "udp:1",
+    "keys remove --link udpin://127.0.0.1:0 --seconds 0": "--seconds",
+    "keys remove --link udpin://127.0.0.1:0 --system 300": "--system",
+    "keys remove --link udpin://127.0.0.1:0 --current none": "none",
+    "pad print --out pad.png": "must end in .pdf or .svg",
+    "pad print --out no/such/pad.pdf": "No such file",
+    "pad print nopad --out pad.pdf": "no file 'nopad'",
+    "pad print --board charuco --square-mm 40 --out b.pdf": "does not fit on one sheet of a4",
+    "pad print --margin-mm 90 --out pad.pdf": "margin",
+    "calibrate camera pad.jpg --out c.toml --squares 7by10": "--squares",
+    "calibrate camera pad.jpg --out c.toml --marker-mm 24.9": "markers must be",
+    "calibrate camera pad.jpg --out c.toml --rpy-deg 0,0": "--rpy-deg",
+    "calibrate camera pad.jpg --out none/such/camera.toml": "--out",
+    "calibrate camera pad.jpg --out c.toml --device cam": "either images and videos, or --device",
+    "detect gone.png --camera sim": "gone.png",
+    "detect pad.jpg": "does not say which camera took it: give --camera FILE",
+    "detect pad.jpg --camera sim --pad gone": "gone",
+    "detect pad.jpg --camera bad.toml": "'cx'",
+    "detect pad.jpg --camera small.toml": "640x360 px",
+    "detect empty --camera sim": "no image, video or recording",
+    "detect empty/notes.txt --camera sim": "notes.txt",
+    "detect pad.jpg --camera sim --attitude gone.csv": "gone.csv",
+    "detect pad.jpg --camera sim --attitude headless.csv": "source,roll_deg,pitch_deg",
+    "detect pad.jpg --camera sim --attitude flat.csv": "line 2: roll_deg",
+    "detect pad.jpg --camera sim --attitude other.csv": "no row is of any",
+    "detect pad.jpg --camera sim --attitude twice.csv": "line 3",
+    "simulate calm --base nope": "decklander: base: there is no file 'nope'",
+    "simulate .": "decklander: scenario: '.' is a folder, and not a file\n",
+    "simulate calm --config ''": "decklander: settings: there is no file ''",
+    "simulate faults/camera_freezes --follow udpin://127.0.0.1:14999": (
+        "faults/camera_freezes: its faults (frames_frozen) are for the simulated AR.Drone alone"
+    ),
+    "campaign thirty_fault": "there is a set 'thirty_faults'\n",
+    "doctor --snapshot empty/notes.txt": "notes.txt: no snapshot of a set-up: ",
+    "doctor": "nothing to examine",
+    "doctor --link udp://x": "MAVLink link",
+    "doctor {link} --system 900": "--system",
+    "doctor {link} --seconds 0": "--seconds",
+    "doctor {link} --signing-key /no/key": "signing key",
+    "doctor --broker host:port": "HOST:PORT",
+    "doctor x.bin {link}": "examined by itself",
+    "doctor x.bin --fix {link}": "a log cannot be fixed",
+    "doctor no.bin": "No such file",
+    "doctor empty/notes.txt": "neither a dataflash log",
+    "doctor --fix": "--fix needs the autopilot",
+    "doctor --fix --undo x {link}": "do not go together",
+    "doctor --fix --json {link}": "--yes",
+    "doctor --yes {link}": "--yes goes with",
+    "doctor --undo-file x {link}": "--undo-file goes with",
+    "doctor --fix --snapshot x {link}": "saved snapshot",
+    "doctor --undo /no/file {link}": "--undo /no/file",
+    "watch --config sim": "sim: mqtt.transport is off",
+    "watch --drone a/b": "--drone: not a name of a drone: 'a/b'",
+    "watch --password-file nowhere": "--password-file needs --user",
+    "watch --user a --password-file nowhere": "mqtt.password_file: nowhere: No such file or directory",
+    "ros2 nonsense": "there is no ROS 2 for this Python",
+    "ros2 --seconds 0": "--seconds must be more than 0",
+    "ros2 --token-file /nowhere": "ros2.--token-file: /nowhere",
+    "ros2 --config nowhere.toml": "nowhere.toml",
+}
+"""Command lines that cannot be carried out, and what the one line says that each ends with."""
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_what_cannot_be_done_is_one_line_and_writes_nothing(line, flight_file, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("empty").mkdir()
+    for name, text in FILES.items():
+        Path(name).write_text(text)
+        Path(name).chmod(0o600)
+    Path("pad.jpg").write_bytes((ROOT / "configs/examples/pad.jpg").read_bytes())
+    before = sorted(tmp_path.rglob("*"))
+    assert cli.main(shlex.split(line.format(flown=flight_file, link="--link udpin://127.0.0.1:0"))) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("decklander: ")
+    assert WRONG[line] in err
+    assert err.count("\n") == 1
+    assert sorted(tmp_path.rglob("*")) == before

@@ -174,46 +174,6 @@ def test_a_broken_image_is_named_and_the_others_are_done(album: Path, tmp_path: 
     assert "torn.jpg" in err
 
 
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (["gone.png", "--camera", "sim"], "gone.png"),
-        (["{album}/a.png"], "does not say which camera took it: give --camera FILE"),
-        (["{album}/a.png", "--camera", "gone"], "gone"),
-        (["{album}/a.png", "--camera", "ardrone2_bottom", "--pad", "gone"], "gone"),
-        (["{album}/a.png", "--camera", "{bad}"], "'cx'"),
-        (["{album}/a.png", "--camera", "{small}"], "640x360 px"),
-        (["{empty}", "--camera", "sim"], "no image, video or recording"),
-        (["{album}/notes.txt", "--camera", "sim"], "notes.txt"),
-        (["{album}/a.png", "--camera", "sim", "--attitude", "gone.csv"], "gone.csv"),
-        (["{album}/a.png", "--camera", "sim", "--attitude", "{headless}"], "source,roll_deg,pitch_deg"),
-        (["{album}/a.png", "--camera", "sim", "--attitude", "{words}"], "line 2: roll_deg"),
-        (["{album}/a.png", "--camera", "sim", "--attitude", "{other}"], "no row is of any"),
-        (["{album}/a.png", "--camera", "sim", "--attitude", "{twice}"], "line 3"),
-    ],
-)
-def test_bad_input_is_one_line_and_exit_code_two(words, named, album, tmp_path, capsys):
-    head = "source,roll_deg,pitch_deg\n"
-    files = {
-        "bad": "width = 640\nheight = 360\n",
-        "small": "width=320\nheight=180\nfx=187\nfy=187\ncx=159.5\ncy=89.5\n",
-        "headless": "a.png,1,2\n",
-        "words": f"{head}a.png,flat,0\n",
-        "other": f"{head}z.png,1,2\n",
-        "twice": f"{head}a.png,1,2\na.png,1,2\n",
-    }
-    places = {"album": str(album), "empty": str(tmp_path / "empty")}
-    (tmp_path / "empty").mkdir()
-    for name, text in files.items():
-        places[name] = str(tmp_path / name)
-        Path(places[name]).write_text(text)
-    assert detect(*(word.format(**places) for word in words)) == 2
-    err = capsys.readouterr().err
-    assert len(err.splitlines()) == 1
-    assert err.startswith("decklander: ")
-    assert named in err
-
-
 def test_both_opinions_are_printed_where_a_second_one_is_used(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asked = (album / "a.png", "--camera", "sim")
     assert detect(*asked, "--json") == detect(*asked, "--second-opinion", "--json") == 0

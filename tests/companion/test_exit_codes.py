@@ -1,6 +1,5 @@
 """Exit code 2 says that the settings are wrong and nothing else: systemd starts the service again after every other end."""
 
-import configparser
 import errno
 import logging
 import os
@@ -15,12 +14,10 @@ import pytest
 from companion.cli import main as cli
 from companion.cli import run as run_command
 from companion.guidance.make_pilot import make_pilot
-from companion.parts.mqtt.spool import Spool
 from companion.service import assemble as service
 from companion.service.assemble import Proven
 from companion.settings.load import load
-from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible
-from tests.support.waiting import free_port, until
+from estimator.contracts.errors import BadInput
 
 WORLD = [errno.EIO, errno.EROFS, errno.ENOSPC, errno.EMFILE, errno.ENOMEM, errno.ENODEV, errno.ESTALE, errno.EADDRINUSE]
 SETTINGS = [errno.ENOENT, errno.EISDIR, errno.ENOTDIR, errno.EACCES, errno.ENAMETOOLONG, errno.ELOOP]
@@ -68,21 +65,6 @@ def test_a_settings_file_that_cannot_be_read(number, code, tmp_path, monkeypatch
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("error", "code"),
-    [
-        (BadInput("camera /dev/video0: no frame of 640x360 px"), 2),
-        (ExceptionGroup("parts", [BadInput("camera.controls: no control 'exposure'")]), 2),
-        (Recoverable("the disk is gone"), 1),
-        (SetupImpossible("camera /dev/video0: not a video device"), 1),
-        (ExceptionGroup("parts", [Recoverable("port in use")]), 1),
-    ],
-)
-def test_what_ends_the_service(lives: SimpleNamespace, error: Exception, code: int) -> None:
-    lives.error = error
-    assert cli.main(["run", "--config", "sim"]) == code
-
-
 @pytest.mark.parametrize("wrapped", [False, True])
 def test_settings_that_gave_a_frame_are_no_longer_wrong_in_this_life_and_the_next(lives, wrapped, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
@@ -103,19 +85,6 @@ def test_a_note_that_cannot_be_read_proves_nothing(tmp_path: Path) -> None:
     assert not Proven(load("sim"), {}).known
 
 
-@pytest.mark.parametrize("number", [errno.EROFS, errno.EIO, errno.ENOSPC])
-def test_a_spool_on_a_failed_disk_keeps_events_in_memory(number, tmp_path, monkeypatch, caplog):
-    def broken(*_: Any, **__: Any) -> None:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(Path, "mkdir", broken)
-    spool = Spool(tmp_path / "spool", 8000)
-    spool.append([b"{}"])
-    assert [record.body for record in spool.peek(5)] == [b"{}"]
-    assert spool.write_errors == 1
-    assert "events wait in memory alone" in caplog.text
-
-
 @pytest.mark.parametrize(("variable", "value"), [("NOTIFY_SOCKET", "nowhere"), ("WATCHDOG_USEC", "soon")])
 def test_a_manager_that_is_not_understood_does_not_keep_the_service_down(variable, value, monkeypatch, caplog, tmp_path):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
@@ -125,30 +94,3 @@ def test_a_manager_that_is_not_understood_does_not_keep_the_service_down(variabl
         settings = load("sim")
         service.make_daemon(settings, make_pilot(settings))
     assert "the service manager is not notified" in caplog.text
-
-
-def test_the_unit_starts_again_after_everything_else() -> None:
-    unit = configparser.RawConfigParser(strict=False)
-    unit.optionxform = str  # type: ignore[assignment, method-assign]
-    unit.read(Path(__file__).parents[2] / "configs/systemd/decklander.service")
-    assert unit["Service"]["Restart"] == "always"
-    assert unit["Service"]["RestartPreventExitStatus"] == "2"
-    assert unit["Service"]["RuntimeDirectoryPreserve"] == "restart"
-    assert unit["Unit"]["StartLimitIntervalSec"] == "0"
-
-
-async def test_a_port_in_use_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
-    from drivers.clock import SystemClock
-    from drivers.endpoint import parse_endpoint
-    from drivers.mavlink.links import LinkOptions, open_links
-    from drivers.mavlink.options import LinkLimits
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
-        port = free_port()
-        holder.bind(("127.0.0.1", port))
-        limits = LinkLimits(restart_first_s=0.01, restart_most_s=0.02)
-        options = LinkOptions(parse_endpoint(f"udpin://127.0.0.1:{port}"), limits=limits)
-        async with open_links([options], SystemClock(), (1, 191)) as links:
-            await until(lambda: links.all[0].counters.restarts >= 2)
-            holder.close()
-            await until(lambda: links.all[0].local is not None)

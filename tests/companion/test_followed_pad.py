@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.base.observer import NullObserver, ProcessedFrame
 from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
@@ -19,6 +18,7 @@ from estimator.options import EstimatorOptions
 from estimator.vision.tracker import drawn
 from tests.companion.test_daemon import EYES
 from tests.companion.virtual_flight import TICK_S, FakeFlight, VirtualClock, fly
+from tests.fly import ObservedCalls
 
 NEAR_M, HIGH_M = 5.0 * EYES.pad.disc_radius_m, 4.4
 """Heights over the pad: that of the drawn one, and one from which much of the deck is in the picture."""
@@ -60,14 +60,6 @@ class Filmed(FakeFlight):
         return px + super().picture(n)
 
 
-class Diary(NullObserver):
-    def __init__(self) -> None:
-        self.frames: list[ProcessedFrame] = []
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        self.frames.append(processed)
-
-
 def slides(t: float) -> Places:
     """Return the pad's place while the vehicle drifts over it during the silence."""
     return [(float(np.interp(t, SILENT_S, (BEFORE_M, AFTER_M))), 0.0)]
@@ -99,7 +91,7 @@ def swings_on(t: float) -> Places:
     [(slides, NEAR_M, True), (leaves, NEAR_M, False), (jumps, NEAR_M, False), (swings, HIGH_M, True), (swings_on, HIGH_M, False)],
 )
 def test_a_pad_is_known_again_after_a_silence_in_which_no_other_one_can_have_come(pads, height_m, same):
-    clock, diary = VirtualClock(), Diary()
+    clock, diary = VirtualClock(), ObservedCalls()
     vehicle = Filmed(clock, pads, height_m)
     pilot = Pilot(EYES, EstimatorOptions(), GuidanceOptions())
     daemon = Daemon(vehicle.open, pilot, clock, DaemonSetup(RestartOptions(), 50.0), observers=[diary])

@@ -13,7 +13,6 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from companion.base.health import NIS_WINDOW, Health
-from companion.base.observer import NullObserver
 from companion.facts.records import FusionRecord
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.metrics.endpoint import text
@@ -22,7 +21,7 @@ from companion.parts.mqtt import messages
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about
 from companion.parts.recorder.storage_policy import SingleFile
-from companion.recording import channels, decode
+from companion.recording import decode
 from companion.recording.reading import open_recording
 from companion.recording.rewriting import Cut, rewrite
 from companion.settings.load import camera_model
@@ -36,49 +35,20 @@ from estimator.contracts.fusion import COMPONENTS, FusionResult
 from estimator.contracts.time import MonoNs
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
-from tests.companion.recorder_parts import ABOUT, CAMERA
+from tests.companion.recorder_parts import CAMERA
 from tests.companion.test_records import result
 from tests.companion.test_report import PAD
-from tests.fly import sim_settings
+from tests.fly import ObservedCalls, sim_settings
 from tests.make import same_bits
 from tests.support.clocks import SteppedClock
 
 T = 5_000_000_000
 
 
-def test_every_result_is_recorded_but_those_of_imu_samples_that_were_taken(tmp_path: Path) -> None:
-    observations = [
-        result(),
-        result("imu", nis=math.nan),
-        result("imu", Verdict.IMPOSSIBLE, nis=math.nan),
-        result("attitude", Verdict.GATED, test_ratio=1.5),
-    ]
-    path = tmp_path / "flight.mcap"
-    with Recorder(SingleFile(path), CAMERA, ABOUT, RecorderOptions(frames="none"), lossless=True) as recorder:
-        for i, one in enumerate(observations):
-            recorder.on_fusion(MonoNs(T + i), one)
-    recording = open_recording([path])
-    read = [event for event in recording.events() if isinstance(event, FusionRecord)]
-    assert [r.at_ns - T for r in read] == [0, 2, 3]
-    assert all(same_bits(decode.fusion(a), observations[a.at_ns - T]) for a in read)
-    assert recording.counts[channels.fusion("imu")] == 1
-    assert not recording.skipped
-
-
-class Results(NullObserver):
-    """Every result that an observer was observations."""
-
-    def __init__(self) -> None:
-        self.observations: list[tuple[MonoNs, FusionResult]] = []
-
-    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        self.observations.append((at, result))
-
-
 def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
     settings = sim_settings()
     settings = msgspec.structs.replace(settings, estimator=msgspec.structs.replace(settings.estimator, path="ekf"))
-    flown, again, path = Results(), Results(), tmp_path / "flown.mcap"
+    flown, again, path = ObservedCalls(), ObservedCalls(), tmp_path / "flown.mcap"
     options = RecorderOptions(frames="none")
     with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options, lossless=True) as recorder:
         flight = Flight(load_scenario("demo"), 1, settings, make_pilot(settings), observers=[flown, recorder])
@@ -87,11 +57,11 @@ def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
         flight.result()
     recording = open_recording([path])
     Replay(recording, pilot_of(recording, settings, None, own_camera=False, alone=True), sightings=True, observers=[again]).run()
-    assert {r.source for _, r in flown.observations} >= {"sighting", "attitude", "velocity", "baro", "imu"}
-    assert len(again.observations) == len(flown.observations)
-    assert all(a[0] == b[0] and same_bits(a[1], b[1]) for a, b in zip(again.observations, flown.observations, strict=True))
+    assert {r.source for _, r in flown.results} >= {"sighting", "attitude", "velocity", "baro", "imu"}
+    assert len(again.results) == len(flown.results)
+    assert all(a[0] == b[0] and same_bits(a[1], b[1]) for a, b in zip(again.results, flown.results, strict=True))
     recorded = [decode.fusion(e) for e in recording.events() if isinstance(e, FusionRecord)]
-    expected = [r for _, r in flown.observations if r.source != "imu" or r.verdict is not Verdict.FUSED]
+    expected = [r for _, r in flown.results if r.source != "imu" or r.verdict is not Verdict.FUSED]
     assert len(recorded) == len(expected) > 200
     assert all(same_bits(a, b) for a, b in zip(recorded, expected, strict=True))
     for cut, left in ((Cut(), len(expected)), (Cut(inputs=True), 0)):
@@ -101,7 +71,7 @@ def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
         assert len(found) == left, "what was concluded from the inputs is none of them"
         assert all(same_bits(a, b) for a, b in zip(found, expected, strict=False))
     for (_, source), tally in flight.health.tallies.items():
-        assert tally.verdicts.total() == sum(r.source == source for _, r in flown.observations), source
+        assert tally.verdicts.total() == sum(r.source == source for _, r in flown.results), source
 
 
 def health_with(*results: FusionResult) -> Health:
@@ -172,7 +142,3 @@ def test_the_report_draws_each_source_and_counts_what_was_refused() -> None:
     drawn = re.findall(r"<span>(\w+): NIS over the number of components", page)
     assert drawn == ["sighting", "range"], "nothing of the barometer was compared"
     assert len(page) < 250_000
-
-
-def test_an_empty_log_says_that_there_are_no_results() -> None:
-    assert "No results of the estimator were recorded." in render(FlightLog("empty", MonoNs(T), PAD, CAMERA), None)

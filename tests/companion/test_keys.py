@@ -16,7 +16,6 @@ from drivers.mavlink.dialect import mav
 from drivers.mavlink.signing import Signing, SigningKey, SigningTimes, load_key
 
 HOST = "127.0.0.1"
-URL = f"udpin://{HOST}:0"
 
 
 class Lockable(asyncio.DatagramProtocol):
@@ -151,14 +150,3 @@ async def test_a_link_of_mavlink_1_gets_no_key_and_gives_the_reason(tmp_path: Pa
         assert await keys("install", "--link", url, "--seconds", "0.5", "--current", str(path), "--yes", str(path)) == 1
         assert "what comes is MAVLink 1, which carries no signature" in capsys.readouterr().err
         assert autopilot.measured_at == []
-
-
-@pytest.mark.parametrize(
-    "words",
-    [("install", "--link", "udp:1", "KEY"), ("remove", "--link", URL, "--seconds", "0"),
-     ("remove", "--link", URL, "--system", "300"), ("remove", "--link", URL, "--current", "/none")],
-)  # fmt: skip
-def test_wrong_use_is_one_line(tmp_path: Path, words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
-    path = str(made(tmp_path))
-    assert main(["keys", *(path if word == "KEY" else word for word in words)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1

@@ -13,7 +13,7 @@ import pytest
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
 from companion.base.liveness import LivenessLimits, Manager, Pulse, stuck, watchdog_interval_s
-from companion.base.observer import NullObserver, Observer
+from companion.base.observer import Observer
 from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
 from companion.parts.metrics.endpoint import MetricsEndpoint
@@ -119,30 +119,6 @@ async def test_an_image_that_vision_never_gives_back_ends_the_pings(systemd: Sys
             daemon.stop()
     finally:
         held.set()
-
-
-async def test_rounds_of_guidance_that_do_not_come_end_the_pings(systemd: Systemd) -> None:
-    gate = threading.Event()
-    gate.set()
-
-    class Blocking(NullObserver):
-        rounds = 0
-
-        def on_decision(self, decision: object) -> None:
-            self.rounds += 1
-            gate.wait(0.4)
-
-    blocking = Blocking()
-    daemon = watched(FakeVehicle(), pilot_of(), systemd.socket.getsockname(), 0.1, (blocking,))
-    async with asyncio.TaskGroup() as group:
-        group.create_task(daemon.run())
-        await until(lambda: systemd.pings() >= 3)
-        before, rounds = systemd.pings(), blocking.rounds
-        gate.clear()
-        await asyncio.sleep(0.05)
-        assert systemd.pings() - before <= 1 + blocking.rounds - rounds, "a round of 0.4 s feeds at most once"
-        gate.set()
-        daemon.stop()
 
 
 def at_age(health: Health, flow: str, age_s: float) -> None:

@@ -37,7 +37,7 @@ def near(px: NDArray[np.uint8], rgb: tuple[int, int, int]) -> NDArray[np.bool_]:
 
 
 @needs_poppler
-@pytest.mark.parametrize(("paper", "pages"), [("a4", 15), ("a3", 6), ("full", 1)])
+@pytest.mark.parametrize(("paper", "pages"), [("a4", 15), ("full", 1)])
 def test_the_sheets_put_together_are_the_pad_in_its_true_size(tmp_path: Path, paper: str, pages: int) -> None:
     out = tmp_path / "pad.pdf"
     assert main(["pad", "print", "thesis", "--paper", paper, "--out", str(out)]) == 0
@@ -133,24 +133,6 @@ def test_svg_says_millimetres_and_draws_the_same_circles(tmp_path: Path) -> None
     assert len(list(tmp_path.glob("pad_r*c*.svg"))) == len(sheets(pad_drawing(PAD), "a4"))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--out", "pad.png"], "must end in .pdf or .svg"),
-        (["--out", "no/such/pad.pdf"], "No such file"),
-        (["nopad", "--out", "pad.pdf"], "no file 'nopad'"),
-        (["--board", "charuco", "--square-mm", "40", "--out", "b.pdf"], "does not fit on one sheet of a4"),
-        (["--margin-mm", "90", "--out", "pad.pdf"], "margin"),
-    ],
-)
-def test_wrong_use_is_one_line(tmp_path, monkeypatch, capsys, arguments, words):
-    monkeypatch.chdir(tmp_path)
-    assert main(["pad", "print", *arguments]) == 2
-    output = capsys.readouterr().err
-    assert words in output
-    assert output.count("\n") == 1
-
-
 def test_shipped_pads_are_listed_and_checked(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["pad", "list"]) == 0
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
@@ -162,33 +144,22 @@ def test_shipped_pads_are_listed_and_checked(capsys: pytest.CaptureFixture[str])
     assert "any of these proportions is taken for it, and it is found from cold to 5.7 m" in found["warnings"][-1]
     ranges = [bound["range_m"] for bound in found["bounds"]]
     assert ranges[2:] == sorted(ranges[2:]), "less is known from farther away"
-    assert main(["pad", "check", "thesis"]) == 0
-    output = capsys.readouterr().out
-    assert "0.78 m across, 4 regions" in output
-    assert "deck green" in output.splitlines()[-1]
 
 
-@pytest.mark.parametrize(
-    ("name", "part", "headings", "warned"),
-    [
-        ("hospital", "upper lettering", 2, "nearly the same after a turn by 90 degrees"),
-        ("faa_triangle", "triangle", 1, "nearly the same after a turn by 120 degrees"),
-    ],
-)
-def test_upper_lettering_and_a_triangle_are_checked_and_printed(tmp_path, capsys, name, part, headings, warned):
-    assert main(["pad", "check", name, "--json"]) == 0
+def test_a_triangle_is_checked_and_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["pad", "check", "faa_triangle", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (part in found["contrasts"], found["alike_headings"]) == (True, headings)
-    assert any(warned in warning for warning in found["warnings"])
-    assert main(["pad", "print", name, "--out", str(tmp_path / "pad.pdf")]) == 0
-    pad = shipped_pad(name)
+    assert ("triangle" in found["contrasts"], found["alike_headings"]) == (True, 1)
+    assert any("nearly the same after a turn by 120 degrees" in warning for warning in found["warnings"])
+    assert main(["pad", "print", "faa_triangle", "--out", str(tmp_path / "pad.pdf")]) == 0
+    pad = shipped_pad("faa_triangle")
     shapes = pad_drawing(pad).shapes
     assert {shape.fill for shape in shapes} == {rgb for _, rgb in pad.paints}
-    if pad.markings.triangle is not None:
-        outer, inner = pad.markings.triangle.borders()
-        line = next(shape for shape in shapes if isinstance(shape, Polygon) and len(shape.points_mm) == 8)
-        painted = cv2.contourArea((1000 * outer).astype(np.float32)) - cv2.contourArea((1000 * inner).astype(np.float32))
-        assert cv2.contourArea(line.points_mm.astype(np.float32)) == pytest.approx(painted, rel=1e-5)
+    assert pad.markings.triangle is not None
+    outer, inner = pad.markings.triangle.borders()
+    line = next(shape for shape in shapes if isinstance(shape, Polygon) and len(shape.points_mm) == 8)
+    painted = cv2.contourArea((1000 * outer).astype(np.float32)) - cv2.contourArea((1000 * inner).astype(np.float32))
+    assert cv2.contourArea(line.points_mm.astype(np.float32)) == pytest.approx(painted, rel=1e-5)
 
 
 @pytest.mark.parametrize("command", ["simulate calm --pad bar.toml", "detect frame.png --camera sim --pad bar.toml"])
@@ -222,20 +193,3 @@ def test_every_command_that_draws_refuses_at_once(words, tmp_path, monkeypatch, 
     assert main([word.format(tmp_path) for word in words]) == 2
     assert "matplotlib, which is not installed" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-_ALL_HELP = """
-import sys
-sys.modules["matplotlib"] = None
-from companion.cli.main import COMMANDS, main
-for command in COMMANDS:
-    try:
-        main([command, "--help"])
-    except SystemExit as end:
-        assert end.code == 0, command
-assert "sitl.campaign.soak" in sys.modules
-"""
-
-
-def test_every_command_has_its_help_without_matplotlib() -> None:
-    assert subprocess.run([sys.executable, "-c", _ALL_HELP], capture_output=True, text=True, check=False).stderr == ""

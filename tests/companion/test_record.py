@@ -103,28 +103,6 @@ def test_a_capture_and_a_log_go_into_one_recording(tmp_path: Path) -> None:
     assert sum(isinstance(e, Imu) for e in events) == 11916
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["info", "none.mcap"], "No such file"),
-        (["cut", "FLOWN", "--output", "FLOWN"], "is one of the files that are read"),
-        (["cut", "FLOWN", "--output", "x.mcap", "--from", "2", "--to", "1"], "--to 1 must be later"),
-        (["cut", "FLOWN", "--output", "x.mcap", "--samples-each", "0"], "must be 1 or more"),
-        (["cut", "FLOWN", "--output", "no/such/folder/x.mcap"], "No such file"),
-        (["import", "none.mp4", "--config", "sim", "--output", "x.mcap"], "none.mp4: No such file"),
-        (["import", "none.mp4@soon", "--config", "sim", "--output", "x.mcap"], "after @ comes a number"),
-        (["import", "none.mp4", "--config", "zzz", "--output", "x.mcap"], "there is no file 'zzz'"),
-    ],
-)
-def test_wrong_use_is_one_line_and_leaves_nothing(flight_file, words, said, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["record", *(str(flight_file) if w == "FLOWN" else w for w in words)]) == 2
-    err = capsys.readouterr().err
-    assert said in err
-    assert err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
 def table(path: Path) -> list[dict[str, str]]:
     with path.open(newline="", encoding="utf-8") as stream:
         return list(csv.DictReader(stream))

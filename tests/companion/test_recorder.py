@@ -102,17 +102,6 @@ def test_the_reference_reader_finds_an_indexed_file_whose_messages_keep_their_sc
     assert unseen == {"/sample/vessel", "/sample/gimbal", "/sample/fix", "/link", "/camera/video"} | not_flown | compared, unseen
 
 
-def test_a_player_that_seeks_has_every_transform(png_flight):
-    """A player that jumps shows the newest message of each topic before that instant, and nothing else."""
-    with png_flight[0].open("rb") as stream:
-        reader = make_reader(stream)
-        newest = {
-            channel.topic: json.loads(message.data) for _, channel, message in reader.iter_messages() if "/tf" in channel.topic
-        }
-    known = {(t["parent_frame_id"], t["child_frame_id"]) for message in newest.values() for t in message["transforms"]}
-    assert {("deck", "pad"), ("body", "cam")} < known
-
-
 def conforms(schema: dict[str, object], value: object, where: str) -> None:
     """Return whether data conforms to a schema, for the part of JSON Schema that viewers read."""
     kinds: dict[str, Any] = {

@@ -20,7 +20,6 @@ from companion.settings.service import RecorderOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
 from tests.companion.recorder_parts import ABOUT, CAMERA, numbered_frame, numbered_imu, samples_of
-from tests.support.descriptors import no_descriptors
 from tests.support.waiting import wait_until
 
 
@@ -136,20 +135,6 @@ def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: P
     assert len(kept) + recorder.dropped["imu"] == 300
 
 
-def test_a_full_disk_with_a_little_room_is_left_alone(tmp_path, disk, caplog, monkeypatch):
-    monkeypatch.setattr(
-        "companion.parts.recorder.storage_policy.shutil.disk_usage", lambda _: type("Usage", (), {"free": 300_000})
-    )
-    folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=0.0)
-    with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=0.5)) as recorder:
-        for i in range(500):
-            disk.full = 50 < i < 90
-            recorder.on_sample(numbered_imu(0.01 * i))
-            wait_until(lambda: recorder._queue.empty())
-    assert len([r for r in caplog.records if r.levelname == "ERROR"]) == 1
-    assert len(list(tmp_path.iterdir())) == 1
-
-
 def record_samples(recorder: Recorder, at_s: float, seconds: float) -> float:
     """Return samples at 100 Hz from an instant on, taken in before this returns; the instant after them."""
     for i in range(round(100 * seconds)):
@@ -213,16 +198,6 @@ def test_a_folder_that_is_taken_away_in_flight_is_begun_again(tmp_path: Path) ->
         assert recorder.files == 2
     (file,) = path.glob("*.mcap")
     assert len(samples_of(file)) >= 200
-
-
-def test_without_descriptors_nothing_is_recorded_for_a_while(tmp_path: Path) -> None:
-    with Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=1.0)) as recorder:
-        with no_descriptors():
-            at_s = record_samples(recorder, 0.0, 2.0)
-            assert recorder.state is RecorderState.BLOCKED
-            assert recorder.why.endswith("Too many open files")
-        record_samples(recorder, at_s, 4.0)
-        assert recorder.state is RecorderState.RECORDING
 
 
 def test_a_file_that_cannot_be_removed_does_not_end_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,19 +82,6 @@ def test_the_same_replay_has_the_same_hash_and_a_change_another(recorded_flight,
     assert 0.0 < nees["dead_reckoning"] != {row["name"]: row["nees"] for row in first["errors"]}["dead_reckoning"]
 
 
-def test_a_key_that_the_settings_lack_is_refused_with_the_nearest(recorded_flight, capsys):
-    for text, output in (
-        ("guidance.rate=40", "no key 'guidance.rate'; did you mean 'guidance.rate_hz'?"),
-        ("guidance.rate_hz=fast", "guidance.rate_hz needs a number, found 'fast'"),
-        ("guidance.rate_hz=4000", "guidance.rate_hz must be"),
-        ("guidance.rate_hz", "write KEY=VALUE"),
-    ):
-        assert cli.main(["replay", str(recorded_flight[0]), "--set", text]) == 2
-        error = capsys.readouterr().err
-        assert output in error
-        assert "--set" in error
-
-
 def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(recorded_flight, tmp_path, capsys):
     out = replayed(recorded_flight[0], "--path", "median_mean", "--report", str(tmp_path / "report"), capsys=capsys)
     done = out["passes"][0]
@@ -145,34 +132,6 @@ def test_without_recorded_guidance_it_runs_at_its_own_rate(recorded_flight: tupl
     instants = [d.at for d in reported.decisions]
     assert np.all(np.diff(instants) == 25_000_000)
     assert (instants[-1] - instants[0]) * 1e-9 == pytest.approx(1.5, abs=0.1)
-
-
-def test_a_cut_recording_replays_up_to_the_cut_and_reports_it(recorded_flight, tmp_path, capsys):
-    part = tmp_path / "cut.mcap"
-    data = recorded_flight[0].read_bytes()
-    part.write_bytes(data[: len(data) * 19 // 20])
-    assert cli.main(["replay", str(part), "--sightings"]) == 0
-    output = capsys.readouterr().out
-    assert f"{part} is cut short" in output
-    assert re.search(r"outputs: sha256 [0-9a-f]{64}\n", output)
-    assert "states identical to the bit" in output
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["none.mcap"], "No such file"),
-        (["--mavlink", "udpout://127.0.0.1:1"], "--realtime"),
-        (["--config", "zzz"], "there is no file 'zzz'"),
-        (["--compare", "none.mcap"], "No such file"),
-    ],
-)
-def test_wrong_use_is_one_line(recorded_flight, words, said, capsys):
-    first = [] if words == ["none.mcap"] else [str(recorded_flight[0]), "--sightings"]
-    assert cli.main(["replay", *first, *words]) == 2
-    err = capsys.readouterr().err
-    assert said in err
-    assert err.count("\n") == 1
 
 
 async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(recorded_flight: tuple[Path, ObservedCalls]) -> None:

@@ -78,13 +78,6 @@ def test_plots_and_states_find_values_in_a_recording(recorded: tuple[dict[str, s
         assert {type(value) for value in layout_values(path, messages)} == {str}, path
 
 
-def test_the_forecast_is_that_of_its_label(recorded: tuple[dict[str, str], Messages]) -> None:
-    for label, ahead_s in (("heave", 0.0), ("in 1 s", 1.0)):
-        (path,) = [path["value"] for path in PANELS["Plot!deck"]["paths"] if path["label"] == label]
-        horizons_s = layout_values(path.replace("height_m", "horizons_s"), recorded[1])
-        assert horizons_s == pytest.approx([ahead_s] * len(horizons_s))
-
-
 def test_images_scenes_and_logs_are_of_the_kinds_that_their_panels_show(recorded: tuple[dict[str, str], Messages]) -> None:
     kinds, messages = recorded
     for _, config in panels_of("Image"):

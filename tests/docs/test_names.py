@@ -192,9 +192,3 @@ def test_commands_and_options_in_the_text_exist() -> None:
         known = everywhere if of_command is None or len(words) == 1 else of_command | {"--help"}
         wrong += [f"{page}: {text}: {w}" for w in words if re.match(r"--[a-z]", w) and w.split("=")[0].rstrip(",;") not in known]
     assert wrong == []
-
-
-def test_topics_of_bags_in_the_page_are_those_that_are_written() -> None:
-    written = set(re.findall(r'"(/[a-z][\w/]*)"', source("companion/tools/ros2/messages.py")))
-    named = set(re.findall(r"`(/[\w/]+)`", PAGES["docs/ros2.md"]))
-    assert named == written | {"/vehicle/fix", "/vessel/fix", "/PATH/pad_pose", "/PATH/odometry"}

@@ -53,10 +53,6 @@ def test_every_link_leads_to_a_file_and_a_heading() -> None:
     assert broken == []
 
 
-def test_the_readme_leads_to_the_glossary() -> None:
-    assert "(docs/conventions.md#glossary)" in (ROOT / "README.md").read_text()
-
-
 def test_the_changelog_and_the_pages_name_the_version() -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert f"\n## {version} - " in (ROOT / "CHANGELOG.md").read_text()

@@ -1,9 +1,7 @@
 """Every kept input through its target again, without the fuzzer; and the harness that must notice when one breaks."""
 
 import gc
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -11,7 +9,7 @@ import pytest
 from fuzz import __main__ as fuzz
 from fuzz import native
 from fuzz.finds import Finds, signature
-from fuzz.target import CORPUS, MODULES, Choices, block, target
+from fuzz.target import CORPUS, MODULES, target
 
 ROOT = Path(__file__).parents[2]
 
@@ -52,13 +50,6 @@ def _answer(run: object, data: bytes) -> str:
     except Exception as why:
         return signature(why, ROOT)
     return "held"
-
-
-def test_choices_read_what_blocks_wrote_and_zeros_after_the_end() -> None:
-    choices = Choices(b"\x07" + block(b"abc") + b"\xff\xff")
-    assert (choices.number(1), choices.block(), choices.signed(2)) == (7, b"abc", -1)
-    assert not choices
-    assert (choices.number(4), choices.real(), choices.block(), choices.rest()) == (0, 0.0, b"", b"")
 
 
 def test_a_fault_is_kept_once_with_its_shortest_input(tmp_path: Path) -> None:
@@ -109,43 +100,3 @@ def test_a_fault_of_the_native_core_is_shown_with_its_place(tmp_path: Path, caps
         patch.setattr(native, "command", lambda *_: [sys.executable, "-c", code])
         assert fuzz.run(["core"], 1.0, 1, tmp_path) == 1
     assert f"core: {output}" in capsys.readouterr().out
-
-
-def test_a_build_slower_than_the_run_does_not_end_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code = "import sys; print('stat::number_of_executed_units: 5', file=sys.stderr)"
-
-    def built(*_: object) -> list[str]:
-        time.sleep(1.0)
-        return [sys.executable, "-c", code]
-
-    monkeypatch.setattr(native, "command", built)
-    monkeypatch.setattr(fuzz, "_GRACE_S", 0.9)
-    result = fuzz.run_target(native.NAME, 0.05, tmp_path, cpu=False)
-    assert (result.executions, result.faults) == (5, ())
-
-
-def test_without_clang_the_other_targets_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    ran: list[str] = []
-
-    def run(names: list[str], *_: object) -> int:
-        ran.extend(names)
-        return 0
-
-    monkeypatch.setattr(native, "missing", lambda: True)
-    monkeypatch.setattr(fuzz, "run", run)
-    monkeypatch.setattr(sys, "argv", ["fuzz"])
-    assert fuzz.main() == 0
-    assert ran == list(MODULES)
-    assert "apt install clang" in capsys.readouterr().err
-    monkeypatch.setattr(sys, "argv", ["fuzz", "--only", "core"])
-    assert fuzz.main() == 2
-
-
-def test_make_runs_it_and_says_where_it_cannot() -> None:
-    makefile = (ROOT / "Makefile").read_text()
-    assert "python -m fuzz" in makefile
-    output = subprocess.run(
-        [sys.executable, "-m", "fuzz", "--only", "nonsense"], cwd=ROOT, capture_output=True, text=True, check=False, timeout=240
-    )
-    assert output.returncode == 2
-    assert "navdata" in output.stderr

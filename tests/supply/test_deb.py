@@ -60,10 +60,6 @@ def test_dpkg_reads_what_the_package_says_of_itself(tmp_path: Path, carried: Pat
     assert f"./usr/bin/decklander -> {deb.PREFIX}/current/bin/decklander\n" in listed
 
 
-def test_there_is_no_package_for_a_32_bit_system() -> None:
-    assert set(deb.ARCHITECTURES.values()) == {"amd64", "arm64"}
-
-
 @pytest.fixture
 def computer(tmp_path: Path, carried: Path):
     """Return a call that runs a script of the package on a computer below tmp_path, and the log of the programs that it calls.

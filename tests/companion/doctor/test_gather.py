@@ -26,13 +26,11 @@ from drivers.clock import SystemClock
 from drivers.mavlink.dialect import Event, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.errors import BadInput
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, run_doctor
 from tests.support.waiting import listening, until
 
 HOST = "127.0.0.1"
-LINK = ("--link", "udpin://127.0.0.1:0")
 
 
 async def examined(fake: MiniatureAutopilot, seconds: float = 1.0, system: int = 0) -> Snapshot:
@@ -195,32 +193,3 @@ def test_the_command_on_a_saved_image(tmp_path: Path, capsys: pytest.CaptureFixt
     assert (tmp_path / "again.json").read_bytes() == path.read_bytes()
     path.write_bytes(encode(BROKEN["gyros calibrated at sea"][1]))
     assert run_doctor(capsys, "--snapshot", str(path), "--still-pad")[0] == 0
-
-
-@pytest.mark.parametrize(
-    ("argv", "says"),
-    [
-        ((), "nothing to examine"),
-        (("--link", "udp://x"), "MAVLink link"),
-        ((*LINK, "--system", "900"), "--system"),
-        ((*LINK, "--seconds", "0"), "--seconds"),
-        ((*LINK, "--signing-key", "/no/key"), "signing key"),
-        (("--snapshot", "/no/frame"), "--snapshot /no/frame"),
-        (("--broker", "host:port"), "HOST:PORT"),
-        (("x.bin", *LINK), "examined by itself"),
-        (("x.bin", "--fix", *LINK), "a log cannot be fixed"),
-        (("/no/such.bin",), "No such file"),
-        ((__file__,), "neither a dataflash log"),
-        (("--fix",), "--fix needs the autopilot"),
-        (("--fix", "--undo", "x", *LINK), "do not go together"),
-        (("--fix", "--json", *LINK), "--yes"),
-        (("--yes", *LINK), "--yes goes with"),
-        (("--undo-file", "x", *LINK), "--undo-file goes with"),
-        (("--fix", "--snapshot", "x", *LINK), "saved snapshot"),
-        (("--undo", "/no/file", *LINK), "--undo /no/file"),
-    ],
-)
-def test_wrong_use_is_bad_input_in_one_line(argv: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(BadInput, match=says) as raised:
-        run_doctor(capsys, *argv)
-    assert "\n" not in str(raised.value)

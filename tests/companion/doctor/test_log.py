@@ -13,7 +13,7 @@ from drivers.imports.log_history import LandingMeter
 from drivers.imports.px4_ulog import read_history
 from estimator.contracts.errors import BadInput
 from tests.companion.doctor.test_rules import ARDUPILOT, PX4, run_doctor
-from tests.support.flight_logs import dataflash, ulog
+from tests.support.flight_logs import copter_log, px4_log
 
 DATA = Path(__file__).parents[3] / "../shared/data/mavlink"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the shared recordings are not here")
@@ -35,13 +35,13 @@ PX4_FLIGHT: list[Row] = [
 
 
 def copter(path: Path, rows: list[Row] = FLIGHT, **wrong: float) -> tuple[Finding, ...]:
-    return diagnose(examine_log(dataflash(path / "x.bin", ARDUPILOT.parameters | wrong, sorted(rows, key=lambda r: r[0]))))
+    return diagnose(examine_log(copter_log(path / "x.bin", ARDUPILOT.parameters | wrong, sorted(rows, key=lambda r: r[0]))))
 
 
 def px4(
     path: Path, rows: list[Row] = PX4_FLIGHT, texts: tuple[tuple[float, str], ...] = (), **wrong: float
 ) -> tuple[Finding, ...]:
-    log = ulog(path / "x.ulg", PX4.parameters | wrong, TOPICS, sorted(rows, key=lambda r: r[0]), texts)
+    log = px4_log(path / "x.ulg", PX4.parameters | wrong, TOPICS, sorted(rows, key=lambda r: r[0]), texts)
     return diagnose(examine_log(log))
 
 
@@ -119,12 +119,12 @@ def test_px4_s_own_precision_landing_on_a_ship_is_named(tmp_path: Path) -> None:
         (9.0, "vehicle_status", (2, False, 20)),
         (30.0, "vehicle_status", (1, False, 4)),
     ]
-    (found,) = diagnose(examine_log(ulog(tmp_path / "x.ulg", PX4.parameters, topics, rows)))
+    (found,) = diagnose(examine_log(px4_log(tmp_path / "x.ulg", PX4.parameters, topics, rows)))
     assert found.rule == "px4-precland-moving"
 
 
 def test_a_log_with_holes_is_reported(tmp_path: Path) -> None:
-    path = ulog(tmp_path / "x.ulg", PX4.parameters, TOPICS, PX4_FLIGHT)
+    path = px4_log(tmp_path / "x.ulg", PX4.parameters, TOPICS, PX4_FLIGHT)
     path.write_bytes(path.read_bytes() + struct.pack("<HBH", 2, ord("O"), 2500))
     (found,) = diagnose(examine_log(path))
     assert (found.rule, found.severity) == ("log-dropouts", Severity.ADVICE)
@@ -136,7 +136,7 @@ def test_armed_on_deck_matters_on_a_ship(tmp_path: Path) -> None:
     (found,) = copter(tmp_path, rows)
     assert found.rule == "log-armed-on-deck"
     assert "armed for 20 s after the landing at 40.0 s" in found.what
-    snapshot = examine_log(dataflash(tmp_path / "x.bin", ARDUPILOT.parameters, rows))
+    snapshot = examine_log(copter_log(tmp_path / "x.bin", ARDUPILOT.parameters, rows))
     assert diagnose(replace(snapshot, moving_pad=False)) == ()
 
 
@@ -161,28 +161,28 @@ def test_a_go_around_is_no_doubt_about_the_landing() -> None:
 
 
 def test_the_command_on_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = dataflash(tmp_path / "x.bin", ARDUPILOT.parameters, [*FLIGHT, (41.5, "ERR", (6, 1))])
+    path = copter_log(tmp_path / "x.bin", ARDUPILOT.parameters, [*FLIGHT, (41.5, "ERR", (6, 1))])
     code, out = run_doctor(capsys, str(path))
     assert code == 1
     assert out.startswith("ArduPilot 4.5.7, system 1: log of 42 s")
     assert "landing at 40.0 s, taken back by the detector 0 times, armed for 1.0 s after" in out
     assert "error: failsafe: battery at 41.5 s [log-failsafe]" in out
-    assert run_doctor(capsys, str(ulog(tmp_path / "x.ulg", PX4.parameters, TOPICS, PX4_FLIGHT)))[0] == 0
+    assert run_doctor(capsys, str(px4_log(tmp_path / "x.ulg", PX4.parameters, TOPICS, PX4_FLIGHT)))[0] == 0
 
 
 def test_a_log_of_another_kind_of_vehicle_or_of_nothing_is_refused(tmp_path: Path) -> None:
-    path = dataflash(tmp_path / "x.bin", {"A": 1.0})
+    path = copter_log(tmp_path / "x.bin", {"A": 1.0})
     path.write_bytes(path.read_bytes().replace(b"ArduCopter V4.5.7", b"ArduPlane V4.5.07"))
     with pytest.raises(BadInput, match="a log of ArduPlane"):
         examine_log(path)
     with pytest.raises(BadInput, match="no parameters"):
-        examine_log(dataflash(tmp_path / "y.bin", {}))
+        examine_log(copter_log(tmp_path / "y.bin", {}))
     with pytest.raises(BadInput, match="no parameters"):
-        examine_log(ulog(tmp_path / "y.ulg", {}, TOPICS))
+        examine_log(px4_log(tmp_path / "y.ulg", {}, TOPICS))
 
 
 def test_a_parameter_that_is_no_number_is_left_out(tmp_path: Path) -> None:
-    path = ulog(tmp_path / "x.ulg", PX4.parameters, TOPICS)
+    path = px4_log(tmp_path / "x.ulg", PX4.parameters, TOPICS)
     expected = read_history(path).parameters
     key = b"char[4] MPC_TEXT"
     path.write_bytes(path.read_bytes() + struct.pack("<HB", 1 + len(key) + 4, ord("P")) + bytes([len(key)]) + key + b"1e3x")
@@ -220,12 +220,12 @@ def test_only_what_is_still_true_at_the_landing_is_a_fault_of_it(said, rules, tm
 
 
 def test_a_log_reports_what_its_own_firmware_begins_with(tmp_path: Path) -> None:
-    path = dataflash(tmp_path / "x.bin", ARDUPILOT.parameters | {"PSC_POSXY_P": 0.7, "SERIAL1_BAUD": 57.0}, FLIGHT)
+    path = copter_log(tmp_path / "x.bin", ARDUPILOT.parameters | {"PSC_POSXY_P": 0.7, "SERIAL1_BAUD": 57.0}, FLIGHT)
     autopilot = examine_log(path).autopilot
     assert autopilot is not None
     assert autopilot.differs == {}, "a log without defaults says nothing"
     for value, default in ((1.0, 1.0), (1.25, 1.0)):
         rows = [(0.5, "PARM", ("PSC_POSXY_P", value, default)), (0.5, "PARM", ("SERIAL1_BAUD", 57.0, 115.0))]
-        autopilot = examine_log(dataflash(path, ARDUPILOT.parameters, [*rows, *FLIGHT], defaults=True)).autopilot
+        autopilot = examine_log(copter_log(path, ARDUPILOT.parameters, [*rows, *FLIGHT], defaults=True)).autopilot
         assert autopilot is not None
         assert autopilot.differs == ({"PSC_POSXY_P": (1.25, 1.0)} if value != default else {})

@@ -18,7 +18,7 @@ from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from tests.companion.doctor.test_rules import ARDUPILOT, GOOD, PX4
-from tests.support.flight_logs import dataflash, ulog
+from tests.support.flight_logs import copter_log, px4_log
 
 DATA = {
     stack: tomllib.loads((Path(__file__).parent / name).read_text())
@@ -59,7 +59,7 @@ def test_a_broken_one_is_named_and_its_changes_heal_it(stack: str, good: str) ->
 def test_a_log_of_a_broken_one_names_the_same(stack: str, tmp_path: Path) -> None:
     for name, one in DATA[stack]["broken"].items():
         values = DATA[stack]["good"]["defaults"] | one["set"]
-        log = dataflash(tmp_path / "x.bin", values) if stack == "ArduPilot" else ulog(tmp_path / "x.ulg", values, {})
+        log = copter_log(tmp_path / "x.bin", values) if stack == "ArduPilot" else px4_log(tmp_path / "x.ulg", values, {})
         found = diagnose(replace(examine_log(log), ship_speed_m_s=one.get("ship_speed_m_s")))
         assert sorted(f.rule for f in found) == sorted(one["rules"]), name
 

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.cli import main as cli
 from tests.companion.live.test_live import TOKEN, serve_live
 from tests.support.waiting import until
 
@@ -94,19 +93,3 @@ async def test_a_wrong_token_ends_it_and_nobody_there_is_waited_for(tmp_path: Pa
         _, output = await asyncio.to_thread(bridge.communicate, timeout=60)
     assert bridge.returncode == 1
     assert output.count("trying again") == 1, "said once"
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["nonsense"], "there is no ROS 2 for this Python"),
-        (["--seconds", "0"], "--seconds must be more than 0"),
-        (["--token-file", "/nowhere"], "ros2.--token-file: /nowhere"),
-        (["--config", "nowhere.toml"], "nowhere.toml"),
-    ],
-)
-def test_what_is_wrong_is_one_line(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["ros2", *words]) == 2
-    output = capsys.readouterr().err
-    assert says in output
-    assert output.count("\n") == 1

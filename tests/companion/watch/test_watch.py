@@ -155,20 +155,6 @@ def test_nothing_on_the_broker_can_break_the_screen_or_steer_the_terminal(text, 
     assert line(drone, None).isprintable()
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--config", "sim"], "sim: mqtt.transport is off"),
-        (["--drone", "a/b"], "--drone: not a name of a drone: 'a/b'"),
-        (["--password-file", "nowhere"], "--password-file needs --user"),
-        (["--user", "a", "--password-file", "nowhere"], "mqtt.password_file: nowhere: No such file or directory"),
-    ],
-)
-def test_wrong_use_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["watch", *words]) == 2
-    assert capsys.readouterr().err == f"decklander: {said}\n"
-
-
 def words_for(broker: Broker, *more: str) -> list[str]:
     """Return the command that watches a broker as its ground station."""
     words = ["watch", "--host", "localhost", "--port", str(broker.port), "--user", "ground", *more]

@@ -23,7 +23,7 @@ from drivers.imports.log_history import parameters_of
 from drivers.imports.stamps import Tell, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
-from tests.support import foreign_logs as made
+from tests.support import flight_logs as made
 
 DATA = Path(__file__).parents[3] / "../shared/data"
 ULOG, DATAFLASH = DATA / "mavlink/px4_sample.ulg", DATA / "mavlink/arducopter_flight.bin"
