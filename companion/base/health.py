@@ -8,6 +8,9 @@ from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
+
+from msgspec import Meta, Struct
 
 from companion.base.mission import ENDED
 from companion.base.observer import Decision, FrameTimes
@@ -19,6 +22,9 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
+FARTHEST_NS = 1 << 62
+"""Half the range of 64 bits, ns, so that the sum or difference of two instants fits as well."""
+Count = Annotated[int, Meta(ge=0, le=FARTHEST_NS)]
 NIS_WINDOW = 200
 """Number of comparisons in the mean NIS of one source: one second of attitude at 200 Hz, seven seconds of a camera."""
 NORMALIZED_NIS_MAX = 20.0
@@ -142,27 +148,25 @@ class FusionTally:
         return sum(self._normalized) / len(self._normalized) if self._normalized else None
 
 
-@dataclass(frozen=True, slots=True)
-class PartState:
-    """A supervised part at one instant."""
+class PartRecord(Struct, frozen=True):
+    """State of one part of the service."""
 
+    name: str
     up: bool
     age_s: float
     """Time since the part came up or went down, s."""
-    restarts: int
+    restarts: Count
     last_error: str
-    vital: bool = False
-    """True if the flight needs it."""
 
 
-@dataclass(frozen=True, slots=True)
-class FlowState:
-    """A kind of data at one instant."""
+class FlowRecord(Struct, frozen=True, omit_defaults=True):
+    """Count, rate and age of the newest item of one flow."""
 
-    count: int
-    age_s: float | None
+    name: str
+    count: Count
+    rate_hz: float | None = None
+    age_s: float | None = None
     """Time since the last arrival, s; None before the first."""
-    rate_hz: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,8 +227,8 @@ class HealthSnapshot:
     """True if every part of the service is up."""
     flight_up: bool
     """True if the parts that the flight needs are up; heartbeats report this."""
-    parts: Mapping[str, PartState]
-    flows: Mapping[str, FlowState]
+    parts: Mapping[str, PartRecord]
+    flows: Mapping[str, FlowRecord]
     frames: Mapping[str, int]
     """Frames by verdict."""
     inputs: Mapping[str, Mapping[str, int]]
@@ -237,6 +241,8 @@ class HealthSnapshot:
     mission: MissionHealth = field(default_factory=MissionHealth)
     awaited: frozenset[str] = frozenset()
     """Flows that the settings request beside those of every flight."""
+    vital: frozenset[str] = frozenset()
+    """The parts that the flight needs."""
 
 
 class Health:
@@ -403,8 +409,11 @@ class Health:
             at=now,
             all_up=self.all_up,
             flight_up=self.flight_fault() is None,
-            parts={name: _state(part, now) for name, part in self.parts.items()},
-            flows={name: FlowState(f.count, f.age_s(now), f.rate_hz(now)) for name, f in self.flows.items()},
+            parts={
+                name: PartRecord(name, p.up, 0.0 if p.since is None else seconds_between(p.since, now), p.restarts, p.last_error)
+                for name, p in self.parts.items()
+            },
+            flows={name: FlowRecord(name, f.count, f.rate_hz(now), f.age_s(now)) for name, f in self.flows.items()},
             frames={verdict.value: n for verdict, n in self.frames.items()},
             inputs={kind: {v.value: n for v, n in tally.items()} for kind, tally in self.inputs.items()},
             stages=stages,
@@ -412,12 +421,8 @@ class Health:
             fusion=self.fusion_states(),
             mission=self._mission(),
             awaited=self.awaited,
+            vital=frozenset(name for name, part in self.parts.items() if part.vital),
         )
-
-
-def _state(part: PartHealth, now: MonoNs) -> PartState:
-    age_s = 0.0 if part.since is None else seconds_between(part.since, now)
-    return PartState(part.up, age_s, part.restarts, part.last_error, part.vital)
 
 
 def missing_inputs(health: HealthSnapshot) -> tuple[str, ...]:

@@ -14,7 +14,6 @@ import logging
 import os
 import socket
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 from companion.base.health import Health, HealthSnapshot, missing_inputs
 from companion.base.observer import Decision, NullObserver
@@ -27,38 +26,30 @@ SAMPLE_KINDS = ("Attitude", "Imu", "BodyVelocity", "VehicleStatus")
 """Flows that keep arriving while the vehicle is in reach."""
 
 
-@dataclass(frozen=True, slots=True)
-class LivenessLimits:
-    """The longest time that each stage may take before it counts as stuck, seconds."""
-
-    guidance_s: float = 1.0
-    """Longest time between two guidance cycles, seconds."""
-    frame_s: float = 3.0
-    """Longest time that vision may spend on one frame, seconds."""
-    samples_s: float = 10.0
-    """Longest time without a sample from a vehicle that last reported flying, seconds. A landed or unknown one may be off."""
+GUIDANCE_S, FRAME_S, SAMPLES_S = 1.0, 3.0, 10.0
+"""The longest time between two guidance cycles, that vision may spend on one frame, and without a sample from a vehicle that last
+reported flying, s; what takes longer counts as stuck. A landed or unknown vehicle may be off."""
 
 
-def stuck(health: HealthSnapshot, flying: bool, limits: LivenessLimits | None = None) -> str | None:
+def stuck(health: HealthSnapshot, flying: bool) -> str | None:
     """Return why the pipeline is not alive, as text; None while it is.
 
     Args:
         flying: whether the vehicle flew according to its latest status.
     """
-    limits = limits or LivenessLimits()
     decided = health.flows.get("Decision")
     age_s = None if decided is None else decided.age_s
     if age_s is None:
         return "guidance has not begun"
-    if age_s > limits.guidance_s:
+    if age_s > GUIDANCE_S:
         return f"guidance has decided nothing for {age_s:.1f} s"
     frames = health.flows.get("Frame")
-    if frames is not None and frames.age_s is not None and frames.age_s > limits.frame_s:
+    if frames is not None and frames.age_s is not None and frames.age_s > FRAME_S:
         done = sum(n for verdict, n in health.frames.items() if verdict != Verdict.REPLACED.value)
         if frames.count > done:
             return f"vision has not been done with a frame for {frames.age_s:.1f} s"
     silence_s = _youngest_s(health)
-    if flying and silence_s is not None and silence_s > limits.samples_s:
+    if flying and silence_s is not None and silence_s > SAMPLES_S:
         return f"no sample of the flying vehicle for {silence_s:.1f} s"
     return None
 

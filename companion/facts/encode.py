@@ -216,8 +216,8 @@ def health(at: MonoNs, of: HealthSnapshot) -> rec.HealthRecord:
     tallies += [rec.TallyRecord(kind, verdict, n) for kind, counts in of.inputs.items() for verdict, n in counts.items()]
     return rec.HealthRecord(
         int(at),
-        [rec.PartRecord(name, p.up, p.age_s, p.restarts, p.last_error) for name, p in of.parts.items()],
-        [rec.FlowRecord(name, f.count, f.rate_hz, f.age_s) for name, f in of.flows.items()],
+        list(of.parts.values()),
+        list(of.flows.values()),
         tallies,
         [rec.StageRecord(name, s.count, s.p50_s, s.p99_s) for name, s in of.stages.items()],
         [

@@ -8,10 +8,10 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-_FARTHEST_NS = 1 << 62
-Instant = Annotated[int, Meta(ge=-_FARTHEST_NS, le=_FARTHEST_NS)]
-"""An instant, ns. Half the range of 64 bits is allowed, so that the sum or difference of two instants fits as well."""
-Count = Annotated[int, Meta(ge=0, le=_FARTHEST_NS)]
+from companion.base.health import FARTHEST_NS, Count, FlowRecord, PartRecord
+
+Instant = Annotated[int, Meta(ge=-FARTHEST_NS, le=FARTHEST_NS)]
+"""An instant, ns."""
 Vector2 = Annotated[list[float], Meta(min_length=2, max_length=2)]
 Vector3 = Annotated[list[float], Meta(min_length=3, max_length=3)]
 Pixels = Annotated[int, Meta(ge=1, le=65_535)]
@@ -371,25 +371,6 @@ class LinkRecord(Struct, frozen=True, omit_defaults=True):
     """Direction of the message: `in` or `out`."""
     data: bytes
     name: str | None = None
-
-
-class PartRecord(Struct, frozen=True):
-    """State of one part of the service."""
-
-    name: str
-    up: bool
-    age_s: float
-    restarts: Count
-    last_error: str
-
-
-class FlowRecord(Struct, frozen=True, omit_defaults=True):
-    """Count, rate and age of the newest item of one flow."""
-
-    name: str
-    count: Count
-    rate_hz: float | None = None
-    age_s: float | None = None
 
 
 class TallyRecord(Struct, frozen=True):

@@ -12,7 +12,7 @@ import pytest
 
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
-from companion.base.liveness import LivenessLimits, Manager, Pulse, stuck, watchdog_interval_s
+from companion.base.liveness import Manager, Pulse, stuck, watchdog_interval_s
 from companion.base.observer import Observer
 from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
@@ -86,7 +86,7 @@ async def test_ready_once_then_pings_then_stopping(systemd: Systemd) -> None:
 
 
 async def test_an_image_that_vision_never_gives_back_ends_the_pings(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("companion.base.liveness.LivenessLimits", lambda: LivenessLimits(frame_s=0.2))
+    monkeypatch.setattr("companion.base.liveness.FRAME_S", 0.2)
     vehicle, pilot, begun, held = FakeVehicle(), pilot_of(), threading.Event(), threading.Event()
     look = pilot.detect
 

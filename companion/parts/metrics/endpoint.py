@@ -58,8 +58,7 @@ def families(health: HealthSnapshot) -> Iterator[Metric]:
 
 def _of_service(health: HealthSnapshot) -> Iterator[_Row]:
     counter, gauge = CounterMetricFamily, GaugeMetricFamily
-    known = any(part.vital for part in health.parts.values())
-    flight = float(health.flight_up) if known else None
+    flight = float(health.flight_up) if health.vital else None
     yield gauge, "decklander_flight_up", "Whether the parts that the flight needs are up.", (), [((), flight)]
     parts = health.parts.items()
     words = "Whether a supervised part runs."

@@ -130,7 +130,7 @@ def _causes(health: HealthSnapshot, decision: Decision | None, *, flying: bool) 
         yield HealthCause(level="fault", text=why)
     for name, part in health.parts.items():
         if not part.up:
-            level: Level = "fault" if part.vital else "warning"
+            level: Level = "fault" if name in health.vital else "warning"
             yield HealthCause(level=level, text=f"{name} is down: {part.last_error or 'not begun'}")
     if slow := _too_slow(health):
         yield HealthCause(level="fault", text=slow)
