@@ -24,11 +24,14 @@ from typing import Any
 
 import numpy as np
 
+from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.mavlink.commands import PilotTower
-from companion.parts.mavlink.component import Component, ComponentOptions, speaking
+from companion.parts.mavlink.component import Component, speaking
+from companion.parts.mavlink.outputs import Outputs
 from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
+from companion.settings.links import OutputOptions
 from companion.settings.load import load as load_settings
 from companion.settings.service import RestartOptions
 from drivers.ardrone import navdata as nd
@@ -139,14 +142,8 @@ async def measure(scenario: Scenario, rate_hz: float, gyro_mrad_s: tuple[int, in
     x, y, z = state.f_body
     fake = MiniatureAutopilot(Stack.ARDUPILOT, p_ned=state.p_ned, gyro_mrad_s=gyro_mrad_s, f_body=(x, y, z))
     fake.rpy = lambda t: state.R_ned_body.rpy_rad
-    component = Component(
-        ComponentOptions(0.39, 0.5),
-        PilotTower(pilot, lambda: None, clock),
-        None,
-        healthy=lambda: None,
-        believe=pilot.belief,
-        clock=clock,
-    )
+    outputs, tower = Outputs(OutputOptions(), 0.39, 0.5), PilotTower(pilot, lambda: None, clock)
+    component = Component(outputs, tower, None, believe=pilot.belief, clock=clock, health=Health(clock))
     options = AutopilotOptions(f"udpin://{HOST}:0", command_period_s=0.02)
     async with open_autopilot(options, clock) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)

@@ -14,13 +14,15 @@ from pathlib import Path
 from typing import Any, get_args
 
 from companion.base import event_loop
+from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, Observer
 from companion.cli.options import option, prepare_folder, print_result, recording_argument, written
 from companion.cli.progress import shown
 from companion.facts.records import TruthRecord
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.commands import LandingProgress
-from companion.parts.mavlink.component import Component, ComponentOptions, speaking
+from companion.parts.mavlink.component import Component, speaking
+from companion.parts.mavlink.outputs import Outputs
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.frame_video import VideoImage
 from companion.recording.reading import RecordedFrame, Recording, open_recording
@@ -91,8 +93,8 @@ async def _play(args: argparse.Namespace, recording: Recording, settings: Settin
     async with AsyncExitStack() as stack:
         if args.mavlink:
             vehicle = _autopilot(args.mavlink)
-            options = ComponentOptions(pilot.pad.disc_radius_m, settings.guidance.stale_after_s, settings.landing_target)
-            component = Component(options, _Deaf(), None, healthy=lambda: None, believe=newest.at, clock=clock)
+            outputs = Outputs(settings.landing_target, pilot.pad.disc_radius_m, settings.guidance.stale_after_s)
+            component = Component(outputs, _Deaf(), None, believe=newest.at, clock=clock, health=Health(clock))
             autopilot = await stack.enter_async_context(open_autopilot(vehicle, clock))
             await stack.enter_async_context(speaking(component, autopilot, clock))
             observers.append(component)

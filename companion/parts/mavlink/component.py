@@ -1,6 +1,6 @@
 """The service as a MAVLink component: identity, heartbeat, parameters, commands, status texts and messages about the pad.
 
-    component = Component(options, operator, store, healthy=..., clock=clock)
+    component = Component(outputs, operator, store, believe=..., clock=clock, health=health)
     async with open_autopilot(...) as autopilot, speaking(component, autopilot, clock): ...
 
 The component is an observer of the service. The heartbeat stops when a vital part is down or guidance has stalled, so that
@@ -12,9 +12,10 @@ The component lives inside the vehicle's context and is not vital itself: a faul
 
 import logging
 import math
+from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from enum import IntEnum
 from functools import partial
 
 from companion.base.health import Health
@@ -23,10 +24,8 @@ from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.version import version
 from companion.parts.mavlink.commands import CommandServer, Offered, Operator, Refusals
 from companion.parts.mavlink.computer import ComputerReader, computer_status
-from companion.parts.mavlink.outputs import AutopilotView, MavSeverity, Outputs, StatusTexts
+from companion.parts.mavlink.outputs import AutopilotView, Outputs
 from companion.parts.mavlink.parameters import ParameterServer, Tunables
-from companion.parts.mavlink.target_track import TargetTrack
-from companion.settings.links import OutputOptions
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
@@ -43,6 +42,75 @@ TYPE_ONBOARD, NO_AUTOPILOT = int(mav.MAV_TYPE_ONBOARD_CONTROLLER), int(mav.MAV_A
 _CAPABILITIES = int(mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2)
 _REPEAT_S = 60.0
 """The shortest time between two texts about the same part, which may fail and recover many times a minute, s."""
+_CHUNK = 50
+_SAID_MAX = 64
+BURST, WAITING = 5, 10
+"""The texts that may be sent at once, and those that may wait."""
+_SAME_S = 10.0
+"""The time within which the same text is not sent again."""
+
+
+class MavSeverity(IntEnum):
+    """The values of MAV_SEVERITY that are used."""
+
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+class StatusTexts:
+    """A token bucket of `BURST` texts that refills at 1 Hz; excess texts wait, and the least severe is dropped first."""
+
+    def __init__(self) -> None:
+        self._tokens = float(BURST)
+        self._filled: MonoNs | None = None
+        self._waiting: deque[tuple[MavSeverity, str]] = deque()
+        self._said: dict[str, MonoNs] = {}
+        self._id = 0
+        self.dropped = 0
+        """The number of texts that were never sent."""
+
+    def say(self, severity: MavSeverity, text: str, now: MonoNs) -> None:
+        """Queue a text unless it was queued within `_SAME_S`."""
+        last = self._said.get(text)
+        if last is not None and seconds_between(last, now) < _SAME_S:
+            return
+        if len(self._said) >= _SAID_MAX:
+            self._said.clear()
+        self._said = {t: at for t, at in self._said.items() if seconds_between(at, now) < _SAME_S} | {text: now}
+        self._waiting.append((severity, text))
+        if len(self._waiting) > WAITING:
+            least = max(range(len(self._waiting)), key=lambda i: (self._waiting[i][0], i))
+            del self._waiting[least]
+            self.dropped += 1
+
+    def due(self, now: MonoNs) -> list[Message]:
+        """Return the messages that may be sent now, the most severe first."""
+        if self._filled is not None:
+            self._tokens = min(float(BURST), self._tokens + seconds_between(self._filled, now))
+        self._filled = now
+        out: list[Message] = []
+        while self._waiting and self._tokens >= 1.0:
+            first = min(range(len(self._waiting)), key=lambda i: (self._waiting[i][0], i))
+            text = self._waiting[first]
+            del self._waiting[first]
+            self._tokens -= 1.0
+            out += self._chunks(*text)
+        return out
+
+    def _chunks(self, severity: MavSeverity, text: str) -> list[Message]:
+        data = text.encode("ascii", errors="replace")
+        if len(data) <= _CHUNK:
+            return [mav.MAVLink_statustext_message(int(severity), data)]
+        self._id = self._id % 65535 + 1
+        pieces = [data[i : i + _CHUNK] for i in range(0, len(data), _CHUNK)]
+        if len(pieces[-1]) == _CHUNK:
+            pieces.append(b"")  # A full last chunk would leave the receiver waiting for more.
+        return [mav.MAVLink_statustext_message(int(severity), piece, self._id, n) for n, piece in enumerate(pieces)]
+
+
 _SEVERITIES = {
     state.value: severity
     for state, severity in {
@@ -62,65 +130,39 @@ _SEVERITIES = {
 """The severities of those phases that are more than information."""
 
 
-@dataclass(frozen=True, slots=True)
-class ComponentOptions:
-    """The messages that the component sends, and their periods.
-
-    Raises:
-        ValueError: a number out of range.
-    """
-
-    pad_radius_m: float
-    stale_s: float
-    """The time without a sighting after which the pad is no longer sent."""
-    outputs: OutputOptions = field(default_factory=OutputOptions)
-    tick_s: float = 0.01
-    heartbeat_s: float = 1.0
-    state_s: float = 0.2
-    """The period of NAMED_VALUE_FLOAT; 0 sends none."""
-    computer_s: float = 1.0
-    guidance_silence_s: float = 1.0
-    """The time without a decision after which guidance counts as stalled."""
-    parameters: tuple[str, ...] = field(
-        default=("PLND_LAG", "PLND_ENABLED", "PLND_TYPE", "RNGFND1_TYPE", "RNGFND2_TYPE", "RNGFND3_TYPE", "RNGFND4_TYPE")
-    )
-    """The parameters that are requested from the autopilot (see `open_autopilot`)."""
-
-    def __post_init__(self) -> None:
-        for name in ("pad_radius_m", "stale_s", "tick_s", "heartbeat_s", "guidance_silence_s"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
+PARAMETERS = ("PLND_LAG", "PLND_ENABLED", "PLND_TYPE", "RNGFND1_TYPE", "RNGFND2_TYPE", "RNGFND3_TYPE", "RNGFND4_TYPE")
+"""The parameters that are requested from the autopilot (see `open_autopilot`)."""
+_TICK_S, _HEARTBEAT_S, _STATE_S, _COMPUTER_S = 0.01, 1.0, 0.2, 1.0
+"""The periods of ticks, HEARTBEAT, NAMED_VALUE_FLOAT and ONBOARD_COMPUTER_STATUS."""
+_GUIDANCE_SILENCE_S = 1.0
+"""The time without a decision after which guidance counts as stalled."""
 
 
 class Component(NullObserver):
     """The component; see the module's docstring.
 
     Args:
-        healthy: returns None while everything that the flight needs is up, else one line that names the fault.
-        believe: the steering path's belief at an instant; None takes that of guidance's newest decision.
-        health: the service's health, whose parts it reports; None for a health of its own.
+        believe: the steering path's belief at an instant.
+        health: the service's health, whose parts it reports.
     """
 
     def __init__(
         self,
-        options: ComponentOptions,
+        outputs: Outputs,
         operator: Operator,
         store: Tunables | None,
         *,
-        healthy: Callable[[], str | None],
-        believe: Callable[[MonoNs], RelativeState | None] | None = None,
+        believe: Callable[[MonoNs], RelativeState | None],
         clock: Clock,
-        health: Health | None = None,
+        health: Health,
     ) -> None:
-        self.options = self._o = options
-        self._health = health or Health(clock)
+        self.outputs = outputs
+        self._health = health
         self._reported: dict[str, MonoNs] = {}
-        self._healthy = healthy
         self._believe = believe
         self._clock = clock
         self._autopilot: Autopilot | None = None
         self._links: Links | None = None
-        self._track = TargetTrack()
         self._computer = ComputerReader()
         self._phase = ""
         self._lost: tuple[str, ...] = ()
@@ -129,11 +171,11 @@ class Component(NullObserver):
         self._sick = False
         self._values = 0
         self._parameters = None if store is None else ParameterServer(store)
-        values_s = options.state_s / len(_VALUES)  # the values take turns
+        values_s = _STATE_S / len(_VALUES)  # the values take turns
         self._offered = Offered(
             {
-                mav.MAVLINK_MSG_ID_HEARTBEAT: (partial(self._guarded, "heartbeat", self._heartbeat), options.heartbeat_s),
-                mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: (partial(self._guarded, "computer", self._load), options.computer_s),
+                mav.MAVLINK_MSG_ID_HEARTBEAT: (partial(self._guarded, "heartbeat", self._heartbeat), _HEARTBEAT_S),
+                mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: (partial(self._guarded, "computer", self._load), _COMPUTER_S),
                 mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: (partial(self._guarded, "values", self._value), values_s),
                 ComponentInformationBasic.id: (self._information, 0.0),
             }
@@ -141,7 +183,6 @@ class Component(NullObserver):
         self._commands = CommandServer(operator, self._offered)
         self.refusals = Refusals("vehicle.operators")
         self.texts = StatusTexts()
-        self.outputs = Outputs(options.outputs, self._track, options.pad_radius_m, options.stale_s)
 
     def attach(self, autopilot: Autopilot) -> None:
         """Send over this autopilot's links from now on."""
@@ -156,7 +197,7 @@ class Component(NullObserver):
 
     def on_sample(self, sample: Sample) -> None:
         if isinstance(sample, Attitude):
-            self._track.on_attitude(sample)
+            self.outputs.track.on_attitude(sample)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         """Send a fused sighting at once instead of at the next tick."""
@@ -167,8 +208,6 @@ class Component(NullObserver):
 
     def on_decision(self, decision: Decision) -> None:
         self._decided = decision.at
-        if self._believe is None:
-            self._belief = decision.belief
         if decision.response is not None and decision.response.contradicts:
             self.texts.say(MavSeverity.WARNING, f"Decklander: {decision.response.text}", decision.at)
         lost = () if decision.belief is None else decision.belief.lost
@@ -259,9 +298,8 @@ class Component(NullObserver):
         return None if self._belief is None or self._belief.alerts else self._belief.sighted
 
     def _update_belief(self, now: MonoNs) -> None:
-        if self._believe is not None:
-            self._belief = self._believe(now)
-        self._track.believe(self._belief)
+        self._belief = self._believe(now)
+        self.outputs.track.believe(self._belief)
 
     def _send(self, messages: list[Message]) -> None:
         if self._links is not None:
@@ -269,9 +307,9 @@ class Component(NullObserver):
                 self._links.send(message)
 
     def _fault(self, now: MonoNs) -> str | None:
-        if self._decided is None or seconds_between(self._decided, now) > self._o.guidance_silence_s:
+        if self._decided is None or seconds_between(self._decided, now) > _GUIDANCE_SILENCE_S:
             return "guidance stands still"
-        return self._healthy()
+        return self._health.flight_fault()
 
     def _check_health(self, now: MonoNs) -> None:
         why = self._fault(now) if self._decided is not None else None
@@ -312,7 +350,7 @@ class Component(NullObserver):
         if belief is None:
             return 0.0 if name == "dl_seen" else None
         figures = {
-            "dl_seen": float(belief.age_s(now) <= self._o.stale_s),
+            "dl_seen": float(belief.age_s(now) <= self.outputs.stale_s),
             "dl_age": belief.age_s(now),
             "dl_sigma": math.sqrt(max(float(belief.cov[0, 0] + belief.cov[1, 1]) / 2.0, 0.0)),
             "dl_height": belief.height_m,
@@ -332,7 +370,7 @@ async def speaking(component: Component, autopilot: Autopilot, clock: Clock) -> 
     async def tick() -> None:
         while True:
             component.tick(clock.now())
-            await clock.sleep(component.options.tick_s)
+            await clock.sleep(_TICK_S)
 
     component.attach(autopilot)
     async with running_beside([("mavlink-component", tick())]):

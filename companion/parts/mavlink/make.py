@@ -16,7 +16,8 @@ from companion.base.health import GIMBAL, Health
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.camera_component import ShowCamera, showing
 from companion.parts.mavlink.commands import PilotTower, link_counters
-from companion.parts.mavlink.component import Component, ComponentOptions, speaking
+from companion.parts.mavlink.component import PARAMETERS, Component, speaking
+from companion.parts.mavlink.outputs import Outputs
 from companion.parts.mavlink.parameters import Tunables
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.model import Settings
@@ -191,10 +192,9 @@ class AutopilotPart:
         self._endpoints = signed_links(vehicle)
         self._sample_queue_items = settings.service.sample_queue_items
         self.component = Component(
-            ComponentOptions(pilot.pad.disc_radius_m, settings.guidance.stale_after_s, settings.landing_target),
+            Outputs(settings.landing_target, pilot.pad.disc_radius_m, settings.guidance.stale_after_s),
             PilotTower(pilot, lambda: self.component.belief, clock, recording),
             Tunables(settings, self._apply),
-            healthy=health.flight_fault,
             believe=pilot.belief,
             clock=clock,
             health=health,
@@ -218,7 +218,7 @@ class AutopilotPart:
             self._options,
             self._clock,
             self._endpoints,
-            parameters=self.component.options.parameters,
+            parameters=PARAMETERS,
             sample_queue_items=self._sample_queue_items,
         )
         async with opening as autopilot:

@@ -1,23 +1,169 @@
-"""The messages about the pad that each kind of autopilot obeys, the texts for the pilot, and when each is sent. No I/O."""
+"""The messages about the pad that each kind of autopilot obeys, and when each is sent. No I/O."""
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 
-from companion.parts.mavlink.target_track import TargetSample, TargetTrack, lag_locked, position_at
 from companion.settings.links import OutputOptions
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, TargetRelative, mav
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Condition, Stack
+from estimator.attitude_history import AttitudeHistory
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+
+# Return the pad's position relative to the body at any instant of the last second, from timed beliefs and attitudes.
+#
+# ArduPilot combines a target with its own attitude of exactly PLND_LAG before the message arrived, whatever the message contains.
+# Therefore the vector is re-expressed for that instant instead of the exposure: the target is locked to the lag.
+
+LOOP_RATE_HZ = 400.0
+"""The rate of ArduCopter's main loop, which is the rate of its inertial ring, Hz."""
+_SPAN_S = 1.0
+"""The length of the history; it must exceed PLND_LAG."""
+_AHEAD_S, _GAP_S = 0.15, 0.25
+"""The longest time that the newest belief is extrapolated by its velocity, and the longest gap that is interpolated."""
+
+
+def effective_lag_s(plnd_lag_s: float) -> float:
+    """Return the age of the attitude that ArduPilot uses, s: its ring has round(PLND_LAG * rate) entries, the newest is current.
+
+    Source: AC_PrecLand::init and construct_pos_meas_using_rangefinder.
+    """
+    return (max(round(plnd_lag_s * LOOP_RATE_HZ), 1) - 1) / LOOP_RATE_HZ
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetSample:
+    """The pad's state relative to the body at one instant."""
+
+    at: MonoNs
+    d_body_pad_ned: F64
+    """The (3,) vector from the body to the pad in ned, m."""
+    v_pad_ned: F64
+    """The (3,) velocity of the pad minus that of the body, m/s."""
+    R_ned_body: Rotation
+    R_ned_pad: Rotation | None
+    """The attitude of the pad, which is taken as level; None if its heading is not known."""
+    cov_ned: F64
+    """The (3, 3) covariance of `d_body_pad_ned`, m^2."""
+    sigma_yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Knot:
+    at: MonoNs
+    d_ned: F64
+    v_ned: F64
+    cov_ned: F64
+    arrow_rad: float | None
+    sigma_yaw_rad: float
+
+
+class TargetTrack:
+    """Keeps attitudes and beliefs as they arrive, and interpolates the pad's state between them."""
+
+    def __init__(self) -> None:
+        self._attitudes = AttitudeHistory(_SPAN_S)
+        self._knots: deque[_Knot] = deque()
+
+    def on_attitude(self, attitude: Attitude) -> None:
+        """Add an attitude of the autopilot."""
+        self._attitudes = self._attitudes.add(attitude)
+
+    def believe(self, state: RelativeState | None) -> None:
+        """Add a belief of the estimator; None forgets the pad."""
+        if state is None:
+            self._knots.clear()
+            return
+        R_ned_body = self.attitude_at(state.at)
+        if R_ned_body is None or (self._knots and state.at <= self._knots[-1].at):
+            return
+        yaw_rad = R_ned_body.rpy_rad[2]
+        R_ned_level = Rotation.from_rpy(0.0, 0.0, yaw_rad)
+        arrow_rad = None if state.yaw_rad is None or dict(state.details).get("yaw_ambiguous") else yaw_rad - state.yaw_rad
+        self._knots.append(
+            _Knot(
+                state.at,
+                R_ned_level @ state.d_body_pad_level,
+                R_ned_level @ state.v_pad_level,
+                R_ned_level.rotate_cov(state.cov[:3, :3]),
+                arrow_rad,
+                float(np.sqrt(state.cov[6, 6])),
+            )
+        )
+        while seconds_between(self._knots[0].at, state.at) > _SPAN_S:
+            self._knots.popleft()
+
+    def attitude_at(self, instant: MonoNs) -> Rotation | None:
+        found = self._attitudes.at(instant, Stamp(instant, instant, 0.0, "synced"))
+        return None if found is None else found.R_ned_body
+
+    def at(self, instant: MonoNs) -> TargetSample | None:
+        """Return the pad at that instant, or None if beliefs or attitudes do not reach it."""
+        R_ned_body = self.attitude_at(instant)
+        place = self._place(instant)
+        if R_ned_body is None or place is None:
+            return None
+        knot, d_ned = place
+        R_ned_pad = None if knot.arrow_rad is None else Rotation.from_rpy(0.0, 0.0, knot.arrow_rad)
+        return TargetSample(instant, d_ned, knot.v_ned, R_ned_body, R_ned_pad, knot.cov_ned, knot.sigma_yaw_rad)
+
+    def _place(self, instant: MonoNs) -> tuple[_Knot, F64] | None:
+        if not self._knots:
+            return None
+        i = bisect_right(self._knots, instant, key=lambda k: k.at)
+        if i == len(self._knots):
+            newest = self._knots[-1]
+            ahead_s = seconds_between(newest.at, instant)
+            return (newest, newest.d_ned + newest.v_ned * ahead_s) if ahead_s <= _AHEAD_S else None
+        if i == 0:
+            return None
+        a, b = self._knots[i - 1], self._knots[i]
+        span_s = seconds_between(a.at, b.at)
+        if span_s > _GAP_S:
+            return None
+        weight = seconds_between(a.at, instant) / span_s
+        return b, a.d_ned + (b.d_ned - a.d_ned) * weight
+
+
+def position_at(positions: tuple[LocalPosition, ...], instant: MonoNs) -> F64 | None:
+    """Return the autopilot's local position at an instant, (3,) m: interpolate between its reports or extrapolate by velocity.
+
+    The result is None if no report is within `_GAP_S`.
+    """
+    if not positions:
+        return None
+    i = bisect_right(positions, instant, key=lambda p: p.stamp.measured_at)
+    a = positions[max(i - 1, 0)]
+    if abs(seconds_between(a.stamp.measured_at, instant)) > _GAP_S:
+        return None
+    if 0 < i < len(positions):
+        b = positions[i]
+        span_s = seconds_between(a.stamp.measured_at, b.stamp.measured_at)
+        if 0 < span_s <= _GAP_S:
+            weight = seconds_between(a.stamp.measured_at, instant) / span_s
+            return np.asarray(a.p_body_ned + (b.p_body_ned - a.p_body_ned) * weight)
+    return np.asarray(a.p_body_ned + a.v_body_ned * seconds_between(a.stamp.measured_at, instant))
+
+
+def lag_locked(track: TargetTrack, now: MonoNs, plnd_lag_s: float, transit_s: float) -> TargetSample | None:
+    """Return the target to send to an ArduPilot now: the pad at PLND_LAG before ArduPilot processes this message.
+
+    Args:
+        transit_s: the time from here to its precision landing: half of TIMESYNC's round trip and half a main loop.
+    """
+    return track.at(after(now, transit_s - effective_lag_s(plnd_lag_s)))
+
 
 # Convert the pad's position to the messages that each autopilot obeys. No I/O, no clocks.
 #
@@ -177,11 +323,11 @@ class Outputs:
         stale_s: the time without a sighting after which the pad is no longer sent.
     """
 
-    def __init__(self, options: OutputOptions, track: TargetTrack, pad_radius_m: float, stale_s: float) -> None:
+    def __init__(self, options: OutputOptions, pad_radius_m: float, stale_s: float) -> None:
         self._o = options
         self._pad_radius_m = pad_radius_m
-        self._stale_s = stale_s
-        self._track = track
+        self.stale_s = stale_s
+        self.track = TargetTrack()
         self._target_at: MonoNs | None = None
         self._range_at: MonoNs | None = None
         self._newest: MonoNs | None = None
@@ -247,24 +393,24 @@ class Outputs:
         if vehicle.condition.taking_off:
             # ArduPilot begins its estimate with the first target, and complains of a pad that leaves the picture in the climb.
             return None, "taking off"
-        if sighted is None or seconds_between(sighted, now) > self._stale_s:
+        if sighted is None or seconds_between(sighted, now) > self.stale_s:
             return None, "not seen"
         if vehicle.stack is Stack.ARDUPILOT:
             lag_s = min(max(vehicle.parameter_values.get("PLND_LAG", DEFAULT_PLND_LAG_S), 0.0), PLND_LAG_MAX_S)
             transit_s = 0.5 * (vehicle.round_trip_s or 0.0) + self._o.receiver_s
-            return lag_locked(self._track, now, lag_s, transit_s), "no attitude"
+            return lag_locked(self.track, now, lag_s, transit_s), "no attitude"
         newest = vehicle.positions[-1].stamp.measured_at if vehicle.positions else now
         at = min(now, newest)
         if self._newest is not None and at <= self._newest:
             return None, "no newer position"
-        return self._track.at(at), "no attitude"
+        return self.track.at(at), "no attitude"
 
     def _range(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> Message:
         sigma_m, range_m = 0.05, None
         if vehicle.condition.flying is False:
             range_m = self._o.ground_clearance_m
-        elif sighted is not None and seconds_between(sighted, now) <= self._stale_s:
-            seen = self._track.at(now)
+        elif sighted is not None and seconds_between(sighted, now) <= self.stale_s:
+            seen = self.track.at(now)
             if seen is not None:
                 range_m = range_along_down(seen.d_body_pad_ned, seen.R_ned_body)
                 sigma_m = math.sqrt(max(float(seen.cov_ned[2, 2]), 1e-4))
@@ -274,73 +420,3 @@ class Outputs:
     def _time_has_come(last: MonoNs | None, now: MonoNs, rate_hz: float) -> bool:
         # A tick that comes a little early counts; otherwise a rate near that of the ticks would be halved.
         return last is None or seconds_between(last, now) >= 0.9 / rate_hz
-
-
-_CHUNK = 50
-_SAID_MAX = 64
-
-
-class MavSeverity(IntEnum):
-    """The values of MAV_SEVERITY that are used."""
-
-    CRITICAL = 2
-    ERROR = 3
-    WARNING = 4
-    NOTICE = 5
-    INFO = 6
-
-
-class StatusTexts:
-    """A token bucket of `burst` texts that refills at `rate_hz`; excess texts wait, and the least severe is dropped first.
-
-    Args:
-        repeat_s: the time within which the same text is not sent again.
-    """
-
-    def __init__(self, *, rate_hz: float = 1.0, burst: int = 5, waiting: int = 10, repeat_s: float = 10.0) -> None:
-        self._rate_hz, self._burst, self._waiting_max, self._repeat_s = rate_hz, burst, waiting, repeat_s
-        self._tokens = float(burst)
-        self._filled: MonoNs | None = None
-        self._waiting: deque[tuple[MavSeverity, str]] = deque()
-        self._said: dict[str, MonoNs] = {}
-        self._id = 0
-        self.dropped = 0
-        """The number of texts that were never sent."""
-
-    def say(self, severity: MavSeverity, text: str, now: MonoNs) -> None:
-        """Queue a text unless it was queued within `repeat_s`."""
-        last = self._said.get(text)
-        if last is not None and seconds_between(last, now) < self._repeat_s:
-            return
-        if len(self._said) >= _SAID_MAX:
-            self._said.clear()
-        self._said = {t: at for t, at in self._said.items() if seconds_between(at, now) < self._repeat_s} | {text: now}
-        self._waiting.append((severity, text))
-        if len(self._waiting) > self._waiting_max:
-            least = max(range(len(self._waiting)), key=lambda i: (self._waiting[i][0], i))
-            del self._waiting[least]
-            self.dropped += 1
-
-    def due(self, now: MonoNs) -> list[Message]:
-        """Return the messages that may be sent now, the most severe first."""
-        if self._filled is not None:
-            self._tokens = min(float(self._burst), self._tokens + self._rate_hz * seconds_between(self._filled, now))
-        self._filled = now
-        out: list[Message] = []
-        while self._waiting and self._tokens >= 1.0:
-            first = min(range(len(self._waiting)), key=lambda i: (self._waiting[i][0], i))
-            text = self._waiting[first]
-            del self._waiting[first]
-            self._tokens -= 1.0
-            out += self._chunks(*text)
-        return out
-
-    def _chunks(self, severity: MavSeverity, text: str) -> list[Message]:
-        data = text.encode("ascii", errors="replace")
-        if len(data) <= _CHUNK:
-            return [mav.MAVLink_statustext_message(int(severity), data)]
-        self._id = self._id % 65535 + 1
-        pieces = [data[i : i + _CHUNK] for i in range(0, len(data), _CHUNK)]
-        if len(pieces[-1]) == _CHUNK:
-            pieces.append(b"")  # A full last chunk would leave the receiver waiting for more.
-        return [mav.MAVLink_statustext_message(int(severity), piece, self._id, n) for n, piece in enumerate(pieces)]

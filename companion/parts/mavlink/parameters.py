@@ -19,6 +19,8 @@ from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput
 
 _REAL32 = int(mav.MAV_PARAM_TYPE_REAL32)
+_AT_ONCE = 4
+"""The number of values of a list that one call of `ParameterServer.due` returns."""
 
 
 NAMES: dict[str, str] = {
@@ -53,6 +55,7 @@ NAMES: dict[str, str] = {
     "EST_MAX_DELAY": "estimator.max_delay_s",
 }
 """The settings key of each parameter, in the order of the list; the order and the count never change while running."""
+_ORDER = tuple(NAMES)
 
 
 class Tunables:
@@ -65,7 +68,6 @@ class Tunables:
     def __init__(self, settings: Settings, apply: Callable[[Settings], None]) -> None:
         self._settings = settings
         self._apply = apply
-        self.names = tuple(NAMES)
 
     @property
     def settings(self) -> Settings:
@@ -102,20 +104,10 @@ class Tunables:
 
 
 class ParameterServer:
-    """Answers PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET.
+    """Answers PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET."""
 
-    Args:
-        at_once: the number of values of a list that one call of `due` returns.
-
-    Raises:
-        ValueError: a name longer than 16 characters or not ASCII.
-    """
-
-    def __init__(self, store: Tunables, *, at_once: int = 4) -> None:
-        if any(not 1 <= len(n) <= 16 or not n.isascii() for n in store.names):
-            raise ValueError("parameter names have 1 to 16 ASCII characters")
+    def __init__(self, store: Tunables) -> None:
         self._store = store
-        self._at_once = at_once
         self._listing: deque[str] = deque()
         self.refused: str | None = None
         """The reason why the newest PARAM_SET was refused; None if it was accepted."""
@@ -128,7 +120,7 @@ class ParameterServer:
         if message.target_system not in (0, us[0]) or message.target_component not in (0, us[1]):
             return []
         if kind == "PARAM_REQUEST_LIST":
-            self._listing = deque(self._store.names)
+            self._listing = deque(NAMES)
         elif kind == "PARAM_REQUEST_READ":
             name = self._named(message)
             return [] if name is None else [self._value(name)]
@@ -138,22 +130,20 @@ class ParameterServer:
 
     def in_force(self, message: Message) -> list[Message]:
         """Return the value that stays in force after a PARAM_SET was refused."""
-        return (
-            [self._value(message.param_id)] if message.get_type() == "PARAM_SET" and message.param_id in self._store.names else []
-        )
+        return [self._value(message.param_id)] if message.get_type() == "PARAM_SET" and message.param_id in NAMES else []
 
     def due(self) -> list[Message]:
         """Return the next values of a list that was requested."""
-        return [self._value(self._listing.popleft()) for _ in range(min(self._at_once, len(self._listing)))]
+        return [self._value(self._listing.popleft()) for _ in range(min(_AT_ONCE, len(self._listing)))]
 
     def _named(self, message: Message) -> str | None:
         if message.param_index >= 0:
-            return self._store.names[message.param_index] if message.param_index < len(self._store.names) else None
-        return message.param_id if message.param_id in self._store.names else None
+            return _ORDER[message.param_index] if message.param_index < len(NAMES) else None
+        return message.param_id if message.param_id in NAMES else None
 
     def _set(self, message: Message) -> list[Message]:
         name = message.param_id
-        if name not in self._store.names:
+        if name not in NAMES:
             self.refused = f"no parameter {name}"
             return []
         value = float(message.param_value)
@@ -169,5 +159,4 @@ class ParameterServer:
 
     def _value(self, name: str) -> Message:
         value = struct.unpack("<f", struct.pack("<f", self._store.get(name)))[0]
-        names = self._store.names
-        return mav.MAVLink_param_value_message(name.encode(), value, _REAL32, len(names), names.index(name))
+        return mav.MAVLink_param_value_message(name.encode(), value, _REAL32, len(NAMES), _ORDER.index(name))

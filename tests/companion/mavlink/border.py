@@ -13,9 +13,12 @@ import numpy as np
 from hypothesis import strategies as st
 
 import companion.settings.load as settings_of
+from companion.base.health import Health
 from companion.parts.mavlink.bridge import VehicleBridge
-from companion.parts.mavlink.component import Component, ComponentOptions, speaking
+from companion.parts.mavlink.component import Component, speaking
+from companion.parts.mavlink.outputs import Outputs
 from companion.parts.mavlink.parameters import Tunables
+from companion.settings.links import OutputOptions
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
@@ -162,12 +165,12 @@ async def bordered(*more_links: str, clock: PatientClock | None = None, **option
         return RelativeState(now, "dead_reckoning", pad, np.zeros(3), 0.2, np.eye(7) * 1e-4, now, True)
 
     component = Component(
-        ComponentOptions(0.39, 0.5),
+        Outputs(OutputOptions(), 0.39, 0.5),
         tower,
         Tunables(settings_of.load("sim"), lambda settings: None),
-        healthy=lambda: None,
         believe=believe,
         clock=clock,
+        health=Health(clock),
     )
     given = AutopilotOptions(", ".join((f"udpin://{HOST}:0", *more_links)), vessel_id=17, **options)
     async with open_autopilot(given, clock, parameters=("PLND_LAG",)) as autopilot:

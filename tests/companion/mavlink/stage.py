@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 import companion.settings.load as settings_of
+from companion.base.health import Health
 from companion.base.observer import Decision
-from companion.parts.mavlink.component import Component, ComponentOptions, speaking
+from companion.parts.mavlink.component import PARAMETERS, Component, speaking
+from companion.parts.mavlink.outputs import Outputs
 from companion.parts.mavlink.parameters import Tunables
 from companion.settings.links import OutputOptions
 from companion.settings.model import Settings
@@ -37,8 +39,8 @@ class Stage:
     autopilot: Autopilot
     fake: MiniatureAutopilot
     tower: FakeOperator
+    health: Health
     applied: list[Settings] = field(default_factory=list)
-    sick: str | None = None
     seen: bool = True
     alerts: tuple[IntegrityAlert, ...] = ()
     lost: tuple[str, ...] = ()
@@ -61,11 +63,11 @@ class Stage:
 
 @asynccontextmanager
 async def staged(
-    fake: MiniatureAutopilot, *more_links: str, outputs: dict[str, Any] | None = None, operators: str = "", **options: Any
+    fake: MiniatureAutopilot, *more_links: str, outputs: dict[str, Any] | None = None, operators: str = ""
 ) -> AsyncIterator[Stage]:
     """Autopilot found, component speaking, guidance deciding at 50 Hz."""
     clock = fake.clock = PatientClock()
-    component_options = ComponentOptions(0.39, 0.5, OutputOptions(**(outputs or {})), **options)
+    health = Health(clock)
     autopilot_options = AutopilotOptions(
         ", ".join((f"udpin://{HOST}:0", *more_links)),
         silence_s=0.8,
@@ -78,15 +80,15 @@ async def staged(
     tower = FakeOperator()
     applied: list[Settings] = []
     component = Component(
-        component_options,
+        Outputs(OutputOptions(**(outputs or {})), 0.39, 0.5),
         tower,
         Tunables(settings_of.load("sim"), applied.append),
-        healthy=lambda: stage.sick,
         believe=lambda now: stage.believe(now),
         clock=clock,
+        health=health,
     )
-    async with open_autopilot(autopilot_options, clock, parameters=component_options.parameters) as autopilot:
-        stage = Stage(component, autopilot, fake, tower, applied)
+    async with open_autopilot(autopilot_options, clock, parameters=PARAMETERS) as autopilot:
+        stage = Stage(component, autopilot, fake, tower, health, applied)
 
         async def pump() -> None:
             async for sample in autopilot.samples:

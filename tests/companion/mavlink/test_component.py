@@ -16,7 +16,10 @@ from hypothesis import HealthCheck, given, settings
 
 from companion.base.health import Health
 from companion.base.observer import Decision
-from companion.parts.mavlink.component import Component, ComponentOptions
+from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
+from companion.parts.mavlink.component import Component
+from companion.parts.mavlink.outputs import Outputs
+from companion.settings.links import OutputOptions
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
 from drivers.mavlink.links import Containment, ReceivedMessage
@@ -121,17 +124,22 @@ async def test_our_own_distances_come_back_as_no_measurement() -> None:
         await until(lambda: stage.ranges > before + 3)
 
 
-async def test_the_heartbeat_stops_with_the_service() -> None:
+async def test_the_heartbeat_stops_with_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("companion.parts.mavlink.component._HEARTBEAT_S", 0.05)
+    monkeypatch.setattr("companion.parts.mavlink.component._GUIDANCE_SILENCE_S", 0.2)
     fake = MiniatureAutopilot()
-    async with staged(fake, heartbeat_s=0.05, guidance_silence_s=0.2) as stage:
+    async with staged(fake) as stage:
+        stage.health.vital("vision")
+        stage.health.up("vision")
         await until(lambda: len(fake.of("HEARTBEAT")) > 5)
         beat = fake.of("HEARTBEAT")[-1]
         assert (beat.get_srcSystem(), beat.get_srcComponent(), beat.type, beat.autopilot) == (7, 191, 18, 8)
         for fault in ("sick", "hung"):
             if fault == "sick":
-                stage.sick = "vision is down"
+                stage.health.down("vision", Recoverable("gone"))
             else:
-                stage.sick, stage.deciding = None, False
+                stage.health.up("vision")
+                stage.deciding = False
                 await asyncio.sleep(0.3)
             await asyncio.sleep(0.1)
             silent = len(fake.of("HEARTBEAT"))
@@ -140,7 +148,7 @@ async def test_the_heartbeat_stops_with_the_service() -> None:
         stage.deciding = True
         await until(lambda: len(fake.of("HEARTBEAT")) > silent)
         texts = [m.text for m in fake.of("STATUSTEXT")]
-        assert "Decklander: vision is down" in texts
+        assert "Decklander: vision is down: gone" in texts
         assert "Decklander: guidance stands still" in texts
 
 
@@ -207,10 +215,14 @@ class Said:
         return True
 
 
+def component_of(health: Health, clock: SteppedClock) -> Component:
+    outputs = Outputs(OutputOptions(), 0.39, 0.5)
+    return Component(outputs, FakeOperator(), None, believe=lambda now: None, clock=clock, health=health)
+
+
 def ticked(health: Health, clock: SteppedClock, broken: str | None = None, error: BaseException | None = None) -> Said:
     """Ten seconds of ticks with guidance deciding, one thing that it says broken."""
-    options = ComponentOptions(0.39, 0.5)
-    component = Component(options, FakeOperator(), None, healthy=health.flight_fault, clock=clock, health=health)
+    component = component_of(health, clock)
     output = Said(clock)
     autopilot: Any = SimpleNamespace(links=output, add_listener=lambda listener: None, connected=False)
     component.attach(autopilot)
@@ -254,6 +266,17 @@ def test_whatever_else_it_says_may_fail_and_the_heartbeat_goes_on(health: Health
     output = ticked(health, SteppedClock(MonoNs(0)), broken, error)
     assert output.kinds["HEARTBEAT"] == FLOWN_S
     assert sum(health.contained.values()) + output.contained.total > 0
+
+
+def test_the_ground_station_learns_of_a_response_only_if_it_contradicts_its_file(health: Health) -> None:
+    component = component_of(health, SteppedClock())
+    known, later = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02), ResponseInUse(ResponseState.IDENTIFIED, 0.15, 0.012, 0.1)
+    slower = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02, shape=TiltShape(0.75, 0.9, 2.0, 0.05))
+    for response in (known, later, slower):
+        component.on_decision(Decision(MonoNs(7), "descend", None, None, response=response))
+    texts = [text for _, text in component.texts._waiting if "answers" in text]
+    assert texts == [f"Decklander: {later.text}", f"Decklander: {slower.text}"]
+    assert "this vehicle answers 25 % slower than its file (sigma 5 %), damped 10 % less; the vehicle's" in texts[1]
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ from companion.parts.mavlink.commands import (
     LandingProgress,
     Offered,
 )
+from companion.parts.mavlink.component import BURST, WAITING, MavSeverity, StatusTexts
 from companion.parts.mavlink.computer import Computer, ComputerReader, computer_status
-from companion.parts.mavlink.outputs import MavSeverity, StatusTexts
 from companion.parts.mavlink.parameters import NAMES, ParameterServer, Tunables
 from companion.settings.model import Settings
 from drivers.mavlink.codec import Codec
@@ -227,13 +227,13 @@ def said(messages: list[Message]) -> list[tuple[int, str]]:
 
 
 def test_texts_are_few_and_the_severe_ones_go_first() -> None:
-    texts = StatusTexts(rate_hz=1.0, burst=3, waiting=4)
-    for n in range(6):
+    texts = StatusTexts()
+    for n in range(WAITING + 2):
         texts.say(MavSeverity.INFO, f"news {n}", instant(0))
     texts.say(MavSeverity.CRITICAL, "gave up", instant(0))
     first = said(texts.due(instant(0)))
     assert first[0] == (2, "gave up")
-    assert len(first) == 3
+    assert len(first) == BURST
     assert texts.dropped == 3
     assert texts.due(instant(0.5)) == []
     assert len(texts.due(instant(1.6))) == 1

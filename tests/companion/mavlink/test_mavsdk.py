@@ -28,9 +28,7 @@ async def met() -> AsyncIterator[tuple[Stage, Any]]:
 
     port = free_port()
     async with (
-        staged(
-            MiniatureAutopilot(parameters={"PLND_LAG": 0.02}), f"udpout://{HOST}:{port}", operators="245", heartbeat_s=0.2
-        ) as stage,
+        staged(MiniatureAutopilot(parameters={"PLND_LAG": 0.02}), f"udpout://{HOST}:{port}", operators="245") as stage,
         mavsdk.Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as station,
     ):
         await station.add_any_connection(f"udpin://{HOST}:{port}")

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.parts.mavlink.outputs import landing_target
-from companion.parts.mavlink.target_track import TargetTrack, effective_lag_s, lag_locked, position_at
+from companion.parts.mavlink.outputs import TargetTrack, effective_lag_s, lag_locked, landing_target, position_at
 from drivers.mavlink.samples import LocalPosition
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
