@@ -9,9 +9,8 @@ from pathlib import Path
 from companion.cli.options import option, written
 from companion.recording.reading import open_recording
 from companion.tools.replay.recorded_log import log_of
-from companion.tools.report.animation import write_animation
 from companion.tools.report.page import render, render_comparison, write_page
-from companion.tools.report.video import film_of
+from companion.tools.report.video import film_of, write_animation
 
 DESCRIPTION = (
     "Write the report of a recorded flight as one HTML file: what the flight saw, decided and did then. With a "

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
+from companion.cli.record import Storage, storage, upload
 from companion.parts.recorder.storage_policy import Folder, digest_file
-from companion.parts.recorder.upload import Storage, storage, upload
 from companion.recording.container import MAGIC
 from tests.support.waiting import accepts, free_port, wait_until
 

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
-from companion.base.health import Health
+from companion.base.health import Health, HealthSnapshot
 from companion.base.http_server import HttpServer
 from companion.base.observer import ProcessedFrame
 from companion.base.worker import Worker
@@ -37,9 +38,9 @@ from companion.settings.settings_file import SettingsFile
 from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.camera_file import text
 from companion.tools.calibrate.guide import Guide, GuideState
-from companion.tools.doctor.live import Examination, LiveExaminer, TookOff
-from companion.tools.doctor.snapshot import Snapshot
+from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
 from drivers.mailbox import Latest
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
@@ -202,22 +203,39 @@ class CalibrationTool(Tool):
 
 
 IN_FLIGHT = "the vehicle flies: the setup is examined on the ground; health says what is wrong now"
+EXAMINATION_ENDED = "the vehicle took off, which ends the examination"
 _AGAIN_S = 5.0
 """A younger diagnosis is used again."""
+LISTENING_S = 4.0
+"""Time for which messages are counted."""
+_LOOKS_S = 0.1
 
 
 class DoctorTool(Tool):
-    """See the module's docstring.
+    """Examines the setup from inside the running service: over the links that it has open, on the ground alone.
+
+    The links of a service cannot be opened twice, and requests to the autopilot share them with the flight. An examination
+    therefore needs a vehicle that stands, and a take-off ends it at once.
 
     Args:
+        autopilot: returns the autopilot whose links are open; None while they are not.
         flying: whether the vehicle flies now.
     """
 
     kinds = (ExamineRequest,)
 
-    def __init__(self, examiner: LiveExaminer, clock: Clock, flying: Callable[[], bool]) -> None:
-        self._examiner = examiner
+    def __init__(
+        self,
+        settings: Settings,
+        health: Health,
+        clock: Clock,
+        autopilot: Callable[[], Autopilot | None],
+        flying: Callable[[], bool],
+    ) -> None:
+        self._settings = settings
+        self._health = health
         self._clock = clock
+        self._autopilot = autopilot
         self._flying = flying
         self._waiting: list[PageViewer] = []
         self._asked = asyncio.Event()
@@ -237,23 +255,46 @@ class DoctorTool(Tool):
     async def run(self) -> None:
         while True:
             await self._asked.wait()
-            try:
-                report = _report(await self._examiner.examine())
+            async with asyncio.TaskGroup() as group:
+                examining = group.create_task(self._examined())
+                while not examining.done() and not self._flying():
+                    await asyncio.wait([examining], timeout=_LOOKS_S)
+                examining.cancel()
+            report = ExaminedReport(text=EXAMINATION_ENDED) if examining.cancelled() else examining.result()
+            if not examining.cancelled():
                 self._newest = self._clock.now(), report
-            except TookOff as why:
-                report = ExaminedReport(text=str(why))
             self._asked.clear()
             waiting, self._waiting = self._waiting, []
             for viewer in waiting:
                 viewer.tell(report)
 
+    async def _examined(self) -> ExaminedReport:
+        """Examine the setup, which takes some seconds."""
+        snapshot = Snapshot(0.0)
+        autopilot, vehicle = self._autopilot(), self._settings.vehicle
+        if autopilot is not None and isinstance(vehicle, AutopilotOptions):
+            from companion.tools.doctor.gather import examine_open
 
-def _report(found: Examination) -> ExaminedReport:
-    counted = f"{len(found.findings)} of {found.known}" if found.findings else f"none of {found.known}"
+            snapshot = await examine_open(autopilot, vehicle.system_id, self._clock, LISTENING_S)
+        elif isinstance(vehicle, AutopilotOptions):
+            part = self._health.snapshot().parts.get("vehicle")
+            why = "" if part is None else part.last_error
+            snapshot = Snapshot(0.0, (LinkSnapshot(vehicle.links, down=why or "is not open yet"),))
+        with closing(Worker("doctor")) as worker:
+            return await worker.run(_report, snapshot, self._settings, self._health.snapshot())
+
+
+def _report(snapshot: Snapshot, settings: Settings, health: HealthSnapshot) -> ExaminedReport:
+    # The dialect is large, and a service without an autopilot does not need it before the first request.
+    from companion.tools.doctor.diagnose import RULES, diagnose
+    from companion.tools.doctor.gather_service import running_service
+
+    findings = diagnose(structs.replace(snapshot, service=running_service(settings, health)))
+    counted = f"{len(findings)} of {len(RULES)}" if findings else f"none of {len(RULES)}"
     return ExaminedReport(
-        text=f"{counted} known faults found. {_about(found.snapshot)}",
+        text=f"{counted} known faults found. {_about(snapshot)}",
         findings=tuple(
-            PageFinding(rule=one.rule, severity=one.severity.name.lower(), what=one.what, fix=one.fix) for one in found.findings
+            PageFinding(rule=one.rule, severity=one.severity.name.lower(), what=one.what, fix=one.fix) for one in findings
         ),
     )
 
@@ -297,7 +338,7 @@ def make_page(
     file = None if settings_file is None else SettingsFile(settings_file)
     folder, counts = Path(settings.recorder.folder), Counter[str]()
     tools = (
-        DoctorTool(LiveExaminer(settings, health, clock, autopilot, in_flight), clock, in_flight),
+        DoctorTool(settings, health, clock, autopilot, in_flight),
         SettingsTool(settings, file, in_flight, armed),
         CalibrationTool(pilot, clock, file, in_flight, armed),
         Recordings(server, folder, clock, in_flight, counts),

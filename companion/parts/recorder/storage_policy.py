@@ -35,7 +35,7 @@ class Folder:
     max_total_mb: float
     min_free_mb: float
     delete: Literal["oldest", "uploaded"] = "oldest"
-    """The files that are removed: the oldest, or the oldest of those that were uploaded (`companion.parts.recorder.upload`)."""
+    """The files that are removed: the oldest, or the oldest of those that were uploaded (`decklander record upload`)."""
     not_removed: int = 0
     """The number of times that a surplus file could not be removed."""
     _next: int = 1

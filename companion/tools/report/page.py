@@ -16,11 +16,11 @@ from companion.recording.palette import FLIGHTS
 from companion.tools.report import page_parts, plots
 from companion.tools.report.figures import all_series, error_rows, innovation_series, timing_rows
 from companion.tools.report.flight_log import FlightLog
-from companion.tools.report.page_data import Mark, PadTrack, PageFlight, events, marks, page_data, page_flight, tracks
+from companion.tools.report.page_data import Mark, PadTrack, events, marks, page_data, page_flight, tracks
 from companion.tools.report.plots import Layer, Plot, Section, steering_path
 from companion.tools.report.video import FilmFile, film_of
 from estimator.contracts.errors import BadInput, fault_of
-from estimator.contracts.time import seconds_between
+from estimator.contracts.time import MonoNs, seconds_between
 
 PAGE = "index.html"
 
@@ -150,44 +150,38 @@ def _ended(log: FlightLog) -> str:
 LETTERS = ("A", "B")
 
 
-def landing_began_s(log: FlightLog) -> float:
-    """Return when the drone first flew to the pad that it saw, s since the log's start; 0 where the mission does not say."""
-    for change in log.transitions:
-        if change.target in (State.INTERCEPT, State.DESCEND):
-            return seconds_between(log.started, change.at)
-    return 0.0
+def landing_began(log: FlightLog) -> MonoNs:
+    """Return when the drone first flew to the pad that it saw; the log's start where the mission does not say."""
+    flown = (change.at for change in log.transitions if change.target in (State.INTERCEPT, State.DESCEND))
+    return next(flown, log.started)
 
 
-def render_comparison(logs: Sequence[FlightLog], films: Sequence[FilmFile | None]) -> str:
+def render_comparison(recorded: Sequence[FlightLog], films: Sequence[FilmFile | None]) -> str:
     """Return the page of two flights. The pad that is drawn is the first flight's."""
+    logs = [replace(log, started=landing_began(log)) for log in recorded]
     sections = _merged([_sections(log, k) for k, log in enumerate(logs)])
-    shifts = [landing_began_s(log) for log in logs]
     flights, happened, ways, marked = [], [], list[PadTrack](), list[Mark]()
     for k, (log, film) in enumerate(zip(logs, films, strict=True)):
         began = None if film is None else film.began
-        flight = page_flight(log, f"{LETTERS[k]}: {log.title}", FLIGHTS[k], began)
-        flights.append(_shifted(flight, shifts[k]))
-        happened.append([replace(event, t_s=event.t_s - shifts[k]) for event in events(log)])
+        flights.append(page_flight(log, f"{LETTERS[k]}: {log.title}", FLIGHTS[k], began))
+        happened.append(events(log))
         found = [way for way in tracks(log, all_series(log)) if way.name == steering_path(log)]
-        ways += [replace(way, name=LETTERS[k], colour=FLIGHTS[k], t_s=way.t_s - shifts[k]) for way in found]
+        ways += [replace(way, name=LETTERS[k], colour=FLIGHTS[k]) for way in found]
         marked += marks(log, FLIGHTS[k], LETTERS[k])
-    spans = [[t - shift for t in span_of(log)] for log, shift in zip(logs, shifts, strict=True)]
+    spans = [span_of(log) for log in logs]
     span = (min(low for low, _ in spans), max(high for _, high in spans))
     data, columns = page_data(flights, sections, logs[0].pad, ways, marked, span)
     numbers = page_parts.numbered(sections)
     title = " and ".join(flight.label for flight in flights)
     body = [
         page_parts.header(title, _each_ended(logs), all(map(good, logs)), []),
-        _outcomes(logs, shifts),
+        _outcomes(logs),
         '<p class="note">Times count from the instant at which the drone first flew to the pad that it saw.</p>',
         f'<div class="flight pair">{page_parts.films(flights, films)}{page_parts.beside(flights, happened)}</div>',
         page_parts.transport(),
         page_parts.help_line(),
         "<section><h2>Touchdown and trajectory</h2>",
-        *(
-            f"<h3>{escape(flight.label)}</h3>{page_parts.contacts(log, shift)}"
-            for flight, log, shift in _triples(flights, logs, shifts)
-        ),
+        *(f"<h3>{escape(flight.label)}</h3>{page_parts.contacts(log)}" for flight, log in zip(flights, logs, strict=True)),
         page_parts.views("the pad to scale, the ways of both drones, and their contacts"),
         _pads(logs),
         "</section>",
@@ -202,17 +196,10 @@ def _each_ended(logs: Sequence[FlightLog]) -> str:
     return ", ".join(f"{letter} {log.outcome}" for letter, log in zip(LETTERS, logs, strict=True))
 
 
-def _triples(
-    flights: Sequence[PageFlight], logs: Sequence[FlightLog], shifts: Sequence[float]
-) -> Iterator[tuple[PageFlight, FlightLog, float]]:
-    return zip(flights, logs, shifts, strict=True)
-
-
 def _sections(log: FlightLog, k: int) -> list[Section]:
     """Return the sections of one flight with what is compared: the path that steered, truth, and single quantities."""
     series, found = all_series(log), innovation_series(log)
-    path, shift = steering_path(log), landing_began_s(log)
-    commands = plots.commands(log)
+    path, commands = steering_path(log), plots.commands(log)
     commands.plots[:] = [
         replace(plot, title=f"{plot.title} {layer.name}".replace("turn turn", "turn"), layers=[layer])
         for plot in commands.plots
@@ -224,9 +211,9 @@ def _sections(log: FlightLog, k: int) -> list[Section]:
     for section in sections:
         kept = []
         for plot in section.plots:
-            layers = [_of_flight(layer, k, shift) for layer in plot.layers if layer.name in alike]
+            layers = [_of_flight(layer, k) for layer in plot.layers if layer.name in alike]
             if "minus truth" not in plot.title and not any(layer.style != "band" for layer in layers):
-                layers = [_of_flight(layer, k, shift) for layer in plot.layers if layer.name == "truth"]
+                layers = [_of_flight(layer, k) for layer in plot.layers if layer.name == "truth"]
             if layers:
                 title = plot.title.replace(f", {path} minus truth", ": estimate minus truth")
                 kept.append(replace(plot, title=title, layers=layers))
@@ -234,10 +221,10 @@ def _sections(log: FlightLog, k: int) -> list[Section]:
     return sections
 
 
-def _of_flight(layer: Layer, k: int, shift: float) -> Layer:
+def _of_flight(layer: Layer, k: int) -> Layer:
     """Return a layer in the colour of its flight; two components of one plot stay apart by the name."""
     name = LETTERS[k] if layer.name not in ("north", "east") else f"{LETTERS[k]} {layer.name}"
-    return replace(layer, name=name, colour=FLIGHTS[k], wide=False, fits=layer.style != "band", t_s=layer.t_s - shift, shown=True)
+    return replace(layer, name=name, colour=FLIGHTS[k], wide=False, fits=layer.style != "band", shown=True)
 
 
 def _merged(both: Sequence[list[Section]]) -> list[Section]:
@@ -254,22 +241,10 @@ def _merged(both: Sequence[list[Section]]) -> list[Section]:
     return out
 
 
-def _shifted(flight: PageFlight, by_s: float) -> PageFlight:
-    video = None if flight.video_from_s is None else flight.video_from_s - by_s
-    return PageFlight(
-        flight.label,
-        flight.colour,
-        video,
-        [(t - by_s, text) for t, text in flight.phases],
-        [(name, unit, digits, t - by_s, y) for name, unit, digits, t, y in flight.figures],
-        [(name, [(t - by_s, text) for t, text in events]) for name, events in flight.kinds],
-    )
-
-
-def _outcomes(logs: Sequence[FlightLog], shifts: Sequence[float]) -> str:
+def _outcomes(logs: Sequence[FlightLog]) -> str:
     """Return the table of what became of both, and by how much they differ."""
     rows = []
-    numbers = [dict(_figures(log, shift)) for log, shift in zip(logs, shifts, strict=True)]
+    numbers = [dict(_figures(log)) for log in logs]
     rows.append(["outcome", *(f"<b>{escape(log.outcome)}</b>" for log in logs), "-"])
     for name in numbers[0] | numbers[1]:
         values = [found.get(name, math.nan) for found in numbers]
@@ -291,7 +266,7 @@ def _digits(values: Sequence[float]) -> int:
     return max(0, min(4, 2 - math.floor(math.log10(largest))))
 
 
-def _figures(log: FlightLog, shift: float) -> Iterator[tuple[str, float]]:
+def _figures(log: FlightLog) -> Iterator[tuple[str, float]]:
     """Yield names with their units, and numbers."""
     t = log.touchdown
     if t is not None:
@@ -299,7 +274,7 @@ def _figures(log: FlightLog, shift: float) -> Iterator[tuple[str, float]]:
         yield "vertical speed at touchdown, m/s", t.vertical_speed_m_s
         yield "lateral speed at touchdown, m/s", t.lateral_speed_m_s
         yield "heading at touchdown, °", math.degrees(t.yaw_rad)
-        yield "touchdown after the landing began, s", seconds_between(log.started, t.at) - shift
+        yield "touchdown after the landing began, s", seconds_between(log.started, t.at)
     yield "contacts", float(len(log.contacts))
     yield "go-arounds", float(sum(change.target is State.GO_AROUND for change in log.transitions))
     total = sum(log.verdicts.values())

@@ -223,13 +223,13 @@ _FEW = 20
 """Hundredths are no statistic below this many samples."""
 
 
-def contacts(log: FlightLog, zero_s: float = 0.0) -> str:
-    """Return every contact: when, with what, where and how fast; times count from `zero_s` after the log's start."""
+def contacts(log: FlightLog) -> str:
+    """Return every contact: when, with what, where and how fast."""
     if not log.contacts:
         return '<p class="note">No touchdown was recorded.</p>'
     rows = []
     for k, c in enumerate(log.contacts, 1):
-        after_s = seconds_between(log.started, c.at) - zero_s
+        after_s = seconds_between(log.started, c.at)
         where = f'<button type="button" data-t="{after_s:.3f}">{after_s:.2f} s</button>'
         along, starboard = (length(x) for x in c.p_pad_m)
         surface = c.surface or ("pad" if c.on_pad else "not the pad")

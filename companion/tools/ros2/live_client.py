@@ -4,7 +4,6 @@ Protocol: github.com/foxglove/ws-protocol, docs/spec.md, version 1.
 """
 
 import asyncio
-import struct
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Annotated
 
@@ -12,15 +11,13 @@ import aiohttp
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.recording.foxglove_protocol import SUBPROTOCOLS
+from companion.recording.foxglove_protocol import MESSAGE, MESSAGE_DATA, SUBPROTOCOLS
 from estimator.contracts.errors import BadInput
 
 _AGAIN_S = 1.0
 _ALIVE_S = 4.0
 _BYTES_MAX = 1 << 24
 _CHANNELS_MAX = 1000
-_DATA = struct.Struct("<BIQ")
-_MESSAGE_DATA = 1
 
 
 class _Channel(Struct, frozen=True):
@@ -97,10 +94,10 @@ class LiveClient:
                 asked = list(self._asked(message.data, topics))
                 if asked:
                     await socket.send_str(_subscribe.encode({"op": "subscribe", "subscriptions": asked}).decode())
-            elif message.type is aiohttp.WSMsgType.BINARY and len(message.data) > _DATA.size:
-                kind, number, at_ns = _DATA.unpack_from(message.data)
-                if kind == _MESSAGE_DATA and number in topics:
-                    yield topics[number], at_ns, message.data[_DATA.size :]
+            elif message.type is aiohttp.WSMsgType.BINARY and len(message.data) > MESSAGE.size:
+                kind, number, at_ns = MESSAGE.unpack_from(message.data)
+                if kind == MESSAGE_DATA and number in topics:
+                    yield topics[number], at_ns, message.data[MESSAGE.size :]
 
     def _asked(self, text: str, topics: dict[int, str]) -> Iterator[dict[str, int]]:
         """Yield the subscriptions that a text of the server leads to; a subscription has the number of its channel."""

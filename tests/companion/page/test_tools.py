@@ -17,13 +17,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from companion.parts.page import make
 from companion.parts.page.access import own_names, refused_origin
 from companion.parts.page.settings_tool import check, line_of, masked, unmasked
 from companion.parts.page.state import picture_lines
 from companion.settings.links import HttpSettings
 from companion.settings.load import camera_model, load, pad_model
 from companion.settings.settings_file import SettingsFile
-from companion.tools.doctor import live, rules_values
+from companion.tools.doctor import rules_values
 from companion.tools.doctor.diagnose import PARAMETERS
 from companion.tools.report.overlay import camera_lean
 from drivers.clock import SystemClock
@@ -69,7 +70,7 @@ def reads_of(fake: MiniatureAutopilot) -> int:
 
 
 async def test_findings_come_from_the_open_links_and_only_on_the_ground(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live, "LISTENING_S", 0.5)
+    monkeypatch.setattr(make, "LISTENING_S", 0.5)
     fake = MiniatureAutopilot(parameters=with_fault())
     async with (
         flown_by(fake) as autopilot,
@@ -105,7 +106,7 @@ async def test_a_take_off_ends_an_examination(tmp_path: Path) -> None:
         await browser.send(kind="examine")
         assert (await browser.read("examined"))["busy"]
         service.flying = True
-        assert (await browser.read("examined"))["text"] == live.TOOK_OFF
+        assert (await browser.read("examined"))["text"] == make.EXAMINATION_ENDED
         assert autopilot.parameters is not None
         assert autopilot.parameters.settled, "nothing more is asked"
         assert autopilot._listeners == []

@@ -14,7 +14,7 @@ from companion.base.observer import Decision
 from companion.cli import main as cli
 from companion.facts.records import TruthRecord
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.tools.ros2 import bag
+from companion.tools.ros2 import bags
 from companion.tools.ros2.messages import RosMessages, typestore
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Imu, Range
@@ -169,7 +169,7 @@ def test_images_are_those_of_the_recording_and_a_video_is_decoded(flight_file: P
     assert messages["/camera/image_raw/compressed"][0][1].format == "bgr8; jpeg compressed bgr8"
     filmed = tmp_path / "video.mcap"
     record_to(filmed, seconds=0.4, frames="h264")
-    bag.export(open_recording([filmed]), tmp_path / "bag")
+    bags.export(open_recording([filmed]), tmp_path / "bag")
     images = read(tmp_path / "bag")["/camera/image_raw/compressed"]
     first = cv2.imdecode(images[0][1].data, cv2.IMREAD_COLOR)
     exact = cv2.imdecode(np.frombuffer(bytes(frames[0].image), np.uint8), cv2.IMREAD_COLOR)
@@ -192,7 +192,7 @@ def test_what_does_not_change_is_kept_for_late_subscribers(exported: Path) -> No
 def test_a_torn_recording_is_exported_as_far_as_it_goes(flight_file: Path, tmp_path: Path, messages: Bag) -> None:
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(flight_file.read_bytes()[:-20_000])
-    counts = bag.export(open_recording([torn]), tmp_path / "bag")
+    counts = bags.export(open_recording([torn]), tmp_path / "bag")
     assert 0 < counts["/imu/data_raw"] <= len(messages["/imu/data_raw"])
     assert {topic: len(found) for topic, found in read(tmp_path / "bag").items()} == counts
 
@@ -209,7 +209,7 @@ def test_nothing_is_overwritten_and_a_bag_that_failed_leaves_nothing(flight_file
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(bag._Bag, "close", full)
+    monkeypatch.setattr(bags._Bag, "close", full)
     assert cli.main([*command, str(tmp_path / "new")]) == 2
     assert "No space left on device" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()

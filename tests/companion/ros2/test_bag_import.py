@@ -8,7 +8,7 @@ import pytest
 
 from companion.cli import main as cli
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.tools.ros2 import bag_import
+from companion.tools.ros2 import bags
 from drivers.imports.kinds import FileKind, kind_of
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range
@@ -74,7 +74,7 @@ def test_a_bag_of_ros_1_is_read_in_our_axes(tmp_path: Path) -> None:
     path = path.rename(tmp_path / "no-ending")
     reported: list[str] = []
     assert kind_of(path) is FileKind.ROS_BAG
-    found = list(bag_import.read(path, reported.append))
+    found = list(bags.read(path, reported.append))
     imus = [one for one in found if isinstance(one, Imu)]
     assert len(imus) == 199, "the first was measured before the bag began"
     assert {tuple(one.w_body) for one in imus} == {(0.1, -0.2, -0.3)}, "of one IMU alone"
@@ -92,7 +92,7 @@ def test_a_bag_of_ros_1_is_read_in_our_axes(tmp_path: Path) -> None:
 def test_headers_of_another_clock_are_reported_and_not_accepted(tmp_path: Path) -> None:
     write_ros1(tmp_path / "a.bag", late_s=400.0)
     reported: list[str] = []
-    found = list(bag_import.read(tmp_path / "a.bag", reported.append))
+    found = list(bags.read(tmp_path / "a.bag", reported.append))
     assert all(one.stamp.measured_at == one.stamp.received_at for one in found)
     assert any("another clock" in text for text in reported)
 
@@ -123,7 +123,7 @@ def test_our_own_bag_comes_back_as_it_was(tmp_path: Path) -> None:
 def test_a_damaged_bag_is_refused_or_reported(n: int, tmp_path: Path) -> None:
     path = tmp_path / "a.bag"
     write_ros1(path, seconds=1)
-    whole = list(bag_import.read(path, lambda text: None))
+    whole = list(bags.read(path, lambda text: None))
     rng, data = np.random.default_rng(n), bytearray(path.read_bytes())
     at = int(rng.integers(13, len(data) - 300))
     data[at : at + 200] = b"" if n % 3 == 0 else rng.bytes(200) if n % 3 == 1 else b"\xff" * 200
@@ -131,7 +131,7 @@ def test_a_damaged_bag_is_refused_or_reported(n: int, tmp_path: Path) -> None:
     reported: list[str] = []
     found: list[object] = []
     try:
-        found = list(bag_import.read(path, reported.append))
+        found = list(bags.read(path, reported.append))
     except BadInput as why:
         reported.append(str(why))
     assert reported or len(found) == len(whole)
