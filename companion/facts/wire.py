@@ -1,11 +1,13 @@
 """The messages of the service's local socket: one JSON object a line, requests in, answers and states out. No I/O."""
 
+from collections import deque
 from typing import Annotated, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
 
 from companion.base.orders import OperatorOrder, StickPositions
+from estimator.contracts.time import MonoNs, seconds_between
 
 T = TypeVar("T")
 LINE_MAX = 1024
@@ -87,6 +89,23 @@ def read(decoder: msgspec.json.Decoder[T], data: bytes | str) -> T | str:
         return decoder.decode(data)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as why:
         return str(why)[:200]
+
+
+class RequestRate:
+    """The requests of one peer, which a service bounds.
+
+    Args:
+        most: the most that are allowed in a second.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._recent: deque[MonoNs] = deque(maxlen=most)
+
+    def exceeded(self, now: MonoNs) -> bool:
+        """Take note of a request; return whether there were more than are allowed in the last second."""
+        exceeded = len(self._recent) == self._recent.maxlen and seconds_between(self._recent[0], now) < 1.0
+        self._recent.append(now)
+        return exceeded
 
 
 def request_of(line: bytes) -> Request | str:

@@ -19,8 +19,8 @@ SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 TEXT_MAX = 65_536
 """The longest text of a client, bytes: a subscription to every channel has a twentieth of it."""
 INFO, WARNING, ERROR = 0, 1, 2
-_MESSAGE = struct.Struct("<BIQ")
-_MESSAGE_DATA = 1
+MESSAGE = struct.Struct("<BIQ")
+MESSAGE_DATA = 1
 Id = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 _IDS_MAX = 1000
 CHANNELS: dict[int, str] = dict(enumerate(TOPICS, 1))
@@ -80,7 +80,7 @@ def status(level: int, message: str) -> str:
 
 def message_data(subscription: int, at_ns: int, payload: bytes) -> bytes:
     """Return one message of a channel, with the client's own number for it and its time on the viewer's axis, ns."""
-    return _MESSAGE.pack(_MESSAGE_DATA, subscription, at_ns) + payload
+    return MESSAGE.pack(MESSAGE_DATA, subscription, at_ns) + payload
 
 
 def _text(**fields: object) -> str:

@@ -7,9 +7,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from companion.settings.files import refuse_special
-from companion.settings.load import SHIPPED
-from estimator.contracts.errors import BadInput, in_words, unusable
+from companion.settings.load import SHIPPED, read_text
+from estimator.contracts.errors import BadInput, in_words
 
 BEFORE = ".before"
 """Suffix of the backup of the previous settings file."""
@@ -27,14 +26,8 @@ class SettingsFile:
         Raises:
             BadInput: it cannot be read, or is not UTF-8.
         """
-        refuse_special(self.path, str(self.path))
-        try:
-            content = self.path.read_bytes()
-            return content.decode(), _revision(content)
-        except OSError as why:
-            raise unusable(str(self.path), why) from why
-        except UnicodeDecodeError as why:
-            raise BadInput(f"{self.path}: not UTF-8 text (byte {why.start})") from why
+        text = read_text(self.path)
+        return text, _revision(text.encode())
 
     def refusal(self) -> str:
         """Return why it cannot be saved here; empty if it can, as far as this shows before."""

@@ -20,6 +20,7 @@ from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.base.worker import Worker
 from companion.facts import encode
+from companion.facts.wire import RequestRate
 from companion.guidance.pilot import Pilot
 from companion.recording import channels
 from companion.recording import foxglove_protocol as protocol
@@ -175,7 +176,7 @@ class LiveViewer:
         self._waiting: deque[str | bytes] = deque()
         self._waiting_bytes = 0
         self._ready = asyncio.Event()
-        self._recent: deque[MonoNs] = deque(maxlen=_REQUESTS_EACH_S)
+        self._rate = RequestRate(_REQUESTS_EACH_S)
         self._refusals = 0
 
     @property
@@ -227,9 +228,7 @@ class LiveViewer:
 
     async def _read(self) -> None:
         async for message in self._socket:
-            now = self._served.clock.now()
-            flood = len(self._recent) == self._recent.maxlen and seconds_between(self._recent[0], now) < 1.0
-            self._recent.append(now)
+            flood = self._rate.exceeded(self._served.clock.now())
             refused = self._take(message.data) if message.type is WSMsgType.TEXT else "publishing is not offered"
             if flood:
                 refused = f"more than {_REQUESTS_EACH_S} requests in a second"

@@ -10,7 +10,7 @@ import os
 import secrets
 import time
 import uuid
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -23,6 +23,7 @@ from companion.base.health import Health
 from companion.base.observer import Decision, ProcessedFrame
 from companion.base.orders import HandledOrder, OrderSender, OrderSource
 from companion.base.version import version
+from companion.facts.wire import RequestRate
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.mqtt import encode as encoding
@@ -270,17 +271,15 @@ class MqttPart:
 
     async def _take_publications(self, connection: Connection) -> None:
         most = self._settings.commands_max_hz
-        recent: dict[bool, deque[MonoNs]] = {False: deque(maxlen=most), True: deque(maxlen=most)}
+        rates = {False: RequestRate(most), True: RequestRate(most)}
         async for publication in connection.publications():
             now, of_ship = self._clock.now(), publication.topic == self._topics.of("vessel")
             if publication.topic == self._topics.of("status"):
                 self._hear_status(publication, now)
                 continue
-            before = recent[of_ship]
-            if len(before) == most and seconds_between(before[0], now) < 1.0:
+            if rates[of_ship].exceeded(now):
                 self._counts["floods"] += 1
                 raise Recoverable(f"flooded: more than {most} {'reports of the ship' if of_ship else 'commands'} a second")
-            before.append(now)
             if not of_ship and self._settings.commands != "off":
                 await self._take(connection, publication, now)
             elif of_ship and self._ship is not None:

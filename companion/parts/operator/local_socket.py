@@ -10,7 +10,7 @@ import os
 import socket
 import stat
 import struct
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from companion.base.orders import OrderSender, OrderSource
 from companion.facts.wire import (
     LINE_MAX,
     OrderRequest,
+    RequestRate,
     RequestRefused,
     SticksRequest,
     WatchRequest,
@@ -31,7 +32,6 @@ from companion.parts.operator.client import answers
 from estimator.contracts.errors import Recoverable, unusable
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
-from estimator.contracts.time import MonoNs, seconds_between
 
 log = logging.getLogger(__name__)
 
@@ -116,7 +116,7 @@ class _Connection(asyncio.Protocol):
         self._served = served
         self._transport: asyncio.Transport | None = None
         self._buffer = b""
-        self._recent: deque[MonoNs] = deque(maxlen=_REQUESTS_EACH_S)
+        self._rate = RequestRate(_REQUESTS_EACH_S)
         self._sender = OrderSender(OrderSource.TERMINAL)
         self.watches = False
 
@@ -159,10 +159,9 @@ class _Connection(asyncio.Protocol):
 
     def _take(self, line: bytes) -> None:
         now = self._served.clock.now()
-        if len(self._recent) == self._recent.maxlen and seconds_between(self._recent[0], now) < 1.0:
+        if self._rate.exceeded(now):
             self._refuse(f"more than {_REQUESTS_EACH_S} requests in a second")
             return
-        self._recent.append(now)
         request = request_of(line) if len(line) <= LINE_MAX else f"a line has at most {LINE_MAX} bytes"
         match request:
             case OrderRequest():

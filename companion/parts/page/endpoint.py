@@ -24,7 +24,7 @@ from companion.base.observer import Decision, DeckOutlook, NullObserver, Process
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.worker import Worker
 from companion.facts import encode as facts
-from companion.facts.wire import OrderRequest, RequestRefused, SticksRequest
+from companion.facts.wire import OrderRequest, SticksRequest
 from companion.guidance.advice import advice
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import FlightWatch, PilotOperator
@@ -45,10 +45,9 @@ from companion.parts.page.messages import (
     PictureRequest,
     picture_message,
     request_in,
-    text_of,
 )
 from companion.parts.page.state import AHEAD_S, HORIZONS_S, jpeg, page_health, picture_lines, video_quality
-from companion.parts.page.viewer import PageViewer, Tool
+from companion.parts.page.viewer import PageViewer, Tool, refuse
 from companion.recording.frame_encoder import FrameEncoder, codec_name
 from companion.tools.report.overlay import camera_lean
 from drivers.mailbox import Latest
@@ -200,7 +199,7 @@ class PageEndpoint(NullObserver):
         if not await self._knows_token(socket):
             return socket
         if self._server.full:
-            await _refuse(socket, FULL_CODE, f"{self._server.viewers} watch already, and there may be no more")
+            await refuse(socket, FULL_CODE, f"{self._server.viewers} watch already, and there may be no more")
             return socket
         with self._server.watched_by(request):
             name = f"{self._server.counts['opened']} ({request.remote or 'unknown'})"
@@ -214,7 +213,7 @@ class PageEndpoint(NullObserver):
             async with asyncio.timeout(_LOGIN_S):
                 message = await socket.receive()
         except TimeoutError:
-            await _refuse(socket, WRONG_TOKEN_CODE, f"no token within {_LOGIN_S:g} s")
+            await refuse(socket, WRONG_TOKEN_CODE, f"no token within {_LOGIN_S:g} s")
             return False
         request = request_in(message.data) if message.type is WSMsgType.TEXT else ""
         if socket.closed:
@@ -222,7 +221,7 @@ class PageEndpoint(NullObserver):
         if self._server.knows(request.token if isinstance(request, LoginRequest) else ""):
             return True
         await asyncio.sleep(_WRONG_TOKEN_S)
-        await _refuse(socket, WRONG_TOKEN_CODE, "the token is wrong")
+        await refuse(socket, WRONG_TOKEN_CODE, "the token is wrong")
         return False
 
     async def _serve(self, viewer: PageViewer) -> None:
@@ -332,12 +331,3 @@ def _messages(
         header = PictureHeader(number=number, verdict=processed.verdict.value, codec=codec, lines=lines)
         messages[encoder] = picture_message(header, image)
     return messages
-
-
-async def _refuse(socket: web.WebSocketResponse, code: int, why: str) -> None:
-    """Say why a connection is refused, and close it."""
-    try:
-        await socket.send_str(text_of(RequestRefused(text=why)))
-        await socket.close(code=code, message=why.encode()[:120])
-    except ConnectionError:
-        pass

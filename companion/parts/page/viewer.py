@@ -5,20 +5,22 @@ replaces one that is not sent yet.
 """
 
 import asyncio
-from collections import Counter, deque
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
 
 from aiohttp import WSMsgType, web
 
 from companion.base.observer import ProcessedFrame
 from companion.base.orders import OrderSender
-from companion.facts.wire import RequestRefused
+from companion.facts.wire import RequestRate, RequestRefused
 from companion.parts.page.messages import PageRequest, PageState, ToolRequest, ToPage, request_in, text_of
 from companion.recording.frame_encoder import FrameEncoder
 from drivers.mailbox import Latest, Line
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
+T = TypeVar("T")
 REFUSED_CODE = 4400
 """Close code of a message that is no request, or of too many."""
 _REQUESTS_EACH_S = 100
@@ -47,7 +49,7 @@ class PageViewer:
         self._texts: Line[str] = Line(_TEXTS)
         self._flying: dict[int, MonoNs] = {}
         """The exposure of each picture that is on its way, by its number."""
-        self._recent: deque[MonoNs] = deque(maxlen=_REQUESTS_EACH_S)
+        self._rate = RequestRate(_REQUESTS_EACH_S)
         self.encoder: FrameEncoder | None = None
         """Makes H.264 for this browser alone, which may skip pictures that others get; None while it gets JPEG."""
         self.picture_delay_s: float | None = None
@@ -92,7 +94,12 @@ class PageViewer:
         """
         try:
             async with asyncio.TaskGroup() as group:
-                sending = [group.create_task(send()) for send in (self._send_states, self._send_texts, self._send_pictures)]
+                socket = self._socket
+                sending = [
+                    group.create_task(_send(self._states, socket.send_str)),
+                    group.create_task(_send(self._texts, socket.send_str)),
+                    group.create_task(_send(self._pictures, socket.send_bytes)),
+                ]
                 await self._read(take)
                 for task in sending:
                     task.cancel()
@@ -102,25 +109,12 @@ class PageViewer:
     async def close(self, code: int, why: str) -> None:
         """Close the connection and say why."""
         if not self._socket.closed:
-            await self._socket.send_str(text_of(RequestRefused(text=why)))
-            await self._socket.close(code=code, message=why.encode()[:120])
-
-    async def _send_states(self) -> None:
-        async for text in self._states:
-            await self._socket.send_str(text)
-
-    async def _send_texts(self) -> None:
-        async for text in self._texts:
-            await self._socket.send_str(text)
-
-    async def _send_pictures(self) -> None:
-        async for message in self._pictures:
-            await self._socket.send_bytes(message)
+            await refuse(self._socket, code, why)
 
     async def _read(self, take: Callable[[PageRequest], str | None]) -> None:
         async for message in self._socket:
             request = request_in(message.data) if message.type is WSMsgType.TEXT else "a request is a text"
-            if self._floods():
+            if self._rate.exceeded(self._clock.now()):
                 request = f"more than {_REQUESTS_EACH_S} requests in a second"
             refused = request if isinstance(request, str) else take(request)
             if refused is not None:
@@ -128,11 +122,19 @@ class PageViewer:
                 await self.close(REFUSED_CODE, refused)
                 return
 
-    def _floods(self) -> bool:
-        now = self._clock.now()
-        floods = len(self._recent) == self._recent.maxlen and seconds_between(self._recent[0], now) < 1.0
-        self._recent.append(now)
-        return floods
+
+async def _send(queue: Latest[T] | Line[T], send: Callable[[T], Awaitable[None]]) -> None:
+    async for message in queue:
+        await send(message)
+
+
+async def refuse(socket: web.WebSocketResponse, code: int, why: str) -> None:
+    """Say why a connection is closed, and close it."""
+    try:
+        await socket.send_str(text_of(RequestRefused(text=why)))
+        await socket.close(code=code, message=why.encode()[:120])
+    except ConnectionError:
+        pass
 
 
 class Tool:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from companion.tools.doctor.diagnose import PARAMETERS, diagnose
+from companion.tools.doctor.diagnose import LOG_RULES, PARAMETERS, diagnose
+from companion.tools.doctor.diagnose import RULES as ALL_RULES
 from companion.tools.doctor.firmware_parameters import RENAMED, defaults_of, differing, names_in
 from companion.tools.doctor.gather import examine_log
 from companion.tools.doctor.rules_values import RULES, ValueRule
@@ -17,7 +18,7 @@ from estimator.contracts.ports import Clock
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
-from tests.companion.doctor.test_rules import ARDUPILOT, GOOD, PX4
+from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, PX4
 from tests.support.flight_logs import copter_log, px4_log
 
 DATA = {
@@ -62,6 +63,13 @@ def test_a_log_of_a_broken_one_names_the_same(stack: str, tmp_path: Path) -> Non
         log = copter_log(tmp_path / "x.bin", values) if stack == "ArduPilot" else px4_log(tmp_path / "x.ulg", values, {})
         found = diagnose(replace(examine_log(log), ship_speed_m_s=one.get("ship_speed_m_s")))
         assert sorted(f.rule for f in found) == sorted(one["rules"]), name
+
+
+def test_every_rule_has_a_broken_set_up() -> None:
+    snapshots = [broken for _, broken, _ in BROKEN.values()]
+    snapshots += [set_up(stack, "defaults", **one["set"]) for stack, data in DATA.items() for one in data["broken"].values()]
+    fired = {rule for rule in ALL_RULES for snapshot in snapshots if rule(snapshot) is not None}
+    assert fired >= set(ALL_RULES) - {*RULES, *LOG_RULES}, "those have tests of their own"
 
 
 def in_32_bits(value: float) -> float:

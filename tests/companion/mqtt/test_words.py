@@ -83,15 +83,6 @@ def test_an_answer_names_the_command_and_goes_where_it_is_wanted() -> None:
     assert command_handler().take(command(), NOW, reply_to="home/lights").reply.reason == "reply_elsewhere"
 
 
-def test_a_repeated_command_gets_the_first_answer_even_after_it_expired() -> None:
-    at = command_handler()
-    first = at.take(command(command="abort"), NOW)
-    again = at.take(command(command="abort"), MonoNs(NOW + 10**10))
-    assert first.reply.accepted
-    assert (again.reply, again.repeated) == (first.reply, True)
-    assert at.operated.done == ["abort"]  # type: ignore[attr-defined]
-
-
 @given(
     st.binary(max_size=80)
     | st.text(max_size=80).map(str.encode)
