@@ -28,15 +28,7 @@ os.environ.setdefault("MAVLINK_DIALECT", "common")
 os.environ.setdefault("MAVLINK20", "1")
 from pymavlink import DFReader
 
-from drivers.imports.log_history import (
-    RATIO_LIMIT,
-    VIBRATION_LIMIT_M_S2,
-    AutopilotLog,
-    ExcessMeter,
-    LandingMeter,
-    LoggedMoment,
-    LogHistory,
-)
+from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment
 from drivers.imports.stamps import Tell, attitude, in_level, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
@@ -354,24 +346,16 @@ def read_history(path: Path, tell: Tell = quiet) -> AutopilotLog:
     return reader.log()
 
 
-class _HistoryReader:
+class _HistoryReader(HistoryMeter):
     def __init__(self) -> None:
+        super().__init__("ArduPilot")
         self.parameters: dict[str, float] = {}
         self._defaults: dict[str, float] = {}
         self._texts: list[str] = []
         self._text_times_s: list[float] = []
         self._vehicle: str | None = None
         self._firmware: tuple[int, int, int] | None = None
-        self._now_s = 0.0
-        self._armed: bool | None = None
-        self._failsafes: list[LoggedMoment] = []
-        self._ratios = {name: ExcessMeter(RATIO_LIMIT) for name in _RATIOS}
-        self._vibration = ExcessMeter(VIBRATION_LIMIT_M_S2["ArduPilot"])
-        self._clips: dict[str, float] = {}
-        self._clipped = 0
-        self._landings = LandingMeter()
         self._acquired = False
-        self._targets_lost = 0
         self.makers: dict[str, Callable[[Any], None]] = {
             "PARM": self._parameter, "MSG": self._text, "EV": self._event, "ERR": self._error, "VIBE": self._vibe,
             "PL": self._target, **dict.fromkeys(_ESTIMATORS, self._estimator),
@@ -383,7 +367,7 @@ class _HistoryReader:
         Parameters and texts are taken with any stamp.
         """
         if at_ns is not None:
-            self._now_s = max(self._now_s, 1e-9 * at_ns)
+            self.now_s = max(self.now_s, 1e-9 * at_ns)
         elif lost and message.get_type() not in ("PARM", "MSG"):
             return
         try:
@@ -393,19 +377,9 @@ class _HistoryReader:
 
     def log(self) -> AutopilotLog:
         """Return all that was taken."""
-        found = {name: meter.excess for name, meter in self._ratios.items()}
-        history = LogHistory(
-            round(self._now_s, 2),
-            tuple(self._failsafes),
-            {name: excess for name, excess in found.items() if excess is not None},
-            self._vibration.excess,
-            self._clipped,
-            self._landings.landings(self._now_s),
-            self._targets_lost,
-        )
         return AutopilotLog(
-            "ArduPilot", self._vehicle, self._firmware, dict(sorted(self.parameters.items())), tuple(self._texts), (), history,
-            tuple(self._text_times_s), self._defaults,
+            "ArduPilot", self._vehicle, self._firmware, dict(sorted(self.parameters.items())), tuple(self._texts), (),
+            self.history(self.now_s), tuple(self._text_times_s), self._defaults,
         )  # fmt: skip
 
     def _parameter(self, m: Any) -> None:
@@ -423,46 +397,41 @@ class _HistoryReader:
             self._firmware = (int(found[2]), int(found[3]), int(found[4] or 0))
         if len(self._texts) < _TEXTS_MAX:
             self._texts.append(text)
-            self._text_times_s.append(round(self._now_s, 2))
+            self._text_times_s.append(round(self.now_s, 2))
 
     def _event(self, m: Any) -> None:
         if m.Id == _ARMED:
-            self._armed = True
+            self.armed = True
         elif m.Id == _DISARMED:
-            self._armed = False
-            self._landings.disarmed(self._now_s)
+            self.armed = False
+            self.landings.disarmed(self.now_s)
         elif m.Id == _LAND_COMPLETE:
-            self._landings.landed(self._now_s)
+            self.landings.landed(self.now_s)
         elif m.Id == _NOT_LANDED:
-            self._landings.flying(self._now_s)
+            self.landings.flying(self.now_s)
 
     def _error(self, m: Any) -> None:
         named = _ERRORS.get(int(m.Subsys))
         what = named.get(int(m.ECode)) if isinstance(named, dict) else named if int(m.ECode) else None
         if what is not None:
-            self._failsafes.append(LoggedMoment(round(self._now_s, 2), what))
+            self.failsafes.append(LoggedMoment(round(self.now_s, 2), what))
 
     def _estimator(self, m: Any) -> None:
         core = getattr(m, "C", 0)
-        if self._armed is False or core != getattr(m, "PI", core if core == 0 else -1):
+        if core != getattr(m, "PI", core if core == 0 else -1):
             return
         for name, fields in _RATIOS.items():
-            self._ratios[name].add(max(float(getattr(m, field, 0.0)) for field in fields), self._now_s)
+            self.ratio(name, max(float(getattr(m, field, 0.0)) for field in fields))
 
     def _vibe(self, m: Any) -> None:
-        first = getattr(m, "IMU", 0) == 0
-        if self._armed is not False and first:
-            self._vibration.add(max(float(m.VibeX), float(m.VibeY), float(m.VibeZ)), self._now_s)
-        if hasattr(m, "Clip"):
-            counters = {str(getattr(m, "IMU", 0)): float(m.Clip)}
-        else:
-            counters = {str(n): float(getattr(m, f"Clip{n}")) for n in range(3)}
-        for name, count in counters.items():
-            if self._armed is not False:
-                self._clipped += max(0, round(count - self._clips.get(name, count)))
-            self._clips[name] = count
+        imu = getattr(m, "IMU", 0)
+        if imu == 0:
+            self.vibration(max(float(m.VibeX), float(m.VibeY), float(m.VibeZ)))
+        fields = {str(imu): "Clip"} if hasattr(m, "Clip") else {str(n): f"Clip{n}" for n in range(3)}
+        for name, count in {name: float(getattr(m, field)) for name, field in fields.items()}.items():
+            self.clips(name, count)
 
     def _target(self, m: Any) -> None:
         acquired = bool(m.TAcq)
-        self._targets_lost += self._acquired and not acquired and self._armed is not False
+        self.targets_lost += self._acquired and not acquired and self.armed is not False
         self._acquired = acquired

@@ -160,6 +160,50 @@ class LandingMeter:
         self._detected_s, self._lost, self._armed_since_s, self._lost_at_s = [], 0, None, None
 
 
+class HistoryMeter:
+    """Makes the history of a log from its events and readings in order of time; readings of an unarmed vehicle are left out.
+
+    Args:
+        stack: the autopilot, a key of `VIBRATION_LIMIT_M_S2`.
+    """
+
+    def __init__(self, stack: str) -> None:
+        self.now_s = 0.0
+        """Time of the next event since the log began, seconds."""
+        self.armed: bool | None = None
+        """None while the log does not report it, which counts as armed."""
+        self.failsafes: list[LoggedMoment] = []
+        self.landings = LandingMeter()
+        self.clipped = self.targets_lost = 0
+        self._ratios: dict[str, ExcessMeter] = {}
+        self._vibration = ExcessMeter(VIBRATION_LIMIT_M_S2[stack])
+        self._clips: dict[str, float] = {}
+
+    def ratio(self, of: str, value: float) -> None:
+        """Take a test ratio of the estimator."""
+        if self.armed is not False:
+            self._ratios.setdefault(of, ExcessMeter(RATIO_LIMIT)).add(value, self.now_s)
+
+    def vibration(self, value_m_s2: float) -> None:
+        """Take a reading of the vibration."""
+        if self.armed is not False:
+            self._vibration.add(value_m_s2, self.now_s)
+
+    def clips(self, counter: str, count: float) -> None:
+        """Take a counter of clipped accelerometer readings, by its name."""
+        if self.armed is not False:
+            self.clipped += max(0, round(count - self._clips.get(counter, count)))
+        self._clips[counter] = count
+
+    def history(self, end_s: float, dropouts_s: float = 0.0) -> LogHistory:
+        """Return the history of a log that ended at this time, and lost so much."""
+        ratios = {of: excess for of, meter in self._ratios.items() if (excess := meter.excess) is not None}
+        return LogHistory(
+            round(end_s, 2), tuple(self.failsafes), ratios, self._vibration.excess, self.clipped,
+            self.landings.landings(end_s), self.targets_lost, round(dropouts_s, 2),
+        )  # fmt: skip
+
+
 _PX4_NAMES = re.compile(r"MAV_SYS_ID|(COM|MPC|EKF2|CAL|SENS|NAV|LNDMC|RTL|CBRK|MC|IMU)_")
 _OF_TABLE = re.compile(r"(\d+)\t(\d+)\t")
 _DECIMAL_COMMA = re.compile(r"[A-Z]\w*[\s,=]+-?\d+,\d+\s*(?:#|$)")

@@ -7,7 +7,7 @@ import contextlib
 import io
 import math
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,17 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from pyulog import ULog
 
-from drivers.imports.log_history import (
-    RATIO_LIMIT,
-    VIBRATION_LIMIT_M_S2,
-    AutopilotLog,
-    Excess,
-    ExcessMeter,
-    LandingMeter,
-    LoggedLanding,
-    LoggedMoment,
-    LogHistory,
-)
+from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment, LogHistory
 from drivers.imports.stamps import Tell, attitude, in_level, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
@@ -343,123 +333,91 @@ def _history(log: Any, topics: dict[str, Topic]) -> LogHistory:
     if instants:
         end_us = max(int(at[-1]) for at in instants)
         begin_us = begin_us or min(int(at[0]) for at in instants)
-    end_s = max(end_us - begin_us, 0) * 1e-6
-    status = topics.get("vehicle_status")
-    armed = _Armed(status)
-    clipped, vibration = _imu_excess(topics, begin_us, armed)
-    return LogHistory(
-        round(end_s, 2),
-        _failsafes(log, status, topics.get("failsafe_flags"), begin_us),
-        _ratios(topics.get("estimator_status"), begin_us, armed),
-        vibration,
-        clipped,
-        _landings(topics.get("vehicle_land_detected"), status, begin_us, end_s),
-        0,
-        round(sum(int(d.duration) for d in log.dropouts) * 1e-3, 2),
-    )
+    reader = _HistoryReader(begin_us, topics.keys())
+    # Of one instant, the armed state comes first.
+    order = {name: n for n, name in enumerate(reader.makers) if name in topics}
+    for at_us, n, i in sorted((int(at), n, i) for name, n in order.items() for i, at in enumerate(topics[name]["timestamp"])):
+        name = list(reader.makers)[n]
+        reader.take(name, at_us, {field: values[i] for field, values in topics[name].items()})
+    reader.failsafes += [LoggedMoment(reader.since_s(at_us), reader.reason(log, at_us)) for at_us in reader.failsafes_us]
+    return reader.history(max(end_us - begin_us, 0) * 1e-6, sum(int(d.duration) for d in log.dropouts) * 1e-3)
 
 
-class _Armed:
-    """Armed state of the vehicle at an instant; armed if the log has no such state."""
+class _HistoryReader(HistoryMeter):
+    """Reads rows of topics in order of time.
 
-    def __init__(self, status: Topic | None) -> None:
-        self._at = None if status is None else np.asarray(status["timestamp"], dtype=np.int64)
-        self._armed = None if status is None else np.asarray(status["arming_state"]) == _ARMED
+    Args:
+        begin_us: timestamp of the log's beginning.
+        topics: names of the topics that the log holds; without `vehicle_status` the vehicle counts as armed.
+    """
 
-    def at(self, at_us: int) -> bool:
-        if self._at is None or self._armed is None:
-            return True
-        i = int(np.searchsorted(self._at, at_us, side="right")) - 1
-        return i >= 0 and bool(self._armed[i])
+    def __init__(self, begin_us: int, topics: Set[str]) -> None:
+        super().__init__("PX4")
+        self._begin_us = begin_us
+        self.armed = False if "vehicle_status" in topics else None
+        self.failsafes_us: list[int] = []
+        self._failsafe = False
+        self._flags: dict[str, bool] = {}
+        self._rose_us: dict[str, list[int]] = {name: [] for name in _REASONS}
+        self._landed: bool | None = None
+        self.makers: dict[str, Callable[[Any, int], None]] = {
+            "vehicle_status": self._status, "failsafe_flags": self._failsafe_flags, "estimator_status": self._estimator,
+            "vehicle_imu_status": self._imu_status, "vehicle_land_detected": self._land_detected,
+        }  # fmt: skip
+        if "vehicle_imu_status" not in topics:
+            self.makers["sensor_combined"] = self._combined
 
+    def since_s(self, at_us: int) -> float:
+        """Return the time of a timestamp since the log began, s."""
+        return round((at_us - self._begin_us) * 1e-6, 2)
 
-def _rises(data: Topic, name: str) -> list[int]:
-    """Return the indices at which a flag rose."""
-    values = np.asarray(data[name]).astype(bool)
-    return [int(i) for i in np.flatnonzero(values & ~np.concatenate(([False], values[:-1])))]
+    def take(self, name: str, at_us: int, row: Mapping[str, Any]) -> None:
+        """Take one row of a topic."""
+        self.now_s = (at_us - self._begin_us) * 1e-6
+        self.makers[name](row, at_us)
 
+    def reason(self, log: Any, at_us: int) -> str:
+        """Return what a failsafe that began then is: by the flags that rose with it, or by a text of that second."""
+        begin, end = at_us - round(_WITH_S * 1e6), at_us + 200_000
+        found = [reason for name, reason in _REASONS.items() if any(begin <= rose <= end for rose in self._rose_us[name])]
+        if found:
+            return f"failsafe: {', '.join(dict.fromkeys(found))}"
+        near = [str(m.message) for m in log.logged_messages if abs(int(m.timestamp) - at_us) < 1e6]
+        return next((text.strip() for text in near if "failsafe" in text.lower()), "failsafe")
 
-def _failsafes(log: Any, status: Topic | None, flags: Topic | None, begin_us: int) -> tuple[LoggedMoment, ...]:
-    if status is None or "failsafe" not in status:
-        return ()
-    out = []
-    for i in _rises(status, "failsafe"):
-        at_us = int(status["timestamp"][i])
-        printed = [
-            str(m.message)
-            for m in log.logged_messages
-            if abs(int(m.timestamp) - at_us) < 1e6 and "failsafe" in str(m.message).lower()
-        ]
-        why = _reasons(flags, at_us)
-        what = f"failsafe: {', '.join(why)}" if why else printed[0].strip() if printed else "failsafe"
-        out.append(LoggedMoment(round((at_us - begin_us) * 1e-6, 2), what))
-    return tuple(out)
+    def _status(self, row: Mapping[str, Any], at_us: int) -> None:
+        armed = bool(row["arming_state"] == _ARMED)
+        if self.armed and not armed:
+            self.landings.disarmed(self.now_s)
+        failsafe = bool(row.get("failsafe", False))
+        if failsafe and not self._failsafe:
+            self.failsafes_us.append(at_us)
+        self.armed, self._failsafe = armed, failsafe
 
+    def _failsafe_flags(self, row: Mapping[str, Any], at_us: int) -> None:
+        flags = {name: bool(row[name]) for name in _REASONS if name in row}
+        for name, flag in flags.items():
+            if flag and not self._flags.get(name, True):
+                self._rose_us[name].append(at_us)
+        self._flags = flags
 
-def _reasons(flags: Topic | None, at_us: int) -> list[str]:
-    if flags is None:
-        return []
-    begin = at_us - round(_WITH_S * 1e6)
-    found = []
-    for name, reason in _REASONS.items():
-        if name in flags and any(begin <= int(flags["timestamp"][i]) <= at_us + 200_000 for i in _rises(flags, name) if i > 0):
-            found.append(reason)
-    return list(dict.fromkeys(found))
+    def _estimator(self, row: Mapping[str, Any], at_us: int) -> None:
+        for field, name in _RATIOS.items():
+            if field in row:
+                self.ratio(name, float(row[field]))
 
+    def _imu_status(self, row: Mapping[str, Any], at_us: int) -> None:
+        for axis in range(3):
+            if (name := f"accel_clipping[{axis}]") in row:
+                self.clips(name, int(row[name]))
+        if "accel_vibration_metric" in row:
+            self.vibration(float(row["accel_vibration_metric"]))
 
-def _ratios(estimator: Topic | None, begin_us: int, armed: _Armed) -> dict[str, Excess]:
-    out = {}
-    for field, name in _RATIOS.items():
-        if estimator is None or field not in estimator:
-            continue
-        meter = ExcessMeter(RATIO_LIMIT)
-        for at_us, value in zip(estimator["timestamp"], estimator[field], strict=True):
-            if armed.at(int(at_us)):
-                meter.add(float(value), (int(at_us) - begin_us) * 1e-6)
-        if (excess := meter.excess) is not None:
-            out[name] = excess
-    return out
+    def _combined(self, row: Mapping[str, Any], at_us: int) -> None:
+        self.clipped += bool(row.get("accelerometer_clipping", False)) and self.armed is not False
 
-
-def _imu_excess(topics: dict[str, Topic], begin_us: int, armed: _Armed) -> tuple[int, Excess | None]:
-    """Return the number of clipped accelerometer readings, and the vibration."""
-    imu, clipped = topics.get("vehicle_imu_status"), 0
-    meter = ExcessMeter(VIBRATION_LIMIT_M_S2["PX4"])
-    if imu is not None:
-        flown = np.array([armed.at(int(t)) for t in imu["timestamp"]], dtype=bool)
-        for k in range(3):
-            if (name := f"accel_clipping[{k}]") in imu:
-                steps = np.diff(np.asarray(imu[name], dtype=np.int64), prepend=int(imu[name][0]))
-                clipped += int(np.clip(steps, 0, None)[flown].sum())
-        for at_us, value in zip(imu["timestamp"], imu.get("accel_vibration_metric", ()), strict=False):
-            if armed.at(int(at_us)):
-                meter.add(float(value), (int(at_us) - begin_us) * 1e-6)
-        return clipped, meter.excess
-    combined = topics.get("sensor_combined")
-    if combined is not None and "accelerometer_clipping" in combined:
-        at = np.flatnonzero(np.asarray(combined["accelerometer_clipping"]))
-        clipped = sum(armed.at(int(combined["timestamp"][i])) for i in at)
-    return clipped, meter.excess
-
-
-def _landings(detected: Topic | None, status: Topic | None, begin_us: int, end_s: float) -> tuple[LoggedLanding, ...]:
-    if detected is None:
-        return ()
-    happened = [
-        (int(t), "landed" if landed else "flying") for t, landed in zip(detected["timestamp"], detected["landed"], strict=True)
-    ]
-    if status is not None:
-        states = zip(status["timestamp"], status["arming_state"], strict=True)
-        happened += [(int(t), "armed" if state == _ARMED else "disarmed") for t, state in states]
-    meter, was = LandingMeter(), ""
-    was_armed = False
-    for at_us, what in sorted(happened):
-        at_s = (at_us - begin_us) * 1e-6
-        if what in ("armed", "disarmed"):
-            if was_armed and what == "disarmed":
-                meter.disarmed(at_s)
-            was_armed = what == "armed"
-        elif what != was:
-            (meter.landed if what == "landed" else meter.flying)(at_s)
-            was = what
-    return meter.landings(end_s)
+    def _land_detected(self, row: Mapping[str, Any], at_us: int) -> None:
+        landed = bool(row["landed"])
+        if landed is not self._landed:
+            (self.landings.landed if landed else self.landings.flying)(self.now_s)
+        self._landed = landed
