@@ -75,8 +75,6 @@ class CommandArbiter:
         self._watch = LandingWatch()
         self._report: tuple[Navdata, MonoNs] | None = None
         """The newest report, and when it was received."""
-        self.hovers = 0
-        """Number of datagrams in which hover replaced an expired command."""
 
     @property
     def latest(self) -> TimedCommand | None:
@@ -115,7 +113,6 @@ class CommandArbiter:
             return []
         if self.fresh(now):
             return latest.commands()
-        self.hovers += 1
         report = self._reported(now, FRESH_S)
         # Behind a person's landing or EMERGENCY no take-off bit is sent and nothing climbs: each goes on, whatever dies.
         ends = latest.ref is not None and not latest.ref & REF_TAKE_OFF and not latest.landing

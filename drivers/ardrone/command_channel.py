@@ -23,7 +23,7 @@ from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.sender_lock import mark
-from drivers.ardrone.sender_wire import BUSY, LINE_MAX, SenderOptions, SenderOrder, SenderStatus, as_text, pack, status_of
+from drivers.ardrone.sender_wire import BUSY, LINE_MAX, SenderOptions, SenderOrder, as_text, pack
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, after, seconds_between
@@ -51,8 +51,7 @@ class SenderClient:
     """One running sender process.
 
     Args:
-        on_status: is called with the status before and the new one.
-        hovered: is called whenever hover was sent to the drone directly, because the sender is silent, gone or not up yet.
+        on_up: is called when the sender has reported for the first time that it runs.
         program: the process, and the socket to it; see `start`.
     """
 
@@ -60,19 +59,15 @@ class SenderClient:
         self,
         options: SenderOptions,
         clock: Clock,
-        on_status: Callable[[SenderStatus, SenderStatus], None],
-        hovered: Callable[[], None],
+        on_up: Callable[[], None],
         program: tuple[subprocess.Popen[bytes], socket.socket],
     ) -> None:
         self._o = options
         self._clock = clock
-        self._on_status = on_status
-        self._status = SenderStatus()
-        self._hovered = hovered
+        self._on_up = on_up
         self._silent_s = max(_SILENT_S, _SILENT_PERIODS * options.period_s)
         self._received_at: MonoNs | None = None
         self._began = clock.now()
-        self._buffer = b""
         self._latest: TimedCommand | None = None
         self._closed = self._busy = False
         self._process, self._socket = program
@@ -80,13 +75,7 @@ class SenderClient:
         asyncio.get_running_loop().add_reader(self._socket.fileno(), self._read)
 
     @classmethod
-    async def start(
-        cls,
-        options: SenderOptions,
-        clock: Clock,
-        on_status: Callable[[SenderStatus, SenderStatus], None],
-        hovered: Callable[[], None] = lambda: None,
-    ) -> Self:
+    async def start(cls, options: SenderOptions, clock: Clock, on_up: Callable[[], None]) -> Self:
         """Start a sender on a thread, because a new process may wait for a processor, and return the client.
 
         Raises:
@@ -95,7 +84,7 @@ class SenderClient:
         _LEFT[:] = [left for left in _LEFT if left.poll() is None]
         starting = asyncio.get_running_loop().run_in_executor(None, _spawn, options)
         try:
-            return cls(options, clock, on_status, hovered, await asyncio.shield(starting))
+            return cls(options, clock, on_up, await asyncio.shield(starting))
         except asyncio.CancelledError:
             starting.add_done_callback(_abandon)
             raise
@@ -200,15 +189,12 @@ class SenderClient:
         if not output:
             self._lose("the sender of AT commands is gone")
             return
-        self._received_at = self._clock.now()
-        *lines, self._buffer = (self._buffer + output).split(b"\n")
-        if BUSY in lines:
+        first, self._received_at = self._received_at is None, self._clock.now()
+        if BUSY in output:
             self._busy = True
             self._lose("another service, which is alive, flies this drone")
-            return
-        for line in lines:
-            before, self._status = self._status, status_of(line)
-            self._on_status(before, self._status)
+        elif first:
+            self._on_up()
 
     def _lose(self, why: str) -> None:
         """Make sure that an unreliable sender is gone, and let the drone hover until there is another."""
@@ -233,7 +219,6 @@ class SenderClient:
         Sequence number 1 makes the drone accept this datagram. It also accepts those of a sender that was only slow and continues
         with its own numbers, which are higher. A landing that the firmware began meanwhile is called off.
         """
-        self._hovered()
         newest = self._latest
         stays_up = newest is not None and newest.ref == STAY_UP
         commands = replace(newest, sticks=HOVER, ref=STAY_UP if stays_up else None).commands() if newest else [HOVER]
@@ -329,7 +314,7 @@ class CommandChannel:
             Recoverable: one of the two happened; the next run has a new sender, or a new socket with this host's present address.
         """
         if self._sender is None:
-            self._sender = await SenderClient.start(self._options(), self._clock, self._on_status, self._hovered)
+            self._sender = await SenderClient.start(self._options(), self._clock, self._on_up)
             self._counters.at_senders += 1
         else:
             self._sender.reopen()
@@ -374,17 +359,9 @@ class CommandChannel:
             self._mark.close()
             self._mark = None
 
-    def _on_status(self, before: SenderStatus, now: SenderStatus) -> None:
-        if self._mark is None and not before.datagrams:
-            self._mark = mark(self._options().marked)
+    def _on_up(self) -> None:
+        self._mark = self._mark or mark(self._options().marked)
         self._flew = True
-        self._counters.at_datagrams += now.datagrams - before.datagrams
-        self._counters.at_commands += max(0, now.sequence - before.sequence)
-        self._counters.at_errors += now.errors - before.errors
-        self._counters.at_late_hovers += now.late_hovers - before.late_hovers
-
-    def _hovered(self) -> None:
-        self._counters.at_hovers_past_sender += 1
 
     def _last_sign(self, opened: MonoNs) -> MonoNs:
         received_at = self._navdata.received_at

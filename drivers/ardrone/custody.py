@@ -22,7 +22,6 @@ from msgspec import Struct
 
 from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
 from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, Pcmd
-from drivers.ardrone.counters import Counters
 from drivers.ardrone.landing_watch import FRESH_S, ORDERED_ABOVE_M, SILENT_ABOVE_M, Cause, LandingWatch
 from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
@@ -151,9 +150,8 @@ def event_of(command: Command) -> CustodyEvent:
 class CustodyKeeper:
     """Follows who has the drone by commands, reports and time, and says what REF it is sent in each period."""
 
-    def __init__(self, options: ArDroneOptions, counters: Counters) -> None:
+    def __init__(self, options: ArDroneOptions) -> None:
         self._o = options
-        self._counters = counters
         self.state = Custody.UNHEARD
         self._since = MonoNs(0)
         """Time at which the state began, or was last ordered again."""
@@ -221,8 +219,6 @@ class CustodyKeeper:
         after = TABLE[self.state][event]
         if after is self.state:
             return
-        self._counters.take_offs_given_up += event is CustodyEvent.TOO_LONG
-        self._counters.landings_given_up += event is CustodyEvent.UNRENEWED
         self.state, self._since = after, now
 
     def _passes(self, now: MonoNs) -> None:
@@ -251,10 +247,7 @@ class CustodyKeeper:
         # Guidance that flies has an estimate and takes the drone further; without it the drone would only hover there.
         flies = self._steered is not None and seconds_between(self._steered, now) <= self._o.command_timeout_s
         low = self.state is Custody.CALLED_OFF or flies
-        if not self._watch.calls_off(now, ORDERED_ABOVE_M if low else SILENT_ABOVE_M):
-            return None
-        self._counters.landings_called_off += 1
-        return bits
+        return bits if self._watch.calls_off(now, ORDERED_ABOVE_M if low else SILENT_ABOVE_M) else None
 
     def _fresh(self, now: MonoNs) -> bool:
         """Return whether the newest report is evidence that the drone is still in the air."""
@@ -317,11 +310,10 @@ class CommandStreamer:
     is the table of `custody`.
     """
 
-    def __init__(self, options: ArDroneOptions, counters: Counters) -> None:
+    def __init__(self, options: ArDroneOptions) -> None:
         self._o = options
-        self._counters = counters
-        self._custody = CustodyKeeper(options, counters)
-        self._loop = VelocityLoop(options, counters)
+        self._custody = CustodyKeeper(options)
+        self._loop = VelocityLoop(options)
         self._motion: _Motion | None = None
         """The velocity or lean to fly; None to hover."""
         self._watchdog = False
@@ -349,7 +341,6 @@ class CommandStreamer:
 
     def command(self, now: MonoNs) -> TimedCommand:
         """Return the command of this period, with the instant at which it expires."""
-        self._counters.watchdog_resets += self._watchdog
         ref = self._custody.ref(now)
         sticks = self._sticks(now)
         # A velocity's lifetime counts from the guidance cycle that requested it, not from the period that repeats it.
@@ -371,6 +362,5 @@ class CommandStreamer:
             self._loop.feel_held(now)
             return self._loop.hover()
         if seconds_between(motion.asked_at, now) > self._o.command_timeout_s:
-            self._counters.hover_for_age += 1
             return self._loop.hover()
         return self._loop.fly(motion.wanted, now)

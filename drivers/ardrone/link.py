@@ -123,15 +123,10 @@ class VideoChannel(_Video):
         batch = self._parser.feed(data)
         if not (carried and not batch):
             self._began = now
-        self._counters.video_skipped_bytes = self._parser.skipped_bytes
-        self._counters.video_torn = self._parser.torn
-        self._counters.video_lost = self._parser.number_gaps
         if not batch:
             return
-        self._counters.video_units += len(batch)
         stamps = [self._stamp(unit, began if carried and i == 0 else now) for i, unit in enumerate(batch)]
         image = await asyncio.get_running_loop().run_in_executor(pool, self._decoder.newest, batch)
-        self._count()
         if image is None:
             return
         stamp = stamps[image.index]
@@ -141,13 +136,6 @@ class VideoChannel(_Video):
 
     def _stamp(self, unit: PaveFrame, received_at: MonoNs) -> Stamp:
         return self._map.stamp(unit.header.timestamp_ms * _MS, received_at)
-
-    def _count(self) -> None:
-        decoder, counters = self._decoder, self._counters
-        counters.frames_overtaken = decoder.overtaken
-        counters.frames_waiting = decoder.waiting
-        counters.frames_damaged = decoder.damaged
-        counters.frames_unsupported = decoder.unsupported
 
 
 class UvlcChannel(_Video):
@@ -182,8 +170,7 @@ class UvlcChannel(_Video):
 
         def received(datagram: bytes, received_at: MonoNs) -> None:
             self._counters.video_bytes += len(datagram)
-            self._counters.video_units += 1
-            self._counters.frames_overtaken += arrived.offer((datagram, received_at)) is not None
+            arrived.offer((datagram, received_at))
 
         with ThreadPoolExecutor(1, "ardrone-video") as pool:
             async with open_waiting(self._o.host, self._o.video_port, self._clock, received, at_once=True) as socket:
@@ -213,7 +200,6 @@ class UvlcChannel(_Video):
             self._refuse(px)
             return
         if not self._in_order(picture):
-            self._counters.frames_overtaken += 1
             return
         stamp = Stamp(after(received_at, -self._o.video_delay_s), received_at, self._sigma_s, "arrival")
         self._give(Frame(stamp, picture.number, px, self._o.exposure_s))
@@ -228,8 +214,6 @@ class UvlcChannel(_Video):
             ahead = (picture.number - self._newest) % _NUMBERS
             if ahead == 0 or _NUMBERS - ahead <= _LATE:
                 return False
-            if ahead <= _NUMBERS // 2:
-                self._counters.video_lost += ahead - 1
         self._newest = picture.number
         return True
 
@@ -252,7 +236,7 @@ class ArDrone:
         """The newest frame of the bottom camera."""
         self.down: dict[str, str] = {}
         """The channels that wait to be started again, each with the reason."""
-        self._streamer = CommandStreamer(options, self.counters)
+        self._streamer = CommandStreamer(options)
         self._navdata = NavdataChannel(options, clock, self.counters, self._received_at, self._restarted)
         self.samples: Line[Sample] = Line(sample_queue_items, self._navdata.take_waiting)
         self._commands = CommandChannel(options, clock, self.counters, self._streamer, self._navdata)

@@ -34,26 +34,24 @@ class NavdataOrder:
 
     def __init__(self) -> None:
         self._newest: int | None = None
-        self._expected: int | None = None
+        self._silent = False
 
-    def place(self, sequence: int) -> tuple[SequencePlace, int]:
-        """Return the place of a datagram that has arrived, and how many are missing just before it."""
-        newest, expected = self._newest, self._expected
-        place, missing = SequencePlace.NEXT, 0
+    def place(self, sequence: int) -> SequencePlace:
+        """Return the place of a datagram that has arrived."""
+        newest, silent = self._newest, self._silent
+        place = SequencePlace.NEXT
         if newest is not None and sequence < newest:
-            if sequence != 1 and expected is not None and newest - sequence < _REORDER:
-                return SequencePlace.OLD, 0
+            if sequence != 1 and not silent and newest - sequence < _REORDER:
+                return SequencePlace.OLD
             place = SequencePlace.RESTARTED
-        elif expected is not None:
-            if sequence < expected:
-                return SequencePlace.OLD, 0
-            missing = sequence - expected
-        self._newest, self._expected = sequence, sequence + 1
-        return place, missing
+        elif sequence == newest and not silent:
+            return SequencePlace.OLD
+        self._newest, self._silent = sequence, False
+        return place
 
     def silence(self) -> None:
-        """Count no gap to the datagram before: the stream was silent and has been requested again."""
-        self._expected = None
+        """Note that the stream was silent and has been requested again: nothing was overtaken by what comes next."""
+        self._silent = True
 
 
 OPENING = b"\x01\x00\x00\x00"
@@ -144,14 +142,11 @@ class NavdataChannel:
 
     def take(self, datagram: bytes, received_at: MonoNs) -> None:
         """Process one received datagram. Never raises on any bytes."""
-        self._counters.navdata_datagrams += 1
         navdata = decode(datagram)
         if isinstance(navdata, Refusal):
-            self._counters.refused(navdata)
+            self._counters.navdata_refused[navdata.value] += 1
             return
-        self._counters.navdata_options_skipped += len(navdata.skipped)
         if not self._in_order(navdata.sequence):
-            self._counters.navdata_out_of_order += 1
             return
         self.newest, self._received_at = navdata, received_at
         samples = self._sampler.samples(navdata, self._stamp(navdata, received_at)) if navdata.options else []
@@ -159,8 +154,7 @@ class NavdataChannel:
         self._received(navdata, samples, received_at)
 
     def _in_order(self, sequence: int) -> bool:
-        place, missing = self._order.place(sequence)
-        self._counters.navdata_lost += missing
+        place = self._order.place(sequence)
         if place is SequencePlace.RESTARTED:
             self._counters.navdata_restarts += 1
             self._map.reset()

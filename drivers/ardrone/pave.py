@@ -158,7 +158,7 @@ class PaveParser:
     """Takes the bytes of the stream as they arrive and returns the frames in order.
 
     Damage never raises and never costs the next whole frame: a header inside another frame's payload ends that frame, and after
-    a frame that is not followed by a header the search goes back into its tail. The attributes count these events.
+    a frame that is not followed by a header the search goes back into its tail.
     """
 
     def __init__(self) -> None:
@@ -171,13 +171,6 @@ class PaveParser:
         self._last: PaveHeader | None = None
         self._searched = 0
         """The offset up to which the unfinished frame was searched for a header inside it."""
-        self.frames = 0
-        self.skipped_bytes = 0
-        """The number of bytes that belonged to no returned frame."""
-        self.torn = 0
-        """The number of frames that were cut short by the header of the next."""
-        self.number_gaps = 0
-        """The number of frame numbers that never arrived."""
 
     @property
     def pending(self) -> int:
@@ -186,7 +179,6 @@ class PaveParser:
 
     def reset(self) -> None:
         """Discard the unfinished frame, because another connection begins; the next frame is marked as a discontinuity."""
-        self.skipped_bytes += self.pending
         self._data.clear()
         self._at = self._floor = self._searched = 0
         self._clean = False
@@ -230,12 +222,9 @@ class PaveParser:
             parts = last.frame_type == FrameType.HEADERS or last.total_chunks > 1 or last.total_slices > 1
             same_stream = header.stream_id == last.stream_id and header.codec == last.codec and not last.last_of_stream
             continuous = continuous and same_stream and (step == 1 or (step == 0 and parts))
-            if same_stream and 1 < step < 1 << 31:
-                self.number_gaps += step - 1
         if not header.advertisement:
             self._last = header
             self._clean = True
-        self.frames += 1
         return PaveFrame(header, payload, not continuous)
 
     def _overtaken(self, start: int, end: int) -> bool:
@@ -247,7 +236,6 @@ class PaveParser:
                 self._searched = at
                 return False
             if found is not None:
-                self.torn += 1
                 self._move(at)
                 return True
             at += 1
@@ -268,6 +256,5 @@ class PaveParser:
         return False
 
     def _move(self, at: int) -> None:
-        self.skipped_bytes += max(0, at - self._at)
         self._clean = False
         self._at = self._floor = self._searched = at

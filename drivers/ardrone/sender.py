@@ -25,13 +25,12 @@ from drivers.ardrone.sender_lock import claim, yield_to
 from drivers.ardrone.sender_wire import (
     BUSY,
     LINE_MAX,
+    UP,
     SenderOptions,
     SenderOrder,
-    SenderStatus,
     TextCommand,
     as_text,
     order_of,
-    pack,
 )
 from estimator.contracts.time import MonoNs
 
@@ -74,7 +73,6 @@ class Sender:
         self._in_force: int | None = None
         """The deadline of the command that was sent to the drone last; None if that was hover."""
         self._buffer = b""
-        self._datagrams = self._errors = 0
         self._refused: tuple[int, int] | None = None
         """The instants of the first and the newest refusal of a series; None if there is no series."""
         self._alone = False
@@ -132,7 +130,6 @@ class Sender:
             try:
                 order = order_of(line)
             except msgspec.DecodeError:
-                self._errors += 1
                 continue
             self._obey(order)
             if self._over:
@@ -183,17 +180,14 @@ class Sender:
             if self._at is None:
                 self._at = _connect(self._o.host, self._o.at_port)
             self._at.send(b"".join(parts))
-            self._datagrams += 1
         except ConnectionRefusedError:
-            self._errors += 1
             now = time.monotonic_ns()
             if self._refused is None or now - self._refused[1] > _ASK_AGAIN_S * _NS:
                 self._refused = (now, now)
             self._refused = (self._refused[0], now)
         except BlockingIOError:
-            self._errors += 1
+            return
         except OSError:
-            self._errors += 1
             if self._at is not None:
                 self._at.close()
             self._at = None
@@ -225,10 +219,9 @@ class Sender:
         if now - self._status_at < _STATUS_S * _NS or self._service is None:
             return
         self._status_at = now
-        status = SenderStatus(self._sequence, self._datagrams, self._errors, self._arbiter.hovers)
         # A service that does not read gets a later status; the next read shows whether it is gone.
         with suppress(OSError):
-            self._service.send(pack(status), socket.MSG_DONTWAIT)
+            self._service.send(UP + b"\n", socket.MSG_DONTWAIT)
 
     def _listen(self, now: int) -> None:
         """Receive navdata in this process, and request it again if it does not arrive."""

@@ -1,6 +1,6 @@
 """The protocol between a service and its sender: lines of JSON over a stream socket. No I/O.
 
-The service sends orders, the sender answers each command of a period with its status.
+The service sends orders, the sender answers each command of a period with `UP`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from drivers.ardrone.at import AtCommand, arguments
 from estimator.contracts.time import MonoNs
 
 LINE_MAX = 1 << 16
+UP = b"up"
+"""The line of a sender that runs."""
 BUSY = b"busy"
 """The line of a sender that ends at once, because another service, which is alive, flies this drone."""
 
@@ -49,17 +51,6 @@ class SenderOptions(Struct, frozen=True):
         return f"\0decklander-service/{os.getuid()}/{self.host}:{self.at_port}"
 
 
-class SenderStatus(Struct, frozen=True):
-    """The totals of a sender since it began."""
-
-    sequence: int = 0
-    """The sequence number of the newest command."""
-    datagrams: int = 0
-    errors: int = 0
-    late_hovers: int = 0
-    """Number of datagrams in which hover replaced an expired command."""
-
-
 class SenderOrder(Struct, frozen=True, omit_defaults=True):
     """One line of the service: at most one of the fields is set, `until` beside `commands`."""
 
@@ -84,12 +75,10 @@ def as_text(commands: Sequence[AtCommand]) -> tuple[TextCommand, ...]:
     return tuple((command.NAME, arguments(command)) for command in commands)
 
 
-def pack(line: SenderOrder | SenderStatus) -> bytes:
-    """Return a line as it is sent."""
-    return json.encode(line) + b"\n"
+def pack(order: SenderOrder) -> bytes:
+    """Return an order as it is sent."""
+    return json.encode(order) + b"\n"
 
 
 order_of = json.Decoder(SenderOrder).decode
 """Parse a line of the service; raises `msgspec.DecodeError`."""
-status_of = json.Decoder(SenderStatus).decode
-"""Parse a line of the sender; raises `msgspec.DecodeError`."""

@@ -106,7 +106,6 @@ class Setup:
     async def _set(self, command: Sequence[AtCommand], key: str) -> None:
         began = self._clock.now()
         await self._until(lambda state: not state & NavdataState.COMMAND_ACK, [Ctrl(CTRL_ACK)], began, key)
-        self._counters.config_sent += 1
         await self._until(lambda state: bool(state & NavdataState.COMMAND_ACK), command, began, key)
         await self._until(lambda state: not state & NavdataState.COMMAND_ACK, [Ctrl(CTRL_ACK)], began, key)
         self._counters.config_acknowledged += 1

@@ -25,7 +25,6 @@ from msgspec.structs import replace
 
 from drivers.ardrone.arbiter import HOVER
 from drivers.ardrone.at import PCMD_PROGRESSIVE, Pcmd
-from drivers.ardrone.counters import Counters
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
@@ -191,9 +190,8 @@ def _unit(x: float) -> float:
 class VelocityLoop:
     """Flies the newest velocity or tilt by the newest measurements, and remembers the tilt that holds against the wind."""
 
-    def __init__(self, options: ArDroneOptions, counters: Counters) -> None:
+    def __init__(self, options: ArDroneOptions) -> None:
         self._o = options
-        self._counters = counters
         self._velocity: BodyVelocity | None = None
         self._attitude: Attitude | None = None
         self._loop = self._mean = RESET
@@ -277,7 +275,6 @@ class VelocityLoop:
 
         The firmware's hover keeps the height, and a deck that rises comes up to it.
         """
-        self._counters.hover_for_blindness += 1
         climb = float(wanted.v_level[2])
         if climb >= 0.0:
             return self.hover()

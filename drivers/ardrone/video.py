@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.ardrone.pave import CODEC_H264, FrameType, PaveFrame
+from drivers.ardrone.pave import CODEC_H264, FrameType, PaveFrame, PaveHeader
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -56,72 +56,48 @@ class DecodedImage:
 
 
 class VideoDecoder:
-    """Takes access units and returns the newest frame. Every unit is counted by exactly one of the counters."""
+    """Takes access units and returns the newest frame."""
 
     def __init__(self) -> None:
         self._codec: AccessUnitDecoder | None = None
-        self.images = 0
-        """Units whose frame was returned."""
-        self.overtaken = 0
-        """Units in whose place a newer frame of the same batch was returned."""
-        self.waiting = 0
-        """Units dropped because there was no IDR since the start, a gap or damage."""
-        self.damaged = 0
-        """Units dropped because the decoder refused them or marked them corrupt, or their size is not that of their header."""
-        self.unsupported = 0
-        """Units dropped because they are not H.264, or a part of a frame."""
-        self.empty = 0
-        """Units that are announcements or parameter sets alone and hold no frame by design."""
-
-    @property
-    def units(self) -> int:
-        """The number of units that were given to the decoder."""
-        return self.images + self.overtaken + self.waiting + self.damaged + self.unsupported + self.empty
 
     def newest(self, batch: Sequence[PaveFrame]) -> DecodedImage | None:
         """Decode a batch in order and convert only its newest frame; units before the batch's last IDR are not even decoded."""
         start = max((i for i, f in enumerate(batch) if _entry(f)), default=0)
-        self.overtaken += start
         seen: tuple[int, VideoFrame] | None = None
         for index in range(start, len(batch)):
             image = self._decode(batch[index])
             if image is not None:
-                self.overtaken += seen is not None
                 seen = index, image
         if seen is None:
             return None
-        self.images += 1
         return DecodedImage(seen[0], np.asarray(seen[1].to_ndarray(format="bgr24"), dtype=np.uint8))
 
     def _decode(self, unit: PaveFrame) -> VideoFrame | None:
         header = unit.header
         if header.advertisement or not unit.payload:
-            self.empty += 1
             return None
-        if header.codec != CODEC_H264 or header.total_chunks > 1 or header.total_slices > 1:
-            self.unsupported += 1
-            self._codec = None
-            return None
-        if unit.discontinuity:
+        if unit.discontinuity or not _is_whole(header):
             self._codec = None
         if self._codec is None:
             if not _entry(unit):
-                self.waiting += 1
                 return None
             self._codec = AccessUnitDecoder()
         images = self._codec.decode(unit.payload)
         if not images and header.frame_type == FrameType.HEADERS:
-            self.empty += 1
             return None
         size = header.display_width, header.display_height
         if len(images) != 1 or images[0].is_corrupt or (images[0].width, images[0].height) != size:
-            self.damaged += 1
             self._codec = None
             return None
         return images[0]
 
 
+def _is_whole(header: PaveHeader) -> bool:
+    """Return whether a unit is H.264 and not a part of a frame."""
+    return header.codec == CODEC_H264 and header.total_chunks <= 1 and header.total_slices <= 1
+
+
 def _entry(unit: PaveFrame) -> bool:
     header = unit.header
-    whole = header.codec == CODEC_H264 and header.total_chunks <= 1 and header.total_slices <= 1
-    return header.frame_type == FrameType.IDR and whole and not header.advertisement and bool(unit.payload)
+    return header.frame_type == FrameType.IDR and _is_whole(header) and not header.advertisement and bool(unit.payload)

@@ -43,8 +43,6 @@ class TimeSync:
         """Answers too slow, impossible, or not asked for."""
         self.jumps = 0
         """The number of times that the remote clock was reset."""
-        self.jitter_s = 0.0
-        """Running deviation of the round trip."""
 
     @property
     def locked(self) -> bool:
@@ -100,9 +98,6 @@ class TimeSync:
             self.jumps += 1
             self._answers.clear()
         self._odd = 0
-        if self._answers:
-            change_s = abs(round_trip_ns - self._answers[-1].round_trip_ns) / NS_PER_S
-            self.jitter_s += (change_s - self.jitter_s) / 16.0
         self._answers.append(answer)
         while seconds_between(self._answers[0].received_at, received_at) > self._o.window_s:
             self._answers.popleft()

@@ -25,7 +25,6 @@ from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
-from drivers.ardrone.counters import Counters
 from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataOrder, SequencePlace
@@ -282,7 +281,7 @@ class Flight:
         now = self._clock.t
         self._pilot = pilot
         pilot.operator.on_order = self._on_order
-        self._streamer = CommandStreamer(self._options, Counters())
+        self._streamer = CommandStreamer(self._options)
         self._sampler = NavdataSampler(self._options)
         self._due_guidance = self._due_frame = self._due_command = now
         self._navdata_order = NavdataOrder()
@@ -318,7 +317,7 @@ class Flight:
         """Return the next datagram that has arrived, in order, and the instants of measuring and of arrival; None without one."""
         while (packet := self._navdata_under_way.arrived(now)) is not None:
             navdata, measured_at = packet[1]
-            if self._navdata_order.place(navdata.sequence)[0] is not SequencePlace.OLD:
+            if self._navdata_order.place(navdata.sequence) is not SequencePlace.OLD:
                 return navdata, measured_at, MonoNs(now + _NAVDATA_DELAY_NS)
         return None
 

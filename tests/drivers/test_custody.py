@@ -12,7 +12,6 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from drivers.ardrone.arbiter import STAY_UP
 from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, REF_TAKE_OFF
-from drivers.ardrone.counters import Counters
 from drivers.ardrone.custody import DEAD_OR_CUT, TABLE, Custody, CustodyEvent, CustodyKeeper, lines
 from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
@@ -101,7 +100,7 @@ class Flown(RuleBasedStateMachine):
 
     @initialize(flies=st.booleans())
     def begin(self, flies: bool) -> None:
-        self.drone, self.keeper = ToyDrone(flies=flies), CustodyKeeper(OPTIONS, Counters())
+        self.drone, self.keeper = ToyDrone(flies=flies), CustodyKeeper(OPTIONS)
         self.there, self.back = Wire(), Wire()
         self.k = 0
         self.cut = self.taking = self.others_toggled = False
@@ -221,7 +220,7 @@ def test_no_command_takes_a_landing_from_others() -> None:
 
 @pytest.mark.parametrize("lost", [0, 1, 2])
 def test_a_toggle_survives_lost_datagrams_and_is_one_toggle(lost: int) -> None:
-    drone, keeper = ToyDrone(flies=True), CustodyKeeper(OPTIONS, Counters())
+    drone, keeper = ToyDrone(flies=True), CustodyKeeper(OPTIONS)
     at = 10_000_000_000
     keeper.on_report(drone.report(), MonoNs(at))
     keeper.order(CutMotors(), MonoNs(at))
@@ -239,7 +238,7 @@ def test_a_toggle_survives_lost_datagrams_and_is_one_toggle(lost: int) -> None:
 
 def test_a_landing_that_guidance_began_is_taken_back_though_its_report_is_late() -> None:
     """WHY: a report from before the landing led back to flight, and the landing that followed counted as another's."""
-    drone, keeper = ToyDrone(flies=True), CustodyKeeper(OPTIONS, Counters())
+    drone, keeper = ToyDrone(flies=True), CustodyKeeper(OPTIONS)
     at = MonoNs(10_000_000_000)
     before = drone.report()
     keeper.on_report(before, at)

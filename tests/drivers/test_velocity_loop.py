@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.ardrone.counters import Counters
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import RESET, LoopState, Sticks, VelocityLoop, held, lean, step
 from estimator.contracts.commands import Lean, Velocity
@@ -152,7 +151,7 @@ def test_at_the_limit_the_tilt_against_the_wind_is_kept(trim_forward: float, tri
 
 
 def test_a_climb_without_a_service_leans_as_the_wind_asked_for_and_not_as_feet_on_a_deck_did() -> None:
-    loop, at = VelocityLoop(OPTIONS, Counters()), 0
+    loop, at = VelocityLoop(OPTIONS), 0
     for trim, cycles in (2.0, 100), (6.0, 5):
         for _ in range(cycles):
             at += 30_000_000
@@ -168,7 +167,7 @@ def test_a_drone_that_leans_far_against_its_order_turns_level_before_it_climbs(o
     """A rotor at 70 % and a go-around with all thrust: 4 of 8 tipped over within .5 s, .2 m over the deck."""
     now, leans = MonoNs(10**9), math.radians(leans_deg)
     R = Rotation.from_rpy(leans * math.sin(off_rad), -leans * math.cos(off_rad), 0.0)
-    loop = VelocityLoop(OPTIONS, Counters())
+    loop = VelocityLoop(OPTIONS)
     loop.on_sample(Attitude(Stamp(now, now, 0.001, "navdata"), R, 1e-4 * np.eye(3)))
     order = Lean(np.array([3.0 * ordered, 0.0]), np.zeros(2), np.array([0.0, 0.0, down]), 0.0)
     found, plain = loop.fly(order, now), lean(order, 0.0, OPTIONS)[1]

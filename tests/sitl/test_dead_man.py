@@ -9,7 +9,6 @@ import pytest
 
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
-from drivers.ardrone.counters import Counters
 from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import NavdataSampler
@@ -47,7 +46,7 @@ class Bench:
 
     def service(self) -> None:
         """Start a new process of the service, which knows nothing."""
-        self.streamer, self.sampler = CommandStreamer(OPTIONS, Counters()), NavdataSampler(OPTIONS)
+        self.streamer, self.sampler = CommandStreamer(OPTIONS), NavdataSampler(OPTIONS)
 
     @property
     def now(self) -> MonoNs:
