@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import structs
 
-from estimator import integrity
 from estimator.attitude_history import AttitudeHistory, GimbalHistory, HeldCamera
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Details, PathName, RelativeState, Sighting, Verdict
@@ -36,6 +35,7 @@ from estimator.contracts.samples import (
 )
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.ekf import Forecast
+from estimator.integrity import guard as integrity
 from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
 

@@ -318,11 +318,6 @@ class CommandStreamer:
         """The velocity or lean to fly; None to hover."""
         self._watchdog = False
 
-    @property
-    def custody(self) -> Custody:
-        """The party that has the drone."""
-        return self._custody.state
-
     def take(self, command: Command, now: MonoNs) -> None:
         """Take the newest command."""
         self._custody.order(command, now)

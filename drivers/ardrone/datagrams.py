@@ -38,10 +38,10 @@ class WaitingDatagrams:
         self._clock = clock
         self._received = received
         self._lost: Exception | None = None
-        self._taken_at = clock.now()
+        self.taken_at = clock.now()
+        """Time when a waiting datagram was last taken."""
         self._wall_ahead_ns: int | None = None
         """The wall clock less the monotonic one at the newest look."""
-        self.errors = 0
         with suppress(OSError):  # without it the datagrams count as received when they are taken
             connected.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
 
@@ -59,14 +59,12 @@ class WaitingDatagrams:
                 except BlockingIOError:
                     break
                 except ConnectionRefusedError:
-                    self.errors += 1
                     continue
                 age_ns = 0 if wall_was_set or not ancillary else wall_ns - _wall_ns(ancillary)
-                self._received(data, MonoNs(max(self._taken_at, now - max(0, age_ns))))
+                self._received(data, MonoNs(max(self.taken_at, now - max(0, age_ns))))
         except Exception as why:
-            self.errors += 1
             self._lost = why
-        self._taken_at = now
+        self.taken_at = now
 
     def _clocks(self) -> tuple[int, MonoNs]:
         """Return the wall time and the instant of the same moment, ns.
@@ -78,11 +76,6 @@ class WaitingDatagrams:
             if now - before <= _APART_NS:
                 break
         return wall_ns, now
-
-    @property
-    def taken_at(self) -> MonoNs:
-        """Time when a waiting datagram was last taken."""
-        return self._taken_at
 
     def check(self) -> None:
         """Check that the socket works.
@@ -104,9 +97,8 @@ class WaitingDatagrams:
         """
         self.check()
         try:
-            self._socket.send(data)
-        except (BlockingIOError, ConnectionRefusedError):
-            self.errors += 1
+            with suppress(BlockingIOError, ConnectionRefusedError):
+                self._socket.send(data)
         except OSError as why:
             self._lost = why
             self.check()

@@ -105,12 +105,6 @@ class PaveHeader:
         """
         return _FIXED.pack(MAGIC, *[getattr(self, name) for name in _FIELDS]) + self.extension
 
-    @staticmethod
-    def unpack(data: bytes | bytearray, offset: int = 0) -> PaveHeader | None:
-        """Return the header at `offset`; None if the bytes there are no header, or one that is not plausible or not whole."""
-        found = _examine(data, offset)
-        return found if isinstance(found, PaveHeader) else None
-
 
 class _More(Enum):
     """The answer of `_examine` when the bytes so far may become a header."""

@@ -110,8 +110,6 @@ class Origins:
         self._seen_order: deque[tuple[str, int, int]] = deque()
         self.changes = 0
         """The number of times that the autopilot was taken to have another clock: it booted, or it was replaced."""
-        self.left_out = 0
-        """The number of messages that were another's, or that nobody can tell whose they are."""
 
     def several(self, now: MonoNs) -> bool:
         """Return whether another autopilot runs beside the one whose messages are passed."""
@@ -160,7 +158,6 @@ class Origins:
         return out
 
     def _leave_out(self, message: Message, now: MonoNs) -> None:
-        self.left_out += 1
         if message.get_type() == "HEARTBEAT":
             sequence, before = int(message.get_seq()), self._beats
             follows = before is not None and 0 < (sequence - before[1]) % 256 <= _NEXT_WITHIN
@@ -184,7 +181,6 @@ class Origins:
                 self._held.append(one)
         silence_s = _REPLACED_S if _beside(main, other) else _REBOOT_S
         if other.messages < _BELIEVED or seconds_between(main.at, at) < silence_s:
-            self.left_out += 1
             return []
         self._main = other
         self._others = [one for one in self._others if one is not other]
@@ -274,7 +270,6 @@ class IdConflict:
 @dataclass(slots=True)
 class _Peer:
     stack: str
-    where: str
     at: MonoNs
     flies: bool
 
@@ -321,7 +316,7 @@ class Roster:
         if received.system not in self._peers and len(self._peers) >= _SYSTEMS_MAX:
             del self._peers[min(self._peers, key=lambda system: self._peers[system].at)]
         flies = bool(m.base_mode & ARMED) and int(m.system_status) in _IN_THE_AIR
-        self._peers[received.system] = _Peer(stack_of(m).value, received.source_text, now, flies)
+        self._peers[received.system] = _Peer(stack_of(m).value, now, flies)
         flying = [system for system in self._alive(now) if self._peers[system].flies]
         if len(flying) != 1:
             self._flies_alone_since = None

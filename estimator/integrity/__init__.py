@@ -10,29 +10,3 @@
 The functions are pure. Freshness concerns the content and not the packet: a frame or reading with a new stamp but the same
 content is refused, so that the estimate ages.
 """
-
-from estimator.integrity.guard import (
-    IntegrityGuard,
-    admit,
-    admit_frame,
-    admit_sighting,
-    alerts,
-    asks_alone,
-    excludes,
-    follow,
-    judged,
-)
-from estimator.integrity.options import IntegrityOptions
-
-__all__ = [
-    "IntegrityGuard",
-    "IntegrityOptions",
-    "admit",
-    "admit_frame",
-    "admit_sighting",
-    "alerts",
-    "asks_alone",
-    "excludes",
-    "follow",
-    "judged",
-]

@@ -281,7 +281,6 @@ def test_a_peer_that_refuses_breaks_nothing(ends: Ends) -> None:
         ends.waiting.send(b"hello")
         ends.waiting.take()
         ends.waiting.check()
-    assert ends.waiting.errors > 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
         again.bind(("127.0.0.1", port))
         again.sendto(b"here", ends.own.getsockname())

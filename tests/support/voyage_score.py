@@ -12,8 +12,8 @@ import numpy as np
 from estimator import ekf
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Imu
-from estimator.integrity import IntegrityOptions
 from estimator.integrity import sensors as sensors_guard
+from estimator.integrity.options import IntegrityOptions
 from estimator.integrity.sensors import SensorWatch
 from tests.support import voyage_truth
 from tests.support.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
