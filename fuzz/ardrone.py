@@ -94,7 +94,7 @@ def run_pave(data: bytes) -> None:
     """Parse a stream in pieces: no error, a bounded buffer, and any result of the decoder for each frame."""
     choices = Choices(data)
     parser, decoder = PaveParser(), VideoDecoder()
-    with patch("drivers.ardrone.video.AccessUnitDecoder", lambda: _AnyCodec(choices)):
+    with patch("drivers.ardrone.video.unit_decoder", lambda: _AnyCodec(choices)):
         fed = 0
         while choices:
             piece = choices.block()

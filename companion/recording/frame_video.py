@@ -7,16 +7,12 @@ mostly wanted in order, and then each is decoded once.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.recording.frame_encoder import VideoQuality, is_key_frame
-from drivers.pyav import require_pyav
-
-if TYPE_CHECKING:
-    from av.video.codeccontext import VideoCodecContext
+from drivers.pyav import AccessUnitDecoder
 
 U8 = NDArray[np.uint8]
 
@@ -38,15 +34,17 @@ class _Group:
     """A key frame and what follows it up to the next."""
 
     packets: list[bytes] = field(default_factory=list)
-    decoder: VideoCodecContext | None = None
+    decoder: AccessUnitDecoder | None = None
     decoded: int = 0
     last: U8 | None = None
 
     def image(self, number: int) -> U8 | None:
         if self.decoder is None or number < self.decoded - 1:
-            self.decoder, self.decoded, self.last = _decoder(), 0, None
+            self.decoder = AccessUnitDecoder("a recording whose frames are H.264", _PIXELS_MAX, flags="low_delay")
+            self.decoded, self.last = 0, None
         while self.decoded <= number:
-            self.last = _decoded(self.decoder, self.packets[self.decoded])
+            frames = self.decoder.decode(self.packets[self.decoded])
+            self.last = np.asarray(frames[-1].to_ndarray(format="bgr24"), np.uint8) if frames else None
             self.decoded += 1
         return self.last
 
@@ -77,26 +75,3 @@ class FrameSequence:
             return None
         self._group.packets.append(data)
         return VideoImage(self._group, len(self._group.packets) - 1)
-
-
-def _decoder() -> VideoCodecContext:
-    require_pyav("a recording whose frames are H.264")
-    from av.video.codeccontext import VideoCodecContext
-
-    codec = VideoCodecContext.create("h264", "r")
-    codec.thread_type = "NONE"
-    codec.options = {"flags": "low_delay", "max_pixels": str(_PIXELS_MAX)}
-    return codec
-
-
-def _decoded(decoder: VideoCodecContext, data: bytes) -> U8 | None:
-    from av import Packet
-    from av.error import FFmpegError
-
-    try:
-        frames = decoder.decode(Packet(data))
-    except FFmpegError:
-        return None
-    if not frames:
-        return None
-    return np.asarray(frames[-1].to_ndarray(format="bgr24"), np.uint8)

@@ -20,7 +20,7 @@ from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.pave import PaveFrame, PaveParser
 from drivers.ardrone.setup import ControlChannel, Setup
-from drivers.ardrone.video import AccessUnitDecoder, VideoDecoder
+from drivers.ardrone.video import VideoDecoder, unit_decoder
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.mailbox import Latest, Line
 from drivers.reconnect import BackOff, reconnect, running_beside
@@ -102,7 +102,7 @@ class VideoChannel(_Video):
         self._parser.reset()
         with ThreadPoolExecutor(1, "ardrone-video") as pool:
             # It loads the libraries while the first frame is on its way.
-            pool.submit(AccessUnitDecoder)
+            pool.submit(unit_decoder)
             try:
                 while True:
                     try:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.ardrone.pave import CODEC_H264, FrameType, PaveFrame, PaveHeader
+from drivers.pyav import AccessUnitDecoder, whole
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -21,29 +22,9 @@ if TYPE_CHECKING:
 MAX_PIXELS = 1920 * 1088
 
 
-class AccessUnitDecoder:
-    """Decodes single access units in order with FFmpeg, beginning with an IDR.
-
-    The first decoder of a process loads FFmpeg's libraries, which takes longer than any other part of the start. Nothing needs
-    them before the first frame, so `VideoDecoder` makes it when a video begins, on its own thread.
-    """
-
-    def __init__(self) -> None:
-        from av.video.codeccontext import VideoCodecContext
-
-        self._codec = VideoCodecContext.create("h264", "r")
-        self._codec.thread_type = "NONE"
-        self._codec.options = {"err_detect": "explode", "max_pixels": str(MAX_PIXELS)}
-
-    def decode(self, payload: bytes) -> list[VideoFrame]:
-        """Return the unit's frames; none if the decoder refuses the unit."""
-        from av import Packet
-        from av.error import FFmpegError
-
-        try:
-            return self._codec.decode(Packet(payload))
-        except FFmpegError:
-            return []
+def unit_decoder() -> AccessUnitDecoder:
+    """Return a new decoder. Nothing needs one before the first frame, so `VideoDecoder` makes it when a video begins."""
+    return AccessUnitDecoder("the video of an AR.Drone", MAX_PIXELS, err_detect="explode")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,15 +63,12 @@ class VideoDecoder:
         if self._codec is None:
             if not _entry(unit):
                 return None
-            self._codec = AccessUnitDecoder()
+            self._codec = unit_decoder()
         images = self._codec.decode(unit.payload)
-        if not images and header.frame_type == FrameType.HEADERS:
-            return None
-        size = header.display_width, header.display_height
-        if len(images) != 1 or images[0].is_corrupt or (images[0].width, images[0].height) != size:
+        image = whole(images, (header.display_width, header.display_height))
+        if image is None and (images or header.frame_type != FrameType.HEADERS):
             self._codec = None
-            return None
-        return images[0]
+        return image
 
 
 def _is_whole(header: PaveHeader) -> bool:

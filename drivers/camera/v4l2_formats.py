@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -11,11 +10,8 @@ from numpy.typing import NDArray
 
 from drivers.camera.images import ImageRefused, decode
 from drivers.camera.videos import most_pixels
-from drivers.pyav import require_pyav
+from drivers.pyav import AccessUnitDecoder, whole
 from estimator.contracts.errors import BadInput
-
-if TYPE_CHECKING:
-    from av.video.codeccontext import VideoCodecContext
 
 U8 = NDArray[np.uint8]
 
@@ -95,7 +91,7 @@ class H264Decoder:
     """Decodes access units in Annex B, in order. After damage everything is dropped up to the next IDR."""
 
     def __init__(self) -> None:
-        self._codec: VideoCodecContext | None = None
+        self._codec: AccessUnitDecoder | None = None
 
     def broken(self) -> None:
         """Drop all units up to the next IDR, because units were lost."""
@@ -112,34 +108,18 @@ class H264Decoder:
         Raises:
             BadInput: PyAV is not installed.
         """
-        if self._codec is None:
-            require_pyav("a camera that sends H.264")
-        from av import Packet
-        from av.error import FFmpegError
-        from av.video.codeccontext import VideoCodecContext
-
+        size = layout.width, layout.height
         if self._codec is None:
             if not stands_alone(unit):
                 return None
-            self._codec = VideoCodecContext.create("h264", "r")
-            self._codec.thread_type = "NONE"
-            self._codec.options = {
-                "err_detect": "explode",
-                "max_pixels": str(most_pixels((layout.width, layout.height))),
-                "flags": "low_delay",
-            }
-        try:
-            frame_images = self._codec.decode(Packet(unit))
-        except FFmpegError:
-            frame_images = []
-        if (
-            len(frame_images) != 1
-            or frame_images[0].is_corrupt
-            or (frame_images[0].width, frame_images[0].height) != (layout.width, layout.height)
-        ):
+            self._codec = AccessUnitDecoder(
+                "a camera that sends H.264", most_pixels(size), err_detect="explode", flags="low_delay"
+            )
+        image = whole(self._codec.decode(unit), size)
+        if image is None:
             self._codec = None
             return None
-        return _u8(frame_images[0].to_ndarray(format="bgr24"))
+        return _u8(image.to_ndarray(format="bgr24"))
 
 
 def stands_alone(unit: bytes) -> bool:

@@ -24,7 +24,6 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.sender_wire import SenderOptions, SenderOrder, as_text, order_of, pack
 from drivers.clock import SystemClock
 from estimator.contracts.commands import TakeOff
-from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs, after
 from tests.drivers.test_link import be_patient, steer
 from tests.support.clocks import SteppedClock
@@ -338,12 +337,3 @@ async def test_a_service_that_has_lost_its_sender_gets_the_drone_back_before_a_n
         with listener:
             await until(lambda: newcomer.done() or sender_lock.yield_to(listener, None))
             assert await newcomer is None
-
-
-async def test_a_sender_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    def none_left(*_: object, **__: object) -> None:
-        raise BlockingIOError(11, "no more processes")
-
-    monkeypatch.setattr(subprocess, "Popen", none_left)
-    with pytest.raises(Recoverable, match="no more processes"):
-        await SenderClient.start(SenderOptions(HOST, 1, 2, 0.03, 60.0, 2.0), CLOCK, lambda: None)

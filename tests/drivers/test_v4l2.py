@@ -458,10 +458,6 @@ STRUCTS = {
 }  # fmt: skip
 
 
-def test_a_call_has_the_number_that_the_documentation_gives() -> None:
-    assert (kernel.QUERYCAP, kernel.S_FMT, kernel.DQBUF, kernel.STREAMON) == (0x80685600, 0xC0D05605, 0xC0585611, 0x40045612)
-
-
 def test_the_calls_and_structs_are_those_of_the_kernel_s_header(tmp_path: Path) -> None:
     if shutil.which("cc") is None or not Path("/usr/include/linux/videodev2.h").is_file():
         pytest.skip("there is no compiler, or no header of the kernel")
@@ -482,12 +478,6 @@ def test_the_calls_and_structs_are_those_of_the_kernel_s_header(tmp_path: Path) 
     subprocess.run(["cc", str(source), "-o", str(tmp_path / "layout")], check=True)
     output = subprocess.run([str(tmp_path / "layout")], capture_output=True, text=True, check=True).stdout
     assert {line.split()[0]: int(line.split()[1]) for line in output.splitlines()} == wanted
-
-
-def test_a_pixel_format_is_its_letters() -> None:
-    assert kernel.fourcc(0x56595559) == "YUYV"
-    assert kernel.fourcc(0x20363159) == "Y16"
-    assert kernel.fourcc(0xB6363159) == "Y166"
 
 
 _MODE, _TIME = 0x009A0901, 0x009A0902

@@ -292,11 +292,3 @@ async def test_a_camera_that_is_not_there_is_waited_for() -> None:
         await until(lambda: camera.counters.restarts["absent"] >= 3)
         assert camera.down is not None
         assert "no-such-camera" in camera.down
-
-
-async def test_a_video_of_far_larger_frames_than_the_camera_s_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "large.mp4"
-    write(str(path), 2)
-    with pytest.raises(BadInput, match=r"large\.mp4: frames of 64x48 px, expected 16x16 px"):
-        async with asyncio.timeout(60), open_camera(stream(path), (16, 16), CLOCK) as camera:
-            await camera.frames.get()

@@ -74,16 +74,6 @@ def test_the_step_is_taken_from_the_velocity_and_acceleration_at_its_start():
     assert r.v_pad_level[0] == pytest.approx(-1.2)
 
 
-def test_turning_on_the_spot_rotates_the_position_vector():
-    """Eq. 4.18, 4.19: the whole vector turns, though no velocity was measured."""
-    events = [facing(0), moving(0, [0, 0, 0]), pad_at(0, [2.0, 0.0, 3.0], yaw=0.0)]
-    for i in range(1, 101):
-        events += [facing(i * 0.01, math.pi / 2 * i / 100), moving(i * 0.01, [0, 0, 0])]
-    r = dr.at(feed(events)[0], ns(1.0))
-    np.testing.assert_allclose(r.d_body_pad_level, [0.0, -2.0, 3.0], atol=1e-9)
-    assert r.yaw_rad == pytest.approx(math.pi / 2)
-
-
 @settings(max_examples=20)
 @given(st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.5, 0.5)), st.floats(-1.5, 1.5), st.floats(0.02, 0.9))
 def test_a_late_sighting_ends_where_a_prompt_one_does(v, yaw_rate, delay):

@@ -105,17 +105,6 @@ async def test_a_terminal_flies_by_hand_and_its_end_is_a_hold(folder: Path) -> N
     assert not path.exists()
 
 
-async def test_a_terminal_that_stands_still_loses_the_hand(folder: Path) -> None:
-    async with serving(folder / "s.sock") as service, connected(folder / "s.sock") as client:
-        await client.order(OperatorOrder.MANUAL)
-        client.move(StickPositions(forward=1.0))
-        await until(lambda: isinstance(service.command, Velocity))
-        await until(lambda: isinstance(service.command, Hover))
-        client.move(StickPositions(forward=1.0))
-        await asyncio.sleep(0.05)
-        assert isinstance(service.command, Hover)
-
-
 @pytest.mark.parametrize(
     "lines", [b"{}\n", b"x" * 3000, b"\xff\xfe\n", b'{"kind":"sticks","forward":2.0}\n', b'{"kind":"sticks"}\n' * 150]
 )

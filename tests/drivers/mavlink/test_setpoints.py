@@ -116,11 +116,6 @@ def test_every_mode_has_one_name_and_one_number() -> None:
     assert (modes_left("guided"), modes_left("offboard")) == (("guided",), ("offboard", "auto.loiter"))
 
 
-def test_waiting_for_the_start_sends_nothing_at_all() -> None:
-    for stack in (Stack.ARDUPILOT, Stack.PX4):
-        assert Flight(stack, "guided").periods(2.0, Hover()) == []
-
-
 def test_ardupilot_is_taken_into_guided_by_the_first_velocity() -> None:
     flight = Flight(Stack.ARDUPILOT)
     sent = flight.periods(0.5, GO)
@@ -433,16 +428,6 @@ def test_it_takes_no_vehicle_that_stands(flying: bool | None, hand: Hand) -> Non
     assert other.streamer.hand is Hand.NOBODY, "nor one whose velocity mode is not known"
 
 
-def test_on_the_ground_it_is_over_unless_it_is_about_to_take_off() -> None:
-    flight = ours()
-    flight.told("guided", flying=None)
-    assert flight.streamer.hand is Hand.OURS
-    flight.told("guided", flying=False, armed=True)
-    assert flight.streamer.hand is Hand.OURS, "an armed vehicle whose setpoints end takes that for a failure"
-    flight.told("guided", flying=False, armed=False)
-    assert flight.streamer.hand is Hand.NOBODY
-
-
 def sinking(t: float = 0, **options: object) -> Flight:
     """Return a landing by velocity since `t`, over a deck that makes 1 m/s ahead, two metres below its origin's height."""
     flight = Flight(Stack.PX4, "offboard", **options)
@@ -505,13 +490,6 @@ def test_a_person_may_order_the_landing_that_guidance_has_under_way_or_has_used_
     assert spent.sends(100)[0] == [LEVEL]
     spent.take(Land(persistent=True), 200)
     assert spent.sends(5_000)[0] == [DOWN]
-
-
-@pytest.mark.parametrize(("down_m", "v"), [(1.0, DOWN), (1.001, LEVEL), (-9.0, DOWN)])
-def test_a_landing_by_velocity_ends_by_its_depth(down_m: float, v: tuple[float, ...]) -> None:
-    flight = sinking()
-    flight.streamer.on_position(down_m)
-    assert flight.sends(100)[0] == [v]
 
 
 def test_a_landing_by_mode_is_requested_until_it_has_come_about_and_called_off_when_it_is_not_renewed() -> None:

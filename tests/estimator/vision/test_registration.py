@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from drivers.ardrone.video import AccessUnitDecoder
+from drivers.ardrone.video import unit_decoder
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
@@ -328,7 +328,7 @@ def test_a_pad_painted_to_a_tolerance_is_at_a_range_of_that_tolerance(camera, pa
 
 def coded_views(camera: Camera, pad: Pad, height_m: float, frames: int) -> list[RenderedView]:
     """Frames of a vehicle that hovers, after an encoder as that of the simulated AR.Drone; the first of them is not predicted."""
-    stage, encoder, decoder = Stage(camera, pad, seed=3), Encoder(camera.width, camera.height, 30.0, 4000.0), AccessUnitDecoder()
+    stage, encoder, decoder = Stage(camera, pad, seed=3), Encoder(camera.width, camera.height, 30.0, 4000.0), unit_decoder()
     views = []
     for k in range(frames):
         t = k / 30.0
