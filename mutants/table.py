@@ -17,7 +17,9 @@ _MISSION = (
 )
 _AIM = ("tests/companion/test_steer.py", "tests/companion/test_clearance.py")
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py")
+_WATCH = "tests/companion/test_response_watch.py"
 _FLOWN = ("tests/companion/test_follow_deck.py", "tests/companion/test_law.py")
+_STREAMER = "tests/drivers/test_command_streamer.py"
 _VISION = "tests/estimator/vision"
 _KEPT = f"{_VISION}/test_unchanged_frames.py"
 _SEEN = (_KEPT, f"{_VISION}/test_equivariance.py", f"{_VISION}/test_verification.py")
@@ -42,10 +44,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/filter/begin.c": (_BEGIN, _ORACLE),
     "estimator/core/base/kalman.c": (_ORACLE,),
     "estimator/core/base/symmetric.c": (_ALGEBRA,),
-    "estimator/core/law/law.c": _FLOWN,
-    "estimator/core/law/axis.c": (*_FLOWN, "tests/companion/test_margins.py"),
-    "estimator/core/law/climb.c": _FLOWN,
-    "estimator/core/law/deck.c": _FLOWN,
+    **{f"estimator/core/law/{name}.c": _FLOWN for name in ("law", "axis", "climb", "deck")},
     "estimator/core/base/rotation.c": (_ALGEBRA, "tests/estimator/vision/test_sighting.py", _ORACLE),
     "estimator/core/vision/sighting_level.c": (f"{_VISION}/test_sighting.py",),
     "estimator/core/vision/camera.c": (*_SEEN, f"{_VISION}/test_registration.py"),
@@ -56,7 +55,11 @@ TARGETS: dict[str, tuple[str, ...]] = {
         for file in sorted((_CORE_OF_VISION / room).glob("*.c"))
     },
     "estimator/core/vision/register/coded.c": (f"{_VISION}/test_fiducial_pads.py", *_SEEN),
-    "estimator/ekf/filter.py": (_HISTORY, "tests/estimator/test_fusion_results.py"),
+    "estimator/ekf/filter.py": (
+        _HISTORY,
+        "tests/estimator/test_fusion_results.py",
+        "tests/estimator/ekf/test_rough.py::test_a_belief_that_nothing_confirms_is_not_called_consistent",
+    ),
     "estimator/ekf/event.py": (_NUMBERS, _ORACLE),
     "estimator/ekf/params.py": (_NUMBERS, _ORACLE),
     "estimator/ekf/forecast.py": (_NUMBERS, _HISTORY),
@@ -88,9 +91,17 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/mission/clearance.py": ("tests/companion/test_clearance.py",),
     "companion/guidance/mission/search.py": ("tests/companion/test_rendezvous.py",),
     "companion/guidance/mission/vessel_track.py": ("tests/companion/test_vessel_track.py", "tests/companion/test_rendezvous.py"),
-    "companion/guidance/law/follow_deck.py": ("tests/companion/test_follow_deck.py", *_LAW),
+    "companion/guidance/law/follow_deck.py": (
+        "tests/companion/test_follow_deck.py",
+        f"{_WATCH}::test_other_gains_come_without_a_bump",
+        f"{_WATCH}::test_every_response_that_may_be_flown_by_keeps_the_margin_of_60_ms[ardrone2]",
+        *_LAW,
+    ),
     "companion/guidance/law/records.py": ("tests/companion/test_follow_deck.py",),
-    "companion/guidance/law/margins.py": ("tests/companion/test_margins.py",),
+    "companion/guidance/law/margins.py": (
+        "tests/companion/test_margins.py",
+        f"{_WATCH}::test_a_vehicle_that_answers_otherwise_than_its_file_is_flown_by_its_own_frequency_and_damping",
+    ),
     "companion/settings/response.py": ("tests/companion/test_response.py",),
     "companion/guidance/law/gains.py": (
         "tests/companion/test_response.py",
@@ -103,17 +114,14 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_identify.py::test_lag_and_delay_of_the_climb_are_distinguished",
         "tests/companion/test_identify.py::test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms",
     ),
-    "companion/guidance/law/response_watch.py": ("tests/companion/test_response_watch.py",),
+    "companion/guidance/law/response_watch.py": (_WATCH,),
     "companion/guidance/law/pid.py": ("tests/companion/test_pid.py",),
     "sitl/flight/hands.py": ("tests/sitl/test_referee.py",),
     "sitl/flight/referee.py": ("tests/sitl/test_referee.py",),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter.py",),
-    "drivers/ardrone/landing_watch.py": (
-        "tests/drivers/test_arbiter.py",
-        "tests/drivers/test_command_streamer.py",
-    ),
-    "drivers/ardrone/velocity_loop.py": ("tests/drivers/test_velocity_loop.py", "tests/drivers/test_command_streamer.py"),
-    "drivers/ardrone/custody.py": ("tests/drivers/test_custody.py", "tests/drivers/test_command_streamer.py"),
+    "drivers/ardrone/landing_watch.py": ("tests/drivers/test_arbiter.py", _STREAMER),
+    "drivers/ardrone/velocity_loop.py": ("tests/drivers/test_velocity_loop.py", _STREAMER),
+    "drivers/ardrone/custody.py": ("tests/drivers/test_custody.py", _STREAMER),
     "drivers/mavlink/setpoint_streamer.py": (
         "tests/drivers/mavlink/test_setpoints.py",
         "tests/drivers/mavlink/test_custody.py",

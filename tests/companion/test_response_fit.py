@@ -136,9 +136,7 @@ def test_a_fit_goes_on_from_one_before_it_that_knew_the_delay() -> None:
     again = fitted(of, settled, 1)
     assert again.fitted.values == pytest.approx(settled.fitted.values, abs=2e-3)
     far = structs.replace(settled, fitted=settled.fitted._replace(values=np.array([0.5, math.log(9.0), 0.0, 0.3])))
-    assert abs(fitted(of, far, 1).response.delay_s - 0.12) > 0.15, (
-        "one step of a tenth of a second from where it was told to begin"
-    )
+    assert abs(fitted(of, far, 1).response.delay_s - 0.12) > 0.15, "one step of a tenth of a second from where it began"
     vague = far.fitted._replace(cov=np.diag([0.16**2, 1.0, 1.0, 1.0]))
     anew = fitted(of, structs.replace(far, fitted=vague), 1)
     assert anew.fitted.values == pytest.approx(fitted(of, None, 1).fitted.values), "a delay that was not known is no beginning"

@@ -93,10 +93,6 @@ def tuned(given: TiltResponse, weights: TiltWeights, choice: TuningChoice) -> tu
     )
 
 
-def _at_once(response: TiltResponse) -> TiltResponse:
-    return structs.replace(response, delay_s=0.0)
-
-
 class TiltTuning:
     """One response with its gains, each solved when it is first requested.
 
@@ -126,10 +122,8 @@ class TiltTuning:
         """Return what leads from the state of the closed loop to place and speed some guidance cycles later, (2, n)."""
         key = chosen(SIGMAS_P_M, sigma_p_m), cycles
         if key not in self._after:
-            model, gains = (
-                tilt_model(self.response if self._delay_line else _at_once(self.response), self._period_s),
-                self.gains(key[0]),
-            )
+            model = tilt_model(self.response, self._period_s, delay_line=self._delay_line)
+            gains = self.gains(key[0])
             lag = (gains.lag,) if model.states == 5 else ()
             K = np.array([gains.p, gains.w, gains.a, gains.rate, *lag, *gains.under_way])
             self._after[key] = np.linalg.matrix_power(model.A - np.outer(model.B, K), cycles)[:2]
@@ -138,7 +132,7 @@ class TiltTuning:
     def state(self, axis: Any, aim_m: float, a_deck: float) -> F64:
         """Return the state of the closed loop: an axis of the core's memory less the aim and what holds it over the deck."""
         reference = a_deck - axis.d
-        lag = (axis.lag - reference,) if self.response.lag_s > 1e-4 else ()
+        lag = (axis.lag - reference,) if self.response.lag_s else ()
         n = self.under_way if self._delay_line else 1
         under_way = [axis.under_way[k] - reference for k in range(n)]
         return np.array([axis.p - aim_m, axis.w, axis.lean - reference, axis.rate, *lag, *under_way])
@@ -156,8 +150,6 @@ class TiltTuning:
 
 _GAP_MAX_S = 0.5
 """A silence longer than this restarts the observer at the measurement; it keeps its estimate of the wind."""
-_BLEND_S = 1.0
-"""Time in which the command goes over from one set of gains to another, s."""
 
 
 class FollowDeckMemory(Struct, frozen=True, eq=False):
@@ -311,13 +303,13 @@ class FollowDeck:
         return max(sigma, SIGMAS_P_M[-1])
 
     def _retuned(self, memory: FollowDeckMemory, now: MonoNs, wanted: TuningChoice) -> FollowDeckMemory:
-        """Return the memory with the gains that are wanted: at once before the first cycle, otherwise little by little."""
+        """Return the memory with the gains that are wanted: at once before the first cycle, otherwise little by little in 1 s."""
         if memory.at is None:
-            return replace(memory, tuning=wanted, tuning_before=wanted, share=1.0)
-        share = min(1.0, memory.share + max(0.0, seconds_between(memory.at, now)) / _BLEND_S)
+            return replace(memory, tuning=wanted)
+        share = min(1.0, memory.share + max(0.0, seconds_between(memory.at, now)))
         if share == 1.0 and wanted != memory.tuning:
             return replace(memory, tuning=wanted, tuning_before=memory.tuning, share=0.0)
-        return memory if share == memory.share else replace(memory, share=share)
+        return replace(memory, share=share)
 
     def ahead(self, memory: FollowDeckMemory, knowledge: Knowledge, seconds: float) -> tuple[float, float] | None:
         """Return where the loop has taken the vehicle after so many seconds: distance from the aim, m, and speed, m/s.

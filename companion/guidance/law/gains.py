@@ -25,7 +25,6 @@ from typing import NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
-from msgspec import structs
 
 from companion.settings.response import TiltResponse
 from estimator.contracts.geometry import F64
@@ -45,6 +44,7 @@ def exponential(A: F64) -> F64:
     return np.asarray(out)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def riccati(A: F64, B: F64, Q: F64, R: F64) -> F64:
     """Return the stabilising solution X of X = A' X A - A' X B (R + B' X B)^-1 B' X A + Q, (n, n).
 
@@ -60,15 +60,12 @@ def riccati(A: F64, B: F64, Q: F64, R: F64) -> F64:
     unit = np.eye(n)
     step, G, H = A, B.dot(np.linalg.solve(R, B.T)), Q
     for _ in range(60):
+        if not step.any():
+            return np.asarray(0.5 * (H + H.T))
         W = unit + G.dot(H)
         forward = np.linalg.solve(W, step)
         G = G + step.dot(np.linalg.solve(W, G)).dot(step.T)
-        more = step.T.dot(H).dot(forward)
-        H, step = H + more, step.dot(forward)
-        if not float(np.abs(H).max()) < 1e100:
-            break
-        if float(np.abs(more).max()) <= 1e-12 * float(np.abs(H).max()):
-            return np.asarray(0.5 * (H + H.T))
+        H, step = H + step.T.dot(H).dot(forward), step.dot(forward)
     raise ValueError("the Riccati equation does not converge: the model cannot be stabilised")
 
 
@@ -104,13 +101,16 @@ class TiltModel(msgspec.Struct, frozen=True):
     """Number of states before them: 4 or 5."""
 
 
-def tilt_model(tilt: TiltResponse, period_s: float) -> TiltModel:
+def tilt_model(tilt: TiltResponse, period_s: float, *, delay_line: bool = True) -> TiltModel:
     """Return the exact discrete model of a response whose commands are held for a period each; the delay may be any.
+
+    Args:
+        delay_line: whether commands under way are in the state; False takes the vehicle to answer at once.
 
     Source: Astrom & Wittenmark, Computer-Controlled Systems, 3rd ed., sec. 3.2 (delay that is no multiple of the period).
     """
     w, z = tilt.frequency_rad_s, tilt.damping
-    m = 5 if tilt.lag_s > 1e-4 else 4
+    m = 5 if tilt.lag_s else 4
     A = np.zeros((m, m))
     A[0, 1], A[1, 2], A[2, 3] = 1.0, -1.0, 1.0
     A[3, 2], A[3, 3] = -w * w, -2.0 * z * w
@@ -119,8 +119,9 @@ def tilt_model(tilt: TiltResponse, period_s: float) -> TiltModel:
         A[3, 4], A[4, 4], b[4] = w * w, -1.0 / tilt.lag_s, 1.0 / tilt.lag_s
     else:
         b[3] = w * w
-    n = max(1, math.ceil(tilt.delay_s / period_s - 1e-9))
-    part = tilt.delay_s / period_s - (n - 1)
+    late = tilt.delay_s / period_s if delay_line else 0.0
+    n = max(1, math.ceil(late - 1e-9))
+    part = late - (n - 1)
     whole, _ = _held(A, b, period_s)
     after, b_new = _held(A, b, (1.0 - part) * period_s)
     b_old = after.dot(_held(A, b, part * period_s)[1])
@@ -178,12 +179,12 @@ def tilt_gains(response: TiltResponse, weights: TiltWeights, period_s: float, *,
     """Return the gains for a vehicle, solved once in a process: a campaign flies the same vehicle again and again.
 
     Args:
-        delay_line: whether commands under way are in the state; False takes the vehicle to answer at once.
+        delay_line: of `tilt_model`.
 
     Raises:
         ValueError: there are no gains that stabilise such a vehicle.
     """
-    model = tilt_model(response if delay_line else structs.replace(response, delay_s=0.0), period_s)
+    model = tilt_model(response, period_s, delay_line=delay_line)
     n, m = model.A.shape[0], model.states
     stands, Q = np.zeros(n), np.zeros((n, n))
     stands[0], stands[2] = 1.0, weights.lean_m

@@ -92,8 +92,6 @@ def margins(
     true: TiltResponse | None = None,
     *,
     weights: TiltWeights | None = None,
-    noise: ObserverNoise | None = None,
-    delay_line: bool = True,
     around: AxisDisturbances | None = None,
 ) -> LoopMargins:
     """Return the loop of one axis.
@@ -101,10 +99,10 @@ def margins(
     Args:
         assumed: the response that the law is made for.
         true: the vehicle's own; None for the same.
-        weights, noise, delay_line: of the law.
+        weights: of the law.
         around: what disturbs it.
     """
-    loop = _closed(assumed, true or assumed, weights, noise, delay_line, around or AxisDisturbances())
+    loop = _closed(assumed, true or assumed, weights or TiltWeights(), around or AxisDisturbances())
     return LoopMargins(loop.stable, *by_frequency(*_open_loop(loop.vehicle, loop.law)), *loop.errors())
 
 
@@ -117,7 +115,7 @@ def keeps_margins(assumed: TiltResponse, believed: Sequence[TiltResponse], softe
         softer: factor by which the place weighs less.
     """
     usual, around = TiltWeights(), AxisDisturbances()
-    law = _law(assumed, usual._replace(p_m=usual.p_m * softer), None, delay_line=True)
+    law = _law(assumed, usual._replace(p_m=usual.p_m * softer))
     for vehicle in (_plant(one, around) for one in believed):
         own = vehicle.A + np.outer(vehicle.B, law.D @ vehicle.measured)
         M = np.block([[own, np.outer(vehicle.B, law.C)], [law.B @ vehicle.measured, law.A]])
@@ -134,7 +132,7 @@ def axis_error_m(assumed: TiltResponse, true: TiltResponse) -> float:
         assumed: the response that the law is made for.
         true: the vehicle's own.
     """
-    return _closed(assumed, true, None, None, True, AxisDisturbances()).errors()[0]
+    return _closed(assumed, true, TiltWeights(), AxisDisturbances()).errors()[0]
 
 
 @lru_cache(maxsize=64)
@@ -176,9 +174,9 @@ def _plant(true: TiltResponse, around: AxisDisturbances) -> _Plant:
     return _Plant(A, vehicle.B, measured)
 
 
-def _law(assumed: TiltResponse, weights: TiltWeights | None, noise: ObserverNoise | None, *, delay_line: bool) -> _Law:
-    gains = tilt_gains(assumed, weights or TiltWeights(), PERIOD_S, delay_line=delay_line)
-    seeing = chosen(observer_gains(noise or ObserverNoise(), PERIOD_S), _SIGMA_P_M)
+def _law(assumed: TiltResponse, weights: TiltWeights) -> _Law:
+    gains = tilt_gains(assumed, weights, PERIOD_S)
+    seeing = chosen(observer_gains(ObserverNoise(), PERIOD_S), _SIGMA_P_M)
     n, seen = max(1, math.ceil(assumed.delay_s / PERIOD_S - 1e-9)), len(_AXIS)
     params = law_params(assumed, _ANY_CLIMB, PERIOD_S, n, looks_ahead=True, over_ground=False)
     flown = law_in_use(params, law_gains(gains, n, 1, assumed.slowness_s), seeing)
@@ -220,15 +218,8 @@ class _ClosedLoop(NamedTuple):
         return math.sqrt(X[0, 0]), math.sqrt(X[1, 1]), math.sqrt(self.command @ X @ self.command + self.sampled_m_s2**2)
 
 
-def _closed(
-    assumed: TiltResponse,
-    true: TiltResponse,
-    weights: TiltWeights | None,
-    noise: ObserverNoise | None,
-    delay_line: bool,
-    around: AxisDisturbances,
-) -> _ClosedLoop:
-    vehicle, law = _plant(true, around), _law(assumed, weights, noise, delay_line=delay_line)
+def _closed(assumed: TiltResponse, true: TiltResponse, weights: TiltWeights, around: AxisDisturbances) -> _ClosedLoop:
+    vehicle, law = _plant(true, around), _law(assumed, weights)
     (A, B, measured), (Ac, Bc, Cc, Dc) = vehicle, law
     B, a_plant, own = B[:, None], len(A), len(Ac)
 
@@ -282,10 +273,10 @@ def by_frequency(w: F64, L: NDArray[np.complex128]) -> tuple[tuple[float, float]
         w: (n,) rad/s, rising; L: (n,) open loop there.
     """
     size, angle = np.abs(L), np.angle(L)
-    crossings = np.flatnonzero((size[:-1] - 1.0) * (size[1:] - 1.0) < 0.0)
+    crossings = np.flatnonzero(np.diff(size > 1.0))
     phase = [float((angle[i] + math.pi) % math.tau) for i in crossings]
     delay = [p / float(w[i]) for p, i in zip(phase, crossings, strict=True)]
-    turned = np.flatnonzero((angle[:-1] * angle[1:] < 0.0) & (np.abs(angle[:-1]) > 2.0))
+    turned = np.flatnonzero(np.diff(angle > 0.0) & (np.abs(angle[:-1]) > 2.0))
     factors = [1.0 / float(size[i]) for i in turned]
     down, up = max([f for f in factors if f < 1.0], default=0.0), min([f for f in factors if f > 1.0], default=math.inf)
     worst = min([min(p, math.tau - p) for p in phase], default=math.pi)

@@ -1,6 +1,6 @@
 /* One horizontal axis of the law: observer, commands under way, and the tilt to command.
  *
- * The observer and its sources: companion/guidance/disturbance.py; the regulator's: tilt_law.py. */
+ * The observer, the regulator and their sources: companion/guidance/law/gains.py. */
 
 #include <math.h>
 #include <string.h>
@@ -69,7 +69,7 @@ void axis_observe(const dl_law_in_use *law, double dt, double arrived, const dl_
 {
     const dl_law_params *o = &law->params;
     observe(&law->observer, dt, 0.5 * (z->lean + before->lean), before, z, after);
-    const double keep = o->lag_s > 1e-4 ? exp(-dt / o->lag_s) : 0.0;
+    const double keep = exp(-dt / o->lag_s);
     const double rate = rate_after(o, dt, before->rate, before->lean, before->lag);
     after->lag = keep * before->lag + (1.0 - keep) * arrived;
     after->rate = rate + GYRO_SHARE * (z->rate - rate);
