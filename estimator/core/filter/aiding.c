@@ -39,7 +39,7 @@ void fuse_height(const dl_filter_params *o, dl_belief *b, covariance *c, const d
     const double T = seconds(b->t_cov, b->t), var = seen->sigma_m * seen->sigma_m;
     dl_aid begun = b->aids[DL_HEIGHT];
     begun.m = 1;
-    if (b->sighted < 0) {
+    if (!happened(b->sighted)) {
         out->verdict = DL_GATED;
         return;
     }
@@ -95,7 +95,7 @@ void fuse_range(const dl_filter_params *o, dl_belief *b, covariance *c, const dl
     double x[DL_N], away, spread, r, H[3 * COLUMNS_MAX];
     const double var = seen->sigma_m * seen->sigma_m;
     out->verdict = DL_GATED;
-    if (b->sighted < 0) {
+    if (!happened(b->sighted)) {
         return;
     }
     state_at_first_order(b, x);

@@ -145,20 +145,20 @@ static double evidence_for_the_deck(const dl_belief *b, const double *P, const d
 static int surface_is_open(const dl_filter_params *o, const dl_belief *b, const double *P)
 {
     const double *var = P + DL_VESSEL_VEL * (DL_N + 1);
-    return o->velocity_is_over == DL_OVER_EITHER && (b->sighted >= 0 || var[0] + var[DL_N + 1] < KNOWN_VAR);
+    return o->velocity_is_over == DL_OVER_EITHER && (happened(b->sighted) || var[0] + var[DL_N + 1] < KNOWN_VAR);
 }
 
 /* Update the log-odds between the two hypotheses about a velocity. Correlated samples count as one. */
 static void update_surface_odds(const dl_filter_params *o, dl_belief *b, const double *P, const double v[3], const double cov[9], int axes)
 {
-    const double since = b->t_velocity < 0 ? 1.0 : seconds(b->t_velocity, b->t);
+    const double since = happened(b->t_velocity) ? seconds(b->t_velocity, b->t) : 1.0;
     double x[DL_N], away, spread, expected = 0.0;
     if (since < 0.5 * o->correlation_s[DL_VELOCITY] || axes == 0) {
         return;
     }
     state_at_first_order(b, x);
     foot_of(b, P, x, &away, &spread);
-    if (b->sighted < 0) {
+    if (!happened(b->sighted)) {
         expected = UNSEEN_EXPECTED;
     } else if (away + 2.0 * spread < o->deck_radius_m) {
         expected = OVER_EXPECTED;
@@ -167,7 +167,7 @@ static void update_surface_odds(const dl_filter_params *o, dl_belief *b, const d
     }
     double odds = expected + (b->over_pad - expected) * exp(-since / OVER_MEMORY_S);
     odds += evidence_for_the_deck(b, P, x, v, cov, axes) * fmin(1.0, 0.5 * since / o->correlation_s[DL_VELOCITY]);
-    b->over_pad = fmax(b->sighted < 0 ? UNSEEN_EXPECTED : -6.0, fmin(6.0, odds));
+    b->over_pad = fmax(happened(b->sighted) ? -6.0 : UNSEEN_EXPECTED, fmin(6.0, odds));
     b->t_velocity = b->t;
 }
 
@@ -232,7 +232,7 @@ void fuse_velocity(const dl_filter_params *o, dl_belief *b, covariance *c, const
     const double deck_weight = deck_weight_of(o, b, is_open);
     out->verdict = DL_GATED;
     /* Below a body whose pad was swung away the deck moves like no deck, and then the water does. */
-    if (axes == 0 || (deck_weight == 1.0 && b->sighted < 0 && !is_open) || is_swung(b, b->t)) {
+    if (axes == 0 || (deck_weight == 1.0 && !happened(b->sighted) && !is_open) || is_swung(b, b->t)) {
         return;
     }
     double over[3], expected[3], innov[3], R[9];

@@ -147,8 +147,8 @@ void answer_at(const dl_filter_params *o, int64_t t, const whole_belief *before,
     out->velocity_fused = b.aids[DL_VELOCITY].fused;
     out->adrift = is_adrift(&b, t);
     out->steers = steers(&b, t);
-    out->has_pad = b.sighted >= 0 && seconds(b.sighted, t) <= o->forget_s;
-    out->has_body = b.t_imu >= 0 && t - b.t_imu <= o->hold_ns && b.is_levelled;
+    out->has_pad = happened(b.sighted) && seconds(b.sighted, t) <= o->forget_s;
+    out->has_body = happened(b.t_imu) && t - b.t_imu <= o->hold_ns && b.is_levelled;
     if (out->has_body) {
         answer_body(o, &now, out);
     }

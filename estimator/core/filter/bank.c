@@ -299,7 +299,7 @@ void bank_observe(const dl_filter_params *o, int64_t t, const double y[DL_DIRECT
     const dl_bank_members *m = &o->members;
     const double T = seconds(before->t, t);
     double fade = 1.0;
-    if (before->t >= 0 && T > 0.0) {
+    if (happened(before->t) && T > 0.0) {
         member_step s;
         step_members(m, T, &s);
         for (int k = 0; k < DL_DIRECTIONS; k++) {
@@ -315,7 +315,7 @@ void bank_observe(const dl_filter_params *o, int64_t t, const double y[DL_DIRECT
         const double *known = before->log_weight + k * DL_MEMBERS;
         for (int g = 0; g < DL_MEMBERS; g++) {
             log_weight[g] = fade * (known[g] - m->log_prior[g]) + m->log_prior[g];
-            if (before->t < 0 && k < 3) {
+            if (!happened(before->t) && k < 3) {
                 /* The first look sets the offset's origin; the prior is about it, not about the world's. */
                 x[OFFSET * DL_MEMBERS + g] = var[k] < UNSEEN_VAR ? y[k] : 0.0;
             }

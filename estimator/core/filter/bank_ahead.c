@@ -164,7 +164,7 @@ static void add_states(double x[STATES][DL_MEMBERS], const double *weight, waves
 
 void steps_to(const dl_bank_members *m, const dl_bank *s, int64_t t, oscillator_steps *steps)
 {
-    const double T = s->t >= 0 && t > s->t ? seconds(s->t, t) : 0.0;
+    const double T = happened(s->t) && t > s->t ? seconds(s->t, t) : 0.0;
     for (int o = 0; o < DL_OSCILLATORS; o++) {
         oscillator_transition(m->w[first_member(o)], m->zeta[first_member(o)], T, steps->A[o], steps->q[o]);
         for (int i = 0; i < STATES; i++) {

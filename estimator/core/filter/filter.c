@@ -188,7 +188,7 @@ static bool is_in_time(dl_filter *f, const dl_event *e, dl_outcome *out)
 {
     const dl_filter_params *o = &f->params;
     const int64_t ahead = e->received_at - f->times.received_at;
-    if (f->times.received_at >= 0 && (ahead > o->leap_ns || -ahead > o->leap_ns)) {
+    if (happened(f->times.received_at) && (ahead > o->leap_ns || -ahead > o->leap_ns)) {
         const int64_t apart = e->received_at - f->times.leapt_at;
         const bool agrees = f->times.leapt_n > 0 && apart <= o->leap_ns && -apart <= o->leap_ns;
         f->times.leapt_n = agrees ? f->times.leapt_n + 1 : 1;

@@ -121,7 +121,7 @@ bool forecast_deck(const dl_filter_params *o, int64_t t, const whole_belief *bef
     oscillator_steps steps;
     waves_now sea_now[DL_DIRECTIONS];
     forecast_misses misses;
-    if (b.sighted < 0 || seconds(b.sighted, t) > o->forget_s) {
+    if (!happened(b.sighted) || seconds(b.sighted, t) > o->forget_s) {
         return false;
     }
     propagate_to(o, &b, &c, t);

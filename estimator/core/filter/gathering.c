@@ -68,7 +68,7 @@ void fuse_gathered(const dl_filter_params *o, dl_belief *b, covariance *c)
         dl_aid *a = &b->aids[kind];
         if (a->n > 0 && !is_stale(o, a, b->t)) {
             /* Errors with correlation time tau leave one independent sample in 2 tau, however many samples there are. */
-            const double window = a->fused >= 0 ? seconds(a->fused, b->t) : INFINITY;
+            const double window = happened(a->fused) ? seconds(a->fused, b->t) : INFINITY;
             const double inflation = fmax(1.0 / (double)a->n, 2.0 * o->correlation_s[kind] / fmax(window, 1e-3));
             const int rows = (int)a->m;
             for (int i = 0; i < rows; i++) {
@@ -188,7 +188,7 @@ void gather(const dl_filter_params *o, dl_belief *b, covariance *c, int kind, co
     out->nis = nis;
     out->nis_max = nis_max;
     if (nis > nis_max) {
-        int64_t since = a->refused >= 0 ? a->refused : b->t;
+        int64_t since = happened(a->refused) ? a->refused : b->t;
         if (seconds(since, b->t) > STUCK_S) {
             inflate(b, c, kind, innov);
             since = -1;
@@ -196,7 +196,7 @@ void gather(const dl_filter_params *o, dl_belief *b, covariance *c, int kind, co
         a->refused = since;
         return;
     }
-    if (kind == DL_VELOCITY && a->refused >= 0 && (begun->axes & HORIZONTAL) == HORIZONTAL) {
+    if (kind == DL_VELOCITY && happened(a->refused) && (begun->axes & HORIZONTAL) == HORIZONTAL) {
         /* The uncertainty of coasting has grown to cover a leap, and would explain it by a tilt and a bias that do not exist. An
          * autopilot that finds its first GNSS fix on a ship under way leaps. */
         drift_together(changeable(c), innov);

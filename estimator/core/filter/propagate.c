@@ -24,6 +24,11 @@ static const double STEERS_S = 0.4, STEERS_PSD = 2.0 * 2.0 * 0.1, STEERS_TURN_PS
  * swing is over, and velocities show again how the body moves. */
 static const double SWINGS_S = 1.0, BEGINS_S = 0.1, UNSEEN_S = 0.3, SETTLES_S = 0.3, SWUNG_S = 2.0, SETTLED_M_S = 0.7, SETTLED_RAD_S = 0.5;
 
+int happened(int64_t t)
+{
+    return t >= 0;
+}
+
 double seconds(int64_t since, int64_t until)
 {
     return (double)(until - since) * 1e-9;
@@ -49,7 +54,7 @@ void propagate_state(const dl_filter_params *o, dl_belief *b, int64_t t, const d
     if (dt <= 0.0) {
         return;
     }
-    if (b->t_imu < 0 || t - b->t_imu > o->hold_ns) {
+    if (!happened(b->t_imu) || t - b->t_imu > o->hold_ns) {
         const double weightless[3] = {0.0, 0.0, -GRAVITY_M_S2 * dt};
         move_by(b, weightless, dt);
         for (int i = 0; i < 9; i++) {
@@ -237,14 +242,14 @@ static void add_noise(const dl_filter_params *o, const dl_belief *b, double T, d
 
 int steers(const dl_belief *b, int64_t t)
 {
-    return b->steered >= 0 && seconds(b->steered, t) < STEERS_S;
+    return happened(b->steered) && seconds(b->steered, t) < STEERS_S;
 }
 
 int is_adrift(const dl_belief *b, int64_t t)
 {
-    const int swings = b->swung >= 0 && seconds(b->swung, b->sighted) < SWINGS_S;
-    const int begins = b->steered >= 0 && seconds(b->steered, b->sighted) < BEGINS_S;
-    return b->sighted >= 0 && (swings || begins) && seconds(b->sighted, t) > UNSEEN_S;
+    const int swings = happened(b->swung) && seconds(b->swung, b->sighted) < SWINGS_S;
+    const int begins = happened(b->steered) && seconds(b->steered, b->sighted) < BEGINS_S;
+    return happened(b->sighted) && (swings || begins) && seconds(b->sighted, t) > UNSEEN_S;
 }
 
 int is_swung(const dl_belief *b, int64_t t)
@@ -336,7 +341,7 @@ void propagate_covariance(const dl_filter_params *o, dl_belief *b, covariance *c
 void propagate_to(const dl_filter_params *o, dl_belief *b, covariance *c, int64_t t)
 {
     const int64_t held_until = b->t_imu + o->hold_ns;
-    if (b->t_imu >= 0 && b->t < held_until && held_until < t) {
+    if (happened(b->t_imu) && b->t < held_until && held_until < t) {
         propagate_state(o, b, held_until, b->w, b->f);
     }
     propagate_state(o, b, t, b->w, b->f);

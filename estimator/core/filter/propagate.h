@@ -13,6 +13,8 @@ typedef struct {
 
 /* A place for the next covariance, which is not where the present one lies. */
 double *free_place(const covariance *c);
+/* Whether something happened: the instant, ns, of what never did is -1. */
+int happened(int64_t t);
 /* Seconds from one instant to another, ns. */
 double seconds(int64_t since, int64_t until);
 /* Whether sightings showed a manoeuvre of the ship that may still go on at t. */

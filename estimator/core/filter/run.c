@@ -42,7 +42,7 @@ static double limit(double sample[3], const double before[3], double step, doubl
 
 static void forget_the_pad(const dl_filter_params *o, dl_belief *b)
 {
-    if (b->sighted >= 0 && seconds(b->sighted, b->t) > o->forget_s) {
+    if (seconds(b->sighted, b->t) > o->forget_s) {
         b->sighted = -1;
         b->agreed = 0;
         streak_end(b);
@@ -79,7 +79,7 @@ static void fuse_imu(const dl_filter_params *o, dl_belief *b, covariance *c, con
     memcpy(f, e->sample.imu.f_body, sizeof f);
     replace_lost(o, b, &e->sample.imu, w, f);
     memcpy(smooth, w, sizeof smooth);
-    if (b->t_imu >= 0 && e->t - b->t_imu <= o->hold_ns) {
+    if (happened(b->t_imu) && e->t - b->t_imu <= o->hold_ns) {
         const double dt = seconds(b->t, e->t), weight = -expm1(-seconds(b->t_imu, e->t) / SMOOTH_S);
         b->jolt_var_m2_s2 += limit(f, b->f, largest_step(f, b->f), o->accel_step_m_s2, dt);
         b->jolt_var_rad2 += limit(w, b->w, largest_step(w, b->w), o->gyro_step_rad_s, dt);

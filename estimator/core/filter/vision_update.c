@@ -187,7 +187,7 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
         return first;
     }
     b->excesses.n = manoeuvres ? b->excesses.n : 0;
-    if (manoeuvres && (b->steered < 0 || seconds(b->steered, b->t) > MANOEUVRE_S)) {
+    if (manoeuvres && (!happened(b->steered) || seconds(b->steered, b->t) > MANOEUVRE_S)) {
         for (int i = 0; i < 2; i++) {
             b->vessel_before[i] = b->x[DL_VESSEL_VEL + i] - b->x[DL_VEL + i] + b->ins_v[i];
         }
@@ -200,7 +200,7 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
 /* Count the time for which sightings agreed with the heading, minus the time for which they contradicted it. */
 static void count_heading_agreement(const dl_filter_params *o, dl_belief *b, int agrees)
 {
-    const double since = b->heading_seen < 0 ? 0.0 : fmin(seconds(b->heading_seen, b->t), COUNTED_S);
+    const double since = happened(b->heading_seen) ? fmin(seconds(b->heading_seen, b->t), COUNTED_S) : 0.0;
     b->heading_held_s = fmin(b->heading_held_s + (agrees ? since : -since), o->heading_memory_s);
     b->heading_seen = b->t;
 }
@@ -263,7 +263,7 @@ static void measure_tilt(const dl_sighting *s, const double R_ned_level[9], cons
 static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const dl_sighting *s, const comparison *row)
 {
     double A[9], back[9], seen[3], place[3], y[DL_DIRECTIONS] = {0.0}, var[DL_DIRECTIONS];
-    if (bank->now->t >= 0 && seconds(bank->now->t, b->t) < 0.9 * BANK_PERIOD_S) {
+    if (happened(bank->now->t) && seconds(bank->now->t, b->t) < 0.9 * BANK_PERIOD_S) {
         return;
     }
     levelling(b, A);
@@ -328,7 +328,7 @@ static void fuse(dl_belief *b, covariance *c, comparison *row, int fresh, int sh
 static void mark_swing(dl_belief *b)
 {
     double was[2], change[2];
-    if (b->steered < 0 || seconds(b->steered, b->t) > ASIDE_S) {
+    if (!happened(b->steered) || seconds(b->steered, b->t) > ASIDE_S) {
         return;
     }
     for (int i = 0; i < 2; i++) {
@@ -343,7 +343,7 @@ static void mark_swing(dl_belief *b)
 void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out)
 {
     comparison rows[2], *row = &rows[0], *other = &rows[1];
-    const int fresh = b->sighted < 0;
+    const int fresh = !happened(b->sighted);
     if (fresh) {
         initialise(o, b, c, s, 0);
     }

@@ -311,7 +311,7 @@ def _limited(sample: F64, before: F64, step_max: float, dt: float) -> tuple[F64,
 
 
 def _forget_the_pad(b: State, o: EkfOptions) -> None:
-    if b.sighted >= 0 and (b.t - b.sighted) * 1e-9 > o.forget_s:
+    if (b.t - b.sighted) * 1e-9 > o.forget_s:
         b.sighted, b.agreed, b.rejections = -1, 0, no_streak()
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.special import ndtri
+from scipy.special import chdtri, ndtri
 
 from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.core.library import CORE
@@ -13,7 +13,7 @@ from estimator.ekf import EkfOptions, Event, Forecast, deck_motion_bank, state
 from estimator.ekf.deck_motion_bank import carrying
 from estimator.ekf.event import packed
 from estimator.ekf.forecast import log_evidence_of_rest, probability_of_motion
-from estimator.ekf.params import FilterParams
+from estimator.ekf.params import FilterParams, nis_max
 from tests.make import attitude, baro, imu, ns, range_down, sighting, velocity, vessel
 
 
@@ -56,6 +56,12 @@ def test_every_state_s_noise_is_its_option_squared() -> None:
     assert drift == pytest.approx([9.81 * turn, 9.81 * turn, 0.0013, 0.0, 0.0])
     assert tilt == pytest.approx([turn, turn, 0.0, 0.0, 0.0])
     assert carrying(0.31, 0.011, 0.0013)[1].tolist() == drift.tolist()
+
+
+@pytest.mark.parametrize("probability", [0.01, 1e-3, 1e-4])
+def test_a_gate_is_what_a_consistent_measurement_exceeds_so_seldom(probability: float) -> None:
+    n = np.arange(1, 10)
+    assert [nis_max(probability, dof) for dof in n] == pytest.approx(chdtri(n, probability), abs=6e-4)
 
 
 @pytest.mark.parametrize("probability", [0.5, 0.68, 0.8, 0.9, 0.95, 0.99])

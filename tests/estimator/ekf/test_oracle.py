@@ -203,7 +203,7 @@ def drawn_state(rng: np.random.Generator, params: FilterParams) -> State:
         rejections=SimpleNamespace(**dict(zip(("n", "since", "last", "offset_ned", "var_m2"), streak, strict=True))),
         heading_known=int(rng.random() < 0.8), heading_held_s=float(rng.uniform(-0.1, 0.4)), heading_seen=ago(100),
         nis_mean=float(rng.uniform(0.5, 3.0)), nis_claimed=float(rng.uniform(0.1, 1.2)),
-        steered=ago(300, 600), swung=ago(300, 1600), vessel_before=rng.normal(size=2), ins_p=rng.normal(size=3),
+        steered=ago(170, 600), swung=ago(300, 1600), vessel_before=rng.normal(size=2), ins_p=rng.normal(size=3),
         ins_v=rng.normal(size=3), ins_var_m2_s2=float(rng.choice([0.0, 0.05])),
         levelled_by=R @ oracle.exp(0.02 * rng.normal(size=3)),
         cov_levelled_by=np.diag(rng.choice([0.0, 1e-5, 1e-3, 0.1]) * rng.uniform(0.5, 2.0, 3)),
@@ -256,7 +256,7 @@ def looks(rng: np.random.Generator, now: SimpleNamespace) -> Row:
 
 def manoeuvre(rng: np.random.Generator, now: SimpleNamespace) -> Row:
     """A ship that brakes or turns hard, and then goes out of sight."""
-    t, (d, M), turn = T, expected_place(now.state), float(rng.choice([0.0, 0.6]))
+    t, (d, M), turn = T, expected_place(now.state), float(rng.uniform(0.0, 0.8))
     side = rng.uniform(2.0, 8.0) * np.append(rng.normal(size=2), 0.0)
     for k in range(10):
         t, s, b = t + 50 * MS, 0.05 * k, now.state
