@@ -71,33 +71,29 @@ class CommandArbiter:
         self._climbed_m = 0.0
         self._climbed_at: MonoNs | None = None
         """The newest datagram that ordered a climb; None if the newest did not."""
-        self._latest: TimedCommand | None = None
+        self.latest: TimedCommand | None = None
+        """The newest command, expired or not; None before the first."""
         self._watch = LandingWatch()
         self._report: tuple[Navdata, MonoNs] | None = None
         """The newest report, and when it was received."""
 
-    @property
-    def latest(self) -> TimedCommand | None:
-        """The newest command, expired or not; None before the first."""
-        return self._latest
-
     def take(self, command: TimedCommand) -> None:
         """Take the newest command of the service, expired or not."""
-        self._latest = command
+        self.latest = command
         self._lost, self._climbed_m, self._climbed_at = False, 0.0, None
 
     def on_report(self, report: Navdata, now: MonoNs) -> None:
         """Take a report that the sender itself received from the drone while the service is silent."""
         self._report = report, now
-        self._watch.on_report(report, now, ordered=self._latest is not None and self._latest.landing)
+        self._watch.on_report(report, now, ordered=self.latest is not None and self.latest.landing)
 
     def fresh(self, now: MonoNs) -> bool:
         """Return whether the newest command has not expired."""
-        return self._latest is not None and now <= self._latest.until
+        return self.latest is not None and now <= self.latest.until
 
     def silent_s(self, now: MonoNs) -> float:
         """Return the seconds since the newest command expired; 0 while it has not, or before the first."""
-        return 0.0 if self._latest is None else max(0.0, seconds_between(self._latest.until, now))
+        return 0.0 if self.latest is None else max(0.0, seconds_between(self.latest.until, now))
 
     def on_ground(self, now: MonoNs) -> bool:
         """Return whether the drone reported lately that it is on the ground."""
@@ -108,7 +104,7 @@ class CommandArbiter:
 
     def commands(self, now: MonoNs) -> list[AtCommand]:
         """Return the commands of one datagram; none before the first command and after `hold_s` of silence."""
-        latest = self._latest
+        latest = self.latest
         if latest is None or self.silent_s(now) > self._hold_s:
             return []
         if self.fresh(now):
@@ -151,5 +147,5 @@ class CommandArbiter:
     def lost(self, now: MonoNs) -> None:
         """Let the newest command expire now, because the service is gone."""
         self._lost = True
-        if self._latest is not None:
-            self._latest = replace(self._latest, until=min(self._latest.until, MonoNs(now - 1)))
+        if self.latest is not None:
+            self.latest = replace(self.latest, until=min(self.latest.until, MonoNs(now - 1)))

@@ -69,7 +69,9 @@ class SenderClient:
         self._received_at: MonoNs | None = None
         self._began = clock.now()
         self._latest: TimedCommand | None = None
-        self._closed = self._busy = False
+        self._closed = False
+        self.busy = False
+        """True if the sender has ended because another service, which is alive, flies this drone."""
         self._process, self._socket = program
         self._lost: str | None = None
         asyncio.get_running_loop().add_reader(self._socket.fileno(), self._read)
@@ -98,11 +100,6 @@ class SenderClient:
     def up(self) -> bool:
         """True if the sender has reported that it runs."""
         return self._received_at is not None
-
-    @property
-    def busy(self) -> bool:
-        """True if the sender has ended because another service, which is alive, flies this drone."""
-        return self._busy
 
     @property
     def _flew(self) -> bool:
@@ -191,7 +188,7 @@ class SenderClient:
             return
         first, self._received_at = self._received_at is None, self._clock.now()
         if BUSY in output:
-            self._busy = True
+            self.busy = True
             self._lose("another service, which is alive, flies this drone")
         elif first:
             self._on_up()
@@ -203,7 +200,7 @@ class SenderClient:
         self._lost = why
         self._close()
         self._kill(_GONE_S)
-        if not self._busy and self._latest is not None and self._flew:
+        if not self.busy and self._latest is not None and self._flew:
             self._hover()
 
     def _kill(self, timeout_s: float) -> None:

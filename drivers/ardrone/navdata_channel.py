@@ -92,14 +92,10 @@ class NavdataChannel:
             )
         )
         self._order = NavdataOrder()
-        self._received_at: MonoNs | None = None
+        self.received_at: MonoNs | None = None
+        """The instant at which the newest good datagram was received; None before the first."""
         self._socket: WaitingDatagrams | None = None
         self.newest: Navdata | None = None
-
-    @property
-    def received_at(self) -> MonoNs | None:
-        """The instant at which the newest good datagram was received; None before the first."""
-        return self._received_at
 
     def take_waiting(self) -> None:
         """Process the datagrams that wait in the socket. Guidance, vision and the commands request them just before they decide.
@@ -131,7 +127,7 @@ class NavdataChannel:
             if seconds_between(socket.taken_at, now) >= _UNASKED_S:
                 socket.take()
             socket.check()
-            received_at = opened if self._received_at is None else max(opened, self._received_at)
+            received_at = opened if self.received_at is None else max(opened, self.received_at)
             if seconds_between(received_at, now) > self._o.reopen_after_s:
                 raise Recoverable(f"no navdata for {self._o.reopen_after_s} s")
             if seconds_between(max(received_at, asked), now) > self._o.navdata_silence_s:
@@ -148,7 +144,7 @@ class NavdataChannel:
             return
         if not self._in_order(navdata.sequence):
             return
-        self.newest, self._received_at = navdata, received_at
+        self.newest, self.received_at = navdata, received_at
         samples = self._sampler.samples(navdata, self._stamp(navdata, received_at)) if navdata.options else []
         self._counters.samples += len(samples)
         self._received(navdata, samples, received_at)

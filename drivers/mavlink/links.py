@@ -37,6 +37,8 @@ _NEWEST_ONLY = frozenset({"SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET"
 _ECHO_S = 10.0
 _PLACES_MAX = 256
 _QUIET_S = 10.0
+_RECEIVED_MOST = 4096
+"""Messages that may wait for the reader of `Links.received` before the oldest are dropped."""
 
 
 class Containment:
@@ -326,9 +328,7 @@ Tap = Callable[[MonoNs, str, Literal["in", "out"], bytes, str], None]
 class Links:
     """All links. See `open_links`."""
 
-    def __init__(
-        self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], capacity: int, access: NamedSenders
-    ) -> None:
+    def __init__(self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], access: NamedSenders) -> None:
         self.access = Access(access)
         self._clock = clock
         self._sent: dict[tuple[int, int], MonoNs] = {}
@@ -342,7 +342,7 @@ class Links:
         """Holds the errors of whoever handles what came in."""
         self.unfit: Counter[str] = Counter()
         """Messages of ours that were not sent since a value does not fit the wire, by "MESSAGE.field"."""
-        self.received: Line[ReceivedMessage] = Line(capacity)
+        self.received: Line[ReceivedMessage] = Line(_RECEIVED_MOST)
         self.opened = [0 for _ in options]
         """Number of times that each link was opened; it grows when the link comes back."""
         self.all = tuple(Link(number, one, self, clock) for number, one in enumerate(options))
@@ -401,17 +401,15 @@ async def open_links(
     options: Sequence[LinkOptions],
     clock: Clock,
     identity: tuple[int, int],
-    capacity: int = 4096,
     access: NamedSenders | None = None,
 ) -> AsyncIterator[Links]:
     """Open every link and keep it open; it does not wait for a peer. On leaving all are closed.
 
     Args:
         identity: (system, component) to send as; `Links.identify` changes it.
-        capacity: messages that may wait for the reader of `Links.received` before the oldest are dropped.
         access: who is known before anything is received; nobody where it is None.
     """
-    links = Links(options, clock, identity, capacity, access or NamedSenders())
+    links = Links(options, clock, identity, access or NamedSenders())
     async with running_beside([(f"mavlink-{link.endpoint}", link.reconnect()) for link in links.all]):
         try:
             yield links

@@ -206,19 +206,13 @@ def test_a_follow_target_is_the_ship_s_place_and_velocity_as_far_as_it_reports_i
     assert s.refused == {"FOLLOW_TARGET": 3}
 
 
-def test_what_is_not_finite_is_refused_and_counted() -> None:
-    s = sampler(Stack.PX4)
-    assert s.samples(mav.MAVLink_attitude_quaternion_message(1, math.nan, 0, 0, 0, 0, 0, 0), NOW) == []
-    assert s.samples(mav.MAVLink_attitude_quaternion_message(1, 0.0, 0, 0, 0, 0, 0, 0), NOW) == []
-    assert s.samples(mav.MAVLink_local_position_ned_message(1, math.inf, 0, 0, 0, 0, 0), NOW) == []
-    message = mav.MAVLink_highres_imu_message(1, math.nan, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x3F)
-    assert s.samples(message, NOW) == []
-    assert s.refused == {"ATTITUDE_QUATERNION": 2, "LOCAL_POSITION_NED": 1, "HIGHRES_IMU": 1}
-
-
 @pytest.mark.parametrize(
     "message",
     [
+        mav.MAVLink_attitude_quaternion_message(10**6, math.nan, 0, 0, 0, 0, 0, 0),
+        mav.MAVLink_attitude_quaternion_message(10**6, 0.0, 0, 0, 0, 0, 0, 0),
+        mav.MAVLink_local_position_ned_message(10**6, math.inf, 0, 0, 0, 0, 0),
+        mav.MAVLink_highres_imu_message(10**9, math.nan, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x3F),
         mav.MAVLink_highres_imu_message(10**9, 1e4, 0, -9.8, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x3F),
         mav.MAVLink_highres_imu_message(10**9, 0, 0, -9.8, 0, 101.0, 0, 0, 0, 0, 0, 0, 0, 0, 0x3F),
         mav.MAVLink_local_position_ned_message(10**6, 0, 0, -1e38, 0, 0, 0),
@@ -231,7 +225,7 @@ def test_what_is_not_finite_is_refused_and_counted() -> None:
 def test_what_no_sensor_can_measure_is_refused_before_its_stamp_is_accepted(message: Any) -> None:
     s = sampler(Stack.PX4)
     assert s.samples(message, NOW) == []
-    assert s.refused.total() == 1
+    assert s.refused == {message.get_type(): 1}
     assert s._clock._newest is None, "nor does it move the autopilot's clock"
 
 
