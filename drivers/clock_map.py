@@ -168,11 +168,8 @@ class ClockMap:
         wrap = self._o.wrap_ns
         if wrap is None or self._newest_remote is None:
             return remote_ns
-        expected = self._newest_remote + now - self._newest_received()
+        expected = self._newest_remote + now - self._least.newest
         return expected + (remote_ns - expected + wrap // 2) % wrap - wrap // 2
-
-    def _newest_received(self) -> int:
-        return self._least.newest
 
     def _reset_if_restarted(self, remote: int, now: int) -> bool:
         jump = round(self._o.jump_s * NS_PER_S)

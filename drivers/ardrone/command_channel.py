@@ -321,7 +321,7 @@ class CommandChannel:
                 self._navdata.take_waiting()
                 now = self._clock.now()
                 self._sender.update(self._streamer.command(now))
-                if seconds_between(self._last_sign(opened), now) > self._o.reopen_after_s:
+                if seconds_between(max(opened, self._navdata.received_at or opened), now) > self._o.reopen_after_s:
                     break
                 due = max(after(due, self._o.command_period_s), now)
                 await self._clock.sleep(max(0.0, seconds_between(self._clock.now(), due)))
@@ -359,7 +359,3 @@ class CommandChannel:
     def _on_up(self) -> None:
         self._mark = self._mark or mark(self._options().marked)
         self._flew = True
-
-    def _last_sign(self, opened: MonoNs) -> MonoNs:
-        received_at = self._navdata.received_at
-        return opened if received_at is None else max(opened, received_at)

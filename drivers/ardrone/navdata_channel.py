@@ -127,7 +127,7 @@ class NavdataChannel:
             if seconds_between(socket.taken_at, now) >= _UNASKED_S:
                 socket.take()
             socket.check()
-            received_at = opened if self.received_at is None else max(opened, self.received_at)
+            received_at = max(opened, self.received_at or opened)
             if seconds_between(received_at, now) > self._o.reopen_after_s:
                 raise Recoverable(f"no navdata for {self._o.reopen_after_s} s")
             if seconds_between(max(received_at, asked), now) > self._o.navdata_silence_s:

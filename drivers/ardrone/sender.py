@@ -81,7 +81,7 @@ class Sender:
 
     def run(self) -> None:
         """Run until the service ends it, a successor takes over, or there is nothing left to hold."""
-        signal.signal(signal.SIGTERM, self._terminated)
+        signal.signal(signal.SIGTERM, lambda *_: self._part())
         while True:
             now = time.monotonic_ns()
             due = self._due if self._in_force is None else min(self._due, self._in_force + 1)
@@ -95,9 +95,6 @@ class Sender:
         for end in (self._service, self._listener, self._at, self._navdata):
             if end is not None:
                 end.close()
-
-    def _terminated(self, *_: object) -> None:
-        self._part()
 
     def _wait(self, wait_ns: int) -> None:
         readers = [end for end in (self._service, self._listener, self._navdata) if end is not None]
