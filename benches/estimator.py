@@ -46,8 +46,7 @@ from estimator.contracts.time import MonoNs
 from estimator.options import DeadReckoningOptions
 from estimator.paths import DeadReckoningPath, MedianMeanPath
 from tests.support import voyage_truth
-from tests.support.approach_settings import DURATION_S, OPTIONS, setting
-from tests.support.estimator_truth import TruthFlight, events, ns
+from tests.support.estimator_truth import DURATION_S, OPTIONS, TruthFlight, events, ns, setting
 from tests.support.mocap_flight import DELAY_S, FOLDER, Event, MocapFilter, MocapRecording, load, run, sightings
 from tests.support.voyage_score import Score
 from tests.support.voyage_score import fly_voyage as fly_voyage

@@ -33,8 +33,8 @@ from estimator.vision.srgb import LINEAR_LIGHT
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.tracker_config import FRAME_WORK
 from sitl.camera.light import Light, Sensor
+from tests.support.deck_images import CLAIM_RANGE, CLAIM_RANGE_PX
 from tests.support.hard_light import HARD, THESIS, U8, compressed, defocused, dusk, grey, haze, shifted
-from tests.support.pad_claims import CLAIM_RANGE, CLAIM_RANGE_PX
 from tests.support.pad_scenes import PadScene, empty_scene, load_camera, load_pad, pad_scene, ring_scene
 
 HEIGHTS_M = (0.5, 1.2, 2.5, 5.0, 10.0)

@@ -33,7 +33,7 @@ from estimator.vision.register.look import look
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import verify
-from tests.support.pad_claims import keeps_claim
+from tests.support.deck_images import keeps_claim
 from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene, ring_scene
 
 F64 = NDArray[np.float64]

@@ -4,7 +4,7 @@ An instant `at` is given in seconds of the monotonic clock, or as a `Stamp`.
 
 - instants: `ns`, `stamp` (seconds), `stamp_at` (nanoseconds)
 - samples: `imu`, `attitude`, `velocity`, `range_down`, `baro`, `vessel`, `status`, `gimbal`
-- vision: `sighting`, `frame`, `processed_frame`
+- vision: `sighting`, `frame`, `processed_frame`, `seen`
 - estimates and what guidance knows: `estimate`, `deck`, `body`, `vessel_position`
 - settings: `change`, which replaces keys by section
 - two values that must be equal to the bit: `same_bits`
@@ -39,7 +39,7 @@ from estimator.contracts.samples import (
     VesselReport,
 )
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, StampSource
-from estimator.vision.detection import Detection
+from estimator.vision.detection import Detection, PadCheck, PadThing
 
 Vector = Sequence[float] | F64
 _T = TypeVar("_T", bound=msgspec.Struct)
@@ -157,6 +157,16 @@ def processed_frame(
     began = of.stamp.received_at
     verdict = verdict or (Verdict.NO_PAD if detection is None else Verdict.FUSED)
     return ProcessedFrame(of, own, detection, verdict, began, MonoNs(began + 5_000_000))
+
+
+def seen(at: MonoNs, found: bool) -> ProcessedFrame:
+    """Return a frame exposed 30 ms before it was received at `at`, in which the pad was found or not."""
+    exposed = Stamp(MonoNs(at - 30_000_000), at, 0.001, "sim")
+    cov = np.diag([0.1, 0.2, 0.3, 0.4])
+    one = Sighting(exposed, 7, "selected", np.array([1.0, 2.0, 3.0]), 0.5, True, cov, 0.9) if found else None
+    check = PadCheck(at, 1.0, PadThing(0.25, 0.1, -0.15)) if found else None
+    look = Detection(one, "ellipse" if found else None, MappingProxyType({"ellipse": one, "arrow": None}), on_pad=check)
+    return processed_frame(frame(exposed, 7), look, verdict=Verdict.FUSED if found else Verdict.NO_PAD)
 
 
 def estimate(

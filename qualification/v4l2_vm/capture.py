@@ -1,13 +1,18 @@
-"""Shared steps of the guest's scenes: take frames, and report them and the counters."""
+"""Shared steps of the guest's scenes: take frames, wait for the counters, and judge both."""
 
 import asyncio
+import time
 from collections.abc import Callable
-from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drivers.camera.open_camera import open_camera
+from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import VideoSource
+from drivers.clock import SystemClock
+from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
-
-Seen = dict[str, Any]
 
 
 def controls_text(values: dict[str, int | bool | str]) -> str:
@@ -15,25 +20,20 @@ def controls_text(values: dict[str, int | bool | str]) -> str:
     return ", ".join(f"{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items())
 
 
-def accounted(counters: Seen) -> bool:
-    """Return whether every buffer ended in exactly one verdict."""
-    parts = ("frames", "frames_overtaken", "frames_damaged", "frames_waiting")
-    return bool(counters["buffers"] == sum(counters[part] for part in parts) > 0)
-
-
 async def until(true: Callable[[], bool]) -> None:
     while not true():  # noqa: ASYNC110
         await asyncio.sleep(0.02)
 
 
-async def settled(camera: VideoSource) -> Seen:
-    """Return the counters between two frames: a buffer still being decoded has no verdict yet."""
+async def settled(camera: VideoSource) -> dict[str, int]:
+    """Return the counters once each buffer has ended in exactly one verdict: one that is still being decoded has none."""
     for _ in range(200):
         counted = camera.counters.as_dict()
-        if accounted(counted):
-            break
+        parts = (counted[name] for name in ("frames", "frames_overtaken", "frames_damaged", "frames_waiting"))
+        if counted["buffers"] == sum(parts) > 0:
+            return counted
         await asyncio.sleep(0.01)
-    return counted
+    raise AssertionError(f"a buffer has no verdict: {counted}")
 
 
 async def take(camera: VideoSource, n: int) -> list[Frame]:
@@ -47,16 +47,27 @@ async def take(camera: VideoSource, n: int) -> list[Frame]:
     return frames
 
 
-def describe(frames: list[Frame]) -> Seen:
-    px = frames[-1].px
-    bars = [px[px.shape[0] // 2 + 40, int((i + 0.5) * px.shape[1] / 8)].tolist() for i in range(8)]
-    return {
-        "shape": list(px.shape),
-        "bars_bgr": bars,
-        "source": [f.stamp.source for f in frames],
-        "delay_s": [round(f.stamp.delay_s, 6) for f in frames],
-        "sigma_s": frames[-1].stamp.sigma_s,
-        "taken": [f.stamp.measured_at for f in frames],
-        "seq": [f.seq for f in frames],
-        "exposure_s": frames[-1].exposure_s,
-    }
+async def refusal(options: CameraOptions, size: Size) -> str:
+    """Return the words in which a camera with these options is refused as wrong settings."""
+    try:
+        async with open_camera(options, size, SystemClock()) as camera:
+            await camera.frames.get()
+    except BadInput as why:
+        return str(why)
+    raise AssertionError("it is not refused")
+
+
+def check_bars(frame: Frame, bars: ArrayLike, shape: tuple[int, int]) -> None:
+    """Check that a frame of this height and width shows eight colour bars, BGR, to 4 grey values."""
+    assert frame.px.shape == (*shape, 3), frame.px.shape
+    shown = frame.px[shape[0] // 2 + 40, shape[1] // 16 :: shape[1] // 8].astype(int)
+    assert np.abs(shown - bars).max() <= 4, shown.tolist()
+
+
+def check_stamps(frames: list[Frame], counted: dict[str, int], since_ns: int) -> None:
+    """Check that the kernel stamps frames on our clock; a stamp that cannot be is refused and counted."""
+    sources = [frame.stamp.source for frame in frames]
+    assert "kernel" in sources
+    assert counted["stamps_refused"] == sources.count("arrival") == len(sources) - sources.count("kernel"), sources
+    measured = [frame.stamp.measured_at for frame in frames]
+    assert since_ns < min(measured) < max(measured) < time.monotonic_ns(), measured

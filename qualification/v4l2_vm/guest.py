@@ -1,7 +1,4 @@
-"""Program inside the machine: the driver on both cameras, one scene after the other, results as JSON lines.
-
-It judges nothing; `test_vivid.py` and `test_webcam.py` do, outside.
-"""
+"""Program inside the machine: the driver on both cameras, one scene after the other; how each ended as a line of JSON."""
 
 import asyncio
 import json
@@ -11,39 +8,42 @@ import time
 import traceback
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 from qualification.v4l2_vm import scenes_vivid, scenes_webcam
-from qualification.v4l2_vm.capture import Seen
 from qualification.v4l2_vm.machine import MARK
 
-
-async def scenes() -> None:
-    for scene in (*scenes_vivid.SCENES, *scenes_webcam.SCENES):
-        await report(scene)
+SCENES = (*scenes_vivid.SCENES, *scenes_webcam.SCENES)
 
 
-async def report(scene: Callable[[], Awaitable[Seen]]) -> None:
-    began, before = time.monotonic(), len(os.listdir("/proc/self/fd"))
-    seen: Seen = {}
+async def play(scene: Callable[[], Awaitable[None]]) -> None:
+    """Play a scene and report its error, or the empty text; descriptors that it leaves open are one."""
+    began, before, error = time.monotonic(), len(os.listdir("/proc/self/fd")), ""
     for last in (False, True):
         try:
-            seen = await scene()
+            await scene()
+            error = ""
         except Exception:
-            seen = {"error": traceback.format_exc()}
+            error = traceback.format_exc()
         # The kernel drops a camera on its bus that a starved machine lets wait for seconds; that is no fault of the driver.
-        if last or "no such camera" not in seen.get("error", ""):
+        if last or "no such camera" not in error:
             break
-    seen |= {"name": scene.__name__, "took_s": round(time.monotonic() - began, 2)}
-    seen["descriptors_left"] = len(os.listdir("/proc/self/fd")) - before
-    say(seen)
+    left = len(os.listdir("/proc/self/fd")) - before
+    error = error or (f"{left} descriptors are left open" if left else "")
+    say({"name": scene.__name__, "error": error, "took_s": round(time.monotonic() - began, 2)})
 
 
-def say(what: Seen) -> None:
+async def play_all() -> None:
+    for scene in SCENES:
+        await play(scene)
+
+
+def say(what: dict[str, Any]) -> None:
     sys.stdout.write(f"\n{MARK}{json.dumps(what)}\n")
     sys.stdout.flush()
 
 
 if __name__ == "__main__":
     scenes_vivid.link()
-    asyncio.run(scenes())
+    asyncio.run(play_all())
     say({"name": "end", "uptime_s": float(Path("/proc/uptime").read_text().split()[0])})

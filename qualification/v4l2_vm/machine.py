@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -56,7 +55,7 @@ def missing() -> str | None:
     return None
 
 
-def run(timeout_s: float, echo: bool = False) -> list[dict[str, Any]]:
+def run(timeout_s: float) -> list[dict[str, Any]]:
     """Boot, run `qualification.v4l2_vm.guest` inside, power off; what it reported.
 
     Raises:
@@ -83,8 +82,6 @@ def run(timeout_s: float, echo: bool = False) -> list[dict[str, Any]]:
             console = done.stdout.decode(errors="replace") + done.stderr.decode(errors="replace")
         except subprocess.TimeoutExpired as why:
             console = f"{(why.stdout or b'').decode(errors='replace')}\n(stopped after {timeout_s:g} s)"
-    if echo:
-        sys.stdout.write(console)
     reports = [json.loads(line.partition(MARK)[2]) for line in console.splitlines() if MARK in line]
     if not reports or reports[-1].get("name") != "end":
         raise RuntimeError("the guest did not come to its end:\n" + console[-4000:])
@@ -144,13 +141,3 @@ def _cpio(entries: Iterable[tuple[str, int, bytes]]) -> bytes:
         out += data
         out += b"\0" * (-len(out) % 4)
     return bytes(out)
-
-
-if __name__ == "__main__":
-    lacking = missing()
-    if lacking is not None:
-        sys.exit(lacking)
-    began = time.monotonic()
-    for report in run(300.0, echo="--console" in sys.argv):
-        sys.stdout.write(json.dumps(report) + "\n")
-    sys.stdout.write(f"{time.monotonic() - began:.1f} s\n")

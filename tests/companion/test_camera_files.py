@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.service.vehicle_parts import with_camera
-from companion.settings.load import from_mapping, load, read_camera
+from companion.settings.load import read_camera
 from companion.tools.calibrate.camera_file import FOREIGN, foreign
 from drivers.camera.options import CameraOptions
 from drivers.clock import SystemClock
@@ -119,28 +119,10 @@ def test_what_is_lacking_is_named(text: str, said: str, tmp_path: Path) -> None:
         read_camera(path)
 
 
-RIG = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
-
-
-def with_keys(**keys: object) -> dict[str, object]:
-    return RIG | {"camera": {"file": "sim"} | keys}
-
-
 def test_controls_are_numbers_truth_values_or_labels() -> None:
     text = " a=1 , b = true,c=false, d=-5, e=60 Hz "
     assert CameraOptions(controls=text).control_values() == {"a": 1, "b": True, "c": False, "d": -5, "e": "60 Hz"}
     assert CameraOptions().control_values() == {}
-    for wrong in ("gain", "gain=", "=3", "gain=1,gain=2", "a=1,,b=2"):
-        with pytest.raises(BadInput, match=r"x: camera: controls: '.*' is not name=value"):
-            from_mapping(with_keys(controls=wrong), "x")
-
-
-def test_keys_that_do_not_go_together_are_refused_when_the_file_is_read(tmp_path: Path) -> None:
-    for keys, words in (('source = "v4l2"', "device must be given"), ('device = "usb"', "source must be")):
-        file = tmp_path / "rig.toml"
-        file.write_text(f'[vehicle]\nkind = "ardrone"\n[camera]\nfile = "sim"\n{keys}\n[pad]\nfile = "thesis"\n')
-        with pytest.raises(BadInput, match=words):
-            load(file)
 
 
 async def test_frames_are_the_cameras_and_the_rest_is_the_vehicles(tmp_path: Path) -> None:

@@ -24,14 +24,14 @@ from estimator.contracts.commands import Command, Hover
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
-from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.contracts.samples import Frame, Sample
+from estimator.contracts.time import MonoNs, after, seconds_between
 from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig
 from tests.fly import ObservedCalls
+from tests.make import attitude, stamp_at, status
 from tests.support.clocks import PatientClock
 from tests.support.waiting import until
 
@@ -68,16 +68,15 @@ class FakeVehicle:
             self.left_hovering += 1
 
     def say(self, *, flying: bool) -> None:
-        now = CLOCK.now()
-        stamp = Stamp(now, now, 0.001, "sim")
-        self.samples.offer(VehicleStatus(stamp, flying, "hovering" if flying else "landed", 0.8, False, True))
-        self.samples.offer(Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3)))
+        stamp = stamp_at(CLOCK.now())
+        self.samples.offer(status(stamp, flying, "hovering" if flying else "landed"))
+        self.samples.offer(attitude(stamp, var=1e-5))
 
     def film(self, seq: int, px: np.ndarray = SEA, late_s: float = 0.02) -> None:
         now = CLOCK.now()
         px = px.copy()
         px[:, 0] = seq  # no two frames of a camera are alike
-        self.frames.offer(Frame(Stamp(after(now, -late_s), now, 0.001, "sim"), seq, px))
+        self.frames.offer(Frame(stamp_at(after(now, -late_s), now), seq, px))
 
 
 def daemon_of(

@@ -201,9 +201,8 @@ def no_decoder(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("no_decoder")
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
-@pytest.mark.parametrize("side", [16384, 30000])
-def test_detect_and_calibrate_name_the_image_and_its_claim(tmp_path, capsys, suffix, side):
-    path = tmp_path / f"bomb{suffix}"
+def test_detect_and_calibrate_name_the_image_and_its_claim(tmp_path, capsys, suffix):
+    side, path = 30000, tmp_path / f"bomb{suffix}"
     path.write_bytes(claiming(suffix, side, side))
     assert path.stat().st_size < 1000
     for words, output in (

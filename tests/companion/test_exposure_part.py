@@ -8,7 +8,6 @@ import pytest
 from msgspec import structs
 
 from companion.base.health import Health
-from companion.base.observer import ProcessedFrame
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.service.exposure_part import ExposurePart
@@ -18,12 +17,12 @@ from companion.settings.model import CameraSettings
 from drivers.camera.exposure import TARGET, ExposureDrive, ExposureRange, ExposureSetting
 from drivers.camera.exposure_options import ExposureOptions
 from drivers.clock import SystemClock
-from estimator.contracts.estimates import RelativeState, Verdict
-from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude, Frame, Imu
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from tests.make import attitude, estimate, imu, processed_frame, stamp_at
 
 SETTINGS = from_mapping(
     {
@@ -50,8 +49,7 @@ class BelievingPilot:
     def at(self, now: MonoNs) -> RelativeState | None:
         if not self.tracked:
             return None
-        d = np.array([AHEAD_M, 0.0, HEIGHT_M])
-        return RelativeState(now, "ekf", d, np.zeros(3), 0.0, np.eye(7), now, True)
+        return estimate(now * 1e-9, (AHEAD_M, 0.0, HEIGHT_M), sigma=1.0)
 
 
 class Scene:
@@ -73,15 +71,13 @@ class Scene:
             held = self.drive.held
             assert held is not None
             self.number += 1
-            stamp = Stamp(MonoNs(self.number * PERIOD_NS), MonoNs(self.number * PERIOD_NS), 0.0, "sim")
-            self.part.on_sample(Imu(stamp, np.array([0.0, w_body, 0.0]), np.array([0.0, 0.0, -9.81])))
+            stamp = stamp_at(self.number * PERIOD_NS)
+            self.part.on_sample(imu(stamp, (0.0, w_body, 0.0)))
             white = self.white_per_ms * 1e3 * held.product_s
             light = np.where(self.inside, white, 10.0 * white)
             grey = np.round(255.0 * np.clip(light, 0.0, 1.0) ** (1 / 2.2)).astype(np.uint8)
             frame = Frame(stamp, self.number, np.repeat(grey[..., None], 3, axis=2), held.exposure_s, held.gain)
-            attitude = Attitude(stamp, Rotation.from_rpy(0.0, 0.0, 0.0), np.eye(3) * 1e-4)
-            done = stamp.received_at
-            self.part.on_frame(ProcessedFrame(frame, attitude, None, Verdict.NO_PAD, done, done))
+            self.part.on_frame(processed_frame(frame, own=attitude(stamp)))
             if (wanted := self.drive.take()) is not None:
                 self.drive.changed(wanted, self.number, self.number)
         assert self.drive.held is not None

@@ -4,6 +4,7 @@ import socket
 import subprocess
 import threading
 import tomllib
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -20,8 +21,9 @@ from estimator.contracts.time import MonoNs
 from tests.support.mqtt_service import decision
 
 
-@pytest.mark.parametrize("where", sorted(start.PLACES))
-@pytest.mark.parametrize("vehicle", sorted(start.VEHICLES))
+@pytest.mark.parametrize(
+    ("vehicle", "where"), [*product(start.VEHICLES, sorted(start.PLACES)[:1]), *product(sorted(start.VEHICLES)[:1], start.PLACES)]
+)
 def test_the_file_is_short_commented_good_and_never_overwritten(vehicle, where, tmp_path, capsys):
     out = tmp_path / "rig.toml"
     words = ["start", "--yes", "--no-doctor", "--vehicle", vehicle, "--where", where, "--camera", "usb", "--out", str(out)]

@@ -35,7 +35,7 @@ from estimator.contracts.fusion import COMPONENTS, FusionResult
 from estimator.contracts.time import MonoNs
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
-from tests.companion.recorder_parts import CAMERA
+from tests.companion.test_recorder import CAMERA
 from tests.companion.test_records import result
 from tests.companion.test_report import PAD
 from tests.fly import ObservedCalls, sim_settings

@@ -14,22 +14,41 @@ import pytest
 from mcap.reader import make_reader
 from msgspec.structs import replace
 
-from companion.base.observer import Decision
+from companion.base.observer import Decision, ProcessedFrame
 from companion.facts.records import TruthRecord
 from companion.parts.recorder.recorder import Recorder, RecorderState
 from companion.parts.recorder.storage_policy import Folder, SingleFile
 from companion.recording import channels
 from companion.recording.channels import TOPICS
+from companion.recording.mcap_file import About
 from companion.recording.reading import RecordedFrame, open_recording
+from companion.settings.load import camera_model
 from companion.settings.service import RecorderOptions
 from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import COMPONENTS
-from estimator.contracts.samples import Imu
+from estimator.contracts.samples import Imu, Sample
 from estimator.contracts.time import MonoNs, Stamp
-from tests.companion.recorder_parts import ABOUT, CAMERA, numbered_imu, samples_of
 from tests.fly import ObservedCalls, record_to, sim_settings
-from tests.make import same_bits
+from tests.make import frame, imu, processed_frame, same_bits
 from tests.support.waiting import wait_until
+
+CAMERA = camera_model(sim_settings())
+ABOUT = About({"flight": {"kind": "test"}})
+
+
+def numbered_imu(at_s: float) -> Imu:
+    return imu(at_s, (0.0, 0.0, at_s))
+
+
+def numbered_frame(at_s: float, seq: int) -> ProcessedFrame:
+    px = np.full((CAMERA.height, CAMERA.width, 3), seq % 256, np.uint8)
+    return processed_frame(frame(at_s, seq, px), verdict=Verdict.NO_ATTITUDE)
+
+
+def samples_of(path: Path) -> list[Sample]:
+    return [event for event in open_recording([path]).events() if isinstance(event, Imu)]
+
 
 ROOT = Path(__file__).parents[2]
 

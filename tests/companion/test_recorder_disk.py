@@ -19,7 +19,7 @@ from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.service import RecorderOptions
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
-from tests.companion.recorder_parts import ABOUT, CAMERA, numbered_frame, numbered_imu, samples_of
+from tests.companion.test_recorder import ABOUT, CAMERA, numbered_frame, numbered_imu, samples_of
 from tests.support.waiting import wait_until
 
 

@@ -25,9 +25,8 @@ from estimator.contracts.time import MonoNs
 from estimator.vision.camera import Camera
 from estimator.vision.detection import NearThing, PadCheck, PadThing
 from tests import make
-from tests.companion.recorder_parts import numbered_frame
-from tests.make import same_bits
-from tests.support.processed_frames import seen
+from tests.companion.test_recorder import numbered_frame
+from tests.make import same_bits, seen
 
 AT = MonoNs(3_000_000_000)
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5, np.zeros(5), Transform(Rotation.from_rpy(1.6, 0.0, 1.5), np.zeros(3)))

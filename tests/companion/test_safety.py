@@ -21,14 +21,13 @@ from companion.settings.load import camera_model, load, pad_model
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert, PathName, Sighting, Verdict
-from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
-from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs, after
 from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig
-from tests.make import deck
+from tests.make import attitude, deck, imu, range_down, stamp_at, status, velocity
 
 SIM = load("sim")
 EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), TrackerOptions(colours="simulator"))
@@ -94,7 +93,7 @@ class Loop:
 
     def sense(self, fault: str) -> None:
         at = after(self.now, 3600.0) if fault == "hour ahead" and self.ticks % 7 == 0 else self.now
-        stamp = Stamp(at, at, 0.001, "sim")
+        stamp = stamp_at(at)
         w, f = self.noise(0.01), np.array([0, 0, -9.80665]) + self.noise(0.05)
         if fault == "imu frozen":
             w, f = self.still_imu
@@ -102,21 +101,18 @@ class Loop:
             f = self.still_imu[1]
         if fault == "imu spikes" and self.ticks % 5 == 0:
             f = np.array([0.0, 1e4, 0.0])
-        self.pilot.on_sample(Imu(stamp, w, f))
-        R = Rotation.identity() if fault == "attitude frozen" else Rotation.from_rpy(*self.noise(0.002))
-        now = Stamp(self.now, self.now, 0.001, "sim")
-        self.pilot.on_sample(Attitude(now, R, 1e-5 * np.eye(3)))
-        v = np.zeros(3) if fault == "velocity frozen" else self.v + self.noise(0.01)
-        self.pilot.on_sample(BodyVelocity(now, v, np.diag([0.01, 0.01, UNKNOWN_VAR])))
+        self.pilot.on_sample(imu(stamp, w, f))
+        now, tilt = stamp_at(self.now), np.zeros(3) if fault == "attitude frozen" else self.noise(0.002)
+        self.pilot.on_sample(attitude(now, *tilt, var=1e-5))
+        self.pilot.on_sample(velocity(now, np.zeros(3) if fault == "velocity frozen" else self.v + self.noise(0.01)))
         if self.d[2] > 0.2:
-            self.pilot.on_sample(
-                Range(now, self.d[2] * (1.6 if fault == "range wrong" else 1.0) + abs(self.noise(0.005)[0]), 0.02)
-            )
-        self.pilot.on_sample(VehicleStatus(now, self.flying, "hovering", 0.9, False, True))
+            wrong = 1.6 if fault == "range wrong" else 1.0
+            self.pilot.on_sample(range_down(now, self.d[2] * wrong + abs(self.noise(0.005)[0])))
+        self.pilot.on_sample(status(now, self.flying, "hovering"))
 
     def track(self, fault: str) -> None:
         late_s = 0.36 if fault == "stamps old" else 0.06
-        stamp = Stamp(after(self.now, -late_s), self.now, 0.002, "sim")
+        stamp = stamp_at(after(self.now, -late_s), self.now, sigma_s=0.002)
         px = self.still_image if fault == "camera frozen" else self.image()
         if (refused := self.pilot.estimator.admit(Frame(stamp, self.ticks, px))) is not None:
             self.verdicts.append(refused)

@@ -94,7 +94,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
             '"a b" is not a known key; known here are vehicle, camera, pad, vision, estimator, guidance, service, recorder, '
             "mqtt, http, video_stream, landing_target, bridge, operator, limits, vessel",
         ),
-        ({"line\nbreak ` - at `$.vehicle.host`": 1}, None),
+        ({"line\nbreak ` - at `$.vehicle.host`": 1}, "unknown field `line break "),
         ({"vision": 3}, "vision must be a table of keys, found 3"),
         ({"camera": {}}, "camera.file is missing: it must be text of 1 to 4096 characters"),
         (
@@ -104,25 +104,33 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         ({"vehicle__links": "x"}, "vehicle.links is not a known key of this kind of vehicle"),
         ({"vehicle": {}}, 'vehicle.kind is missing: it must be one of "ardrone", "mavlink"'),
         ({"service__restart_first_s": 9}, "service: restart_cap_s (5 s) must not be shorter than restart_first_s (9 s)"),
+        ({"kind": "mavlink", "vehicle__links": "udp:14550"}, "links: MAVLink link 'udp:14550': write udpin://"),
+        ({"kind": "mavlink", "vehicle__vessel_id": 3, "vehicle__system_id": 3}, "vessel_id must not be"),
+        ({"kind": "mavlink", "vehicle__links": "udpin://0.0.0.0:1", "vehicle__operators": "255/0"}, "operators: operator"),
+        ({"kind": "mavlink", "vehicle__links": "udpin://0.0.0.0:1", "vehicle__operators": "station"}, "operators: operator"),
+        ({"vessel__nmea": "10110"}, "nmea must be ADDRESS:PORT"),
+        ({"vessel__nmea": "ship.local:10110"}, "nmea must be ADDRESS:PORT"),
+        ({"vessel__nmea": "127.0.0.1:0"}, "the port must lie in 1 to 65535"),
+        ({"vessel__mmsi": 211234560}, "belong to nmea"),
+        ({"vessel__age_max_s": 20.0}, "forget_s"),
+        ({"camera__source": "v4l2"}, "device must be given"),
+        ({"camera__device": "usb"}, "source must be"),
+        ({"camera__controls": "gain"}, "camera: controls: 'gain' is not name=value"),
+        ({"camera__controls": "gain="}, "camera: controls: 'gain=' is not name=value"),
+        ({"camera__controls": "=3"}, "camera: controls: '=3' is not name=value"),
+        ({"camera__controls": "gain=1,gain=2"}, "is not name=value"),
+        ({"camera__controls": "a=1,,b=2"}, "is not name=value"),
     ],
 )
-def test_a_refusal_names_file_key_unit_range_and_what_was_found(changes: dict[str, Any], text: str | None) -> None:
+def test_a_refusal_names_file_key_unit_range_and_what_was_found(changes: dict[str, Any], text: str) -> None:
     output = refusal(minimal(**changes))
     assert output.startswith("rig.toml: ")
-    assert text in (None, output.removeprefix("rig.toml: "))
+    assert text in output
 
 
 def test_a_missing_table_says_what_it_needs() -> None:
-    assert refusal({"vehicle": {"kind": "ardrone"}, "pad": {"file": "thesis"}}) == (
-        "rig.toml: the table [camera] is missing; it needs file"
-    )
-
-
-def test_what_an_autopilot_s_keys_must_be() -> None:
-    assert "links: MAVLink link 'udp:14550': write udpin://" in refusal(minimal("mavlink", vehicle__links="udp:14550"))
-    assert "vessel_id must not be" in refusal(minimal("mavlink", vehicle__vessel_id=3, vehicle__system_id=3))
-    for text in ("0", "255/0", "station"):
-        assert "operators: operator" in refusal(minimal("mavlink", vehicle__links="udpin://0.0.0.0:1", vehicle__operators=text))
+    data = {"vehicle": {"kind": "ardrone"}, "pad": {"file": "thesis"}}
+    assert refusal(data) == "rig.toml: the table [camera] is missing; it needs file"
 
 
 def test_every_key_is_explained_and_every_number_refuses_what_lies_outside_its_range() -> None:

@@ -1,4 +1,4 @@
-"""The ship's reports through the whole service: over UDP or MAVLink in, the way to the ship out as setpoints that are flown."""
+"""The ship's reports through the whole service: over UDP in, the way to the ship out as setpoints that are flown."""
 
 import asyncio
 import itertools
@@ -6,46 +6,119 @@ import math
 import re
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 import pytest
 
+from companion.base.health import missing_inputs
 from companion.base.mission import State
+from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import Pilot
 from companion.parts.metrics import endpoint
-from companion.settings.load import from_mapping
-from drivers.clock import SystemClock
-from drivers.endpoint import parse_endpoint
-from drivers.mavlink.links import LinkOptions, open_links
+from companion.service.assemble import make_daemon
+from companion.service.daemon import Daemon
+from companion.settings.load import load
+from companion.settings.model import CameraSettings, Settings
+from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.vehicle import Stack
 from drivers.nmea.sentences import KNOT_M_S, REFUSED_FOR
-from estimator.contracts.errors import BadInput
+from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import F64
-from sitl.emulators.autopilots.stand_in.base import global_position
-from tests.companion.ship_flights import HOST, SHIP, SHIP_NED, Flying, flying, rmc, sentence, settings_of
+from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
+from sitl.sensors.sensors import ORIGIN
 from tests.support.waiting import free_port, until
 
+HOST = "127.0.0.1"
+SHIP_NED = np.array([48.0, 36.0, -2.0])
+VELOCITY = 0x05C7
+"""The mask of a setpoint that holds a velocity and a rate of turn."""
 
-async def test_the_ship_s_own_mavlink_system_leads_it_there_and_no_other_system() -> None:
-    port, clock = free_port(), SystemClock()
-    link = LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))
 
-    async def send_for(system: int, seconds: float, service: Flying) -> None:
-        async with open_links([link], clock, (system, 1)) as links:
-            for _ in range(round(seconds / 0.1)):
-                boot_ms = clock.now() // 1_000_000 & 0xFFFFFFFF
-                links.send(global_position(boot_ms, SHIP_NED, np.array([0.0, 2.0, 0.0]), 90.0))
-                await asyncio.sleep(0.1)
-                if service.towards_ship():
-                    return
+def settings_of(port: int, **vessel: object) -> Settings:
+    """Return settings with an autopilot on a port and these of `[vessel]`."""
+    settings = load("sim")
+    vehicle = AutopilotOptions(links=f"udpin://{HOST}:{port}", command_period_s=0.02)
+    rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=True)
+    return msgspec.structs.replace(
+        settings,
+        vehicle=vehicle,
+        camera=CameraSettings(settings.camera.file),
+        guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, controller="pid"),
+        vessel=msgspec.structs.replace(settings.vessel, **vessel),
+        operator=msgspec.structs.replace(settings.operator, socket="off"),
+    )
 
-    async with flying(settings_of(port), port) as service:
-        await send_for(SHIP + 1, 1.0, service)
-        assert service.pilot.landing.vessel_counts()["taken"] == 0
-        assert "no place from the ship yet" in service.missing()
-        await send_for(SHIP, 30.0, service)
-        assert service.towards_ship(), (service.pilot.phase, service.pilot.landing.reason, service.pilot.landing.vessel_counts())
-        assert service.pilot.state is State.RENDEZVOUS
+
+def sentence(body: str, start: str = "$") -> bytes:
+    """Return a sentence with its checksum."""
+    check = 0
+    for letter in body:
+        check ^= ord(letter)
+    return f"{start}{body}*{check:02X}\r\n".encode()
+
+
+def place_of(p_ned: F64) -> GeoPoint:
+    """Return the place of a point of the simulated world, (3,) m."""
+    return moved(ORIGIN, p_ned)
+
+
+def rmc(at_s: float, p_ned: F64 = SHIP_NED, speed_kn: float = 4.0) -> bytes:
+    """Return the ship's sentence at a time of the minute, s; she sails to the east."""
+    at = place_of(p_ned)
+
+    def part(angle_rad: float, width: int, letters: str) -> str:
+        minutes = abs(math.degrees(angle_rad)) * 60.0
+        return f"{int(minutes // 60):0{width}d}{minutes % 60.0:08.5f},{letters[angle_rad < 0.0]}"
+
+    place = f"{part(at.latitude_rad, 2, 'NS')},{part(at.longitude_rad, 3, 'EW')}"
+    return sentence(f"GPRMC,0818{at_s % 60.0:05.2f},A,{place},{speed_kn:05.1f},090.0,130926,,")
+
+
+@dataclass(frozen=True)
+class Flying:
+    """The running service and its autopilot."""
+
+    daemon: Daemon
+    pilot: Pilot
+    fake: MiniatureAutopilot
+
+    def missing(self) -> tuple[str, ...]:
+        return missing_inputs(self.daemon.health.snapshot())
+
+    def counted(self, part: str) -> dict[str, float]:
+        return dict(self.daemon.health.snapshot().counters.get(part, {}))
+
+    @property
+    def setpoints(self) -> list[F64]:
+        """The commanded velocities, (3,) m/s in ned, oldest first."""
+        return [np.array([m.vx, m.vy, m.vz]) for m in self.fake.of("SET_POSITION_TARGET_LOCAL_NED") if m.type_mask == VELOCITY]
+
+    def towards_ship(self) -> bool:
+        """Return whether the newest setpoint leads to the ship, with her velocity on top, and not down."""
+        asked = self.setpoints
+        return bool(asked) and asked[-1][2] <= 0.0 and asked[-1][0] > 0.8 and asked[-1][1] > 2.0
+
+
+@asynccontextmanager
+async def flying(settings: Settings, port: int) -> AsyncIterator[Flying]:
+    """Yield the service with an autopilot in the air, 10 m up at the origin, and a landing ordered."""
+    pilot = make_pilot(settings)
+    daemon = make_daemon(settings, pilot)
+    fake = MiniatureAutopilot(Stack.ARDUPILOT, mode="guided")
+    fake.armed, fake.landed_state, fake.p_ned = True, 2, np.array([0.0, 0.0, -10.0])
+    running = asyncio.create_task(daemon.run())
+    try:
+        async with fake.talking_to(f"udpout://{HOST}:{port}"):
+            await until(lambda: pilot.state is not State.STANDBY)
+            pilot.begin()
+            yield Flying(daemon, pilot, fake)
+    finally:
+        daemon.stop()
+        await running
 
 
 GARBAGE = {
@@ -121,19 +194,3 @@ async def test_among_garbage_it_flies_astern_of_her_searches_and_waits_level_whe
 
 def udp() -> socket.socket:
     return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-
-
-@pytest.mark.parametrize(
-    ("table", "said"),
-    [
-        ({"nmea": "10110"}, "nmea must be ADDRESS:PORT"),
-        ({"nmea": "ship.local:10110"}, "nmea must be ADDRESS:PORT"),
-        ({"nmea": "127.0.0.1:0"}, "the port must lie in 1 to 65535"),
-        ({"mmsi": 211234560}, "belong to nmea"),
-        ({"age_max_s": 20.0}, "forget_s"),
-    ],
-)
-def test_a_source_that_cannot_be_is_refused(table: dict[str, object], said: str) -> None:
-    data = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}, "vessel": table}
-    with pytest.raises(BadInput, match=said):
-        from_mapping(data, "mine.toml")

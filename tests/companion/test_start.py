@@ -1,4 +1,4 @@
-"""The service's start: what the first guidance cycle does not need is loaded after it, and vision before the first frame."""
+"""The start of the service and of commands: what is loaded when, vision before the first frame, and an install without PyAV."""
 
 import asyncio
 import subprocess
@@ -8,14 +8,14 @@ from pathlib import Path
 
 import cv2
 
-from companion.base.observer import Decision
+from companion.base.observer import Decision, NullObserver
 from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.service import RestartOptions
 from estimator.options import EstimatorOptions
 from tests.companion.test_daemon import CLOCK, EYES, FakeVehicle
-from tests.fly import ObservedCalls
+from tests.fly import NEAR
 from tests.support.waiting import until
 
 LATER = ("av", "cv2", "email", "importlib.metadata", "msgspec.inspect", "numpy.ma", "estimator.vision.tracker")
@@ -50,15 +50,13 @@ def test_the_first_guidance_cycle_waits_for_nothing_that_it_does_not_need(tmp_pa
     assert done.stdout == "\n"
 
 
-class Order(ObservedCalls):
+class Order(NullObserver):
     """Notes decisions into a list that the preparation of vision shares."""
 
     def __init__(self, order: list[str]) -> None:
-        super().__init__()
         self._order = order
 
     def on_decision(self, decision: Decision) -> None:
-        super().on_decision(decision)
         self._order.append("decided")
 
 
@@ -94,3 +92,53 @@ async def test_vision_is_prepared_once_on_its_own_thread_between_the_first_cycle
     assert order.count("vision") == 1
     assert order.index("vision") < order.index("looked with 1")
     assert "looked with 2" not in order
+
+
+ROOT = Path(__file__).parents[2]
+_WITHOUT = """
+import sys
+from importlib.abc import MetaPathFinder
+class Hidden(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == "av":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Hidden())
+import importlib.util, drivers.pyav
+drivers.pyav.find_spec = lambda name: None
+from companion.cli import main
+for words in sys.argv[1:]:
+    print(main.main(words.split()))
+"""
+
+
+def without_pyav(*commands: str, cwd: Path) -> tuple[list[str], str]:
+    """Return the exit codes, and what was printed to stderr, of command lines in a process without PyAV."""
+    done = subprocess.run(
+        [sys.executable, "-c", _WITHOUT, *commands],
+        cwd=cwd,
+        env={"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return [line for line in done.stdout.splitlines() if line.isdigit()], done.stderr
+
+
+def test_without_pyav_a_pixhawk_and_a_webcam_work_and_other_video_is_refused_by_its_setting(tmp_path: Path) -> None:
+    photo, film = ROOT / "configs/examples/pad.jpg", tmp_path / "film.mp4"
+    film.write_bytes(b"no image")
+    (tmp_path / "near.toml").write_text(NEAR)
+    codes, printed = without_pyav(
+        "run --config raspberry_ardupilot --check",
+        f"detect {photo} --camera sim --pad thesis",
+        "simulate near.toml --seed 3 --perception model",
+        "config check ardrone1",
+        "run --config ardrone2 --check",
+        f"detect {film} --camera sim --pad thesis",
+        cwd=tmp_path,
+    )
+    assert codes == ["0", "0", "0", "0", "2", "2"], printed
+    assert 'vehicle.model = "2.0" needs PyAV' in printed
+    assert f"{film}: a video needs PyAV" in printed
+    assert printed.count("decklander[video]") == 2
+    assert "Traceback" not in printed

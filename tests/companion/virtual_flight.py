@@ -18,13 +18,12 @@ from companion.service.daemon import Daemon, VehicleLink
 from companion.settings.guidance import GuidanceOptions
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Velocity
-from estimator.contracts.estimates import Sighting
-from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Sample, VehicleStatus
+from estimator.contracts.samples import Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection
 from tests.companion.test_daemon import EYES
+from tests.make import attitude, imu, sighting, stamp_at, status, velocity
 
 TICK_S = 0.01
 NOISE = np.random.default_rng(0).integers(0, 9, (EYES.camera.height, EYES.camera.width, 3), np.uint8)
@@ -74,9 +73,8 @@ class SeeingPilot(Pilot):
         self._truth = vehicle
 
     def detect(self, look: Look) -> Detection:
-        d = -self._truth.p_level
-        sighting = Sighting(look.frame.stamp, look.frame.seq, "selected", d, 0.0, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
-        return Detection(sighting, "arrow", MappingProxyType({}))
+        seen = sighting(look.frame.stamp, -self._truth.p_level, seq=look.frame.seq)
+        return Detection(seen, "arrow", MappingProxyType({}))
 
 
 class FakeFlight:
@@ -111,27 +109,26 @@ class FakeFlight:
             self.left += 1
 
     def status(self, stamp: Stamp) -> VehicleStatus:
-        return VehicleStatus(stamp, True, "flying", 0.8, False, True)
+        return status(stamp)
 
     def tick(self, n: int) -> None:
         self.p_level = self.p_level + TICK_S * self._v_level
         self.sense(n)
         if n % 4 == 3:
             now = self._clock.now()
-            self.frames.offer(Frame(Stamp(MonoNs(now - 10_000_000), now, 0.001, "sim"), n, self.picture(n)))
+            self.frames.offer(Frame(stamp_at(now - 10_000_000, now), n, self.picture(n)))
 
     def picture(self, n: int) -> NDArray[np.uint8]:
         return np.roll(NOISE, n, axis=0)
 
     def sense(self, n: int) -> None:
-        now = self._clock.now()
-        stamp = Stamp(now, now, 0.001, "sim")
+        stamp = stamp_at(self._clock.now())
         noise = np.random.default_rng(n).normal(0.0, 1e-3, (4, 3))  # a sensor that repeats itself is not believed
-        self.samples.offer(Imu(stamp, noise[0], np.array([0.0, 0.0, -9.80665 - self.push_up_m_s2]) + noise[1]))
+        self.samples.offer(imu(stamp, noise[0], np.array([0.0, 0.0, -9.80665 - self.push_up_m_s2]) + noise[1]))
         if n % 2 == 0:
             self.samples.offer(self.status(stamp))
-            self.samples.offer(Attitude(stamp, Rotation.from_rpy(*(0.1 * noise[2])), 1e-5 * np.eye(3)))
-            self.samples.offer(BodyVelocity(stamp, self._v_level + noise[3], np.diag([0.01, 0.01, UNKNOWN_VAR])))
+            self.samples.offer(attitude(stamp, *(0.1 * noise[2]), var=1e-5))
+            self.samples.offer(velocity(stamp, self._v_level + noise[3]))
 
 
 @patch("companion.service.daemon.no_full_collections", nullcontext)  # in virtual time a collection takes none

@@ -1,11 +1,23 @@
-"""Navigation and links of the documentation, and pages that are made from the code or name its tests."""
+"""Navigation, links and made pages of the documentation; settings, commands, topics, modules and files that it names exist."""
 
+import argparse
+import importlib
 import re
 import tomllib
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
+import pytest
+from msgspec import inspect
+
 from companion.cli.fly import KEYS, MOTIONS, ORDERS
+from companion.cli.main import COMMANDS
 from companion.guidance.operator.precedence import markdown
+from companion.parts.mqtt.messages import PUBLISHED
+from companion.settings.model import EXPERT, Settings, in_file
+from companion.settings.schema import variants
+from supply import safety
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -59,7 +71,7 @@ def test_the_changelog_and_the_pages_name_the_version() -> None:
     assert f"decklander_{version}_arm64.deb" in (DOCS / "installation.md").read_text()
 
 
-PAGE = (Path(__file__).parents[2] / "docs/operator.md").read_text()
+PAGE = (DOCS / "operator.md").read_text()
 
 
 def test_the_page_holds_the_table_of_precedence() -> None:
@@ -96,3 +108,183 @@ def test_every_test_that_the_page_names_is_there() -> None:
         if not (ROOT / path).is_file() or not re.search(rf"^ *(?:async )?def {name}\(", (ROOT / path).read_text(), re.MULTILINE)
     ]
     assert missing == []
+
+
+def test_every_hazard_has_a_test_and_every_mark_a_hazard() -> None:
+    assert sorted(safety.marked_tests()) == sorted(safety.HAZARDS)
+    assert {loss for hazard in safety.HAZARDS.values() for loss in hazard.losses.split()} == set(safety.LOSSES)
+
+
+def test_the_safety_case_is_that_of_the_marks() -> None:
+    assert (ROOT / "docs/safety.md").read_text() == safety.page(), "python -m supply.safety > docs/safety.md"
+
+
+TEXTS = {str(page.relative_to(ROOT)): page.read_text() for page in PAGES}
+PACKAGES = "companion|drivers|estimator|sitl|study|configs|tests|benches|fuzz|mutants|supply|requirements|qualification"
+FOREIGN_OPTIONS = {"--scale", "--user", "--offline", "--profile", "--require-hashes", "--list-ctrls-menus", "--cafile"}
+"""Options of systemctl, systemd-analyze, docker, pip, v4l2-ctl and mosquitto_pub."""
+ENDINGS = {"toml", "py", "md", "txt", "json", "csv", "png", "svg", "html"}
+
+
+@cache
+def keys() -> frozenset[str]:
+    """Return the path of every section and key that a settings file may have."""
+
+    def below(spot: inspect.Type, path: str) -> Iterator[str]:
+        for struct in variants(spot):
+            if struct.tag_field:
+                yield f"{path}.{struct.tag_field}"
+            for field in struct.fields:
+                here = f"{path}.{field.encode_name}".lstrip(".")
+                yield in_file(here)
+                if variants(field.type):
+                    yield f"{EXPERT}.{here}"
+                yield from below(field.type, here)
+
+    return frozenset((EXPERT, *below(inspect.type_info(Settings), "")))
+
+
+@cache
+def options() -> dict[str, frozenset[str]]:
+    """Return the options of every command, those of its own commands among them."""
+
+    def of(parser: argparse.ArgumentParser) -> Iterator[str]:
+        for action in parser._actions:
+            yield from action.option_strings
+            if isinstance(action, argparse._SubParsersAction):
+                for name, inner in action.choices.items():
+                    yield name
+                    yield from of(inner)
+
+    found = {}
+    for name, (module, _) in COMMANDS.items():
+        parser = argparse.ArgumentParser()
+        importlib.import_module(module).add_arguments(parser)
+        found[name] = frozenset(of(parser))
+    return found
+
+
+@cache
+def in_backticks() -> list[tuple[str, str]]:
+    """Return (page, text) of everything that stands in single backticks outside of fenced blocks."""
+    return [
+        (page, " ".join(text.split()))
+        for page, whole in TEXTS.items()
+        for text in re.findall(r"(?<!`)`([^`]+)`(?!`)", re.sub(r"^( *)```.*?^\1```$", "", whole, flags=re.MULTILINE | re.DOTALL))
+    ]
+
+
+@cache
+def source(*patterns: str) -> str:
+    return "".join(path.read_text() for pattern in patterns for path in ROOT.glob(pattern))
+
+
+def is_importable(name: str) -> bool:
+    """Return whether `name` is a module of the repository, or something that one defines."""
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        path = ROOT.joinpath(*parts[:length])
+        if path.with_suffix(".py").is_file() or (path.is_dir() and any(path.glob("*.py"))):
+            found: object = importlib.import_module(".".join(parts[:length])) if parts[length:] else path
+            for part in parts[length:]:
+                found = getattr(found, part, None)
+            return found is not None
+    return False
+
+
+def is_setting(text: str) -> bool:
+    """Return whether `section.key` is one; `estimator` is a package and a section, so a module or a name in one is right too."""
+    key = text.split(" = ")[0]
+    looks_like_one = key.split(".")[0] in keys() or key.rpartition(".")[2] in {known.rpartition(".")[2] for known in keys()}
+    return key in keys() or key.rpartition(".")[2] in ENDINGS or not looks_like_one or is_importable(key)
+
+
+def is_file(text: str) -> bool:
+    """Return whether a path exists; it may be a pattern: `companion/tools/doctor/rules_*.py`."""
+    path = text.split("::")[0].rstrip("/")
+    return "<" in path or any(ROOT.glob(path))
+
+
+NAMED: dict[str, tuple[str, Callable[[str], bool]]] = {
+    "settings": (r"[a-z_0-9]+(\.[a-z_0-9]+)+( = .*)?", is_setting),
+    "tables": (r"\[[a-z_0-9.]+\]", lambda text: text[1:-1] in keys() | {"project.urls"}),
+    "metrics": (r"decklander_[a-z_]+", lambda name: name in source("companion/parts/metrics/*.py")),
+    "named values, types of the core": (
+        r"dl_[a-z_]+",
+        lambda name: f'"{name}"' in source("companion/parts/mavlink/*.py") or name in source("estimator/core/decklander.h"),
+    ),
+    "modules": (
+        rf"({PACKAGES})(\.[A-Za-z_]\w*)+(\(.*)?",
+        lambda text: is_importable(text.split("(")[0]) or text in keys(),
+    ),
+    "files": (rf"({PACKAGES})/[\w./*-]+(::.*)?", is_file),
+}
+"""Kinds of names in backticks: the pattern of one, and whether it exists."""
+
+
+@pytest.mark.parametrize("kind", NAMED)
+def test_what_stands_in_backticks_exists(kind: str) -> None:
+    pattern, exists = NAMED[kind]
+    named = {(page, text) for page, text in in_backticks() if re.fullmatch(pattern, text)}
+    assert sorted((page, text) for page, text in named if not exists(text)) == []
+    assert named
+
+
+EVERYWHERE: dict[str, tuple[str, Callable[[str], bool]]] = {
+    "modules": (r"python -m ((?:\w+\.)+\w+)", is_importable),
+    "make targets": (
+        r"(?:`|^ {4})make ([a-z][a-z0-9-]*)",
+        lambda name: re.search(rf"^{name}:", source("Makefile"), re.MULTILINE) is not None,
+    ),
+    "files": (r"(?<![\w/.-])((?:configs|requirements)/[\w./-]+\w)", lambda path: (ROOT / path).exists()),
+    "topics": (
+        r"(?:decklander/v2/[^/\s`\"]+|`\.\.\.)/([a-z]+)",
+        lambda leaf: leaf in {"command", "vessel", *PUBLISHED},
+    ),
+}
+"""Kinds of names anywhere in a page, commands and blocks included."""
+
+
+@pytest.mark.parametrize("kind", EVERYWHERE)
+def test_what_stands_in_commands_and_blocks_exists(kind: str) -> None:
+    pattern, exists = EVERYWHERE[kind]
+    named = {(page, name) for page, text in TEXTS.items() for name in re.findall(pattern, text, re.MULTILINE)}
+    assert sorted((page, name) for page, name in named if not exists(name)) == []
+    assert named
+
+
+def test_settings_in_the_blocks_are_keys_of_the_model() -> None:
+    wrong, seen = [], 0
+    for page, text in TEXTS.items():
+        for block in re.findall(r"^\n((?:    \S[^\n]*\n|\n(?=    ))+)", text, re.MULTILINE):
+            bare = re.sub(r"^    ", "", block, flags=re.MULTILINE)
+            header = re.search(r"^\[([a-z_]+)[\].]", bare, re.MULTILINE)
+            if header is not None and header[1] in keys():
+                seen += 1
+                wrong += [f"{page}: {path}" for path in flat(tomllib.loads(bare[header.start() :]), "") if path not in keys()]
+    assert wrong == []
+    assert seen >= 2
+
+
+def flat(table: dict[str, object], path: str) -> Iterator[str]:
+    for key, value in table.items():
+        here = f"{path}.{key}".lstrip(".")
+        yield here
+        if isinstance(value, dict):
+            yield from flat(value, here)
+
+
+def test_commands_and_options_in_the_text_exist() -> None:
+    of_tools = re.findall(r'"(--[a-z][a-z-]*)"', source("benches/*.py", "supply/*.py", "fuzz/*.py", "mutants/*.py"))
+    everywhere = frozenset[str]().union(*options().values(), of_tools, FOREIGN_OPTIONS, {"--help", "--version"})
+    wrong = []
+    for page, text in in_backticks():
+        words = text.removeprefix(".venv/bin/").split()
+        if words[0] == "decklander" and len(words) > 1:
+            words = words[1:]
+            if words[0] not in COMMANDS and not words[0].startswith("-") and words[0] != "X":
+                wrong.append(f"{page}: {text}")
+        of_command = options().get(words[0])
+        known = everywhere if of_command is None or len(words) == 1 else of_command | {"--help"}
+        wrong += [f"{page}: {text}: {w}" for w in words if re.match(r"--[a-z]", w) and w.split("=")[0].rstrip(",;") not in known]
+    assert wrong == []

@@ -2,7 +2,6 @@
 
 import csv
 import math
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,6 +21,7 @@ from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Sensor
 from sitl.camera.surroundings import RGB, Decal, Deck, Surroundings
 from sitl.sea.sea import SEA_STATES, Waves
+from tests.support.shipped import shipped_camera, shipped_pad
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / ".." / "shared" / "data"
@@ -29,14 +29,7 @@ DECK_PAINTS: tuple[RGB, ...] = ((112, 118, 122), (150, 152, 150), (78, 84, 90), 
 CONDITIONS = ("plain", "light", "glare", "wet", "shadow", "cut", "occluded")
 
 
-@lru_cache
-def load_camera(name: str) -> Camera:
-    return Camera.from_mapping(tomllib.loads((ROOT / "configs" / "cameras" / f"{name}.toml").read_text()))
-
-
-@lru_cache
-def load_pad(name: str) -> Pad:
-    return Pad.from_mapping(tomllib.loads((ROOT / "configs" / "pads" / f"{name}.toml").read_text()))
+load_camera, load_pad = lru_cache(shipped_camera), lru_cache(shipped_pad)
 
 
 @dataclass(frozen=True, eq=False)

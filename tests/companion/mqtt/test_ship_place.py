@@ -11,7 +11,7 @@ import msgspec
 from companion.base.mission import State
 from companion.parts.mqtt.connection import BrokerEndpoint, connect
 from companion.settings.load import load
-from tests.companion.ship_flights import SHIP_NED, flying, place_of, settings_of
+from tests.companion.test_ship_reports import SHIP_NED, flying, place_of, settings_of
 from tests.support.waiting import free_port, until
 
 ROOT = Path(__file__).parents[3]

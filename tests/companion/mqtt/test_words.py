@@ -29,9 +29,9 @@ from estimator.contracts.commands import Lean
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
+from tests.make import seen
 from tests.support.fake_operator import FakeOperator
 from tests.support.mqtt_service import RUN, SESSION, decision, vehicle_status
-from tests.support.processed_frames import seen
 
 ROOT = Path(__file__).parents[3]
 NOW = MonoNs(5_000_000_000)

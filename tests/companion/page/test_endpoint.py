@@ -27,7 +27,7 @@ from companion.settings.links import HttpSettings
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.errors import BadInput
 from tests.fly import record_to
-from tests.support import processed_frames
+from tests.make import seen
 from tests.support.certificates import make_certificates
 from tests.support.page_service import TOKEN, PageService, browsing, serving
 from tests.support.waiting import PATIENCE_S, until
@@ -56,7 +56,7 @@ async def test_a_browser_watches_and_gives_orders_through_the_arbiter(tmp_path: 
 async def test_things_are_shown_while_frames_are_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(endpoint, "_THINGS_S", 0.2)
     async with serving(tmp_path) as service, browsing(service) as browser:
-        service.found = processed_frames.seen(service.clock.now(), True).detection
+        service.found = seen(service.clock.now(), True).detection
         while (state := await browser.read("state"))["things"] == []:
             pass
         assert state["things"][0]["width_m"] == 0.25

@@ -40,8 +40,8 @@ from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT
+from tests.make import seen
 from tests.support.page_service import Browser, browsing, serving
-from tests.support.processed_frames import seen
 from tests.support.waiting import until
 
 

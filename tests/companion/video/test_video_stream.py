@@ -21,8 +21,8 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
+from tests.make import seen
 from tests.support.clocks import SteppedClock
-from tests.support.processed_frames import seen
 
 HOST = "127.0.0.1"
 SIZE = 640, 360

@@ -15,8 +15,7 @@ from estimator.ekf.state import BARO_OFFSET, POS_REL, VEL, VEL_SCALE, VESSEL_VEL
 from tests.estimator.ekf.core_state import newest
 from tests.make import attitude, baro, imu, sighting, velocity
 from tests.make import ns as instant
-from tests.support.approach_settings import OPTIONS, setting
-from tests.support.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns
+from tests.support.estimator_truth import EPOCH_NS, OPTIONS, Setting, TruthFlight, events, ns, setting
 
 CALM = Setting(seed=1, sea=2, duration_s=9.0, imu_hz=100.0, sighting_hz=20.0, attitude_hz=20.0, velocity_hz=20.0)
 OVER = replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0)

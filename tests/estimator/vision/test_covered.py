@@ -16,8 +16,8 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import register
 from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import CLOSE, SURE, verify
+from tests.support.deck_images import keeps_claim
 from tests.support.hard_light import HARD, hard_scene
-from tests.support.pad_claims import keeps_claim
 from tests.support.pad_scenes import CONDITIONS, PadScene, pad_scene
 
 

@@ -26,8 +26,7 @@ from estimator.vision.register.look import Looked, look
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import sighting_of, sighting_of_look
 from sitl.camera.light import Light
-from tests.support.deck_images import covered, disc_of, shown
-from tests.support.pad_claims import keeps_claim
+from tests.support.deck_images import covered, disc_of, keeps_claim, shown
 from tests.support.pad_images import STAMP
 from tests.support.pad_scenes import CONDITIONS, load_pad, pad_scene
 
