@@ -306,8 +306,12 @@ def make_daemon(
             extras["foxglove"] = data.run
         if settings.http.page:
             from companion.parts.page.make import make_page
+            from companion.parts.page.viewer import PageService
+            from companion.settings.settings_file import SettingsFile
 
-            page = make_page(server, settings, pilot, health, ticking, vehicle_name(settings), vehicle.autopilot, settings_file)
+            file = None if settings_file is None else SettingsFile(settings_file)
+            service = PageService(server, settings, pilot, health, ticking, vehicle.autopilot, file)
+            page = make_page(service, vehicle_name(settings))
             watching.append(page)
             extras["page"] = page.run
     if (pulse := _pulse(pilot, health, ticking)) is not None:

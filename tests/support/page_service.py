@@ -18,11 +18,12 @@ from companion.base.observer import ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
-from companion.parts.page import endpoint
+from companion.parts.page import endpoint, viewer
 from companion.parts.page.make import make_page
 from companion.settings.links import HttpSettings
 from companion.settings.load import load
 from companion.settings.service import RecorderOptions
+from companion.settings.settings_file import SettingsFile
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -46,10 +47,10 @@ class PageService:
         settings_file: Path | None = None,
         **settings: Any,
     ) -> None:
-        file = folder / "token"
-        file.write_text(TOKEN + "\n")
-        file.chmod(0o600)
-        given = {"endpoint": "http", "port": 0, "token_file": str(file)} | settings
+        token = folder / "token"
+        token.write_text(TOKEN + "\n")
+        token.chmod(0o600)
+        given = {"endpoint": "http", "port": 0, "token_file": str(token)} | settings
         self.settings = structs.replace(
             load("sim"), http=HttpSettings(**given), recorder=RecorderOptions(folder=str(folder / "recordings"))
         )
@@ -59,8 +60,9 @@ class PageService:
         self.clock = PatientClock()
         self.health = Health(self.clock)
         self.server = HttpServer(self.settings.http, self.health, limits)
-        args = self.settings, self.pilot, self.health, self.clock, "a vehicle", lambda: autopilot, settings_file
-        self.page = make_page(self.server, *args)
+        file = None if settings_file is None else SettingsFile(settings_file)
+        args = self.settings, self.pilot, self.health, self.clock, lambda: autopilot, file
+        self.page = make_page(viewer.PageService(self.server, *args), "a vehicle")
         self.orders: list[HandledOrder] = []
         self.pilot.operator.on_order = self._on_order
         self.command: object = None

@@ -7,7 +7,7 @@ nothing else changes by its going.
 """
 
 import asyncio
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
@@ -17,8 +17,6 @@ from aiohttp import WSMsgType, web
 from msgspec import structs
 from numpy.typing import NDArray
 
-from companion.base.health import Health
-from companion.base.http_server import HttpServer
 from companion.base.mission import FAULTS, FLOWN
 from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame, ThingReport, things_of
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
@@ -26,7 +24,6 @@ from companion.base.worker import Worker
 from companion.facts import encode as facts
 from companion.facts.wire import OrderRequest, SticksRequest
 from companion.guidance.advice import advice
-from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from companion.parts.page.access import own_names, refused_origin
 from companion.parts.page.file_answer import assets
@@ -47,13 +44,12 @@ from companion.parts.page.messages import (
     request_in,
 )
 from companion.parts.page.state import AHEAD_S, HORIZONS_S, jpeg, page_health, picture_lines, video_quality
-from companion.parts.page.viewer import PageViewer, Tool, refuse
+from companion.parts.page.viewer import PageService, PageViewer, Tool, refuse
 from companion.recording.frame_encoder import FrameEncoder, codec_name
 from companion.tools.report.overlay import camera_lean
 from drivers.mailbox import Latest
 from drivers.pyav import has_pyav
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -75,40 +71,24 @@ _EVENTS = 60
 """Events that are kept for a browser that comes later."""
 
 
-def flying(pilot: Pilot) -> bool:
-    """Return whether the vehicle reports that it flies."""
-    status = pilot.vehicle
-    return status is not None and bool(status.flying)
-
-
 class PageEndpoint(NullObserver):
     """See the module's docstring.
 
     Args:
         vehicle: the vehicle's name for the page.
-        counts: the counters of the page.
         tools: what the page offers beside the flight.
     """
 
-    def __init__(
-        self,
-        server: HttpServer,
-        pilot: Pilot,
-        health: Health,
-        clock: Clock,
-        vehicle: str,
-        counts: Counter[str],
-        tools: Sequence[Tool] = (),
-    ) -> None:
-        settings, camera = server.settings, pilot.camera
+    def __init__(self, service: PageService, vehicle: str, tools: Sequence[Tool]) -> None:
+        server, pilot, clock, camera = service.server, service.pilot, service.clock, service.pilot.camera
+        self._service = service
         self._server = server
-        self._settings = settings
+        self._settings = server.settings
         self._pilot = pilot
-        self._health = health
         self._clock = clock
         self._vehicle = vehicle
-        self._h264 = settings.picture_codec == "h264" and camera.width % 2 == camera.height % 2 == 0 and has_pyav()
-        self._tools = tuple(tools)
+        self._h264 = server.settings.picture_codec == "h264" and camera.width % 2 == camera.height % 2 == 0 and has_pyav()
+        self._tools = tools
         self._flight = FlightWatch(pilot, clock)
         self._attitude: Attitude | None = None
         self._things: tuple[ThingReport, ...] = ()
@@ -118,9 +98,9 @@ class PageEndpoint(NullObserver):
         self._frames: Latest[ProcessedFrame] = Latest()
         self._offered: MonoNs | None = None
         self._events: deque[PageEvent] = deque(maxlen=_EVENTS)
-        self._counts = counts
+        self._counts = service.counts
         self._began = clock.now()
-        health.counters("page", lambda: self._counts)
+        service.health.counters("page", lambda: self._counts)
         server.serve("/operator", self._operate)
         for path, asset in assets().items():
             server.serve(path, asset.answer)
@@ -285,7 +265,7 @@ class PageEndpoint(NullObserver):
             )
 
     def _health_report(self) -> PageHealth:
-        return page_health(self._health.snapshot(), self._flight.decision, flying=flying(self._pilot))
+        return page_health(self._service.health.snapshot(), self._flight.decision, flying=self._service.flying)
 
     async def _send_pictures(self, worker: Worker) -> None:
         number, lean = 0, Rotation.identity()

@@ -5,23 +5,17 @@ from __future__ import annotations
 import asyncio
 import math
 import tomllib
-from collections import Counter
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from companion.base.health import Health, HealthSnapshot
-from companion.base.http_server import HttpServer
+from companion.base.health import HealthSnapshot
 from companion.base.observer import ProcessedFrame
 from companion.base.worker import Worker
-from companion.guidance.pilot import Pilot
-from companion.parts.page.endpoint import PageEndpoint, flying
+from companion.parts.page.endpoint import PageEndpoint
 from companion.parts.page.messages import (
     CalibrationReport,
     CalibrationRequest,
@@ -30,11 +24,10 @@ from companion.parts.page.messages import (
     PageFinding,
     ToolRequest,
 )
-from companion.parts.page.recordings import Recordings, ReportMaker
+from companion.parts.page.recordings import Recordings
 from companion.parts.page.settings_tool import ARMED, NO_FILE, SettingsTool
-from companion.parts.page.viewer import PageViewer, Tool
+from companion.parts.page.viewer import PageService, PageViewer, Tool
 from companion.settings.model import Settings
-from companion.settings.settings_file import SettingsFile
 from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.camera_file import text
 from companion.tools.calibrate.guide import Guide, GuideState
@@ -42,12 +35,8 @@ from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
 from drivers.mailbox import Latest
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput, DecklanderError
-from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
-
-if TYPE_CHECKING:
-    from drivers.mavlink.autopilot import Autopilot
 
 NO_CALIBRATION_IN_FLIGHT = "the vehicle flies: the camera is calibrated on the ground"
 TOOK_OFF = "the vehicle took off, which ends the calibration"
@@ -70,24 +59,12 @@ class _Run:
 
 
 class CalibrationTool(Tool):
-    """See the module's docstring.
-
-    Args:
-        file: the settings file, beside which the camera file is saved; None if there is none.
-        flying: whether the vehicle flies now.
-        armed: whether its motors are armed, as far as it says so.
-    """
+    """Guides a calibration of the camera; its file is saved beside the settings."""
 
     kinds = (CalibrationRequest,)
 
-    def __init__(
-        self, pilot: Pilot, clock: Clock, file: SettingsFile | None, flying: Callable[[], bool], armed: Callable[[], bool]
-    ) -> None:
-        self._pilot = pilot
-        self._clock = clock
-        self._file = file
-        self._flying = flying
-        self._armed = armed
+    def __init__(self, service: PageService) -> None:
+        self._service = service
         self._run: _Run | None = None
         self._frames: Latest[NDArray[np.uint8]] = Latest()
         self._offered: MonoNs | None = None
@@ -102,7 +79,7 @@ class CalibrationTool(Tool):
             viewer.tell(self._saved())
 
     def on_frame(self, processed: ProcessedFrame) -> None:
-        now = self._clock.now()
+        now = self._service.clock.now()
         if self._run is None or self._run.ended:
             return
         if self._offered is None or seconds_between(self._offered, now) >= _FRAME_S:
@@ -115,7 +92,7 @@ class CalibrationTool(Tool):
                 run = self._run
                 if run is None or run.ended:
                     continue
-                if self._flying():
+                if self._service.flying:
                     self._end(TOOK_OFF)
                     continue
                 try:
@@ -128,7 +105,7 @@ class CalibrationTool(Tool):
                     self._tell(run, "complete" if run.ended else "")
 
     def _begin(self, viewer: PageViewer, request: CalibrationRequest) -> CalibrationReport:
-        if self._flying():
+        if self._service.flying:
             return CalibrationReport(active=False, text=NO_CALIBRATION_IN_FLIGHT)
         if self._run is not None and not self._run.ended:
             if viewer not in self._run.viewers:
@@ -140,7 +117,7 @@ class CalibrationTool(Tool):
         except BadInput as why:
             return CalibrationReport(active=False, text=str(why))
         words = f"{request.board} {request.columns}x{request.rows}"
-        self._run = _Run(Guide(board, self._pilot.camera.T_body_cam), words, [viewer])
+        self._run = _Run(Guide(board, self._service.pilot.camera.T_body_cam), words, [viewer])
         return self._report(self._run, "")
 
     def _end(self, why: str) -> None:
@@ -173,7 +150,7 @@ class CalibrationTool(Tool):
         solution = run.guide.solution
         if solution is None or run.guide.state.grade in (None, "poor"):
             return ""
-        roll, pitch, yaw = (math.degrees(angle) for angle in self._pilot.camera.T_body_cam.R.rpy_rad)
+        roll, pitch, yaw = (math.degrees(angle) for angle in self._service.pilot.camera.T_body_cam.R.rpy_rad)
         return text(solution, f"the operator page ({run.board}, {run.guide.state.grade})", (roll, pitch, yaw))
 
     def _saved(self) -> CalibrationReport:
@@ -191,14 +168,14 @@ class CalibrationTool(Tool):
         Raises:
             BadInput: it must not be written now or at all; the text gives the reason.
         """
-        if self._flying() or self._armed():
-            raise BadInput(NO_CALIBRATION_IN_FLIGHT if self._flying() else ARMED)
-        if self._file is None:
+        if self._service.flying or self._service.armed:
+            raise BadInput(NO_CALIBRATION_IN_FLIGHT if self._service.flying else ARMED)
+        if self._service.settings_file is None:
             raise BadInput(NO_FILE)
         if not content:
             raise BadInput("the views give no camera that can be used")
         Camera.from_mapping(tomllib.loads(content), NAME)
-        self._file.save_beside(NAME, content)
+        self._service.settings_file.save_beside(NAME, content)
         return f'saved beside the settings: set camera.file = "{NAME}" there, and start the service again'
 
 
@@ -216,35 +193,20 @@ class DoctorTool(Tool):
 
     The links of a service cannot be opened twice, and requests to the autopilot share them with the flight. An examination
     therefore needs a vehicle that stands, and a take-off ends it at once.
-
-    Args:
-        autopilot: returns the autopilot whose links are open; None while they are not.
-        flying: whether the vehicle flies now.
     """
 
     kinds = (ExamineRequest,)
 
-    def __init__(
-        self,
-        settings: Settings,
-        health: Health,
-        clock: Clock,
-        autopilot: Callable[[], Autopilot | None],
-        flying: Callable[[], bool],
-    ) -> None:
-        self._settings = settings
-        self._health = health
-        self._clock = clock
-        self._autopilot = autopilot
-        self._flying = flying
+    def __init__(self, service: PageService) -> None:
+        self._service = service
         self._waiting: list[PageViewer] = []
         self._asked = asyncio.Event()
         self._newest: tuple[MonoNs, ExaminedReport] | None = None
 
     def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
-        if self._flying():
+        if self._service.flying:
             viewer.tell(ExaminedReport(text=IN_FLIGHT))
-        elif self._newest is not None and seconds_between(self._newest[0], self._clock.now()) < _AGAIN_S:
+        elif self._newest is not None and seconds_between(self._newest[0], self._service.clock.now()) < _AGAIN_S:
             viewer.tell(self._newest[1])
         else:
             viewer.tell(ExaminedReport(text="examining", busy=True))
@@ -257,12 +219,12 @@ class DoctorTool(Tool):
             await self._asked.wait()
             async with asyncio.TaskGroup() as group:
                 examining = group.create_task(self._examined())
-                while not examining.done() and not self._flying():
+                while not examining.done() and not self._service.flying:
                     await asyncio.wait([examining], timeout=_LOOKS_S)
                 examining.cancel()
             report = ExaminedReport(text=EXAMINATION_ENDED) if examining.cancelled() else examining.result()
             if not examining.cancelled():
-                self._newest = self._clock.now(), report
+                self._newest = self._service.clock.now(), report
             self._asked.clear()
             waiting, self._waiting = self._waiting, []
             for viewer in waiting:
@@ -270,18 +232,18 @@ class DoctorTool(Tool):
 
     async def _examined(self) -> ExaminedReport:
         """Examine the setup, which takes some seconds."""
-        snapshot = Snapshot(0.0)
-        autopilot, vehicle = self._autopilot(), self._settings.vehicle
+        snapshot, service = Snapshot(0.0), self._service
+        autopilot, vehicle = service.autopilot(), service.settings.vehicle
         if autopilot is not None and isinstance(vehicle, AutopilotOptions):
             from companion.tools.doctor.gather import examine_open
 
-            snapshot = await examine_open(autopilot, vehicle.system_id, self._clock, LISTENING_S)
+            snapshot = await examine_open(autopilot, vehicle.system_id, service.clock, LISTENING_S)
         elif isinstance(vehicle, AutopilotOptions):
-            part = self._health.snapshot().parts.get("vehicle")
+            part = service.health.snapshot().parts.get("vehicle")
             why = "" if part is None else part.last_error
             snapshot = Snapshot(0.0, (LinkSnapshot(vehicle.links, down=why or "is not open yet"),))
         with closing(Worker("doctor")) as worker:
-            return await worker.run(_report, snapshot, self._settings, self._health.snapshot())
+            return await worker.run(_report, snapshot, service.settings, service.health.snapshot())
 
 
 def _report(snapshot: Snapshot, settings: Settings, health: HealthSnapshot) -> ExaminedReport:
@@ -310,38 +272,10 @@ def _about(snapshot: Snapshot) -> str:
     return f"Examined: {a.stack}{firmware}, system {a.system}, {len(a.parameters)} parameters{clock}; settings, camera."
 
 
-def make_page(
-    server: HttpServer,
-    settings: Settings,
-    pilot: Pilot,
-    health: Health,
-    clock: Clock,
-    vehicle: str,
-    autopilot: Callable[[], Autopilot | None],
-    settings_file: Path | None = None,
-) -> PageEndpoint:
-    """Return the page of a server.
+def make_page(service: PageService, vehicle: str) -> PageEndpoint:
+    """Return the page with its tools.
 
     Args:
         vehicle: the vehicle's name for the page.
-        autopilot: returns the autopilot whose links are open; None while they are not.
-        settings_file: the file that the settings were read from; None if there is none.
     """
-
-    def in_flight() -> bool:
-        return flying(pilot)
-
-    def armed() -> bool:
-        found = autopilot()
-        return found is not None and found.condition.armed is True
-
-    file = None if settings_file is None else SettingsFile(settings_file)
-    folder, counts = Path(settings.recorder.folder), Counter[str]()
-    tools = (
-        DoctorTool(settings, health, clock, autopilot, in_flight),
-        SettingsTool(settings, file, in_flight, armed),
-        CalibrationTool(pilot, clock, file, in_flight, armed),
-        Recordings(server, folder, clock, in_flight, counts),
-        ReportMaker(server, folder, in_flight, counts),
-    )
-    return PageEndpoint(server, pilot, health, clock, vehicle, counts, tools)
+    return PageEndpoint(service, vehicle, [tool(service) for tool in (DoctorTool, SettingsTool, CalibrationTool, Recordings)])

@@ -11,15 +11,13 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing, suppress
 from pathlib import Path
 from types import MappingProxyType
 
 from aiohttp import web
 
-from companion.base.http_server import HttpServer
 from companion.base.worker import Worker
 from companion.parts.page.file_answer import send_file
 from companion.parts.page.messages import (
@@ -32,13 +30,12 @@ from companion.parts.page.messages import (
     ReportRequest,
     ToolRequest,
 )
-from companion.parts.page.viewer import PageViewer, Tool
+from companion.parts.page.viewer import PageService, PageViewer, Tool
 from drivers.mailbox import Line
 from estimator.contracts.errors import in_words, unusable
-from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
-# The reports that the page shows of recordings, each made by a process of its own while the vehicle is on the ground.
+# The reports that the page shows of recordings are each made by a process of its own while the vehicle is on the ground.
 #
 # A report holds texts of whoever spoke to the service, so it is served into a sandbox: it is of no origin, and reaches neither
 # this page nor its token.
@@ -62,66 +59,107 @@ _OOM_SCORE = 500
 """If memory runs short the kernel ends the report, not the service."""
 
 
-class ReportMaker(Tool):
-    """Makes the reports of recordings, one at a time.
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}\.mcap")
+_LISTED = 50
+_TICKETS = 16
+_TICKET_S = 30.0
+_DOWNLOADS = 2
+IN_FLIGHT = "the vehicle flies, and its link is not to be shared with a download; ask again on the ground"
+NO_NAME = "that is no recording's name"
 
-    Args:
-        folder: the recorder's folder.
-        flying: whether the vehicle flies now.
-        counts: the counters of the page.
-    """
 
-    kinds = (ReportRequest,)
+class Recordings(Tool):
+    """Lists the recordings, sends one to whoever has its address, and makes their reports, one at a time."""
 
-    def __init__(self, server: HttpServer, folder: Path, flying: Callable[[], bool], counts: Counter[str]) -> None:
-        self._server = server
-        self._folder = folder
-        self._flying = flying
-        self._counts = counts
-        self._asked: Line[tuple[PageViewer, str]] = Line(_WAITING)
-        self._made: dict[str, Path] = {}
-        self._under_way = False
-        server.serve("/reports/{ticket}", self._serve)
+    kinds = (RecordingsRequest, DownloadRequest, ReportRequest)
+
+    def __init__(self, service: PageService) -> None:
+        self._service = service
+        self._folder = Path(service.settings.recorder.folder)
+        self._lists: Line[PageViewer] = Line(_WAITING)
+        self._tickets: dict[str, tuple[str, MonoNs]] = {}
+        self._downloads = 0
+        self._wanted: Line[tuple[PageViewer, str]] = Line(_WAITING)
+        self._reports: dict[str, Path] = {}
+        self._making = False
+        service.server.serve("/recordings/{ticket}", self._send_recording)
+        service.server.serve("/reports/{ticket}", self._send_report)
 
     def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
-        """Make a report of a recording soon and send the viewer its address, or at once the reason for none."""
-        assert isinstance(request, ReportRequest)
-        name = request.name
-        refusal = self._refusal(name)
-        if refusal is not None:
-            viewer.tell(ReportAnswer(name=name, address=None, text=refusal))
-            return
-        waits = self._under_way or len(self._asked) > 0
-        viewer.tell(ReportAnswer(name=name, address=None, text="waits for another one" if waits else "is being made"))
-        self._asked.offer((viewer, name))
-
-    async def _serve(self, request: web.Request) -> web.StreamResponse:
-        path = self._made.get(request.match_info["ticket"])
-        if path is None:
-            return web.Response(status=404, text="this report is no longer kept; ask for it again on the page\n")
-        self._counts["reports"] += 1
-        self._server.limits.lift(request.transport)
-        return await send_file(request, path, HEADERS)
+        """Send a viewer the list of recordings or the address of a report soon, and the address of a recording at once."""
+        if isinstance(request, DownloadRequest):
+            refusal = self._refusal(request.name, self._downloads, _DOWNLOADS, "downloads are under way already")
+            address = None if refusal else f"/recordings/{self._ticket(request.name)}"
+            viewer.tell(DownloadAnswer(name=request.name, address=address, text=refusal))
+        elif isinstance(request, ReportRequest):
+            refusal = self._refusal(request.name, len(self._wanted), _WAITING, "reports wait already")
+            progress = "waits for another one" if self._making or len(self._wanted) > 0 else "is being made"
+            viewer.tell(ReportAnswer(name=request.name, address=None, text=refusal or progress))
+            if not refusal:
+                self._wanted.offer((viewer, request.name))
+        else:
+            self._lists.offer(viewer)
 
     async def run(self) -> None:
-        """Make reports, one after another, until cancelled; then they are deleted."""
-        with tempfile.TemporaryDirectory(prefix="decklander-reports-", ignore_cleanup_errors=True) as folder:
-            try:
-                async for viewer, name in self._asked:
-                    self._under_way = True
-                    viewer.tell(await self._make(name, Path(folder)))
-                    self._under_way = False
-            finally:
-                self._made.clear()
+        """List recordings and make reports for those who ask, until cancelled; then the reports are deleted."""
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._list())
+            group.create_task(self._make_reports())
 
-    def _refusal(self, name: str) -> str | None:
-        if self._flying():
+    def _refusal(self, name: str, under_way: int, most: int, what: str) -> str:
+        """Return why a recording is neither sent nor read now; empty if it is."""
+        if self._service.flying:
             return IN_FLIGHT
         if not is_recording_name(name):
             return NO_NAME
-        if len(self._asked) >= _WAITING:
-            return f"{_WAITING} reports wait already"
-        return None
+        return f"{most} {what}" if under_way >= most else ""
+
+    async def _list(self) -> None:
+        with closing(Worker("page lists")) as worker:
+            async for viewer in self._lists:
+                viewer.tell(await worker.run(recordings_in, self._folder))
+
+    def _ticket(self, name: str) -> str:
+        """Return what an address ends with that holds once and for a short time."""
+        while len(self._tickets) >= _TICKETS:
+            self._tickets.pop(next(iter(self._tickets)))
+        ticket = secrets.token_urlsafe(24)
+        self._tickets[ticket] = name, self._service.clock.now()
+        return ticket
+
+    async def _send_recording(self, request: web.Request) -> web.StreamResponse:
+        """Send the recording that a ticket is for, as far as it is written at this moment, and void the ticket."""
+        name, given = self._tickets.pop(request.match_info["ticket"], ("", None))
+        too_late = given is None or seconds_between(given, self._service.clock.now()) > _TICKET_S
+        if too_late or self._downloads >= _DOWNLOADS:
+            return web.Response(status=404, text="this address holds once, and only for a short time\n")
+        headers = {"Content-Disposition": f'attachment; filename="{name}"', "Content-Type": "application/octet-stream"}
+        self._downloads += 1
+        try:
+            return await self._send(request, self._folder / name, headers, "downloads")
+        finally:
+            self._downloads -= 1
+
+    async def _send_report(self, request: web.Request) -> web.StreamResponse:
+        path = self._reports.get(request.match_info["ticket"])
+        if path is None:
+            return web.Response(status=404, text="this report is no longer kept; ask for it again on the page\n")
+        return await self._send(request, path, HEADERS, "reports")
+
+    async def _send(self, request: web.Request, path: Path, headers: Mapping[str, str], counter: str) -> web.StreamResponse:
+        self._service.counts[counter] += 1
+        self._service.server.limits.lift(request.transport)
+        return await send_file(request, path, headers)
+
+    async def _make_reports(self) -> None:
+        with tempfile.TemporaryDirectory(prefix="decklander-reports-", ignore_cleanup_errors=True) as folder:
+            try:
+                async for viewer, name in self._wanted:
+                    self._making = True
+                    viewer.tell(await self._make(name, Path(folder)))
+                    self._making = False
+            finally:
+                self._reports.clear()
 
     async def _make(self, name: str, folder: Path) -> ReportAnswer:
         ticket = secrets.token_urlsafe(24)
@@ -133,10 +171,10 @@ class ReportMaker(Tool):
         if fault is not None:
             page.unlink(missing_ok=True)
             return ReportAnswer(name=name, address=None, text=fault)
-        while len(self._made) >= _KEPT:
-            oldest = next(iter(self._made))
-            self._made.pop(oldest).unlink(missing_ok=True)
-        self._made[ticket] = page
+        while len(self._reports) >= _KEPT:
+            oldest = next(iter(self._reports))
+            self._reports.pop(oldest).unlink(missing_ok=True)
+        self._reports[ticket] = page
         return ReportAnswer(name=name, address=f"/reports/{ticket}", text="")
 
     def _unfit(self, name: str) -> str | None:
@@ -172,7 +210,7 @@ class ReportMaker(Tool):
         try:
             async with asyncio.timeout(_MAKING_S):
                 while process.returncode is None:
-                    if self._flying():
+                    if self._service.flying:
                         return IN_FLIGHT
                     with suppress(TimeoutError):
                         await asyncio.wait_for(process.wait(), _LOOKS_S)
@@ -195,81 +233,9 @@ async def _last_line(process: asyncio.subprocess.Process) -> str:
     return lines[-1].strip().removeprefix("decklander: ")[:300] if lines else ""
 
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}\.mcap")
-_LISTED = 50
-_TICKETS = 16
-_TICKET_S = 30.0
-_DOWNLOADS = 2
-IN_FLIGHT = "the vehicle flies, and its link is not to be shared with a download; ask again on the ground"
-NO_NAME = "that is no recording's name"
-
-
 def is_recording_name(name: str) -> bool:
     """Return whether a file of the recorder's folder may have this name: one without a path."""
     return _NAME.fullmatch(name) is not None
-
-
-class Recordings(Tool):
-    """See the module's docstring.
-
-    Args:
-        folder: the recorder's folder; it may be missing.
-        flying: whether the vehicle flies now.
-        counts: the counters of the page.
-    """
-
-    kinds = (RecordingsRequest, DownloadRequest)
-
-    def __init__(self, server: HttpServer, folder: Path, clock: Clock, flying: Callable[[], bool], counts: Counter[str]) -> None:
-        self._server = server
-        self._folder = folder
-        self._clock = clock
-        self._flying = flying
-        self._counts = counts
-        self._tickets: dict[str, tuple[str, MonoNs]] = {}
-        self._under_way = 0
-        self._asked: Line[PageViewer] = Line(_WAITING)
-        server.serve("/recordings/{ticket}", self._serve)
-
-    def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
-        """Send a viewer the list of recordings soon, or at once the address of one."""
-        if isinstance(request, DownloadRequest):
-            viewer.tell(self._ticket(request.name))
-        else:
-            self._asked.offer(viewer)
-
-    async def run(self) -> None:
-        """List recordings for those who ask, until cancelled."""
-        with closing(Worker("page lists")) as worker:
-            async for viewer in self._asked:
-                viewer.tell(await worker.run(recordings_in, self._folder))
-
-    def _ticket(self, name: str) -> DownloadAnswer:
-        """Return an address that holds once and for a short time, or why there is none."""
-        refusal = IN_FLIGHT if self._flying() else None if is_recording_name(name) else NO_NAME
-        if refusal is None and self._under_way >= _DOWNLOADS:
-            refusal = f"{_DOWNLOADS} downloads are under way already"
-        if refusal is not None:
-            return DownloadAnswer(name=name, address=None, text=refusal)
-        while len(self._tickets) >= _TICKETS:
-            self._tickets.pop(next(iter(self._tickets)))
-        ticket = secrets.token_urlsafe(24)
-        self._tickets[ticket] = name, self._clock.now()
-        return DownloadAnswer(name=name, address=f"/recordings/{ticket}", text="")
-
-    async def _serve(self, request: web.Request) -> web.StreamResponse:
-        """Send the recording that a ticket is for, as far as it is written at this moment, and void the ticket."""
-        name, given = self._tickets.pop(request.match_info["ticket"], ("", None))
-        if given is None or seconds_between(given, self._clock.now()) > _TICKET_S or self._under_way >= _DOWNLOADS:
-            return web.Response(status=404, text="this address holds once, and only for a short time\n")
-        self._counts["downloads"] += 1
-        self._server.limits.lift(request.transport)
-        headers = {"Content-Disposition": f'attachment; filename="{name}"', "Content-Type": "application/octet-stream"}
-        self._under_way += 1
-        try:
-            return await send_file(request, self._folder / name, headers)
-        finally:
-            self._under_way -= 1
 
 
 def recordings_in(folder: Path) -> RecordingList:

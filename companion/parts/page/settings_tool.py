@@ -8,7 +8,7 @@ into other folders, or sending a password to another host at the next start.
 import logging
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from typing import Any
 
@@ -16,7 +16,7 @@ import msgspec
 
 from companion.base.worker import Worker
 from companion.parts.page.messages import SavedSettings, SaveSettingsRequest, SettingsRequest, SettingsText, ToolRequest
-from companion.parts.page.viewer import PageViewer, Tool
+from companion.parts.page.viewer import PageService, PageViewer, Tool
 from companion.settings import schema
 from companion.settings.load import complete, from_file
 from companion.settings.model import Settings, in_file
@@ -49,24 +49,13 @@ _NO_PATH = re.compile(r"[^/\\]*|/dev/[\w/-]+|(?:rtsps?|https?|udp|tcp)://\S+")
 
 
 class SettingsTool(Tool):
-    """See the module's docstring.
-
-    Args:
-        in_force: the settings of the running service.
-        file: the file that they were read from; None if there is none.
-        flying: whether the vehicle flies now.
-        armed: whether its motors are armed, as far as it says so.
-    """
+    """See the module's docstring."""
 
     kinds = (SettingsRequest, SaveSettingsRequest)
 
-    def __init__(
-        self, in_force: Settings, file: SettingsFile | None, flying: Callable[[], bool], armed: Callable[[], bool]
-    ) -> None:
-        self._in_force = in_force
-        self._file = file
-        self._flying = flying
-        self._armed = armed
+    def __init__(self, service: PageService) -> None:
+        self._service = service
+        self._file = service.settings_file
         self._asked: Line[tuple[PageViewer, ToolRequest]] = Line(_WAITING)
 
     def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
@@ -77,13 +66,13 @@ class SettingsTool(Tool):
             async for viewer, request in self._asked:
                 if not isinstance(request, SaveSettingsRequest):
                     viewer.tell(await worker.run(self._shown))
-                elif self._flying() or self._armed():
-                    viewer.tell(SavedSettings(saved=False, text=IN_FLIGHT if self._flying() else ARMED))
+                elif self._service.flying or self._service.armed:
+                    viewer.tell(SavedSettings(saved=False, text=IN_FLIGHT if self._service.flying else ARMED))
                 else:
                     viewer.tell(await worker.run(self._saved, request, str(viewer.sender)))
 
     def _shown(self) -> SettingsText:
-        in_force = masked(schema.toml(self._in_force))
+        in_force = masked(schema.toml(self._service.settings))
         if self._file is None:
             return SettingsText(text=in_force, in_force=in_force, path="", revision="", refusal=NO_FILE)
         path = str(self._file.path)

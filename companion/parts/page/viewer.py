@@ -4,21 +4,32 @@ A slow link gets fewer pictures and states, never late ones: at most `_IN_FLIGHT
 replaces one that is not sent yet.
 """
 
+from __future__ import annotations
+
 import asyncio
 from collections import Counter
 from collections.abc import Awaitable, Callable
-from typing import TypeVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeVar
 
 from aiohttp import WSMsgType, web
 
+from companion.base.health import Health
+from companion.base.http_server import HttpServer
 from companion.base.observer import ProcessedFrame
 from companion.base.orders import OrderSender
 from companion.facts.wire import RequestRate, RequestRefused
+from companion.guidance.pilot import Pilot
 from companion.parts.page.messages import PageRequest, PageState, ToolRequest, ToPage, request_in, text_of
 from companion.recording.frame_encoder import FrameEncoder
+from companion.settings.model import Settings
+from companion.settings.settings_file import SettingsFile
 from drivers.mailbox import Latest, Line
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
+
+if TYPE_CHECKING:
+    from drivers.mavlink.autopilot import Autopilot
 
 T = TypeVar("T")
 REFUSED_CODE = 4400
@@ -135,6 +146,34 @@ async def refuse(socket: web.WebSocketResponse, code: int, why: str) -> None:
         await socket.close(code=code, message=why.encode()[:120])
     except ConnectionError:
         pass
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PageService:
+    """The running service as the page and its tools see it."""
+
+    server: HttpServer
+    settings: Settings
+    pilot: Pilot
+    health: Health
+    clock: Clock
+    autopilot: Callable[[], Autopilot | None]
+    """Returns the autopilot whose links are open; None while they are not."""
+    settings_file: SettingsFile | None
+    """The file that the settings were read from; None if there is none."""
+    counts: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def flying(self) -> bool:
+        """True if the vehicle reports that it flies."""
+        status = self.pilot.vehicle
+        return status is not None and bool(status.flying)
+
+    @property
+    def armed(self) -> bool:
+        """True if its motors are armed, as far as it says so."""
+        found = self.autopilot()
+        return found is not None and found.condition.armed is True
 
 
 class Tool:
