@@ -14,10 +14,8 @@ from contextlib import suppress
 from typing import Generic, ParamSpec, Protocol, TypeVar
 
 from companion.base.health import Health
-from companion.base.observer import Decision, Observer, ProcessedFrame, listens
-from companion.base.orders import HandledOrder
+from companion.base.observer import Observer, Relay, listens
 from estimator.contracts.errors import BadInput, in_words
-from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, after
 
@@ -83,7 +81,7 @@ class CallGuard:
             self._back_off_s = min(2.0 * self._back_off_s, BACK_OFF_CAP_S)
 
 
-class Audience:
+class Audience(Relay):
     """Passes each event to all observers, each method of each observer behind its own guard."""
 
     def __init__(self, observers: Sequence[Observer], health: Health) -> None:
@@ -102,21 +100,9 @@ class Audience:
             for sample in samples:
                 guard.call(method, sample)
 
-    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        self._pass("on_fusion", at, result)
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        self._pass("on_frame", processed)
-
-    def on_decision(self, decision: Decision) -> None:
-        self._pass("on_decision", decision)
-
-    def on_order(self, handled: HandledOrder) -> None:
-        self._pass("on_order", handled)
-
-    def _pass(self, name: str, *what: object) -> None:
-        for guard, method in self._calls[name]:
-            guard.call(method, *what)
+    def hand_on(self, method: str, *what: object) -> None:
+        for guard, call in self._calls[method]:
+            guard.call(call, *what)
 
 
 def name_of(observer: object) -> str:
@@ -140,7 +126,7 @@ class Part(Observer, Protocol):
 Made = TypeVar("Made", bound=Part)
 
 
-class RestartablePart(Generic[Made]):
+class RestartablePart(Relay, Generic[Made]):
     """Makes the part at once, so that wrong settings are found before the service begins, and makes it again after each failure.
 
     Args:
@@ -177,22 +163,6 @@ class RestartablePart(Generic[Made]):
         finally:
             self.now = None
 
-    def on_sample(self, sample: Sample) -> None:
+    def hand_on(self, method: str, *what: object) -> None:
         if self.now is not None:
-            self.now.on_sample(sample)
-
-    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        if self.now is not None:
-            self.now.on_fusion(at, result)
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        if self.now is not None:
-            self.now.on_frame(processed)
-
-    def on_decision(self, decision: Decision) -> None:
-        if self.now is not None:
-            self.now.on_decision(decision)
-
-    def on_order(self, handled: HandledOrder) -> None:
-        if self.now is not None:
-            self.now.on_order(handled)
+            getattr(self.now, method)(*what)

@@ -152,6 +152,29 @@ class NullObserver:
         return None
 
 
+class Relay:
+    """An observer that hands every event on."""
+
+    def hand_on(self, method: str, *what: object) -> None:
+        """Hand an event on: the observer's method that takes it, and its arguments."""
+        raise NotImplementedError
+
+    def on_sample(self, sample: Sample) -> None:
+        self.hand_on("on_sample", sample)
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        self.hand_on("on_fusion", at, result)
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self.hand_on("on_frame", processed)
+
+    def on_decision(self, decision: Decision) -> None:
+        self.hand_on("on_decision", decision)
+
+    def on_order(self, handled: HandledOrder) -> None:
+        self.hand_on("on_order", handled)
+
+
 def listens(observer: Observer, method: str) -> bool:
     """Return whether an observer does anything in a method: of hundreds of samples a second most take none."""
     return getattr(type(observer), method, None) is not getattr(NullObserver, method)

@@ -6,7 +6,6 @@ import argparse
 import asyncio
 import dataclasses
 import json
-import math
 import signal
 import socket
 import sys
@@ -18,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 from msgspec.structs import replace
 
 from companion.base import event_loop
@@ -38,12 +36,12 @@ from companion.settings import schema
 from companion.settings.links import HttpSettings, VideoStreamOptions
 from companion.settings.load import load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
-from companion.tools.report.flight_log import FlightLog, LogObserver, TruthSample
+from companion.tools.replay.recorded_log import add_truth
+from companion.tools.report.flight_log import FlightLog, LogObserver
 from companion.tools.report.page import PAGE, write_report
 from drivers.clock import SystemClock
 from drivers.pyav import has_pyav
 from estimator.contracts.errors import BadInput, Recoverable
-from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.generations import GENERATIONS
 from sitl.emulators.ardrone.truth_log import read as read_truth
@@ -191,16 +189,8 @@ async def _drone(scenario: str, seed: int, truth: Path, ardrone1: bool) -> Async
     """Run the simulated drone as a child. It ends with this process, even if killed, since its standard input closes."""
     ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
     child = await asyncio.create_subprocess_exec(
-        *(
-            sys.executable,
-            "-m",
-            "sitl.emulators.ardrone.serve",
-            scenario,
-            f"--seed={seed}",
-            f"--truth={truth}",
-            *ports,
-            *(["--ardrone1"] if ardrone1 else []),
-        ),
+        *(sys.executable, "-m", "sitl.emulators.ardrone.serve", scenario, f"--seed={seed}", f"--truth={truth}", *ports),
+        *(["--ardrone1"] if ardrone1 else []),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
     )
@@ -268,10 +258,8 @@ def _ending(
 
 
 def _write_report(args: argparse.Namespace, log: FlightLog, ending: Ending, truth: list[dict[str, Any]]) -> None:
-    for record in truth[::_KEEP_EACH]:
-        yaw, R = math.remainder(record["yaw_rad"], math.tau), Rotation.from_quat(record["quat_ned_pad_wxyz"])
-        d, v = np.array(record["d_body_pad_level_m"]), np.array(record["v_pad_level_m_s"])
-        log.truth.append(TruthSample(MonoNs(record["at_ns"]), d, v, yaw, np.array(record["p_pad_ned_m"]), R))
+    for line in truth[::_KEEP_EACH]:
+        add_truth(log, kept_flight.truth_from_log(line))
     ending.write_into(log)
     log.facts += [("scenario", args.scenario), ("seed", str(args.seed)), ("decklander", version())]
     if not args.json:

@@ -14,7 +14,6 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
-import msgspec
 from msgspec.structs import replace
 
 from companion.base import event_loop
@@ -79,38 +78,6 @@ AT_BOOT = frozenset({
     *(f"RNGFND{n}_{what}" for n in range(1, 5) for what in ("TYPE", "ORIENT")),
 })  # fmt: skip
 """Parameters that the autopilot reads when it starts."""
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of both."""
-    option(
-        parser, "--fix", "ask for each change of a parameter that fixes a fault, write it, and read it back; never while armed"
-    )
-    option(parser, "--undo FILE", "set back what --fix wrote, from the undo file that it kept")
-    option(parser, "--yes", "with --fix or --undo: say yes to every change")
-    option(
-        parser, "--undo-file FILE", "with --fix: keep what the parameters were in this file (default: decklander-undo-TIME.json)"
-    )
-
-
-def check_options(args: argparse.Namespace) -> None:
-    """Refuse options that do not go together.
-
-    Raises:
-        BadInput: they do not.
-    """
-    if args.fix and args.undo:
-        raise BadInput("--fix and --undo do not go together")
-    if (args.fix or args.undo) and not (args.link or args.config):
-        raise BadInput(f"{'--fix' if args.fix else '--undo'} needs the autopilot: give --link URL or --config FILE")
-    if (args.fix or args.undo) and args.json and not args.yes:
-        raise BadInput("--json asks nothing: give --yes with it")
-    if args.yes and not (args.fix or args.undo):
-        raise BadInput("--yes goes with --fix or --undo")
-    if args.undo_file and not args.fix:
-        raise BadInput("--undo-file goes with --fix")
-    if (args.fix or args.undo) and args.snapshot:
-        raise BadInput("a saved snapshot cannot be fixed: leave --snapshot out")
 
 
 def offered(autopilot: AutopilotSnapshot, found: Sequence[Finding]) -> list[tuple[Finding, PlannedWrite]]:
@@ -292,23 +259,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--snapshot FILE", "examine a saved snapshot instead of this machine; - for stdin")
     option(parser, "--save FILE", "save the snapshot into this file, to examine it elsewhere")
     option(parser, "--json", "print JSON Lines, one object per finding")
-    add_options(parser)
+    option(
+        parser, "--fix", "ask for each change of a parameter that fixes a fault, write it, and read it back; never while armed"
+    )
+    option(parser, "--undo FILE", "set back what --fix wrote, from the undo file that it kept")
+    option(parser, "--yes", "with --fix or --undo: say yes to every change")
+    option(
+        parser, "--undo-file FILE", "with --fix: keep what the parameters were in this file (default: decklander-undo-TIME.json)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(level=logging.ERROR)  # that a link does not open is a finding, not news
-    check_options(args)
+    writes = "--fix" if args.fix else "--undo" if args.undo else ""
+    if args.fix and args.undo:
+        raise BadInput("--fix and --undo do not go together")
+    if writes and not (args.link or args.config):
+        raise BadInput(f"{writes} needs the autopilot: give --link URL or --config FILE")
+    if writes and args.json and not args.yes:
+        raise BadInput("--json asks nothing: give --yes with it")
+    if args.yes and not writes:
+        raise BadInput("--yes goes with --fix or --undo")
+    if args.undo_file and not args.fix:
+        raise BadInput("--undo-file goes with --fix")
+    if writes and args.snapshot:
+        raise BadInput("a saved snapshot cannot be fixed: leave --snapshot out")
     if args.ship_speed is not None and not 0 <= args.ship_speed <= 15:
         raise BadInput(f"--ship-speed must lie in 0 to 15 m/s, got {args.ship_speed:g}")
-    if args.log is not None and (args.fix or args.undo):
+    if args.log is not None and writes:
         raise BadInput("a log cannot be fixed: examine the autopilot with --link URL --fix")
     if args.undo:
         return undo(args)
     snapshot = _snapshot(args)
     speed_m_s = snapshot.ship_speed_m_s if args.ship_speed is None else args.ship_speed
     moving = snapshot.moving_pad and not args.still_pad
-    snapshot = msgspec.structs.replace(snapshot, moving_pad=moving, ship_speed_m_s=speed_m_s)
+    snapshot = replace(snapshot, moving_pad=moving, ship_speed_m_s=speed_m_s)
     if args.save:
         with file_errors(f"--save {args.save}"):
             Path(args.save).write_bytes(encode(snapshot))
@@ -354,7 +340,7 @@ async def _examined(args: argparse.Namespace) -> Snapshot:
     options, links = found
     gimbal = None if settings is None else settings.camera.gimbal
     snapshot = await examine(options, SystemClock(), args.seconds, _progress, links, gimbal)
-    return msgspec.structs.replace(snapshot, service=service)
+    return replace(snapshot, service=service)
 
 
 def _progress(text: str) -> None:

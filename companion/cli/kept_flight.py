@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from companion.base.health import Health
-from companion.base.observer import Decision, Observer, ProcessedFrame
-from companion.base.orders import HandledOrder
+from companion.base.observer import Observer, Relay
 from companion.cli.options import file_errors, option, prepare_folder, written
 from companion.facts.records import ContactRecord, TruthRecord
 from companion.parts.recorder.recorder import Recorder
@@ -23,21 +22,20 @@ from companion.settings import schema
 from companion.settings.load import body_camera, camera_model, pad_model
 from companion.settings.model import Settings
 from companion.settings.service import FrameForm
-from companion.tools.report.flight_log import FlightLog, LogObserver, TruthSample
+from companion.tools.replay.recorded_log import add_truth
+from companion.tools.report.flight_log import FlightLog, LogObserver
 from companion.tools.report.page import PAGE, write_report
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
-from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
 from sitl.flight.ending import Ending
 from sitl.perception.port import Level
 from sitl.world.truth import Touchdown, Truth
 
 
-class HeldBack:
+class HeldBack(Relay):
     """An observer that passes everything on, in order, from `begin` on.
 
     Args:
@@ -54,22 +52,8 @@ class HeldBack:
         for tell in waiting or ():
             tell()
 
-    def on_sample(self, sample: Sample) -> None:
-        self._tell(partial(self._observer.on_sample, sample))
-
-    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        self._tell(partial(self._observer.on_fusion, at, result))
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        self._tell(partial(self._observer.on_frame, processed))
-
-    def on_decision(self, decision: Decision) -> None:
-        self._tell(partial(self._observer.on_decision, decision))
-
-    def on_order(self, handled: HandledOrder) -> None:
-        self._tell(partial(self._observer.on_order, handled))
-
-    def _tell(self, tell: Callable[[], None]) -> None:
+    def hand_on(self, method: str, *what: object) -> None:
+        tell = partial(getattr(self._observer, method), *what)
         if self._waiting is None:
             tell()
         else:
@@ -124,12 +108,11 @@ class KeptFlight:
     def _keep(self, truth: Truth) -> None:
         for observer in self.held_back:
             observer.begin()
+        record = truth_record(truth)
         if self.recorder is not None:
-            self.recorder.on_truth(truth_record(truth))
+            self.recorder.on_truth(record)
         if self.log is not None:
-            self.log.truth.append(
-                TruthSample(truth.at, truth.d_body_pad_level, truth.v_pad_level, truth.yaw_rad, truth.p_pad_ned, truth.R_ned_pad)
-            )
+            add_truth(self.log, record)
 
 
 @contextmanager

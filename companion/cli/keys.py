@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _make(path: Path) -> int:
     key = SigningKey(secrets.token_bytes(32))
-    _write(path, key.secret)
+    write_secret(path, key.secret)
     sys.stdout.write(
         f"{path}: a new key, fingerprint {key.fingerprint}\n"
         f'next: decklander keys install --link URL {path}; then signing_key_file = "{path}" under [vehicle]; keep a copy\n'
@@ -89,14 +89,14 @@ def _make(path: Path) -> int:
 
 
 def _make_token(path: Path) -> int:
-    _write(path, make_token().encode() + b"\n")
+    write_secret(path, make_token().encode() + b"\n")
     sys.stdout.write(
         f'{path}: a new token\nnext: endpoint = "http" and token_file = "{path}" under [http]; enter the token on the page\n'
     )
     return 0
 
 
-def _write(path: Path, secret: bytes) -> None:
+def write_secret(path: Path, secret: bytes) -> None:
     """Write a secret for this user alone.
 
     Raises:

@@ -7,8 +7,8 @@ import asyncio
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import AsyncExitStack
+from collections.abc import Sequence
+from contextlib import AsyncExitStack, ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -23,6 +23,7 @@ from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.commands import LandingProgress
 from companion.parts.mavlink.component import Component, speaking
 from companion.parts.mavlink.outputs import Outputs
+from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.frame_video import VideoImage
 from companion.recording.reading import RecordedFrame, Recording, open_recording
@@ -201,15 +202,12 @@ def run(args: argparse.Namespace) -> int:
     passes = [_pass(args, recording, "as set", settings, args.config is None, args.record)]
     if args.against is not None:
         passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), False, None))
-    compared: dict[str, list[Difference]] = {
-        "the recording": differences(passes[0].log_observer.beliefs, recorded_beliefs(recording))
-    }
+    others = {"the recording": recorded_beliefs(recording)}
     if args.against is not None:
-        compared[args.against] = differences(passes[0].log_observer.beliefs, passes[1].log_observer.beliefs)
+        others[args.against] = passes[1].log_observer.beliefs
     if args.compare is not None:
-        compared[str(args.compare)] = differences(
-            passes[0].log_observer.beliefs, recorded_beliefs(open_recording([args.compare]))
-        )
+        others[str(args.compare)] = recorded_beliefs(open_recording([args.compare]))
+    compared = {name: differences(passes[0].log_observer.beliefs, beliefs) for name, beliefs in others.items()}
     if args.report is not None:
         for i, done in enumerate(passes):
             write_report(_finished(recording, done, compared), args.report if i == 0 else args.report / "against")
@@ -225,23 +223,19 @@ def _pass(args: argparse.Namespace, recording: Recording, name: str, settings: S
         FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=steering)
     )
     observers: list[Observer] = [log_observer]
-    replay = Replay(recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=observers)
     began = time.monotonic()
-    if record is None:
-        flown_s = _feed(replay, log_observer, args.report is not None, [])
-    else:
-        described = about(settings, {"kind": "replay", "of": recording.name})
-        with recorder_to_file(record, pilot.camera, described, frames="none") as recorder:
-            replay = Replay(
-                recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=[log_observer, recorder]
-            )
-            flown_s = _feed(replay, log_observer, args.report is not None, [recorder.on_truth])
+    with ExitStack() as stack:
+        recorder: Recorder | None = None
+        if record is not None:
+            described = about(settings, {"kind": "replay", "of": recording.name})
+            recorder = stack.enter_context(recorder_to_file(record, pilot.camera, described, frames="none"))
+            observers.append(recorder)
+        replay = Replay(recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=observers)
+        flown_s = _feed(replay, log_observer, recorder, images=args.report is not None)
     return Pass(name, log_observer, replay, time.monotonic() - began, flown_s)
 
 
-def _feed(
-    replay: Replay, log_observer: BeliefLogObserver, images: bool, truth_to: Sequence[Callable[[TruthRecord], None]]
-) -> float:
+def _feed(replay: Replay, log_observer: BeliefLogObserver, recorder: Recorder | None, *, images: bool) -> float:
     """Run the replay to its end; return the length of the recording, seconds."""
     first = last = MonoNs(0)
     image: bytes | VideoImage | None = None
@@ -253,8 +247,8 @@ def _feed(
         image = event.image if images and isinstance(event, RecordedFrame) else None
         if isinstance(event, TruthRecord):
             log_observer.on_truth(event)
-            for tell in truth_to:
-                tell(event)
+            if recorder is not None:
+                recorder.on_truth(event)
     log_observer.attach_image(image)
     return seconds_between(first, last)
 

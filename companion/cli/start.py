@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import os
 import selectors
 import shutil
 import socket
@@ -16,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.cli import config, doctor
+from companion.cli.keys import write_secret
 from companion.cli.options import file_errors, option
 from companion.parts.page.access import make_token
 from companion.settings.load import SHIPPED
@@ -262,15 +262,10 @@ def _write(out: Path, text: str) -> None:
     token, certificate, key = (out.with_name(out.stem + ending) for ending in (".token", ".crt", ".key"))
     with file_errors(str(out)):
         if f'"{token.name}"' in text and not token.exists():
-            _write_secret(token, make_token() + "\n")
+            write_secret(token, make_token().encode() + b"\n")
         if f'"{certificate.name}"' in text and not certificate.exists():
             _certify(certificate, key, text.partition('host = "')[2].rpartition('host = "')[2].partition('"')[0])
         out.write_text(text, encoding="utf-8")
-
-
-def _write_secret(path: Path, text: str) -> None:
-    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
-        file.write(text)
 
 
 def _certify(certificate: Path, key: Path, address: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -81,10 +81,7 @@ def with_camera(
             attach(camera.exposure)
             yield LinkWithCamera(vehicle, camera)
 
-    def open_link() -> AbstractAsyncContextManager[VehicleLink]:
-        return both()
-
-    return open_link
+    return both
 
 
 log = logging.getLogger(__name__)

@@ -7,7 +7,6 @@ into other folders, or sending a password to another host at the next start.
 
 import logging
 import re
-import tomllib
 from collections.abc import Mapping
 from contextlib import closing
 from typing import Any
@@ -18,7 +17,7 @@ from companion.base.worker import Worker
 from companion.parts.page.messages import SavedSettings, SaveSettingsRequest, SettingsRequest, SettingsText, ToolRequest
 from companion.parts.page.viewer import PageService, PageViewer, Tool
 from companion.settings import schema
-from companion.settings.load import complete, from_file
+from companion.settings.load import complete, from_file, toml_of
 from companion.settings.model import Settings, in_file
 from companion.settings.referenced_files import check_files
 from companion.settings.remarks import remarks
@@ -110,8 +109,8 @@ def check(text: str, before: str, file: SettingsFile) -> Settings:
         BadInput: `decklander config check` would refuse it, or it changes what a browser must not change.
     """
     try:
-        settings = from_file(_table(text), "")
-        _refuse_guarded(settings, before)
+        settings = from_file(toml_of(text, file.path), "")
+        _refuse_guarded(settings, before, file)
         settings = complete(settings, file.path)
         check_files(settings)
     except BadInput as why:
@@ -119,17 +118,10 @@ def check(text: str, before: str, file: SettingsFile) -> Settings:
     return settings
 
 
-def _table(text: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as why:  # a number of thousands of digits is a plain ValueError
-        raise BadInput(f"not valid TOML: {why}") from why
-
-
-def _refuse_guarded(settings: Settings, before: str) -> None:
+def _refuse_guarded(settings: Settings, before: str, file: SettingsFile) -> None:
     """Refuse changes of who may command and of where secrets go, and names of files elsewhere. It reads none of them."""
     try:
-        old = _flat(msgspec.to_builtins(from_file(_table(before), "")))
+        old = _flat(msgspec.to_builtins(from_file(toml_of(before, file.path), "")))
     except BadInput as why:
         raise BadInput(f"the settings file itself is refused ({why}): mend it on the drone's computer first") from why
     new = _flat(msgspec.to_builtins(settings))

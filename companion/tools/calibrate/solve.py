@@ -43,13 +43,7 @@ _FISHEYES = {
     "fisheye k1 k2 k3": cv2.fisheye.CALIB_FIX_K4,
     "fisheye k1 k2 k3 k4": 0,
 }
-_TERMS = {
-    "k1": 1,
-    "k1 k2": 2,
-    "k1 k2 p1 p2": 4,
-    "k1 k2 p1 p2 k3": 5,
-    **{name: n for n, name in enumerate(_FISHEYES, start=1)},
-}
+_TERMS = {name: len(name.removeprefix("fisheye ").split()) for name in (*_MODELS, *_FISHEYES)}
 """Terms of the distortion that a model estimates: the first ones of its coefficients."""
 LensChoice = Literal["auto", "brown", "fisheye"]
 _STRONG = 10.0
@@ -176,11 +170,11 @@ def _best_model(
 ) -> _Solved:
     """Return the model with the lowest Bayesian information criterion, with its covariance and that of its peers."""
     mounted = mount or Transform(Rotation.from_rpy(0.0, 0.0, np.pi / 2), np.zeros(3))
-    tried = [] if lens == "fisheye" else [_brown(views, board, size, mounted, name) for name in _MODELS]
+    tried = [] if lens == "fisheye" else [_fitted(views, board, size, mounted, name) for name in _MODELS]
     found = [one for one in tried if one is not None]
     best = min(found, key=lambda one: one.criterion, default=None)
     if lens != "brown":
-        bent = [one for one in (_fisheye(views, board, size, mounted, name) for name in _FISHEYES) if one is not None]
+        bent = [one for one in (_fitted(views, board, size, mounted, name) for name in _FISHEYES) if one is not None]
         of_bent = min(bent, key=lambda one: one.criterion, default=None)
         if of_bent is not None and (best is None or of_bent.criterion < best.criterion - _STRONG):
             best, found = of_bent, bent
@@ -189,37 +183,27 @@ def _best_model(
     return best.camera, _covariance(best, found, views, board), best.model, best.poses
 
 
-def _brown(views: Sequence[BoardView], board: Board, size: tuple[int, int], mounted: Transform, name: str) -> _Candidate | None:
-    points = board.corners_m
-    try:
-        rms, K, D, rvecs, tvecs = cv2.calibrateCamera(
-            [points[v.ids].astype(np.float32) for v in views], [v.uv_px.astype(np.float32) for v in views], size, np.eye(3),
-            np.zeros(5), flags=_MODELS[name], criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10),
-        )  # fmt: skip
-        camera = Camera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], np.array(D, dtype=float).ravel()[:5], mounted)
-    except (cv2.error, ValueError):
-        return None
-    return _candidate(camera, rms, [(_flat(r), _flat(t)) for r, t in zip(rvecs, tvecs, strict=True)], views, name)
-
-
-def _fisheye(views: Sequence[BoardView], board: Board, size: tuple[int, int], mounted: Transform, name: str) -> _Candidate | None:
-    points = board.corners_m
-    flags = cv2.fisheye.CALIB_RECOMPUTE_EXTRINSIC | cv2.fisheye.CALIB_FIX_SKEW | _FISHEYES[name]
-    try:
-        rms, K, D, rvecs, tvecs = cv2.fisheye.calibrate(
-            [points[v.ids][None] for v in views], [v.uv_px[None] for v in views], size, np.eye(3), np.zeros((4, 1)), flags=flags,
-            criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10),
-        )  # fmt: skip
-        camera = Camera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], _flat(D)[:4], mounted, lens="fisheye")
-    except (cv2.error, ValueError):
-        return None
-    return _candidate(camera, rms, [(_flat(r), _flat(t)) for r, t in zip(rvecs, tvecs, strict=True)], views, name)
-
-
-def _candidate(
-    camera: Camera, rms: float, poses: list[tuple[F64, F64]], views: Sequence[BoardView], name: str
-) -> _Candidate | None:
+def _fitted(views: Sequence[BoardView], board: Board, size: tuple[int, int], mounted: Transform, name: str) -> _Candidate | None:
     """Return a fitted model; None if it folds the image: an ill-posed set fits best with such a lens."""
+    points, criteria = board.corners_m, (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+    bent = name in _FISHEYES
+    try:
+        if bent:
+            flags = cv2.fisheye.CALIB_RECOMPUTE_EXTRINSIC | cv2.fisheye.CALIB_FIX_SKEW | _FISHEYES[name]
+            rms, K, D, rvecs, tvecs = cv2.fisheye.calibrate(
+                [points[v.ids][None] for v in views], [v.uv_px[None] for v in views], size, np.eye(3), np.zeros((4, 1)),
+                flags=flags, criteria=criteria,
+            )  # fmt: skip
+        else:
+            rms, K, D, rvecs, tvecs = cv2.calibrateCamera(
+                [points[v.ids].astype(np.float32) for v in views], [v.uv_px.astype(np.float32) for v in views], size, np.eye(3),
+                np.zeros(5), flags=_MODELS[name], criteria=criteria,
+            )  # fmt: skip
+        terms = _flat(D)[: 4 if bent else 5]
+        camera = Camera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], terms, mounted, lens="fisheye" if bent else "brown")
+    except (cv2.error, ValueError):
+        return None
+    poses = [(_flat(r), _flat(t)) for r, t in zip(rvecs, tvecs, strict=True)]
     n = 2 * sum(len(v.ids) for v in views)
     criterion = n / _CORRELATED * np.log(max(rms**2 / 2, 1e-12)) + (4 + _TERMS[name] + 6 * len(views)) * np.log(n)
     return _Candidate(camera, poses, name, float(criterion)) if _one_to_one(camera) else None
