@@ -314,12 +314,14 @@ def times(tracker: TrackerConfig) -> None:
             for _ in range(4):
                 _, rests = track(tracker, rests, frame, attitude, belief)
             before = MonoNs(STAMP.measured_at - round(1e9 / READ_HZ[0]))
-            about, passing = rests.around, rests.passing
+            deck, about, passing = rests.deck, rests.deck.around, rests.deck.passing
             key = None if about is None else replace(about, at=before, key_at=MonoNs(before - 10**10))
             was = None if passing is None else tuple(replace(each, at=before) for each in passing.readings)
-            all_of = [
-                rests, replace(rests, deck=None), replace(rests, around=key),
-                replace(rests, passing=None if passing is None or was is None else replace(passing, readings=was)),
+            all_of = [rests] + [
+                replace(rests, deck=of) for of in (
+                    replace(deck, surface=None), replace(deck, around=key),
+                    replace(deck, passing=None if passing is None or was is None else replace(passing, readings=was)),
+                )
             ]  # fmt: skip
             least, floor = [math.inf] * len(all_of), math.inf
             for _ in range(25):

@@ -29,8 +29,7 @@ from estimator.vision.detect.verification import FEATURES
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import FITTED, HAND_SET, SEARCHED, support_log_odds
-from estimator.vision.register.look import look
-from estimator.vision.register.registration import RegistrationOptions
+from estimator.vision.register.registration import RegistrationOptions, look
 from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import verify
 from tests.support.deck_images import keeps_claim
@@ -80,7 +79,7 @@ def examples(seed: int) -> F64:
     for frame, with_pad, pad, scene in scenes(seed):
         for c in acquire(scene.px, camera, pad, scene.R_level_body, sure=2.0)[:4]:
             right = scene.truth is not None and keeps_claim(c.pose, scene.truth, camera, pad, c.yaw_ambiguous)
-            rows.append([frame, float(right), float(with_pad), *c.features])
+            rows.append([frame, float(right), float(with_pad), *c.aligned.features])
     return np.array(rows).reshape(-1, 3 + len(FEATURES))
 
 

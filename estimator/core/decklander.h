@@ -766,6 +766,12 @@ typedef struct {
     double sigma_deck_rad;      /* Standard deviation of the deck's tilt, rad. */
 } dl_tilt_prior;
 
+/* A pose of the pad in cam. */
+typedef struct {
+    double R[9]; /* R_cam_pad. */
+    double t[3]; /* The pad's centre, m. */
+} dl_pad_pose;
+
 /* A frame's support for one kind of edge. */
 typedef struct {
     double contrast_bgr[3]; /* Linear light inside minus outside, 1 is full scale. */
@@ -779,7 +785,7 @@ typedef struct {
 typedef struct {
     bool dense;                           /* Fitted to all pixels of the disc, not to profiles across edges. */
     bool yaw_ambiguous;                   /* No pointer has resolved the headings. */
-    double R[9], t[3];                    /* R_cam_pad, and the pad's centre in cam, m. */
+    dl_pad_pose pose;                     /* The pose. */
     double cov[36];                       /* Covariance of the pose, with the prior. */
     double information[36];               /* Information on the pose by the frame alone. */
     double blur_px2[3];                   /* Covariance uu, uv, vv of the point spread at the pad beyond a pixel's square, px^2. */
@@ -791,16 +797,6 @@ typedef struct {
     dl_edge_support edges[DL_EDGE_KINDS]; /* The support for each kind of edge. */
 } dl_registration;
 
-/* A pose in cam, with the attitude and the mount. */
-typedef struct {
-    double roll_rad, pitch_rad;          /* The body's roll and pitch, rad. */
-    double cov_tilt[4];                  /* Their covariance, rad^2. */
-    double sigma_deck_rad;               /* Standard deviation of the deck's tilt, rad. */
-    double R_body_cam[9], t_body_cam[3]; /* The camera's rotation and place in the body, m. */
-    double R_cam_pad[9], t_cam_pad[3];   /* The pose; m. */
-    double cov_pose[36];                 /* Its covariance. */
-} dl_camera_sighting;
-
 /* A pose in level. */
 typedef struct {
     double d[3];           /* The pad's centre from the body's origin, m. */
@@ -810,8 +806,9 @@ typedef struct {
     double cov[16];        /* Covariance of place, m, and heading, rad. */
 } dl_level_sighting;
 
-/* Bring a pose to level. */
-void dl_sighting_in_level(const dl_camera_sighting *in, dl_level_sighting *out);
+/* Bring a pose in cam to level, by the camera's lens, its place in the body, m, and what is known of the tilt. */
+void dl_sighting_in_level(const dl_lens *lens, const double *t_body_cam, const dl_tilt_prior *prior, const dl_pad_pose *pose,
+    const double *cov_pose, dl_level_sighting *out);
 
 /* ---- vision/align/: the whole drawing aligned with a frame ---- */
 
@@ -825,12 +822,6 @@ enum {
     /* Number of the verification's features (vision/align/align.h); estimator.vision.detect.verification has their names. */
     DL_FEATURES = 31,
 };
-
-/* A pose of the pad in cam. */
-typedef struct {
-    double R[9]; /* R_cam_pad. */
-    double t[3]; /* The pad's centre, m. */
-} dl_pad_pose;
 
 /* The lengths of a drawing and of its maps, whose paints are lettering, ring or arrowhead, disc, surroundings. */
 typedef struct {

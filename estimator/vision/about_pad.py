@@ -21,13 +21,15 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.core.library import CORE
+from estimator.vision.clear_deck import LASTS_S, SurfaceMemory
 from estimator.vision.detect.pyramid import FrameView
-from estimator.vision.detection import NearThing
+from estimator.vision.detection import NearThing, PadCheck
 from estimator.vision.native import checked, image_of
 from estimator.vision.pad_pose import PadPose
 
@@ -121,9 +123,23 @@ class _Heights:
     moves: NDArray[np.bool_]
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Found:
+    found: NearThing | None = None
+    """The newest finding."""
+    found_at: MonoNs | None = None
+
+    def near(self, at: MonoNs) -> NearThing | None:
+        """Return what was found lately."""
+        if self.found is None or self.found_at is None:
+            return None
+        lasts_s = STANDING_LASTS_S if self.found.height_m > 0.0 else MOVED_LASTS_S
+        return self.found if seconds_between(self.found_at, at) <= lasts_s else None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class AroundMemory:
-    """Corners about the pad, with the sums of their readings, and what was found."""
+class AroundMemory(_Found):
+    """Corners about the pad, with the sums of their readings."""
 
     at: MonoNs
     key_at: MonoNs
@@ -143,8 +159,6 @@ class AroundMemory:
     """Number of corners when the picture was taken."""
     stood: F64
     """Corners that were lost and stood out of the deck, (N, 4): place (2) m, height m, and time of the loss, s."""
-    found: NearThing | None = None
-    found_at: MonoNs | None = None
 
     def is_like(self, height_m: float, at: MonoNs) -> bool:
         """Return whether corners of the picture can be followed in one from this height, exposed at an instant."""
@@ -153,13 +167,6 @@ class AroundMemory:
     def ends(self, height_m: float, at: MonoNs) -> bool:
         """Return whether the next picture may be too unlike this one."""
         return seconds_between(self.key_at, at) > _KEY_S or not 0.65 * self.key_height_m < height_m < 1.3 * self.key_height_m
-
-    def near(self, at: MonoNs) -> NearThing | None:
-        """Return what was found lately."""
-        if self.found is None or self.found_at is None:
-            return None
-        lasts_s = STANDING_LASTS_S if self.found.height_m > 0.0 else MOVED_LASTS_S
-        return self.found if seconds_between(self.found_at, at) <= lasts_s else None
 
 
 def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> AroundMemory:
@@ -193,7 +200,7 @@ def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at
     q, uv = (more - (len(above) - 1) / 2) * _STEP_M, np.concatenate([uv, more])
     sums = np.concatenate([sums, np.zeros((len(q), 16)) + _reading(q, centre[:2], height_m, px_m)])
     of = _heights(sums, view.pad.disc_radius_m)
-    return AroundMemory(at, at, above, height_m, uv, uv, sums, of, len(uv), stood, found, found_at)
+    return AroundMemory(at, at, above, height_m, uv, uv, sums, of, len(uv), stood, found=found, found_at=found_at)
 
 
 def _follow(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[np.intp]]:
@@ -344,8 +351,8 @@ class _Reading:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PassMemory:
-    """The deck's slow mean, the last readings, and the newest finding."""
+class PassMemory(_Found):
+    """The deck's slow mean, and the last readings."""
 
     mean: U8
     known: U8
@@ -353,19 +360,11 @@ class PassMemory:
     noise: F32
     """Mean change of each cell, values of a pixel."""
     readings: tuple[_Reading, ...]
-    found: NearThing | None = None
-    found_at: MonoNs | None = None
 
     @property
     def at(self) -> MonoNs:
         """Exposure of the newest frame that was read."""
         return self.readings[-1].at
-
-    def near(self, at: MonoNs) -> NearThing | None:
-        """Return what passed lately."""
-        if self.found is None or self.found_at is None or seconds_between(self.found_at, at) > MOVED_LASTS_S:
-            return None
-        return self.found
 
 
 def watch_passing(memory: PassMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> PassMemory:
@@ -375,17 +374,17 @@ def watch_passing(memory: PassMemory | None, view: FrameView, pose: PadPose, at:
         return memory
     light, shown = from_above(view, pose, view.pad.disc_radius_m + _REACH_M, _CELL_M, _PASS_MESH, 3)
     centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
+    found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
     if memory is None or not 0.0 <= since_s <= _PASS_GAP_S:
         # Its share of a mean that is itself says nothing: a shadow that is there already would seem to come.
         now = _Reading(at, light, np.full_like(light, _ONE), np.zeros_like(shown), centre[:2], float(-centre[2]))
-        found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
-        return PassMemory(light, shown, np.zeros(shown.shape, np.float32), (now,), found, found_at)
+        return PassMemory(light, shown, np.zeros(shown.shape, np.float32), (now,), found=found, found_at=found_at)
     mean = cv2.convertScaleAbs(memory.mean, alpha=_brighter(light, shown, memory))
     cv2.copyTo(light, cv2.bitwise_not(memory.known), mean)
     bright, usual = (np.add(of, _FLOOR, dtype=np.float32) for of in (light, mean))
     share = cv2.divide(bright, usual, scale=_ONE, dtype=cv2.CV_8U)
     now = _Reading(at, light, np.asarray(share, np.uint8), shown, centre[:2], float(-centre[2]))
-    found, found_at, noise = memory.found, memory.found_at, memory.noise
+    noise = memory.noise
     before = next((each for each in reversed(memory.readings) if seconds_between(each.at, at) >= _SINCE_S), None)
     if before is not None:
         change, noise = _compare(before, now, np.asarray(mean, np.uint8), noise)
@@ -396,7 +395,9 @@ def watch_passing(memory: PassMemory | None, view: FrameView, pose: PadPose, at:
     cv2.copyTo(nearer, shown, mean)
     kept = tuple(each for each in memory.readings if seconds_between(each.at, at) < _SINCE_S)
     last = memory.readings[: len(memory.readings) - len(kept)][-1:]
-    return PassMemory(np.asarray(mean, np.uint8), memory.known | shown, noise, (*last, *kept, now), found, found_at)
+    return PassMemory(
+        np.asarray(mean, np.uint8), memory.known | shown, noise, (*last, *kept, now), found=found, found_at=found_at
+    )
 
 
 def _brighter(light: U8, shown: U8, memory: PassMemory) -> float:
@@ -457,3 +458,23 @@ def _largest(change: U8) -> NearThing | None:
         return None
     x, y = ((middles[best] - (len(change) - 1) / 2) * _CELL_M).tolist()
     return NearThing(x, y, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeckMemory:
+    """Memory of things on the pad and about it; a part is None before it was read."""
+
+    surface: SurfaceMemory | None = None
+    around: AroundMemory | None = None
+    passing: PassMemory | None = None
+
+    def check(self, at: MonoNs) -> PadCheck | None:
+        """Return what was lately seen on the pad and about it; None if its surface was not read and nothing is about it."""
+        surface = None if self.surface is None or seconds_between(self.surface.at, at) > LASTS_S else self.surface.check
+        there = [(near, each.at) for each in (self.around, self.passing) if each is not None and (near := each.near(at))]
+        if not there:
+            return surface
+        near, read = min(there, key=lambda of: of[0].from_centre_m)
+        if surface is None:
+            return PadCheck(read, 0.0, None, near)
+        return structs.replace(surface, at=max(surface.at, read), near=near)

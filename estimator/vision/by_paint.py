@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -21,10 +21,9 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Feature, Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
-from estimator.contracts.time import MonoNs, seconds_between
-from estimator.vision.about_pad import AroundMemory, PassMemory, watch_around, watch_passing
+from estimator.vision.about_pad import DeckMemory, watch_around, watch_passing
 from estimator.vision.camera import Camera
-from estimator.vision.clear_deck import LASTS_S, DeckMemory, check_deck
+from estimator.vision.clear_deck import check_surface
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
 from estimator.vision.detect.guesses import heading, pose_about
@@ -40,8 +39,15 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.ambiguity import nearest_of_four
 from estimator.vision.register.fit_verification import calibrate
-from estimator.vision.register.look import SRGB, Looked, ToneMemory, fade_tone, learn_tone, with_tone
-from estimator.vision.register.registration import RegistrationOptions
+from estimator.vision.register.registration import (
+    SRGB,
+    Registration,
+    RegistrationOptions,
+    ToneMemory,
+    fade_tone,
+    learn_tone,
+    with_tone,
+)
 from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS
@@ -61,12 +67,8 @@ class TrackerMemory:
     """True if the pad was last seen by its lamps."""
     reversed: bool = False
     """True if the light of the pad was last seen reversed; only of pads whose files allow that."""
-    deck: DeckMemory | None = None
-    """Things seen on the pad; None before its surface was read."""
-    around: AroundMemory | None = None
-    """Corners followed about the pad; None before it was seen."""
-    passing: PassMemory | None = None
-    """Light of the deck in the last frames, and objects passing over the pad; None before it was seen."""
+    deck: DeckMemory = field(default_factory=DeckMemory)
+    """Things that were seen on the pad and about it."""
     tone: ToneMemory = SRGB
     """The camera's tone curve as far as it was learnt."""
 
@@ -77,8 +79,6 @@ _CANDIDATES = 2
 """Number of candidates of acquisition that are registered."""
 WORTH_A_TRY = 0.03
 """Score of a candidate of acquisition, or of a drawing at a method's pose, below which it is not registered."""
-_HEADING_PX = 28.0
-"""Smallest radius of the disc in the frame that a heading is searched in."""
 _AGREES, _WORTH_ANOTHER, _BETTER = 0.6, 0.85, 0.15
 """Share of a near pad's visible edges that agree with a registration: below the first the belief's place is searched for again,
 below the second another start is tried, and the third is the difference by which the other one is better. Edges repeat on a near
@@ -88,8 +88,8 @@ _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the expected position within which a candidate of acquisition counts as expected."""
 _SUPPORTED = 0.2
 """Confidence from which what is found at the expected place is the tracked pad although something else is surer."""
-_NEAR_DRAWN_M = 0.4
-"""Width of the outline of something about the pad, whose own is not known."""
+_NEAR_DRAWN_M, _SQUARE = 0.4, 0.5 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])
+"""Width of the outline of something about the pad, whose own is not known; an outline of one metre."""
 _SHOWS, _PLACE_M, _TURNED_RAD = 0.5, 0.08, 0.1
 """Limits for reading the pad's surface. First: share of the edges that agree with a registration. Second, without a
 registration: standard deviation of the predicted place, in radii of the disc. Third: how far a heading is off the belief's."""
@@ -117,11 +117,17 @@ class _Now:
 class _Registered:
     sighting: Sighting
     paint: PaintMemory
+    found: Registration
     opinions: Opinions | None = None
-    agreement: float = 1.0
-    """Share of a near pad's visible edges that agree with it; 1 of a distant pad, which has no edges of its own."""
-    found: Looked | None = None
-    """The registration itself."""
+
+    @property
+    def agreement(self) -> float:
+        """Share of a near pad's visible edges that agree with it; 1 of a distant pad, which has no edges of its own."""
+        return 1.0 if self.found.dense else self.found.inliers
+
+    @property
+    def is_sure(self) -> bool:
+        return self.sighting.confidence >= SURE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +150,7 @@ class _Seen:
 
     @property
     def is_sure(self) -> bool:
-        return self.tracked is not None and self.tracked.sighting.confidence >= SURE
+        return self.tracked is not None and self.tracked.is_sure
 
     @property
     def agrees(self) -> bool:
@@ -171,20 +177,14 @@ def by_paint(
     thesis = None
     if tracker.options.method != "registration":
         thesis, registered = _verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
-    best = registered.settled().tracked
-    deck, about, passing = (_deck_of(now, best, belief), memory.around, memory.passing) if tracker.watches else (None, None, None)
-    shows = tracker.watches and best is not None and best.sighting.confidence >= SURE and _shows(now, best, belief)
-    # A frame in which one of them is read has cost enough: the others follow in the next ones.
-    if best is not None and best.found is not None and shows and deck is memory.deck:
-        at, pose = frame.stamp.measured_at, best.found.pose
-        about = watch_around(about, now.view, pose, at)
-        passing = watch_passing(passing, now.view, pose, at) if about is memory.around else passing
-    tone = memory.tone
-    if best is None or best.found is None or best.sighting.confidence < SURE:
+    settled, tone = registered.settled(), memory.tone
+    best, elsewhere = settled.tracked, settled.elsewhere
+    deck = _watch_deck(now, best, belief) if tracker.watches else DeckMemory()
+    if best is None or not best.is_sure:
         tone = fade_tone(tone)
-    elif about is memory.around and passing is memory.passing:
+    elif deck.around is memory.deck.around and deck.passing is memory.deck.passing:
         tone = learn_tone(tone, camera, now.view, best.found, now.orientation, frame.stamp.measured_at)
-    check = _check_pad(deck, about, passing, frame.stamp.measured_at)
+    check = deck.check(frame.stamp.measured_at)
     found = None if best is None else _add_outlines(best, check, tracker.camera)
     opinions = None if best is None else best.opinions
     if thesis is None:
@@ -192,68 +192,74 @@ def by_paint(
         seen = Detection(found, None if found is None else "registration", MappingProxyType(methods), opinions)
     else:
         seen = together(thesis, found, opinions, place.excludes)
-    elsewhere = registered.settled().elsewhere
-    if elsewhere is not None:
-        seen = replace(seen, elsewhere=elsewhere.sighting)
-    sure = best is not None and best.sighting.yaw_ambiguous and best.sighting.confidence >= SURE
+    seen = replace(seen, elsewhere=None if elsewhere is None else elsewhere.sighting, on_pad=check)
+    sure = best is not None and best.sighting.yaw_ambiguous and best.is_sure
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
-    seen = replace(seen, on_pad=check)
     paint = fade(memory.paint) if best is None else best.paint
-    return seen, TrackerMemory(paint, left, yaw_rad, deck=deck, around=about, passing=passing, tone=tone)
-
-
-def _check_pad(deck: DeckMemory | None, about: AroundMemory | None, passing: PassMemory | None, at: MonoNs) -> PadCheck | None:
-    """Return what was lately seen on the pad and about it; None if its surface was not read and nothing is about it."""
-    deck = None if deck is None or seconds_between(deck.check.at, at) > LASTS_S else deck
-    there = [(each.near(at), each.at) for each in (about, passing) if each is not None]
-    near, read = min(
-        ((near, read) for near, read in there if near is not None), key=lambda of: of[0].from_centre_m, default=(None, at)
-    )
-    if near is None:
-        return None if deck is None else deck.check
-    if deck is None:
-        return PadCheck(read, 0.0, None, near)
-    return replace(deck.check, at=max(deck.check.at, read), near=near)
+    return seen, TrackerMemory(paint, left, yaw_rad, deck=deck, tone=tone)
 
 
 def _add_outlines(best: _Registered, check: PadCheck | None, camera: Camera) -> Sighting:
     """Return a registration's sighting, with the outlines of what lies on the pad and of what is about it among its features."""
     sighting = best.sighting
-    if check is None or best.found is None:
-        return sighting
-    square = 0.5 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])
-    thing, near = check.thing, check.near
+    thing, near = (None, None) if check is None else (check.thing, check.near)
     places = [] if thing is None else [(thing.width_m, thing.forward_m, thing.right_m)]
     places += [] if near is None else [(_NEAR_DRAWN_M, near.forward_m, near.right_m)]
     for width_m, forward_m, right_m in places:
-        points = best.found.pose.points(width_m * square + np.array([forward_m, right_m, 0.0]))
+        points = best.found.pose.points(width_m * _SQUARE + np.array([forward_m, right_m, 0.0]))
         if points[:, 2].min() > 0.05:
             outline = Feature("outline", "thing", camera.project(points))
             sighting = replace(sighting, features=(*sighting.features, outline))
     return sighting
 
 
-def _deck_of(now: _Now, best: _Registered | None, belief: RelativeState | None) -> DeckMemory | None:
-    """Return the memory of what lies on the pad, with what the frame shows of it.
+def _watch_deck(now: _Now, best: _Registered | None, belief: RelativeState | None) -> DeckMemory:
+    """Return the memory of things on the pad and about it, with what the frame shows of one of them.
+
+    A frame in which one of them is read has cost enough: the others follow in the next ones.
+    """
+    memory, at = now.memory.deck, now.frame.stamp.measured_at
+    shows = best is not None and _shows(now, best, belief)
+    where = _surface_of(now, best.found if best is not None and shows else None, best is not None and best.is_sure, belief)
+    if where is not None:
+        surface = check_surface(memory.surface, now.view, where[0], at, *where[1:])
+        if surface is not memory.surface:
+            return dataclasses.replace(memory, surface=surface)
+    if best is None or not (shows and best.is_sure):
+        return memory
+    around = watch_around(memory.around, now.view, best.found.pose, at)
+    if around is not memory.around:
+        return dataclasses.replace(memory, around=around)
+    return dataclasses.replace(memory, passing=watch_passing(memory.passing, now.view, best.found.pose, at))
+
+
+def _surface_of(
+    now: _Now, found: Registration | None, sure: bool, belief: RelativeState | None
+) -> tuple[PadPose, float, float] | None:
+    """Return the pose at which the pad's surface is read, and the sigmas of its blur, px, and of its place, m; None if unknown.
 
     The pad is where it is registered. What lies on it may hide most of the drawing: then it is where the rest is registered close
     to where the pad is believed, else where it is believed.
+
+    Args:
+        found: a registration at which the deck can be read.
     """
-    memory, at = now.memory.deck, now.frame.stamp.measured_at
-    found = None if best is None or not _shows(now, best, belief) else best.found
-    if best is not None and found is not None and best.sighting.confidence >= SURE:
-        return check_deck(memory, now.view, found.pose, at, *_known_to(found))
+    registered = None
+    if found is not None:
+        registered = found.pose, found.blur_px, math.sqrt(max(0.0, float(found.cov.diagonal()[:2].max())))
+    if registered is not None and sure:
+        return registered
     if belief is None or now.attitude is None or not belief.consistent:
-        return memory
+        return None
     sigma_m = math.hypot(sigma_of(belief), belief.height_m * math.sqrt(float(now.orientation.cov_tilt.diagonal().max())))
     if sigma_m > _PLACE_M * now.tracker.pad.disc_radius_m:
-        return memory
+        return None
     start = expected(belief, now.attitude, now.tracker.camera, now.memory.alike_yaw_rad)
     if start is None or start.t_cam_pad[2] < 0.05:
-        return memory
-    if found is not None and float(np.linalg.norm(found.pose.t_cam_pad - start.t_cam_pad)) < _EXPECTED_SIGMAS * sigma_m:
-        return check_deck(memory, now.view, found.pose, at, *_known_to(found))
-    return check_deck(memory, now.view, start, at, 1.0, sigma_m)
+        return None
+    if registered is not None and float(np.linalg.norm(registered[0].t_cam_pad - start.t_cam_pad)) < _EXPECTED_SIGMAS * sigma_m:
+        return registered
+    return start, 1.0, sigma_m
 
 
 def _shows(now: _Now, best: _Registered, belief: RelativeState | None) -> bool:
@@ -262,13 +268,6 @@ def _shows(now: _Now, best: _Registered, belief: RelativeState | None) -> bool:
     if yaw_rad is None or known_rad is None or alike_headings(now.tracker.pad) > 1:
         return best.agreement >= _SHOWS
     return best.agreement >= _SHOWS and abs(math.remainder(yaw_rad - known_rad, math.pi)) < _TURNED_RAD
-
-
-def _known_to(found: Looked) -> tuple[float, float]:
-    """Return the standard deviations of a registration's blur, px, and of its place along the deck, m."""
-    record = found.record["found"]
-    blur_px = math.sqrt(max(0.0, 0.5 * float(record["blur_px2"][0] + record["blur_px2"][2])))
-    return blur_px, math.sqrt(max(0.0, float(record["cov"].reshape(6, 6).diagonal()[:2].max())))
 
 
 def by_thesis(tracker: TrackerConfig, frame: Frame, attitude: Attitude | None) -> Detection:
@@ -316,7 +315,7 @@ def _register(now: _Now, belief: RelativeState | None, place: ExpectedPlace) -> 
                     best = best.having(_register_from(now, aligned.pose, CLOSE, tracked, searched=False), place)
             if not best.is_sure and _is_small(start, camera, pad):
                 plane = Plane.of(camera, attitude.R_ned_body.without_heading())
-                about = pose_about(*now.view.as_seen(), plane, start)
+                about = pose_about(now.view.as_seen(), plane, start)
                 if about is not None and about[1] >= _LEAST_ABOUT:
                     best = best.having(_register_from(now, about[0], CLOSE, tracked, searched=False), place)
     if not best.is_sure or (suspect and not best.agrees):
@@ -360,13 +359,11 @@ def _verify_cues(now: _Now, thesis: Detection, best: _Seen, place: ExpectedPlace
 
 def _align_cue(view: FrameView, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
     """Align the drawing at a cue's pose. A cue without a heading is aligned at the heading that fits best."""
-    pyramid, camera, pad = view
-    flat = in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, camera)
+    flat = in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, view.camera)
     if flat.t_cam_pad[2] < 0.05:
         return None
     if cue.yaw_rad is None:
-        level = max(0, math.floor(math.log2(flat.disc_px(camera, pad) / _HEADING_PX)))
-        found = heading(pyramid[level], 1 << level, camera, pad, flat)
+        found = heading(view, flat)
         if found is None:
             return None
         flat = flat.turned(found.turn_rad)
@@ -428,11 +425,9 @@ def _register_from(
     opinions = _second_opinion(now, of) if searched else None
     sure = of.confidence if opinions is None else lower_confidence(of.confidence, opinions.learned)
     learned = learn_paints(paint, of.found.paint(), sure) if sure >= SURE else fade(paint)
-    found = of.found.record["found"]
-    agreement = 1.0 if found["dense"] else float(found["inliers"])
     # A letter alone tells too little to be surer than its bound.
     said = sure if now.tracker.pad.markings.is_letter_alone else calibrate(sure)
-    return _Registered(sighting_of_look(now.frame, of.found, said), learned, opinions, agreement, of.found)
+    return _Registered(sighting_of_look(now.frame, of.found, said), learned, of.found, opinions)
 
 
 def _second_opinion(now: _Now, of: Verified) -> Opinions | None:

@@ -75,7 +75,7 @@ _LIGHT = LINEAR_LIGHT.astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DeckMemory:
+class SurfaceMemory:
     """Average of the differences on the pad."""
 
     at: MonoNs
@@ -154,9 +154,9 @@ def _markings(pad: Pad, blur: int) -> tuple[NDArray[np.intp], F32, tuple[_Markin
     return np.flatnonzero(share[:, 2] >= _GROUND), (nominal[2] / bright).astype(np.float32), tuple(out)
 
 
-def check_deck(
-    memory: DeckMemory | None, view: FrameView, pose: PadPose, at: MonoNs, blur_px: float, sigma_m: float
-) -> DeckMemory | None:
+def check_surface(
+    memory: SurfaceMemory | None, view: FrameView, pose: PadPose, at: MonoNs, blur_px: float, sigma_m: float
+) -> SurfaceMemory | None:
     """Return the memory with what a frame shows of the pad's surface.
 
     Args:
@@ -190,8 +190,8 @@ def _read(pyramid: Pyramid, level: int, camera: Camera, points: F64) -> tuple[ND
 
 
 def _after(
-    memory: DeckMemory | None, pad: Pad, values: NDArray[np.uint8], shown: NDArray[np.bool_], blur_m: float, at: MonoNs
-) -> DeckMemory:
+    memory: SurfaceMemory | None, pad: Pad, values: NDArray[np.uint8], shown: NDArray[np.bool_], blur_m: float, at: MonoNs
+) -> SurfaceMemory:
     """Return the memory with the cells' values, (cells, 3)."""
     blur = next((k for k, each_m in enumerate(BLURS_M) if each_m >= 1.3 * blur_m), len(BLURS_M) - 1)
     nearest = int(np.abs(np.log(BLURS_M) - math.log(max(blur_m, 1e-4))).argmin())
@@ -202,7 +202,7 @@ def _after(
     contrast = _contrasts(light, clear, pad, nearest)
     now_s = at * 1e-9
     if memory is None:
-        memory = DeckMemory(
+        memory = SurfaceMemory(
             at, np.zeros_like(difference), np.zeros(len(values), np.float32), np.full(len(values), -np.inf),
             np.full(len(values), -np.inf), np.zeros_like(contrast), PadCheck(at, 0.0),
         )  # fmt: skip
@@ -215,7 +215,7 @@ def _after(
     glare_at = np.where(shown & bright & (_known(pad, blur) == _PAINTS - 1), now_s, memory.glare_at)
     check = _judge(pad, total, weight, marks, now_s - seen_at, at)
     unread = (now_s - glare_at <= LASTS_S) & ~((weight >= _ENOUGH) & (now_s - seen_at <= LASTS_S))
-    return DeckMemory(at, total, weight, seen_at, glare_at, marks, replace(check, glare=_hiding(pad, unread)))
+    return SurfaceMemory(at, total, weight, seen_at, glare_at, marks, replace(check, glare=_hiding(pad, unread)))
 
 
 def _differences(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> tuple[F32, NDArray[np.bool_]]:

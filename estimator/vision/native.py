@@ -300,13 +300,19 @@ def _given(kind: str, array: NDArray[Any] | None, count: int) -> Any:
 
 def native_camera(camera: Camera) -> NDArray[Any]:
     """Return the core's `dl_camera`."""
-    lens = {
-        "width": camera.width, "height": camera.height, "distorted": camera.distorted, "fisheye": camera.lens == "fisheye",
-        "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy, "distortion": [*camera.distortion, 0.0][:5],
-        "focal_sigma": camera.focal_sigma, "R_body_cam": camera.T_body_cam.R.matrix,
-    }  # fmt: skip
-    light = light_of_tone(camera.tone)
-    return CORE.record("dl_camera", lens=lens, t_body_cam=camera.T_body_cam.t, light=light, log_light=np.log1p(light / FLOOR))
+    light, made = light_of_tone(camera.tone), CORE.record("dl_camera", t_body_cam=camera.T_body_cam.t)
+    made["lens"], made["light"], made["log_light"] = native_lens(camera), light, np.log1p(light / FLOOR)
+    return made
+
+
+@lru_cache(maxsize=8)
+def native_lens(camera: Camera) -> NDArray[Any]:
+    """Return the core's `dl_lens`; the result is cached."""
+    return CORE.record(
+        "dl_lens", width=camera.width, height=camera.height, distorted=camera.distorted, fisheye=camera.lens == "fisheye",
+        fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, distortion=[*camera.distortion, 0.0][:5],
+        focal_sigma=camera.focal_sigma, R_body_cam=camera.T_body_cam.R.matrix,
+    )  # fmt: skip
 
 
 def _drawing(pad: Pad, edge_points: int) -> Mapping[str, Any]:

@@ -24,6 +24,7 @@ from estimator.contracts.estimates import Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.about_pad import DeckMemory
 from estimator.vision.by_paint import TrackerMemory as TrackerMemory
 from estimator.vision.by_paint import by_paint, by_thesis
 from estimator.vision.camera import Camera
@@ -147,7 +148,9 @@ def _painted(
     left = dataclasses.replace(left, reversed=memory.reversed)
     if _is_sure(seen.selected):
         return seen, left
-    other, left_other = by_paint(half, TrackerMemory(deck=memory.deck), both[not memory.reversed], attitude, belief)
+    other, left_other = by_paint(
+        half, TrackerMemory(deck=DeckMemory(memory.deck.surface)), both[not memory.reversed], attitude, belief
+    )
     said, said_other = (0.0 if of.selected is None else of.selected.confidence for of in (seen, other))
     # A search that was ended by its work goes on in the next frame; after a whole one the other light is searched first.
     turns = said_other > said or (said_other == said and left.search is FRESH_SEARCH)

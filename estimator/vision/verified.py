@@ -5,6 +5,8 @@ drawings and with half of their difference. If the first heading is right, the d
 second is, minus that. Uneven light and wear are in the residuals.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,8 +28,7 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.ambiguity import LETTER_MOST, cells_log_odds, letter_log_odds
 from estimator.vision.register.fit_verification import confidence, support_log_odds
-from estimator.vision.register.look import Looked, look
-from estimator.vision.register.registration import RegistrationOptions
+from estimator.vision.register.registration import Registration, RegistrationOptions, look
 from estimator.vision.srgb import LINEAR_LIGHT, LUMA, linear_light
 
 _LENS_PX = 0.75
@@ -135,7 +136,7 @@ _HALVED, _LESS_HALVED = 0.6, 0.1
 class Verified:
     """Verified find, with the confidence that it is this pad."""
 
-    found: Looked
+    found: Registration
     confidence: float
     """0..1."""
     cut: F64 | None = None
@@ -169,105 +170,96 @@ def verify(
         ValueError: the frame is not of the camera's size.
     """
     turns = confusable_turns(view.pad) if prior_log_odds <= 0.0 else ()
+    seen = _Seen(view.as_seen(), orientation, options, paint, searched=prior_log_odds <= 0.0)
     if not turns:
-        return _verify_at(view, start, orientation, options, prior_log_odds, cut, paint)
-    z = _heading_z_scores(view, start, turns)
+        return seen.verify(start, prior_log_odds, cut)
+    z = seen.heading_z_scores(start, turns)
     start = start.turned(min(z, key=z.__getitem__)) if min(z.values()) < -_DECIDED else start
-    best = _verify_at(view, start, orientation, options, prior_log_odds, cut, paint)
+    best = seen.verify(start, prior_log_odds, cut)
     if best is None or best.confidence < _WORTH_TURNING:
         return best
-    z = _heading_z_scores(view, best.found.pose, turns)
+    z = seen.heading_z_scores(best.found.pose, turns)
     if min(z.values()) < 0.0:
-        turned, near = best.found.pose.turned(min(z, key=z.__getitem__)), replace(options, coarse=False)
-        of, prior = UNCUT if best.cut is None else best.cut, best.prior_log_odds
-        best = _of_visible(view.as_seen(), turned, orientation, near, prior, of, paint) or best
-        z = _heading_z_scores(view, best.found.pose, turns)
+        turned, of = best.found.pose.turned(min(z, key=z.__getitem__)), UNCUT if best.cut is None else best.cut
+        best = seen.near().verify_visible(turned, best.prior_log_odds, of) or best
+        z = seen.heading_z_scores(best.found.pose, turns)
     alert = min(1.0, max(0.0, 1.0 - min(z.values()) / _DECIDED))
-    return replace(best, confidence=confidence(_log_odds(best.confidence) + _UNDECIDED_LOG_ODDS * alert)) if alert else best
+    if not alert:
+        return best
+    log_odds = math.log(max(best.confidence, 1e-13) / max(1.0 - best.confidence, 1e-13))
+    return replace(best, confidence=confidence(log_odds + _UNDECIDED_LOG_ODDS * alert))
 
 
-def _log_odds(of_confidence: float) -> float:
-    return math.log(max(of_confidence, 1e-13) / max(1.0 - of_confidence, 1e-13))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """A frame in which the drawing is verified at start poses."""
+
+    view: FrameView
+    """The pad in the paints that the camera sees."""
+    orientation: Orientation
+    options: RegistrationOptions
+    paint: PaintMemory
+    searched: bool
+    """True if no belief led to the place."""
+
+    def near(self) -> _Seen:
+        """Return the same for starts that are good to a pixel or two."""
+        return replace(self, options=replace(self.options, coarse=False))
+
+    def heading_z_scores(self, pose: PadPose, turns: tuple[float, ...]) -> dict[float, float]:
+        return heading_z_scores(self.view.pyramid[0], self.view.camera, self.view.pad, pose, turns)
+
+    def verify(self, start: PadPose, prior_log_odds: float, cut: F64 | None) -> Verified | None:
+        """Register the drawing from a start pose and verify it there, at its heading alone."""
+        best, strayed, halved = None, False, False
+        if cut is None:
+            best = self.verify_visible(start, prior_log_odds, UNCUT)
+            strayed = best is not None and self._strays(best.found, start)
+            halved = best is not None and best.confidence >= SURE and _inliers(best.found) < _HALVED
+            settled = best is not None and best.confidence >= _CERTAIN and not (strayed or halved)
+            if settled or not self.view.pad.markings.is_searched_by_parts:
+                return best
+            sigma_rad = SIGMA_TILT_RAD if self.orientation.measured else SIGMA_TILT_FREE_RAD
+            uncovered = align_uncovered(self.view, start, sigma_rad, _STEPS)
+            if uncovered is None:
+                return best
+            start, cut = uncovered[0].pose, uncovered[1]
+        other = self.near().verify_visible(start, prior_log_odds + COVERED_LOG_ODDS, cut)
+        if best is None or other is None:
+            return best or other
+        if halved:
+            return other if other.confidence >= SURE and _inliers(other.found) > _inliers(best.found) + _LESS_HALVED else best
+        stayed = strayed and other.confidence >= SURE and not self._strays(other.found, start)
+        return other if stayed or other.confidence > best.confidence else best
+
+    def _strays(self, found: Registration, start: PadPose) -> bool:
+        """Return whether a registration is so much nearer or farther than its start that something else has pulled it.
+
+        A start that was aligned with the frame counts with its place, too.
+        """
+        disc_radius_m = self.view.pad.disc_radius_m
+        most = _STRAYS + _STRAYS_PX / (self.view.camera.fx * disc_radius_m / start.range_m)
+        moved = float(np.linalg.norm(found.pose.t_cam_pad / found.range_m - start.t_cam_pad / start.range_m))
+        return abs(found.range_m / start.range_m - 1.0) > most or (self.searched and moved * start.range_m > most * disc_radius_m)
+
+    def verify_visible(self, start: PadPose, prior_log_odds: float, cut: F64) -> Verified | None:
+        """Register what lies on this side of a cut, and verify the drawing there."""
+        view, tracked = self.view, prior_log_odds > 0.0
+        found = look(view, start, self.orientation, self.options, tracked=tracked, cut=cut, paint=self.paint)
+        if found is None:
+            return None
+        support = found.record["aligned"]["support"]
+        most = support_log_odds(float(support["support"]) * float(support["share"]) / view.pad.least_support)
+        odds = min(found.log_odds, most) + prior_log_odds - view.pad.clutter_log_odds
+        if cut is not UNCUT and not found.edges[EdgeKind.RING].seen:
+            odds += _RINGLESS_LOG_ODDS
+        if view.pad.markings.fiducials:
+            odds += cells_log_odds(view.pyramid[0], view.camera, view.pad, found)
+        elif view.pad.markings.is_letter_alone:
+            odds = min(odds, LETTER_MOST) + letter_log_odds(found, tracked)
+        return Verified(found, confidence(odds), None if cut is UNCUT else cut, prior_log_odds)
 
 
-def _heading_z_scores(view: FrameView, pose: PadPose, turns: tuple[float, ...]) -> dict[float, float]:
-    return heading_z_scores(view.pyramid[0], view.camera, view.as_seen().pad, pose, turns)
-
-
-def _verify_at(
-    view: FrameView,
-    start: PadPose,
-    orientation: Orientation,
-    options: RegistrationOptions,
-    prior_log_odds: float,
-    cut: F64 | None,
-    paint: PaintMemory,
-) -> Verified | None:
-    """Register the drawing from a start pose and verify it there, at its heading alone."""
-    best, strayed, halved, view = None, False, False, view.as_seen()
-    if cut is None:
-        best = _of_visible(view, start, orientation, options, prior_log_odds, UNCUT, paint)
-        strayed = best is not None and _strays(best.found, start, view, searched=prior_log_odds <= 0.0)
-        halved = best is not None and best.confidence >= SURE and _inliers(best.found) < _HALVED
-        if (
-            best is not None and best.confidence >= _CERTAIN and not (strayed or halved)
-        ) or not view.pad.markings.is_searched_by_parts:
-            return best
-        sigma_rad = SIGMA_TILT_RAD if orientation.measured else SIGMA_TILT_FREE_RAD
-        uncovered = align_uncovered(view, start, sigma_rad, _STEPS)
-        if uncovered is None:
-            return best
-        start, cut = uncovered[0].pose, uncovered[1]
-    near = replace(options, coarse=False)
-    other = _of_visible(view, start, orientation, near, prior_log_odds + COVERED_LOG_ODDS, cut, paint)
-    if best is None or other is None:
-        return best or other
-    if halved:
-        return other if other.confidence >= SURE and _inliers(other.found) > _inliers(best.found) + _LESS_HALVED else best
-    stayed = strayed and other.confidence >= SURE and not _strays(other.found, start, view, searched=prior_log_odds <= 0.0)
-    return other if stayed or other.confidence > best.confidence else best
-
-
-def _inliers(found: Looked) -> float:
+def _inliers(found: Registration) -> float:
     """Return the share of a distant pad's pixels that agree with the drawing; 1 of a near pad."""
-    record = found.record["found"]
-    return float(record["inliers"]) if record["dense"] else 1.0
-
-
-def _strays(found: Looked, start: PadPose, view: FrameView, searched: bool) -> bool:
-    """Return whether a registration is so much nearer or farther than its start that something else has pulled it.
-
-    Args:
-        searched: whether the start was aligned with the frame: then its place counts, too.
-    """
-    disc_radius_m = view.pad.disc_radius_m
-    radius_px = view.camera.fx * disc_radius_m / start.range_m
-    most = _STRAYS + _STRAYS_PX / radius_px
-    moved = float(np.linalg.norm(found.pose.t_cam_pad / found.range_m - start.t_cam_pad / start.range_m))
-    return abs(found.range_m / start.range_m - 1.0) > most or (searched and moved * start.range_m > most * disc_radius_m)
-
-
-def _of_visible(
-    view: FrameView,
-    start: PadPose,
-    orientation: Orientation,
-    options: RegistrationOptions,
-    prior_log_odds: float,
-    cut: F64,
-    paint: PaintMemory,
-) -> Verified | None:
-    """Register what lies on this side of a cut, and verify the drawing there."""
-    tracked = prior_log_odds > 0.0
-    found = look(view, start, orientation, options, tracked=tracked, cut=cut, paint=paint)
-    if found is None:
-        return None
-    support = found.record["aligned"]["support"]
-    most = support_log_odds(float(support["support"]) * float(support["share"]) / view.pad.least_support)
-    odds = min(found.log_odds, most) + prior_log_odds - view.pad.clutter_log_odds
-    if cut is not UNCUT and not found.edges[EdgeKind.RING].seen:
-        odds += _RINGLESS_LOG_ODDS
-    if view.pad.markings.fiducials:
-        odds += cells_log_odds(view.pyramid[0], view.camera, view.pad, found.registration())
-    elif view.pad.markings.is_letter_alone:
-        odds = min(odds, LETTER_MOST) + letter_log_odds(found.registration(), tracked)
-    return Verified(found, confidence(odds), None if cut is UNCUT else cut, prior_log_odds)
+    return found.inliers if found.dense else 1.0

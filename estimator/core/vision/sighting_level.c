@@ -24,7 +24,7 @@ typedef struct {
 } tilt_share;
 
 /* An error e of roll and pitch turns the normal by (axes e) x z = A e; what remains is the deck's own tilt, by their variances. */
-static void share_tilt(const dl_camera_sighting *in, tilt_share *out)
+static void share_tilt(const dl_tilt_prior *in, tilt_share *out)
 {
     const double c = cos(in->pitch_rad), deck_var = in->sigma_deck_rad * in->sigma_deck_rad + LEAST_TILT_VAR;
     const double *C = in->cov_tilt, CA[TILT][TILT] = {{-C[1], C[0] * c}, {-C[3], C[2] * c}};
@@ -72,7 +72,7 @@ static void spread(int m, int n, const double *M, const double *P, double *out)
 /* Errors of (place, rotation) in the camera's axes and of the attitude map to those in level.
  *
  * normal: the pad's before the attitude was corrected by it. */
-static void level_covariance(const dl_camera_sighting *in, const tilt_share *share, const double R_level_cam[9],
+static void level_covariance(const double cov_pose[36], const tilt_share *share, const double R_level_cam[9],
                              const double normal[3], dl_level_sighting *out)
 {
     double across_d[9], across_normal[9], by_rotation[9], by_tilt[POSE][TILT], M[POSE][POSE] = {{0.0}};
@@ -99,7 +99,7 @@ static void level_covariance(const dl_camera_sighting *in, const tilt_share *sha
     for (int i = 0; i < POSE * POSE; i++) {
         out->cov_pose[i] = 0.0;
     }
-    spread(POSE, POSE, &M[0][0], in->cov_pose, out->cov_pose);
+    spread(POSE, POSE, &M[0][0], cov_pose, out->cov_pose);
     spread(POSE, TILT, &by_tilt[0][0], &share->left[0][0], out->cov_pose);
 }
 
@@ -118,14 +118,15 @@ static void heading_covariance(dl_level_sighting *out)
     out->yaw_rad = -atan2(y, x);
 }
 
-void dl_sighting_in_level(const dl_camera_sighting *in, dl_level_sighting *out)
+void dl_sighting_in_level(const dl_lens *lens, const double *t_body_cam, const dl_tilt_prior *prior, const dl_pad_pose *pose,
+                          const double *cov_pose, dl_level_sighting *out)
 {
     double R_level_body[9], before[9], turn[9], R_level_cam[9], normal[3], lever[3], lever_level[3], tilt[3];
-    const double axis[3] = {in->R_cam_pad[2], in->R_cam_pad[5], in->R_cam_pad[8]};
+    const double axis[3] = {pose->R[2], pose->R[5], pose->R[8]};
     tilt_share share;
-    share_tilt(in, &share);
-    from_rpy(in->roll_rad, in->pitch_rad, 0.0, R_level_body);
-    product(R_level_body, in->R_body_cam, before);
+    share_tilt(prior, &share);
+    from_rpy(prior->roll_rad, prior->pitch_rad, 0.0, R_level_body);
+    product(R_level_body, lens->R_body_cam, before);
     rotated(before, axis, normal);
     for (int i = 0; i < 3; i++) {
         tilt[i] = 0.0;
@@ -135,14 +136,14 @@ void dl_sighting_in_level(const dl_camera_sighting *in, dl_level_sighting *out)
     }
     exp_rotation(tilt, turn);
     product(turn, before, R_level_cam);
-    rotated(R_level_body, in->t_body_cam, lever);
+    rotated(R_level_body, t_body_cam, lever);
     rotated(turn, lever, lever_level);
-    rotated(R_level_cam, in->t_cam_pad, out->d);
+    rotated(R_level_cam, pose->t, out->d);
     for (int i = 0; i < 3; i++) {
         out->d[i] += lever_level[i];
     }
-    product(R_level_cam, in->R_cam_pad, out->R_level_pad);
+    product(R_level_cam, pose->R, out->R_level_pad);
     orthonormalise(out->R_level_pad);
-    level_covariance(in, &share, R_level_cam, normal, out);
+    level_covariance(cov_pose, &share, R_level_cam, normal, out);
     heading_covariance(out);
 }

@@ -27,7 +27,7 @@ from estimator.vision.detect.alignment import (
     align_uncovered,
     turned_uncovered,
 )
-from estimator.vision.detect.fiducials import WINDOWS_PX, WORK_FIDUCIALS, FiducialPose, fiducial_poses
+from estimator.vision.detect.fiducials import WINDOWS_PX, WORK_FIDUCIALS, fiducial_poses
 from estimator.vision.detect.guesses import Guess
 from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, WORK_GUESS, Kind, kinds
 from estimator.vision.detect.paint import FRESH, PaintMemory
@@ -80,10 +80,6 @@ class PadCandidate:
     """Calibrated probability, 0..1, that this is the pad and that `pose` is good enough to start registration."""
     yaw_ambiguous: bool
     """True if the arrowhead does not show: the heading may be 180 degrees off."""
-    in_view: float
-    """Fraction of the disc inside the frame."""
-    features: F64
-    """Inputs of the classifier that gave the score (`verification.FEATURES`)."""
     aligned: AlignedTemplate
     cut: F64 | None = None
     """The line beyond which something covers the pad, (3,); see `alignment.UNCUT`."""
@@ -157,16 +153,14 @@ def search(
     camera, (height, width) = view.camera, view.pyramid[0].shape[:2]
     if (height, width) != (camera.height, camera.width):
         raise ValueError(f"the frame is {width}x{height} px, the camera's are {camera.width}x{camera.height}")
-    view, plane = view.as_seen(), Plane.of(camera, R_level_body)
-    pad = view.pad
-    task = _Task(view, sure, budget, memory.refused)
+    task = _Search(view.as_seen(), Plane.of(camera, R_level_body), sure, budget, memory.refused)
     # A marker that is blurred, cut or half covered is not read, and its drawing is found as any other is.
-    if pad.markings.fiducials and _search_fiducials(task, plane):
+    if view.pad.markings.fiducials and task.try_fiducials():
         return Found(_distinct(task.found), FRESH_SEARCH, task.work)
-    of_all = kinds(*view, plane, paint)
+    of_all = kinds(task.view, task.plane, paint)
     for k in ((memory.first + i) % len(of_all) for i in range(len(of_all))):
         whole = k == memory.first or task.work <= WORK_COARSE * camera.width * camera.height / FULL_PIXELS
-        enough = _try_kind(of_all[k], task)
+        enough = task.try_kind(of_all[k])
         if enough is None:
             # A kind may have more guesses than a frame has work and the memory places: a search that stayed would never leave it.
             after = (k + 1) % len(of_all) if whole else k
@@ -176,14 +170,20 @@ def search(
     return Found(_distinct(task.found), FRESH_SEARCH, task.work)
 
 
+def align_at(pose: PadPose, tilt_known: bool, view: FrameView) -> PadCandidate | None:
+    """Align the drawing from one rough pose and verify it; return None if it does not fit at all."""
+    return _Search(view).align_at(pose, tilt_known)
+
+
 @dataclass(slots=True, eq=False)
-class _Task:
+class _Search:
     """A search in one frame: its inputs and its progress."""
 
     view: FrameView
-    sure: float
-    budget: float
-    refused_before: tuple[Place, ...]
+    plane: Plane = field(default_factory=lambda: Plane(np.eye(3), False))
+    sure: float = SURE
+    budget: float = math.inf
+    refused_before: tuple[Place, ...] = ()
     found: list[PadCandidate] = field(default_factory=list)
     refused: list[Place] = field(init=False)
     guesses: dict[Callable[[], list[Guess]], list[Guess]] = field(default_factory=dict)
@@ -195,176 +195,143 @@ class _Task:
     def __post_init__(self) -> None:
         self.refused = list(self.refused_before)
 
+    def try_fiducials(self) -> bool:
+        """Read the pad's fiducials and verify the drawing there; return whether that is enough.
 
-def _search_fiducials(task: _Task, plane: Plane) -> bool:
-    """Read the pad's fiducials and verify the drawing there; return whether that is enough."""
-    pyramid, camera, pad = task.view
-    dictionaries = len({fiducial.dictionary for fiducial in pad.markings.fiducials})
-    grey = np.asarray(cv2.cvtColor(pyramid[0], cv2.COLOR_BGR2GRAY), np.uint8)
-    for window_px in WINDOWS_PX:
-        task.work += WORK_FIDUCIALS * dictionaries * camera.width * camera.height / FULL_PIXELS
-        if _try_poses(fiducial_poses(grey, camera, pad, plane, window_px), task, plane.known):
-            return True
-    return False
-
-
-def _try_poses(poses: list[FiducialPose], task: _Task, tilt_known: bool) -> bool:
-    """Verify the drawing at poses of fiducials; return whether that is enough.
-
-    Where a small fiducial leaves the rest of the pad uncertain, or the drawing does not fit, it is aligned from there.
-    """
-    for pose, off_px in poses:
-        task.work += _WORK_VERIFY
-        candidate = _candidate(align(task.view, pose, SIGMA_TILT_RAD, 0))
-        if candidate is None or candidate.score < task.sure or off_px > _CLOSE_PX:
-            task.work += _WORK_ALIGN if tilt_known else _WORK_ALIGN_FREE
-            moved = align_at(pose, tilt_known, task.view)
-            if moved is not None and (candidate is None or moved.score > min(candidate.score, ENOUGH)):
-                candidate = moved
-        if candidate is not None:
-            task.found.append(candidate)
-            if candidate.score >= task.sure:
+        Where a small fiducial leaves the rest of the pad uncertain, or the drawing does not fit, it is aligned from there.
+        """
+        pyramid, camera, pad = self.view
+        dictionaries = len({fiducial.dictionary for fiducial in pad.markings.fiducials})
+        grey = np.asarray(cv2.cvtColor(pyramid[0], cv2.COLOR_BGR2GRAY), np.uint8)
+        for window_px in WINDOWS_PX:
+            self.work += WORK_FIDUCIALS * dictionaries * camera.width * camera.height / FULL_PIXELS
+            for pose, off_px in fiducial_poses(grey, camera, pad, self.plane, window_px):
+                self.work += _WORK_VERIFY
+                candidate = _candidate(align(self.view, pose, SIGMA_TILT_RAD, 0))
+                if candidate is None or candidate.score < self.sure or off_px > _CLOSE_PX:
+                    moved = align_at(pose, self.plane.known, self.view)
+                    self.work += _WORK_ALIGN if self.plane.known else _WORK_ALIGN_FREE
+                    if moved is not None and (candidate is None or moved.score > min(candidate.score, ENOUGH)):
+                        candidate = moved
+                if candidate is not None:
+                    self.found.append(candidate)
+                    if candidate.score >= self.sure:
+                        return True
+            if self.sure <= 1.0 and any(c.score >= ENOUGH for c in self.found):
                 return True
-    return task.sure <= 1.0 and any(c.score >= ENOUGH for c in task.found)
+        return False
+
+    def try_kind(self, kind: Kind) -> bool | None:
+        """Align the drawing at the best guesses of a kind. Return whether that is enough, or None if the budget ends before."""
+        guesses = self.guesses.get(kind.guesses)
+        if guesses is None:
+            if self.work > 0.0 and self.work + kind.expected_work > self.budget:
+                return None
+            guesses = self.guesses[kind.guesses] = kind.guesses()
+            self.work += kind.work + WORK_GUESS * len(guesses)
+        aligned = kept = 0
+        drawn = [guess for guess in guesses if kind.is_drawn(guess) and id(guess) not in self.tried]
+        for guess in sorted(drawn, key=lambda g: (self._is_refused(g), -g.score)):
+            # Guesses are not tried beside any candidate, and exact ones not beside confident ones.
+            if any(_near(guess.t_cam_pad, c.pose) for c in self.found if c.score >= ENOUGH or not kind.exact):
+                continue
+            if aligned == _TRIES * _ALIGNED or kept == _ALIGNED:
+                break
+            if self.work + (_WORK_ALIGN if guess.tilt_known else _WORK_ALIGN_FREE) > self.budget and aligned > 0:
+                return None
+            candidate = self.align_at(guess.pose, guess.tilt_known, guess.side, kind.covered)
+            self.tried.add(id(guess))
+            aligned += 1
+            if candidate is not None:
+                kept += 1
+                self.found.append(candidate)
+                if candidate.score >= self.sure:
+                    return True
+            if candidate is None or candidate.score < ENOUGH:
+                self.refused.append(_place(guess, self.view.camera))
+        # What covers a part, and the heading beside it, were chosen to fit: that alone is not enough.
+        enough = self.sure <= 1.0 and any(c.score >= min(self.sure, ENOUGH if c.cut is None else SURE) for c in self.found)
+        return enough or len(self.found) >= _MOST_ALIGNED
+
+    def align_at(self, pose: PadPose, tilt_known: bool, side: F64 | None = None, covered: bool = False) -> PadCandidate | None:
+        """Align the drawing from one rough pose and verify it; return None if it does not fit at all.
+
+        Args:
+            side: as for `align`.
+            covered: where the whole drawing does not fit at all, look for what covers a part of it, too.
+        """
+        sigma, steps = (SIGMA_TILT_RAD, _STEPS) if tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
+        left, aligned = self.budget - self.work, align(self.view, pose, sigma, steps, local=True, side=side)
+        found, work = None, _WORK_VERIFY
+        if aligned is not None:
+            found, turned = self._with_arrow(aligned, sigma, side)
+            work = (_WORK_ALIGN if tilt_known else _WORK_ALIGN_FREE) + turned
+        enough = not covered if found is None else found.score >= ENOUGH
+        if not enough and self.view.pad.markings.is_searched_by_parts:
+            other, more = self._uncovered_at(pose if found is None else found.pose, sigma, steps, left - work)
+            found, work = _better(found, other), work + more
+        self.work += work
+        return found
+
+    def _uncovered_at(self, pose: PadPose, sigma_tilt_rad: float, steps: int, left: float) -> tuple[PadCandidate | None, float]:
+        """Align the drawing with what nothing covers, and verify it; return None if nothing seems to be covered, and the work.
+
+        Other headings beside a cover are tried if so much work is left, and if half of the disc has so few pixels that what
+        covers the rest may turn it.
+        """
+        uncovered = align_uncovered(self.view, pose, sigma_tilt_rad, steps)
+        if uncovered is None:
+            return None, _WORK_COVER
+        aligned, cut = uncovered
+        found = _candidate(aligned, aligned.arrow_support < _ARROW_SEEN, cut)
+        work = _WORK_COVER + _WORK_COVERED
+        is_small = aligned.pose.disc_px(self.view.camera, self.view.pad) < _SMALL_PX
+        if found is not None and (found.score >= ENOUGH or work + _WORK_TURNED > left or not is_small):
+            return found, work
+        turned = turned_uncovered(self.view, aligned, cut, sigma_tilt_rad, steps)
+        other = None if turned is None else _candidate(turned, turned.arrow_support < _ARROW_SEEN, cut)
+        return _better(found, other), work + _WORK_TURNED
+
+    def _with_arrow(self, aligned: AlignedTemplate, sigma_tilt_rad: float, side: F64 | None) -> tuple[PadCandidate | None, float]:
+        """Return an aligned drawing as a candidate, turned by half a turn if its arrowhead can only be there; and the work."""
+        arrow, (fore, aft) = aligned.arrow_support, aligned.arrow
+        missing = fore.seen * (1.0 - fore.found) - aft.seen * (1.0 - aft.found)
+        work = 0.0
+        if arrow < -0.5 * _ARROW_SEEN or missing > _ARROW_MISSING:
+            work = _WORK_TURN
+            side = None if side is None else -side
+            turned = align(self.view, aligned.pose.turned(math.pi), sigma_tilt_rad, 2, local=True, side=side)
+            if turned is not None:
+                aligned, arrow = turned, turned.arrow_support
+        return _candidate(aligned, ambiguous=arrow < _ARROW_SEEN and not self.view.pad.markings.fiducials), work
+
+    def _is_refused(self, guess: Guess) -> bool:
+        """Return whether a hypothesis near this one that explained about as much, or more, was refused in a frame before."""
+        if not self.refused_before:
+            return False
+        u, v, far, drawing = _place(guess, self.view.camera)
+        reach = _SAME_PX + _SAME_RADII * self.view.camera.fx * self.view.pad.disc_radius_m * math.exp(-far)
+        return any(
+            drawing < d + _BETTER and abs(far - c) < _SAME_FAR and math.hypot(u - a, v - b) < reach
+            for a, b, c, d in self.refused_before
+        )
 
 
-def _try_kind(kind: Kind, task: _Task) -> bool | None:
-    """Align the drawing at the best guesses of a kind. Return whether that is enough, or None if the budget ends before."""
-    guesses = task.guesses.get(kind.guesses)
-    if guesses is None:
-        if task.work > 0.0 and task.work + kind.expected_work > task.budget:
-            return None
-        guesses = task.guesses[kind.guesses] = kind.guesses()
-        task.work += kind.work + WORK_GUESS * len(guesses)
-    aligned = kept = 0
-    drawn = [guess for guess in guesses if kind.is_drawn(guess) and id(guess) not in task.tried]
-    for guess in sorted(drawn, key=lambda g: (_is_refused(g, task), -g.score)):
-        if task.found and any(_near(guess.t_cam_pad, c.pose) for c in _settled(kind, task)):
-            continue
-        if aligned == _TRIES * _ALIGNED or kept == _ALIGNED:
-            break
-        work = _WORK_ALIGN if guess.tilt_known else _WORK_ALIGN_FREE
-        if task.work + work > task.budget and aligned > 0:
-            return None
-        left = task.budget - task.work
-        candidate, work = _aligned_at(guess.pose, guess.tilt_known, task.view, guess.side, kind.covered, left)
-        task.tried.add(id(guess))
-        aligned += 1
-        task.work += work
-        if candidate is not None:
-            kept += 1
-            task.found.append(candidate)
-            if candidate.score >= task.sure:
-                return True
-        if candidate is None or candidate.score < ENOUGH:
-            task.refused.append(_place(guess, task.view.camera))
-    # What covers a part, and the heading beside it, were chosen to fit: that alone is not enough.
-    enough = task.sure <= 1.0 and any(c.score >= min(task.sure, ENOUGH if c.cut is None else SURE) for c in task.found)
-    return enough or len(task.found) >= _MOST_ALIGNED
-
-
-def _settled(kind: Kind, task: _Task) -> list[PadCandidate]:
-    """Return the candidates beside which a kind's guesses are not tried: all of them, or the confident ones."""
-    return [c for c in task.found if c.score >= ENOUGH] if kind.exact else task.found
-
-
-def align_at(
-    pose: PadPose, tilt_known: bool, view: FrameView, side: F64 | None = None, covered: bool = False
-) -> PadCandidate | None:
-    """Align the drawing from one rough pose and verify it; return None if it does not fit at all.
-
-    Args:
-        side: as for `align`.
-        covered: where the whole drawing does not fit at all, look for what covers a part of it, too.
-    """
-    return _aligned_at(pose, tilt_known, view, side, covered, math.inf)[0]
-
-
-def _aligned_at(
-    pose: PadPose,
-    tilt_known: bool,
-    view: FrameView,
-    side: F64 | None,
-    covered: bool,
-    left: float,
-) -> tuple[PadCandidate | None, float]:
-    """Return what `align_at` does, and the work; other headings beside a cover are tried if so much work is left."""
-    sigma, steps = (SIGMA_TILT_RAD, _STEPS) if tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
-    aligned = align(view, pose, sigma, steps, local=True, side=side)
-    found, work = None, _WORK_VERIFY
-    if aligned is not None:
-        found, turned = _with_arrow(aligned, view, sigma, side)
-        work = (_WORK_ALIGN if tilt_known else _WORK_ALIGN_FREE) + turned
-    enough = not covered if found is None else found.score >= ENOUGH
-    if enough or not view.pad.markings.is_searched_by_parts:
-        return found, work
-    other, more = _uncovered_at(pose if found is None else found.pose, view, sigma, steps, left - work)
-    return other if found is None or (other is not None and other.score > found.score) else found, work + more
-
-
-def _uncovered_at(
-    pose: PadPose, view: FrameView, sigma_tilt_rad: float, steps: int, left: float
-) -> tuple[PadCandidate | None, float]:
-    """Align the drawing with what nothing covers, and verify it; return None if nothing seems to be covered, and the work."""
-    uncovered = align_uncovered(view, pose, sigma_tilt_rad, steps)
-    if uncovered is None:
-        return None, _WORK_COVER
-    aligned, cut = uncovered
-    found = _candidate(aligned, aligned.arrow_support < _ARROW_SEEN, cut)
-    work = _WORK_COVER + _WORK_COVERED
-    if found is not None and (found.score >= ENOUGH or work + _WORK_TURNED > left or not _is_small(aligned.pose, view)):
-        return found, work
-    turned = turned_uncovered(view, aligned, cut, sigma_tilt_rad, steps)
-    other = None if turned is None else _candidate(turned, turned.arrow_support < _ARROW_SEEN, cut)
-    best = other if found is None or (other is not None and other.score > found.score) else found
-    return best, work + _WORK_TURNED
-
-
-def _is_small(pose: PadPose, view: FrameView) -> bool:
-    """Return whether half of a disc has so few pixels that what covers the rest may turn it."""
-    return pose.disc_px(view.camera, view.pad) < _SMALL_PX
-
-
-def _with_arrow(
-    aligned: AlignedTemplate, view: FrameView, sigma_tilt_rad: float, side: F64 | None
-) -> tuple[PadCandidate | None, float]:
-    """Return an aligned drawing as a candidate, turned by 180 degrees if its arrowhead is or can only be there; and the work."""
-    arrow, (fore, aft) = aligned.arrow_support, aligned.arrow
-    missing = fore.seen * (1.0 - fore.found) - aft.seen * (1.0 - aft.found)
-    work = 0.0
-    if arrow < -0.5 * _ARROW_SEEN or missing > _ARROW_MISSING:
-        work = _WORK_TURN
-        side = None if side is None else -side
-        turned = align(view, aligned.pose.turned(math.pi), sigma_tilt_rad, 2, local=True, side=side)
-        if turned is not None:
-            aligned, arrow = turned, turned.arrow_support
-    return _candidate(aligned, ambiguous=arrow < _ARROW_SEEN and not view.pad.markings.fiducials), work
+def _better(found: PadCandidate | None, other: PadCandidate | None) -> PadCandidate | None:
+    return other if found is None or (other is not None and other.score > found.score) else found
 
 
 def _candidate(aligned: AlignedTemplate | None, ambiguous: bool = False, cut: F64 | None = None) -> PadCandidate | None:
     """Return an aligned drawing as a candidate."""
     if aligned is None:
         return None
-    values = aligned.features
-    sure = confidence(values, ALONE_LOG_ODDS * alone(values))
-    return PadCandidate(aligned.pose, sure, ambiguous, aligned.in_view, values, aligned, cut)
+    sure = confidence(aligned.features, ALONE_LOG_ODDS * alone(aligned.features))
+    return PadCandidate(aligned.pose, sure, ambiguous, aligned, cut)
 
 
 def _place(guess: Guess, camera: Camera) -> Place:
     x, y, z = guess.t_cam_pad
     return camera.fx * x / z, camera.fy * y / z, math.log(z), guess.drawing
-
-
-def _is_refused(guess: Guess, task: _Task) -> bool:
-    """Return whether a hypothesis near this one that explained about as much, or more, was refused in a frame before."""
-    if not task.refused_before:
-        return False
-    u, v, far, drawing = _place(guess, task.view.camera)
-    reach = _SAME_PX + _SAME_RADII * task.view.camera.fx * task.view.pad.disc_radius_m * math.exp(-far)
-    return any(
-        drawing < d + _BETTER and abs(far - c) < _SAME_FAR and math.hypot(u - a, v - b) < reach
-        for a, b, c, d in task.refused_before
-    )
 
 
 def _near(a_m: Sequence[float], b: PadPose) -> bool:

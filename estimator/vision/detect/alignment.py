@@ -14,7 +14,7 @@ as a pad at the frame's edge has to.
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,8 +35,7 @@ SIGMA_TILT_FREE_RAD = math.radians(15.0)
 """Standard deviation of the tilt if neither attitude is known."""
 
 
-@dataclass(frozen=True, slots=True)
-class ArrowPlace:
+class ArrowPlace(NamedTuple):
     """The measurements at one of the two places where an arrowhead may be."""
 
     found: float
@@ -54,12 +53,8 @@ class AlignedTemplate:
     pose: PadPose
     paints: F64
     """Linear light of H, orange, disc and surroundings, (4, 3), 0..1, in blue, green, red."""
-    sample_m: float
-    """Side of a sample on the pad, m."""
     in_view: float
     """Fraction of the disc's area inside the frame."""
-    tilt_sigmas: float
-    """Tilt of the pose relative to its start, in standard deviations of the prior."""
     arrow: tuple[ArrowPlace, ArrowPlace]
     """Support for the arrowhead at its place, and at the place where it would be with the drawing turned by 180 degrees."""
     features: F64
@@ -73,17 +68,6 @@ class AlignedTemplate:
         """
         fore, aft = self.arrow
         return fore.found * fore.seen - aft.found * aft.seen
-
-
-class Cover(NamedTuple):
-    """Possible cover over a part of the pad."""
-
-    cut: F64
-    """The line beyond which it lies, (3,); see `UNCUT`."""
-    gain: float
-    """Average fall of the logarithm of the residuals' variance, if a thing of one colour is beyond the line."""
-    left: float
-    """Share of the light's variation on this side of the line that the drawing leaves, 0..1."""
 
 
 def align(
@@ -109,36 +93,16 @@ def align(
         The aligned template; None if too little of the pad is in view, or if the pose diverges.
     """
     at, out = native_pose(pose), np.zeros((), CORE.dtype("dl_aligned_pad"))
-    one_side = side is not None
     how = CORE.ffi.new("dl_alignment *", {
-        "steps": steps, "local": local, "one_side": one_side, "sigma_tilt_rad": sigma_tilt_rad, "cut": cut.tolist(),
-        "side": side.tolist() if side is not None else (0.0, 0.0),
+        "steps": steps, "local": local, "one_side": side is not None, "sigma_tilt_rad": sigma_tilt_rad, "cut": cut.tolist(),
+        "side": (0.0, 0.0) if side is None else side.tolist(),
     })  # fmt: skip
     pyramid, camera, pad = view
     if not checked(CORE.lib.dl_align(tracker_of(camera, pad), pyramid.native, how, at, CORE.array("dl_aligned_pad", out))):
         return None
-    return _aligned(pose_of(at) if steps > 0 else pose, out)
-
-
-def cover(view: FrameView, pose: PadPose) -> Cover | None:
-    """Return the line across the frame beyond which most probably something covers the pad, which lies about at this pose.
-
-    There is always such a line unless too little of the pad is in view; `gain` and `left` say what it is worth.
-    """
-    how, out = CORE.ffi.new("dl_alignment *", {"cover": 1}), CORE.ffi.new("dl_aligned_pad *")
-    pyramid, camera, pad = view
-    if not checked(CORE.lib.dl_align(tracker_of(camera, pad), pyramid.native, how, native_pose(pose), out)):
-        return None
-    line = out.cover
-    return Cover(np.array(list(line.cut)), line.gain, line.left)
-
-
-def _aligned(pose: PadPose, out: Any) -> AlignedTemplate:
-    arrow = out["arrow"].tolist()
-    return AlignedTemplate(
-        pose, out["paints"].reshape(4, 3), out["sample_m"].item(), out["in_view"].item(), out["tilt_sigmas"].item(),
-        (ArrowPlace(*arrow[:3]), ArrowPlace(*arrow[3:])), out["features"],
-    )  # fmt: skip
+    found, arrow = pose_of(at) if steps > 0 else pose, out["arrow"].tolist()
+    places = ArrowPlace(*arrow[:3]), ArrowPlace(*arrow[3:])
+    return AlignedTemplate(found, out["paints"].reshape(4, 3), out["in_view"].item(), places, out["features"])
 
 
 COVERED_LOG_ODDS = -1.0
@@ -156,10 +120,15 @@ of 90 half-covered pads at 5 to 15 m the gain was 1.0 and more, and 0.56 was lef
 def cut_at(view: FrameView, pose: PadPose) -> F64 | None:
     """Return the cut beyond which something covers the pad that lies about at a pose; None if nothing seems to.
 
-    A cut is a line across the frame; see `alignment.UNCUT`.
+    A cut is a line across the frame; see `alignment.UNCUT`. There is always a best one unless too little of the pad is in view;
+    its gain, the mean fall of the logarithm of the residuals' variance, and what the drawing leaves say what it is worth.
     """
-    found = cover(view, pose)
-    return None if found is None or found.gain < _LEAST_GAIN or found.left > _MOST_LEFT else found.cut
+    pyramid, camera, pad = view
+    how, out = CORE.ffi.new("dl_alignment *", {"cover": 1}), CORE.ffi.new("dl_aligned_pad *")
+    if not checked(CORE.lib.dl_align(tracker_of(camera, pad), pyramid.native, how, native_pose(pose), out)):
+        return None
+    line = out.cover
+    return None if line.gain < _LEAST_GAIN or line.left > _MOST_LEFT else np.array(list(line.cut))
 
 
 def align_uncovered(view: FrameView, pose: PadPose, sigma_tilt_rad: float, steps: int) -> tuple[AlignedTemplate, F64] | None:

@@ -1,4 +1,8 @@
-"""Guess poses of the pad from circles of edges: which of its circles one may be, at which heading, and how well it fits.
+"""Find circles, and guess poses of the pad from them: which of its circles one may be, at which heading, and how well it fits.
+
+Circles are found by the votes of edges for their centres, in any light and without colour, and pads of some pixels by their area.
+A pad of 12 to 40 px across that is seen obliquely has too few pixels for its edges to give the centre. It differs from its
+surroundings as a whole: its area gives the centre, and the ellipse of the area's second moments gives the tilt.
 
 A heading is found by comparing the drawing at all headings at once. The frame is sampled in polar cells around the candidate's
 centre. For a given heading every cell belongs to one paint, and the score is the fraction of the variance between the paints
@@ -6,8 +10,7 @@ centre. For a given heading every cell belongs to one paint, and the score is th
 
 From afar the pad is some pixels across, and a belief that is off by two of them starts neither alignment nor the search for what
 covers a part. A pad in glare or half covered is looked for at each place about the expected one, with the whole disc and with
-each half of it (`pose_about`). The native core computes the guesses (`estimator/core/vision/search/guesses.c`, `tilt.c`,
-`heading.c`).
+each half of it (`pose_about`). The native core computes all of this (`estimator/core/vision/search`).
 """
 
 import math
@@ -22,16 +25,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.abi import DL_NONE, DL_SEARCH_LEVELS
+from estimator.core.abi import DL_NONE, DL_SEARCH_BLOCK, DL_SEARCH_LEVELS
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
-from estimator.vision.detect.circles import EdgeCircle
 from estimator.vision.detect.plane import Plane
-from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.detect.template import disc_edge_m
+from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
+from estimator.vision.detect.template import F32, disc_edge_m
 from estimator.vision.native import checked, image_of, native_pose, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
+
+Circle = NDArray[Any]
+"""A circle of edges in a plane at unit distance, with the edges on its outline: the core's `dl_circle`, an array of one."""
+_MOST_AREAS = 16
+"""Largest number of outlines of areas. Of 280 pads at 10 and 15 m in any light nine in ten are among the first eight."""
+
 
 MOST = 20
 """Largest number of guesses from the circles of one kind."""
@@ -83,12 +91,74 @@ class Guess(NamedTuple):
         return self.flat.turned(self.turn_rad)
 
 
-def guesses_from(
-    circles: Sequence[EdgeCircle],
-    of: Outline,
-    pyramid: Pyramid,
+@dataclass(frozen=True, slots=True)
+class Radii:
+    """Radii that are searched for at one size of the frame, px of that size for a pad that faces the camera."""
+
+    least_px: float
+    ratio: float
+    count: int
+
+
+def edge_circles(
+    grey: U8,
+    step: int,
     camera: Camera,
-    pad: Pad,
+    plane: Plane,
+    radii: Radii,
+    most: int,
+    margin_px: int = 0,
+    *,
+    only_bright: bool = False,
+) -> list[Circle]:
+    """Return the circles with the most edges, most prominent first.
+
+    Args:
+        grey: the frame, `step` times smaller than the camera's, (h, w).
+        most: the largest number of circles.
+        margin_px: how far beyond the frame's edge centres may lie, px of `grey`.
+        only_bright: look only for circles that are brighter inside.
+    """
+    h, w = grey.shape
+    how = CORE.ffi.new("dl_circle_search *", {
+        "step": step, "margin": margin_px, "radii": radii.count, "most": most, "only_bright": only_bright,
+        "least": radii.least_px * step / camera.fx, "ratio": radii.ratio, "R_cam_plane": plane.R_cam_plane.ravel().tolist(),
+    })  # fmt: skip
+    out, rays = np.empty(most, CORE.dtype("dl_circle")), _corner_rays(camera.optics, step, w, h)
+    found = CORE.lib.dl_search_circles(
+        tracker_of(camera), CORE.ffi.NULL, image_of(grey), CORE.array("float", rays), how, CORE.array("dl_circle", out, most)
+    )
+    return [out[i : i + 1] for i in range(checked(found))]
+
+
+@lru_cache(maxsize=16)
+def _corner_rays(camera: Camera, step: int, width: int, height: int) -> F32:
+    """Return the rays of the corners of the blocks, (rows + 1, columns + 1, 2)."""
+    u, v = (np.arange(-(-side // DL_SEARCH_BLOCK) + 1) * DL_SEARCH_BLOCK for side in (width, height))
+    uv: F64 = np.stack(np.meshgrid(u, v), axis=2).reshape(-1, 2).astype(float)
+    rays = camera.rays(np.asarray((uv + 0.5) * step - 0.5)).reshape(len(v), len(u), 2).astype(np.float32)
+    rays.setflags(write=False)
+    return rays
+
+
+def blob_circles(pyramid: Pyramid, camera: Camera, plane: Plane, most: int = _MOST_AREAS) -> list[Circle]:
+    """Return the outlines of what stands out, most prominent first, as circles of edges.
+
+    Their `support` is the fraction of the area of an ellipse with the same moments that is filled.
+    """
+    pyramid[1]
+    how = CORE.ffi.new("dl_circle_search *", {
+        "most": most, "grey": pyramid.monochrome, "R_cam_plane": plane.R_cam_plane.ravel().tolist()
+    })  # fmt: skip
+    out, none = np.empty(most, CORE.dtype("dl_circle")), CORE.ffi.NULL
+    found = CORE.lib.dl_search_circles(tracker_of(camera), pyramid.native, none, none, how, CORE.array("dl_circle", out, most))
+    return [out[i : i + 1] for i in range(checked(found))]
+
+
+def guesses_from(
+    circles: Sequence[Circle],
+    of: Outline,
+    view: FrameView,
     plane: Plane,
     most: int = MOST,
     rated: dict[int, NDArray[Any]] | None = None,
@@ -110,13 +180,11 @@ def guesses_from(
     known = [rated.get(id(circle)) for circle in circles]
     counts = np.array([DL_NONE if rows is None else len(rows) for rows in known], np.int64)
     some = [rows for rows in known if rows is not None and len(rows)]
+    pyramid, camera, pad = view
     pyramid[DL_SEARCH_LEVELS - 1]
-    found, out = (
-        np.concatenate([c.record for c in circles], dtype=CORE.dtype("dl_circle")),
-        np.empty(most, CORE.dtype("dl_guess")),
-    )
+    found, out = np.concatenate(circles, dtype=CORE.dtype("dl_circle")), np.empty(most, CORE.dtype("dl_guess"))
     before = np.concatenate(some, dtype=out.dtype) if some else out[:0]
-    (radius_m, sign) = _circles(pad, of)
+    radius_m, sign = _circles(pad, of)
     how = CORE.ffi.new("dl_guess_search *", {
         "plane_known": plane.known, "radii": len(radius_m), "most": most, "before": len(before),
         "R_cam_plane": plane.R_cam_plane.ravel().tolist(), "radius_m": radius_m, "sign": sign,
@@ -180,7 +248,7 @@ _MOST_TURNED_RAD = 0.5
 """Largest heading of a guess relative to the expected one, modulo half a turn."""
 
 
-def pose_about(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> tuple[PadPose, float] | None:
+def pose_about(view: FrameView, plane: Plane, expected: PadPose) -> tuple[PadPose, float] | None:
     """Return the pose about an expected one that the drawing explains best, and the fraction of the variance that it explains.
 
     Args:
@@ -190,11 +258,12 @@ def pose_about(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, expecte
     Returns:
         None if the lens does not show the expected place, or no heading near the expected one fits best anywhere.
     """
+    _, camera, pad = view
     middle = camera.project(expected.t_cam_pad[None])[0]
     if not np.isfinite(middle).all():
         return None
     circles = _circles_about(middle, camera, pad, plane, expected)
-    guesses = guesses_from(circles, Outline.DISC, pyramid, camera, pad, plane, len(circles))
+    guesses = guesses_from(circles, Outline.DISC, view, plane, len(circles))
     for guess in sorted(guesses, key=lambda g: -g.drawing):
         turn = _turned(guess, expected)
         if abs(turn) < _MOST_TURNED_RAD:
@@ -220,7 +289,7 @@ def _offsets_px() -> F64:
     return out
 
 
-def _circles_about(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> list[EdgeCircle]:
+def _circles_about(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> list[Circle]:
     """Return the disc at each place about the middle, px, once as a whole and once with an outline on each side alone."""
     offsets = _offsets_px()
     rays = camera.rays(middle + offsets[:, :2])
@@ -236,33 +305,17 @@ def _circles_about(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected
     turns = np.arctan2(offsets[:, 3], offsets[:, 2])[:, None] + np.array([-1.0, 0.0, 1.0])
     outline = (middle + offsets[:, :2])[:, None] + radius_px * np.stack([np.cos(turns), np.sin(turns)], axis=2)
     out["outline_px"][:, : 2 * _OUTLINE] = np.nan_to_num(outline.reshape(len(offsets), -1))
-    return [EdgeCircle(out[i : i + 1]) for i in range(len(out))]
+    return [out[i : i + 1] for i in range(len(out))]
 
 
-U8 = NDArray[np.uint8]
+_HEADING_PX = 28.0
+"""Smallest radius of the disc in the frame that a heading is searched in."""
 
 
-@dataclass(frozen=True, slots=True)
-class Heading:
-    """The best heading of the drawing at a candidate, and its score."""
-
-    turn_rad: float
-    """Angle by which the candidate's pose is to be turned about its own z axis."""
-    score: float
-    """Fraction of the variance explained, 0..1, reduced if a paint lies on the wrong side of another."""
-    arrow: float
-    """Advantage over the heading 180 degrees away, as a fraction of the variance."""
-    in_view: float
-    """Fraction of the disc's area that is inside the frame and not at the disc's edge."""
-
-
-def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F64 | None = None) -> Heading | None:
-    """Return the best heading of the drawing at a pose; None if hardly any of it is in view.
-
-    Args:
-        px: the frame, `step` times smaller than the camera's.
-        side: (2,) unit direction in x and y of `pose`: only this half of the disc is used, because the other is covered.
-    """
-    out, half = CORE.ffi.new("dl_polar_fit *"), CORE.ffi.NULL if side is None else CORE.array("double", np.array(side, float), 2)
-    found = CORE.lib.dl_search_heading(tracker_of(camera, pad), image_of(px), step, native_pose(pose), half, out)
-    return Heading(out.turn_rad, out.score, out.arrow, out.in_view) if checked(found) else None
+def heading(view: FrameView, pose: PadPose) -> Any:
+    """Return the core's `dl_polar_fit` of the best heading of the drawing at a pose; None if hardly any of it is in view."""
+    pyramid, camera, pad = view
+    level, out = max(0, math.floor(math.log2(max(pose.disc_px(camera, pad), 1.0) / _HEADING_PX))), CORE.ffi.new("dl_polar_fit *")
+    image, pose_at = image_of(pyramid[level]), native_pose(pose)
+    found = CORE.lib.dl_search_heading(tracker_of(camera, pad), image, 1 << level, pose_at, CORE.ffi.NULL, out)
+    return out if checked(found) else None

@@ -25,13 +25,23 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.core.library import CORE
-from estimator.vision.camera import Camera
-from estimator.vision.detect.circles import EdgeCircle, Radii, blob_circles, edge_circles
 from estimator.vision.detect.colour import disc_colour, disc_has_colour, is_coloured
-from estimator.vision.detect.guesses import MOST, Guess, Outline, guesses_from, guesses_of, heading
+from estimator.vision.detect.guesses import (
+    MOST,
+    Circle,
+    Guess,
+    Outline,
+    Radii,
+    blob_circles,
+    edge_circles,
+    guesses_from,
+    guesses_of,
+    heading,
+)
 from estimator.vision.detect.paint import PaintMemory
 from estimator.vision.detect.plane import Plane
-from estimator.vision.detect.pyramid import Pyramid
+from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
+from estimator.vision.detect.template import F32
 from estimator.vision.native import checked, image_of, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -48,8 +58,6 @@ _FILLED = 0.3
 """Largest difference of the logarithm of a component's share of its hull from the drawing's."""
 _TRIED = 8
 """Largest number of components whose heading is searched."""
-_HEADING_PX = 28.0
-"""Smallest radius of the pad in the frame that a heading is searched in."""
 _HEADINGS, _ASIDE = 16, 0.05
 """Headings that are tried for a component beside the pad's centre, and how far beside it is, in radii of the pad."""
 _RASTER, _SILHOUETTES = 401, 3
@@ -100,15 +108,11 @@ class _Component(NamedTuple):
     of: _Silhouette
 
 
-def lettering_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> list[Guess]:
+def lettering_blobs(view: FrameView, plane: Plane) -> list[Guess]:
     """Return guesses from components of a frame that resemble those of a pad that has neither disc nor ring."""
-    found = [c for level in _LEVELS for c in _components(pyramid[level], 1 << level, pad)]
-    tried = _TRIED if pad.markings.is_letter_alone else 2 * _TRIED
-    return [
-        guess
-        for component in sorted(found, key=lambda c: c.off)[:tried]
-        for guess in _guesses(component, pyramid, camera, pad, plane)
-    ]
+    found = [c for level in _LEVELS for c in _components(view.pyramid[level], 1 << level, view.pad)]
+    tried = _TRIED if view.pad.markings.is_letter_alone else 2 * _TRIED
+    return [guess for component in sorted(found, key=lambda c: c.off)[:tried] for guess in _guesses(component, view, plane)]
 
 
 def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
@@ -157,9 +161,9 @@ def _moments(contour: Contour | F32) -> tuple[F64, F64, float]:
     return centre / area, second, math.sqrt(max(float(np.linalg.det(second)), 1e-18)) / abs(area)
 
 
-def _guesses(component: _Component, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> Iterator[Guess]:
+def _guesses(component: _Component, view: FrameView, plane: Plane) -> Iterator[Guess]:
     """Yield the poses at which a component is that of the drawing: the best on a plane, and on each that its tilt may be of."""
-    rays = camera.rays(component.contour_px)
+    pad, rays = view.pad, view.camera.rays(component.contour_px)
     if not np.isfinite(rays).all():
         return
     planes = [[(plane, turn) for turn in _turns(component.of, pad)]]
@@ -170,7 +174,7 @@ def _guesses(component: _Component, pyramid: Pyramid, camera: Camera, pad: Pad, 
         planes = [[(facing, turn) for turn in _turns(component.of, pad)]]
         planes += [[(p, turn) for turn in turns if (p := _tilted(facing, seen, component.of, turn, way))] for way in (1.0, -1.0)]
     for of in planes:
-        found = [_guess(rays, component.of, pyramid, camera, pad, *each) for each in of]
+        found = [_guess(rays, component.of, view, *each) for each in of]
         best = max((guess for guess in found if guess is not None), key=lambda guess: guess.score, default=None)
         if best is not None:
             yield best
@@ -221,9 +225,7 @@ def _root(of: F64) -> F64:
     return np.asarray(axes * np.sqrt(np.maximum(values, 0.0)) @ axes.T)
 
 
-def _guess(
-    rays: F64, of: _Silhouette, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, turn: float | None
-) -> Guess | None:
+def _guess(rays: F64, of: _Silhouette, view: FrameView, plane: Plane, turn: float | None) -> Guess | None:
     """Return the pose on a plane at which a contour of rays is that of the drawing; None if other headings fit better."""
     at = plane.met_by(rays)
     if not np.isfinite(at).all():
@@ -234,10 +236,9 @@ def _guess(
         return None
     flat = plane.pose(centre, seen**0.25, drawn**0.25)
     # A component beside the centre says where that is at each heading; the drawing decides which heading is right.
-    aside = of.beside > _ASIDE * pad.disc_radius_m
+    aside = of.beside > _ASIDE * view.pad.disc_radius_m
     pose = _beside(flat, of.centroid_m, turn) if turn is not None and aside else flat
-    level = max(0, math.floor(math.log2(max(pose.disc_px(camera, pad), 1.0) / _HEADING_PX)))
-    fits = heading(pyramid[level], 1 << level, camera, pad, pose)
+    fits = heading(view, pose)
     if (
         fits is None
         or (of.part < _SMALL_PART and fits.in_view < _LEAST_IN_VIEW)
@@ -298,25 +299,23 @@ MOST_LETTERS = 8
 """Largest number of places of the H."""
 
 
-def h_markings(px: NDArray[np.uint8], step: int, camera: Camera, pad: Pad, plane: Plane, most: int = MOST_LETTERS) -> list[Guess]:
+def h_markings(view: FrameView, level: int, plane: Plane, most: int = MOST_LETTERS) -> list[Guess]:
     """Return the likeliest positions of the H, best first; their headings are known up to 180 degrees.
 
     A guess's `drawing` is the mean of the marks' mask on the H minus the mean around it, halved, -1..1.
 
     Args:
-        px: the frame, `step` times smaller than the camera's.
+        level: size of the frame that is searched.
     """
+    pyramid, camera, pad = view
     how = CORE.ffi.new("dl_stroke_search *", {
-        "step": step, "bright": pad.markings.is_bright, "plane_known": plane.known, "most": most,
+        "step": 1 << level, "bright": pad.markings.is_bright, "plane_known": plane.known, "most": most,
         "R_cam_plane": plane.R_cam_plane.ravel().tolist(),
     })  # fmt: skip
     out = np.empty(most, CORE.dtype("dl_guess"))
-    n = CORE.lib.dl_search_strokes(tracker_of(camera, pad), image_of(px), how, CORE.array("dl_guess", out, most))
+    n = CORE.lib.dl_search_strokes(tracker_of(camera, pad), image_of(pyramid[level]), how, CORE.array("dl_guess", out, most))
     return guesses_of(out[: checked(n)])
 
-
-U8 = NDArray[np.uint8]
-F32 = NDArray[np.float32]
 
 STROKES_WIDTH_PX = 160
 """Approximate width of the frame in which the H's strokes are searched."""
@@ -397,14 +396,15 @@ class Kind(NamedTuple):
         return self._replace(least_round=least, least_drawing=least)
 
 
-def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: PaintMemory) -> list[Kind]:
+def kinds(view: FrameView, plane: Plane, paint: PaintMemory) -> list[Kind]:
     """Return the kinds of hypotheses, quick and likely kinds first.
 
     Kinds whose guesses are often wrong are looked at twice: first for guesses that are clear, and for the others after all kinds.
     Those that only a partly covered pad needs are the last ones.
     """
+    pyramid, camera, pad = view
     luminance, colour = _Images(_luminance, pyramid, _MORE_CIRCLES), _Images(lambda px: disc_colour(px, pad), pyramid, {})
-    frame = _Searched(pyramid, camera, pad, plane)
+    frame = _Searched(view, plane)
     size = camera.width * camera.height / FULL_PIXELS
 
     def circles_of_colour(levels: tuple[int, ...], of_ring: bool = False) -> list[Guess]:
@@ -416,7 +416,7 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
     any_strokes = Kind(_WORK_STROKES, frame.strokes, usual=0, covered=True)
     strokes = any_strokes.clear(_CLEAR_STROKES)._replace(covered=False)
     if not pad.markings.field_radius_m and not pad.markings.ring_outer_m:
-        alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(pyramid, camera, pad, plane), exact=True)]
+        alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(view, plane), exact=True)]
         return [*alone, strokes] if pad.markings.is_h else alone
     coarse = Kind(WORK_COARSE * size, lambda: frame.plain(luminance))
     larger = Kind(_WORK_LARGER * size, lambda: frame.guesses_by_edges(luminance, _REDUCED_LEVELS))
@@ -448,16 +448,12 @@ def kinds(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, paint: Paint
 class _Searched:
     """Images of one frame from which hypotheses are made."""
 
-    pyramid: Pyramid
-    camera: Camera
-    pad: Pad
+    view: FrameView
     plane: Plane
 
-    def guesses(
-        self, circles: list[EdgeCircle], of: Outline, most: int = MOST, rated: dict[int, F64] | None = None
-    ) -> list[Guess]:
+    def guesses(self, circles: list[Circle], of: Outline, most: int = MOST, rated: dict[int, F64] | None = None) -> list[Guess]:
         """Return guesses from circles."""
-        return guesses_from(circles, of, self.pyramid, self.camera, self.pad, self.plane, most, rated)
+        return guesses_from(circles, of, self.view, self.plane, most, rated)
 
     def plain(self, images: _Images) -> list[Guess]:
         """Return guesses from the circles of the smallest images that the drawing explains well."""
@@ -466,16 +462,15 @@ class _Searched:
 
     def guesses_by_edges(self, images: _Images, levels: tuple[int, ...]) -> list[Guess]:
         """Return guesses from circles of edges at several sizes of an image; those of one size are computed once."""
-        circles = self.circles(images, levels)
-        return guesses_from(circles, Outline.EDGES, self.pyramid, self.camera, self.pad, self.plane, rated=images.rated)
+        return self.guesses(self.circles(images, levels), Outline.EDGES, rated=images.rated)
 
-    def circles(self, images: _Images, levels: tuple[int, ...], only_bright: bool = False) -> list[EdgeCircle]:
+    def circles(self, images: _Images, levels: tuple[int, ...], only_bright: bool = False) -> list[Circle]:
         """Return the circles at several sizes of an image: the most prominent at each size first."""
         by_level = {level: self._circles(images, level, only_bright)[:_CIRCLES] for level in levels}
-        found = [(rank - one.support, one) for circles in by_level.values() for rank, one in enumerate(circles)]
+        found = [(rank - one["support"].item(), one) for circles in by_level.values() for rank, one in enumerate(circles)]
         return [circle for _, circle in sorted(found, key=lambda of: of[0])]
 
-    def _circles(self, images: _Images, level: int, only_bright: bool) -> list[EdgeCircle]:
+    def _circles(self, images: _Images, level: int, only_bright: bool) -> list[Circle]:
         """Return the circles at one size of an image, most prominent first."""
         if (level, only_bright) not in images.circles:
             image, least = images[level], level == _REDUCED_LEVELS[0]
@@ -483,7 +478,7 @@ class _Searched:
             beyond_px = round(_BEYOND * image.shape[1]) if least else _MARGIN_PX if level in images.more_circles else 0
             most = images.more_circles.get(level, _CIRCLES)
             images.circles[level, only_bright] = edge_circles(
-                image, 1 << level, self.camera, self.plane, radii, most, beyond_px, only_bright=only_bright
+                image, 1 << level, self.view.camera, self.plane, radii, most, beyond_px, only_bright=only_bright
             )
         return images.circles[level, only_bright]
 
@@ -492,21 +487,23 @@ class _Searched:
 
         Half a circle is one of them.
         """
-        circles = sorted(self._circles(images, level, only_bright=False), key=lambda c: -c.support * math.sqrt(c.radius))
+        circles = sorted(
+            self._circles(images, level, only_bright=False), key=lambda c: -c["support"].item() * math.sqrt(c["radius"].item())
+        )
         return self.guesses(circles, Outline.EDGES, _MORE_GUESSES, images.rated)
 
     def blobs(self) -> list[Guess]:
         """Return guesses from the outlines of what stands out from its surroundings."""
-        return self.guesses(blob_circles(self.pyramid, self.camera, self.plane), Outline.AREA, _MORE_GUESSES)
+        return self.guesses(blob_circles(self.view.pyramid, self.view.camera, self.plane), Outline.AREA, _MORE_GUESSES)
 
     def strokes(self) -> list[Guess]:
         """Return guesses from the strokes of the H."""
-        level = max(1, round(math.log2(self.camera.width / STROKES_WIDTH_PX)))
-        return h_markings(self.pyramid[level], 1 << level, self.camera, self.pad, self.plane) if self.pad.markings.is_h else []
+        level = max(1, round(math.log2(self.view.camera.width / STROKES_WIDTH_PX)))
+        return h_markings(self.view, level, self.plane) if self.view.pad.markings.is_h else []
 
     def beside_strokes(self) -> list[Guess]:
         """Return guesses in which what was taken for one leg of the H is the other: where half of it is covered."""
-        apart_m = self.pad.markings.h_width_m - self.pad.markings.leg_width_m
+        apart_m = self.view.pad.markings.h_width_m - self.view.pad.markings.leg_width_m
         moved = [_moved(guess, side * apart_m) for guess in self.strokes() for side in (1.0, -1.0)]
         # Beside an H that is seen from near and very aslant the other leg may lie behind the camera.
         return [guess for guess in moved if guess.t_cam_pad[2] > _NEAREST_M]
@@ -524,7 +521,7 @@ class _Images:
     def __init__(self, measure: Callable[[U8], U8], pyramid: Pyramid, more_circles: Mapping[int, int]) -> None:
         self.more_circles = more_circles
         """Sizes at which more circles are looked for than at others, beyond the frame's edge, too; and how many."""
-        self.circles: dict[tuple[int, bool], list[EdgeCircle]] = {}
+        self.circles: dict[tuple[int, bool], list[Circle]] = {}
         """Circles by size and by whether only bright ones were looked for, as far as they were."""
         self.rated: dict[int, F64] = {}
         """Guesses from them as circles of edges; see `guesses_from`."""

@@ -53,10 +53,6 @@ class Pyramid:
         """Contrast of the frame, 1 without airlight."""
         return float(self.native.quality.contrast)
 
-    def as_seen(self, pad: Pad) -> Pad:
-        """Return a pad in the paints that the frame's camera sees."""
-        return in_grey(pad) if self.monochrome else pad
-
     def __getitem__(self, level: int) -> U8:
         while len(self._levels) <= level:
             self._levels.append(_halved(self._levels[-1]))
@@ -74,7 +70,7 @@ class FrameView(NamedTuple):
 
     def as_seen(self) -> Self:
         """Return the same with the pad in the paints that the camera sees."""
-        return self._replace(pad=self.pyramid.as_seen(self.pad))
+        return self._replace(pad=in_grey(self.pad)) if self.pyramid.monochrome else self
 
 
 def _halved(px: U8) -> U8:

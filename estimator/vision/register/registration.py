@@ -1,22 +1,31 @@
-"""Register the known drawing of the pad with a frame, until the model explains every pixel near an edge.
+"""Register the known drawing of the pad with a frame, until the model explains every pixel near an edge, and verify it there.
 
 This is maximum likelihood over pose, blur, paints and noise at once (analysis by synthesis): the expected light of a pixel is the
 sum of the paints' lights times the coverage of the blurred pixel by each. Blur and neighbouring edges are part of the model, so
 they do not bias the pose. Linear unknowns (paints) are eliminated in each linearisation (variable projection: Golub & Pereyra,
 SIAM J. Numer. Anal. 10, 1973); robust weights are Tukey's. A near pad uses profiles across the edges, a distant one the whole
-disc.
+disc. The native core does all of it in one call (`estimator/core/vision/look/look.c`).
+
+A camera's tone curve is learnt by looks, on the edges of a pad that is tracked: one number, step by step. Across a blurred edge
+light is symmetric, and values are not. What the tone is off leaves near edges that no pose and no blur explains, and displaces
+all of them towards the darker paint: that is a wrong range. From time to time a near registration is made again one step beside,
+and the step is kept if the rest explains more. Noise alone has no edges, and clipped light no tone: neither is learnt from.
 """
+
+from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.time import MonoNs
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT
@@ -49,8 +58,7 @@ stay above 0.8.
 """
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EdgeSupport:
+class EdgeSupport(NamedTuple):
     """The support of the frame for one kind of edge."""
 
     contrast_bgr: F64
@@ -96,11 +104,46 @@ class Registration:
     """Length of the last iteration's step; small if converged."""
     dense: bool
     """True for a fit to all pixels of the disc; False for profiles across edges."""
+    outline: F64
+    """Pixels of the outline's points, (N, 2)."""
+    pad: Pad
+    record: NDArray[Any]
+    """The core's `dl_registered_pad`. The verification in it is empty after `register`."""
 
     @property
     def blur_px(self) -> float:
         """Standard deviation of the point spread, mean over directions."""
         return math.sqrt(max(0.0, 0.5 * float(self.blur_px2[0] + self.blur_px2[2])))
+
+    @property
+    def range_m(self) -> float:
+        """Distance from the lens to the pad's centre, m."""
+        return math.hypot(*self.pose.t_cam_pad.tolist())
+
+    @property
+    def log_odds(self) -> float:
+        """Log-odds that this is the pad, from the frame alone."""
+        return float(self.record["log_odds"])
+
+    @property
+    def evidence(self) -> F64:
+        """The inputs of the verification, in the order of `look_evidence` in the core's header."""
+        return np.asarray(self.record["evidence"])
+
+    @property
+    def in_level(self) -> NDArray[Any]:
+        """The core's `dl_level_sighting`."""
+        return np.asarray(self.record["seen"])
+
+    @property
+    def outlines(self) -> tuple[F64, ...]:
+        """The outline by kind of edge, (N, 2) px each, of the points that the lens projects."""
+        return tuple(uv[np.isfinite(uv).all(axis=1)] for uv in (self.outline[part] for part in edge_points(self.pad).shown))
+
+    def paint(self) -> PaintMemory:
+        """Return what is known of the paints if this is the pad."""
+        paint = self.record["paint"]
+        return PaintMemory(paint["mean"].reshape(4, 3), paint["var"].reshape(4, 3), float(paint["trust"]))
 
 
 def register(
@@ -111,7 +154,6 @@ def register(
     prior: Orientation | None = None,
     options: RegistrationOptions | None = None,
     cut: F64 = UNCUT,
-    pyramid: Pyramid | None = None,
 ) -> Registration | None:
     """Refine a rough pose.
 
@@ -120,7 +162,6 @@ def register(
         start: off by at most a tenth of the disc's radius and less than a quarter turn with `coarse`; by about 1.5 px without.
         prior: attitude at the exposure and the deck's expected tilt. Without one, the tilt comes from the frame alone.
         cut: the line beyond which something covers the pad, (3,); see `alignment.UNCUT`.
-        pyramid: of the same frame, if there is one.
 
     Returns:
         The registration; None if nothing of the pad is in view at the start, or if the frame does not determine a pose.
@@ -128,70 +169,152 @@ def register(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    options = options if options is not None else RegistrationOptions()
-    given, out = native_start(start, prior, options, cut), np.zeros((), CORE.dtype("dl_registered_pad"))
-    given.alone = True
-    outline = looked_at(FrameView(pyramid or Pyramid(px), camera, pad), given, out)
-    return None if outline is None else registration_of(out["found"], pad, prior)
+    return _looked(FrameView(Pyramid(px), camera, pad), start, prior, options or RegistrationOptions(), cut, alone=True)
 
 
-def native_start(
-    start: PadPose, prior: Orientation | None, options: RegistrationOptions, cut: F64, paint: PaintMemory = FRESH
-) -> Any:
-    """Return the core's `dl_start`; arguments as for `register` and `look.look`."""
-    measured = prior is not None and prior.measured
-    return CORE.ffi.new("dl_start *", {
-        "pose": (start.R_cam_pad.matrix.ravel().tolist(), start.t_cam_pad.tolist()), "prior": native_prior(prior),
-        "known": (paint.mean.ravel().tolist(), paint.var.ravel().tolist(), paint.trust), "coarse": options.coarse,
-        "coded_px": options.coded_px, "cut": cut.tolist(),
-        "sigma_tilt_rad": SIGMA_TILT_RAD if measured else SIGMA_TILT_FREE_RAD,
-    })  # fmt: skip
-
-
-def looked_at(view: FrameView, given: Any, out: NDArray[Any]) -> F64 | None:
-    """Have the core register the drawing and verify it; return the pixels of the outline's points, None if nothing is found.
+def look(
+    view: FrameView,
+    start: PadPose,
+    orientation: Orientation,
+    options: RegistrationOptions,
+    *,
+    tracked: bool = False,
+    cut: F64 = UNCUT,
+    paint: PaintMemory = FRESH,
+) -> Registration | None:
+    """Register the drawing from a start pose and verify it there; return None if nothing of it is found.
 
     Args:
-        given: the core's `dl_start`.
-        out: the core's `dl_registered_pad`, which it writes.
+        view: the pad as the camera sees it, see `FrameView.as_seen`.
+        start: as for `register`.
+        orientation: the attitude at the exposure and the deck's expected tilt.
+        tracked: whether a track has confirmed the pad there before.
+        cut: the line beyond which something covers the pad, (3,); see `alignment.UNCUT`.
+        paint: what is known of the paints.
 
     Raises:
         ValueError: the frame is not of the camera's size.
     """
+    return _looked(view, start, orientation, options, cut, paint, tracked=tracked)
+
+
+def _looked(
+    view: FrameView,
+    start: PadPose,
+    prior: Orientation | None,
+    options: RegistrationOptions,
+    cut: F64,
+    paint: PaintMemory = FRESH,
+    **how: bool,
+) -> Registration | None:
+    """Have the core register the drawing and verify it; return None if nothing is found. `how`: members of `dl_start`."""
     pyramid, camera, pad = view
-    shape = pyramid[0].shape
+    shape, measured = pyramid[0].shape, prior is not None and prior.measured
     if shape != (camera.height, camera.width, 3):
         raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {shape}")
-    outline = np.empty((edge_points(pad).shown[-1].stop, 2))
-    found = CORE.lib.dl_look(
-        tracker_of(camera, pad),
-        pyramid.native,
-        given,
-        CORE.array("dl_registered_pad", out),
-        CORE.array("double", outline),
+    given = CORE.ffi.new("dl_start *", {
+        "pose": (start.R_cam_pad.matrix.ravel().tolist(), start.t_cam_pad.tolist()), "prior": native_prior(prior),
+        "known": (paint.mean.ravel().tolist(), paint.var.ravel().tolist(), paint.trust), "coarse": options.coarse,
+        "coded_px": options.coded_px, "cut": cut.tolist(),
+        "sigma_tilt_rad": SIGMA_TILT_RAD if measured else SIGMA_TILT_FREE_RAD, **how,
+    })  # fmt: skip
+    outline, out = np.empty((edge_points(pad).shown[-1].stop, 2)), np.zeros((), CORE.dtype("dl_registered_pad"))
+    if not checked(CORE.lib.dl_look(
+        tracker_of(camera, pad), pyramid.native, given, CORE.array("dl_registered_pad", out), CORE.array("double", outline),
         len(outline),
-    )
-    return outline if checked(found) else None
-
-
-def supports(found: NDArray[Any]) -> Mapping[EdgeKind, EdgeSupport]:
-    """Return the support of the frame for each kind of edge, from the core's `dl_registration`."""
-    each = found["edges"].tolist()
-    return MappingProxyType({kind: EdgeSupport(*one) for kind, one in zip(EdgeKind, each, strict=True)})
-
-
-def is_ambiguous(found: NDArray[Any], pad: Pad) -> bool:
-    """Return whether neither an arrowhead nor a fiducial resolved the headings, from the core's `dl_registration`."""
-    if pad.markings.fiducials:
-        return not supports(found)[EdgeKind.H].seen
-    return bool(found["yaw_ambiguous"])
-
-
-def registration_of(found: NDArray[Any], pad: Pad, prior: Orientation | None) -> Registration:
-    """Return the core's `dl_registration` as a value."""
+    )):  # fmt: skip
+        return None
+    out.setflags(write=False)
+    outline.setflags(write=False)
+    found = out["found"]
+    edges = {kind: EdgeSupport(*one) for kind, one in zip(EdgeKind, found["edges"].tolist(), strict=True)}
     return Registration(
-        PadPose(Rotation(found["R"].reshape(3, 3)), found["t"]), found["cov"].reshape(6, 6),
-        found["information"].reshape(6, 6), prior, supports(found), is_ambiguous(found, pad), found["blur_px2"],
+        PadPose(Rotation(found["pose"]["R"].reshape(3, 3)), found["pose"]["t"]), found["cov"].reshape(6, 6),
+        found["information"].reshape(6, 6), prior, MappingProxyType(edges),
+        not edges[EdgeKind.H].seen if pad.markings.fiducials else bool(found["yaw_ambiguous"]), found["blur_px2"],
         float(found["noise_light"]), float(found["edge_rms_px"]), float(found["visible"]), float(found["inliers"]),
-        float(found["last_step_px"]), bool(found["dense"]),
+        float(found["last_step_px"]), bool(found["dense"]), outline, pad, out,
     )  # fmt: skip
+
+
+STEP, _LOWEST, _HIGHEST = 0.1, -10, 4
+"""A step of the tone, and the range in steps: from values that are linear light to a gamma of 2.7."""
+_UNEXPLAINED_PX, _FAR_OFF_PX, _STRIDE = 0.03, 0.12, 3
+"""Displacement of edges from which something is learnt, and from which by so many steps at once: of right tones it is 0.02 and
+less, of one step beside 0.04, of two 0.07."""
+_LESS = 0.97
+"""Factor on what is left over contrast below which a step is kept."""
+_EVERY_NS, _RESTS_NS = 300_000_000, 3_000_000_000
+"""Time between two trials, and after neither side was better."""
+_AGREES, _CLIPPED, _CLIPPED_SHARE = 0.8, 253, 0.01
+"""Least share of the edges that agree; value from which light is clipped, and the share of the pad's box that may be."""
+
+_AT_ONCE = MonoNs(0)
+
+
+@dataclass(frozen=True, slots=True)
+class ToneMemory:
+    """The tone that was learnt, in steps, and the next trial."""
+
+    steps: int = 0
+    way: int = -1
+    """The side that is tried next, 1 or -1."""
+    failed: int = 0
+    """Trials since a step was kept."""
+    next_at: MonoNs = _AT_ONCE
+
+
+SRGB = ToneMemory()
+
+
+@lru_cache(maxsize=8)
+def with_tone(camera: Camera, steps: int) -> Camera:
+    """Return a camera with the tone of so many steps from sRGB."""
+    return replace(camera, tone=1.0 + STEP * steps) if steps else camera
+
+
+def learn_tone(
+    memory: ToneMemory, camera: Camera, view: FrameView, found: Registration, orientation: Orientation, at: MonoNs
+) -> ToneMemory:
+    """Return the tone after one more frame in which the pad is sure; most frames change nothing.
+
+    Args:
+        camera: as its file has it, without a tone.
+        found: the pad in this frame, by the tone of the memory.
+    """
+    if at < memory.next_at or found.dense or found.edge_rms_px < _UNEXPLAINED_PX or found.inliers < _AGREES:
+        return memory
+    if _is_clipped(view.pyramid[0], found):
+        return replace(memory, next_at=MonoNs(at + _EVERY_NS))
+    steps = memory.steps + memory.way * (_STRIDE if found.edge_rms_px > _FAR_OFF_PX else 1)
+    if not _LOWEST <= steps <= _HIGHEST:
+        return replace(memory, way=-memory.way)
+    tried = view._replace(camera=with_tone(camera, steps)).as_seen()
+    other = look(tried, found.pose, orientation, RegistrationOptions(coarse=False), tracked=True)
+    if other is not None and _left(other) < _LESS * _left(found):
+        return ToneMemory(steps, memory.way, 0, MonoNs(at + _EVERY_NS))
+    rests = _RESTS_NS if memory.failed else _EVERY_NS
+    return ToneMemory(memory.steps, -memory.way, (memory.failed + 1) % 2, MonoNs(at + rests))
+
+
+def fade_tone(memory: ToneMemory) -> ToneMemory:
+    """Return the tone one step nearer to sRGB, after a frame in which no pad is sure."""
+    return replace(memory, steps=memory.steps - (memory.steps > 0) + (memory.steps < 0)) if memory.steps else memory
+
+
+def _left(found: Registration) -> float:
+    """Return what is left of the light along the edges, over their contrast."""
+    contrast = float(np.linalg.norm([edge.contrast_bgr for edge in found.edges.values()]))
+    return found.noise_light / max(contrast, 1e-9)
+
+
+def _is_clipped(px: U8, found: Registration) -> bool:
+    points = found.outline[np.isfinite(found.outline).all(axis=1)]
+    if not len(points):
+        return True
+    height, width = px.shape[:2]
+    (left, top), (right, bottom) = (
+        np.clip(limit, 0, (width - 1, height - 1)).astype(int) for limit in (points.min(0), points.max(0))
+    )
+    part = px[top : bottom + 1 : 4, left : right + 1 : 4]
+    return bool((part >= _CLIPPED).any(axis=2).mean() > _CLIPPED_SHARE)

@@ -12,16 +12,17 @@ from estimator.contracts.samples import Frame
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind
+from estimator.vision.native import native_lens, native_pose, native_prior
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation, roll_pitch, tilt_axes
-from estimator.vision.register.look import Looked
+from estimator.vision.register.registration import Registration
 
 _NAMES = {kind: kind.name.lower() for kind in EdgeKind}
 _YAW_VAR_MAX = 0.5
 """Variance of the heading from which it counts as unknown, rad^2."""
 
 
-def sighting_of_look(frame: Frame, found: Looked, confidence: float) -> Sighting:
+def sighting_of_look(frame: Frame, found: Registration, confidence: float) -> Sighting:
     """Return the sighting of method "registration".
 
     Args:
@@ -54,13 +55,11 @@ def sighting_of(
         ambiguous: whether the heading may be half a turn off.
         confidence: the sighting's, 0..1.
     """
-    o, mount, out = orientation, camera.T_body_cam, np.empty((), CORE.dtype("dl_level_sighting"))
-    seen = CORE.record(
-        "dl_camera_sighting", roll_rad=o.roll_rad, pitch_rad=o.pitch_rad, cov_tilt=o.cov_tilt, sigma_deck_rad=o.sigma_deck_rad,
-        R_body_cam=mount.R.matrix, t_body_cam=mount.t, R_cam_pad=pose.R_cam_pad.matrix, t_cam_pad=pose.t_cam_pad,
-        cov_pose=cov_pose,
+    out, prior = np.empty((), CORE.dtype("dl_level_sighting")), CORE.ffi.new("dl_tilt_prior *", native_prior(orientation))
+    CORE.lib.dl_sighting_in_level(
+        CORE.array("dl_lens", native_lens(camera)), CORE.array("double", camera.T_body_cam.t, 3), prior, native_pose(pose),
+        CORE.array("double", np.ascontiguousarray(cov_pose, float), 36), CORE.array("dl_level_sighting", out),
     )  # fmt: skip
-    CORE.lib.dl_sighting_in_level(CORE.array("dl_camera_sighting", seen), CORE.array("dl_level_sighting", out))
     return sighting_in_level(frame, out, ambiguous, confidence)
 
 

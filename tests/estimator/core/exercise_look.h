@@ -56,10 +56,11 @@ static void looks(int count, int alone)
         dl_frame frame = {.level = {{w, h, 3 * w, 3, px}}, .quality = {kind % 5 < 4 ? 0.0 : 0.05, 1.0, 0.0}};
         poisoned(&frame.quality.noise, 3);
         if (dl_look(t, &frame, &start, out, outline, (EDGE_POINTS + 3) / 4) == 1) {
-            fold(out->found.t, 3), fold(out->found.R, 9), fold(&out->found.noise_light, 4), fold(out->found.edges[1].contrast_bgr, 7);
+            fold(out->found.pose.t, 3), fold(out->found.pose.R, 9), fold(&out->found.noise_light, 4), fold(out->found.edges[1].contrast_bgr, 7);
             fold(&out->log_odds, 1), fold(out->evidence, DL_EVIDENCE), fold(out->paint.mean, 25), fold(out->seen.d, 3), fold(outline, 200);
         }
-        bring_to_level(&out->found, &start.prior, &camera);
+        dl_sighting_in_level(&camera, camera.distortion, &start.prior, &out->found.pose, out->found.cov, &out->seen);
+        fold(out->seen.d, 3), fold(out->seen.R_level_pad, 9), fold(&out->seen.yaw_rad, 1);
         dl_tracker_free(t);
         void *all[] = {out, pad, px, rays, edges, edge_of, outline};
         for (size_t k = 0; k < sizeof all / sizeof *all; k++) {

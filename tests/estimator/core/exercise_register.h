@@ -173,17 +173,3 @@ static void some_edges(const dl_pad_shape *pad, double *edges, int32_t *of)
         }
     }
 }
-
-/* Bring what was found, or nothing, to level. */
-static void bring_to_level(const dl_registration *found, const dl_tilt_prior *prior, const dl_lens *camera)
-{
-    dl_camera_sighting seen = {.roll_rad = prior->roll_rad, .pitch_rad = prior->pitch_rad, .sigma_deck_rad = prior->sigma_deck_rad};
-    dl_level_sighting level;
-    memcpy(seen.cov_tilt, prior->cov_tilt, sizeof seen.cov_tilt);
-    memcpy(seen.R_body_cam, camera->R_body_cam, sizeof seen.R_body_cam);
-    memcpy(seen.R_cam_pad, found->R, sizeof seen.R_cam_pad);
-    memcpy(seen.t_cam_pad, found->t, sizeof seen.t_cam_pad);
-    memcpy(seen.cov_pose, found->cov, sizeof seen.cov_pose);
-    dl_sighting_in_level(&seen, &level);
-    fold(level.d, 3), fold(level.R_level_pad, 9), fold(&level.yaw_rad, 1);
-}

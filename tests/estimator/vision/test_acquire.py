@@ -43,7 +43,7 @@ def test_a_piece_of_the_letter_gives_a_pose_to_start_from_but_no_certainty(camer
         seen = shown(camera, pad, 0.2, aside=(0.1, 0.05), yaw_rad=yaw, tilt_rad=(0.12, -0.08))
         candidates = acquire(seen.px, camera, pad, seen.R_level_body)
         assert best_of(candidates).score < 0.5, "it may as well be another helipad's H"
-        piece = next(c for c in candidates[:2] if c.in_view < 0.25)
+        piece = next(c for c in candidates[:2] if c.aligned.in_view < 0.25)
         assert piece.yaw_ambiguous
         assert keeps_claim(piece.pose, seen.truth, camera, pad, True)
 

@@ -8,7 +8,7 @@ import pytest
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import SearchMemory, acquire, align_at, search
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, align_uncovered, cover, cut_at, turned_uncovered
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, align_uncovered, cut_at, turned_uncovered
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -52,14 +52,13 @@ def test_the_border_of_what_covers_a_pad_is_found_and_the_rest_is_verified(camer
 
 
 def test_nothing_seems_to_cover_a_pad_in_plain_view(camera: Camera, pad: Pad) -> None:
-    gains = []
+    seems = []
     for seed, condition in enumerate(c for c in CONDITIONS if c not in ("occluded", "glare")):
         for height_m in (1.0, 3.0, 8.0):
             scene = covered_scene(camera, pad, condition, height_m, seed)
             assert scene.truth is not None
-            found = cover(FrameView(Pyramid(scene.px), camera, pad), scene.truth)
-            gains.append(-1.0 if found is None else found.gain)
-    assert np.mean(np.array(gains) > 0.7) < 0.15
+            seems.append(cut_at(FrameView(Pyramid(scene.px), camera, pad), scene.truth) is not None)
+    assert np.mean(seems) < 0.15
 
 
 def test_a_cut_hides_what_is_beyond_it_from_registration_and_verification(camera: Camera, pad: Pad) -> None:

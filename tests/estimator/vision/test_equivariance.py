@@ -15,8 +15,7 @@ from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.look import Looked, look
-from estimator.vision.register.registration import RegistrationOptions
+from estimator.vision.register.registration import Registration, RegistrationOptions, look
 from tests.support.pad_images import sim_camera
 from tests.support.pad_scenes import CONDITIONS, load_pad, pad_scene
 
@@ -36,7 +35,7 @@ class Aimed(NamedTuple):
     orientation: Orientation
     start: PadPose
 
-    def seen(self, pad: Pad) -> Looked | None:
+    def seen(self, pad: Pad) -> Registration | None:
         return look(FrameView(Pyramid(np.ascontiguousarray(self.px)), self.camera, pad), self.start, self.orientation, TRACK)
 
 
@@ -70,7 +69,7 @@ def elsewhere(view: Aimed) -> Aimed:
 
 
 @lru_cache(maxsize=32)
-def seen_at(k: int, pad_name: str) -> tuple[Pad, Aimed, Looked]:
+def seen_at(k: int, pad_name: str) -> tuple[Pad, Aimed, Registration]:
     """Return one of some frames from 0.3 to 9 m in all conditions, half through a bent lens, and what is seen."""
     pad, camera = load_pad(pad_name), BENT if k % 2 else sim_camera()
     scene = pad_scene(np.random.default_rng(k), camera, pad, 0.3 * 1.45**k, CONDITIONS[k % len(CONDITIONS)])
@@ -83,12 +82,12 @@ def seen_at(k: int, pad_name: str) -> tuple[Pad, Aimed, Looked]:
     return pad, view, found
 
 
-def sigmas(found: Looked, other: Looked | None, in_cam: F64, in_pad: F64) -> float:
+def sigmas(found: Registration, other: Registration | None, in_cam: F64, in_pad: F64) -> float:
     """Return how far the pose of the other view lies from that of the first, its axes turned back, in standard deviations."""
     assert other is not None
     R = Rotation(in_cam @ other.pose.R_cam_pad.matrix @ in_pad) @ found.pose.R_cam_pad.inv
     e = np.append(in_cam @ other.pose.t_cam_pad - found.pose.t_cam_pad, R.rotvec_rad)
-    return math.sqrt(e @ np.linalg.solve(found.registration().cov, e))
+    return math.sqrt(e @ np.linalg.solve(found.cov, e))
 
 
 @pytest.mark.parametrize("pad_name", ["thesis", "printed", "icao"])
@@ -99,14 +98,13 @@ def test_a_frame_upside_down_has_the_same_pose_covariance_and_sighting(k: int, p
     assert sigmas(found, other, UPSIDE_DOWN, np.eye(3)) < 0.01
     assert other is not None
     turn = np.kron(np.eye(2), UPSIDE_DOWN)
-    ours, theirs = found.registration(), other.registration()
-    scale = np.sqrt(np.outer(np.diag(ours.cov), np.diag(ours.cov)))
-    assert np.abs((turn @ theirs.cov @ turn - ours.cov) / scale).max() < 0.01
+    scale = np.sqrt(np.outer(np.diag(found.cov), np.diag(found.cov)))
+    assert np.abs((turn @ other.cov @ turn - found.cov) / scale).max() < 0.01
     # Body and deck are the same, so that nothing turns in level; the words are place, rotation and their covariances.
     assert level_numbers(other.in_level) == pytest.approx(level_numbers(found.in_level), rel=0.02, abs=1e-5)
-    assert (theirs.dense, theirs.yaw_ambiguous) == (ours.dense, ours.yaw_ambiguous)
-    for kind, edges in ours.edges.items():
-        assert theirs.edges[kind].inliers == pytest.approx(edges.inliers, abs=2e-3)
+    assert (other.dense, other.yaw_ambiguous) == (found.dense, found.yaw_ambiguous)
+    for kind, edges in found.edges.items():
+        assert other.edges[kind].inliers == pytest.approx(edges.inliers, abs=2e-3)
     if view.start.disc_px(view.camera, pad) < 0.3 * view.camera.height:
         assert other.evidence == pytest.approx(found.evidence, abs=1e-3)
         assert other.log_odds == pytest.approx(found.log_odds, abs=2e-3)

@@ -57,7 +57,7 @@ def test_found_from_afar_and_sure(camera: Camera, name: str, height_m: float, k:
 def ring_place(camera: Camera, pad: Pad, px: U8, truth: PadPose) -> float:
     """Return how far the ring is from its place between disc and H, 0 or less."""
     pyramid = Pyramid(px)
-    aligned = align(FrameView(pyramid, camera, pyramid.as_seen(pad)), truth, SIGMA_TILT_RAD, 0)
+    aligned = align(FrameView(pyramid, camera, pad).as_seen(), truth, SIGMA_TILT_RAD, 0)
     assert aligned is not None
     return float(aligned.features[FEATURES.index("orange_place")])
 

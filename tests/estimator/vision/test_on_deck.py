@@ -13,8 +13,16 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
-from estimator.vision.about_pad import MOVED_LASTS_S, STANDING_LASTS_S, AroundMemory, PassMemory, watch_around, watch_passing
-from estimator.vision.clear_deck import LASTS_S, DeckMemory, check_deck
+from estimator.vision.about_pad import (
+    MOVED_LASTS_S,
+    STANDING_LASTS_S,
+    AroundMemory,
+    DeckMemory,
+    PassMemory,
+    watch_around,
+    watch_passing,
+)
+from estimator.vision.clear_deck import LASTS_S, SurfaceMemory, check_surface
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import PadCheck
 from estimator.vision.tracker import TrackerConfig, TrackerMemory
@@ -30,7 +38,9 @@ CAMERA, PAD = load_camera("sim"), load_pad("thesis")
 BRIGHT = Light(drone_shadow=0.0)
 
 
-def shown(light: Light, *things: Decal, frames: int = 8, height_m: float = 1.4, memory: DeckMemory | None = None) -> DeckMemory:
+def shown(
+    light: Light, *things: Decal, frames: int = 8, height_m: float = 1.4, memory: SurfaceMemory | None = None
+) -> SurfaceMemory:
     renderer = Renderer(CAMERA, PAD, Surroundings(decals=things), light)
     first = 0 if memory is None else round((memory.at - 1_000_000_000) * 5e-9) + 1
     for k in range(first, first + frames):
@@ -38,7 +48,7 @@ def shown(light: Light, *things: Decal, frames: int = 8, height_m: float = 1.4, 
         pad = np.array([0.0, 0.0, -0.6])
         shot = Exposure(0.2 * k, R, pad + np.array([0.03 * math.cos(k), 0.0, -height_m]), Rotation.identity(), pad)
         view = FrameView(Pyramid(renderer.render(shot, np.random.default_rng(k))), CAMERA, PAD)
-        memory = check_deck(memory, view, truth_of(shot, CAMERA), MonoNs(1_000_000_000 + 250_000_000 * k), 0.7, 0.001)
+        memory = check_surface(memory, view, truth_of(shot, CAMERA), MonoNs(1_000_000_000 + 250_000_000 * k), 0.7, 0.001)
     assert memory is not None
     return memory
 
@@ -100,7 +110,7 @@ def test_nothing_old_is_reported_and_on_the_ground_all_is_forgotten() -> None:
         level = Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3))
         return pilot.detect(pilot.look_at(Frame(stamp, 0, blank), level)).on_pad
 
-    pilot.search._memory = TrackerMemory(deck=deck)
+    pilot.search._memory = TrackerMemory(deck=DeckMemory(deck))
     check = looked(1.0, State.REFUSED)
     assert check is not None
     assert check.thing is not None

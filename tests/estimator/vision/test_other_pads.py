@@ -16,8 +16,7 @@ from estimator.vision.pad_information import alike_headings, confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import confidence
-from estimator.vision.register.look import look
-from estimator.vision.register.registration import RegistrationOptions, register
+from estimator.vision.register.registration import RegistrationOptions, look, register
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.verified import heading_z_scores, verify
 from sitl.camera.camera import Renderer

@@ -37,13 +37,12 @@ def weighed(numbers: F64) -> float:
 def looked_at(k: int, pad_name: str) -> list[float]:
     """Return pose, deviations and evidence of a look from the truth: place and rotation off it, in standard deviations."""
     _, view, found = seen_at(k, pad_name)
-    registration = found.registration()
-    sigma = np.sqrt(np.diag(registration.cov))
+    sigma = np.sqrt(np.diag(found.cov))
     off = np.append(found.pose.t_cam_pad - view.start.t_cam_pad, (found.pose.R_cam_pad @ view.start.R_cam_pad.inv).rotvec_rad)
     in_level = np.frombuffer(np.asarray(found.in_level).tobytes())
     return [
-        *off / sigma, weighed(np.log(sigma)), weighed(registration.cov.ravel() / np.outer(sigma, sigma).ravel()),
-        registration.blur_px, registration.noise_light * 1e3, weighed(found.evidence), found.log_odds, weighed(in_level),
+        *off / sigma, weighed(np.log(sigma)), weighed(found.cov.ravel() / np.outer(sigma, sigma).ravel()),
+        found.blur_px, found.noise_light * 1e3, weighed(found.evidence), found.log_odds, weighed(in_level),
         weighed(found.paint().mean.ravel()), weighed(found.paint().var.ravel()),
     ]  # fmt: skip
 

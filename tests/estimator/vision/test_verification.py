@@ -22,8 +22,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import SEARCHED, calibrate, confidence
-from estimator.vision.register.look import Looked, look
-from estimator.vision.register.registration import RegistrationOptions, register
+from estimator.vision.register.registration import Registration, RegistrationOptions, look, register
 from estimator.vision.register.sighting import sighting_of, sighting_of_look
 from sitl.camera.light import Light
 from tests.support.deck_images import covered, disc_of, keeps_claim, shown
@@ -70,7 +69,7 @@ CLOSE = RegistrationOptions(coarse=False)
 FRAME = Frame(STAMP, 0, np.zeros((2, 2, 3), np.uint8))
 
 
-def looked(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_level_body: Rotation | None) -> Looked | None:
+def looked(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_level_body: Rotation | None) -> Registration | None:
     attitude = None if R_level_body is None else Attitude(STAMP, R_level_body, 1e-6 * np.eye(3))
     return look(FrameView(Pyramid(px), camera, pad), start, Orientation.of(attitude), CLOSE)
 
@@ -90,17 +89,17 @@ def test_a_look_is_a_registration_an_alignment_and_their_evidence(camera: Camera
         assert scene.truth is not None
         pyramid = Pyramid(scene.px)
         found = looked(scene.px, camera, pad, scene.truth, scene.R_level_body)
-        one = register(scene.px, camera, pad, scene.truth, None if found is None else found.orientation, CLOSE, pyramid=pyramid)
+        one = register(scene.px, camera, pad, scene.truth, None if found is None else found.prior, CLOSE)
         if found is None or one is None:
             continue
         compared += 1
-        registration, other = found.registration(), align(FrameView(pyramid, camera, pad), one.pose, SIGMA_TILT_RAD, 0)
+        other = align(FrameView(pyramid, camera, pad), one.pose, SIGMA_TILT_RAD, 0)
         assert other is not None
-        assert np.array_equal(registration.cov, one.cov)
+        assert np.array_equal(found.cov, one.cov)
         assert np.array_equal(found.pose.t_cam_pad, one.pose.t_cam_pad)
         assert found.record["aligned"]["features"] == pytest.approx(other.features, abs=1e-9)
         assert found.log_odds == pytest.approx(float(found.evidence @ SEARCHED), abs=1e-9)
-        level = sighting_of(FRAME, one.pose, one.cov, camera, found.orientation, one.yaw_ambiguous, 0.5)
+        level = sighting_of(FRAME, one.pose, one.cov, camera, found.prior, one.yaw_ambiguous, 0.5)
         assert np.array_equal(sighting_of_look(FRAME, found, 0.5).cov, level.cov)
     assert compared > 30
 

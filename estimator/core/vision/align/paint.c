@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "vision/align/align.h"
+#include "vision/register/sums.h"
 #include "base/vectors.h"
 #include "base/wide.h"
 
@@ -17,7 +18,7 @@ static const double RIDGE = 1e-4;
 /* Deviations of the noise's sum below which nothing is left to explain. */
 static const double CHANCE = 4.0;
 /* Products of four coverages with each other and with three channels of light. */
-enum { PRODUCTS = 22, BINS = 2048, BIN_SHIFT = 20 };
+enum { PRODUCTS = 22 };
 
 int align_solve(int n, int m, double *A, double *B)
 {
@@ -127,42 +128,6 @@ static void residuals(const float paints[4][3], samples *s)
     }
 }
 
-static uint32_t bits_of(float value)
-{
-    uint32_t bits;
-    memcpy(&bits, &value, sizeof bits);
-    return bits;
-}
-
-/* The value with k values below it, of n values that are not negative. `spare` has room for n. */
-static float value_at(int k, int n, const float *values, uint32_t *spare)
-{
-    /* The bits of floats that are not negative are ordered as they are. */
-    int counts[BINS] = {0}, below = 0, bin = 0, few = 0;
-    for (int i = 0; i < n; i++) {
-        counts[(bits_of(values[i]) >> BIN_SHIFT) % BINS]++;
-    }
-    while (bin < BINS - 1 && below + counts[bin] <= k) {
-        below += counts[bin++];
-    }
-    for (int i = 0; i < n; i++) {
-        if ((bits_of(values[i]) >> BIN_SHIFT) % BINS == (uint32_t)bin) {
-            spare[few++] = bits_of(values[i]);
-        }
-    }
-    uint32_t found = (uint32_t)bin << BIN_SHIFT;
-    for (uint32_t bit = 1u << (BIN_SHIFT - 1); bit > 0; bit >>= 1) {
-        int smaller = 0;
-        for (int i = 0; i < few; i++) {
-            smaller += spare[i] < (found | bit);
-        }
-        found |= below + smaller <= k ? bit : 0;
-    }
-    float value;
-    memcpy(&value, &found, sizeof value);
-    return value;
-}
-
 /* Cauchy's weights; Geman and McClure's at the final pose, which drop outliers completely. */
 WIDE
 static void set_robust_weights(double spread, int final, samples *s)
@@ -207,7 +172,7 @@ int align_paint(samples *s, int final, painted *out)
             return 0;
         }
         residuals(out->paints, s);
-        const double sound = sqrt((double)value_at((int)(SOUND * s->n), s->n, s->squared, s->spare));
+        const double sound = sqrt((double)order_statistic((int)(SOUND * s->n), s->n, s->squared, s->spare));
         out->spread = fmax(least, (final ? SPREAD_SHARP : SPREAD) * sound);
         set_robust_weights(out->spread, final, s);
     }

@@ -162,19 +162,6 @@ static double confidence_of(int n, const explained_lamps *found, int best)
     return 1.0 / ((1.0 + pow(10.0, -fmin(MOST_LOG10, found[best].log10_odds))) * odds);
 }
 
-/* Bring what was found to level. */
-static void bring_to_level(const dark_frame *f, const lamp_fit *fit, dl_level_sighting *out)
-{
-    dl_camera_sighting in = {.roll_rad = f->prior->roll_rad, .pitch_rad = f->prior->pitch_rad, .sigma_deck_rad = f->prior->sigma_deck_rad};
-    memcpy(in.cov_tilt, f->prior->cov_tilt, sizeof in.cov_tilt);
-    memcpy(in.R_body_cam, f->camera->R_body_cam, sizeof in.R_body_cam);
-    memcpy(in.t_body_cam, f->t_body_cam, sizeof in.t_body_cam);
-    memcpy(in.R_cam_pad, fit->pose.R, sizeof in.R_cam_pad);
-    memcpy(in.t_cam_pad, fit->pose.t, sizeof in.t_cam_pad);
-    memcpy(in.cov_pose, fit->cov, sizeof in.cov_pose);
-    dl_sighting_in_level(&in, out);
-}
-
 static int all_finite(const double *values, int n)
 {
     int finite = 1;
@@ -197,7 +184,7 @@ static int write_surest(const dark_frame *f, int n, const explained_lamps *found
     out->pose = found[best].fit.pose;
     out->log10_odds = found[best].log10_odds;
     memcpy(out->cov, found[best].fit.cov, sizeof out->cov);
-    bring_to_level(f, &found[best].fit, &out->seen);
+    dl_sighting_in_level(f->camera, f->t_body_cam, f->prior, &out->pose, out->cov, &out->seen);
     if (!all_finite(out->seen.d, (int)(sizeof out->seen / sizeof(double)))) {
         return 0;
     }

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "vision/lamps/lamps.h"
+#include "vision/search/best.h"
 
 /* Distance from the edge within which a spot counts as cut, px. */
 enum { EDGE = 3 };
@@ -25,12 +26,11 @@ typedef struct {
     int left, top, right, low;
 } spot_sums;
 
-/* The brightest, in order, with their brightness. */
+/* A spot with its brightness. */
 typedef struct {
-    int n;
-    double light[COMPARED];
-    lamp_spot spot[COMPARED];
-} brightest;
+    double light;
+    lamp_spot spot;
+} ranked_spot;
 
 static int32_t root_of(bright_run *run, int32_t k)
 {
@@ -102,24 +102,11 @@ static lamp_spot spot_at(const bright_part *part, const lit_part *of, const spot
     return spot;
 }
 
-static void rank(const lamp_spot *spot, double light, brightest *to)
-{
-    int at = to->n < COMPARED ? to->n++ : COMPARED;
-    for (; at > 0 && to->light[at - 1] < light; at--) {
-        if (at < COMPARED) {
-            to->light[at] = to->light[at - 1], to->spot[at] = to->spot[at - 1];
-        }
-    }
-    if (at < COMPARED) {
-        to->light[at] = light, to->spot[at] = *spot;
-    }
-}
-
 /* Whether a spot lies in the halo of a much larger one, where its light breaks up. */
-static int in_halo(const lamp_spot *spot, const brightest *all)
+static int in_halo(const lamp_spot *spot, int n, const ranked_spot *all)
 {
-    for (int k = 0; k < all->n; k++) {
-        const lamp_spot *other = &all->spot[k];
+    for (int k = 0; k < n; k++) {
+        const lamp_spot *other = &all[k].spot;
         const double away = hypot(spot->uv[0] - other->uv[0], spot->uv[1] - other->uv[1]);
         if (spot->radius < MUCH_SMALLER * other->radius && away < HALO * other->radius + HALO_PX) {
             return 1;
@@ -143,22 +130,23 @@ static void allow_for_neighbours(lamp_spots *spots)
 
 void spots_of(const bright_part *part, const lit_part *of, lamp_spots *out)
 {
-    brightest all = {.n = 0};
+    ranked_spot all[COMPARED];
     spot_sums sums;
+    int n = 0;
     out->n = 0;
     join(part->runs, part->run);
     for (int k = 0; k < part->runs; k++) {
         if (part->run[k].root == k) {
             sum_up(part, k, &sums);
             if (is_lamp(part, &sums)) {
-                const lamp_spot spot = spot_at(part, of, &sums);
-                rank(&spot, (double)sums.light, &all);
+                const ranked_spot one = {(double)sums.light, spot_at(part, of, &sums)};
+                n = insert_best(&one, sizeof one, offsetof(ranked_spot, light), n, COMPARED, all);
             }
         }
     }
-    for (int k = 0; k < all.n && out->n < DL_LAMP_SPOTS_MAX; k++) {
-        if (!in_halo(&all.spot[k], &all)) {
-            out->spot[out->n++] = all.spot[k];
+    for (int k = 0; k < n && out->n < DL_LAMP_SPOTS_MAX; k++) {
+        if (!in_halo(&all[k].spot, n, all)) {
+            out->spot[out->n++] = all[k].spot;
         }
     }
     allow_for_neighbours(out);

@@ -3,7 +3,6 @@
 #include "vision/look/look.h"
 
 #include <math.h>
-#include <string.h>
 
 #include "vision/align/align.h"
 #include "vision/register/register.h"
@@ -33,19 +32,6 @@ static int verify_at(const dl_tracker *t, const dl_frame *frame, const dl_pad_po
     return look_parts(t, frame, seen) && align_fit(t, seen, pose, cut, &frame->quality, out);
 }
 
-/* Bring what was registered to level. */
-static void bring_to_level(const dl_camera *camera, const dl_tilt_prior *prior, const dl_registration *found, dl_level_sighting *out)
-{
-    dl_camera_sighting in = {.roll_rad = prior->roll_rad, .pitch_rad = prior->pitch_rad, .sigma_deck_rad = prior->sigma_deck_rad};
-    memcpy(in.cov_tilt, prior->cov_tilt, sizeof in.cov_tilt);
-    memcpy(in.R_body_cam, camera->lens.R_body_cam, sizeof in.R_body_cam);
-    memcpy(in.t_body_cam, camera->t_body_cam, sizeof in.t_body_cam);
-    memcpy(in.R_cam_pad, found->R, sizeof in.R_cam_pad);
-    memcpy(in.t_cam_pad, found->t, sizeof in.t_cam_pad);
-    memcpy(in.cov_pose, found->cov, sizeof in.cov_pose);
-    dl_sighting_in_level(&in, out);
-}
-
 int32_t dl_look(dl_tracker *t, const dl_frame *frame, const dl_start *start, dl_registered_pad *out, double *outline, int64_t outline_points)
 {
     dl_pad_pose pose = start->pose;
@@ -61,10 +47,8 @@ int32_t dl_look(dl_tracker *t, const dl_frame *frame, const dl_start *start, dl_
     if (start->alone) {
         return 1;
     }
-    memcpy(pose.R, out->found.R, sizeof pose.R);
-    memcpy(pose.t, out->found.t, sizeof pose.t);
     out->aligned.tilt_sigmas = 0.0;
-    if (!verify_at(t, frame, &pose, start->cut, &out->aligned)) {
+    if (!verify_at(t, frame, &out->found.pose, start->cut, &out->aligned)) {
         return 0;
     }
     const dl_pad_verification *judge = &t->pad.verification;
@@ -73,7 +57,7 @@ int32_t dl_look(dl_tracker *t, const dl_frame *frame, const dl_start *start, dl_
         return 0;
     }
     look_paint(&start->known, &out->aligned, &out->paint);
-    bring_to_level(&t->camera, &start->prior, &out->found, &out->seen);
+    dl_sighting_in_level(&t->camera.lens, t->camera.t_body_cam, &start->prior, &out->found.pose, out->found.cov, &out->seen);
     return 1;
 }
 

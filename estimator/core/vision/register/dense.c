@@ -190,9 +190,9 @@ static void set_robust_weights(const patch *cut, int c, double noise, int reflec
 
 /* Give every pixel its full weight, over the variance that the last linearisation's noise assumes. */
 WIDE
-static void set_weights(const patch *cut, double noise, double edge_sigma_px, int first, dense_rows *d)
+static void set_weights(const patch *cut, double noise, int first, dense_rows *d)
 {
-    const float edge_var = (float)(edge_sigma_px * edge_sigma_px), scale = (float)noise;
+    const float edge_var = (float)(EDGE_SIGMA_PX * EDGE_SIGMA_PX), scale = (float)noise;
     for (int c = 0; c < CHANNELS; c++) {
         const float *light = first ? cut->light[c] : d->model[c];
         for (int i = 0; i < whole_lanes(cut->n); i++) {
@@ -328,8 +328,7 @@ static void admit_glare(const patch *cut, const glare *g, dense_rows *d, dense_s
     }
 }
 
-int linearise_dense(const dl_pad_shape *pad, const patch *cut, const fit_state *s, double edge_sigma_px, int first, int last,
-                    dense_rows *d, dense_fit *fit)
+int linearise_dense(const dl_pad_shape *pad, const patch *cut, const fit_state *s, int first, int last, dense_rows *d, dense_fit *fit)
 {
     dense_sums all = {.regions = (int)pad->contrast_count, .k = FIRST_REGION + (int)pad->contrast_count};
     const float m_per_px2 = (float)(s->m_per_px * s->m_per_px);
@@ -337,7 +336,7 @@ int linearise_dense(const dl_pad_shape *pad, const patch *cut, const fit_state *
     double left = 0.0, on_pad = 0.0, amplitudes[GLARE_COLUMNS] = {0.0};
     all.total = all.k;
     draw(pad, cut, s, d);
-    set_weights(cut, fit->noise, edge_sigma_px, first, d);
+    set_weights(cut, fit->noise, first, d);
     const float *const light[CHANNELS] = {first ? cut->light[0] : d->model[0], first ? cut->light[1] : d->model[1],
                                           first ? cut->light[2] : d->model[2]};
     judge(cut, light, all.k, reflection.radius > 0.0, d);

@@ -59,8 +59,7 @@ typedef struct {
 int take_dense_rows(rows *r, dense_rows *out);
 /* Compute a linearisation. `first`: there was none before that sets the scale of the residuals, so all weigh fully. `last`: also
  * compute the covariances. Returns 0 if the pixels do not determine the paints. */
-int linearise_dense(const dl_pad_shape *pad, const patch *cut, const fit_state *s, double edge_sigma_px, int first, int last,
-                    dense_rows *d, dense_fit *fit);
+int linearise_dense(const dl_pad_shape *pad, const patch *cut, const fit_state *s, int first, int last, dense_rows *d, dense_fit *fit);
 
 /* The derivatives of a block of a channel's light by the state, plain and weighted; notes the light's squared change over a pixel. */
 void dense_derivatives(const dense_rows *d, const dense_sums *s, int c, int start, int length, float m_per_px2,
@@ -72,6 +71,6 @@ int add_gradient_covariance(const dl_pad_shape *pad, const patch *cut, float m_p
 void add_sectors(const dense_rows *d, int c, int start, int length, const float along[][SUM_BLOCK],
                  float *const projected[STATES], float m_per_px, dense_fit *fit);
 /* Add to the gradient's covariance sectors that are displaced independently, and all of them outward alike by the size's sigma. */
-void displace_sectors(double least_px, double size_px, dense_fit *fit);
+void displace_sectors(double size_px, dense_fit *fit);
 
 #endif

@@ -242,19 +242,18 @@ static void in_axes_of(const fit_state *from, const fit_state *to, double H[STAT
 }
 
 /* Linearise and step until pose and blur rest; `s` is moved, and `out` takes the robust information and the last step. */
-static int converge(const dl_pad_shape *pad, const patch *cut, const fit_options *o, const solver *v, dense_rows *d, fit_state *s,
-                    dense_fit *fit, fit_solved *out)
+static int converge(const fit_task *k, const patch *cut, const solver *v, dense_rows *d, fit_state *s, dense_fit *fit, fit_solved *out)
 {
     double grown = 0.0, g[STATES], *moved_px = &out->last_step_px, *H = out->H;
     *moved_px = INFINITY;
     for (int n = 0; n < ROUNDS; n++) {
         const int last = (n >= 1 && *moved_px < AT_REST_PX && grown < BLUR_AT_REST_PX) || n == ROUNDS - 1;
         fit_state next;
-        if (!linearise_dense(pad, cut, s, o->dense_edge_sigma_px, n == 0, last, d, fit)) {
+        if (!linearise_dense(k->pad, cut, s, n == 0, last, d, fit)) {
             return 0;
         }
         if (last) {
-            displace_sectors(o->dense_edge_sigma_px, o->size_sigma_m / s->m_per_px, fit);
+            displace_sectors(k->size_sigma_m / s->m_per_px, fit);
         }
         if ((last && !robust_sums(fit, H, g)) ||
             !step_state(v, s, last ? H : fit->H, last ? g : fit->g, STEP_PX, n > 0, &next, moved_px)) {
@@ -272,27 +271,28 @@ static int converge(const dl_pad_shape *pad, const patch *cut, const fit_options
     return 1;
 }
 
-int register_far(const view *v, const dl_pad_shape *pad, const fit_options *o, const tilt_target *tilt, const fit_state *start, rows *r,
-                 fit_solved *out)
+int register_far(const fit_task *k, const fit_state *start, fit_solved *out)
 {
+    const dl_pad_shape *pad = k->pad;
+    rows r = k->free;
     patch cut;
     dense_rows d;
     dense_fit fit = {.noise = 0.0};
     solver priors;
     pointer seen;
     fit_state s;
-    if (!take_dense_rows(r, &d)) {
+    if (!take_dense_rows(&r, &d)) {
         return 0;
     }
     const patch_work work = {d.values[0], &d.f};
-    if (!cut_patch(v, pad, start, 1.5 + 3.0 * sigma_px(start), (int)o->dense_pixels, r, &work, &cut)) {
+    if (!cut_patch(&k->seen, pad, start, 1.5 + 3.0 * sigma_px(start), &r, &work, &cut)) {
         return 0;
     }
     s = cut.state;
-    begin_solver(&s, tilt, pad->disc_radius_m, &priors);
+    begin_solver(&s, &k->tilt, pad->disc_radius_m, &priors);
     priors.distant = 1;
     memset(out, 0, sizeof *out);
-    if (!converge(pad, &cut, o, &priors, &d, &s, &fit, out) || !covariance_of(&priors, &s, out->H, out->cov)) {
+    if (!converge(k, &cut, &priors, &d, &s, &fit, out) || !covariance_of(&priors, &s, out->H, out->cov)) {
         return 0;
     }
     /* Surroundings alone are no object on the pad, and an overexposed pad is not one beside even surroundings. */
@@ -313,17 +313,17 @@ int register_far(const view *v, const dl_pad_shape *pad, const fit_options *o, c
     return 1;
 }
 
-int is_opposite(const view *v, const dl_pad_shape *pad, const fit_options *o, const fit_state *s, rows *r)
+int is_opposite(const fit_task *k, const fit_state *s)
 {
+    rows r = k->free;
     patch cut;
     dense_rows d;
     dense_fit fit = {.noise = 0.0};
     pointer seen;
-    if (!take_dense_rows(r, &d)) {
+    if (!take_dense_rows(&r, &d)) {
         return 0;
     }
     const patch_work work = {d.values[0], &d.f};
-    return cut_patch(v, pad, s, 3.0, (int)o->dense_pixels, r, &work, &cut) &&
-           linearise_dense(pad, &cut, &cut.state, o->dense_edge_sigma_px, 1, 0, &d, &fit) &&
-           find_pointer(pad, &cut, &cut.state, &fit, &d, &seen) && stands_out(seen.there, seen.here, seen.sigma);
+    return cut_patch(&k->seen, k->pad, s, 3.0, &r, &work, &cut) && linearise_dense(k->pad, &cut, &cut.state, 1, 0, &d, &fit) &&
+           find_pointer(k->pad, &cut, &cut.state, &fit, &d, &seen) && stands_out(seen.there, seen.here, seen.sigma);
 }

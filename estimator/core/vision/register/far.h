@@ -3,7 +3,19 @@
 #define DECKLANDER_REGISTER_FAR_H
 
 #include "vision/register/dense.h"
+#include "vision/register/profiles.h"
 #include "vision/register/solver.h"
+
+/* Everything that a fit starts from. */
+typedef struct {
+    view seen;
+    const dl_pad_shape *pad;
+    edge_points edges;
+    tilt_target tilt;
+    /* Standard deviations of the painted sizes, m, and of the place of a patch that a video codec has moved, px. */
+    double size_sigma_m, coded_px;
+    rows free;
+} fit_task;
 
 /* Amplitude of the drawing's pointer at its place and at the opposite one, 1 is a whole pointer, and the deviation of either. */
 typedef struct {
@@ -22,9 +34,8 @@ dl_edge_support pointer_support(double amplitude, double sigma, const double con
 int support_is_seen(const dl_edge_support *e);
 
 /* Register from a state; 0 if too little of the pad is in view, or if the frame does not determine a pose. */
-int register_far(const view *v, const dl_pad_shape *pad, const fit_options *o, const tilt_target *tilt, const fit_state *start, rows *r,
-                 fit_solved *out);
+int register_far(const fit_task *k, const fit_state *start, fit_solved *out);
 /* Whether the pointer is seen at the opposite of its place and not there. */
-int is_opposite(const view *v, const dl_pad_shape *pad, const fit_options *o, const fit_state *s, rows *r);
+int is_opposite(const fit_task *k, const fit_state *s);
 
 #endif

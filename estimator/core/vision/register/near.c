@@ -103,9 +103,9 @@ static void find_shifts(const profiles *p, const near_rows *d, const near_fit *f
 /* The variance of edges' places, px^2, that neither noise nor pose explains, and the square root of its measured part.
  * Source: DerSimonian, Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7(3), 1986. */
 static double edge_variance(const profiles *p, const near_fit *fit, const shifts *moves, const double delta[STATES], double noise,
-                            const fit_options *o, double *rms_px)
+                            double *rms_px)
 {
-    const double least = o->edge_sigma_px * o->edge_sigma_px;
+    const double least = EDGE_SIGMA_PX * EDGE_SIGMA_PX;
     double squares = 0.0, weights = 0.0;
     int n = 0;
     *rms_px = 0.0;
@@ -267,10 +267,7 @@ static void find_support(const dl_pad_shape *pad, const profiles *p, const chann
 
 /* A registration under way: what it is given, and what it has found. */
 typedef struct {
-    const view *v;
-    const dl_pad_shape *pad;
-    const edge_points *edges;
-    const fit_options *o;
+    const fit_task *k;
     solver priors;
     profile_work work;
     profiles p;
@@ -292,16 +289,16 @@ static int sample_and_fit(attempt *a, double *moved_px)
         const int half = wanted < HALF_MAX ? (int)fmax(HALF_MIN, wanted) : HALF_MAX;
         const fit_state before = *s;
         double whole[STATES];
-        if (!sample_profiles(a->v, s, a->edges, (int)a->o->max_profiles, half, &a->work, p)) {
+        if (!sample_profiles(&a->k->seen, s, &a->k->edges, half, &a->work, p)) {
             return 0;
         }
         d->f.n = p->n;
         look_at(s, p->ray_x, p->ray_y, &d->f);
-        drop_foreign(a->pad, s, &d->f, d->spare[0], p);
-        cover_profiles(a->pad, s, p, 1, d);
-        mix_channels(a->pad, p, d, &a->mix);
+        drop_foreign(a->k->pad, s, &d->f, d->spare[0], p);
+        cover_profiles(a->k->pad, s, p, 1, d);
+        mix_channels(a->k->pad, p, d, &a->mix);
         mix_light(p, &a->mix, d);
-        if (!converge(a->pad, p, &a->priors, d, &a->fit, s, a->delta, moved_px)) {
+        if (!converge(a->k->pad, p, &a->priors, d, &a->fit, s, a->delta, moved_px)) {
             return 0;
         }
         difference(&before, s, whole);
@@ -312,21 +309,21 @@ static int sample_and_fit(attempt *a, double *moved_px)
     return 1;
 }
 
-int register_near(const view *v, const dl_pad_shape *pad, const edge_points *edges, const fit_options *o, const tilt_target *tilt,
-                  const fit_state *start, rows *r, fit_solved *out)
+int register_near(const fit_task *k, const fit_state *start, fit_solved *out)
 {
+    rows r = k->free;
     attempt a;
     const profiles *p = &a.p;
     const near_fit *fit = &a.fit;
     shifts moves;
-    a.v = v, a.pad = pad, a.edges = edges, a.o = o, a.s = *start;
-    a.work.keys = take_rows(r, 5), a.work.room = r->length;
+    a.k = k, a.s = *start;
+    a.work.keys = take_rows(&r, 5), a.work.room = r.length;
     memset(out, 0, sizeof *out);
-    if (!a.work.keys || !take_near_rows(r, &a.d, &a.p)) {
+    if (!a.work.keys || !take_near_rows(&r, &a.d, &a.p)) {
         return 0;
     }
     a.work.doubles = (double *)(void *)a.d.J[0];
-    begin_solver(start, tilt, pad->disc_radius_m, &a.priors);
+    begin_solver(start, &k->tilt, k->pad->disc_radius_m, &a.priors);
     if (!sample_and_fit(&a, &out->last_step_px)) {
         return 0;
     }
@@ -340,14 +337,14 @@ int register_near(const view *v, const dl_pad_shape *pad, const edge_points *edg
     }
     const double scale = noise_scale(p, &a.d, accepted), grow = shared_noise(p, &a.d, fit) * scale;
     find_shifts(p, &a.d, fit, &moves);
-    const double tau2 = edge_variance(p, fit, &moves, a.delta, scale, o, &out->edge_rms_px);
+    const double tau2 = edge_variance(p, fit, &moves, a.delta, scale, &out->edge_rms_px);
     for (int i = 0; i < STATES * STATES; i++) {
         out->H[i] = fit->H[i] / grow;
     }
     if (!covariance_of(&a.priors, &a.s, out->H, out->cov)) {
         return 0;
     }
-    add_shifts(p, &moves, grow, tau2, o->size_sigma_m / a.s.m_per_px, out->cov);
-    find_support(pad, p, &a.mix, &a.s, &a.d, fit, out);
+    add_shifts(p, &moves, grow, tau2, k->size_sigma_m / a.s.m_per_px, out->cov);
+    find_support(k->pad, p, &a.mix, &a.s, &a.d, fit, out);
     return 1;
 }

@@ -48,7 +48,6 @@ void pointer_amplitude(const dl_pad_shape *pad, const fit_state *s, const profil
 int take_near_rows(rows *r, near_rows *d, profiles *p);
 /* Register from a state; 0 if too little of the pad is in view, or if the frame does not determine a pose. Where edges merged on the
  * way, `out->state` says so by its blur. */
-int register_near(const view *v, const dl_pad_shape *pad, const edge_points *edges, const fit_options *o, const tilt_target *tilt,
-                  const fit_state *start, rows *r, fit_solved *out);
+int register_near(const fit_task *k, const fit_state *start, fit_solved *out);
 
 #endif

@@ -60,7 +60,7 @@ static part around_rim(const dl_lens *camera, double rim[RIM_POINTS][3], double 
 }
 
 /* The part of the frame about the disc, and the whole factor that reduces it; 0 if it is too small. */
-static int choose_part(const view *v, const dl_pad_shape *pad, const fit_state *s, double margin_px, int most, part *p, int *factor)
+static int choose_part(const view *v, const dl_pad_shape *pad, const fit_state *s, double margin_px, part *p, int *factor)
 {
     double rim[RIM_POINTS][3];
     const int front = rim_of(pad, s, rim);
@@ -71,7 +71,7 @@ static int choose_part(const view *v, const dl_pad_shape *pad, const fit_state *
         if (p->x1 - p->x0 < SIDE_MIN || p->y1 - p->y0 < SIDE_MIN) {
             return 0;
         }
-        k = (int)fmax(1.0, ceil(sqrt((double)(p->x1 - p->x0) * (p->y1 - p->y0) / most)));
+        k = (int)fmax(1.0, ceil(sqrt((double)(p->x1 - p->x0) * (p->y1 - p->y0) / DENSE_PIXELS)));
         if (k == 1) {
             break;
         }
@@ -188,13 +188,13 @@ static double expected_noise(const view *v, const part *p, const patch *cut)
     return count ? left * sum / count : 0.0;
 }
 
-int cut_patch(const view *v, const dl_pad_shape *pad, const fit_state *s, double margin_px, int most, rows *r,
-              const patch_work *work, patch *out)
+int cut_patch(const view *v, const dl_pad_shape *pad, const fit_state *s, double margin_px, rows *r, const patch_work *work,
+              patch *out)
 {
     part p;
     int k;
     float *all = take_rows(r, PATCH_ROWS);
-    if (!all || !choose_part(v, pad, s, margin_px, most, &p, &k)) {
+    if (!all || !choose_part(v, pad, s, margin_px, &p, &k)) {
         return 0;
     }
     out->columns = (p.x1 - p.x0) / k, out->lines = (p.y1 - p.y0) / k, out->reduced = k;

@@ -41,15 +41,15 @@ typedef struct {
     /* Pixel values in blue, green, red, and the linear light of each value. */
     const uint8_t *pixels;
     const float *light;
-    /* The line beyond which rays do not count, as in `fit_options`. */
+    /* The line beyond which rays do not count, as in `dl_start`. */
     const double *cut;
     /* The deviation of the frame's noise beyond the usual, as a fraction of a pixel's full scale. */
     double noise;
 } view;
 
-/* Cut out the part of the frame that holds the pad, `margin_px` reduced pixels beyond it, with at most `most` pixels; `r` keeps the
+/* Cut out the part of the frame that holds the pad, `margin_px` reduced pixels beyond it, with at most DENSE_PIXELS; `r` keeps the
  * patch. Returns 0 if too little of the pad is in view. */
-int cut_patch(const view *v, const dl_pad_shape *pad, const fit_state *s, double margin_px, int most, rows *r,
-              const patch_work *work, patch *out);
+int cut_patch(const view *v, const dl_pad_shape *pad, const fit_state *s, double margin_px, rows *r, const patch_work *work,
+              patch *out);
 
 #endif

@@ -143,8 +143,7 @@ static void mark_kinds(profiles *p)
     p->kind_begin[DL_EDGE_KINDS] = p->n;
 }
 
-int sample_profiles(const view *v, const fit_state *s, const edge_points *edges, int most, int half, const profile_work *work,
-                    profiles *out)
+int sample_profiles(const view *v, const fit_state *s, const edge_points *edges, int half, const profile_work *work, profiles *out)
 {
     const int room = work->room;
     sighted *seen = (sighted *)(void *)work->doubles;
@@ -153,7 +152,7 @@ int sample_profiles(const view *v, const fit_state *s, const edge_points *edges,
     if (n < SEEN_MIN || !isfinite(seen[n - 1].way_px)) {
         return 0;
     }
-    const double spacing = fmax(SPACING_PX, seen[n - 1].way_px / most);
+    const double spacing = fmax(SPACING_PX, seen[n - 1].way_px / PROFILES);
     int64_t tick = -1;
     int piece = -1, in_piece = 0;
     while (4 * (mask + 1) <= 4 * room) {
@@ -164,7 +163,7 @@ int sample_profiles(const view *v, const fit_state *s, const edge_points *edges,
     memset(out->groups_of_kind, 0, sizeof out->groups_of_kind);
     for (int i = 0; i < n; i++) {
         /* The last point lies at the end of the last stretch, where rounding would decide whether it begins another. */
-        const int64_t here = (int64_t)fmin(seen[i].way_px / spacing, most - 1.0);
+        const int64_t here = (int64_t)fmin(seen[i].way_px / spacing, PROFILES - 1.0);
         if (here == tick) {
             continue;
         }

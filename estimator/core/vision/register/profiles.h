@@ -42,9 +42,8 @@ typedef struct {
     double *doubles;
 } profile_work;
 
-/* Profiles of 2 half + 1 pixels across the edges in view, at most some `most` of them. Returns 0 if there are too few for a fix. */
-int sample_profiles(const view *v, const fit_state *s, const edge_points *edges, int most, int half, const profile_work *work,
-                    profiles *out);
+/* Profiles of 2 half + 1 pixels across the edges in view, at most some PROFILES of them. Returns 0 if there are too few for a fix. */
+int sample_profiles(const view *v, const fit_state *s, const edge_points *edges, int half, const profile_work *work, profiles *out);
 /* Let no pixel count that lies within three deviations of the blur of an edge of another kind. `spare`: a row that is written over. */
 void drop_foreign(const dl_pad_shape *pad, const fit_state *s, const footprint *f, float *spare, profiles *p);
 

@@ -8,28 +8,17 @@
 #include "vision/register/coded.h"
 #include "vision/register/near.h"
 #include "vision/register/solver.h"
+#include "base/kalman.h"
 #include "base/rotation.h"
 
 /* Deviations of the blur that must fit between edges of different kinds for profiles. */
 static const double APART = 4.5;
-/* Largest number of profiles, of pixels of one and of what fills its group up, and of pixels in the disc's image at which it is
- * registered as a whole; rows are as long as whole groups of ROW_LANES. */
-enum { PROFILES = 120, PROFILE_PIXELS = 24, DENSE_PIXELS = 1700, ROW_LANES = 16 };
-/* Standard deviations of the lens' point spread at the start, which is estimated, and of an edge's place in the frame as predicted by
- * drawing, lens and blur model, px. */
-static const double BLUR_PX = 0.6, EDGE_SIGMA_PX = 0.004;
+/* Largest number of pixels of a profile and of what fills its group up; rows are as long as whole groups of ROW_LANES. */
+enum { PROFILE_PIXELS = 24, ROW_LANES = 16 };
+/* Standard deviation of the lens' point spread at the start, which is estimated, px. */
+static const double BLUR_PX = 0.6;
 /* Pixels of margin about the disc when its pixels are counted; of the edges' points every so many are in the outline. */
 enum { MARGIN_PX = 8, OUTLINE_STEP = 4 };
-
-/* Everything that a fit starts from. */
-typedef struct {
-    view seen;
-    const dl_pad_shape *pad;
-    edge_points edges;
-    const fit_options *o;
-    tilt_target tilt;
-    rows free;
-} task;
 
 /* Whether edges of different kinds are far enough apart for profiles. */
 static int spacing_ok(const dl_pad_shape *pad, const fit_state *s)
@@ -38,24 +27,22 @@ static int spacing_ok(const dl_pad_shape *pad, const fit_state *s)
 }
 
 /* Fit by profiles where the pad is large, as a whole where its edges merge or its pixels are few. */
-static int refine(const task *k, const fit_state *start, fit_solved *out)
+static int refine(const fit_task *k, const fit_state *start, fit_solved *out)
 {
     const double side_px = 2.0 * k->pad->disc_radius_m / start->m_per_px + MARGIN_PX;
     fit_state s = *start;
-    rows r = k->free;
-    if (side_px * side_px > (double)k->o->dense_pixels && spacing_ok(k->pad, start)) {
-        const int found = register_near(&k->seen, k->pad, &k->edges, k->o, &k->tilt, start, &r, out);
+    if (side_px * side_px > DENSE_PIXELS && spacing_ok(k->pad, start)) {
+        const int found = register_near(k, start, out);
         if (spacing_ok(k->pad, &out->state)) {
             return found;
         }
         s = found ? out->state : *start;
-        r = k->free;
     }
-    return register_far(&k->seen, k->pad, k->o, &k->tilt, &s, &r, out);
+    return register_far(k, &s, out);
 }
 
 /* Whether a mark of the pointer turned by 180 degrees lies in the frame. */
-static int opposite_in_view(const task *k, const fit_state *s)
+static int opposite_in_view(const fit_task *k, const fit_state *s)
 {
     const dl_lens *camera = k->seen.camera;
     int some = 0;
@@ -69,12 +56,11 @@ static int opposite_in_view(const task *k, const fit_state *s)
 }
 
 /* Fit again with the drawing turned by 180 degrees if the pointer is seen there. */
-static void try_opposite(const task *k, fit_solved *found)
+static void try_opposite(const fit_task *k, fit_solved *found)
 {
-    rows r = k->free;
     fit_solved again;
     fit_state turned = found->state;
-    if (!opposite_in_view(k, &found->state) || !is_opposite(&k->seen, k->pad, k->o, &found->state, &r)) {
+    if (!opposite_in_view(k, &found->state) || !is_opposite(k, &found->state)) {
         return;
     }
     for (int i = 0; i < 9; i++) {
@@ -152,39 +138,30 @@ static void blur_in_frame(const fit_state *s, const double R[9], double out[3])
 /* Whether the pose's covariance is positive definite: that of a fit which ran away, with little of the pad in view, need not be. */
 static int positive(const double cov[STATES * STATES])
 {
-    double L[POSE * POSE];
+    double S[DL_ROWS_MAX][DL_ROWS_MAX];
     for (int i = 0; i < POSE; i++) {
-        for (int j = 0; j <= i; j++) {
-            double sum = cov[i * STATES + j];
-            for (int k = 0; k < j; k++) {
-                sum -= L[i * POSE + k] * L[j * POSE + k];
-            }
-            if (i == j && !(sum > 0.0)) {
-                return 0;
-            }
-            L[i * POSE + j] = i == j ? sqrt(sum) : sum / L[j * POSE + j];
-        }
+        memcpy(S[i], cov + i * STATES, POSE * sizeof *cov);
     }
-    return 1;
+    return cholesky(POSE, S) == DONE;
 }
 
 /* Add to the covariance of a found pose what a codec may have moved in the frame, if one predicted it. */
-static void doubt_coded(const task *k, const fit_state *pose, const double H[STATES * STATES], dl_registration *out)
+static void doubt_coded(const fit_task *k, const fit_state *pose, const double H[STATES * STATES], dl_registration *out)
 {
     solver priors;
     double of_fit[STATES * STATES], with_prior[POSE * POSE];
-    if (!(k->o->coded_px > 0.0)) {
+    if (!(k->coded_px > 0.0)) {
         return;
     }
     begin_solver(pose, &k->tilt, k->pad->disc_radius_m, &priors);
     if (covariance_of(&priors, pose, H, of_fit)) {
         in_camera_axes(pose->R, STATES, of_fit, with_prior);
-        add_coded(k->seen.camera, &k->edges, pose, k->o->coded_px, out->information, with_prior, out->cov);
+        add_coded(k->seen.camera, &k->edges, pose, k->coded_px, out->information, with_prior, out->cov);
     }
 }
 
 /* Write what was found in the camera's axes; 0 if it is no pose in front of the camera, or nothing is known of its errors. */
-static int conclude(const task *k, const fit_solved *s, dl_registration *out, double *outline)
+static int conclude(const fit_task *k, const fit_solved *s, dl_registration *out, double *outline)
 {
     double information[POSE * POSE], sum = 0.0;
     fit_state pose = s->state;
@@ -197,8 +174,8 @@ static int conclude(const task *k, const fit_solved *s, dl_registration *out, do
     }
     orthonormalise(pose.R);
     out->dense = s->dense, out->yaw_ambiguous = !s->arrow_seen;
-    memcpy(out->R, pose.R, sizeof out->R);
-    memcpy(out->t, pose.t, sizeof out->t);
+    memcpy(out->pose.R, pose.R, sizeof pose.R);
+    memcpy(out->pose.t, pose.t, sizeof pose.t);
     in_camera_axes(pose.R, STATES, s->cov, out->cov);
     in_camera_axes(pose.R, POSE, information, out->information);
     doubt_coded(k, &pose, s->H, out);
@@ -226,17 +203,15 @@ int32_t register_row(int64_t edge_points)
 
 int register_pad(const dl_tracker *t, const dl_frame *frame, const dl_start *how, const dl_pad_pose *start, dl_registration *out, double *outline)
 {
-    const fit_options o = {
-        .max_profiles = PROFILES, .dense_pixels = DENSE_PIXELS, .blur_px = BLUR_PX, .edge_sigma_px = EDGE_SIGMA_PX,
-        .dense_edge_sigma_px = EDGE_SIGMA_PX, .size_sigma_m = t->pad.size_sigma_m, .coded_px = how->coded_px,
-        .cut = {how->cut[0], how->cut[1], how->cut[2]},
+    fit_task k = {
+        .seen = {&t->camera.lens, t->rays, frame->level[0].px, t->lights, how->cut, frame->quality.noise}, .pad = &t->pad.shape,
+        .edges = {(int)t->pad.edge_points, t->edges, t->edge_of}, .size_sigma_m = t->pad.size_sigma_m, .coded_px = how->coded_px,
+        .free = {t->scratch, FIT_ROWS * t->row, t->row},
     };
-    const view seen = {&t->camera.lens, t->rays, frame->level[0].px, t->lights, how->cut, frame->quality.noise};
-    task k = {seen, &t->pad.shape, {(int)t->pad.edge_points, t->edges, t->edge_of}, &o, {.given = 0}, {t->scratch, FIT_ROWS * t->row, t->row}};
     fit_state s;
     fit_solved solved;
     predict_tilt(k.seen.camera, &how->prior, &k.tilt);
-    begin_state(k.seen.camera, start->R, start->t, o.blur_px, &s);
+    begin_state(k.seen.camera, start->R, start->t, BLUR_PX, &s);
     if (!refine(&k, &s, &solved)) {
         return 0;
     }

@@ -58,10 +58,10 @@ static double sector_variance(const dense_fit *fit)
     return free * seen / (RIGHT_WEIGHT + free);
 }
 
-void displace_sectors(double least_px, double size_px, dense_fit *fit)
+void displace_sectors(double size_px, dense_fit *fit)
 {
     double all[STATES] = {0.0};
-    const double var = sector_variance(fit) + least_px * least_px;
+    const double var = sector_variance(fit) + EDGE_SIGMA_PX * EDGE_SIGMA_PX;
     for (int k = 0; k < SECTOR_MOVES; k++) {
         const double *pull = fit->pull[k];
         for (int i = 0; i < STATES * STATES; i++) {

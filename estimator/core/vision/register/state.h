@@ -11,14 +11,10 @@
 /* States: dt (3) m, dr (3) rad, blur xx, xy, yy px^2. `BY`: derivatives of a coverage, by x, y and the blur's xx, xy, yy. */
 enum { STATES = 9, POSE = 6, BY = 5, LANES = 8 };
 
-/* What a registration goes by: the largest number of profiles; that of pixels in the disc's image at which it is registered as a
- * whole; the standard deviation of the lens' point spread at the start, px; the smallest of an edge's place as predicted by drawing,
- * lens and blur model, and that where edges merge, px; that of the painted sizes, m; that of the place of a patch that a video codec
- * has moved, px; and the line beyond which rays do not count. */
-typedef struct {
-    int64_t max_profiles, dense_pixels;
-    double blur_px, edge_sigma_px, dense_edge_sigma_px, size_sigma_m, coded_px, cut[3];
-} fit_options;
+/* The largest number of profiles; that of pixels in the disc's image at which it is registered as a whole. */
+enum { PROFILES = 120, DENSE_PIXELS = 1700 };
+/* Standard deviation of an edge's place as predicted by drawing, lens and blur model, px. */
+#define EDGE_SIGMA_PX 0.004
 
 /* A pose, the blur at it, the size of a pixel on the pad, and the pad's depth. */
 typedef struct {

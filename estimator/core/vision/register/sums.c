@@ -131,9 +131,9 @@ static uint32_t kth_smallest(int n, int k, uint32_t *keys)
     return keys[k];
 }
 
-float median_of(int n, const float *values, uint32_t *spare)
+float order_statistic(int k, int n, const float *values, uint32_t *spare)
 {
-    /* Numbers with the same sign, exponent and first three bits of the fraction share a bin; only the median's bin is searched. */
+    /* Numbers with the same sign, exponent and first three bits of the fraction share a bin; only the bin of the wanted is searched. */
     enum { BINS = 4096, SHIFT = 20 };
     uint32_t count[BINS] = {0};
     for (int i = 0; i < n; i++) {
@@ -142,7 +142,7 @@ float median_of(int n, const float *values, uint32_t *spare)
     }
     int below = 0, kept = 0;
     uint32_t bin = 0;
-    while (below + (int)count[bin] <= n / 2) {
+    while (below + (int)count[bin] <= k) {
         below += (int)count[bin++];
     }
     for (int i = 0; i < n; i++) {
@@ -150,7 +150,12 @@ float median_of(int n, const float *values, uint32_t *spare)
         spare[kept] = key;
         kept += key >> SHIFT == bin;
     }
-    return unordered(kth_smallest(kept, n / 2 - below, spare));
+    return unordered(kth_smallest(kept, k - below, spare));
+}
+
+float median_of(int n, const float *values, uint32_t *spare)
+{
+    return order_statistic(n / 2, n, values, spare);
 }
 
 /* B <- inv(M) B by elimination with the largest pivot. */

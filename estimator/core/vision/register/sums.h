@@ -15,6 +15,8 @@ void add_squares(int n, int a, const float *const A[], const float *const B[], i
 /* Copy the upper triangle to the lower one. */
 void mirror(int n, int stride, double *M);
 
+/* The k-th smallest, from 0, of n finite numbers; `spare` has room for as many. */
+float order_statistic(int k, int n, const float *values, uint32_t *spare);
 /* The upper median of n finite numbers; `spare` has room for as many. */
 float median_of(int n, const float *values, uint32_t *spare);
 
