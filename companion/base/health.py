@@ -52,38 +52,26 @@ EDGES_S = (
 
 @dataclass(slots=True)
 class Delays:
-    """The durations of one stage, seconds; quantiles are of the newest `capacity`."""
+    """The durations of one stage, seconds; quantiles are of the newest."""
 
-    capacity: int = 600
     count: int = 0
     """Number of durations since the start."""
     sum_s: float = 0.0
     """Sum of all of them."""
     buckets: list[int] = field(default_factory=lambda: [0] * (len(EDGES_S) + 1))
     """Number of durations up to each edge and above the one before; the last is above all edges."""
-    _values: list[float] = field(default_factory=list)
-    _next: int = 0
+    _newest: deque[float] = field(default_factory=lambda: deque(maxlen=600))
 
     def add(self, seconds: float) -> None:
         self.count += 1
         self.sum_s += seconds
         self.buckets[bisect_left(EDGES_S, seconds)] += 1
-        if len(self._values) < self.capacity:
-            self._values.append(seconds)
-        else:
-            self._values[self._next] = seconds
-            self._next = (self._next + 1) % self.capacity
+        self._newest.append(seconds)
 
     def quantile(self, q: float) -> float | None:
         """Return the q-quantile, seconds; None before the first value."""
-        return self.quantiles(q)[0]
-
-    def quantiles(self, *qs: float) -> tuple[float | None, ...]:
-        """Return several quantiles, seconds, and sort only once."""
-        if not self._values:
-            return (None,) * len(qs)
-        ordered = sorted(self._values)
-        return tuple(ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in qs)
+        ordered = sorted(self._newest)
+        return ordered[min(len(ordered) - 1, int(q * len(ordered)))] if ordered else None
 
 
 @dataclass(slots=True)
@@ -403,7 +391,7 @@ class Health:
         now = self._clock.now()
         stages = {}
         for name, delays in self.delays.items():
-            p50, p99 = delays.quantiles(0.5, 0.99)
+            p50, p99 = (delays.quantile(q) for q in (0.5, 0.99))
             stages[name] = StageState(delays.count, p50, p99, delays.sum_s, tuple(delays.buckets))
         return HealthSnapshot(
             at=now,

@@ -8,7 +8,7 @@ import math
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -182,7 +182,7 @@ def _check(args: argparse.Namespace) -> int:
         found: dict[str, Any] = {
             "pad": pad.name, "radius_m": pad.disc_radius_m, "alike_headings": headings, "contrasts": contrasts,
             "deck_contrasts": lowest, "farthest_m": farthest_m, "bounds": [_record(b) for b in bounds],
-            "by_lamps": [_lamp_record(b) for b in by_lamps], "warnings": warnings,
+            "by_lamps": [_record(b) for b in by_lamps], "warnings": warnings,
             "clutter": _price_record(found_in, pad) if pad.calibration is not None else None,
         }  # fmt: skip
         sys.stdout.write(json.dumps(found) + "\n")
@@ -208,20 +208,11 @@ def _check(args: argparse.Namespace) -> int:
     return 0
 
 
-def _record(bound: PadAccuracy) -> dict[str, float | None]:
-    yaw = math.degrees(bound.yaw_rad) if math.isfinite(bound.yaw_rad) else None
-    return {
-        "height_m": bound.height_m, "radius_px": bound.radius_px, "in_view": bound.in_view, "lateral_m": bound.lateral_m,
-        "range_m": bound.range_m, "yaw_deg": yaw,
-    }  # fmt: skip
-
-
-def _lamp_record(b: LampAccuracy) -> dict[str, float | None]:
-    found = math.isfinite(b.range_m)
-    return {
-        "height_m": b.height_m, "lamps": b.lamps, "spots": b.spots, "lateral_m": b.lateral_m if found else None,
-        "range_m": b.range_m if found else None, "yaw_deg": math.degrees(b.yaw_rad) if found else None,
-    }  # fmt: skip
+def _record(bound: PadAccuracy | LampAccuracy) -> dict[str, float | None]:
+    """Return a bound as JSON: null for what cannot be measured."""
+    known = {name: value if math.isfinite(value) else None for name, value in asdict(bound).items()}
+    yaw = known.pop("yaw_rad")
+    return {**known, "yaw_deg": None if yaw is None else math.degrees(yaw)}
 
 
 def _lamp_line(b: LampAccuracy) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from importlib.util import find_spec
 from types import TracebackType
-from typing import Any, TextIO
+from typing import Any
 
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from estimator.contracts.time import MonoNs, seconds_between
@@ -24,15 +24,12 @@ class ProgressObserver(NullObserver):
     """An observer that shows the service's estimate of height and lateral distance, its phase, frame rate and delay.
 
     Where the vehicle is not on its way down, the reason stands in place of rate and delay.
-
-    Args:
-        period_s: between two lines where the output is no terminal.
     """
 
-    def __init__(self, out: TextIO | None = None, period_s: float = 1.0) -> None:
-        self._out = out or sys.stderr
+    def __init__(self) -> None:
+        self._out = sys.stderr
         self._live = self._out.isatty()
-        self._period_s = 0.1 if self._live else period_s
+        self._period_s = 0.1 if self._live else 1.0
         self._began: MonoNs | None = None
         self._said: MonoNs | None = None
         self._phase = ""

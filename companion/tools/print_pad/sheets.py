@@ -282,7 +282,7 @@ def pdf(drawing: Drawing, sheets: list[Sheet]) -> bytes:
     for sheet in sheets:
         content = zlib.compress(_pdf_page(drawing, sheet).encode("cp1252", errors="replace"))
         objects.append(b"<< /Length %d /Filter /FlateDecode >>\nstream\n" % len(content) + content + b"\nendstream")
-        box = f"[0 0 {_pdf_n(sheet.width_mm * _PT)} {_pdf_n(sheet.height_mm * _PT)}]"
+        box = f"[0 0 {_n(sheet.width_mm * _PT)} {_n(sheet.height_mm * _PT)}]"
         page = (
             f"<< /Type /Page /Parent 2 0 R /MediaBox {box} /Contents {len(objects)} 0 R /Resources << /Font << /F 3 0 R >> >> >>"
         )
@@ -303,15 +303,15 @@ def pdf(drawing: Drawing, sheets: list[Sheet]) -> bytes:
 def _pdf_page(drawing: Drawing, sheet: Sheet) -> str:
     """Return the page's content, in mm from the top-left corner."""
     x, y, w, h = sheet.from_x_mm, sheet.from_y_mm, sheet.window_width_mm, sheet.window_height_mm
-    lines = ["q", f"{_pdf_n(_PT)} 0 0 {_pdf_n(-_PT)} 0 {_pdf_n(sheet.height_mm * _PT)} cm", "q"]
-    lines += [f"{_pdf_n(sheet.left_mm)} {_pdf_n(sheet.top_mm)} {_pdf_n(w)} {_pdf_n(h)} re W n"]
-    lines += [f"1 0 0 1 {_pdf_n(sheet.left_mm - x)} {_pdf_n(sheet.top_mm - y)} cm"]
+    lines = ["q", f"{_n(_PT)} 0 0 {_n(-_PT)} 0 {_n(sheet.height_mm * _PT)} cm", "q"]
+    lines += [f"{_n(sheet.left_mm)} {_n(sheet.top_mm)} {_n(w)} {_n(h)} re W n"]
+    lines += [f"1 0 0 1 {_n(sheet.left_mm - x)} {_n(sheet.top_mm - y)} cm"]
     lines += [_pdf_shape(s) for s in drawing.shapes if touches(s, x, y, x + w, y + h)]
     lines += ["Q", "0 G 0.15 w"]
-    lines += [f"{_pdf_n(m.x0)} {_pdf_n(m.y0)} m {_pdf_n(m.x1)} {_pdf_n(m.y1)} l S" for m in sheet.lines]
+    lines += [f"{_n(m.x0)} {_n(m.y0)} m {_n(m.x1)} {_n(m.y1)} l S" for m in sheet.lines]
     for label in sheet.labels:
         text = label.text.replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
-        lines.append(f"BT 0 g /F {_pdf_n(label.height_mm)} Tf 1 0 0 -1 {_pdf_n(label.x)} {_pdf_n(label.y)} Tm ({text}) Tj ET")
+        lines.append(f"BT 0 g /F {_n(label.height_mm)} Tf 1 0 0 -1 {_n(label.x)} {_n(label.y)} Tm ({text}) Tj ET")
     lines.append("Q")
     return "\n".join(lines)
 
@@ -319,26 +319,22 @@ def _pdf_page(drawing: Drawing, sheet: Sheet) -> str:
 def _pdf_shape(shape: Shape) -> str:
     if isinstance(shape, Polygon):
         (x0, y0), *rest = shape.points_mm.tolist()
-        path = f"{_pdf_n(x0)} {_pdf_n(y0)} m " + " ".join(f"{_pdf_n(x)} {_pdf_n(y)} l" for x, y in rest) + " h f"
+        path = f"{_n(x0)} {_n(y0)} m " + " ".join(f"{_n(x)} {_n(y)} l" for x, y in rest) + " h f"
         return f"{_pdf_colour(shape.fill)} rg {path}"
     return f"{_pdf_colour(shape.fill)} rg {_circle(shape)}"
 
 
 def _circle(disc: Disc) -> str:
     r, k, step = disc.radius_mm, _EIGHTH, pi / 4
-    parts = [f"{_pdf_n(disc.x_mm + r)} {_pdf_n(disc.y_mm)} m"]
+    parts = [f"{_n(disc.x_mm + r)} {_n(disc.y_mm)} m"]
     for i in range(8):
         a, b = i * step, (i + 1) * step
         points = [
             (cos(a) - k * sin(a), sin(a) + k * cos(a)), (cos(b) + k * sin(b), sin(b) - k * cos(b)), (cos(b), sin(b)),
         ]  # fmt: skip
-        parts.append(" ".join(f"{_pdf_n(disc.x_mm + r * px)} {_pdf_n(disc.y_mm + r * py)}" for px, py in points) + " c")
+        parts.append(" ".join(f"{_n(disc.x_mm + r * px)} {_n(disc.y_mm + r * py)}" for px, py in points) + " c")
     return " ".join(parts) + " h f"
 
 
 def _pdf_colour(rgb: Rgb) -> str:
-    return " ".join(_pdf_n(c / 255) for c in rgb)
-
-
-def _pdf_n(value: float) -> str:
-    return f"{value:.5f}".rstrip("0").rstrip(".")
+    return " ".join(_n(c / 255) for c in rgb)

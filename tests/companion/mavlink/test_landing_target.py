@@ -81,21 +81,6 @@ def test_every_field_is_what_one_turn_after_the_other_gives(case: Case) -> None:
     assert list(m.q) == [0.0, 0.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize("case", [c for c in CASES if c.stack == "ardupilot"], ids=lambda c: c.name)
-@pytest.mark.parametrize("form", ["position", "angles of 4.0", "angles and a rangefinder"])
-def test_ardupilot_takes_the_target_where_it_is(case: Case, form: str) -> None:
-    m = over_the_wire(send(case, ARROW))
-    receiver = ArduPilotReceiver(angles_only=form != "position")
-    if form == "angles and a rangefinder":
-        m.distance = 0.0
-        receiver.rangefinder_m = ned_to_body(case.rpy, D_NED)[2]
-    receiver.loop(case.rpy)
-    assert receiver.on_message(m) == pytest.approx(D_NED, abs=1e-5)
-    if form != "angles and a rangefinder":
-        assert m.distance == pytest.approx(math.sqrt(m.x**2 + m.y**2 + m.z**2), rel=1e-6)
-    assert (m.frame, m.position_valid, m.type) == (12, 1, 3)
-
-
 @pytest.mark.parametrize("case", [c for c in CASES if c.stack == "px4"], ids=lambda c: c.name)
 def test_px4_takes_the_target_where_it_is(case: Case) -> None:
     m = over_the_wire(send(case, ARROW))
@@ -119,10 +104,13 @@ def test_angles_position_and_distance_agree_wherever_the_pad_is(x, y, z, roll, p
         assert ned_to_body((roll, pitch, yaw), d)[2] < 0.03
         return
     m = over_the_wire(message)
-    for angles_only in (False, True):
-        receiver = ArduPilotReceiver(angles_only=angles_only)
+    tolerance_m = 2e-5 * m.distance / max(m.z, 0.02)
+    for form in ("position", "angles of 4.0", "angles and a rangefinder"):
+        receiver = ArduPilotReceiver(angles_only=form != "position")
+        if form == "angles and a rangefinder":
+            m.distance, receiver.rangefinder_m = 0.0, ned_to_body((roll, pitch, yaw), d)[2]
         receiver.loop((roll, pitch, yaw))
-        assert receiver.on_message(m) == pytest.approx(d, abs=2e-5 * m.distance / max(m.z, 0.02))
+        assert receiver.on_message(m) == pytest.approx(d, abs=tolerance_m)
 
 
 def test_the_receivers_drop_what_the_real_ones_drop() -> None:
