@@ -3,7 +3,7 @@
 from companion.tools.doctor import rules_autopilots, rules_links, rules_values
 from companion.tools.doctor.finding import Finding, Row, Rule, Severity, error, warning
 from companion.tools.doctor.snapshot import Snapshot
-from drivers.imports.log_history import VIBRATION_LIMIT_M_S2
+from drivers.imports.log_history import VIBRATION_LIMIT_M_S2, Excess
 
 _SHOWN = 4
 _REFUSED_S, _REFUSED_LONG_S = 1.0, 3.0
@@ -64,50 +64,20 @@ def estimator(p: Snapshot) -> Finding | None:
     return make("log-ekf", f"the EKF refused what it measured: {output}", f"check {_SOURCES.get(worst, worst)}")
 
 
-def vibration(p: Snapshot) -> Finding | None:
-    """Find vibration above what the stack's documentation allows."""
-    log, autopilot = p.log, p.autopilot
-    if log is None or autopilot is None or log.vibration_m_s2 is None or log.vibration_m_s2.over_s < _REFUSED_S:
+def _vibration(p: Snapshot) -> tuple[float, Excess] | None:
+    """Return what the stack's documentation allows of vibration, m/s^2, and by how much and when it was exceeded."""
+    seen = None if p.log is None or p.autopilot is None else p.log.vibration_m_s2
+    if p.autopilot is None or seen is None or seen.over_s < _REFUSED_S:
         return None
-    limit, seen = VIBRATION_LIMIT_M_S2.get(autopilot.stack, 30.0), log.vibration_m_s2
-    return warning(
-        "log-vibration",
-        f"vibration was above {limit:g} m/s^2 for {seen.over_s:.1f} s (worst {seen.worst:.0f} at {seen.at_s:.1f} s): "
-        "a contact is not felt in it",
-        "mount the autopilot softly and balance the propellers before filters are made slower",
-    )
+    return VIBRATION_LIMIT_M_S2.get(p.autopilot.stack, 30.0), seen
 
 
-def landing_detector(p: Snapshot) -> Finding | None:
-    """Find a landing that the autopilot's detector saw and took back."""
-    log, autopilot = p.log, p.autopilot
-    if log is None or autopilot is None:
+def _taken_back(p: Snapshot) -> tuple[float, str, str] | None:
+    """Return a landing that the detector saw and took back: its time in s, how often, and what PX4 needs."""
+    one = None if p.log is None else next((one for one in p.log.landings if one.lost > 0), None)
+    if one is None or p.autopilot is None:
         return None
-    suspect = [one for one in log.landings if one.lost > 0]
-    if not suspect:
-        return None
-    px4 = "set LNDMC_ROT_MAX 20; "
-    return warning(
-        "log-land-detector",
-        f"the landing at {suspect[0].at_s:.1f} s was detected and taken back {_times(suspect[0].lost)}: a moving deck hides it",
-        f"{px4 if autopilot.stack == 'PX4' else ''}leave vehicle.disarm_on_contact on: the service stops the motors itself",
-    )
-
-
-def armed_on_deck(p: Snapshot) -> Finding | None:
-    """Find a vehicle that stayed armed on a deck that moves."""
-    log = p.log
-    if log is None or not p.moving_pad:
-        return None
-    late = [one for one in log.landings if one.armed_s > _ARMED_MAX_S]
-    if not late:
-        return None
-    return warning(
-        "log-armed-on-deck",
-        f"it stayed armed for {late[0].armed_s:.0f} s after the landing at {late[0].at_s:.1f} s: "
-        "it slides, or leaps off with a deck that falls away",
-        "leave vehicle.disarm_on_contact on, or set COM_DISARM_LAND 2 (PX4), and land in LAND (ArduCopter)",
-    )
+    return one.at_s, _times(one.lost), "set LNDMC_ROT_MAX 20; " if p.autopilot.stack == "PX4" else ""
 
 
 LOG_RULES: tuple[Rule, ...] = (
@@ -115,7 +85,18 @@ LOG_RULES: tuple[Rule, ...] = (
     Row("log-clipping", Severity.WARNING, lambda p: p.log is not None and p.log.clipped > _CLIPPED_MAX and p.log.clipped,
         "the accelerometer reached the end of its range {0} times: velocity and height are wrong after each",
         "mount the autopilot softly, balance the propellers, and look for what strikes it"),
-    vibration, landing_detector, armed_on_deck,
+    Row("log-vibration", Severity.WARNING, _vibration,
+        "vibration was above {0[0]:g} m/s^2 for {0[1].over_s:.1f} s (worst {0[1].worst:.0f} at {0[1].at_s:.1f} s): "
+        "a contact is not felt in it",
+        "mount the autopilot softly and balance the propellers before filters are made slower"),
+    Row("log-land-detector", Severity.WARNING, _taken_back,
+        "the landing at {0[0]:.1f} s was detected and taken back {0[1]}: a moving deck hides it",
+        "{0[2]}leave vehicle.disarm_on_contact on: the service stops the motors itself"),
+    Row("log-armed-on-deck", Severity.WARNING,
+        lambda p: p.log and p.moving_pad and next((one for one in p.log.landings if one.armed_s > _ARMED_MAX_S), None),
+        "it stayed armed for {0.armed_s:.0f} s after the landing at {0.at_s:.1f} s: "
+        "it slides, or leaps off with a deck that falls away",
+        "leave vehicle.disarm_on_contact on, or set COM_DISARM_LAND 2 (PX4), and land in LAND (ArduCopter)"),
     Row("log-target-lost", Severity.WARNING,
         lambda p: p.log is not None and p.log.targets_lost > _LOST_MAX and p.log.targets_lost,
         "precision landing lost its target {0} times",

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Any
 
 from companion.tools.doctor.snapshot import Snapshot
 
@@ -75,9 +76,14 @@ class Row:
     what: str
     """Description of the fault, in which {0} is the sign."""
     fix: str
-    changes: Mapping[str, float] = field(default_factory=dict)
+    """The fix, in which {0} is the sign, too."""
+    changes: Mapping[str, float] | Callable[[Any], Mapping[str, float]] = field(default_factory=dict)
+    """Parameters that `doctor --fix` sets, as they are or by the sign."""
 
     def __call__(self, snapshot: Snapshot) -> Finding | None:
         """Return the finding, or None without a sign of the fault."""
         sign = self.sign(snapshot)
-        return Finding(self.rule, self.severity, self.what.format(sign), self.fix, _changes(self.changes)) if sign else None
+        if not sign:
+            return None
+        changes = self.changes(sign) if callable(self.changes) else self.changes
+        return Finding(self.rule, self.severity, self.what.format(sign), self.fix.format(sign), _changes(changes))

@@ -13,7 +13,7 @@ PARAMETERS = (
 _EXTERNAL_NAV, _BY_RANGE = 6.0, 2.0
 _BY_MAVLINK, _DOWN, _COMPANION, _KALMAN = 10.0, 25.0, 1.0, 1.0
 _MOVING_TARGET = 1
-_ERROR, _WARNING = Severity.ERROR, Severity.WARNING
+_ERROR, _WARNING, _ADVICE = Severity.ERROR, Severity.WARNING, Severity.ADVICE
 _SCRIPT = "configs/autopilot/decklander_disarm.lua"
 _HEAP_MIN = 40_000.0
 """Memory that the script needs, with ArduPilot's own share of it, bytes."""
@@ -72,45 +72,25 @@ def _angles_only(p: Snapshot) -> str | None:
     return None if a is None or a.firmware is None or a.firmware >= (4, 1, 0) else ".".join(map(str, a.firmware))
 
 
-def plnd_blind(p: Snapshot) -> Finding | None:
-    """Find an autopilot that goes on to land when the pad is out of sight."""
-    if not _enabled(p) or _value(p, "PLND_STRICT") != 0.0:
-        return None
-    return warning(
-        "plnd-blind",
-        "PLND_STRICT is 0: with the pad out of sight it lands anyway, wherever it is",
-        "set PLND_STRICT 2 (hover) or 1 (climb and try again)",
-        {"PLND_STRICT": 2.0 if p.moving_pad else 1.0},
-    )
+def _strict(p: Snapshot) -> float | None:
+    """Return what PLND_STRICT should be in an autopilot that goes on to land when the pad is out of sight."""
+    return None if not _enabled(p) or _value(p, "PLND_STRICT") != 0.0 else 2.0 if p.moving_pad else 1.0
 
 
-def plnd_lag(p: Snapshot) -> Finding | None:
-    """Find a lag, seconds, that is more than 0.05 s from the measured delay between exposure and estimate."""
+def _wrong_lag(p: Snapshot) -> tuple[float, float, float] | None:
+    """Return a lag, s, that is more than 0.05 s from the delay of a frame, that delay, ms, and the best lag, s."""
     lag_s, delay_s = _value(p, "PLND_LAG"), p.service.exposure_to_belief_s
     if not _enabled(p) or lag_s is None or delay_s is None:
         return None
     best_s = min(max(delay_s, 0.02), 0.25)
-    if abs(lag_s - best_s) <= 0.05:
-        return None
-    return advice(
-        "plnd-lag",
-        f"PLND_LAG is {lag_s:g} s, but a frame is {1e3 * delay_s:.0f} ms old when it is understood",
-        f"set PLND_LAG {best_s:.2f} and reboot: then targets are of instants that were seen, not predicted",
-        {"PLND_LAG": round(best_s, 2)},
-    )
+    return None if abs(lag_s - best_s) <= 0.05 else (lag_s, 1e3 * delay_s, best_s)
 
 
-def plnd_still_target(p: Snapshot) -> Finding | None:
-    """Find an autopilot that takes a moving pad to stand still."""
-    options = _value(p, "PLND_OPTIONS")
-    if not _enabled(p) or options is None or not p.moving_pad or int(options) & _MOVING_TARGET:
-        return None
-    return error(
-        "plnd-still-target",
-        "PLND_OPTIONS takes the pad to stand still: on a ship at 1.5 m/s it touches down 1.5 m behind",
-        f"set PLND_OPTIONS {int(options) | _MOVING_TARGET} (bit 0: moving target)",
-        {"PLND_OPTIONS": float(int(options) | _MOVING_TARGET)},
-    )
+def _still_target(p: Snapshot) -> int | None:
+    """Return what PLND_OPTIONS should be in an autopilot that takes a moving pad to stand still."""
+    options = int(_value(p, "PLND_OPTIONS") or 0.0)
+    known = _enabled(p) and _value(p, "PLND_OPTIONS") is not None
+    return options | _MOVING_TARGET if known and p.moving_pad and not options & _MOVING_TARGET else None
 
 
 def plnd_mount_twice(p: Snapshot) -> Finding | None:
@@ -137,17 +117,12 @@ def _kinds(p: Snapshot) -> dict[int, float]:
     return {n: v for n, v in found.items() if v is not None}
 
 
-def rangefinder_turned(p: Snapshot) -> Finding | None:
-    """Find a rangefinder over MAVLink that does not look down, so that our distances are dropped."""
-    for n, kind in _kinds(p).items():
-        orient = _value(p, f"RNGFND{n}_ORIENT")
-        if kind == _BY_MAVLINK and orient not in (None, _DOWN):
-            return error(
-                "rangefinder-turned",
-                f"RNGFND{n}_ORIENT is {orient:g}: distances that look down are dropped",
-                f"set RNGFND{n}_ORIENT 25 and reboot",
-                {f"RNGFND{n}_ORIENT": _DOWN},
-            )
+def _rangefinder_turned(p: Snapshot) -> tuple[str, float] | None:
+    """Return the parameter that turns a rangefinder over MAVLink, and its value that does not look down."""
+    for name in (f"RNGFND{n}_ORIENT" for n, kind in _kinds(p).items() if kind == _BY_MAVLINK):
+        orient = _value(p, name)
+        if orient is not None and orient != _DOWN:
+            return name, orient
     return None
 
 
@@ -165,18 +140,11 @@ def ekf_external(p: Snapshot) -> Finding | None:
     )
 
 
-def ekf_height_by_range(p: Snapshot) -> Finding | None:
-    """Find an EKF whose height follows a moving deck."""
+def _height_by_range(p: Snapshot) -> dict[str, float]:
+    """Return what an EKF needs whose height follows a moving deck."""
     to = {"EK3_SRC1_POSZ": 1.0} if _value(p, "EK3_SRC1_POSZ") == _BY_RANGE else {}
     to |= {"EK3_RNG_USE_HGT": -1.0} if (_value(p, "EK3_RNG_USE_HGT") or 0.0) > 0.0 else {}
-    if not to or not p.moving_pad:
-        return None
-    return error(
-        "ekf-height-by-range",
-        "the EKF takes height from the rangefinder: it follows the deck's heave, and jumps at the deck's edge",
-        "set EK3_SRC1_POSZ 1 (barometer) or 3 (GNSS) and EK3_RNG_USE_HGT -1",
-        to,
-    )
+    return to if p.moving_pad else {}
 
 
 def disarm_script(p: Snapshot) -> Finding | None:
@@ -219,10 +187,19 @@ RULES: tuple[Rule, ...] = (
         "PLND_EST_TYPE is 0: raw measurements, no velocity of the pad",
         "set PLND_EST_TYPE 1",
         {"PLND_EST_TYPE": _KALMAN}),
-    plnd_lag,
-    plnd_still_target,
+    Row("plnd-lag", _ADVICE, _wrong_lag,
+        "PLND_LAG is {0[0]:g} s, but a frame is {0[1]:.0f} ms old when it is understood",
+        "set PLND_LAG {0[2]:.2f} and reboot: then targets are of instants that were seen, not predicted",
+        lambda lag: {"PLND_LAG": round(lag[2], 2)}),
+    Row("plnd-still-target", _ERROR, _still_target,
+        "PLND_OPTIONS takes the pad to stand still: on a ship at 1.5 m/s it touches down 1.5 m behind",
+        "set PLND_OPTIONS {0} (bit 0: moving target)",
+        lambda to: {"PLND_OPTIONS": float(to)}),
     plnd_mount_twice,
-    plnd_blind,
+    Row("plnd-blind", _WARNING, _strict,
+        "PLND_STRICT is 0: with the pad out of sight it lands anyway, wherever it is",
+        "set PLND_STRICT 2 (hover) or 1 (climb and try again)",
+        lambda to: {"PLND_STRICT": to}),
     Row("plnd-ceiling", _WARNING, _low_ceiling,
         "PLND_ALT_MAX is {0} m: above it the pad is not looked for",
         "set PLND_ALT_MAX 8 or more",
@@ -233,9 +210,15 @@ RULES: tuple[Rule, ...] = (
     Row("rangefinder-unfed", _ERROR, lambda p: _BY_MAVLINK in _kinds(p).values() and p.service.sends_ranges is False,
         "a rangefinder waits for DISTANCE_SENSOR (RNGFNDx_TYPE 10) and nobody sends it: arming is refused",
         "let the service send ranges, already on the ground, or set RNGFNDx_TYPE 0"),
-    rangefinder_turned,
+    Row("rangefinder-turned", _ERROR, _rangefinder_turned,
+        "{0[0]} is {0[1]:g}: distances that look down are dropped",
+        "set {0[0]} 25 and reboot",
+        lambda turned: {turned[0]: _DOWN}),
     ekf_external,
-    ekf_height_by_range,
+    Row("ekf-height-by-range", _ERROR, _height_by_range,
+        "the EKF takes height from the rangefinder: it follows the deck's heave, and jumps at the deck's edge",
+        "set EK3_SRC1_POSZ 1 (barometer) or 3 (GNSS) and EK3_RNG_USE_HGT -1",
+        lambda to: to),
     Row("gyro-calibration", _WARNING, lambda p: p.moving_pad and _value(p, "INS_GYR_CAL") == 1.0,
         "INS_GYR_CAL is 1: at each boot the gyros are calibrated, and the deck's motion with them",
         "calibrate once ashore, then set INS_GYR_CAL 0"),

@@ -1,6 +1,6 @@
 """Rules for links, streams and clocks, which apply to any autopilot."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from companion.settings.mission import ConeOptions
 from companion.tools.doctor.finding import Finding, Row, Rule, Severity, advice, error, warning
@@ -174,56 +174,30 @@ def link_one_way(p: Snapshot) -> Finding | None:
     )
 
 
-def stream_refused(p: Snapshot) -> Finding | None:
-    """Find a stream that the autopilot refuses to send."""
+def _streams_refused(p: Snapshot) -> str:
+    """Return the streams that the autopilot refuses to send."""
     a = p.autopilot
-    if a is None:
-        return None
-    refused = [
-        n
-        for n, result in a.refused.items()
-        if result != _NO_ANSWER and n in ESSENTIAL and a.rates_hz.get(INSTEAD.get(n, ""), 0.0) < 0.2
-    ]
-    if refused:
-        return error(
-            "stream-refused",
-            f"the autopilot refuses to send {', '.join(sorted(refused))}",
-            "it answers to SET_MESSAGE_INTERVAL with an error: update the firmware, or enable the message in its build",
-        )
-    return None
+    answered = {} if a is None else {n: a.rates_hz.get(INSTEAD.get(n, ""), 0.0) for n, r in a.refused.items() if r != _NO_ANSWER}
+    return ", ".join(sorted(n for n, instead_hz in answered.items() if n in ESSENTIAL and instead_hz < 0.2))
 
 
-def stream_silent(p: Snapshot) -> Finding | None:
-    """Find a stream that was accepted but does not arrive."""
+def _streams_silent(p: Snapshot) -> str:
+    """Return the streams that were accepted but do not arrive."""
     a = p.autopilot
     if a is None or p.seconds < 3.0 or unanswered(p):
-        return None
+        return ""
     received = {n for n, rate in a.rates_hz.items() if rate >= 0.2}
     asked = [n for n in ESSENTIAL if n in a.wanted_hz and a.refused.get(n, _NO_ANSWER) == _NO_ANSWER]
-    silent = [n for n in asked if n not in received and INSTEAD.get(n, n) not in received]
-    if silent:
-        return error(
-            "stream-silent",
-            f"requested and not received: {', '.join(silent)}",
-            "LOCAL_POSITION_NED needs a position estimate (GNSS or flow, EKF healthy); for the rest another program "
-            "(a ground station's stream rates, SRn_*) turns streams off: set its rates to 0",
-        )
-    return None
+    return ", ".join(n for n in asked if n not in received and INSTEAD.get(n, n) not in received)
 
 
-def stream_slow(p: Snapshot) -> Finding | None:
-    """Find an attitude stream too slow to correct for the tilt."""
+def _attitude_slow(p: Snapshot) -> tuple[float, float] | None:
+    """Return the rate of an attitude stream too slow to correct for the tilt, and the one that was requested, Hz."""
     a = p.autopilot
     if a is None:
         return None
     rate = max(a.rates_hz.get(name, 0.0) for name in ("ATTITUDE_QUATERNION", INSTEAD["ATTITUDE_QUATERNION"]))
-    if 0.2 <= rate < 30.0:
-        return warning(
-            "attitude-slow",
-            f"attitude comes at {rate:.0f} Hz, {a.wanted_hz.get('ATTITUDE_QUATERNION', 100.0):.0f} were requested",
-            "use a faster link (921600 on serial, USB, Ethernet): at 10 Hz a swinging vehicle's tilt is wrong by degrees",
-        )
-    return None
+    return (rate, a.wanted_hz.get("ATTITUDE_QUATERNION", 100.0)) if 0.2 <= rate < 30.0 else None
 
 
 def clock_far(p: Snapshot) -> Finding | None:
@@ -240,16 +214,12 @@ def clock_far(p: Snapshot) -> Finding | None:
     return warning("clock-far", f"{found}: stamps are known to {500 * p.sync.round_trip_s:.0f} ms", fix)
 
 
-def camera_slow(p: Snapshot) -> Finding | None:
-    """Find a camera with too low a frame rate."""
+def _few_frames(p: Snapshot) -> str | None:
+    """Return the words for a camera with too low a frame rate."""
     rate = p.service.frame_rate_hz
-    if rate is not None and rate < 10.0:
-        return warning(
-            "camera-slow",
-            "no frame comes" if rate == 0.0 else f"only {rate:.1f} frames a second come",
-            "check cable and USB power, give the camera its own bus, and more light: exposure time limits the rate",
-        )
-    return None
+    if rate is None or rate >= 10.0:
+        return None
+    return "no frame comes" if rate == 0.0 else f"only {rate:.1f} frames a second come"
 
 
 def exposure_limited(p: Snapshot) -> Finding | None:
@@ -277,7 +247,7 @@ def gimbal_silent(p: Snapshot) -> Finding | None:
     gimbal = p.service.gimbal or p.gimbal
     if gimbal is None or gimbal.rate_hz >= _GIMBAL_HZ:
         return None
-    counts = ", ".join(f"{why} {n}" for why, n in sorted(gimbal.refused.items(), key=lambda i: -i[1]) if n)
+    counts = _counted(gimbal.refused)
     refused = f"; refused: {counts}" if counts else ""
     if gimbal.rate_hz < _GIMBAL_SILENT_HZ:
         return error(
@@ -300,17 +270,15 @@ def ship_place(p: Snapshot) -> Finding | None:
     return (error if found.refuses else advice)("ship-place", found.what, found.fix)
 
 
-def ship_silent(p: Snapshot) -> Finding | None:
-    """Find a running service that expects the ship's place and takes none."""
-    s = p.service
-    if s.places_taken != 0:
-        return None
-    refused = ", ".join(f"{why} {n}" for why, n in sorted(s.places_refused.items(), key=lambda i: -i[1]) if n)
-    return warning(
-        "ship-silent",
-        "the service took no place of the ship" + (f"; refused: {refused}" if refused else ": nothing arrives"),
-        "docs/rendezvous.md says what each reason means; nothing arrives: check the address, the port and the firewall",
-    )
+def _counted(refused: Mapping[str, int]) -> str:
+    """Return reasons with their numbers, the most frequent first."""
+    return ", ".join(f"{why} {n}" for why, n in sorted(refused.items(), key=lambda i: -i[1]) if n)
+
+
+def _ship_silent(p: Snapshot) -> str | None:
+    """Return what a running service says that expects the ship's place and takes none."""
+    refused = _counted(p.service.places_refused)
+    return None if p.service.places_taken != 0 else f"; refused: {refused}" if refused else ": nothing arrives"
 
 
 def _lossy(p: Snapshot) -> tuple[str, float] | None:
@@ -382,7 +350,17 @@ RULES: tuple[Rule, ...] = (
         lambda p: None if p.autopilot is None else _first(p, lambda link: link.unknown_senders > 20),
         "{0.url}: {0.unknown_senders} messages of systems that may not command and get no messages",
         "where one is your ground station, name its system in vehicle.operators (QGroundControl is 255), or sign"),
-    link_one_way, wrong_system, no_autopilot, several_autopilots, stream_refused, stream_silent, stream_slow,
+    link_one_way, wrong_system, no_autopilot, several_autopilots,
+    Row("stream-refused", _ERROR, _streams_refused,
+        "the autopilot refuses to send {0}",
+        "it answers to SET_MESSAGE_INTERVAL with an error: update the firmware, or enable the message in its build"),
+    Row("stream-silent", _ERROR, _streams_silent,
+        "requested and not received: {0}",
+        "LOCAL_POSITION_NED needs a position estimate (GNSS or flow, EKF healthy); for the rest another program "
+        "(a ground station's stream rates, SRn_*) turns streams off: set its rates to 0"),
+    Row("attitude-slow", _WARNING, _attitude_slow,
+        "attitude comes at {0[0]:.0f} Hz, {0[1]:.0f} were requested",
+        "use a faster link (921600 on serial, USB, Ethernet): at 10 Hz a swinging vehicle's tilt is wrong by degrees"),
     Row("clock-not-locked", _ERROR, _clock_open,
         "TIMESYNC is not answered, or never twice alike: instants of the autopilot are known to some 20 ms only",
         "check that nothing between filters TIMESYNC (a router, a ground station's forwarding)"),
@@ -409,12 +387,18 @@ RULES: tuple[Rule, ...] = (
     Row("camera-size", _ERROR, _other_size,
         "the camera sends {0[0]}x{0[1]}, its file describes {0[2]}x{0[3]}",
         "calibrate at the size that is used, or set the size of the calibration: no frame can be used like this"),
-    camera_slow, exposure_limited, gimbal_silent,
+    Row("camera-slow", _WARNING, _few_frames,
+        "{0}",
+        "check cable and USB power, give the camera its own bus, and more light: exposure time limits the rate"),
+    exposure_limited, gimbal_silent,
     Row("broker", _WARNING, lambda p: None if p.service.broker_fault is None else p.service,
         "MQTT broker {0.broker}: {0.broker_fault}",
         "start the broker, or correct its address; landing does not need it, telemetry does"),
     Row("drone", _ERROR, lambda p: None if p.service.drone_fault is None else p.service,
         "AR.Drone at {0.drone}: {0.drone_fault}",
         "join its Wi-Fi (ardrone2_...), check that this host has an address 192.168.1.x, and power-cycle the drone"),
-    ship_place, ship_silent,
+    ship_place,
+    Row("ship-silent", _WARNING, _ship_silent,
+        "the service took no place of the ship{0}",
+        "docs/rendezvous.md says what each reason means; nothing arrives: check the address, the port and the firewall"),
 )  # fmt: skip

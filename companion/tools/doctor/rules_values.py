@@ -9,7 +9,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from companion.tools.doctor.finding import Finding, ParameterChange, Rule, Severity, error, warning
+from companion.tools.doctor.finding import Finding, ParameterChange, Row, Rule, Severity, warning
 from companion.tools.doctor.firmware_parameters import NamedValue, named_value
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
 
@@ -124,8 +124,8 @@ def copter_return(p: Snapshot) -> Finding | None:
     )
 
 
-def px4_return(p: Snapshot) -> Finding | None:
-    """Find a failsafe of PX4 that returns, where a return ends with a landing."""
+def _px4_returns(p: Snapshot) -> tuple[str, float] | None:
+    """Return the failsafes of PX4 that return, and the delay with which a return ends in a landing, s."""
     a = _of(p, "PX4")
     if a is None or a.parameters.get("RTL_LAND_DELAY", -1.0) < 0.0:
         return None
@@ -134,15 +134,7 @@ def px4_return(p: Snapshot) -> Finding | None:
         returning.append("NAV_RCL_ACT 2")
     if a.parameters.get("NAV_DLL_ACT") == _PX4_RETURN and not int(a.parameters.get("COM_DLL_EXCEPT", 0.0)) & _OFFBOARD:
         returning.append("NAV_DLL_ACT 2")
-    if not returning:
-        return None
-    lands = f"RTL_LAND_DELAY {a.parameters['RTL_LAND_DELAY']:g} lands it there"
-    return warning(
-        "px4-return-lands",
-        f"{', '.join(returning)}: it returns to where the ship was, and {lands}",
-        "set RTL_LAND_DELAY -1: a return ends in a hover, for a person to take over",
-        {"RTL_LAND_DELAY": -1.0},
-    )
+    return (", ".join(returning), a.parameters["RTL_LAND_DELAY"]) if returning else None
 
 
 def _sticks_matter(a: AutopilotSnapshot) -> bool:
@@ -151,23 +143,24 @@ def _sticks_matter(a: AutopilotSnapshot) -> bool:
     return not excepted and a.parameters.get("COM_RC_IN_MODE") != _NO_STICKS
 
 
-def joystick_only(p: Snapshot) -> Finding | None:
-    """Find a PX4 that takes a ground station's joystick alone: a station that is lost is a remote control that is lost."""
+def _joystick_only(p: Snapshot) -> bool:
+    """Return whether a PX4 takes a station's joystick alone: a station that is lost is a remote control that is lost."""
     a = _of(p, "PX4")
-    if a is None or a.parameters.get("COM_RC_IN_MODE") != 1.0 or not _sticks_matter(a):
-        return None
-    return error(
-        "px4-joystick-only",
-        "COM_RC_IN_MODE is 1: the remote control is not listened to, and without a station's joystick it fails safe in OFFBOARD",
-        "set COM_RC_IN_MODE 3 (both), or 4 where nobody holds a remote control",
-        {"COM_RC_IN_MODE": 3.0},
-    )
-
-
-FAILSAFE_RULES: tuple[Rule, ...] = (copter_remote_loss, copter_return, px4_return, joystick_only)
+    return a is not None and a.parameters.get("COM_RC_IN_MODE") == 1.0 and _sticks_matter(a)
 
 
 _ERROR, _WARNING, _ADVICE = Severity.ERROR, Severity.WARNING, Severity.ADVICE
+FAILSAFE_RULES: tuple[Rule, ...] = (
+    copter_remote_loss, copter_return,
+    Row("px4-return-lands", _WARNING, _px4_returns,
+        "{0[0]}: it returns to where the ship was, and RTL_LAND_DELAY {0[1]:g} lands it there",
+        "set RTL_LAND_DELAY -1: a return ends in a hover, for a person to take over",
+        {"RTL_LAND_DELAY": -1.0}),
+    Row("px4-joystick-only", _ERROR, _joystick_only,
+        "COM_RC_IN_MODE is 1: the remote control is not listened to, and without a station's joystick it fails safe in OFFBOARD",
+        "set COM_RC_IN_MODE 3 (both), or 4 where nobody holds a remote control",
+        {"COM_RC_IN_MODE": 3.0}),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
