@@ -22,7 +22,8 @@ from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.load import Settings, load
 from companion.tools.doctor.diagnose import RULES, diagnose
 from companion.tools.doctor.finding import Finding, Severity
-from companion.tools.doctor.gather import examine, examine_log, wait_until
+from companion.tools.doctor.gather import examine, wait_until
+from companion.tools.doctor.gather_log import examine_log
 from companion.tools.doctor.gather_service import examine_service
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot, decode, encode
 from companion.tools.doctor.undo import (
