@@ -11,7 +11,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from companion.guidance.make_pilot import make_pilot
 from companion.recording import channels
-from companion.recording.reading import CAMERA, PAD, SETTINGS, RecordedFrame, open_recording
+from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.load import load
 from companion.settings.model import Settings
 from companion.tools.replay.engine import Replay
@@ -38,7 +38,7 @@ def run_messages(data: bytes) -> None:
     choices = Choices(data)
     attachments: dict[str, bytes] = {}
     how = choices.number(1)
-    for bit, name in enumerate((SETTINGS, CAMERA, PAD)):
+    for bit, name in enumerate((channels.SETTINGS, channels.CAMERA, channels.PAD)):
         if how >> bit & 1:
             attachments[name] = choices.block()
     rows: list[tuple[str, bytes]] = []

@@ -12,7 +12,8 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from companion.cli.options import check_new, file_errors, option, print_result, recording_argument
-from companion.recording.reading import CAMERA, Recording, open_recording
+from companion.recording.channels import CAMERA
+from companion.recording.reading import Recording, open_recording
 from companion.settings.load import load
 from companion.settings.model import in_file
 from companion.tools.calibrate.flight_result import MountResult, flight_result, readout_result

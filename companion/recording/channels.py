@@ -17,6 +17,8 @@ from estimator.contracts.estimates import PathName
 from estimator.contracts.fusion import Source
 from estimator.contracts.samples import Sample
 
+SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"
+"""The attachments of a recording."""
 IMAGE, VIDEO = "/camera/image", "/camera/video"
 ANNOTATIONS, CALIBRATION = "/camera/annotations", "/camera/calibration"
 DETECTION, DECISION, TRUTH, LINK, HEALTH, LOG, TRANSFORMS = "/detection", "/decision", "/truth", "/link", "/health", "/log", "/tf"

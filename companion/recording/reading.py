@@ -30,7 +30,6 @@ from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.pad import Pad
 
-SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"
 NOT_UNDERSTOOD = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
 """Errors that mean that this version does not understand a message."""
 _APART_NS = 24 * 3600 * NS_PER_S
@@ -201,18 +200,18 @@ class Recording:
         Raises:
             BadInput: this version does not understand them.
         """
-        data = self._toml(SETTINGS)
-        return None if data is None else from_mapping(data, f"{self.name}: {SETTINGS}", recorded=True)
+        data = self._toml(channels.SETTINGS)
+        return None if data is None else from_mapping(data, f"{self.name}: {channels.SETTINGS}", recorded=True)
 
     def camera(self) -> Camera | None:
         """Return the camera that the recording was made with, or None; raises as `settings`."""
-        data = self._toml(CAMERA)
-        return None if data is None else Camera.from_mapping(data, f"{self.name}: {CAMERA}")
+        data = self._toml(channels.CAMERA)
+        return None if data is None else Camera.from_mapping(data, f"{self.name}: {channels.CAMERA}")
 
     def pad(self) -> Pad | None:
         """Return the pad that the recording was made with, or None; raises as `settings`."""
-        data = self._toml(PAD)
-        return None if data is None else Pad.from_mapping(data, f"{self.name}: {PAD}")
+        data = self._toml(channels.PAD)
+        return None if data is None else Pad.from_mapping(data, f"{self.name}: {channels.PAD}")
 
     def _toml(self, name: str) -> dict[str, Any] | None:
         if name not in self.attachments:

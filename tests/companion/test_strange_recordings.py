@@ -17,8 +17,9 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from companion.cli.main import main
+from companion.recording.channels import SETTINGS
 from companion.recording.container import MOST_CHUNK_BYTES
-from companion.recording.reading import SETTINGS, open_recording
+from companion.recording.reading import open_recording
 from companion.settings import schema
 from companion.settings.load import load
 

@@ -11,8 +11,8 @@ from companion.base.containment import CallGuard, RestartablePart
 from companion.base.health import Health
 from companion.parts.recorder.recorder import PART, Recorder
 from companion.parts.recorder.storage_policy import Folder, SingleFile
+from companion.recording.channels import CAMERA, PAD, SETTINGS
 from companion.recording.mcap_file import About, Attachment
-from companion.recording.reading import CAMERA, PAD, SETTINGS
 from companion.settings import schema
 from companion.settings.load import body_camera, find_file, pad_model
 from companion.settings.model import Settings

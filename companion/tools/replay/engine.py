@@ -24,7 +24,8 @@ from companion.facts.records import FusionRecord, HealthRecord, LinkRecord, Orde
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
 from companion.recording import decode
-from companion.recording.reading import CAMERA, PAD, Event, RecordedFrame, Recording, instant
+from companion.recording.channels import CAMERA, PAD
+from companion.recording.reading import Event, RecordedFrame, Recording, instant
 from companion.settings.load import Settings, load
 from companion.settings.model import CameraSettings, PadSettings
 from estimator.contracts.errors import BadInput

@@ -11,8 +11,9 @@ from companion.base.mission import ENDED, State
 from companion.base.observer import Decision, ProcessedFrame
 from companion.facts.records import ContactRecord, FusionRecord, HealthRecord, OrderRecord, TruthRecord
 from companion.recording import decode
+from companion.recording.channels import SETTINGS
 from companion.recording.frame_video import VideoImage
-from companion.recording.reading import SETTINGS, RecordedFrame, Recording, instant
+from companion.recording.reading import RecordedFrame, Recording, instant
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import (
     FlightLog,
