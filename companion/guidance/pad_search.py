@@ -100,7 +100,7 @@ class PadSearch:
         tracker = replace(self._tracker, watches=watches)
         return Look(frame, assumed, tracker, known.place_to_look(assumed), known.asks_alone(assumed))
 
-    def search(self, look: Look) -> Detection:
+    def detect(self, look: Look) -> Detection:
         """Search a frame for the pad. This may run on another thread, one call at a time: it writes only its own memory."""
         from estimator.vision.tracker import TrackerMemory, alone_in, track
 

@@ -195,7 +195,7 @@ class Pilot:
 
     def detect(self, look: Look) -> Detection:
         """Search a frame for the pad. This may run on another thread, one call at a time: it reads no state of the pilot's."""
-        return self.search.search(look)
+        return self.search.detect(look)
 
     def on_followed(self, seen: Detection, assumed: Attitude) -> None:
         """Take note of whether the pad has left the picture. Nothing is fused."""
