@@ -5,7 +5,7 @@ every stage is an example; it is right if its pose keeps the verification's clai
 ridge; false candidates with a high score count several times, since a false pad costs more than a missed one. The output is the
 coefficients in the form of estimator/vision/detect/verification.py, and the result on frames that were not used for the fit. With
 `--registered` the examples are the registrations of the best candidates, on other frames, and the coefficients belong to
-estimator/vision/register/fit_verification.py. `--ablate` fits nothing: it prints what is lost without each input whose weight is
+estimator/vision/detect/verification.py. `--ablate` fits nothing: it prints what is lost without each input whose weight is
 set by hand, on frames of pads and of green discs with a ring in glare, and how right each confidence is.
 """
 
@@ -23,17 +23,16 @@ from numpy.typing import NDArray
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.by_paint import WORTH_A_TRY
-from estimator.vision.detect.acquire import acquire, search
+from estimator.vision.detect.acquire import search
 from estimator.vision.detect.pyramid import FrameView, Pyramid
-from estimator.vision.detect.verification import FEATURES
+from estimator.vision.detect.verification import FEATURES, FITTED, HAND_SET, SEARCHED, support_log_odds
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
-from estimator.vision.register.fit_verification import FITTED, HAND_SET, SEARCHED, support_log_odds
 from estimator.vision.register.registration import RegistrationOptions, look
 from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import verify
 from tests.support.deck_images import keeps_claim
-from tests.support.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene, ring_scene
+from tests.support.pad_scenes import CONDITIONS, PadScene, acquire, empty_scene, load_camera, load_pad, pad_scene, ring_scene
 
 F64 = NDArray[np.float64]
 _CHUNK = 50

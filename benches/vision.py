@@ -32,7 +32,6 @@ from pupil_apriltags import Detector  # noqa: E402
 from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
-from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.register.registration import Registration, RegistrationOptions, register  # noqa: E402
@@ -43,6 +42,7 @@ from sitl.camera.camera import Exposure  # noqa: E402
 from sitl.camera.light import Sensor  # noqa: E402
 from tests.support.bound import information, sigmas  # noqa: E402
 from tests.support.pad_images import STAMP  # noqa: E402
+from tests.support.pad_scenes import acquire  # noqa: E402
 from tests.support.pad_views import PLAIN, RenderedView, Stage  # noqa: E402
 from tests.support.plain_light import FLAT  # noqa: E402
 from tests.support.shipped import shipped_camera, shipped_pad  # noqa: E402

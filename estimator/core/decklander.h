@@ -787,13 +787,11 @@ typedef struct {
     bool yaw_ambiguous;                   /* No pointer has resolved the headings. */
     dl_pad_pose pose;                     /* The pose. */
     double cov[36];                       /* Covariance of the pose, with the prior. */
-    double information[36];               /* Information on the pose by the frame alone. */
     double blur_px2[3];                   /* Covariance uu, uv, vv of the point spread at the pad beyond a pixel's square, px^2. */
     double noise_light;                   /* Standard deviation of the residuals, linear light. */
     double edge_rms_px;                   /* Displacement of the edges beyond what noise explains, rms, px. */
     double visible;                       /* Fraction of the drawing's edges within the frame. */
     double inliers;                       /* Fraction of those that agree with it. */
-    double last_step_px;                  /* Length of the last step, px; small if converged. */
     dl_edge_support edges[DL_EDGE_KINDS]; /* The support for each kind of edge. */
 } dl_registration;
 
@@ -893,7 +891,7 @@ typedef struct {
 /* ---- vision/look/: a registration, verified ---- */
 
 /* Number of inputs of the verification of a registration (vision/look/look.h), whose names
- * estimator.vision.register.fit_verification has. */
+ * estimator.vision.detect.verification has. */
 enum { DL_EVIDENCE = 29 };
 
 /* What the verification knows of a pad. */

@@ -1,7 +1,7 @@
 """See the pad by its paint: follow it where the filter expects it, else search the whole frame.
 
 Tracking starts `registration` from the filter's belief at the exposure. If there is no belief, or the drawing does not fit there,
-acquisition searches the whole frame and registration refines its candidates. In both cases the classifier of `fit_verification`
+acquisition searches the whole frame and registration refines its candidates. In both cases the classifier of `verification`
 scores the whole drawing and the agreement of its edges at the registered pose, and that score is the sighting's confidence. If
 one of the thesis' methods reports a pose on its own, the drawing is verified there too, because a green disc is not yet a pad; if
 it fits, registration starts from it.
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -27,18 +26,18 @@ from estimator.vision.clear_deck import check_surface
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
 from estimator.vision.detect.guesses import heading, pose_about
-from estimator.vision.detect.paint import FRESH, PaintMemory, fade, learn_paints
+from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, fade
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.detect.verification import calibrate
 from estimator.vision.detection import Detection, Opinions, PadCheck, agree, fuse
 from estimator.vision.expectation import ExpectedPlace, expected, in_camera, near_enough, sigma_of
-from estimator.vision.learned.second_opinion import WORTH_ASKING, lower_confidence, probability
+from estimator.vision.learned.second_opinion import WORTH_ASKING
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.ambiguity import nearest_of_four
-from estimator.vision.register.fit_verification import calibrate
 from estimator.vision.register.registration import (
     SRGB,
     Registration,
@@ -178,7 +177,7 @@ def by_paint(
     if tracker.options.method != "registration":
         thesis, registered = _verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
     settled, tone = registered.settled(), memory.tone
-    best, elsewhere = settled.tracked, settled.elsewhere
+    best, elsewhere = settled.tracked, None if settled.elsewhere is None else settled.elsewhere.sighting
     deck = _watch_deck(now, best, belief) if tracker.watches else DeckMemory()
     if best is None or not best.is_sure:
         tone = fade_tone(tone)
@@ -187,12 +186,12 @@ def by_paint(
     check = deck.check(frame.stamp.measured_at)
     found = None if best is None else _add_outlines(best, check, tracker.camera)
     opinions = None if best is None else best.opinions
-    if thesis is None:
-        methods: dict[Method, Sighting | None] = {"registration": found}
-        seen = Detection(found, None if found is None else "registration", MappingProxyType(methods), opinions)
-    else:
-        seen = together(thesis, found, opinions, place.excludes)
-    seen = replace(seen, elsewhere=None if elsewhere is None else elsewhere.sighting, on_pad=check)
+    methods: dict[Method, Sighting | None] = {**({} if thesis is None else thesis.methods), "registration": found}
+    selected, chosen = found, None if found is None else found.method
+    if thesis is not None:
+        selected = fuse(cue for cue in methods.values() if cue is not None and not place.excludes(cue))
+        chosen = None if selected is None else selected.method
+    seen = Detection(selected, chosen, MappingProxyType(methods), opinions, elsewhere, check)
     sure = best is not None and best.sighting.yaw_ambiguous and best.is_sure
     yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
     paint = fade(memory.paint) if best is None else best.paint
@@ -274,25 +273,6 @@ def by_thesis(tracker: TrackerConfig, frame: Frame, attitude: Attitude | None) -
     """Return what the thesis' methods detect."""
     o = tracker.options
     return detect(frame, attitude, tracker.camera, tracker.pad, COLOUR_SETS[o.colours], sigma_deck_rad=o.deck_tilt_sigma_rad)
-
-
-def together(
-    thesis: Detection,
-    registered: Sighting | None,
-    opinions: Opinions | None = None,
-    excludes: Callable[[Sighting], bool] = lambda seen: False,
-) -> Detection:
-    """Combine the thesis' methods and registration into one detection whose sighting is their fusion.
-
-    Args:
-        opinions: on the registration.
-        excludes: whether a belief excludes the place of a sighting, which then takes no part.
-    """
-    methods: dict[Method, Sighting | None] = {**thesis.methods, "registration": registered}
-    fused = fuse(s for s in methods.values() if s is not None and not excludes(s))
-    if fused is None:
-        return Detection(None, None, MappingProxyType(methods), opinions)
-    return Detection(fused.sighting, "fused", MappingProxyType(methods), opinions)
 
 
 def _register(now: _Now, belief: RelativeState | None, place: ExpectedPlace) -> tuple[_Seen, SearchMemory]:
@@ -423,8 +403,9 @@ def _register_from(
     if of is None:
         return None
     opinions = _second_opinion(now, of) if searched else None
-    sure = of.confidence if opinions is None else lower_confidence(of.confidence, opinions.learned)
-    learned = learn_paints(paint, of.found.paint(), sure) if sure >= SURE else fade(paint)
+    # The network can only lower a confidence.
+    sure = of.confidence if opinions is None else min(of.confidence, opinions.learned)
+    learned = fade(paint) if sure < SURE else of.found.paint() if sure >= LEARNED_AT else paint
     # A letter alone tells too little to be surer than its bound.
     said = sure if now.tracker.pad.markings.is_letter_alone else calibrate(sure)
     return _Registered(sighting_of_look(now.frame, of.found, said), learned, of.found, opinions)
@@ -436,7 +417,7 @@ def _second_opinion(now: _Now, of: Verified) -> Opinions | None:
     if network is None or of.confidence < WORTH_ASKING:
         return None
     log_odds = network.log_odds(*now.view, of.found.pose, of.cut)
-    return None if log_odds is None else Opinions(of.confidence, probability(log_odds))
+    return None if log_odds is None else Opinions(of.confidence, verification.confidence(log_odds))
 
 
 def _is_small(start: PadPose, camera: Camera, pad: Pad) -> bool:

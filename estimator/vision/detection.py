@@ -14,7 +14,6 @@ apply to the information, so that a cue that appears or vanishes moves the resul
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from msgspec import Struct
@@ -35,19 +34,10 @@ Their own covariance does not contain it. A disagreement of a few of these is no
 """
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fused:
-    """The result of fusing the cues of one frame."""
+def fuse(cues: Iterable[Sighting]) -> Sighting | None:
+    """Fuse the sightings of one frame into one of method "fused"; return None if there are none with a positive confidence.
 
-    sighting: Sighting
-    """The fused sighting. Its `method` is "fused"; its `pose6` comes from the most certain cue that has one."""
-    outliers: tuple[str, ...]
-    """Names of the methods that disagreed and were left out."""
-
-
-def fuse(cues: Iterable[Sighting]) -> Fused | None:
-    """Fuse the sightings of one frame into one; return None if there are none with a positive confidence.
-
+    Its `pose6` comes from the most certain cue that has one. Cues that disagree are left out.
     The confidence is that of the most confident cue that took part, times the fraction of all confidence that agreed.
     """
     seen = [cue for cue in cues if cue.confidence > 0.0]
@@ -59,10 +49,7 @@ def fuse(cues: Iterable[Sighting]) -> Fused | None:
     inliers.sort(key=_size)
     fraction = sum(cue.confidence for cue in inliers) / sum(cue.confidence for cue in seen)
     confidence = max(cue.confidence for cue in inliers) * fraction
-    return Fused(
-        _intersected(inliers, confidence),
-        tuple(cue.method for cue in seen if cue not in inliers),
-    )
+    return _intersected(inliers, confidence)
 
 
 def agree(a: Sighting, b: Sighting) -> bool:

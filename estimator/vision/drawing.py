@@ -13,7 +13,7 @@ from estimator.contracts.geometry import F64
 from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.markings import BARE, Markings, Rgb
 from estimator.vision.pad import Pad
-from estimator.vision.regions import Lettering, depth_in, sides_of
+from estimator.vision.regions import Lettering, PaintedPanel, PaintedTriangle, depth_in, sides_of
 from estimator.vision.srgb import LUMA, linear_light
 
 _SPACING_M = 0.004
@@ -70,7 +70,7 @@ def edges_of(pad: Pad) -> Edges:
     """
     marks = pad.markings
     pieces = [
-        *_circles(marks), *_panel_sides(marks), *_arrow_sides(marks), *_triangle_sides(marks),
+        *_circles(marks), *_sides(EdgeKind.DISC, marks.panel), *_arrow_sides(marks), *_sides(EdgeKind.ARROW, marks.triangle),
         *_letter_sides(EdgeKind.H, marks.letters), *_letter_sides(EdgeKind.UPPER, marks.upper),
     ]  # fmt: skip
     paints, count = _paints(marks), [len(at) for _, at, _ in pieces]
@@ -134,12 +134,9 @@ def _arrow_sides(marks: Markings) -> list[_Piece]:
     return pieces
 
 
-def _triangle_sides(marks: Markings) -> list[_Piece]:
-    """Return the outer and the inner sides of a triangle around the lettering."""
-    if marks.triangle is None:
-        return []
-    sides = (_side(a, b) for line in marks.triangle.borders() for a, b in zip(line, np.roll(line, -1, axis=0), strict=True))
-    return [(EdgeKind.ARROW, at, normal) for at, normal in sides]
+def _sides(kind: EdgeKind, region: PaintedPanel | PaintedTriangle | None) -> list[_Piece]:
+    """Return the straight sides of a panel, or the outer and the inner ones of a triangle around the lettering."""
+    return [] if region is None else [(kind, *_side(a, b)) for a, b in zip(*sides_of(region), strict=True)]
 
 
 def _letter_sides(kind: EdgeKind, letters: Sequence[Lettering]) -> list[_Piece]:
@@ -161,14 +158,6 @@ def _letter_sides(kind: EdgeKind, letters: Sequence[Lettering]) -> list[_Piece]:
                 borders = np.flatnonzero(np.diff(np.r_[False, free, False]))
                 pieces += [(kind, at[i:j], normal[i:j]) for i, j in borders.reshape(-1, 2).tolist()]
     return pieces
-
-
-def _panel_sides(marks: Markings) -> list[_Piece]:
-    """Return the panel's four sides."""
-    if marks.panel is None:
-        return []
-    corners = marks.panel.corners()
-    return [(EdgeKind.DISC, *_side(a, b)) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
 
 
 def _around(line: F64, spacing_m: float) -> tuple[F64, F64]:

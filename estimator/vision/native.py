@@ -19,15 +19,14 @@ from estimator.core.library import CORE
 from estimator.vision.camera import Camera, ray_map
 from estimator.vision.detect.colour import disc_has_colour
 from estimator.vision.detect.template import polar_drawing, template
-from estimator.vision.detect.verification import COEFFICIENTS
+from estimator.vision.detect.verification import COEFFICIENTS, TRACKED
+from estimator.vision.detect.verification import SEARCHED as SEARCHED
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.markings import Markings
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.regions import PaintedPanel, Region, rectangles_of, slanted_sides_of
-from estimator.vision.register.fit_verification import SEARCHED as SEARCHED
-from estimator.vision.register.fit_verification import TRACKED
 from estimator.vision.srgb import LINEAR_LIGHT, light_of_tone, linear_light
 
 _STRIPS = 6
@@ -39,6 +38,8 @@ def pad_shape(pad: Pad) -> Mapping[str, Any]:
     """Return the members of the core's `dl_pad_shape`. A kind of edge that the pad lacks has no contrast."""
     marks = pad.markings
     arrow = marks.arrowhead()[:, :2] if marks.triangle is None else marks.triangle.corners()
+    p = marks.panel
+    panel = [] if p is None else [(-0.5 * p.length_m, 0.5 * p.length_m, -0.5 * p.width_m, 0.5 * p.width_m)]
     field_m, ring = marks.field_radius_m, (marks.ring_outer_m, marks.ring_inner_m) if marks.ring_outer_m else ()
     disc = _region((field_m,) if field_m else (), DL_NONE if marks.panel is None else _PANEL_FIGURE)
     has_lettering = bool(marks.letters) or marks.triangle is not None
@@ -77,16 +78,12 @@ def pad_shape(pad: Pad) -> Mapping[str, Any]:
             disc, _region(ring), _region(ring, has_wedge=marks.arrow is not None) if marks.triangle is None else h, h, upper,
         ],
         "figures": [
-            _figure(rectangles_of(marks.letters), [*marks.letters, *_triangle(marks)]),
-            _arrow_figure(pad) if marks.triangle is None else _figure([], [marks.triangle]), _panel_figure(marks),
+            _figure(rectangles_of(marks.letters), marks.letters if marks.triangle is None else [*marks.letters, marks.triangle]),
+            _arrow_figure(pad) if marks.triangle is None else _figure([], [marks.triangle]), _figure(panel),
             _figure(rectangles_of(marks.upper), marks.upper),
         ],
         "wedge": _arrow_wedge(pad),
     }  # fmt: skip
-
-
-def _triangle(marks: Markings) -> list[Region]:
-    return [] if marks.triangle is None else [marks.triangle]
 
 
 def _paint_of_pointer(marks: Markings) -> EdgeKind:
@@ -128,14 +125,6 @@ def _lettering_reach(marks: Markings) -> float:
 def _panel_margin(panel: PaintedPanel, marks: Markings) -> float:
     """Return the least width of a panel's border around its lettering, m; of an empty panel half of its shorter side."""
     return 0.5 * min(panel.length_m - marks.lettering_m[0], panel.width_m - marks.lettering_m[1])
-
-
-def _panel_figure(marks: Markings) -> dict[str, Any]:
-    """Return the panel as one rectangle."""
-    if marks.panel is None:
-        return _figure([])
-    x, y = 0.5 * marks.panel.length_m, 0.5 * marks.panel.width_m
-    return _figure([(-x, x, -y, y)])
 
 
 def _region(radii_m: Sequence[float], figure: int = DL_NONE, has_wedge: bool = False) -> dict[str, Any]:
@@ -275,8 +264,9 @@ def tracker_of(camera: Camera, pad: Pad | None = None) -> Any:
 
 
 def _made(lib: Any, camera: Camera, pad: Pad | None) -> Any:
-    rays = ray_map(camera.optics) if camera.distorted else None
-    arrays: list[Any] = [CORE.array("dl_camera", native_camera(camera)), _given("double", rays, 2 * camera.width * camera.height)]
+    arrays: list[Any] = [CORE.array("dl_camera", native_camera(camera)), CORE.ffi.NULL]
+    if camera.distorted:
+        arrays[1] = CORE.array("double", ray_map(camera.optics), 2 * camera.width * camera.height)
     if pad is None:
         arrays += [CORE.ffi.NULL] * 5
     else:
@@ -292,10 +282,6 @@ def _made(lib: Any, camera: Camera, pad: Pad | None) -> Any:
         raise MemoryError(f"the core cannot track a pad in frames of {camera.width}x{camera.height} px")
     # The tracker reads the arrays as long as it lives.
     return CORE.ffi.gc(made, lambda tracker, kept=arrays: lib.dl_tracker_free(tracker))
-
-
-def _given(kind: str, array: NDArray[Any] | None, count: int) -> Any:
-    return CORE.ffi.NULL if array is None else CORE.array(kind, array, count)
 
 
 def native_camera(camera: Camera) -> NDArray[Any]:
@@ -317,14 +303,10 @@ def native_lens(camera: Camera) -> NDArray[Any]:
 
 def _drawing(pad: Pad, edge_points: int) -> Mapping[str, Any]:
     """Return the core's `dl_pad`."""
-    marks, polar = pad.markings, polar_drawing(pad)
+    marks = pad.markings
     return {
-        "shape": pad_shape(pad), "drawn": template(pad).lengths, "verification": _verification(pad),
+        "shape": pad_shape(pad), "drawn": template(pad).lengths, "verification": _verification(pad), "polar": polar_drawing(pad),
         "size_sigma_m": pad.size_sigma_m, "edge_points": edge_points,
-        "polar": {
-            "xy_m": polar.xy_m, "area_inside": polar.area_inside, "ring": polar.ring, "h_marking": polar.h_marking,
-            "arrow": polar.arrow, "polarity": 1.0 if marks.is_bright else -1.0, "radius_m": pad.disc_radius_m,
-        },
         "strokes": {
             "length_m": marks.h_length_m, "width_m": marks.h_width_m, "leg_m": marks.leg_width_m, "bar_m": marks.bar_width_m,
             "margin_m": _STROKES_MARGIN_M,

@@ -21,13 +21,13 @@ from estimator.vision.detect.alignment import COVERED_LOG_ODDS, SIGMA_TILT_FREE_
 from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.pyramid import U8, FrameView
 from estimator.vision.detect.template import BLURS_M, F32, STEP_M, template
+from estimator.vision.detect.verification import confidence, support_log_odds
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.ambiguity import LETTER_MOST, cells_log_odds, letter_log_odds
-from estimator.vision.register.fit_verification import confidence, support_log_odds
 from estimator.vision.register.registration import Registration, RegistrationOptions, look
 from estimator.vision.srgb import LINEAR_LIGHT, LUMA, linear_light
 

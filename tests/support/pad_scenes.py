@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
+from estimator.vision.detect.acquire import SURE, PadCandidate, search
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.srgb import LINEAR_LIGHT
@@ -30,6 +32,13 @@ CONDITIONS = ("plain", "light", "glare", "wet", "shadow", "cut", "occluded")
 
 
 load_camera, load_pad = lru_cache(shipped_camera), lru_cache(shipped_pad)
+
+
+def acquire(
+    px: NDArray[np.uint8], camera: Camera, pad: Pad, R_level_body: Rotation | None = None, *, sure: float = SURE
+) -> list[PadCandidate]:
+    """Search a whole frame for the pad, however long it takes, and return the candidates, best first."""
+    return search(FrameView(Pyramid(px), camera, pad), R_level_body, sure=sure).candidates
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,12 +26,12 @@ from estimator.vision.by_paint import WORTH_A_TRY
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import search
 from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.detect.verification import support_log_odds
 from estimator.vision.pad import RARE, TOLD, Calibration, Pad
 from estimator.vision.pad_information import paint_at
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.regions import covers
-from estimator.vision.register.fit_verification import support_log_odds
 from estimator.vision.srgb import linear_light
 from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import verify

@@ -32,9 +32,8 @@ from estimator.vision.detect.guesses import Guess
 from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, WORK_GUESS, Kind, kinds
 from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.plane import Plane
-from estimator.vision.detect.pyramid import FrameView, Pyramid
-from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, confidence
-from estimator.vision.pad import Pad
+from estimator.vision.detect.pyramid import FrameView
+from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, confidence, log_odds
 from estimator.vision.pad_pose import PadPose
 
 U8 = NDArray[np.uint8]
@@ -107,25 +106,6 @@ class Found:
     memory: SearchMemory
     work: float
     """Work done."""
-
-
-def acquire(
-    px: U8,
-    camera: Camera,
-    pad: Pad,
-    R_level_body: Rotation | None = None,
-    paint: PaintMemory = FRESH,
-    *,
-    sure: float = SURE,
-) -> list[PadCandidate]:
-    """Search a whole frame for the pad, however long it takes, and return the candidates, best first.
-
-    Args:
-        px: (H, W, 3) BGR of the camera's size; three equal channels from a grey camera.
-
-    Other arguments and errors: as `search`.
-    """
-    return search(FrameView(Pyramid(px), camera, pad), R_level_body, paint, sure=sure).candidates
 
 
 def search(
@@ -325,7 +305,7 @@ def _candidate(aligned: AlignedTemplate | None, ambiguous: bool = False, cut: F6
     """Return an aligned drawing as a candidate."""
     if aligned is None:
         return None
-    sure = confidence(aligned.features, ALONE_LOG_ODDS * alone(aligned.features))
+    sure = confidence(log_odds(aligned.features) + ALONE_LOG_ODDS * alone(aligned.features))
     return PadCandidate(aligned.pose, sure, ambiguous, aligned, cut)
 
 

@@ -106,7 +106,7 @@ def align(
 
 
 COVERED_LOG_ODDS = -1.0
-"""Prior of a partly covered drawing, for `fit_verification.confidence`: the line is chosen so that the
+"""Prior of a partly covered drawing, for `verification.confidence`: the line is chosen so that the
 rest fits best.
 """
 _TURNS = 6

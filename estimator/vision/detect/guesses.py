@@ -141,17 +141,18 @@ def _corner_rays(camera: Camera, step: int, width: int, height: int) -> F32:
     return rays
 
 
-def blob_circles(pyramid: Pyramid, camera: Camera, plane: Plane, most: int = _MOST_AREAS) -> list[Circle]:
+def blob_circles(pyramid: Pyramid, camera: Camera, plane: Plane) -> list[Circle]:
     """Return the outlines of what stands out, most prominent first, as circles of edges.
 
     Their `support` is the fraction of the area of an ellipse with the same moments that is filled.
     """
     pyramid[1]
     how = CORE.ffi.new("dl_circle_search *", {
-        "most": most, "grey": pyramid.monochrome, "R_cam_plane": plane.R_cam_plane.ravel().tolist()
+        "most": _MOST_AREAS, "grey": pyramid.monochrome, "R_cam_plane": plane.R_cam_plane.ravel().tolist()
     })  # fmt: skip
-    out, none = np.empty(most, CORE.dtype("dl_circle")), CORE.ffi.NULL
-    found = CORE.lib.dl_search_circles(tracker_of(camera), pyramid.native, none, none, how, CORE.array("dl_circle", out, most))
+    out, none = np.empty(_MOST_AREAS, CORE.dtype("dl_circle")), CORE.ffi.NULL
+    circles = CORE.array("dl_circle", out, _MOST_AREAS)
+    found = CORE.lib.dl_search_circles(tracker_of(camera), pyramid.native, none, none, how, circles)
     return [out[i : i + 1] for i in range(checked(found))]
 
 

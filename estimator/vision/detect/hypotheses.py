@@ -295,11 +295,11 @@ def _silhouette(contour: Contour, per_m: float, bright: bool, largest: float) ->
     return _Silhouette(centroid, second[::-1, ::-1] / per_m**2, share, spread, bright, area / largest)
 
 
-MOST_LETTERS = 8
+_MOST_LETTERS = 8
 """Largest number of places of the H."""
 
 
-def h_markings(view: FrameView, level: int, plane: Plane, most: int = MOST_LETTERS) -> list[Guess]:
+def h_markings(view: FrameView, level: int, plane: Plane) -> list[Guess]:
     """Return the likeliest positions of the H, best first; their headings are known up to 180 degrees.
 
     A guess's `drawing` is the mean of the marks' mask on the H minus the mean around it, halved, -1..1.
@@ -309,11 +309,12 @@ def h_markings(view: FrameView, level: int, plane: Plane, most: int = MOST_LETTE
     """
     pyramid, camera, pad = view
     how = CORE.ffi.new("dl_stroke_search *", {
-        "step": 1 << level, "bright": pad.markings.is_bright, "plane_known": plane.known, "most": most,
+        "step": 1 << level, "bright": pad.markings.is_bright, "plane_known": plane.known, "most": _MOST_LETTERS,
         "R_cam_plane": plane.R_cam_plane.ravel().tolist(),
     })  # fmt: skip
-    out = np.empty(most, CORE.dtype("dl_guess"))
-    n = CORE.lib.dl_search_strokes(tracker_of(camera, pad), image_of(pyramid[level]), how, CORE.array("dl_guess", out, most))
+    out = np.empty(_MOST_LETTERS, CORE.dtype("dl_guess"))
+    guesses = CORE.array("dl_guess", out, _MOST_LETTERS)
+    n = CORE.lib.dl_search_strokes(tracker_of(camera, pad), image_of(pyramid[level]), how, guesses)
     return guesses_of(out[: checked(n)])
 
 

@@ -56,16 +56,6 @@ FRESH = PaintMemory(np.zeros((4, 3)), np.full((4, 3), _BROAD), 0.0)
 """The memory before any learning."""
 
 
-def learn_paints(memory: PaintMemory, measured: PaintMemory, confidence: float) -> PaintMemory:
-    """Return the memory after a frame that may show the pad; a doubtful frame changes nothing.
-
-    Args:
-        measured: what is known if this is the pad (`estimator/core/vision/look/paint.c`).
-        confidence: that it is, 0..1.
-    """
-    return measured if confidence >= LEARNED_AT else memory
-
-
 def fade(memory: PaintMemory) -> PaintMemory:
     """Return the memory after a frame without the pad: less trusted and broader, and in the end equal to `FRESH`."""
     trust = memory.trust * (1.0 - FADING)

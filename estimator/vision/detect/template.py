@@ -102,25 +102,9 @@ def _shares_at(xy_m: F64, pad: Pad) -> tuple[F64, F64, F64, F64]:
     return h_marking, ring, arrow, disc
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PolarDrawing:
-    """Polar cells around the centre, (radii, angles), and their coverage by each paint; the arrow is at angle 0."""
-
-    xy_m: F64
-    """Positions of the cells' centres, (radii * angles, 2) m."""
-    area_inside: F32
-    """Relative area of a cell within the disc's paint, (radii, 1); 0 around it."""
-    ring: F32
-    """Coverage by the ring, (radii, 1)."""
-    h_marking: F32
-    """Coverage by the H, (radii, angles)."""
-    arrow: F32
-    """Coverage by the arrowhead, (radii, angles)."""
-
-
 @lru_cache(maxsize=8)
-def polar_drawing(pad: Pad) -> PolarDrawing:
-    """Return the `PolarDrawing` of a pad. The outermost tenth of the radii lies around the disc."""
+def polar_drawing(pad: Pad) -> Mapping[str, Any]:
+    """Return the drawing in the core's `dl_polar_pad`. The outermost tenth of the radii lies around the disc."""
     outer = 1.12 * pad.disc_radius_m
     r = (np.arange(_RADII) + 0.5) / _RADII * outer
     a = np.arange(ANGLES) * math.tau / ANGLES
@@ -135,13 +119,11 @@ def polar_drawing(pad: Pad) -> PolarDrawing:
     h_marking, ring, arrow, disc = (m.reshape(_RADII, _FINE, ANGLES, _FINE).mean(axis=(1, 3)) for m in masks)
     inside = (h_marking + ring + arrow + disc).mean(axis=1, keepdims=True) > 0.5
     area = (r / r.mean()).astype(np.float32)[:, None]
-    return PolarDrawing(
-        places(r, a),
-        area * inside,
-        ring.mean(axis=1, keepdims=True).astype(np.float32),
-        h_marking.astype(np.float32),
-        arrow.astype(np.float32),
-    )
+    return {
+        "xy_m": places(r, a), "area_inside": area * inside, "ring": ring.mean(axis=1, keepdims=True).astype(np.float32),
+        "h_marking": h_marking.astype(np.float32), "arrow": arrow.astype(np.float32),
+        "polarity": 1.0 if pad.markings.is_bright else -1.0, "radius_m": pad.disc_radius_m,
+    }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -185,10 +185,6 @@ class SecondOpinion:
         """Go to another process as bytes, since a network of OpenCV cannot."""
         return SecondOpinion, (self._onnx, self._where)
 
-    def of_patch(self, patch: Patch) -> float:
-        """Return the log-odds that a patch shows the pad."""
-        return float(self._asked(inputs(patch)).item())
-
     def log_odds(self, pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, cut: F64 | None = None) -> float | None:
         """Return the log-odds that the pad is at a pose; None if hardly any of it is in view.
 
@@ -196,18 +192,8 @@ class SecondOpinion:
             cut: the line beyond which something covers the pad, (3,); see `alignment.UNCUT`.
         """
         patch = patch_of(pyramid, camera, pad, pose, cut)
-        return None if patch is None else self.of_patch(patch)
+        return None if patch is None else float(self._asked(inputs(patch)).item())
 
     def _asked(self, x: np.ndarray) -> np.ndarray:
         self._net.setInput(x[None])
         return np.asarray(self._net.forward())
-
-
-def probability(log_odds: float) -> float:
-    """Return the network's confidence, 0..1."""
-    return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, log_odds))))
-
-
-def lower_confidence(confidence: float, learned: float) -> float:
-    """Return the confidence of the verification after a second opinion, the network's confidence: the same, or less."""
-    return min(confidence, learned)

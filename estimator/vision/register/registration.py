@@ -84,8 +84,6 @@ class Registration:
     pose: PadPose
     cov: F64
     """Covariance in `cam`, (6, 6): [t_cam_pad (m), small rotation of the pad (rad)], the prior included."""
-    information: F64
-    """Information in `cam`, (6, 6), from the frame alone."""
     prior: Orientation | None
     edges: Mapping[EdgeKind, EdgeSupport]
     yaw_ambiguous: bool
@@ -100,8 +98,6 @@ class Registration:
     """Fraction of the drawing's edges within the frame."""
     inliers: float
     """Fraction of the visible edges that agree."""
-    last_step_px: float
-    """Length of the last iteration's step; small if converged."""
     dense: bool
     """True for a fit to all pixels of the disc; False for profiles across edges."""
     outline: F64
@@ -230,10 +226,10 @@ def _looked(
     edges = {kind: EdgeSupport(*one) for kind, one in zip(EdgeKind, found["edges"].tolist(), strict=True)}
     return Registration(
         PadPose(Rotation(found["pose"]["R"].reshape(3, 3)), found["pose"]["t"]), found["cov"].reshape(6, 6),
-        found["information"].reshape(6, 6), prior, MappingProxyType(edges),
+        prior, MappingProxyType(edges),
         not edges[EdgeKind.H].seen if pad.markings.fiducials else bool(found["yaw_ambiguous"]), found["blur_px2"],
         float(found["noise_light"]), float(found["edge_rms_px"]), float(found["visible"]), float(found["inliers"]),
-        float(found["last_step_px"]), bool(found["dense"]), outline, pad, out,
+        bool(found["dense"]), outline, pad, out,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.native import native_lens, native_pose, native_prior
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation, roll_pitch, tilt_axes
+from estimator.vision.pose import Orientation, tilt_axes
 from estimator.vision.register.registration import Registration
 
 _NAMES = {kind: kind.name.lower() for kind in EdgeKind}
@@ -115,7 +115,7 @@ def camera_pose(sighting: Sighting, camera: Camera, orientation: Orientation) ->
     gain = C @ A.T @ np.linalg.inv(A @ C @ A.T + (orientation.sigma_deck_rad**2 + 1e-12) * np.eye(2))
     R_level_pad = sighting.pose6.R_level_pad.matrix
     turn, normal = _undone(R_level_pad[:, 2], axes @ gain)
-    R_level_body = roll_pitch(orientation)
+    R_level_body = orientation.R_level_body.matrix
     before = R_level_body @ camera.T_body_cam.R.matrix
     R_level_cam = turn @ before
     d = sighting.d_body_pad_level

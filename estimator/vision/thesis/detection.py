@@ -306,7 +306,7 @@ def detect(
         return Detection(None, None, MappingProxyType({"ellipse": None, "arrow": None, "corners": None}))
     cues: dict[Method, Cue | None] = {
         "ellipse": find_disc(seg, view, pad),
-        "arrow": find_arrow(seg, view, pad, seg.orangeness()),
+        "arrow": find_arrow(seg, view, pad),
         "corners": find_corners(seg, view, pad),
     }
     methods: dict[Method, Sighting | None] = dict.fromkeys(cues)

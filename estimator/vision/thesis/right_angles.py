@@ -212,16 +212,11 @@ class Cue:
     marks: Marks
     confidence: float
     features: tuple[Feature, ...]
-    side: Side | None = None
-    """Side of the cross-bar that the corners method's starting pair is on."""
 
 
-def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F32 | None) -> Cue | None:
-    """Return the arrow; None if the H leaves the frame, there is no tip, or the two do not fit one another.
-
-    Args:
-        orangeness: the result of `Segmentation.orangeness()`.
-    """
+def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | None:
+    """Return the arrow; None if the H leaves the frame, there is no tip, or the two do not fit one another."""
+    orangeness = seg.orangeness()
     if seg.h_touches_border or seg.whiteness is None or orangeness is None:
         return None
     centre = _centroid(seg, seg.whiteness, view)
@@ -395,7 +390,7 @@ def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | Non
     uv = np.array([c.uv_px for c in found]) + origin
     plane = view.plane(uv)
     drawing = pad.markings.h_corners()[:, :2]
-    best: tuple[int, float, Side, _Pairs] | None = None
+    best: tuple[int, float, _Pairs] | None = None
     for a, b in itertools.combinations([i for i, c in enumerate(found) if c.inner], 2):
         side = _side_of(found[a], found[b])
         if side is None:
@@ -406,12 +401,12 @@ def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | Non
             continue
         pairs, misfit = matched
         if best is None or (len(pairs), -misfit) > (best[0], -best[1]):
-            best = (len(pairs), misfit, side, pairs)
+            best = (len(pairs), misfit, pairs)
             if len(pairs) == len(found) or len(pairs) == len(drawing):
                 break
     if best is None:
         return None
-    count, misfit, side, pairs = best
+    count, misfit, pairs = best
     at, places = list(pairs.values()), drawing[list(pairs)]
     fit = _similarity(places, plane[at])
     if fit is None or not _painted(fit, seg, view, pad, whiteness):
@@ -425,7 +420,7 @@ def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | Non
         Feature("outline", "H", view.pixels(_apply(fit, drawing))),
         Feature("point", "centre", centre),
     )
-    return Cue(marks, confidence, features, side)
+    return Cue(marks, confidence, features)
 
 
 def _side_of(a: RightAngle, b: RightAngle) -> Side | None:

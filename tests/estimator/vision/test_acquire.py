@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import PadCandidate, acquire
+from estimator.vision.detect.acquire import PadCandidate
 from estimator.vision.pad import Pad
 from sitl.camera.light import Light
 from sitl.camera.surroundings import Decal
 from tests.support.deck_images import covered, disc_of, keeps_claim, shown
-from tests.support.pad_scenes import no_pads, photographs
+from tests.support.pad_scenes import acquire, no_pads, photographs
 from tests.support.shipped import shipped_camera, shipped_pad
 
 

@@ -9,7 +9,6 @@ import pytest
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera, ray_map
-from estimator.vision.srgb import LINEAR_LIGHT, linear_light
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from sitl.camera.projection import lens_of
 from tests.support.pad_images import STAMP
@@ -58,12 +57,3 @@ def test_a_fisheye_of_160_degrees_finds_the_pad_and_an_uncertain_focal_length_sh
     assert off @ np.linalg.solve(known.cov[:3, :3], off) < 14.2
     assert np.linalg.norm(off) < 2e-3
     assert np.sqrt(unknown.cov[2, 2] - known.cov[2, 2]) == pytest.approx(0.01 * view.pose.t_cam_pad[2], rel=0.05)
-
-
-def test_it_is_the_inverse_of_the_standards_encoding() -> None:
-    light = LINEAR_LIGHT
-    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    np.testing.assert_allclose(255.0 * encoded, np.arange(256), atol=2e-3)
-    assert np.all(np.diff(light) > 0)
-    assert (light[0], light[255]) == (0.0, 1.0)
-    np.testing.assert_array_equal(linear_light([[0, 10], [128, 255]]), light[[[0, 10], [128, 255]]])

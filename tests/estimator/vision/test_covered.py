@@ -7,7 +7,7 @@ import pytest
 
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import SearchMemory, acquire, align_at, search
+from estimator.vision.detect.acquire import SearchMemory, align_at, search
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, align_uncovered, cut_at, turned_uncovered
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
@@ -18,7 +18,7 @@ from estimator.vision.tracker_config import FRAME_WORK
 from estimator.vision.verified import CLOSE, SURE, verify
 from tests.support.deck_images import keeps_claim
 from tests.support.hard_light import HARD, hard_scene
-from tests.support.pad_scenes import CONDITIONS, PadScene, pad_scene
+from tests.support.pad_scenes import CONDITIONS, PadScene, acquire, pad_scene
 
 
 def covered_scene(camera: Camera, pad: Pad, condition: str, height_m: float, seed: int) -> PadScene:

@@ -10,12 +10,12 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision import by_paint
 from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.detect.verification import confidence
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad_information import alike_headings, confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.fit_verification import confidence
 from estimator.vision.register.registration import RegistrationOptions, look, register
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.verified import heading_z_scores, verify
@@ -99,17 +99,6 @@ def test_a_heading_that_the_drawing_hardly_shows_is_put_right(name: str, turns_d
         assert seen.confidence > 0.5
         off = abs((truth.R_cam_pad.inv @ seen.found.pose.R_cam_pad).rpy_rad[2])
         assert min(off, math.pi - off if seen.found.yaw_ambiguous else off) < 0.02
-
-
-def test_a_triangle_shows_the_heading_that_its_h_does_not() -> None:
-    """Registration that starts half a turn off finds the apex on the other side."""
-    pad, exposure = shipped_pad("faa_triangle"), shot(1.5, (0.05, -0.05))
-    px = Renderer(PLAIN, pad).render(exposure, np.random.default_rng(6))
-    truth = pad_pose(exposure, PLAIN)
-    found = register(px, PLAIN, pad, truth.turned(math.pi), None, RegistrationOptions(coarse=False))
-    assert found is not None
-    assert not found.yaw_ambiguous
-    assert abs((truth.R_cam_pad.inv @ found.pose.R_cam_pad).rpy_rad[2]) < 0.005
 
 
 @pytest.mark.parametrize(

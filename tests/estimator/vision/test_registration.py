@@ -23,7 +23,6 @@ from estimator.vision.register.sighting import sighting_of
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.verified import CODED_PX
 from sitl.camera.light import Light, Sensor
-from sitl.camera.surroundings import Surroundings
 from sitl.emulators.ardrone.wire_pictures import Encoder
 from tests.support.pad_images import STAMP
 from tests.support.pad_scenes import DATA, photographs
@@ -104,18 +103,6 @@ def test_motion_blur_is_seen_in_its_direction(camera: Camera, pad: Pad) -> None:
     # The nose is at the top of the frame, so flying to the right smears along u; a box of that length has this variance.
     assert found.blur_px2[0] - found.blur_px2[2] == pytest.approx(travel_px**2 / 12.0, rel=0.3)
     assert np.abs(pad_error(found.pose, view.pose)[0]).max() < 1e-3
-
-
-def test_finds_its_way_from_a_rough_start(camera: Camera, pad: Pad) -> None:
-    stage = Stage(camera, pad, Surroundings())
-    for height_m in (0.3, 0.6, 1.5, 4.0, 10.0):
-        for _ in range(4):
-            view = stage.view(height_m)
-            radius_px = pad.disc_radius_m * camera.fx / height_m
-            start = stage.start(view, 0.05 * radius_px)
-            found = register(view.px, camera, pad, start, view.orientation())
-            assert found is not None
-            assert np.linalg.norm(found.pose.t_cam_pad - view.pose.t_cam_pad) < 2e-3 * height_m
 
 
 def test_a_tilted_deck_is_measured(camera: Camera, pad: Pad) -> None:
@@ -216,16 +203,6 @@ def test_the_arrow_shows_the_heading(camera: Camera, pad: Pad) -> None:
         assert found is not None
         assert not found.yaw_ambiguous
         assert abs(pad_error(found.pose, view.pose)[1]) < 0.01
-
-
-def test_an_h_alone_has_two_headings(camera: Camera, pad: Pad) -> None:
-    stage = Stage(camera, pad)
-    view = stage.view(0.25, lateral=0.1)
-    for turn in (0.0, math.pi):
-        found = register(view.px, camera, pad, view.pose.turned(turn), view.orientation(), TRACK)
-        assert found is not None
-        assert found.yaw_ambiguous
-        assert abs(pad_error(found.pose, view.pose.turned(turn))[1]) < 1e-3
 
 
 def test_refusals(camera: Camera, pad: Pad) -> None:

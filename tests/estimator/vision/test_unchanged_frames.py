@@ -16,12 +16,11 @@ import pytest
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame
-from estimator.vision.detect.acquire import acquire
 from estimator.vision.lamp_sighting import detect_lamps
 from tests.estimator.vision.test_equivariance import BENT, seen_at
 from tests.support.night_scenes import NIGHTS, night_scene
 from tests.support.pad_images import STAMP, sim_camera
-from tests.support.pad_scenes import load_pad
+from tests.support.pad_scenes import acquire, load_pad
 
 PADS = ("thesis", "printed", "icao")
 DAYS = [(k, PADS[k % 3]) for k in range(11)]

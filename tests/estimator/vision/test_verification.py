@@ -13,15 +13,14 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision import native
 from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import acquire
+from estimator.vision.detect.acquire import search
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, align
-from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, fade, learn_paints
+from estimator.vision.detect.paint import FRESH, PaintMemory, fade
 from estimator.vision.detect.pyramid import FrameView, Pyramid
-from estimator.vision.detect.verification import confidence as confidence_of_features
+from estimator.vision.detect.verification import SEARCHED, calibrate, confidence, log_odds
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.fit_verification import SEARCHED, calibrate, confidence
 from estimator.vision.register.registration import Registration, RegistrationOptions, look, register
 from estimator.vision.register.sighting import sighting_of, sighting_of_look
 from sitl.camera.light import Light
@@ -46,11 +45,11 @@ def test_confidence_falls_with_every_part_that_is_missing(camera: Camera, pad: P
         covered(seen, camera, band, paint),
         covered(seen, camera, disc_of(0.31), paint),
     ]
-    values = [confidence_of_features(align_at(px, camera, pad, seen.truth).features) for px in images]
+    values = [confidence(log_odds(align_at(px, camera, pad, seen.truth).features)) for px in images]
     assert values[0] > 0.9
     assert max(values[1:]) < 0.5
     shifted = PadPose(seen.truth.R_cam_pad, seen.truth.t_cam_pad + np.array([0.05, 0.0, 0.0]))
-    assert confidence_of_features(align_at(seen.px, camera, pad, shifted).features) < 0.5
+    assert confidence(log_odds(align_at(seen.px, camera, pad, shifted).features)) < 0.5
 
 
 def test_features_are_finite_on_anything(camera: Camera, pad: Pad) -> None:
@@ -60,7 +59,7 @@ def test_features_are_finite_on_anything(camera: Camera, pad: Pad) -> None:
     for px in (np.zeros(shape), np.full(shape, 255), rng.integers(0, 256, shape)):
         values = align_at(px.astype(np.uint8), camera, pad, pose).features
         assert np.all(np.isfinite(values))
-        assert confidence_of_features(values) < 0.2
+        assert confidence(log_odds(values)) < 0.2
 
 
 CLOSE = RegistrationOptions(coarse=False)
@@ -141,13 +140,12 @@ def view(camera: Camera, pad: Pad, light: Light, seed: int = 0) -> Teach:
 
 def taught(frames: int, one: Teach, start: PaintMemory = FRESH) -> PaintMemory:
     for _ in range(frames):
-        start = learn_paints(start, one(start), 0.97)
+        start = one(start)
     return start
 
 
 def test_three_confident_frames_make_it_trusted_and_doubtful_ones_teach_nothing(camera: Camera, pad: Pad) -> None:
     one = view(camera, pad, Light())
-    assert learn_paints(FRESH, one(FRESH), LEARNED_AT - 0.01) is FRESH
     assert taught(2, one).dominance(pad) is None
     learned = taught(3, one).dominance(pad)
     assert learned is not None
@@ -176,6 +174,6 @@ def test_a_memory_of_the_wrong_colours_hinders_nothing(camera: Camera, pad: Pad,
     upside_down = PaintMemory(good.mean[:, [2, 0, 1]] + 2.0, good.var, good.trust)
     seen = shown(camera, pad, height_m, aside=(0.1, -0.1))
     for memory in (FRESH, good, swapped, upside_down):
-        best = acquire(seen.px, camera, pad, seen.R_level_body, memory)[0]
+        best = search(FrameView(Pyramid(seen.px), camera, pad), seen.R_level_body, memory).candidates[0]
         assert best.score > 0.5
         assert keeps_claim(best.pose, seen.truth, camera, pad, best.yaw_ambiguous)

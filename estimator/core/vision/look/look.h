@@ -4,7 +4,7 @@
 
 #include "vision/tracker.h"
 
-/* The inputs of the verification of a registration, in the order of EVIDENCE in estimator.vision.register.fit_verification, which
+/* The inputs of the verification of a registration, in the order of EVIDENCE in estimator.vision.detect.verification, which
  * describes them. */
 enum look_evidence {
     EVIDENCE_ONE, EVIDENCE_TEMPLATE_SCORE, EVIDENCE_INLIERS, EVIDENCE_DISC_OFF, EVIDENCE_RING_OFF, EVIDENCE_H_OFF,

@@ -244,10 +244,9 @@ static void in_axes_of(const fit_state *from, const fit_state *to, double H[STAT
 /* Linearise and step until pose and blur rest; `s` is moved, and `out` takes the robust information and the last step. */
 static int converge(const fit_task *k, const patch *cut, const solver *v, dense_rows *d, fit_state *s, dense_fit *fit, fit_solved *out)
 {
-    double grown = 0.0, g[STATES], *moved_px = &out->last_step_px, *H = out->H;
-    *moved_px = INFINITY;
+    double grown = 0.0, moved_px = INFINITY, g[STATES], *H = out->H;
     for (int n = 0; n < ROUNDS; n++) {
-        const int last = (n >= 1 && *moved_px < AT_REST_PX && grown < BLUR_AT_REST_PX) || n == ROUNDS - 1;
+        const int last = (n >= 1 && moved_px < AT_REST_PX && grown < BLUR_AT_REST_PX) || n == ROUNDS - 1;
         fit_state next;
         if (!linearise_dense(k->pad, cut, s, n == 0, last, d, fit)) {
             return 0;
@@ -256,7 +255,7 @@ static int converge(const fit_task *k, const patch *cut, const solver *v, dense_
             displace_sectors(k->size_sigma_m / s->m_per_px, fit);
         }
         if ((last && !robust_sums(fit, H, g)) ||
-            !step_state(v, s, last ? H : fit->H, last ? g : fit->g, STEP_PX, n > 0, &next, moved_px)) {
+            !step_state(v, s, last ? H : fit->H, last ? g : fit->g, STEP_PX, n > 0, &next, &moved_px)) {
             return 0;
         }
         grown = fabs(sigma_px(&next) - sigma_px(s));
@@ -308,7 +307,6 @@ int register_far(const fit_task *k, const fit_state *start, fit_solved *out)
     }
     out->inliers *= out->doubted ? 0.5 : 1.0;
     out->noise_light = sqrt(fit.noise * 0.5 / NOISE_LEFT);
-    out->last_step_px *= cut.reduced;
     out->state = restored(&s, cut.reduced, SMOOTHING_PX2);
     return 1;
 }

@@ -279,8 +279,9 @@ typedef struct {
 } attempt;
 
 /* Sample the profiles and fit them, again where the pose or the blur moved too far. */
-static int sample_and_fit(attempt *a, double *moved_px)
+static int sample_and_fit(attempt *a)
 {
+    double moved_px;
     profiles *p = &a->p;
     near_rows *d = &a->d;
     fit_state *s = &a->s;
@@ -298,7 +299,7 @@ static int sample_and_fit(attempt *a, double *moved_px)
         cover_profiles(a->k->pad, s, p, 1, d);
         mix_channels(a->k->pad, p, d, &a->mix);
         mix_light(p, &a->mix, d);
-        if (!converge(a->k->pad, p, &a->priors, d, &a->fit, s, a->delta, moved_px)) {
+        if (!converge(a->k->pad, p, &a->priors, d, &a->fit, s, a->delta, &moved_px)) {
             return 0;
         }
         difference(&before, s, whole);
@@ -324,7 +325,7 @@ int register_near(const fit_task *k, const fit_state *start, fit_solved *out)
     }
     a.work.doubles = (double *)(void *)a.d.J[0];
     begin_solver(start, &k->tilt, k->pad->disc_radius_m, &a.priors);
-    if (!sample_and_fit(&a, &out->last_step_px)) {
+    if (!sample_and_fit(&a)) {
         return 0;
     }
     int accepted = 0;

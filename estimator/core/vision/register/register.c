@@ -146,7 +146,8 @@ static int positive(const double cov[STATES * STATES])
 }
 
 /* Add to the covariance of a found pose what a codec may have moved in the frame, if one predicted it. */
-static void doubt_coded(const fit_task *k, const fit_state *pose, const double H[STATES * STATES], dl_registration *out)
+static void doubt_coded(const fit_task *k, const fit_state *pose, const double H[STATES * STATES], const double of_frame[POSE * POSE],
+                        dl_registration *out)
 {
     solver priors;
     double of_fit[STATES * STATES], with_prior[POSE * POSE];
@@ -156,14 +157,14 @@ static void doubt_coded(const fit_task *k, const fit_state *pose, const double H
     begin_solver(pose, &k->tilt, k->pad->disc_radius_m, &priors);
     if (covariance_of(&priors, pose, H, of_fit)) {
         in_camera_axes(pose->R, STATES, of_fit, with_prior);
-        add_coded(k->seen.camera, &k->edges, pose, k->coded_px, out->information, with_prior, out->cov);
+        add_coded(k->seen.camera, &k->edges, pose, k->coded_px, of_frame, with_prior, out->cov);
     }
 }
 
 /* Write what was found in the camera's axes; 0 if it is no pose in front of the camera, or nothing is known of its errors. */
 static int conclude(const fit_task *k, const fit_solved *s, dl_registration *out, double *outline)
 {
-    double information[POSE * POSE], sum = 0.0;
+    double information[POSE * POSE], of_frame[POSE * POSE], sum = 0.0;
     fit_state pose = s->state;
     for (int i = 0; i < STATES * STATES; i++) {
         sum += s->cov[i];
@@ -177,12 +178,12 @@ static int conclude(const fit_task *k, const fit_solved *s, dl_registration *out
     memcpy(out->pose.R, pose.R, sizeof pose.R);
     memcpy(out->pose.t, pose.t, sizeof pose.t);
     in_camera_axes(pose.R, STATES, s->cov, out->cov);
-    in_camera_axes(pose.R, POSE, information, out->information);
-    doubt_coded(k, &pose, s->H, out);
+    in_camera_axes(pose.R, POSE, information, of_frame);
+    doubt_coded(k, &pose, s->H, of_frame, out);
     add_focal_doubt(k->seen.camera, pose.t, out->cov);
     blur_in_frame(&pose, pose.R, out->blur_px2);
     out->noise_light = s->noise_light, out->edge_rms_px = s->edge_rms_px, out->visible = s->visible;
-    out->inliers = s->inliers, out->last_step_px = s->last_step_px;
+    out->inliers = s->inliers;
     for (int kind = 0; kind < DL_EDGE_KINDS; kind++) {
         out->edges[kind] = s->edges[kind];
         out->edges[kind].likeness = likeness(k->pad->nominal + CHANNELS * kind, s->edges[kind].contrast_bgr);

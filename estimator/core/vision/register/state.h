@@ -24,7 +24,7 @@ typedef struct {
 /* A fit: information and covariance in `pad`, and what else is told of it. */
 typedef struct {
     int64_t dense, arrow_seen, doubted;
-    double H[81], cov[81], noise_light, edge_rms_px, visible, inliers, last_step_px;
+    double H[81], cov[81], noise_light, edge_rms_px, visible, inliers;
     fit_state state;
     dl_edge_support edges[DL_EDGE_KINDS];
 } fit_solved;

@@ -85,14 +85,13 @@ static int is_halved(const dl_frame *frame)
 int32_t dl_search_circles(dl_tracker *t, const dl_frame *frame, const dl_image *grey, const float *rays, const dl_circle_search *how,
                           dl_circle *out)
 {
-    const search_radii radii = {how->radii, how->most, how->only_bright, how->least, how->ratio};
     search_rows rows;
     vote_peak peak;
     int n = 0;
     if (grey == NULL) {
         return frame != NULL && is_halved(frame) && blob_room(&frame->level[1]) <= t->floats ? search_areas(t, frame, how, out) : DL_WRONG_SIZE;
     }
-    if (!is_image(grey, 1) || rays == NULL || radii.radii < 1 || radii.radii > DL_SEARCH_RADII || how->step < 1 || how->margin < 0
+    if (!is_image(grey, 1) || rays == NULL || how->radii < 1 || how->radii > DL_SEARCH_RADII || how->step < 1 || how->margin < 0
         || how->margin > MARGIN_MAX) {
         return DL_WRONG_SIZE;
     }
@@ -103,12 +102,12 @@ int32_t dl_search_circles(dl_tracker *t, const dl_frame *frame, const dl_image *
     }
     search_divide(&image, t->scratch, &rows);
     search_edges(&image, grey->px, rays, &rows);
-    search_votes(&image, &radii, &rows);
-    for (int tries = 0; tries < TRIES * (int)radii.most && n < (int)radii.most; tries++) {
+    search_votes(&image, how, &rows);
+    for (int tries = 0; tries < TRIES * (int)how->most && n < (int)how->most; tries++) {
         if (!search_peak(&image, &rows, &peak)) {
             break;
         }
-        n += search_fit(&image, &radii, &rows, &peak, &out[n]) && !is_among(&out[n], out, n);
+        n += search_fit(&image, how, &rows, &peak, &out[n]) && !is_among(&out[n], out, n);
     }
     return n;
 }

@@ -124,7 +124,7 @@ static int outline(const search_image *image, const search_rows *rows, const edg
     return n;
 }
 
-int search_fit(const search_image *image, const search_radii *radii, const search_rows *rows, const vote_peak *peak,
+int search_fit(const search_image *image, const dl_circle_search *radii, const search_rows *rows, const vote_peak *peak,
                dl_circle *out)
 {
     const double radius = radii->least * pow(radii->ratio, peak->radius);

@@ -11,12 +11,6 @@ typedef struct {
     double R_cam_plane[9];
 } search_image;
 
-/* Radii that are searched for, and the largest number of circles, as in `dl_circle_search`. */
-typedef struct {
-    int64_t radii, most, only_bright;
-    double least, ratio;
-} search_radii;
-
 /* Edges of an image: place, px, and the way from the edge to the centre of a circle of unit radius that is bright inside, px. */
 typedef struct {
     int n;
@@ -96,13 +90,13 @@ int search_place(const block_grid *blocks, float x, float y, double out[2]);
 float search_scale(const block_grid *blocks, float x, float y);
 
 /* Let every edge vote for the centres of the circles that it may belong to, and rate the tiles. */
-void search_votes(const search_image *image, const search_radii *radii, search_rows *rows);
+void search_votes(const search_image *image, const dl_circle_search *radii, search_rows *rows);
 
 /* Take the most prominent peak that is left, with its tile; returns whether there is one. */
 int search_peak(const search_image *image, search_rows *rows, vote_peak *out);
 
 /* Fit a circle to the edges about a peak; returns whether there is one. */
-int search_fit(const search_image *image, const search_radii *radii, const search_rows *rows, const vote_peak *peak,
+int search_fit(const search_image *image, const dl_circle_search *radii, const search_rows *rows, const vote_peak *peak,
                dl_circle *out);
 
 /* Where rays, (n, 2), meet a plane at unit distance, (n, 2); returns whether all do. */

@@ -16,7 +16,7 @@ static int cells(const search_image *image, int64_t px)
     return (int)((px + 2 * image->margin) / DL_SEARCH_CELL);
 }
 
-static float radius_of(const search_radii *radii, int k)
+static float radius_of(const dl_circle_search *radii, int k)
 {
     return (float)(radii->least * pow(radii->ratio, k));
 }
@@ -131,7 +131,7 @@ static void outlines(const search_image *image, const block_grid *blocks, const 
 }
 
 /* The score is in standard deviations of what chance adds to the votes: the longer an outline, the less a fraction of it is chance. */
-void search_votes(const search_image *image, const search_radii *radii, search_rows *rows)
+void search_votes(const search_image *image, const dl_circle_search *radii, search_rows *rows)
 {
     const int columns = cells(image, image->width), high = cells(image, image->height), planes = 2 * (int)radii->radii;
     const size_t plane_cells = (size_t)columns * (size_t)high;
