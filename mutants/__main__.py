@@ -37,7 +37,7 @@ def write_table(page: Path, tallies: Sequence[Tally], share: float) -> None:
     start = lines.index(HEAD[0]) + len(HEAD)
     end = next((k for k in range(start, len(lines)) if not lines[k].startswith("|")), len(lines))
     rows = {line.split("|")[1].strip(" `"): line for line in lines[start:end]}
-    rows |= {t.path: f"| `{t.path}` | {t.tried} | {t.killed} | {t.alike} | {100 * share:.0f} % |" for t in tallies}
+    rows |= {t.path: f"| `{t.path}` | {t.tried} | {t.killed} | {t.alike} | {100 * share:.3g} % |" for t in tallies}
     page.write_text("\n".join([*lines[:start], *(rows[path] for path in TARGETS if path in rows), *lines[end:]]) + "\n")
 
 

@@ -565,8 +565,6 @@ typedef struct {
 
 /* What the law keeps from one cycle to the next. */
 typedef struct {
-    /* Whether a cycle has run. */
-    bool begun;
     /* Whether the deck's turn is known. */
     bool has_turn;
     /* Acceleration of the body beside its answer to climb commands, m/s^2 down. */

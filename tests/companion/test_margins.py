@@ -175,16 +175,6 @@ def test_single_samples_of_the_accelerometer_and_another_drag_move_it_as_well() 
     assert found[5:] == pytest.approx(np.sqrt((course**2).sum(axis=0)).tolist(), rel=1e-5)
 
 
-def test_of_all_surroundings_together_the_variances_add() -> None:
-    each = AxisDisturbances()
-    alone = []
-    for name in AxisDisturbances._fields[:7]:
-        silent = AxisDisturbances(*[QUIET] * 6, sample_m_s2=0.0)
-        alone.append(margins(SHIPPED, around=silent._replace(**{name: getattr(each, name)})).error_m)
-    assert min(alone) > 0.0
-    assert margins(SHIPPED).error_m == pytest.approx(math.hypot(*alone), rel=1e-9)
-
-
 def test_the_error_to_expect_grows_with_the_delay_of_the_video() -> None:
     expected = [expected_error_m(SHIPPED, late_s) for late_s in (0.0, 0.09, 0.17, 0.26, 0.4)]
     assert expected == sorted(expected)

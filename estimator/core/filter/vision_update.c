@@ -318,7 +318,7 @@ static void fuse(dl_belief *b, covariance *c, comparison *row, int fresh, int sh
     const int lost = sqrt(fmax(var / 3.0, 0.0)) > LOST_SIGMA_M;
     withhold(b, c->P, row->dx, row->P);
     correct_belief(b, c, row->dx, memcpy(free_place(c), row->P, sizeof row->P));
-    b->sighted = b->t > b->sighted ? b->t : b->sighted;
+    b->sighted = b->t;
     b->agreed = fresh || lost ? 1 : b->agreed + 1;
     streak_end(b);
     b->heading_known |= shows_heading;

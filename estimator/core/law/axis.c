@@ -26,9 +26,8 @@ double law_between(const dl_law_cycle *in, double later, double earlier)
 
 void axis_begin(int64_t remembered, const dl_axis_measured *z, const dl_law_axis *before, dl_law_axis *after)
 {
-    const double d = before ? before->d : 0.0, b = before ? before->b : 0.0;
     memset(after, 0, sizeof *after);
-    after->p = z->p, after->w = z->w, after->d = d, after->b = b;
+    after->p = z->p, after->w = z->w, after->d = before->d, after->b = before->b;
     after->lean = after->lag = z->lean;
     for (int64_t k = 0; k < remembered; k++) {
         after->under_way[k] = z->lean;

@@ -65,7 +65,7 @@ static void observe_axes(const dl_law_in_use *law, const dl_law_cycle *in, const
     const int brakes = hypot(z[0].w - before->axes[0].w, z[1].w - before->axes[1].w) > LEAP_M_S;
     for (int i = 0; i < 2; i++) {
         if (!in->goes_on) {
-            axis_begin(law->params.remembered, &z[i], before->begun ? &before->axes[i] : NULL, &after[i]);
+            axis_begin(law->params.remembered, &z[i], &before->axes[i], &after[i]);
             continue;
         }
         dl_law_axis was = before->axes[i];
@@ -99,7 +99,7 @@ static void regulate(const dl_law_axis axes[2], const dl_law_gains *gains, const
 {
     /* A place far off calls for no more than the allowed speed. */
     const double size = hypot(far_m[0], far_m[1]), reach = speed_max_m_s * gains->w / gains->p;
-    const double shrink = size > reach ? reach / size : 1.0;
+    const double shrink = fmin(1.0, reach / size);
     for (int i = 0; i < 2; i++) {
         u[i] = axis_tilt(&axes[i], gains, shrink * far_m[i], a_deck[i], a_deck_then[i]);
     }
@@ -132,7 +132,7 @@ static void shorten(const dl_law_params *o, const dl_law_cycle *in, const double
 {
     const double asked = in->has_lean_max ? GRAVITY_M_S2 * tan(in->lean_max_rad) : INFINITY;
     const double most = fmin(o->tilt_max_m_s2, asked), held = hypot(trim[0], trim[1]);
-    const double keep = held > most ? most / held : 1.0;
+    const double keep = fmin(1.0, most / held);
     const double base[2] = {keep * trim[0], keep * trim[1]}, more[2] = {lean[0] - base[0], lean[1] - base[1]};
     const double a = more[0] * more[0] + more[1] * more[1], b = base[0] * more[0] + base[1] * more[1];
     const double c = fmax(0.0, most * most - base[0] * base[0] - base[1] * base[1]);
@@ -203,8 +203,6 @@ bool dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_
         return 0;
     }
     *after = *before;
-    after->begun = 1;
-    memset(out, 0, sizeof *out);
     deck_ahead_of(o, in, course, 0.0, &here);
     measure(n, in, &here, z);
     observe_axes(law, in, z, before, after->axes);

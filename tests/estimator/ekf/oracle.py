@@ -909,7 +909,7 @@ def _sighting(b: State, s: Sighting, params: FilterParams) -> Outcome:
             return Outcome(Verdict.SINGULAR, z.innov)
     lost = math.sqrt(max(np.trace(b.P[POS_REL, POS_REL]) / 3.0, 0.0)) > 0.3
     correct(b, _withheld(b, fix))
-    b.sighted, b.agreed, b.rejections = max(b.t, b.sighted), 1 if fresh or lost else b.agreed + 1, no_streak()
+    b.sighted, b.agreed, b.rejections = b.t, 1 if fresh or lost else b.agreed + 1, no_streak()
     b.heading_known = int(b.heading_known or (dof >= 4 and not s.yaw_ambiguous))
     if _moves_aside(b):
         b.swung = b.t
