@@ -135,7 +135,7 @@ def followed(
         t = k * PERIOD_S
         if vessel is not None:
             pad = vessel.pad_at(t)
-            p_pad, v_pad, w_pad, R_pad = pad.p_ned, pad.v_ned, pad.w, pad.rotation()
+            p_pad, v_pad, w_pad, R_pad = pad.p_ned, pad.v_ned, pad.w, Rotation(pad.R_ned)
         height_m = HIGH_M + (LOW_M - HIGH_M) * k / (FRAMES - 1)
         roll, pitch = (0.05 * math.sin(1.3 * t + p) for p in phase[:2])
         x, y = (0.06 * height_m * math.sin(0.9 * t + p) for p in phase[2:])

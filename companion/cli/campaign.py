@@ -20,7 +20,7 @@ from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput
 from estimator.pipeline import RelativeEstimator
 from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_columns, in_rows, in_words, tallies_of
-from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis, refuse_repeated
+from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis
 from sitl.campaign.plan import (
     AnyPlan,
     CampaignPlan,
@@ -230,7 +230,6 @@ def _design(args: argparse.Namespace, plan: CampaignPlan, given: Overridable) ->
             raise BadInput("--faults does not go with --vary")
         return _with_random_faults(args, plan, given.scenario), [()]
     axes = [parse_axis(text, given, "--vary") for text in args.vary]
-    refuse_repeated(axes, "--vary")
     if not axes:
         return plan, [()]
     points = factorial(axes)

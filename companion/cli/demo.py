@@ -44,8 +44,9 @@ from drivers.pyav import has_pyav
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.generations import GENERATIONS
+from sitl.emulators.ardrone.truth_log import contact_of
 from sitl.emulators.ardrone.truth_log import read as read_truth
-from sitl.flight.ending import Contact, Ending, Load
+from sitl.flight.ending import Ending, Load
 from sitl.scenario.scenario import Scenario, camera_model, with_ardrone1
 from sitl.scenario.scenario import load as load_scenario
 
@@ -235,21 +236,7 @@ def _ending(
     health: Health,
     drone: _Child,
 ) -> Ending:
-    contacts = tuple(
-        Contact(
-            MonoNs(touched["at"]),
-            touched["surface"],
-            touched["lateral_m"],
-            touched["yaw_rad"],
-            touched["vertical_speed_m_s"],
-            touched["lateral_speed_m_s"],
-            touched["phase"],
-            touched["motors"],
-            touched["guidance_phase"],
-            (touched["p_body_pad"][0], touched["p_body_pad"][1]),
-        )
-        for touched in (truth[-1]["contacts"] if truth else [])
-    )
+    contacts = tuple(map(contact_of, truth[-1]["contacts"] if truth else ()))
     started = MonoNs(truth[0]["at_ns"]) if truth else MonoNs(0)
     delays = health.delays.get("guidance_late")
     late_s = None if delays is None else delays.quantile(0.5)

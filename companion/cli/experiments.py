@@ -12,7 +12,7 @@ from companion.cli.options import check_seed, file_errors, option, print_result,
 from companion.settings.load import SHIPPED, load, pad_of_file, read_camera
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from study.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, lags
+from study.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, hover_table, lags
 from study.experiments.photographs import read_photographs
 
 PAGE = "experiments.md"
@@ -72,7 +72,7 @@ def _tables(chapter: Chapter5) -> dict[str, Any]:
         "hover": {
             quantity: [
                 {"height_m": height_m, "method": method, **row._asdict()}
-                for (height_m, method), row in chapter.hover.table(quantity).items()
+                for (height_m, method), row in hover_table(chapter.hover, quantity).items()
             ]
             for quantity in QUANTITIES
         },

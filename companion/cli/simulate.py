@@ -27,9 +27,8 @@ from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, 
 from sitl.emulators.autopilots.follow import FollowEnd, follow
 from sitl.emulators.autopilots.program import executable
 from sitl.faults.kinds import STREAMS
-from sitl.flight.ending import Contact, Ending
-from sitl.flight.one_flight import FlyOptions, contact_of, fly, perception_level, settings_for
-from sitl.flight.one_flight import ending_of as graded_ending
+from sitl.flight.ending import Ending
+from sitl.flight.one_flight import FlyOptions, fly, perception_level, settings_for
 from sitl.perception.levels import perceive
 from sitl.perception.port import Level
 from sitl.scenario.scenario import FAULTS, Scenario
@@ -169,12 +168,10 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
             end = event_loop.run(flight.fly())
         texts = (f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
         (folder / "texts.txt").write_text("".join(texts))
-    ending = Ending(
-        args.scenario, args.seed, end.outcome, tuple(map(contact_of, end.contacts)), end.duration_s, end.health.frames
-    )
-    if end.result is not None:
-        ending = graded_ending(args.scenario, args.seed, scenario, end.result, time.process_time())
-    ending = replace(ending, started=flight.graded.started, without_outcome=end.without_outcome, standing=end.standing)
+    ending = end.graded or Ending("", args.seed, end.outcome, end.contacts, end.duration_s, end.health.frames)
+    judged = ending.judged and replace(ending.judged, cpu_s=time.process_time())
+    ending = replace(ending, scenario=args.scenario, judged=judged, started=flight.graded.started)
+    ending = replace(ending, without_outcome=end.without_outcome, standing=end.standing)
     wall_s = time.monotonic() - began
     report = kept.write_report(ending, wall_s, f"in lock step with {facts['binary']}")
     lines = [*(silence.in_words() for silence in end.silences), end.failure or ending.in_words()]
@@ -259,8 +256,5 @@ def run_follow(args: argparse.Namespace) -> int:
 
 def _ending_of(scenario: str, seed: int, end: FollowEnd) -> Ending:
     """Return how the flight ended, in the form that `simulate` prints."""
-    contacts: tuple[Contact, ...] = ()
-    if end.landing is not None:
-        t = end.landing
-        contacts = (Contact(t.at, t.surface, t.lateral_m, t.yaw_rad, t.vertical_speed_m_s, t.lateral_speed_m_s),)
+    contacts = () if end.landing is None else (end.landing,)
     return Ending(scenario, seed, end.outcome, contacts, end.duration_s, end.health.frames)

@@ -80,6 +80,7 @@ _ID = re.compile(r"[0-9a-f]{8}")
 
 _LIMITS = ("euler_angle_max", "control_vz_max", "control_yaw")
 """Keys with an indoor and an outdoor twin: control:outdoor says which one rules."""
+LIMIT_KEYS = frozenset(f"control:{where}{name}" for where in ("", "indoor_", "outdoor_") for name in _LIMITS)
 
 
 def _fixed(name: str, default: str, kind: Kind = "text") -> Key:

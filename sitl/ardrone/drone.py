@@ -7,17 +7,19 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import assert_never
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from drivers.ardrone import control
-from drivers.ardrone.navdata import Navdata, encode
+from drivers.ardrone.navdata import LAYOUTS, Navdata, clock_of_us, encode
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after
 from sitl.ardrone.config import Configuration, tilting
 from sitl.ardrone.generations import SECOND, Generation
-from sitl.ardrone.navdata_from_world import SentFrame, Situation, datagram, further_fields, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
 from sitl.sensors.sensors import GnssErrors
 from sitl.vehicle.vehicle import VehiclePhase
@@ -71,6 +73,23 @@ class FlightRecorder:
             "gps_plugged": 1,
             "last_frame_timestamp": int(world.now // 1_000_000) & 0xFFFFFFFF,
         }
+
+
+TESLA_PER_MILLIGAUSS = 1e-7
+MILLIGAUSS_PER_COUNT = 3.4
+"""Scale of the magnetometer, as a captured datagram relates its counts to its field."""
+
+
+class SentFrame(Struct, frozen=True):
+    """The last frame that was sent, as navdata reports it."""
+
+    number: int = 0
+    time_ms: int = 0
+    """Time of the drone's clock at mid-exposure."""
+    rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    altitude_m: float = 0.0
+    bytes_sent: int = 0
+    bitrate_kbps: int = 0
 
 
 TICK_S = 0.005
@@ -163,37 +182,105 @@ class Drone:
         self._recorder.tick(self.world)
 
     def navdata(self) -> Navdata:
-        """Return the next navdata datagram for the current mode."""
-        config = self.state.config
-        if self.state.bootstrap:
-            mask = 0
-        elif config.flag("general:navdata_demo"):
-            mask = int(config.number("general:navdata_options")) & self.generation.options
-        else:
-            mask = self.generation.options
+        """Return the next navdata datagram for the current mode; the bootstrap's is the bare state word."""
+        mask = 0 if self.state.bootstrap else self.generation.options
+        if self.in_demo_mode:
+            mask &= int(self.state.config.number("general:navdata_options"))
         self._sequence += 1
-        return datagram(self._situation(), self._sequence, mask)
+        phase = self.world.phase
+        values: dict[str, float] = {}
+        readings, echo = self._readings, self._readings.ultrasound_m
+        state = self.state.word(phase, readings.battery_fraction < BATTERY_LOW, echo is None)
+        if mask & 1 << 0:
+            roll, pitch, yaw = readings.rpy_rad
+            vx, vy = readings.v_level_m_s
+            values.update(
+                ctrl_state=self.state.control_state(phase),
+                battery_percent=round(100 * readings.battery_fraction),
+                theta_mdeg=_mdeg(pitch),
+                phi_mdeg=_mdeg(roll),
+                psi_mdeg=_mdeg(yaw),
+                altitude_mm=0 if phase is VehiclePhase.LANDED else round(1e3 * self._altitude_m),
+                vx_mm_s=1e3 * vx,
+                vy_mm_s=1e3 * vy,
+            )
+        if mask & 1 << 1:
+            values["clock"] = clock_of_us(max(0, self._clock.microseconds(readings.at)))
+        if mask & 1 << 2:
+            values.update(nb_echo=0 if echo is None else 1, sum_echo=self._echoes % 2**32)
+        if mask & 1 << 3:
+            x, y, z = readings.f_body
+            p, q, r = readings.w_body
+            values.update(ax_mg=1e3 * x / G_M_S2, ay_mg=1e3 * y / G_M_S2, az_mg=1e3 * z / G_M_S2)
+            values.update(wx_deg_s=math.degrees(p), wy_deg_s=math.degrees(q), wz_deg_s=math.degrees(r))
+        if mask & 1 << 10:
+            values["altitude_raw_mm"] = 0 if echo is None else round(1e3 * echo)
+        if mask & 1 << 21:
+            temperature_dc, pressure_pa = round(10 * readings.temperature_c), round(readings.pressure_pa)
+            values.update(up=0, ut=0, temperature_dc=temperature_dc, pressure_pa=pressure_pa)
+        if mask & 1 << 27:
+            values.update(self._recorder.newest)
+        return Navdata(state, self._sequence, _tags(mask), **values)  # type: ignore[arg-type]
 
     def datagram(self) -> bytes:
         """Return the next navdata datagram as it is sent."""
-        return encode(self.navdata(), further_fields(self._situation()))
+        return encode(self.navdata(), self.further_fields())
 
-    def _situation(self) -> Situation:
-        phase, readings = self.world.phase, self._readings
-        return Situation(
-            state=self.state.word(phase, readings.battery_fraction < BATTERY_LOW, readings.ultrasound_m is None),
-            control_state=self.state.control_state(phase),
-            readings=readings,
-            phase=phase,
-            altitude_m=self._altitude_m,
-            time_us=max(0, self._clock.microseconds(readings.at)),
-            stick=self._flown,
-            limits=self.world.limits,
-            shot=self.shot,
-            echoes=self._echoes,
-            ticks=self._ticks,
-            gps=self._recorder.newest,
-        )
+    def further_fields(self) -> Mapping[str, float]:
+        """Return the fields that the service does not read, for `encode`; what nothing here measures stays zero."""
+        readings, stick, shot, limits = self._readings, self._flown, self.shot, self.world.limits
+        echo = readings.ultrasound_m
+        x, y, z = readings.f_body
+        roll, pitch, yaw = shot.rpy_rad
+        vx, vy = (1e3 * v for v in readings.v_level_m_s)
+        tilt = limits.euler_angle_max_rad if stick.progressive else 0.0
+        values: dict[str, float] = {
+            "vbat_raw_mv": round(10_772 + 1_828 * readings.battery_fraction),
+            "flag_echo_ini": 1,
+            "alt_temp_raw_mm": 0 if echo is None else round(1e3 * echo),
+            "accs_temp_c": readings.temperature_c,
+            "theta_a_mdeg": _mdeg(math.atan2(x, math.hypot(y, z))),
+            "phi_a_mdeg": _mdeg(math.atan2(-y, -z)),
+            "ref_theta": round(_mdeg(stick.pitch * tilt)),
+            "ref_phi": round(_mdeg(stick.roll * tilt)),
+            "ref_yaw": round(_mdeg(stick.yaw * limits.yaw_rate_max_rad_s)) if stick.progressive else 0,
+            "altitude_vision_mm": round(1e3 * self._altitude_m),
+            "obs_alt": self._altitude_m,
+            "est_vx": vx,
+            "est_vy": vy,
+            "vision_state": 2,
+            "theta_capture_rad": pitch,
+            "phi_capture_rad": roll,
+            "psi_capture_rad": yaw,
+            "altitude_capture_mm": round(1e3 * shot.altitude_m),
+            "time_capture_ms": shot.time_ms,
+            "body_vx": vx,
+            "body_vy": vy,
+            "watchdog": self._ticks % 2**31,
+            "frame_size": shot.bytes_sent,
+            "frame_number": shot.number,
+            "out_bitrate": shot.bitrate_kbps,
+            "desired_bitrate": shot.bitrate_kbps,
+            "offset_pressure_pa": float(readings.pressure_pa),
+            "est_z": 1e3 * self._altitude_m,
+            "recorder_frame_number": shot.number,
+            "gps_state": self._recorder.newest["gps_plugged"],
+        }
+        for axis, f_m_s2 in zip("xyz", (x, -y, -z), strict=True):
+            values[f"raw_a{axis}"] = _clip(2048 + 0.512 * (1e3 * f_m_s2 / G_M_S2), 0, 4095)
+        for axis, w_rad_s in zip("xyz", readings.w_body, strict=True):
+            values[f"raw_w{axis}"] = _clip(math.degrees(w_rad_s) * 16.4, -(2**15), 2**15 - 1)
+        for n, pwm in enumerate(readings.motors_pwm, 1):
+            values[f"motor_{n}"], values[f"sat_motor_{n}"] = _clip(pwm, 0, 255), 255
+        if readings.magnetometer is not None:
+            field_mg = [v / TESLA_PER_MILLIGAUSS for v in readings.magnetometer]
+            for axis, mg in zip("xyz", field_mg, strict=True):
+                values[f"m{axis}"] = _clip(mg / MILLIGAUSS_PER_COUNT, -(2**15), 2**15 - 1)
+                values[f"magneto_raw_{axis}"] = values[f"magneto_rectified_{axis}"] = mg
+            for name in ("heading_unwrapped_deg", "heading_gyro_unwrapped_deg", "heading_fusion_unwrapped_deg"):
+                values[name] = math.degrees(readings.rpy_rad[2])
+            values.update(calibration_ok=1, magneto_state=2, radius=math.hypot(*field_mg))
+        return values
 
     def _do(self, handler: RefAction | Stick) -> None:
         if isinstance(handler, Stick):
@@ -243,3 +330,21 @@ class Drone:
         if stick.gaz > 0.0 and self._altitude_m >= 1e-3 * self.state.config.number("control:altitude_max"):
             return replace(stick, gaz=0.0)
         return stick
+
+
+@cache
+def _tags(mask: int) -> tuple[int, ...]:
+    return tuple(tag for tag in LAYOUTS if mask >> tag & 1)
+
+
+def upright_m(slant_m: float, rpy_rad: tuple[float, float, float]) -> float:
+    """Height over a level ground from a range along the body's down axis."""
+    return slant_m * math.cos(rpy_rad[0]) * math.cos(rpy_rad[1])
+
+
+def _mdeg(angle_rad: float) -> float:
+    return math.degrees(angle_rad) * 1e3
+
+
+def _clip(value: float, low: int, high: int) -> int:
+    return min(high, max(low, round(value)))

@@ -15,17 +15,11 @@ from drivers.ardrone import at
 from drivers.ardrone.counters import Refusal
 from drivers.ardrone.navdata import ControlState, NavdataState
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.ardrone.config import Answer, Configuration, Ids
+from sitl.ardrone.config import LIMIT_KEYS, Answer, Configuration, Ids
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import Stick
 
-LIMIT_KEYS = frozenset(
-    f"control:{where}{name}"
-    for where in ("", "indoor_", "outdoor_")
-    for name in ("euler_angle_max", "control_vz_max", "control_yaw")
-) | {"control:outdoor", "custom:session_id", "custom:profile_id"}
-
-
+_CHANGES_LIMITS = LIMIT_KEYS | {"control:outdoor", "custom:session_id", "custom:profile_id"}
 _ALWAYS = (
     NavdataState.ALTITUDE_CONTROL | NavdataState.CAMERA_READY | NavdataState.PIC_VERSION_OK
     | NavdataState.AT_CODEC_ON | NavdataState.NAVDATA_ON | NavdataState.VIDEO_ON | NavdataState.ACQUISITION_ON
@@ -238,7 +232,7 @@ class DroneState:
             self.leds = _leds_of(value) or self.leds
         elif name == "control:flight_anim":
             self.counters["not_flown_anim"] += 1
-        elif name in LIMIT_KEYS:
+        elif name in _CHANGES_LIMITS:
             yield RefAction.APPLY_LIMITS
 
     def _control(self, mode: int) -> Iterator[RefAction]:

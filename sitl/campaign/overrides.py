@@ -41,15 +41,6 @@ class Overridable:
         self.scenario, self.settings, self._by_autopilot = scenario, settings, by_autopilot
         self._tables: tuple[dict[str, Any], dict[str, Any]] = (plain(scenario), plain(settings))
 
-    def holds_whole_number(self, key: str, where: str) -> bool:
-        """Return whether a key holds a whole number.
-
-        Raises:
-            BadInput: the key does not exist.
-        """
-        present = self._find(key, where)
-        return isinstance(present, int) and not isinstance(present, bool)
-
     def value(self, key: str, text: str, where: str) -> Value:
         """Return the value that a text means for a key, by the type of the key's present value.
 
@@ -116,7 +107,7 @@ class Overridable:
 
 POINTS_MAX = 1_000_000
 _DIGITS = 9
-"""Significant digits of a value: enough for any key, and short enough to read."""
+"""Significant digits of a value, as a command line shows them: enough for any key, and short enough to read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,11 +118,6 @@ class Axis:
     text: str
     """Text as the person wrote it."""
     values: tuple[Value, ...]
-
-
-def rounded(value: float) -> float:
-    """Return the value with the significant digits that a command line shows."""
-    return float(f"{value:.{_DIGITS}g}")
 
 
 def parse_axis(text: str, given: Overridable, where: str) -> Axis:
@@ -157,28 +143,21 @@ def parse_axis(text: str, given: Overridable, where: str) -> Axis:
     count = math.floor((high - low) / step * (1.0 + 1e-9)) + 1
     if count > POINTS_MAX:
         raise BadInput(f"{where} {text!r}: {count} values are more than {POINTS_MAX}")
-    whole, steps = given.holds_whole_number(key, where), [rounded(low + n * step) for n in range(count)]
+    whole = type(given._find(key, where)) is int
+    steps = [float(f"{low + n * step:.{_DIGITS}g}") for n in range(count)]
     return Axis(key, text, tuple(int(v) if whole and v == int(v) else v for v in steps))
-
-
-def refuse_repeated(axes: Sequence[Axis], where: str) -> None:
-    """Refuse a key that is varied twice.
-
-    Raises:
-        BadInput: there is one.
-    """
-    keys = [axis.key for axis in axes]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise BadInput(f"{where}: {key} is given twice")
 
 
 def factorial(axes: Sequence[Axis]) -> list[Point]:
     """Return all combinations of the axes' values; a single empty point without axes.
 
     Raises:
-        BadInput: there are too many combinations.
+        BadInput: a key is varied twice, or there are too many combinations.
     """
+    keys = [axis.key for axis in axes]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise BadInput(f"--vary: {key} is given twice")
     if (count := math.prod(len(axis.values) for axis in axes)) > POINTS_MAX:
         raise BadInput(f"--vary: {count} combinations are more than {POINTS_MAX}")
     return [
@@ -187,6 +166,6 @@ def factorial(axes: Sequence[Axis]) -> list[Point]:
     ]
 
 
-def described(kind: str, axes: Sequence[Axis], **more: Any) -> dict[str, Any]:
+def described(kind: str, axes: Sequence[Axis]) -> dict[str, Any]:
     """Return a design as plain values, for the manifest."""
-    return {"kind": kind, "axes": [axis.text for axis in axes], "keys": [axis.key for axis in axes], **more}
+    return {"kind": kind, "axes": [axis.text for axis in axes], "keys": [axis.key for axis in axes]}

@@ -21,7 +21,8 @@ from estimator.vision.pad import Pad
 from estimator.vision.regions import outlines_of, part_of
 from sitl.campaign.figures import SuccessMap, wilson
 from sitl.campaign.growth import Reading
-from sitl.campaign.soak import Class, Flown, fault_of
+from sitl.campaign.soak import Flown, fault_of
+from sitl.flight.ending import Grade
 
 INK, FAINT = "#010203", "#040506"
 """Stand-ins for the page's own colours."""
@@ -85,7 +86,7 @@ _DOTS_MAX = 3000
 _STEPS_MAX = 300
 _SUCCESS = LinearSegmentedColormap.from_list("success", ["#b3441e", "#e69f00", "#f0e442", "#56b4e9", "#0a9d76"])
 """Colours from failure to success; its ends differ in lightness too."""
-_CLASSES = {Class.ON_PAD: "#2a9d3a", Class.REFUSED_RIGHTLY: "#3a6fb0", Class.FAILED: "#c0392b", Class.STARVED: "#8a8a8a"}
+_CLASSES = {Grade.ON_PAD: "#2a9d3a", Grade.REFUSED_RIGHTLY: "#3a6fb0", Grade.FAILED: "#c0392b", Grade.STARVED: "#8a8a8a"}
 _FAULT_ROW_IN = 0.16
 """Height of one fault's row, which its name needs, in."""
 

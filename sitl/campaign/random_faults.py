@@ -39,22 +39,14 @@ def verdict_of(flight: Flight) -> str:
     return {"on pad": "landed", "refused rightly": "refused"}.get(flight["grade"], "undecided")
 
 
-def _height(flight: Flight) -> float:
-    return float(-math.inf if (height_m := flight.get("highest_m")) is None else height_m)
-
-
-def _speed(flight: Flight) -> float:
-    return float(max((c["lateral_speed_m_s"] for c in flight["contacts"]), default=-math.inf))
-
-
-def _distance(flight: Flight) -> float:
-    return float(max((c["lateral_m"] for c in flight["contacts"]), default=-math.inf))
+def _at_contacts(name: str) -> Callable[[Flight], float]:
+    return lambda f: float(max((contact[name] for contact in f["contacts"]), default=-math.inf))
 
 
 MEASURES: Mapping[str, tuple[str, Callable[[Flight], float]]] = {
-    "height": ("m over the pad", _height),
-    "speed": ("m/s along the deck at a contact", _speed),
-    "distance": ("m from the pad's centre at a contact", _distance),
+    "height": ("m over the pad", lambda f: float(-math.inf if f.get("highest_m") is None else f["highest_m"])),
+    "speed": ("m/s along the deck at a contact", _at_contacts("lateral_speed_m_s")),
+    "distance": ("m from the pad's centre at a contact", _at_contacts("lateral_m")),
 }
 """Measures for choosing the worst flights: the unit, and the measure of a flight."""
 
@@ -81,7 +73,11 @@ class FaultTally:
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values: the number of flights by verdict, and the worst flights by each measure."""
-        worst = {name: [{"value": measure(f), **_named(f)} for f in self._worst[name]] for name, (_, measure) in MEASURES.items()}
+        keys = ("scenario", "seed", "faults", "unsafe")
+        worst = {
+            name: [{"value": of(f), "verdict": verdict_of(f), **{key: f[key] for key in keys}} for f in self._worst[name]]
+            for name, (_, of) in MEASURES.items()
+        }
         return {"counts": self.counts, "worst": worst}
 
     def in_words(self) -> str:
@@ -97,16 +93,6 @@ class FaultTally:
 
 def _faults(flight: Flight) -> str:
     return ", ".join(f"{f['kind']} from {f['at_s']:.1f} s" for f in flight["faults"]) or "no fault began"
-
-
-def _named(flight: Flight) -> dict[str, Any]:
-    return {
-        "scenario": flight["scenario"],
-        "seed": flight["seed"],
-        "verdict": verdict_of(flight),
-        "faults": flight["faults"],
-        "unsafe": flight["unsafe"],
-    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
-from enum import Enum
 from io import FileIO
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -34,8 +33,7 @@ from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
 from sitl.campaign.growth import Reading, findings, give_back, read, warm_up_s
 from sitl.campaign.plan import CampaignPlan
-from sitl.flight.ending import Load
-from sitl.flight.grade import AtEnd, Grade, grade
+from sitl.flight.ending import AtEnd, Grade, Load, grade
 from sitl.flight.one_flight import FlyOptions, fly
 from sitl.perception.levels import perceive, represents
 from sitl.scenario.scenario import Scenario
@@ -52,15 +50,6 @@ _DECIDED_S = 2
 """Seconds in which the pilot learns that a flight has ended; the next flight begins later."""
 
 
-class Class(Enum):
-    """The outcome of a flight in a soak."""
-
-    ON_PAD = Grade.ON_PAD.value
-    REFUSED_RIGHTLY = Grade.REFUSED_RIGHTLY.value
-    FAILED = Grade.FAILED.value
-    STARVED = "not judged: the machine was too slow"
-
-
 @dataclass(frozen=True, slots=True)
 class Flown:
     """One flight."""
@@ -70,7 +59,7 @@ class Flown:
     seed: int
     title: str
     """The scenario's title, with its fault behind a semicolon."""
-    worth: Class
+    worth: Grade
     because: str
     duration_s: float
 
@@ -100,10 +89,9 @@ def real(
     landed_m = said["lateral_m"] if said["on_pad"] else None
     worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], AtEnd(left_alone=said["left_alone"]))
     load = Load(said["duration_s"], said["frames_sent"], said["stood_still_s"], frames, guidance_late_s)
-    kind = Class(worth.value)
-    if kind is Class.FAILED and (slow := load.starved()) is not None:
-        kind, because = Class.STARVED, f"{slow} ({because})"
-    return Flown(at_s, said["seed"], said["title"], kind, because, said["duration_s"])
+    if worth is Grade.FAILED and (slow := load.starved()) is not None:
+        worth, because = Grade.STARVED, f"{slow} ({because})"
+    return Flown(at_s, said["seed"], said["title"], worth, because, said["duration_s"])
 
 
 class Records(Generic[T]):
@@ -186,7 +174,7 @@ class Tally:
     """File for the readings, written without a buffer: a run that is killed keeps its readings."""
     _said: float = 0.0
 
-    def count(self, worth: Class) -> int:
+    def count(self, worth: Grade) -> int:
         """Return the number of flights of one class."""
         return sum(flight.worth is worth for flight in self.flights)
 
@@ -212,15 +200,15 @@ class Tally:
         if not quiet and reading.at_s - self._said >= _SAY_EACH_S:
             self._said = reading.at_s
             sys.stderr.write(
-                f"{reading.at_s / 60:5.0f} min  {len(self.flights)} flights, {self.count(Class.ON_PAD)} on the pad, "
-                f"{self.count(Class.FAILED)} failed  {reading.memory_mib:.1f} MiB  "
+                f"{reading.at_s / 60:5.0f} min  {len(self.flights)} flights, {self.count(Grade.ON_PAD)} on the pad, "
+                f"{self.count(Grade.FAILED)} failed  {reading.memory_mib:.1f} MiB  "
                 f"{reading.descriptors} descriptors  {reading.threads} threads\n"
             )
 
     def faults(self, failed_max: int) -> list[str]:
         """Return why the flights make the run fail; empty if they do not."""
         output = []
-        failed, starved = self.count(Class.FAILED), self.count(Class.STARVED)
+        failed, starved = self.count(Grade.FAILED), self.count(Grade.STARVED)
         if failed > failed_max:
             output.append(f"{failed} of {len(self.flights)} flights failed" + (f", more than {failed_max}" if failed_max else ""))
         if starved > STARVED_MAX * len(self.flights):
@@ -231,10 +219,10 @@ class Tally:
         """Return the counts by class and by ending, and every flight."""
         return {
             "flights": len(self.flights),
-            "on_pad": self.count(Class.ON_PAD),
+            "on_pad": self.count(Grade.ON_PAD),
             "endings": dict(self.endings),
             "flown_s": self.flown_s,
-            "classes": {worth.name.lower(): self.count(worth) for worth in Class},
+            "classes": {worth.name.lower(): self.count(worth) for worth in Grade},
             "outcomes": [{**asdict(flight), "worth": flight.worth.value} for flight in self.flights],
         }
 
@@ -246,15 +234,15 @@ class Tally:
             options: the options, beside fault and seed, that the first failed one needs to fail again.
         """
         endings = ", ".join(f"{n} {name}" for name, n in sorted(self.endings.items()))
-        counts = ", ".join(f"{n} {worth.value}" for worth in Class if (n := self.count(worth)))
+        counts = ", ".join(f"{n} {worth.value}" for worth in Grade if (n := self.count(worth)))
         lines = [
             f"{len(self.flights)} flights in {self.flown_s / 3600:.2f} h: {endings}",
             f"outcomes   {counts or 'none'}",
         ]
         for flight in self.flights:
-            if flight.worth in (Class.FAILED, Class.STARVED):
+            if flight.worth in (Grade.FAILED, Grade.STARVED):
                 lines.append(f"  seed {flight.seed}, {fault_of(flight.title)}: {flight.worth.value}: {flight.because}")
-        failed = next((flight for flight in self.flights if flight.worth is Class.FAILED and "; " in flight.title), None)
+        failed = next((flight for flight in self.flights if flight.worth is Grade.FAILED and "; " in flight.title), None)
         if failed is not None:
             words = ["decklander", "campaign", scenario, "--soak", "--virtual", "--runs", "1", "--seed", str(failed.seed)]
             again = shlex.join([*words, "--fault", fault_of(failed.title), *options])
@@ -344,7 +332,7 @@ def _virtually(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, set
         judged = ending.judged
         assert judged is not None
         at_s = time.monotonic() - tally.began
-        flight = Flown(at_s, seed, wanted.title, Class(judged.grade), judged.because, ending.duration_s)
+        flight = Flown(at_s, seed, wanted.title, judged.grade, judged.because, ending.duration_s)
         tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
         tally.flown_s += ending.duration_s
         del ending, judged, flight

@@ -1,16 +1,22 @@
-"""The ending of a simulated flight, as text, as JSON and for its report, and the load of a machine too slow to fly it."""
+"""The ending of a simulated flight, as text, as JSON and for its report, its grade, and the load of a machine too slow to fly it.
+
+A flight is graded by what its scenario expects, and what the referee found.
+"""
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from enum import StrEnum
+from typing import Any, NamedTuple
 
-from companion.base.mission import FlightOutcome
+from companion.base.mission import CONTACT_INTENDED, REFUSALS, FlightOutcome
+from companion.guidance.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
 from companion.tools.report.flight_log import FlightLog, LoggedContact
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.flight.afterwards import Aftermath, Standing
+from sitl.world.truth import Touchdown
 
 STOOD_STILL_MAX_S = 1.0
 FILMED_MIN, REPLACED_MAX, SKIPPED_MAX, NO_ATTITUDE_MAX = 0.5, 0.4, 0.7, 0.15
@@ -55,49 +61,101 @@ class Load:
         return "; ".join(output) or None
 
 
+_INTENDED = frozenset({*(state.value for state in CONTACT_INTENDED), BY_HAND, LANDING_FOR_PERSON})
+
+
+def outside_commit(contacts: Sequence[Touchdown]) -> int:
+    """Return the number of contacts with turning motors in a phase of guidance that intends none, while no person commands."""
+    return sum(bool(contact.motors) and contact.guidance_phase not in _INTENDED for contact in contacts)
+
+
+class Grade(StrEnum):
+    """The grade of a flight."""
+
+    ON_PAD = "on pad"
+    REFUSED_RIGHTLY = "refused rightly"
+    FAILED = "failed"
+    STARVED = "not judged: the machine was too slow"
+    """In place of a failed flight in real time."""
+
+
+def on_pad_m(contacts: Sequence[Touchdown]) -> float | None:
+    """Return the distance of the newest contact from the pad's centre, or None if it was not on the pad."""
+    return contacts[-1].lateral_m if contacts and contacts[-1].on_pad else None
+
+
+class AtEnd(NamedTuple):
+    """The situation in which a flight ended."""
+
+    left_alone: bool = False
+    """There was no service or no link, so that nothing could be decided."""
+    asks: bool = False
+    """It hovered and waited for the operator's decision about another pad, which nobody makes in a simulation."""
+    held: bool = False
+    """A person held it, flew it, or had ended the landing."""
+    theirs: str = ""
+    """The newest act of a person that stands; empty without one."""
+    go_arounds: int = 0
+    """Number of go-arounds."""
+    refusal: tuple[str, str] = ("", "")
+    """Words that the reason of a refusal must hold, and the reason that it gave."""
+    put_down: bool = False
+    """It stands because it landed by itself while nothing reached it, and the scenario allows that."""
+
+
+def grade(
+    outcome: FlightOutcome | None,
+    landed_m: float | None,
+    unsafe: Sequence[str],
+    expect: str,
+    at_end: AtEnd | None = None,
+) -> tuple[Grade, str]:
+    """Return the grade of a flight and the reason for it.
+
+    Args:
+        outcome: the pilot's outcome; None if the time ran out.
+        landed_m: the result of `on_pad_m`.
+        unsafe: the lines of the referee.
+        expect: the outcome that the scenario expects, as its file says it.
+        at_end: the situation in which it ended.
+    """
+    end = at_end or AtEnd()
+    if unsafe:
+        return Grade.FAILED, "; ".join(unsafe)
+    if expect == "either" and end.theirs:
+        return Grade.REFUSED_RIGHTLY, f"left to the person who ordered {end.theirs}"
+    if expect == "hold":
+        if end.held:
+            return Grade.REFUSED_RIGHTLY, "held for the operator"
+        return Grade.FAILED, f"did not hold for the operator: {'time ran out' if outcome is None else outcome.value}"
+    if outcome is FlightOutcome.LANDED and landed_m is not None:
+        if expect == "go_around" and not end.go_arounds:
+            return Grade.FAILED, f"landed {100 * landed_m:.1f} cm from the centre without going around first"
+        return Grade.ON_PAD, f"{100 * landed_m:.1f} cm from the centre"
+    if end.put_down and outcome is FlightOutcome.LANDED_BY_OTHERS:
+        return Grade.REFUSED_RIGHTLY, "landed by itself while nothing reached it"
+    if outcome in REFUSALS or (outcome is None and (end.left_alone or end.asks)):
+        output = "hovered without a service" if end.left_alone else "hovered and waited for the operator"
+        if outcome is not None:
+            output = outcome.value
+        if expect in ("land", "go_around"):
+            return Grade.FAILED, f"{output}, though nothing was wrong enough for that"
+        if outcome in REFUSALS and end.refusal[0].lower() not in end.refusal[1].lower():
+            return Grade.FAILED, f"{output} for another reason than {end.refusal[0]!r}: {end.refusal[1]}"
+        return Grade.REFUSED_RIGHTLY, output
+    return Grade.FAILED, "time ran out: it neither landed nor gave up" if outcome is None else outcome.value
+
+
 _ZERO = MonoNs(0)
 _WHERE = {"pad": "on the pad", "deck": "on deck, off the pad", "water": "in the water"}
 _OVER_RIM = "over the pad's rim"
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
-    """A contact with a surface after flight, from the simulator's truth."""
-
-    at: MonoNs
-    surface: str
-    """Surface that was touched: pad, deck or water."""
-    lateral_m: float
-    yaw_rad: float
-    vertical_speed_m_s: float
-    lateral_speed_m_s: float
-    vehicle_phase: str | None = None
-    """The vehicle's phase just before the contact."""
-    motors: bool | None = None
-    """True if its motors were turning."""
-    phase: str | None = None
-    """Phase of guidance just before the contact."""
-    p_pad_m: tuple[float, float] | None = None
-    """Position on the pad: along the arrow, and to starboard of it; None if it is not known."""
-    centre_on_pad: bool = False
-    """True if the body's origin is over the pad, whatever its feet are."""
-    tilt_rad: float = 0.0
-    over_rim_m: float = 0.0
-    foot_speed_m_s: float = 0.0
-    """Tilt, farthest foot beyond the rim and closing speed of the fastest foot, as of `sitl.world.truth.Touchdown`."""
-
-    @property
-    def on_pad(self) -> bool:
-        """True if all feet were over the pad."""
-        return self.surface == "pad"
-
-
-@dataclass(frozen=True, slots=True)
 class FlightGrade:
     """The simulator's grade of a whole flight."""
 
-    grade: str
-    """Grade: on pad, refused rightly or failed."""
+    grade: Grade
     because: str
     unsafe: tuple[str, ...]
     refused: str | None
@@ -127,7 +185,7 @@ class Ending:
     seed: int
     outcome: FlightOutcome | None
     """Outcome in the pilot's eyes; None if the flight ended without one, as `without_outcome` says."""
-    contacts: tuple[Contact, ...]
+    contacts: tuple[Touchdown, ...]
     duration_s: float
     frames: Counter[Verdict]
     started: MonoNs = _ZERO
@@ -143,7 +201,7 @@ class Ending:
     """Flight after the outcome; None if it was not in the air then, or if nobody looked."""
 
     @property
-    def contact(self) -> Contact | None:
+    def contact(self) -> Touchdown | None:
         """The newest contact, with which it landed; None without one."""
         return self.contacts[-1] if self.contacts else None
 
@@ -155,7 +213,7 @@ class Ending:
     @property
     def good(self) -> bool:
         """True if it landed on the pad safely, or refused as its scenario expects."""
-        return self.on_pad if self.judged is None else self.judged.grade != "failed"
+        return self.on_pad if self.judged is None else self.judged.grade is not Grade.FAILED
 
     def followed(self, standing: Standing | None, aftermath: Aftermath | None, cpu_s: float) -> "Ending":
         """Return the ending with what came after the outcome, and the CPU time of both; a graded flight may fail by it."""
@@ -165,13 +223,13 @@ class Ending:
             judged = replace(judged, highest_m=round(aftermath.at_most_m, 3), counts=aftermath.counts)
         if judged is not None and unsafe:
             judged = replace(
-                judged, grade="failed", because="; ".join((*judged.unsafe, *unsafe)), unsafe=(*judged.unsafe, *unsafe)
+                judged, grade=Grade.FAILED, because="; ".join((*judged.unsafe, *unsafe)), unsafe=(*judged.unsafe, *unsafe)
             )
-        elif judged is not None and standing is not None and not standing.on_pad and judged.grade == "on pad":
-            judged = replace(judged, grade="failed", because=standing.in_words())
-        elif judged is not None and standing is None and judged.grade == "on pad":
+        elif judged is not None and standing is not None and not standing.on_pad and judged.grade is Grade.ON_PAD:
+            judged = replace(judged, grade=Grade.FAILED, because=standing.in_words())
+        elif judged is not None and standing is None and judged.grade is Grade.ON_PAD:
             why = "it left the deck" if aftermath is None else f"it does not stand: {aftermath.in_words()}"
-            judged = replace(judged, grade="failed", because=why)
+            judged = replace(judged, grade=Grade.FAILED, because=why)
         return replace(self, standing=standing, aftermath=aftermath, judged=judged)
 
     @property
@@ -202,7 +260,7 @@ class Ending:
         if self.judged is not None:
             j = self.judged
             out |= {
-                "grade": j.grade,
+                "grade": j.grade.value,
                 "because": j.because,
                 "expect": j.expect,
                 "refused": j.refused,
@@ -225,7 +283,7 @@ class Ending:
             lines = [f"{self.word} after {self.duration_s:.1f} s, {_in_words(self.contact)}"]
             lines += [
                 f"before that, at {seconds_between(self.started, c.at):.1f} s, {_in_words(c)}"
-                + ("" if c.phase is None else f" (guidance: {c.phase})")
+                + ("" if c.guidance_phase is None else f" (guidance: {c.guidance_phase})")
                 for c in self.contacts[:-1]
             ]
         lines += [part.in_words() for part in (self.standing, self.aftermath) if part is not None]
@@ -235,7 +293,7 @@ class Ending:
             lines += [f"named at {at_s:.1f} s: {said}" for said, at_s in j.named]
             lines += [f"refused: {j.refused}"] if j.refused else []
             lines += [f"UNSAFE: {line}" for line in j.unsafe]
-            if j.grade == "failed" and not j.unsafe:
+            if j.grade is Grade.FAILED and not j.unsafe:
                 lines.append(f"failed: {j.because}")
         if self.load is not None and not self.good and (slow := self.load.starved()) is not None:
             lines.append(f"this machine was too slow to fly in real time; the result means nothing: {slow}")
@@ -250,7 +308,7 @@ class Ending:
             out.append(("afterwards", self.aftermath.in_words()))
         if self.judged is not None:
             out += [("fault", f"{kind} from {at_s:.1f} s on") for kind, at_s in self.judged.faults]
-            out += [("judged", f"{self.judged.grade}: {self.judged.because}")]
+            out += [("judged", f"{self.judged.grade.value}: {self.judged.because}")]
         return out
 
     def write_into(self, log: FlightLog) -> None:
@@ -265,30 +323,30 @@ class Ending:
                 c.lateral_speed_m_s,
                 c.on_pad,
                 c.surface,
-                (math.nan, math.nan) if c.p_pad_m is None else c.p_pad_m,
+                (float(c.p_body_pad[0]), float(c.p_body_pad[1])),
                 c.yaw_rad,
-                c.phase,
+                c.guidance_phase,
             )
             for c in self.contacts
         ]
 
-    def _whole(self, contact: Contact) -> dict[str, Any]:
+    def _whole(self, contact: Touchdown) -> dict[str, Any]:
         return {
             **_plain(contact),
             "at_s": round(seconds_between(self.started, contact.at), 3),
-            "phase": contact.phase,
-            "vehicle_phase": contact.vehicle_phase,
+            "phase": contact.guidance_phase,
+            "vehicle_phase": None if contact.phase is None else contact.phase.name.lower(),
             "motors": contact.motors,
         }
 
 
-def _plain(c: Contact) -> dict[str, Any]:
+def _plain(c: Touchdown) -> dict[str, Any]:
     return {
         "surface": c.surface,
         "on_pad": c.on_pad,
         "centre_on_pad": c.centre_on_pad,
         "lateral_m": round(c.lateral_m, 4),
-        "p_pad_m": None if c.p_pad_m is None else [round(x, 4) for x in c.p_pad_m],
+        "p_pad_m": [round(x, 4) for x in c.p_body_pad[:2].tolist()],
         "yaw_deg": round(math.degrees(c.yaw_rad), 2),
         "vertical_speed_m_s": round(c.vertical_speed_m_s, 4),
         "lateral_speed_m_s": round(c.lateral_speed_m_s, 4),
@@ -298,7 +356,7 @@ def _plain(c: Contact) -> dict[str, Any]:
     }
 
 
-def _in_words(c: Contact) -> str:
+def _in_words(c: Touchdown) -> str:
     return (
         f"{_OVER_RIM if c.centre_on_pad and not c.on_pad else _WHERE[c.surface]}: {100 * c.lateral_m:.1f} cm from its centre, "
         f"descending at {c.vertical_speed_m_s:.2f} m/s, sliding at {c.lateral_speed_m_s:.2f} m/s"

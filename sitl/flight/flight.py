@@ -43,7 +43,8 @@ from sitl.camera.render_worker import RenderWorker
 from sitl.faults.faulty_streams import InTransit
 from sitl.faults.kinds import OperatorActs, ServiceKilled
 from sitl.flight.afterwards import STANDS_AFTER_S, Aftermath, AftermathWatch, Standing, standing_of
-from sitl.flight.grader import FlightGrader, FlightResult
+from sitl.flight.ending import Ending
+from sitl.flight.grader import FlightGrader
 from sitl.flight.hands import BY_REMOTE, MOTORS_TURN
 from sitl.flight.person import SimulatedPerson
 from sitl.flight.vessel_reports import VesselReporter
@@ -245,12 +246,6 @@ class Flight:
             self._arbiter.take(self._streamer.command(now))
             self._send(self._arbiter.commands(now))
 
-    def run(self) -> FlightResult:
-        """Run the flight to its end."""
-        while self.step():
-            pass
-        return self.result()
-
     def _killed(self) -> bool:
         """Return whether the service's process is gone; after a restart it is a new process."""
         if self.world.active("service_killed"):
@@ -427,6 +422,6 @@ class Flight:
         for observer in self._observers:
             observer.on_decision(decision)
 
-    def result(self) -> FlightResult:
+    def result(self) -> Ending:
         """Return the result of the flight: final if it has ended, else the result so far."""
         return self._grader.result(self._pilot.outcome, self._pilot.operator.situation(self._clock.t), self.health)

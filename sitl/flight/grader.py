@@ -1,8 +1,8 @@
 """Watch a flight by the simulator's truth while it is flown, and grade it."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 from companion.base.health import Health
@@ -14,11 +14,11 @@ from companion.settings.model import Settings
 from drivers.ardrone.at import AtCommand
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.camera.solids import Solid
+from sitl.camera.picture_effects import Solid
+from sitl.faults.corrupted import Corruptions
 from sitl.faults.kinds import Bystander, ObjectOnPad
 from sitl.faults.timer import FaultTimer
-from sitl.flight.ending import FlightGrade
-from sitl.flight.grade import AtEnd, grade, on_pad_m, outside_commit
+from sitl.flight.ending import AtEnd, Ending, FlightGrade, grade, on_pad_m, outside_commit
 from sitl.flight.hands import of_at
 from sitl.flight.referee import Errand, Referee
 from sitl.scenario.scenario import Scenario, pad_model, vehicle_model
@@ -46,10 +46,13 @@ _BLAMES = frozenset(
 
 
 class GradedWorld(Protocol):
-    """Interface of a flight's world that the grader needs."""
+    """Interface of a flight's world that the grader and the ship's reports need."""
 
     @property
     def scenario(self) -> Scenario: ...
+
+    @property
+    def seed(self) -> int: ...
 
     @property
     def started(self) -> MonoNs: ...
@@ -66,6 +69,9 @@ class GradedWorld(Protocol):
     def faults(self) -> FaultTimer: ...
 
     @property
+    def corruptions(self) -> Corruptions: ...
+
+    @property
     def reached(self) -> bool:
         """True if commands reach the vehicle."""
         ...
@@ -76,23 +82,6 @@ class GradedWorld(Protocol):
     def active(self, kind: str) -> bool: ...
 
     def truth(self) -> Truth: ...
-
-
-@dataclass(frozen=True, slots=True)
-class FlightResult:
-    """The result of one flight."""
-
-    outcome: FlightOutcome | None
-    """The pilot's outcome; None if the scenario's time ran out."""
-    duration_s: float
-    health: Health
-    truth: Truth
-    """The true state at the end of the flight."""
-    judged: FlightGrade
-
-    @property
-    def landed_on_pad(self) -> bool:
-        return self.outcome is FlightOutcome.LANDED and on_pad_m(self.truth.contacts) is not None
 
 
 def errand_of(scenario: Scenario, settings: Settings, com_watchdog_s: float) -> Errand:
@@ -207,8 +196,8 @@ class FlightGrader:
             for output in (*belief.lost, *(alert.value for alert in belief.alerts if alert in _BLAMES)):
                 self._named.setdefault(output, seconds_between(self._world.started, self._world.at))
 
-    def result(self, outcome: FlightOutcome | None, situation: ControlSituation, health: Health) -> FlightResult:
-        """Return the result of the flight so far.
+    def result(self, outcome: FlightOutcome | None, situation: ControlSituation, health: Health) -> Ending:
+        """Return how the flight ended, or the result so far; the scenario is named by its title.
 
         Args:
             outcome: the pilot's.
@@ -247,7 +236,7 @@ class FlightGrader:
             )
         lowest_m = referee.sight.worst.lowest_m
         judged = FlightGrade(
-            worth.value,
+            worth,
             because,
             unsafe,
             refused,
@@ -261,7 +250,16 @@ class FlightGrader:
             tuple(self._named.items()),
             referee.as_json(),
         )
-        return FlightResult(outcome, seconds_between(world.started, world.at), health, truth, judged)
+        return Ending(
+            scenario.title,
+            world.seed,
+            outcome,
+            truth.contacts,
+            seconds_between(world.started, world.at),
+            Counter(health.frames),
+            judged=judged,
+            wrong_model=scenario.wrong_model.as_json(),
+        )
 
     def _refused(self, outcome: FlightOutcome | None) -> str | None:
         """Return why the pilot gave up; None if it did not."""

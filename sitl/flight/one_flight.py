@@ -4,7 +4,6 @@
 """
 
 import os
-from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -21,13 +20,12 @@ from drivers.mavlink.gimbal_options import GimbalOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from sitl.camera.render_worker import render_worker
-from sitl.flight.ending import Contact, Ending
+from sitl.flight.ending import Ending
 from sitl.flight.flight import Flight, Timing
-from sitl.flight.grader import FlightResult
 from sitl.perception.levels import perceive
 from sitl.perception.port import LEVELS, Level
 from sitl.scenario.scenario import Scenario, vehicle_model
-from sitl.world.truth import Touchdown, Truth
+from sitl.world.truth import Truth
 
 Perception = Level
 """Perception of the pad.
@@ -115,8 +113,6 @@ class FlyOptions:
     """Receives the true state every 20 ms, at every exposure of a frame, and at the end."""
     render_beside: bool = False
     """Frames are rendered in a process of their own. The same bits, sooner where a second core is idle."""
-    afterwards: bool = True
-    """True if the flight goes on after its outcome, to see where the vehicle stands and how a refused one behaves."""
     overtime_s: float = 0.0
     """Further time beyond the scenario's for a flight whose guidance is still trying to land."""
 
@@ -143,8 +139,6 @@ def fly(
             represent a fault of the scenario.
         SetupImpossible: the simulated drone refuses a key of the configuration.
     """
-    if perception not in PERCEPTIONS:
-        raise BadInput(f"there is no perception {perception!r}; known are {', '.join(PERCEPTIONS)}")
     options = options or FlyOptions()
     scenario = msgspec.structs.replace(scenario, wrong_model=scenario.wrong_model.drawn(seed))
     seen_by = perceive(perception, options.perception_model)
@@ -167,47 +161,9 @@ def fly(
                 on_truth(flight.world.truth())
         if on_truth is not None:
             on_truth(flight.world.truth())
-        ending = ending_of(name, seed, scenario, flight.result(), _cpu_s() - began_s)
-        if not options.afterwards:
-            return ending
+        ending = replace(flight.result(), scenario=name)
         standing, flown = flight.afterwards()
     return ending.followed(standing, flown, _cpu_s() - began_s)
-
-
-def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cpu_s: float) -> Ending:
-    """Return how a flight in virtual time ended, with the simulator's grade."""
-    contacts = tuple(contact_of(t) for t in result.truth.contacts)
-    frames, wrong = Counter(result.health.frames), scenario.wrong_model.as_json()
-    return Ending(
-        name,
-        seed,
-        result.outcome,
-        contacts,
-        result.duration_s,
-        frames,
-        judged=replace(result.judged, cpu_s=cpu_s),
-        wrong_model=wrong,
-    )
-
-
-def contact_of(t: Touchdown) -> Contact:
-    """Return a contact of the truth as a part of an ending."""
-    return Contact(
-        t.at,
-        t.surface,
-        t.lateral_m,
-        t.yaw_rad,
-        t.vertical_speed_m_s,
-        t.lateral_speed_m_s,
-        t.phase.name.lower(),
-        t.motors,
-        t.guidance_phase,
-        (float(t.p_body_pad[0]), float(t.p_body_pad[1])),
-        t.centre_on_pad,
-        t.tilt_rad,
-        t.over_rim_m,
-        t.foot_speed_m_s,
-    )
 
 
 def _cpu_s() -> float:

@@ -2,7 +2,6 @@
 
 import math
 from collections import deque
-from typing import Protocol
 
 import numpy as np
 
@@ -10,12 +9,9 @@ from estimator.contracts.geodesy import moved
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
-from sitl.faults.corrupted import Corruptions
 from sitl.faults.kinds import VesselReports
-from sitl.faults.timer import FaultTimer
-from sitl.scenario.scenario import Scenario
+from sitl.flight.grader import GradedWorld
 from sitl.sensors.sensors import SIGMA_M, GnssErrors
-from sitl.world.truth import Truth
 
 _DELAY_S = 0.2
 """Delay from the ship's receiver to the service (assumed)."""
@@ -25,39 +21,10 @@ _SIGMA_M_S, _SIGMA_HEADING_RAD = 0.1, math.radians(1.0)
 Reports = tuple[VesselReport | GeoFix, ...]
 
 
-class ReportedWorld(Protocol):
-    """Inputs of the ship's reports."""
-
-    @property
-    def scenario(self) -> Scenario: ...
-
-    @property
-    def seed(self) -> int: ...
-
-    @property
-    def faults(self) -> FaultTimer: ...
-
-    @property
-    def corruptions(self) -> Corruptions: ...
-
-    @property
-    def started(self) -> MonoNs: ...
-
-    @property
-    def now(self) -> MonoNs: ...
-
-    @property
-    def at(self) -> MonoNs: ...
-
-    def truth(self) -> Truth:
-        """Return the true state at the newest step."""
-        ...
-
-
 class VesselReporter:
     """Makes the reports that reach the service; none where the scenario's ship sends none."""
 
-    def __init__(self, world: ReportedWorld) -> None:
+    def __init__(self, world: GradedWorld) -> None:
         self._world = world
         self._period_s = 1.0 / world.scenario.vessel.reports_hz if world.scenario.vessel.reports_hz > 0.0 else None
         self._rng = np.random.default_rng([world.seed, 0x6E55])

@@ -121,17 +121,10 @@ class DrawnDetection(NamedTuple):
 class _PreparedCell(NamedTuple):
     """A cell with its matrices prepared."""
 
-    kept: float
-    regained: float
-    confidence: float
-    ambiguous: float
-    turned: float
-    outliers: float
-    outlier_ratio: float
+    cell: DetectionCell
     bias: F64
     root: F64
     claimed: F64
-    spread: float
 
 
 class DetectionTable:
@@ -149,7 +142,7 @@ class DetectionTable:
         """Return the probability that the pad is found."""
         if view.height_m <= 0.0 or view.shown <= 0.0:
             return 0.0
-        row = self._row(view)
+        row = self._row(view).cell
         p = row.kept if found_before else row.regained
         odds = self._odds(view, light_stops) * p / max(1e-9, 1.0 - p)
         return odds / (1.0 + odds)
@@ -160,14 +153,14 @@ class DetectionTable:
         Args:
             standard: (7,) standard normal numbers with the correlation in time: of the error, then of its scale.
         """
-        row = self._row(view)
+        row, bias, root, claimed = self._row(view)
         own = math.exp(row.spread * float(standard[6]))
         k = own * self._ratio(view, light_stops)
         z = max(0.05, view.height_m)
         scale = np.array([z, z, z, 1.0, 1.0, 1.0])
         size = k * (row.outlier_ratio if chance.uniform[1] < row.outliers else 1.0)
-        error = scale * (own * row.bias + size * row.root.dot(standard[:6]))
-        cov = (k * k) * row.claimed * np.multiply.outer(scale, scale)
+        error = scale * (own * bias + size * root.dot(standard[:6]))
+        cov = (k * k) * claimed * np.multiply.outer(scale, scale)
         ambiguous = bool(chance.uniform[2] < row.ambiguous)
         # A heading that is half a turn off is nearly always one that says so.
         return DrawnDetection(error, cov, row.confidence, ambiguous, bool(chance.uniform[3] < row.turned))
@@ -211,10 +204,7 @@ def _row(cell: DetectionCell) -> _PreparedCell:
     claimed = symmetric(cell.claimed, _SCALES)
     # Five digits in a file may take a thin covariance below zero.
     claimed = claimed + np.diag(np.diag(claimed)) * 1e-4 + 1e-18 * np.eye(_SCALES)
-    return _PreparedCell(
-        cell.kept, cell.regained, cell.confidence, cell.ambiguous, cell.turned, cell.outliers, cell.outlier_ratio,
-        np.array(cell.bias), root_of(symmetric(cell.error, _SCALES)), claimed, cell.spread,
-    )  # fmt: skip
+    return _PreparedCell(cell, np.array(cell.bias), root_of(symmetric(cell.error, _SCALES)), claimed)
 
 
 def _nearest(cells: dict[tuple[int, int], _PreparedCell], i: int, j: int) -> _PreparedCell:

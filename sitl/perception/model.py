@@ -144,7 +144,7 @@ class Model(Perception):
         super().begin(world)
         self._scenes = Scenes(world.camera, world)
 
-    def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
+    def expose(self, world: PerceivedWorld, worker: RenderWorker | None = None) -> Callable[[], RenderedFrame]:
         """Keep the scene as it is now."""
         return world.expose(camera=self.scenes.expose)
 

@@ -104,6 +104,6 @@ class Perception:
         """
         self.refuse(world.scenario.faults)
 
-    def expose(self, world: PerceivedWorld, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
+    def expose(self, world: PerceivedWorld, worker: RenderWorker | None = None) -> Callable[[], RenderedFrame]:
         """Expose a frame now; the call that comes back makes it when it arrives."""
         return world.expose(worker)

@@ -26,42 +26,18 @@ from sitl.faults.corrupted import SIGNALS, Corrupted, Signal
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, ShipSpeed, ShipTurn, VesselReports, WeakRotor
 from sitl.scenario.weather import WeatherSettings, contradicted, merged_under
-from sitl.scenario.wrong_model import WrongModel
 from sitl.sea.sea import EXCLUDES as SEA_EXCLUDES
 from sitl.sea.sea import Sea
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import VehicleFile, VehicleSettings, rotors
 from sitl.vehicle.airframe import load as load_vehicle
-from sitl.vehicle.disturbances import EffectSettings
+from sitl.vehicle.disturbances import EffectSettings, WrongModel
 from sitl.vessel.air import EXCLUDES as WIND_EXCLUDES
 from sitl.vessel.air import WindSettings
 from sitl.vessel.file import DEFAULT_HULL, RecordedMotion, Ship, VesselSettings
 from sitl.vessel.file import EXCLUDES as VESSEL_EXCLUDES
 from sitl.vessel.file import load as load_vessel
-from sitl.vessel.seakeeping import hull
-
-
-def never_begins(fault: Fault, duration_limit_s: float, start_height_m: float | None) -> str:
-    """Return why a fault never begins, in words that follow its path; empty if it may.
-
-    Args:
-        duration_limit_s: longest time of the flight.
-        start_height_m: height over the pad at the start, None where it starts on the pad.
-    """
-    if fault.at_s is not None and fault.at_s >= duration_limit_s:
-        return f".at_s is {fault.at_s:g} s, but the flight ends after {duration_limit_s:g} s"
-    below = fault.below_height_m
-    if below is not None and start_height_m is not None and start_height_m < below:
-        return f".below_height_m is {below:g} m, but the flight starts at {start_height_m:g} m"
-    return ""
-
-
-def missing_signal(fault: Fault, vessel: VesselSettings, vehicle: VehicleSettings) -> str:
-    """Return which signal a fault corrupts that the flight does not have, in words that follow its path; empty if it has it."""
-    if not isinstance(fault, Corrupted) or fault.signal in signals_of(vessel, vehicle):
-        return ""
-    needs = {"gnss": "vehicle.gnss_hz must be more than 0", "ship_place": "vessel.reports_place must be true"}
-    return f".signal is {fault.signal}, which is not there; {needs.get(fault.signal, 'vessel.reports_hz must be more than 0')}"
+from sitl.vessel.seakeeping import HULLS
 
 
 def signals_of(vessel: VesselSettings, vehicle: VehicleSettings) -> tuple[Signal, ...]:
@@ -75,32 +51,29 @@ def signals_of(vessel: VesselSettings, vehicle: VehicleSettings) -> tuple[Signal
     return tuple(signal for signal in SIGNALS if there.get(signal, True))
 
 
-def not_of_this_vessel(fault: Fault, vessel: VesselSettings) -> str:
-    """Return why a vessel cannot have a fault, in words that follow its path; empty if it can."""
+def _contradictions(fault: Fault, scenario: "Scenario") -> Iterator[str]:
+    """Return why a fault could never act in a scenario, or its vessel cannot have it, in words that follow its path."""
+    limit_s, start, vessel, below = scenario.duration_limit_s, scenario.start, scenario.vessel, fault.below_height_m
+    if fault.at_s is not None and fault.at_s >= limit_s:
+        yield f".at_s is {fault.at_s:g} s, but the flight ends after {limit_s:g} s"
+    if below is not None and start.where == "air" and start.height_m < below:
+        yield f".below_height_m is {below:g} m, but the flight starts at {start.height_m:g} m"
     if isinstance(fault, VesselReports) and vessel.reports_hz == 0.0:
-        return ": vessel_reports is of a ship that reports, and this one does not; vessel.reports_hz must be more than 0"
+        yield ": vessel_reports is of a ship that reports, and this one does not; vessel.reports_hz must be more than 0"
     if isinstance(fault, VesselReports) and (fault.place_north_m or fault.place_east_m) and not vessel.reports_place:
-        return ": this ship does not report her place; vessel.reports_place must be true"
-    if not isinstance(fault, ShipSpeed | ShipTurn):
-        return ""
-    if vessel.moored:
-        return f": {fault.kind} is of a vessel under way; vessel.moored must be false"
-    if vessel.turn_rate_deg_s != 0.0:
-        return f": {fault.kind} does not go with a vessel that turns already; vessel.turn_rate_deg_s must be 0"
+        yield ": this ship does not report her place; vessel.reports_place must be true"
+    if isinstance(fault, Corrupted) and fault.signal not in signals_of(vessel, scenario.vehicle):
+        needs = {"gnss": "vehicle.gnss_hz must be more than 0", "ship_place": "vessel.reports_place must be true"}
+        need = needs.get(fault.signal, "vessel.reports_hz must be more than 0")
+        yield f".signal is {fault.signal}, which is not there; {need}"
+    if isinstance(fault, ShipSpeed | ShipTurn) and vessel.moored:
+        yield f": {fault.kind} is of a vessel under way; vessel.moored must be false"
+    if isinstance(fault, ShipSpeed | ShipTurn) and vessel.turn_rate_deg_s != 0.0:
+        yield f": {fault.kind} does not go with a vessel that turns already; vessel.turn_rate_deg_s must be 0"
     if isinstance(fault, ShipTurn) and vessel.speed_m_s == 0.0:
-        return ": a vessel that lies still does not turn; vessel.speed_m_s must be more than 0"
+        yield ": a vessel that lies still does not turn; vessel.speed_m_s must be more than 0"
     if isinstance(fault, ShipSpeed) and fault.to_m_s == vessel.speed_m_s:
-        return f".to_m_s is {fault.to_m_s:g} m/s, which is vessel.speed_m_s already"
-    return ""
-
-
-def contradictions(
-    faults: tuple[Fault, ...], duration_limit_s: float, start_height_m: float | None, vessel: VesselSettings
-) -> Iterator[str]:
-    """Return what contradicts itself: each fault by its path, and why."""
-    for n, fault in enumerate(faults):
-        if why := never_begins(fault, duration_limit_s, start_height_m) or not_of_this_vessel(fault, vessel):
-            yield f"faults[{n}]{why}"
+        yield f".to_m_s is {fault.to_m_s:g} m/s, which is vessel.speed_m_s already"
 
 
 _EXCLUDES: dict[str, dict[str, tuple[str, ...]]] = {"sea": SEA_EXCLUDES, "vessel": VESSEL_EXCLUDES, "wind": WIND_EXCLUDES}
@@ -204,11 +177,8 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     because: Annotated[str, text("one line that says why that is right", 300, shortest=0)] = ""
 
     def __post_init__(self) -> None:
-        start_m = self.start.height_m if self.start.where == "air" else None
-        for why in contradictions(self.faults, self.duration_limit_s, start_m, self.vessel):
-            raise ValueError(why)
         for n, fault in enumerate(self.faults):
-            if why := missing_signal(fault, self.vessel, self.vehicle):
+            for why in _contradictions(fault, self):
                 raise ValueError(f"faults[{n}]{why}")
         if self.refusal and self.expect not in ("refuse", "either"):
             raise ValueError(
@@ -381,7 +351,7 @@ def ship_model(scenario: Scenario) -> Ship:
     """
     v = scenario.vessel
     if v.file is None:
-        ship, where = Ship(hull(v.hull or DEFAULT_HULL)), f"hull {v.hull or DEFAULT_HULL}"
+        ship, where = Ship(HULLS[v.hull or DEFAULT_HULL]), f"hull {v.hull or DEFAULT_HULL}"
     else:
         path = _find(v.file, "vessels", Path(), "vessel.file")
         ship, where = load_vessel(path), str(path)

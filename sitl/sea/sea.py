@@ -18,7 +18,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
 
-from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number
 from estimator.contracts.motion import G_M_S2
@@ -78,11 +77,7 @@ Components = Literal["geometric", "equal_energy"]
 
 @dataclass(frozen=True, slots=True)
 class SeaState:
-    """One system of waves: significant height 4 sqrt(m0), peak period of the spectrum, and its shape.
-
-    Raises:
-        ValueError: a negative height, a period or shape that is not positive, or an enhancement below 1.
-    """
+    """One system of waves: significant height 4 sqrt(m0), peak period of the spectrum, and its shape."""
 
     hs_m: float
     tp_s: float
@@ -90,14 +85,6 @@ class SeaState:
     """Peak enhancement: 1 gives the ITTC (Bretschneider) shape, 3.3 the mean JONSWAP one."""
     shape: float | None = None
     """The shape parameter of an Ochi-Hubble part, in place of JONSWAP; 3 is a swell, 1.5 a wind sea."""
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.hs_m) and self.hs_m >= 0):
-            raise ValueError(f"hs_m must be a height of 0 m or more, got {self.hs_m!r}")
-        if not (math.isfinite(self.tp_s) and self.tp_s > 0 and math.isfinite(self.gamma) and self.gamma >= 1):
-            raise ValueError(f"tp_s must be positive and gamma 1 or more, got {self.tp_s!r}, {self.gamma!r}")
-        if self.shape is not None and not (math.isfinite(self.shape) and self.shape > 0):
-            raise ValueError(f"shape must be positive, got {self.shape!r}")
 
     def density(self, w_rad_s: F64) -> F64:
         """Return the spectrum, m^2 s, at angular frequencies, positive, of any shape."""
@@ -136,20 +123,6 @@ WMO_3700_M: dict[int, tuple[float, float]] = {
     0: (0.0, 0.0), 1: (0.0, 0.1), 2: (0.1, 0.5), 3: (0.5, 1.25), 4: (1.25, 2.5), 5: (2.5, 4.0), 6: (4.0, 6.0)
 }  # fmt: skip
 """Lowest and highest significant height of each sea state: WMO Manual on Codes (WMO-No. 306), code table 3700."""
-
-SHELTERED_SLIGHT = SeaState(0.20, 3.0)
-"""Sea state 2 in sheltered water, where the period is 2 to 4 s: what a boat at anchor in a bay feels."""
-
-
-def sea_state(code: int) -> SeaState:
-    """Return the preset of a WMO sea state code 0..6.
-
-    Raises:
-        BadInput: the code is another one.
-    """
-    if code not in SEA_STATES:
-        raise BadInput(f"sea state must be one of {', '.join(map(str, SEA_STATES))}, got {code!r}")
-    return SEA_STATES[code]
 
 
 @dataclass(frozen=True, eq=False)

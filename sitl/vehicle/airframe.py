@@ -6,12 +6,11 @@ vehicle = load(path)               # of a shipped one: configs/vehicles/ardrone2
 import math
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 import numpy as np
 from msgspec import Meta, Struct
-from msgspec.structs import asdict
 
 from companion.settings.load import read_toml
 from companion.settings.schema import explain
@@ -75,22 +74,16 @@ class Avionics:
     """True if the optical flow measures against the deck while over it. If False, it always measures against the still water."""
 
 
-@dataclass(frozen=True, slots=True)
-class Feet:
+class Feet(Struct, frozen=True, forbid_unknown_fields=True):
     """Four elastic feet, and the friction under them."""
 
-    half_base_m: float = 0.13
-    """Distance of each foot ahead or astern of the body's origin, and to the side of it."""
-    below_m: float = 0.045
-    """Distance of the feet below the body's origin: its height over the deck when landed, as in the thesis' ground truth."""
-    top_m: float = 0.06
-    """Height of the hull's top over the body's origin: the vehicle lies on it after it came down upside down."""
-    stiffness_n_m: float = 6000.0
-    """Stiffness of all four feet together: they give 2.4 mm when landed."""
-    damping_ratio: float = 0.7
+    DAMPING_RATIO: ClassVar[float] = 0.7
     """Damping over critical damping: there is nearly no rebound."""
-    friction: float = 0.6
-    """Coulomb's coefficient, foam or rubber on painted steel (assumed)."""
+    half_base_m: Annotated[float, number("distance of each foot ahead or astern of the middle, and to its side", "m", 0.02, 2.0)]
+    below_m: Annotated[float, number("distance of the feet below the body's origin", "m", 0.01, 1.0)]
+    top_m: Annotated[float, number("height of the hull's top over the body's origin", "m", 0.01, 1.0)]
+    stiffness_n_m: Annotated[float, number("stiffness of all four feet together", "N/m", 100.0, 200000.0)]
+    friction: Annotated[float, number("Coulomb's coefficient of friction", "1", 0.05, 2.0)] = 0.6
 
     @property
     def corners_m(self) -> F64:
@@ -141,7 +134,8 @@ class Airframe:
     """Turbulence of the downwash over that of the effects."""
     loops: Loops = field(default_factory=Loops)
     avionics: Avionics = field(default_factory=Avionics)
-    feet: Feet = field(default_factory=Feet)
+    feet: Feet = field(default_factory=lambda: Feet(0.13, 0.045, 0.06, 6000.0))
+    """Landed, the origin is as high over the deck as in the thesis' ground truth; the springs then give 2.4 mm."""
 
     @property
     def falls_deg(self) -> float:
@@ -157,8 +151,8 @@ class Airframe:
         Args:
             into_deck_m_s: speed of the foot that strikes.
         """
-        feet, rest = self.feet, math.sqrt(1.0 - self.feet.damping_ratio**2)
-        ahead = math.exp(-feet.damping_ratio / rest * math.acos(feet.damping_ratio))
+        feet, rest = self.feet, math.sqrt(1.0 - self.feet.DAMPING_RATIO**2)
+        ahead = math.exp(-feet.DAMPING_RATIO / rest * math.acos(feet.DAMPING_RATIO))
         gives_m = into_deck_m_s * math.sqrt(4.0 * self.mass_kg / feet.stiffness_n_m) * ahead
         feet_m = self.feet.corners_m[:, :2]
         axes_m = np.array([(self.arm_m * r.forward, self.arm_m * r.right) for r in rotors(self)])
@@ -194,16 +188,6 @@ class LoopSettings(Struct, frozen=True, forbid_unknown_fields=True):
     tilt_d: Annotated[float, number("twice the damping ratio times that frequency", "1/s", 0.5, 100.0)]
     tilt_max_deg: Annotated[float, number("largest tilt that any loop commands", "deg", 5.0, 60.0)]
     yaw_rate_p: Annotated[float, number("gain of the yaw rate", "1/s", 0.1, 20.0)] = 2.0
-
-
-class FeetSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """Four elastic feet."""
-
-    half_base_m: Annotated[float, number("distance of each foot ahead or astern of the middle, and to its side", "m", 0.02, 2.0)]
-    below_m: Annotated[float, number("distance of the feet below the body's origin", "m", 0.01, 1.0)]
-    top_m: Annotated[float, number("height of the hull's top over the body's origin", "m", 0.01, 1.0)]
-    stiffness_n_m: Annotated[float, number("stiffness of all four feet together", "N/m", 100.0, 200000.0)]
-    friction: Annotated[float, number("Coulomb's coefficient of friction", "1", 0.05, 2.0)] = 0.6
 
 
 class ContactSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -251,7 +235,7 @@ class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
     command_delay_s: Annotated[float, number("delay from the arrival of a stick command to its effect", "s", 0.0, 0.5)]
     drag_per_s: Annotated[_Three, Meta(description="1/s, deceleration per m/s of airspeed along the body's axes")]
     loops: LoopSettings
-    feet: FeetSettings
+    feet: Feet
     limits: LimitSettings
     contact: ContactSettings = ContactSettings()
     ground_effect: Annotated[
@@ -284,7 +268,7 @@ class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
             yaw_rate_p=self.loops.yaw_rate_p,
         )
         shared = {one.name: getattr(self, one.name) for one in fields(Airframe) if hasattr(self, one.name)}
-        return Airframe(**{**shared, "loops": loops, "feet": Feet(**asdict(self.feet))})
+        return Airframe(**{**shared, "loops": loops})
 
     def stick_limits(self) -> StickLimits:
         """Return what a full stick requests."""

@@ -348,7 +348,7 @@ def _packed_params(f: Airframe, shape: DeckShape, wind: Wind, step_s: float) -> 
         unasked_max_rad_s2=[most / inertia for most, inertia in zip(f.torque_max_n_m, f.inertia_kg_m2, strict=True)],
         flow_scale=av.flow_scale, flow_lag=_lag(av.flow_lag_s, step_s),
         foot_m=feet.half_base_m, feet_below_m=feet.below_m, hull_top_m=feet.top_m, foot_n_m=feet.stiffness_n_m / 4.0,
-        foot_n_s_m=2.0 * feet.damping_ratio * math.sqrt(feet.stiffness_n_m * f.mass_kg) / 4.0,
+        foot_n_s_m=2.0 * feet.DAMPING_RATIO * math.sqrt(feet.stiffness_n_m * f.mass_kg) / 4.0,
         foot_stop_kg_s=0.3 * f.mass_kg / (4.0 * step_s), friction=feet.friction,
         deck_fore_m=shape.fore_m, deck_aft_m=shape.aft_m, deck_middle_m=middle, deck_half_m=half,
         deck_taper_m=shape.taper_m, deck_yaw=(cos_yaw, sin_yaw),

@@ -360,21 +360,6 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True):
     yaw: Mode | None = None
 
 
-class Block(Struct, frozen=True, forbid_unknown_fields=True):
-    """The superstructure, a block that the wind flows around; frames do not show it."""
-
-    forward_m: Annotated[float, number("distance of its centre forward of amidships", "m", -250.0, 250.0)]
-    length_m: Annotated[float, number("length along the ship", "m", 0.2, 300.0)]
-    width_m: Annotated[float, number("width across the ship", "m", 0.2, 80.0)]
-    height_m: Annotated[float, number("height over the deck of the pad", "m", 0.2, 60.0)]
-    starboard_m: Annotated[float, number("distance of its centre to starboard of the middle line", "m", -40.0, 40.0)] = 0.0
-
-    def covers(self, forward_m: float, starboard_m: float) -> bool:
-        """Return whether a place on deck lies under it."""
-        along, across = abs(forward_m - self.forward_m), abs(starboard_m - self.starboard_m)
-        return along < 0.5 * self.length_m and across < 0.5 * self.width_m
-
-
 class MotionFile(Struct, frozen=True, forbid_unknown_fields=True):
     """Recorded motion."""
 
@@ -407,7 +392,7 @@ class VesselFile(Struct, frozen=True, forbid_unknown_fields=True):
     kg_m: (
         Annotated[float, number("height of the centre of gravity over the keel; for the heel in a turn", "m", 0.01, 40.0)] | None
     ) = None
-    superstructure: Block | None = None
+    superstructure: Superstructure | None = None
     closed_form: ClosedForm | None = None
     table: Table | None = None
     recording: MotionFile | None = None
@@ -451,11 +436,9 @@ def load(path: Path) -> Ship:
     except ValueError as why:
         raise BadInput(f"{path}: table: {why}") from why
     closed = f.closed_form or ClosedForm(0.6, 8.0, 0.1)  # not used beside a table or a recording
-    s = f.superstructure
     hull = Hull(
         path.stem, f.length_m, f.beam_m, f.draught_m, closed.block, closed.roll_period_s, closed.roll_damping, f.freeboard_m,
-        f.bow_taper_m, (f.pad_forward_m, f.pad_starboard_m), f.deck_beam_m, f.gm_m, f.kg_m, table,
-        None if s is None else Superstructure(s.forward_m, s.starboard_m, s.length_m, s.width_m, s.height_m),
+        f.bow_taper_m, (f.pad_forward_m, f.pad_starboard_m), f.deck_beam_m, f.gm_m, f.kg_m, table, f.superstructure,
     )  # fmt: skip
     if f.recording is None:
         return Ship(hull)

@@ -14,12 +14,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
-from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
+from estimator.contracts.keys import number
 from estimator.contracts.motion import G_M_S2
 
 MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
@@ -95,17 +97,19 @@ def _place(axis: F64, value: F64) -> tuple[NDArray[np.intp], F64]:
     return i, (value - axis[i]) / (axis[i + 1] - axis[i])
 
 
-@dataclass(frozen=True, slots=True)
-class Superstructure:
-    """A block on deck that the wind flows around."""
+class Superstructure(Struct, frozen=True, forbid_unknown_fields=True):
+    """A block on deck that the wind flows around; frames do not show it."""
 
-    forward_m: float
-    """Distance of its centre forward of amidships, m."""
-    starboard_m: float
-    length_m: float
-    width_m: float
-    height_m: float
-    """Height over the deck of the pad, m."""
+    forward_m: Annotated[float, number("distance of its centre forward of amidships", "m", -250.0, 250.0)]
+    length_m: Annotated[float, number("length along the ship", "m", 0.2, 300.0)]
+    width_m: Annotated[float, number("width across the ship", "m", 0.2, 80.0)]
+    height_m: Annotated[float, number("height over the deck of the pad", "m", 0.2, 60.0)]
+    starboard_m: Annotated[float, number("distance of its centre to starboard of the middle line", "m", -40.0, 40.0)] = 0.0
+
+    def covers(self, forward_m: float, starboard_m: float) -> bool:
+        """Return whether a place on deck lies under it."""
+        along, across = abs(forward_m - self.forward_m), abs(starboard_m - self.starboard_m)
+        return along < 0.5 * self.length_m and across < 0.5 * self.width_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,17 +160,6 @@ SUPPLY_SHIP = Hull("supply_ship", 82.8, 19.2, 6.0, 0.65, 10.0, 0.33, 3.0, 14.0, 
 beam seas roll it 3.1 degrees a metre near 9.5 s, as its published response table does. The pad stands aft on the cargo deck."""
 
 HULLS = {hull.name: hull for hull in (OTTER, FERRY, SUPPLY_SHIP)}
-
-
-def hull(name: str) -> Hull:
-    """Return the preset of that name.
-
-    Raises:
-        BadInput: no such hull.
-    """
-    if name not in HULLS:
-        raise BadInput(f"hull must be one of {', '.join(HULLS)}, got {name!r}")
-    return HULLS[name]
 
 
 def encounter_rad_s(w_rad_s: F64, beta_rad: F64, speed_m_s: float) -> F64:

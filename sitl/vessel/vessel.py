@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
 
-from estimator.contracts.geometry import F64, Rotation, known_rotation
+from estimator.contracts.geometry import F64, Rotation
 from sitl.core.library import SIM
 from sitl.sea.sea import Waves
 from sitl.vessel.file import RecordedMotion
@@ -57,16 +57,6 @@ class Mounted(Struct, frozen=True, eq=False):
     """(..., 3, 3) rotation from the mounted frame to ned."""
     w: F64
     """(..., 3) angular velocity in the mounted frame, rad/s."""
-
-    def rotation(self) -> Rotation:
-        """Return `R_ned` of a single mounted point.
-
-        Raises:
-            ValueError: this is a batch.
-        """
-        if self.R_ned.ndim != 2:
-            raise ValueError(f"{len(self.R_ned)} mounted points have no single rotation")
-        return known_rotation(self.R_ned)
 
 
 class Vessel:
@@ -192,11 +182,6 @@ class Vessel:
         """Return the pad of one vessel at one instant, with shapes (3,) and (3, 3)."""
         m = self.pad(t_s)
         return Mounted(m.p_ned[index], m.v_ned[index], m.a_ned[index], m.R_ned[index], m.w[index])
-
-    def pose(self, t_s: float, index: int = 0) -> tuple[F64, Rotation]:
-        """Return the position in ned of one vessel's origin, (3,) m, and `R_ned_vessel`."""
-        m = self.mounted(t_s, np.zeros(3))
-        return m.p_ned[index], Rotation(m.R_ned[index])
 
 
 def horizontal(axes: F64, v: F64) -> F64:

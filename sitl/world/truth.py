@@ -30,10 +30,10 @@ class Touchdown(Struct, frozen=True, eq=False):
     """Closing speed into the deck (into the water's mean level)."""
     lateral_speed_m_s: float
     """Speed along the deck, relative to the deck."""
-    phase: VehiclePhase = VehiclePhase.LANDING
-    """The vehicle's phase just before the contact."""
-    motors: bool = True
-    """True if its motors were turning just before."""
+    phase: VehiclePhase | None = VehiclePhase.LANDING
+    """The vehicle's phase just before the contact; None if not known."""
+    motors: bool | None = True
+    """True if its motors were turning just before; None if not known."""
     guidance_phase: str | None = None
     """Phase of guidance just before the contact; None if not known."""
     centre_on_pad: bool = False

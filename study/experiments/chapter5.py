@@ -29,9 +29,9 @@ HEIGHTS_M = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 class Printed(NamedTuple):
     """One row of a table of the thesis."""
 
-    mean: float | None
-    """Mean error, mm, or degrees for the heading; None where nothing was found or the cell cannot be read."""
-    std: float | None
+    mean: float
+    """Mean error, mm, or degrees for the heading."""
+    std: float
     """Standard deviation of the error, in the same unit."""
     available: float
     """Fraction of the samples with an estimate."""
@@ -120,20 +120,14 @@ def spread(flown: ExperimentFlight, name: str, quantity: Quantity) -> Spread | N
     return Spread(float(a.mean()), float(a.std()), float(a.min()), float(a.max()), len(a) / max(1, flown.frames))
 
 
-class HoverFlights(NamedTuple):
-    """Sections 5.1.3: hovering at six heights."""
+HoverFlights = dict[float, ExperimentFlight]
+"""The flights of section 5.1.3 by height."""
 
-    flights: dict[float, ExperimentFlight]
 
-    def table(self, quantity: Quantity) -> dict[tuple[float, str], Spread]:
-        """Return the spreads of one quantity by height and method."""
-        rows = {}
-        for height_m, flown in self.flights.items():
-            for method in METHODS:
-                found = spread(flown, method, quantity)
-                if found is not None:
-                    rows[height_m, method] = found
-        return rows
+def hover_table(flights: HoverFlights, quantity: Quantity) -> dict[tuple[float, str], Spread]:
+    """Return the spreads of one quantity by height and method."""
+    rows = {(height_m, method): spread(flown, method, quantity) for height_m, flown in flights.items() for method in METHODS}
+    return {key: found for key, found in rows.items() if found is not None}
 
 
 class Lag(NamedTuple):
@@ -194,8 +188,7 @@ def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None], heigh
     """
     settings = msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="fused"))
     say("5.1.2 up and down between 0.2 and 5 m")
-    path, duration_s = up_and_down(0.2, 5.0, 0.4, x_m=-0.1)
-    up = fly_by_hand(settings, path, duration_s, seed)
+    up = fly_by_hand(settings, *up_and_down(0.2, 5.0, 0.4, x_m=-0.1), seed)
     hovering = {}
     for height_m in heights_m:
         say(f"5.1.3 hovering at {height_m:g} m")
@@ -204,16 +197,14 @@ def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None], heigh
     low, high = HeldPose(0.0, 0.0, 1.0), HeldPose(0.0, 0.0, 3.0)
     step = fly_by_hand(settings, way([(0.0, low), (3.0, low), (6.5, high), (10.0, high)]), 10.0, seed)
     say("5.1.5 dead reckoning around the ship")
-    path, duration_s = around_the_ship(0.6)
-    around = fly_by_hand(settings, path, duration_s, seed, exact_attitude=False)
+    around = fly_by_hand(settings, *around_the_ship(0.6), seed, exact_attitude=False)
     say("5.1.6 a full turn")
-    path, duration_s = full_turn(1.0, 20.0)
-    turn = fly_by_hand(settings, path, duration_s, seed)
+    turn = fly_by_hand(settings, *full_turn(1.0, 20.0), seed)
     say("5.1.7 landing with PID and planner")
     landing = _landed(fly_pilot(settings, _START, seed))
     say("5.1.8 landing with an external controller")
     external = _landed(fly_pilot(settings, _START, seed, ExternalPilot))
-    return Chapter5(up, HoverFlights(hovering), step, around, turn, landing, external)
+    return Chapter5(up, hovering, step, around, turn, landing, external)
 
 
 def lags(step: ExperimentFlight) -> list[Lag]:
@@ -267,6 +258,4 @@ def headings(turn: ExperimentFlight) -> dict[str, tuple[F64, F64]]:
 def _landed(flown: ExperimentFlight) -> Landed:
     result = flown.result
     assert result is not None
-    contacts = result.truth.contacts
-    lateral_m = contacts[-1].lateral_m if contacts else None
-    return Landed(flown, result.outcome, lateral_m, result.duration_s)
+    return Landed(flown, result.outcome, None if result.contact is None else result.contact.lateral_m, result.duration_s)

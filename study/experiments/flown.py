@@ -14,8 +14,8 @@ from companion.settings.model import Settings
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
+from sitl.flight.ending import Ending
 from sitl.flight.flight import Flight, Timing
-from sitl.flight.grader import FlightResult
 from sitl.scenario.scenario import Scenario, load
 from sitl.world.truth import Truth
 from study.experiments.hand import HandPilot, HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
@@ -53,7 +53,7 @@ class ExperimentFlight:
     """(t_s, (3,) m x, y, z, heading in rad) at 50 Hz."""
     frames: int = 0
     """Number of frames that were searched."""
-    result: FlightResult | None = None
+    result: Ending | None = None
 
     def of(self, name: str) -> list[Estimate]:
         """Return the estimates of one method or path."""

@@ -4,7 +4,7 @@ Both set the thesis as printed beside its methods as they are here and our best 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +19,13 @@ from study.experiments.chapter5 import (
     QUANTITIES,
     Chapter5,
     Landed,
+    Printed,
     Quantity,
     Spread,
     drifts,
     error_of,
     headings,
+    hover_table,
     lags,
     printed,
     spread,
@@ -62,7 +64,7 @@ def page(chapter: Chapter5, photographs: Photographs | None, command: str) -> st
         "## 5.1.3 Hovering at six heights",
         "Mean ± standard deviation of the error, and in how many frames there was an estimate. A dash or no row is no estimate; "
         "cells that cannot be read in the printed tables are empty.",
-        *(_table(chapter, quantity) for quantity in QUANTITIES),
+        *(_hovering(chapter, quantity) for quantity in QUANTITIES),
         "![Mean and standard deviation of each method at six heights](experiments_hover.png)",
         "## 5.1.4 A step through the filter",
         _lags(chapter),
@@ -82,130 +84,100 @@ def page(chapter: Chapter5, photographs: Photographs | None, command: str) -> st
     return "\n\n".join(parts) + "\n"
 
 
+def _table(heads: str, rows: Iterable[Sequence[str]]) -> str:
+    """Return a table of Markdown; the headings are separated by bars."""
+    return "\n".join((f"| {heads} |", f"|{'---|' * (heads.count('|') + 1)}", *(f"| {' | '.join(row)} |" for row in rows)))
+
+
 def _up_and_down(chapter: Chapter5) -> str:
-    lines = [
-        "| method | heights with an estimate, thesis | here | frames | standard deviation of z, mm |",
-        "|---|---|---|---|---|",
-    ]
+    rows = []
     by_thesis = {"ellipse": "1.0 m and up", "arrow": "0.5 to 1.2 m", "corners": "0.2 to 1.0 m"}
     for method in METHODS:
-        seen = chapter.up_and_down.of(method)
-        found = spread(chapter.up_and_down, method, "z")
-        if found is None:
-            lines.append(f"| {method} | {by_thesis.get(method, '')} | {_NONE} | 0 % | {_NONE} |")
-            continue
-        heights = sorted(float(e.true_xyz_m[2]) for e in seen)
-        lines.append(
-            f"| {method} | {by_thesis.get(method, '')} | {heights[0]:.1f} to {heights[-1]:.1f} m "
-            f"| {100 * found.available:.0f} % | {found.std:.1f} |"
-        )
-    return "\n".join(lines)
+        heights = sorted(float(e.true_xyz_m[2]) for e in chapter.up_and_down.of(method))
+        here = (_NONE, "0 %", _NONE)
+        if (found := spread(chapter.up_and_down, method, "z")) is not None:
+            here = (f"{heights[0]:.1f} to {heights[-1]:.1f} m", f"{100 * found.available:.0f} %", f"{found.std:.1f}")
+        rows.append((method, by_thesis.get(method, ""), *here))
+    return _table("method | heights with an estimate, thesis | here | frames | standard deviation of z, mm", rows)
 
 
-def _table(chapter: Chapter5, quantity: Quantity) -> str:
-    rows = chapter.hover.table(quantity)
-    lines = [f"**{_TITLES[quantity]}**", "", "| height | method | thesis | | here | |", "|---|---|---|---|---|---|"]
-    for height_m in chapter.hover.flights:
+def _hovering(chapter: Chapter5, quantity: Quantity) -> str:
+    found, rows = hover_table(chapter.hover, quantity), []
+    for height_m in chapter.hover:
         for method in METHODS:
+            was, now = printed(quantity, height_m, method), found.get((height_m, method))
             if quantity == "yaw" and method == "ellipse":
                 continue
-            was = printed(quantity, height_m, method)
-            if was is None and (height_m, method) not in rows:
-                continue
-            before = ("", "") if was is None else (f"{was.mean:.1f} ± {was.std:.1f}", f"{100 * was.available:.0f} %")
-            lines.append(
-                f"| {height_m:g} m | {method} | {before[0]} | {before[1]} | {_cell(rows.get((height_m, method)), quantity)} |"
-            )
-    return "\n".join(lines)
+            if was is not None or now is not None:
+                before = ("", "") if was is None else _cells(was, 1)
+                rows.append((f"{height_m:g} m", method, *before, *_cells(now, 2 if quantity == "yaw" else 1)))
+    return f"**{_TITLES[quantity]}**\n\n{_table('height | method | thesis | | here |', rows)}"
 
 
-def _cell(found: Spread | None, quantity: Quantity) -> str:
+def _cells(found: Printed | Spread | None, digits: int) -> tuple[str, str]:
     if found is None:
-        return f"{_NONE} | 0 %"
-    digits = 2 if quantity == "yaw" else 1
-    return f"{found.mean:.{digits}f} ± {found.std:.{digits}f} | {100 * found.available:.0f} %"
+        return _NONE, "0 %"
+    return f"{found.mean:.{digits}f} ± {found.std:.{digits}f}", f"{100 * found.available:.0f} %"
 
 
 def _lags(chapter: Chapter5) -> str:
-    lines = ["| path | lag on the way up | height at rest, standard deviation |", "|---|---|---|"]
-    lines.append("| thesis, as its text says | 0.6 s (0.1 vision, 0.5 filter; the filter's own delay is 0.2 s) | |")
-    lines += [f"| {one.path} | {1e3 * one.lag_s:.0f} ms | {one.error_after_mm:.1f} mm |" for one in lags(chapter.step)]
-    return "\n".join(lines)
+    rows = [("thesis, as its text says", "0.6 s (0.1 vision, 0.5 filter; the filter's own delay is 0.2 s)", "")]
+    rows += [(one.path, f"{1e3 * one.lag_s:.0f} ms", f"{one.error_after_mm:.1f} mm") for one in lags(chapter.step)]
+    return _table("path | lag on the way up | height at rest, standard deviation", rows)
 
 
 def _drifts(chapter: Chapter5) -> str:
     found = drifts(chapter.around)
     if not found:
         return "The pad never left the picture."
-    lines = [
+    rows = [
+        (one.path, f"{one.held_s:.0f} s", f"{one.end_m:.2f} m", f"{one.sigma_m:.2f} m", f"{one.most_m:.2f} m") for one in found
+    ]
+    return (
         f"The pad was out of view for {found[0].blind_s:.0f} s. The thesis integrated the simulator's true velocity and printed "
-        "no figure.",
-        "",
-        "| path | held for | horizontal error then | claimed, one sigma of an axis | largest error |",
-        "|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| {one.path} | {one.held_s:.0f} s | {one.end_m:.2f} m | {one.sigma_m:.2f} m | {one.most_m:.2f} m |" for one in found
-    ]
-    return "\n".join(lines)
+        "no figure.\n\n" + _table("path | held for | horizontal error then | claimed, one sigma of an axis | largest error", rows)
+    )
 
 
 def _headings(chapter: Chapter5) -> str:
-    lines = ["| method | frames with a heading | mean ± standard deviation, degrees | worst |", "|---|---|---|---|"]
+    rows = []
     for method, (_, errors) in headings(chapter.turn).items():
         share = 100 * len(errors) / max(1, chapter.turn.frames)
-        worst = float(abs(errors).max())
-        lines.append(f"| {method} | {share:.0f} % | {errors.mean():.2f} ± {errors.std():.2f} | {worst:.2f} |")
-    lines += [
-        "",
-        "The corners of an H look the same after half a turn: their heading counts up to half a turn, here and in table 5.4. The "
-        "thesis took the one from -90 to 90 degrees and stepped over at its ends; here it counts as ambiguous.",
-    ]
-    return "\n".join(lines)
+        rows.append((method, f"{share:.0f} %", f"{errors.mean():.2f} ± {errors.std():.2f}", f"{float(abs(errors).max()):.2f}"))
+    return _table("method | frames with a heading | mean ± standard deviation, degrees | worst", rows) + (
+        "\n\nThe corners of an H look the same after half a turn: their heading counts up to half a turn, here and in table 5.4. "
+        "The thesis took the one from -90 to 90 degrees and stepped over at its ends; here it counts as ambiguous."
+    )
 
 
 def _landings(chapter: Chapter5) -> str:
-    lines = [
-        "From (1, 2, 3.5) m at -90 degrees. The thesis printed tracks and no figures; the network of its external controller was "
-        "not published, so a proportional law that receives the estimate and returns a command stands for it.",
-        "",
-        "| controller | outcome | from the pad's centre | time |",
-        "|---|---|---|---|",
-    ]
+    rows = []
     for name, landed in (("PID and planner", chapter.landing), ("external controller", chapter.external)):
-        lines.append(f"| {name} | {_outcome(landed)} | {landed.duration_s:.0f} s |")
-    return "\n".join(lines)
-
-
-def _outcome(landed: Landed) -> str:
-    words = "time ran out" if landed.outcome is None else landed.outcome.value
-    where = _NONE if landed.lateral_m is None else f"{100 * landed.lateral_m:.1f} cm"
-    return f"{words} | {where}"
+        words = "time ran out" if landed.outcome is None else landed.outcome.value
+        where = _NONE if landed.lateral_m is None else f"{100 * landed.lateral_m:.1f} cm"
+        rows.append((name, words, where, f"{landed.duration_s:.0f} s"))
+    return (
+        "From (1, 2, 3.5) m at -90 degrees. The thesis printed tracks and no figures; the network of its external controller was "
+        "not published, so a proportional law that receives the estimate and returns a command stands for it.\n\n"
+        + _table("controller | outcome | from the pad's centre | time", rows)
+    )
 
 
 def _photographs(photographs: Photographs | None) -> str:
     if photographs is None:
         return "No photographs were given (`--photos DIR`)."
-    lines = [
+    rows = []
+    for method in METHODS:
+        number, errors = photographs.found.get(method, 0), (_NONE, _NONE)
+        if number:
+            errors = f"{photographs.median_percent[method]:.2f} % of range", f"{photographs.p95_percent[method]:.2f} %"
+        rows.append((method, f"{100 * number / max(1, photographs.number):.0f} %", *errors))
+    return (
         "The images of the outdoor flight were not published. In their place "
         f"{photographs.number} photographs of the same pad, printed, each searched by itself, against poses solved from hand "
         "labels. The thesis' own code with its indoor limits finds the pad in 81 % of them and errs by 32 % of the range in the "
-        "median.",
-        "",
-        "| method | found | error, median | 95th percentile |",
-        "|---|---|---|---|",
-    ]
-    for method in METHODS:
-        number = photographs.found.get(method, 0)
-        share = 100 * number / max(1, photographs.number)
-        if number:
-            lines.append(
-                f"| {method} | {share:.0f} % | {photographs.median_percent[method]:.2f} % of range | "
-                f"{photographs.p95_percent[method]:.2f} % |"
-            )
-        else:
-            lines.append(f"| {method} | 0 % | {_NONE} | {_NONE} |")
-    return "\n".join(lines)
+        "median.\n\n" + _table("method | found | error, median | 95th percentile", rows)
+    )
 
 
 _SHOWN = {"best": "fused"}
@@ -272,7 +244,7 @@ def _draw_up_and_down(flown: ExperimentFlight) -> Figure:
 def _hover(chapter: Chapter5) -> Figure:
     figure, axes = _figure(2, 2, (10.0, 7.5))
     for ax, quantity in zip(axes, QUANTITIES, strict=True):
-        table = chapter.hover.table(quantity)
+        table = hover_table(chapter.hover, quantity)
         for i, method in enumerate(METHODS):
             heights = [h for h in HEIGHTS_M if (h, method) in table]
             name = _SHOWN.get(method, method)
@@ -283,7 +255,7 @@ def _hover(chapter: Chapter5) -> Figure:
             reported = [(h, row) for h in HEIGHTS_M if (row := printed(quantity, h, method)) is not None]
             if reported:
                 x = np.array([h for h, _ in reported]) * (1.0 + 0.03 * (i - 2) + 0.1)
-                mean, std = [row.mean or 0.0 for _, row in reported], [row.std or 0.0 for _, row in reported]
+                mean, std = [row.mean for _, row in reported], [row.std for _, row in reported]
                 ax.errorbar(x, mean, std, fmt=MARKERS.get(name, "."), ms=5, color=colour(name), mfc="none", alpha=0.5)
         ax.set_xscale("log")
         ax.set_xticks(HEIGHTS_M, [f"{h:g}" for h in HEIGHTS_M])
@@ -297,7 +269,7 @@ def _hover(chapter: Chapter5) -> Figure:
 
 def _step(flown: ExperimentFlight) -> Figure:
     figure, axes = _figure(1, 1, (9.0, 4.5))
-    _true(axes[0], flown, 2)
+    axes[0].plot([t for t, _, _ in flown.truth], [xyz[2] for _, xyz, _ in flown.truth], color="black", lw=1.0, label="truth")
     for path in _PATHS:
         reported = flown.of(path)
         axes[0].plot([e.t_s for e in reported], [e.xyz_m[2] for e in reported], color=colour(path), label=path)
@@ -361,8 +333,3 @@ def _draw_landings(*landings: tuple[Landed, str]) -> Figure:
         axes[3 * row].set_title(title, fontsize=10)
         axes[3 * row].legend(fontsize=8)
     return figure
-
-
-def _true(ax: Axes, flown: ExperimentFlight, i: int) -> None:
-    rows: Sequence[tuple[float, float]] = [(t, float(xyz[i])) for t, xyz, _ in flown.truth]
-    ax.plot([t for t, _ in rows], [v for _, v in rows], color="black", lw=1.0, label="truth")

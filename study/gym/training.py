@@ -23,8 +23,7 @@ from estimator.contracts.motion import G_M_S2
 from sitl.core.abi import DL_ACTION_NUMBERS, DL_HARMONICS_MAX, DL_REWARD_TERMS, DL_VIEW_NUMBERS, DL_VIEWS_MAX
 from sitl.core.library import SIM
 from sitl.scenario.scenario import Scenario, pad_model, refuse_gimbal
-from sitl.scenario.wrong_model import SPREADS
-from sitl.vehicle.disturbances import keep_and_fresh
+from sitl.vehicle.disturbances import SPREADS, keep_and_fresh
 from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.vessel import Vessel
 from sitl.world.stage import air, airframe, deck_shape, flight_seeds, limits, sea_and_vessel, wind
@@ -74,7 +73,7 @@ class TrainingOptions(Struct, frozen=True, kw_only=True):
     action: Actions = "tilt_thrust"
     observation: Observations = "estimate"
     wrong_model: float = 1.0
-    """Differences of the vehicle from its file, in standard deviations (`sitl.scenario.wrong_model.SPREADS`); 0 for none."""
+    """Differences of the vehicle from its file, in standard deviations (`sitl.vehicle.disturbances.SPREADS`); 0 for none."""
     start_low: tuple[float, float, float, float] = (-2.0, -2.0, 2.0, -math.pi)
     """Least values of the start: the pad forward and right of the body, m; height over it, m; heading against the arrow, rad."""
     start_high: tuple[float, float, float, float] = (2.0, 2.0, 5.0, math.pi)

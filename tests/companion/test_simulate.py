@@ -5,21 +5,24 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from companion.base.mission import FlightOutcome
 from companion.cli import main as cli
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
-from sitl.flight.ending import Contact, Ending, FlightGrade
+from sitl.flight.ending import Ending, FlightGrade, Grade
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.truth import Touchdown
 from tests.fly import NEAR
 
-STRIKE = Contact(MonoNs(9_500_000_000), "deck", 0.48, 0.5, 0.56, 0.05, "flying", True, "descend")
-LANDING = Contact(MonoNs(15_000_000_000), "pad", 0.081, 0.5, 0.41, 0.02, "landing", True, "land")
-JUDGED = FlightGrade(
-    "failed", "touched the deck 0.48 m from the pad's centre", ("touched the deck 0.48 m from the pad's centre",), None, 1, 0.31,
-    0, (("frames_frozen", 6.2),), "refuse", 30.0,
-)  # fmt: skip
+STRIKE = Touchdown(
+    MonoNs(9_500_000_000), "deck", np.zeros(3), 0.48, 0.5, 0.56, 0.05, VehiclePhase.FLYING, guidance_phase="descend"
+)
+LANDING = Touchdown(MonoNs(15_000_000_000), "pad", np.zeros(3), 0.081, 0.5, 0.41, 0.02, guidance_phase="land")
+STRUCK = "touched the deck 0.48 m from the pad's centre"
+JUDGED = FlightGrade(Grade.FAILED, STRUCK, (STRUCK,), None, 1, 0.31, 0, (("frames_frozen", 6.2),), "refuse", 30.0)
 ENDING = Ending(
     "rough", 3, FlightOutcome.LANDED, (STRIKE, LANDING), 15.2, Counter({Verdict.FUSED: 400}), MonoNs(500_000_000), JUDGED
 )
@@ -49,7 +52,7 @@ def test_every_contact_and_what_was_unsafe_is_reported() -> None:
 def test_a_landing_after_a_strike_is_not_good_and_a_right_refusal_is() -> None:
     assert ENDING.on_pad
     assert not ENDING.good
-    refused = FlightGrade("refused rightly", "gave up", (), "gave up; frames: 600 no_pad", 0, None, 0, (), "refuse", 30.0)
+    refused = FlightGrade(Grade.REFUSED_RIGHTLY, "gave up", (), "gave up; frames: 600 no_pad", 0, None, 0, (), "refuse", 30.0)
     ending = replace(ENDING, outcome=FlightOutcome.GAVE_UP, contacts=(), judged=refused)
     assert ending.good
     assert "refused: gave up; frames: 600 no_pad" in ending.in_words()

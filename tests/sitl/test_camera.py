@@ -14,14 +14,20 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from estimator.vision.regions import covers, part_of
 from estimator.vision.srgb import linear_light
 from sitl.camera import light
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Sensor
+from sitl.camera.projection import lens_of
+from sitl.camera.render.pad import PadPainter, Stroke
 from sitl.camera.settings import LampSettings
 from sitl.camera.surroundings import Surroundings
-from tests.sitl.images import BENT, BLACK, PLAIN, WHITE, pad, project, shot
+from sitl.core.abi import DL_PAD_PAINTS
+from sitl.core.library import SIM
+from tests.sitl.images import BENT, BLACK, PLAIN, WHITE, pad, pad_pose, project, shot
 from tests.support.plain_light import FLAT, IDEAL
+from tests.support.shipped import shipped_pad
 
 FULL = replace(FLAT, exposure_ev=math.log2(1.25))
 """White paint just reaches full scale."""
@@ -172,21 +178,6 @@ def test_light_is_blurred_before_pixels_sample_it(camera, s, sigma_px, n, monkey
         assert np.abs(off).max() < 0.02
 
 
-def test_a_frame_is_the_same_from_its_scene_and_from_its_light_and_floodlit_edges_are_blurred_as_by_day() -> None:
-    s, sensor = shot(5.0, (0.1, 0.05), (0.1, 0.05, 0.3)), replace(IDEAL, psf_sigma_px=0.6)
-    renderer = Renderer(PLAIN, pad("thesis"), Surroundings(), FULL, Sensor(0.0, 0.6))
-    scene, development = renderer.render(s, np.random.default_rng(3)), renderer.development(FULL, renderer.sensor)
-    lit, blur = renderer._light_on_sensor(s, development, renderer._view(s, development))
-    assert blur is not None
-    assert np.array_equal(scene, development.sensor_image(lit, np.random.default_rng(3), blur))
-    assert not np.array_equal(scene, development.sensor_image(lit, np.random.default_rng(3)))
-
-    dim, floods = replace(FULL, daylight_ev=-4.0), LampSettings(floods=2, flood_level=0.4)
-    white = Renderer(PLAIN, WHITE_ALL, Surroundings(), dim, sensor, floods)
-    by_day, by_lamps = share(PLAIN, s, "h", sensor), share(PLAIN, s, "h", sensor, dim, floods)
-    assert np.abs(by_lamps / white.radiance(s)[..., 1] - by_day)[by_day > 0.01].max() < 0.01
-
-
 @pytest.mark.parametrize(
     ("v_body_ned", "w_body", "v_pad_ned", "w_pad"),
     [
@@ -237,3 +228,57 @@ def test_a_row_of_a_rolling_shutter_is_that_of_a_global_one_at_the_row_s_time(ca
     assert np.sqrt(np.mean(np.square(off))) < 0.08 * np.sqrt(np.mean(np.square(whole)))
     assert np.abs(off).max() < 0.15
     assert np.abs(rolling.radiance(still) - at_once.radiance(still)).max() < 2e-3
+
+
+FINE = 24
+"""Rays along a pixel's side that the coverage is counted with."""
+PAINTS = SIM.names("dl_sim_paint")
+_PART = {
+    "rim": "DL_PAD_RIM",
+    "disc": "DL_PAD_DISC",
+    "ring": "DL_PAD_ORANGE",
+    "letter": "DL_PAD_WHITE",
+    "triangle": "DL_PAD_WHITE",
+}
+SLANTED = Pad.from_mapping({
+    "name": "slanted", "paints": {"grey": [60, 60, 60], "white": [240, 240, 240]},
+    "regions": [
+        {"shape": "disc", "paint": "grey", "radius_m": 0.6},
+        {"shape": "stroke", "paint": "white", "from_m": [-0.4, -0.2], "to_m": [0.2, 0.3], "width_m": 0.06},
+        {"shape": "polygon", "paint": "white", "points_m": [[0.0, -0.1], [0.4, -0.3], [0.2, -0.1], [0.45, 0.1]]},
+    ],
+})  # fmt: skip
+
+
+def painted(pad: Pad, at: np.ndarray) -> np.ndarray:
+    """Return the index in `PAINTS` of the topmost paint at points (N, 2) m."""
+    out = np.zeros(len(at), int)
+    for region in pad.regions:
+        upper = region in pad.markings.upper
+        out[covers(region, at)] = PAINTS["DL_PAD_UPPER" if upper else _PART[part_of(region)]]
+    return out
+
+
+@pytest.mark.parametrize("pad", [shipped_pad("hospital"), shipped_pad("faa_triangle"), SLANTED], ids=lambda p: p.name)
+@pytest.mark.parametrize("height_m", [0.8, 3.0, 12.0])
+def test_each_paint_has_its_share_of_a_pixel(pad: Pad, height_m: float) -> None:
+    exposure = shot(height_m, (0.05, -0.03), (0.05, -0.04, 0.4))
+    pose = pad_pose(exposure, PLAIN)
+    R, t = pose.R_cam_pad.matrix, pose.t_cam_pad
+    image = PadPainter(lens_of(PLAIN), pad).place([Stroke.still((R, t))])
+    assert image is not None
+    some = np.random.default_rng(3).choice(len(image.edges), min(150, len(image.edges)), replace=False)
+    v, u = np.divmod(image.edges[some], PLAIN.width)
+    fine = (np.arange(FINE) + 0.5) / FINE - 0.5
+    du, dv = (g.ravel() for g in np.meshgrid(fine, fine))
+    rays = np.stack([
+        (u[:, None] + du - PLAIN.cx) / PLAIN.fx, (v[:, None] + dv - PLAIN.cy) / PLAIN.fy, np.ones((len(some), FINE * FINE)),
+    ], axis=2) @ R  # fmt: skip
+    d = R.T @ t
+    at = rays[..., :2] * (d[2] / rays[..., 2])[..., None] - d[:2]
+    kinds = painted(pad, at.reshape(-1, 2)).reshape(len(some), -1)
+    counted = np.stack([(kinds == k).mean(axis=1) for k in range(DL_PAD_PAINTS)], axis=1)
+    off = np.abs(image.shares[some] - counted)
+    assert off.max() < 0.09, "corners are cut into products of their sides"
+    assert off.mean() < 0.004
+    assert np.abs((image.shares[some] - counted).mean(axis=0)).max() < 0.004

@@ -37,7 +37,7 @@ GUST = GustOnce(0.5, 0.4, 0.6, (3.0, -2.0))
 AIRS = (
     None,
     AirModel(7.0, 2.0, logarithmic=True, turbulence="dryden", gusts=(GUST, GustOnce(0.2, 0.3, 0.1, (1.0, 1.0)))),
-    AirModel(9.0, math.pi, wake=Superstructure(6.0, 0.5, 4.0, 5.0, 4.0), pad_m=(-2.0, 0.3), pad_yaw_rad=0.4),
+    AirModel(9.0, math.pi, wake=Superstructure(6.0, 4.0, 5.0, 4.0, 0.5), pad_m=(-2.0, 0.3), pad_yaw_rad=0.4),
 )
 
 

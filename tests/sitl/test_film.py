@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from drivers.camera.exposure import TARGET, ExposureDrive, ExposureSetting, Metered
 from drivers.camera.exposure_governor import ExposureGovernor, meter_inside
 from drivers.camera.exposure_options import ExposureOptions
-from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
@@ -23,9 +22,8 @@ from sitl.camera.render_worker import render_worker
 from sitl.camera.settings import VideoSettings
 from sitl.camera.surroundings import Surroundings
 from sitl.emulators.autopilots.body import Body
-from sitl.scenario.scenario import from_mapping, load
+from sitl.scenario.scenario import load
 from sitl.world import stage
-from sitl.world.world import World
 from tests.sitl.images import PLAIN, pad, shot
 from tests.support.plain_light import FLAT
 
@@ -98,28 +96,6 @@ def test_a_process_of_its_own_makes_the_same_pictures() -> None:
             pytest.skip("a single processor")
         theirs = [worker.order(s, np.random.default_rng(i)) for i, s in enumerate(shots(4))]
         assert all(np.array_equal(image(), own) for image, own in zip(theirs, frames(film(link=LOSSY), 4), strict=True))
-
-
-@pytest.mark.parametrize("name", ["rain", "glint", "dusk", "weak_link"])
-def test_the_shipped_weather_shows_the_pad_the_same_each_time(name: str) -> None:
-    one, again = (World(load(name), 1).render().px for _ in range(2))
-    assert 15.0 < one.mean() < 220.0
-    assert np.array_equal(one, again)
-
-
-@pytest.mark.parametrize(
-    ("table", "key", "value"),
-    [
-        ("drops", "rain_per_minute", -1.0),
-        ("video", "loss", 1.0),
-        ("lamps", "floods", 9),
-        ("camera", "readout_s", 0.5),
-        ("light", "visibility_m", 1.0),
-    ],
-)
-def test_bad_keys_are_named(table: str, key: str, value: float) -> None:
-    with pytest.raises(BadInput, match=f"{table}.{key}"):
-        from_mapping({"title": "x", table: {key: value}}, "here.toml")
 
 
 def above(body: Body, height_m: float) -> tuple[Exposure, F64]:

@@ -10,10 +10,9 @@ from estimator.contracts.geometry import F64
 from estimator.vision.srgb import linear_light
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.drops import Drop, Drops, wet_lens
-from sitl.camera.light import FULL_SCALE, Development, Light, Mast, PadBlur, Sensor, counts, planck_rgb
+from sitl.camera.light import FULL_SCALE, Development, Light, Mast, Sensor, counts, planck_rgb
 from sitl.camera.settings import DropSettings, LampSettings
 from sitl.camera.surroundings import Deck, Surroundings
-from sitl.core.abi import DL_GAIN_ONE
 from tests.sitl.images import PLAIN, WHITE, pad, project, shot
 from tests.support.plain_light import FLAT, IDEAL
 
@@ -136,15 +135,6 @@ def test_floodlights_add_to_the_sky_s_light_and_small_lamps_shine_where_they_sta
     for u, v in np.round(px_of([(0.55 * math.cos(a), 0.55 * math.sin(a)) for a in np.arange(6) * math.tau / 6])).astype(int):
         assert added[v - 1 : v + 2, u - 1 : u + 2, 1].max() > 1.0
     assert abs(at(added)).max() < 0.05
-
-
-def test_light_that_is_added_follows_factors_on_it() -> None:
-    window, added = np.array([2, 1, 3, 2], np.int32), np.full((2, 3, 3), 100, np.int16)
-    gains = np.full((5, 6, 3), DL_GAIN_ONE, np.int16)
-    gains[1, 3] = DL_GAIN_ONE // 2, DL_GAIN_ONE, 0
-    under = PadBlur(window, added).under(gains).added
-    assert under[0, :, 1].tolist() == [50, 100, 0]
-    assert np.count_nonzero(under != 100) == 2
 
 
 def test_drops_fall_stay_and_run_off_the_same_whatever_was_requested_before() -> None:

@@ -9,7 +9,6 @@ from msgspec.structs import replace
 
 from companion.base.mission import FlightOutcome, State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
-from companion.settings.load import load as load_settings
 from estimator.contracts.time import NS_PER_S
 from sitl.campaign.figures import in_words
 from sitl.flight.ending import Ending
@@ -36,15 +35,6 @@ def test_the_same_arguments_give_the_same_ending() -> None:
     assert len(reported) >= 200 // TRUTH_EACH, "one each 20 ms, and one at each exposure"
     assert reported[-1] == 1_000_000_000, "the last one at the end"
     assert land(scenario, 4, level="pixels").as_json()["seed"] == 4
-
-
-def test_the_settings_take_the_scenarios_camera_and_pad_unless_a_file_is_given() -> None:
-    scenario = near(duration_limit_s=1.0, pad={"file": "printed"}, camera={"file": "photos"})
-    settings = settings_for(scenario, None)
-    assert (settings.pad.file, settings.camera.file) == ("printed", "photos")
-    assert settings_for(scenario, "sim") == load_settings("sim")
-    assert load_settings("ardrone2").guidance.start == "signal"
-    assert settings_for(scenario, "ardrone2").guidance.start == "automatic", "nobody orders the landing"
 
 
 def test_what_is_flown_on_without_a_link_is_reported_and_is_no_blind_descent() -> None:

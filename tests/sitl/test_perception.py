@@ -1,40 +1,35 @@
 """The levels of perception: one flight, seen by an error model or by the truth, with the same pilot behind."""
 
-import hashlib
 import math
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec import structs
 
-from companion.base.mission import FlightOutcome
-from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.cli.main import main
 from companion.settings.load import load
-from estimator.contracts.commands import Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.sighting import sighting_of
 from sitl.faults.kinds import KINDS
-from sitl.flight.flight import Flight
-from sitl.flight.grader import FlightResult
 from sitl.flight.one_flight import settings_for
 from sitl.perception import parameters
 from sitl.perception.draw import Chance, DetectionTable, View, Viewer, symmetric
-from sitl.perception.levels import REPRESENTED, perceive, represents
-from sitl.perception.model import KEPT_SCENES, Scenes, _turned
+from sitl.perception.levels import REPRESENTED, TrueMotion, perceive, represents
+from sitl.perception.model import _turned
 from sitl.perception.port import LEVELS, Level
-from sitl.scenario.scenario import Scenario
 from sitl.scenario.scenario import load as load_scenario
 from sitl.world.world import World
 from study.perception import recorded as samples_module
 from study.perception.fit import Errors, Source, fit_detections, fit_estimates
+from tests.fly import ObservedCalls, fly_for
 
 SIM = load("sim")
 CALM = load_scenario("calm")
@@ -49,37 +44,11 @@ EFFECTS = {
 """Keys that give a fault of some kind an effect."""
 
 
-class Diary(NullObserver):
-    """The digest of all beliefs and commands, and the verdicts of the frames."""
-
-    def __init__(self) -> None:
-        self.verdicts: list[Verdict] = []
-        self._digest = hashlib.sha256()
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        self.verdicts.append(processed.verdict)
-
-    def on_decision(self, decision: Decision) -> None:
-        if decision.belief is not None:
-            self._digest.update(decision.belief.d_body_pad_level.tobytes() + decision.belief.cov.tobytes())
-        if isinstance(decision.command, Velocity):
-            self._digest.update(decision.command.v_level.tobytes())
-
-    @property
-    def digest(self) -> str:
-        return self._digest.hexdigest()
-
-
-def fly_at_level(level: Level, scenario: Scenario, seed: int, limit_s: float | None = None) -> tuple[FlightResult, Diary]:
-    if limit_s is not None:
-        scenario = msgspec.structs.replace(scenario, duration_limit_s=limit_s)
-    diary, perception = Diary(), perceive(level)
-    flight = Flight(scenario, seed, SIM, perception.pilot(SIM), observers=[diary], perception=perception)
-    return flight.run(), diary
-
-
-def faulty(kind: str, start_s: float, duration_s: float, **keys: float) -> Scenario:
-    return msgspec.structs.replace(LOW, faults=(KINDS[kind](at_s=start_s, for_s=duration_s, **keys),))
+def verdicts(seconds: float, level: Level, kind: str, start_s: float, duration_s: float, **keys: float) -> list[Verdict]:
+    """Return the verdicts of the frames of a flight with one fault."""
+    calls = ObservedCalls()
+    fly_for(seconds, LOW, 3, level=level, observers=[calls], faults=(KINDS[kind](at_s=start_s, for_s=duration_s, **keys),))
+    return [frame.verdict for frame in calls.frames]
 
 
 def a_view(height_m: float = 2.0, shown: float = 1.0, tilt_rad: float = 0.0) -> View:
@@ -87,56 +56,34 @@ def a_view(height_m: float = 2.0, shown: float = 1.0, tilt_rad: float = 0.0) -> 
 
 
 @pytest.mark.parametrize("level", ["model", "truth"])
-def test_it_lands_without_a_picture(level: Level) -> None:
-    result, diary = fly_at_level(level, LOW, 3)
-    assert result.outcome is FlightOutcome.LANDED
-    assert result.landed_on_pad
-    assert result.health.frames.total() == len(diary.verdicts) > 100
-    assert result.health.frames[Verdict.FUSED] > 0.8 * len(diary.verdicts)
-
-
-@pytest.mark.parametrize("level", ["model", "truth"])
 def test_a_drone_whose_video_is_coded_is_flown_without_pictures(level: Level) -> None:
     """WHY: the codec of an AR.Drone 1.0 changed the pixels by which a drawn detection is found again."""
     first = load_scenario("ardrone1")
-    settings = settings_for(first, None)
-    diary, perception = Diary(), perceive(level)
-    brief = msgspec.structs.replace(first, duration_limit_s=1.5)
-    Flight(brief, 1, settings, perception.pilot(settings), observers=[diary], perception=perception).run()
-    assert diary.verdicts.count(Verdict.FUSED) > 10
-
-
-@pytest.mark.parametrize("level", ["model", "truth"])
-def test_a_seed_is_a_flight_to_the_bit_and_another_seed_another(level: Level) -> None:
-    one, again, other = (fly_at_level(level, LOW, seed, limit_s=1.5)[1].digest for seed in (3, 3, 4))
-    assert one == again
-    assert one != other
+    flight = fly_for(1.5, first, level=level, settings=settings_for(first, None))
+    assert flight.health.frames[Verdict.FUSED] > 10
 
 
 def test_faults_of_frames_act_in_the_model_as_in_pictures() -> None:
     """The verdicts are those that the pilot gives pictures with the same fault."""
-    frozen = fly_at_level("model", faulty("frames_frozen", 0.5, 1.0), 3, limit_s=1.6)[1].verdicts
+    frozen = verdicts(1.6, "model", "frames_frozen", 0.5, 1.0)
     assert frozen.count(Verdict.REPEATED) >= 25
-    covered = fly_at_level("model", faulty("lens_covered", 0.5, 1.0), 3, limit_s=1.6)[1].verdicts
-    assert covered.count(Verdict.NO_PAD) >= 25
-    dropped = fly_at_level("model", faulty("frames", 0.5, 1.0, dropped_fraction=1.0), 3, limit_s=1.6)[1].verdicts
-    assert len(dropped) <= len(frozen) - 25
-    late = fly_at_level("model", faulty("frames", 0.3, 1.3, delay_s=0.8), 3, limit_s=1.6)[1].verdicts
-    assert Verdict.TOO_OLD in late
-    stamped = fly_at_level("model", faulty("frames_misstamped", 0.5, 1.0, by_s=-2.0), 3, limit_s=1.6)[1].verdicts
+    assert verdicts(1.6, "model", "lens_covered", 0.5, 1.0).count(Verdict.NO_PAD) >= 25
+    assert len(verdicts(1.6, "model", "frames", 0.5, 1.0, dropped_fraction=1.0)) <= len(frozen) - 25
+    assert Verdict.TOO_OLD in verdicts(1.6, "model", "frames", 0.3, 1.3, delay_s=0.8)
+    stamped = verdicts(1.6, "model", "frames_misstamped", 0.5, 1.0, by_s=-2.0)
     assert {Verdict.TOO_OLD, Verdict.NO_ATTITUDE} & set(stamped)
 
 
 @pytest.mark.parametrize("level", ["model", "pixels"])
 def test_a_shifted_pad_is_elsewhere_while_the_picture_holds_it(level: Level) -> None:
     """The picture reaches 1.7 m to the right from 2 m over the deck, but only 1 m ahead: there the shifted pad is cut off."""
-    reports = fly_at_level(level, faulty("frames_shifted", 0.8, 1.0, right_m=1.0), 3, limit_s=1.4)[1].verdicts
+    reports = verdicts(1.4, level, "frames_shifted", 0.8, 1.0, right_m=1.0)
     seen = reports.index(Verdict.ELSEWHERE)
     # Once they agree with one another they come as far as the filter, which refuses them.
     assert len(reports[seen:]) >= 15
     assert set(reports[:seen]) == {Verdict.FUSED}
     assert set(reports[seen:]) <= {Verdict.ELSEWHERE, Verdict.GATED}
-    cut = fly_at_level(level, faulty("frames_shifted", 0.8, 1.0, forward_m=1.3), 3, limit_s=1.4)[1].verdicts
+    cut = verdicts(1.4, level, "frames_shifted", 0.8, 1.0, forward_m=1.3)
     assert cut.count(Verdict.FUSED) == reports.count(Verdict.FUSED), "nothing beside the pad is taken for it"
     assert set(cut) <= {Verdict.FUSED, Verdict.NO_PAD, Verdict.LOW_CONFIDENCE}
 
@@ -195,15 +142,6 @@ def test_draws_have_the_moments_of_the_file() -> None:
     np.testing.assert_allclose(errors.mean(axis=0) / scale, cell.bias, atol=4 * k * np.sqrt(max(cell.error)) / math.sqrt(4000))
     expected = k * np.sqrt(symmetric(cell.error, 6).diagonal())
     np.testing.assert_allclose((errors / scale).std(axis=0), expected, rtol=0.06)
-
-
-def test_exposures_have_contents_of_their_own_and_old_ones_are_dropped() -> None:
-    world = World(LOW, 1)
-    scenes = Scenes(world.camera, world)
-    frames = [scenes.expose(None, tick) for tick in range(KEPT_SCENES + 5)]
-    assert frames[0].shape == (world.camera.height, world.camera.width, 3)
-    assert len({frame[0].tobytes() for frame in frames}) == len(frames)
-    assert len(scenes._scenes) == KEPT_SCENES
 
 
 @pytest.mark.parametrize(
@@ -271,28 +209,6 @@ def test_the_fit_finds_what_made_the_samples() -> None:
     assert model.correlation < 0.05
 
 
-def test_a_detection_that_claims_to_be_worse_is_no_outlier_and_is_drawn_with_its_claim() -> None:
-    rng, spread = np.random.default_rng(6), 0.9
-    root = np.diag([1e-4, 2e-4, 5e-4, 1e-3, 1e-3, 2e-3])
-    made = []
-    for i, sample in enumerate(flown_samples(rng, 4000, 1.0, root, np.zeros(6))):
-        own = math.exp(spread * rng.standard_normal())
-        assert sample.measured is not None
-        # Each seventieth is wrong beyond what it claims.
-        wrong = 10.0 if i % 70 == 0 else 1.0
-        measured = sample.measured._replace(error=wrong * own * sample.measured.error, cov=own**2 * root @ root.T)
-        made.append(sample._replace(measured=measured))
-    model = fit_detections([Source(tuple(made), 0.0)])
-    (cell,) = model.cell
-    assert cell.spread == pytest.approx(spread, rel=0.05)
-    assert 0.005 < cell.outliers < 0.02
-    table = DetectionTable(model)
-    draws = [table.draw(a_view(2.5), 0.0, rng.standard_normal(7), Chance(np.zeros(7), np.ones(4))) for _ in range(2000)]
-    nis = [drawn.error @ np.linalg.solve(drawn.cov, drawn.error) for drawn in draws]
-    assert np.mean(nis) == pytest.approx(6.0, rel=0.1)
-    assert np.std(np.log([drawn.cov[0, 0] for drawn in draws])) == pytest.approx(2.0 * spread, rel=0.1)
-
-
 def test_the_fit_of_the_estimate_finds_its_covariance_and_its_memory() -> None:
     rng, n, tau_s = np.random.default_rng(4), 6000, 0.8
     keep = math.exp(-0.02 / tau_s)
@@ -320,3 +236,34 @@ def test_a_recorded_flight_without_pictures_is_no_ground_for_a_fit(tmp_path: Pat
     assert main(["perception", "fit", str(flown), "--output", str(tmp_path / "x.toml")]) == 2
     assert "--perception model" in capsys.readouterr().err
     assert not (tmp_path / "x.toml").exists()
+
+
+STEP_NS = 4_000_000
+
+
+class WithoutErrors:
+    """Stands for the generator of the errors."""
+
+    def standard_normal(self, n: int) -> F64:
+        return np.zeros(n)
+
+
+def test_the_tilt_rates_are_those_of_the_deck_whatever_the_ships_heading() -> None:
+    """A rate turned by the ship's heading once more would exchange roll and pitch."""
+    scenario = load_scenario("sea_state_4")
+    world = World(structs.replace(scenario, vessel=structs.replace(scenario.vessel, heading_deg=100.0)), 3)
+    reported = TrueMotion(world, WithoutErrors())  # type: ignore[arg-type]
+    differences, rates, size = [], [], []
+    for k in range(1, 200):
+        world.advance(MonoNs(25 * k * STEP_NS - STEP_NS))
+        before = world.truth().R_ned_pad.rpy_rad
+        world.advance(MonoNs(25 * k * STEP_NS))
+        _, deck = reported.motion(world.at, None)
+        after = world.truth().R_ned_pad.rpy_rad
+        differences.append([(after[i] - before[i]) / (STEP_NS * 1e-9) for i in (0, 1)])
+        rates.append([deck.roll_rate_rad_s, deck.pitch_rate_rad_s])
+        size.append(deck.tilt_rad)
+    off = np.array(rates) - np.array(differences)
+    assert np.abs(off).max() < 2e-3
+    assert np.abs(differences).max() > 2e-2, "there is a motion to be told"
+    assert max(size) < math.radians(30.0)

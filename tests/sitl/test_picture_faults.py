@@ -136,7 +136,7 @@ def test_a_contact_with_a_thing_is_unsafe_and_one_with_water_is_not(thing: str, 
     while flight.world.truth().touchdown is None:
         flight.world.advance(after(flight.world.now, 0.05))
     flight._grader.step()
-    met = [line for line in flight.result().judged.unsafe if line.startswith(f"touched a {thing} on the pad")]
+    met = [line for line in flight.result().as_json()["unsafe"] if line.startswith(f"touched a {thing} on the pad")]
     assert len(met) == unsafe
 
 
@@ -148,4 +148,4 @@ def test_to_fly_into_a_person_is_unsafe_and_to_fly_beside_or_above_is_not(right_
     flight.world.advance(after(flight.world.now, 0.05))
     for _ in range(2):
         flight._grader.step()
-    assert len([line for line in flight.result().judged.unsafe if line.startswith("flew into a person")]) == unsafe
+    assert len([line for line in flight.result().as_json()["unsafe"] if line.startswith("flew into a person")]) == unsafe

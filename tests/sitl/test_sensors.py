@@ -99,27 +99,6 @@ def test_inertial_errors_have_their_size() -> None:
     assert np.degrees([x.rpy_rad[2] for x in flights]).std() == pytest.approx(3.0, rel=0.2)
 
 
-def test_attitude_error_is_slow_and_has_its_size() -> None:
-    settings = SensorSettings(tilt_bias_sigma_deg=0.0, tilt_drift_sigma_deg=0.8, tilt_drift_time_s=1.0)
-    v, _ = setup(settings)
-    error = []
-    for _ in range(25000):
-        v.step(deck())
-        error.append(v.tilt_error_rad)
-    e = np.degrees(np.array(error))
-    assert e.std(axis=0) == pytest.approx([0.8, 0.8], rel=0.25)
-    assert np.abs(np.diff(e, axis=0)).max() < 0.4
-    assert np.mean(e[:-250] * e[250:]) / e.var() == pytest.approx(math.exp(-1.0), abs=0.15)
-
-
-def test_velocity_reads_low_and_lags() -> None:
-    v, s = setup(SensorSettings(tilt_bias_sigma_deg=0.0, tilt_drift_sigma_deg=0.0), p=(-40.0, 0.0, -3.0))
-    v.command(0.0, -0.5, 0.0, 0.0, True)
-    r = fly_sensing(v, s, 2500)[-500:]
-    assert np.mean([x.v_level_m_s[0] for x in r]) / v.v_ned[0] == pytest.approx(0.83, abs=0.02)
-    assert len(r[-1].v_level_m_s) == 2
-
-
 def test_ultrasound_meets_deck_edge_and_water() -> None:
     assert echo(40.0, (0.0, 0.0, -3.0)) == pytest.approx(2.5, abs=0.001)
     assert echo(1.0, (0.0, 2.0, -3.0)) == pytest.approx(3.0, abs=0.001)

@@ -18,7 +18,7 @@ from tests.sitl.test_faults import CALM
 
 BEGINS_S, BEFORE_S, LATER_S = 0.5, 0.4, 2.0
 ELSEWHERE = (ServiceKilled, OperatorActs, PictureFault, VesselReports)
-"""Faults that a camera without images does not show: test_picture_faults.py and test_vessel_reports.py test them."""
+"""Faults that a camera without images does not show: test_picture_faults.py and test_ship_faults.py test them."""
 SHIPPED = [name for name in shipped_scenarios() if name.startswith(f"{FAULTS}/")]
 
 

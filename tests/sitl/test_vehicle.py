@@ -199,13 +199,3 @@ def test_water_ends_the_flight() -> None:
     v.leave_emergency()
     v.take_off()
     assert v.phase == VehiclePhase.EMERGENCY
-
-
-def test_emergency_ends_on_deck_only() -> None:
-    v = flying(height_m=0.8)
-    v.cut_motors()
-    v.leave_emergency()
-    assert v.phase == VehiclePhase.EMERGENCY
-    run_vehicle(v, 2.0, flat_deck())
-    v.leave_emergency()
-    assert v.phase == VehiclePhase.LANDED

@@ -17,10 +17,9 @@ from sitl.flight.one_flight import FlyOptions, settings_for
 from sitl.flight.referee import Errand, Referee
 from sitl.scenario.scenario import load, sea_of, wind_of
 from sitl.scenario.weather import WeatherSettings, raised_sea, raising_wind_m_s
-from sitl.scenario.wrong_model import SPREADS, WrongModel
 from sitl.sea.sea import WMO_3700_M
-from sitl.vehicle.airframe import Airframe, ContactSettings, Feet
-from sitl.vehicle.disturbances import EffectSettings
+from sitl.vehicle.airframe import Airframe, ContactSettings
+from sitl.vehicle.disturbances import SPREADS, EffectSettings, WrongModel
 from sitl.vessel.file import read_log
 from sitl.world.stage import airframe, true_camera
 from sitl.world.truth import Touchdown, Truth
@@ -166,7 +165,7 @@ def test_a_refused_vehicle_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
     assert ending["duration_s"] < 40.0
 
 
-FEET = Feet()
+FEET = Airframe().feet
 
 
 def referee_of(highest_m: float) -> Referee:

@@ -11,7 +11,7 @@ from companion.base.mission import State
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
 from sitl.emulators.ardrone.truth_log import record
-from sitl.flight.grade import outside_commit
+from sitl.flight.ending import outside_commit
 from sitl.scenario.scenario import Scenario, Start, load
 from sitl.sea.sea import Sea
 from sitl.sensors.sensors import Readings

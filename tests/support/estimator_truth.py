@@ -15,7 +15,7 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range
 from estimator.contracts.time import MonoNs, Stamp
-from sitl.sea.sea import Waves, sea_state
+from sitl.sea.sea import SEA_STATES, Waves
 from sitl.vessel.seakeeping import HULLS
 from sitl.vessel.vessel import Vessel
 
@@ -88,7 +88,7 @@ class TruthFlight:
         self.s = s
         rng = np.random.default_rng([s.seed, 1])
         towards, heading = rng.uniform(-math.pi, math.pi, 2)
-        waves = Waves.draw(sea_state(s.sea), s.seed, towards_rad=towards) if s.sea else Waves.flat()
+        waves = Waves.draw(SEA_STATES[s.sea], s.seed, towards_rad=towards) if s.sea else Waves.flat()
         speed = float(rng.uniform(0.0, 1.5)) if s.vessel_speed_m_s is None else s.vessel_speed_m_s
         self.vessel = Vessel(HULLS[s.hull], waves, heading_rad=heading, speed_m_s=speed)
         self.u = speed * np.array([math.cos(heading), math.sin(heading), 0.0])

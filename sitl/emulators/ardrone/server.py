@@ -18,9 +18,8 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.ardrone.drone import TICK_S, Drone, DroneClock
+from sitl.ardrone.drone import TICK_S, Drone, DroneClock, SentFrame
 from sitl.ardrone.generations import FIRST, SECOND, Generation
-from sitl.ardrone.navdata_from_world import SentFrame
 from sitl.emulators.ardrone.sockets import Address, DatagramPort, StreamPort
 from sitl.emulators.ardrone.truth_log import TruthLog
 from sitl.emulators.ardrone.wire_pictures import PavePictures, Shot, UvlcPictures, WirePicture

@@ -17,6 +17,7 @@ from msgspec import Struct
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
+from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import Touchdown, Truth
 
 
@@ -87,6 +88,12 @@ def read(path: Path) -> list[dict[str, Any]]:
             raise BadInput(f"truth log {path}, line {number}: not a record of truth")
         out.append(value)
     return out
+
+
+def contact_of(kept: dict[str, Any]) -> Touchdown:
+    """Return a contact from the form in which records hold it."""
+    fields = {name: kept[name] for name in Touchdown.__struct_fields__}
+    return Touchdown(**fields | {"p_body_pad": np.array(kept["p_body_pad"]), "phase": VehiclePhase[kept["phase"].upper()]})
 
 
 def _contact(contact: Touchdown | None) -> Any:

@@ -20,7 +20,7 @@ from typing import Any
 from drivers.mailbox import Latest
 from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
 from sitl.emulators.autopilots.motors import Motors
-from sitl.emulators.autopilots.px4 import Home
+from sitl.sensors.sensors import ORIGIN_DEG
 
 PORT = 9002
 _MAGIC = {18458: 16, 29569: 32}
@@ -84,7 +84,6 @@ def argv(
     *,
     physics_port: int,
     mavlink_ports: tuple[int, int],
-    heading_deg: float = 0.0,
     parameters: Mapping[str, float] | None = None,
     speedup: float = 1.0,
 ) -> list[str]:
@@ -93,13 +92,11 @@ def argv(
     Args:
         physics_port: UDP port on which `serve_json` answers.
         mavlink_ports: UDP ports on the loopback to which its first two MAVLink ports send.
-        heading_deg: initial heading of the vehicle.
     """
-    at = Home()
     defaults = folder / DEFAULTS
     asked = {**PARAMETERS, **(parameters or {})}
     defaults.write_text("".join(f"{name} {value:g}\n" for name, value in asked.items()))
-    place = f"{at.latitude_deg:.7f},{at.longitude_deg:.7f},{at.altitude_m:g},{heading_deg:g}"
+    place = f"{ORIGIN_DEG[0]:.7f},{ORIGIN_DEG[1]:.7f},0,0"
     first, second = (f"udpclient:127.0.0.1:{port}" for port in mavlink_ports)
     others = [word for n in (2, 5, 6, 7, 8) for word in (f"--serial{n}", f"none:{n}")]
     return [

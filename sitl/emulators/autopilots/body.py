@@ -6,18 +6,26 @@ from dataclasses import dataclass, field, replace
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.motion import G_M_S2
+from estimator.contracts.ports import Clock
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.camera.camera import Exposure
 from sitl.camera.film import Film, SimulatedExposure, Taken
 from sitl.camera.gimbal import SimulatedGimbal
+from sitl.camera.render_worker import RenderWorker
 from sitl.emulators.autopilots.motors import Motors, MotorVehicle
 from sitl.emulators.autopilots.station import OperatorView
+from sitl.faults.corrupted import Corruptions
+from sitl.faults.kinds import LightFalls
+from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import Scenario, pad_model
 from sitl.vehicle.vehicle import DECK, SEA, VehiclePhase
 from sitl.vessel.contact import Ground
+from sitl.vessel.vessel import Mounted
 from sitl.world.stage import (
     air,
     airframe,
@@ -31,7 +39,7 @@ from sitl.world.stage import (
     true_camera,
     wind,
 )
-from sitl.world.truth import RenderedFrame, Touchdown, touchdown_of
+from sitl.world.truth import RenderedFrame, Touchdown, Truth, touchdown_of
 
 Settle = Callable[[], Awaitable[None]]
 """Awaited after each step, before a program gets its state; the program's time stands still until it returns."""
@@ -62,16 +70,30 @@ class BodyState:
 
 
 class Body:
-    """A motor-driven vehicle and its surroundings.
+    """A motor-driven vehicle and its surroundings, which the levels of perception take for a world.
 
     Args:
         step_s: step of the physics, at most 5 ms.
         curve: curve of the motors, as the autopilot's settings assume it (see `thrust_fraction`).
+        clock: stamps the true states; None for the time since the start.
+        faults: the faults that are active now; None for none.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, step_s: float, curve: float = 0.0) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        step_s: float,
+        curve: float = 0.0,
+        clock: Clock | None = None,
+        faults: FaultTimer | None = None,
+    ) -> None:
         scenario = msgspec.structs.replace(scenario, wrong_model=scenario.wrong_model.drawn(seed))
-        self.scenario, self.step_s = scenario, step_s
+        self.scenario, self.seed, self.step_s, self._clock = scenario, seed, step_s, clock
+        self.faults = FaultTimer(()) if faults is None else faults
+        self.corruptions = Corruptions(self.faults, seed)
+        self._motion: tuple[int, Mounted] | None = None
+        self._truth: tuple[int, Truth] | None = None
         self.pad, self.camera = pad_model(scenario), true_camera(scenario)
         seeds = flight_seeds(seed)
         self._camera_seed = seeds.camera
@@ -156,10 +178,30 @@ class Body:
         """True if its motors turn."""
         return self._vehicle.phase == VehiclePhase.FLYING
 
-    @property
-    def tick(self) -> int:
-        """Number of steps since the start."""
-        return self._tick
+    def pad_motion(self) -> Mounted:
+        """Return the pad's true motion at the newest step, with shapes (3,) and (3, 3)."""
+        if self._motion is None or self._motion[0] != self._tick:
+            self._motion = self._tick, self.vessel.pad_at(self.t_s)
+        return self._motion[1]
+
+    def pad_ahead(self, ahead_s: F64) -> Mounted:
+        """Return the pad's true motion at (H,) s after the newest step."""
+        return self.vessel.pad(self.t_s + ahead_s)
+
+    def truth(self) -> Truth:
+        """Return the true state at the newest step; contacts are not noted here."""
+        if self._truth is None or self._truth[0] != self._tick:
+            self._truth = self._tick, self._true_state()
+        return self._truth[1]
+
+    def _true_state(self) -> Truth:
+        s, pad = self.state(), self.pad_motion()
+        phase = VehiclePhase.FLYING if self.flying else VehiclePhase.LANDED if self.upright else VehiclePhase.EMERGENCY
+        at = MonoNs(round(self.t_s * NS_PER_S)) if self._clock is None else self._clock.now()
+        return Truth(
+            at, s.p_ned, s.v_ned, s.R_ned_body, pad.p_ned, pad.v_ned, Rotation(pad.R_ned), phase, None,
+            a_body_ned=s.R_ned_body @ s.f_body + [0.0, 0.0, G_M_S2], w_body=s.w_body,
+        )  # fmt: skip
 
     def shot(self) -> Exposure:
         """Return the scene as it is now."""
@@ -176,21 +218,29 @@ class Body:
             w_pad=np.array(g.w),
         )
 
-    def expose(self, light_fraction: float = 1.0) -> Callable[[], RenderedFrame]:
-        """Fix the scene now and return a function that renders its frame. Only one such function may run at a time.
+    def expose(
+        self, worker: RenderWorker | None = None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None = None
+    ) -> Callable[[], RenderedFrame]:
+        """Fix the scene now and return a function that makes its frame. Only one such function may run at a time.
 
         Args:
-            light_fraction: light on the scene against what the scenario says.
+            worker: is not used: the frames of a body are rendered in this process.
+            camera: replaces the renderer; it receives the scene, None while the lens is covered, and the number of the step.
         """
+        at, own_s = MonoNs(round(self.t_s * NS_PER_S)), self.scenario.camera.exposure_s
+        if camera is not None:
+            px = camera(None if self.faults.active("lens_covered") else self.shot(), self._tick)
+            return lambda: RenderedFrame(px, at, own_s)
         if self._renderer is None:
             seed = self._camera_seed
             self._renderer = film(self.scenario, renderer(self.scenario, self.waves, self.vessel, seed), seed)
         expose, shot = self._renderer.render, self.shot()
-        taken = replace(Taken() if self.exposure is None else self.exposure.expose(), light_fraction=light_fraction)
+        light = math.prod(fault.fraction for fault, _ in self.faults.on(LightFalls))
+        taken = replace(Taken() if self.exposure is None else self.exposure.expose(), light_fraction=light)
         if self.gimbal is not None:
             shot = self.gimbal.turned(shot, self.camera.T_body_cam.t)
         rng = np.random.default_rng([self._camera_seed, self._tick])
-        at, own_s, setting = MonoNs(round(self.t_s * NS_PER_S)), self.scenario.camera.exposure_s, taken.setting
+        setting = taken.setting
         exposure_s, gain = (own_s, 0.0) if setting is None else (setting.exposure_s, setting.gain)
         return lambda: RenderedFrame(expose(shot, rng, taken), at, exposure_s, gain=gain)
 

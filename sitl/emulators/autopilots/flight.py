@@ -38,7 +38,7 @@ from sitl.emulators.autopilots.arducopter import CURVE, STEP_S, JsonBackend, ser
 from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, beside_autopilot
 from sitl.emulators.autopilots.body import Body, Silence, view_of
 from sitl.emulators.autopilots.lock_step import FaultyLink, LockStepCamera, LockStepClock
-from sitl.emulators.autopilots.observed_body import GradedBody, PerceivedBody
+from sitl.emulators.autopilots.observed_body import GradedBody
 from sitl.emulators.autopilots.program import Program, reserved_port, running
 from sitl.emulators.autopilots.px4 import HilBackend, serve_hil
 from sitl.emulators.autopilots.stand_in import base as in_process
@@ -49,13 +49,13 @@ from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import STATION, GroundStation, Task
 from sitl.faults.kinds import OperatorActs
 from sitl.flight.afterwards import STANDS_AFTER_S, Standing, standing_of
-from sitl.flight.grader import FlightResult
+from sitl.flight.ending import Ending
 from sitl.flight.person import SimulatedPerson
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception
 from sitl.scenario.scenario import Scenario, vehicle_model
 from sitl.sensors.sensors import ORIGIN
-from sitl.world.truth import RenderedFrame, Touchdown, Truth
+from sitl.world.truth import Touchdown, Truth
 
 Name = Literal["arducopter", "px4"]
 HOST = "127.0.0.1"
@@ -104,7 +104,7 @@ class FlightEnd:
     """The reason why no landing took place."""
     contacts: tuple[Touchdown, ...] = ()
     """Every contact since the order to land."""
-    result: FlightResult | None = None
+    graded: Ending | None = None
     """The graded result of a scenario with faults; None without."""
     armed_after_contact_s: float | None = None
     """Time for which the motors turned after the newest contact; None if they never stopped, or there was none."""
@@ -155,7 +155,6 @@ class AutopilotFlight:
     link: FaultyLink = field(init=False)
     _camera: LockStepCamera | None = None
     _reporter: VesselReporter = field(init=False)
-    _world: PerceivedBody | None = None
     _service: KillableService | None = None
     _silences: list[Silence] = field(default_factory=list)
     _stepped_at: float = 0.0
@@ -214,7 +213,7 @@ class AutopilotFlight:
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
             frames = self.graded.streams.frames
             camera = self._camera = LockStepCamera(
-                self.clock, service.offer, service.concluded, service.looking, pool, frames, expose=self._expose
+                self.clock, service.offer, service.concluded, service.looking, pool, frames, expose=self.perception.expose
             )
             self._expose_by(service.now, camera)
             async with AsyncExitStack() as stack:
@@ -357,14 +356,9 @@ class AutopilotFlight:
 
     def _make(self, step_s: float, curve: float) -> Body:
         on_pad = msgspec.structs.replace(self.scenario, start=msgspec.structs.replace(self.scenario.start, where="pad"))
-        self.body = Body(on_pad, self.seed, step_s, curve)
-        self._world = PerceivedBody(self.body, self.seed, self.clock, self.graded.faults)
-        self.perception.begin(self._world)
+        self.body = Body(on_pad, self.seed, step_s, curve, self.clock, self.graded.faults)
+        self.perception.begin(self.body)
         return self.body
-
-    def _expose(self, body: Body) -> Callable[[], RenderedFrame]:
-        assert self._world is not None
-        return self.perception.expose(self._world, None)
 
     def _stepped(self, body: Body) -> None:
         self._stepped_at = time.monotonic()

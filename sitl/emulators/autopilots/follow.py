@@ -236,7 +236,8 @@ class DeckUnder:
         slide = pose.v_ned - v
         surface: Surface = "pad" if lateral_m <= self.pad_radius_m else "deck"
         slide_m_s = math.hypot(slide[0], slide[1])
-        return Touchdown(MonoNs(round(t_s * NS_PER_S)), surface, d, lateral_m, yaw, descent_rate_m_s, slide_m_s)
+        at = MonoNs(round(t_s * NS_PER_S))
+        return Touchdown(at, surface, d, lateral_m, yaw, descent_rate_m_s, slide_m_s, None, None)
 
 
 async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, observers: Sequence[Observer] = ()) -> FollowEnd:

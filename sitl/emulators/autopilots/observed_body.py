@@ -1,38 +1,25 @@
-"""A body that an autopilot program flies, as the grader of flights and the levels of perception see a world.
-
-The faults of the streams around it are here too.
-"""
-
-import math
-from collections.abc import Callable
+"""A body that an autopilot program flies as the grader of flights sees a world, with the faults of the streams around it."""
 
 import numpy as np
-from numpy.typing import NDArray
+from msgspec.structs import replace
 
 from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import CENTRED, HandledOrder
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
-from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.motion import G_M_S2
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from sitl.camera.camera import Exposure
-from sitl.camera.render_worker import RenderWorker
 from sitl.emulators.autopilots.body import Body
 from sitl.faults.corrupted import Corruptions
 from sitl.faults.faulty_streams import VehicleStreams
-from sitl.faults.kinds import LightFalls, OperatorActs
+from sitl.faults.kinds import OperatorActs
 from sitl.faults.timer import FaultTimer
-from sitl.flight.grader import FlightGrader, FlightResult
+from sitl.flight.ending import Ending
+from sitl.flight.grader import FlightGrader
 from sitl.flight.hands import STOPS, MavlinkWires
 from sitl.flight.referee import ON_DECK_M
 from sitl.scenario.scenario import Scenario
-from sitl.vehicle.vehicle import VehiclePhase
-from sitl.vessel.vessel import Mounted, Vessel
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
 
 _WATCH_EACH_S = 0.05
@@ -139,7 +126,7 @@ class GradedBody(NullObserver):
         if self._grader is not None and act in STOPS:
             self._grader.referee.hands.acts(act, self.now)
 
-    def result(self, pilot: Pilot, health: Health) -> FlightResult | None:
+    def result(self, pilot: Pilot, health: Health) -> Ending | None:
         """Return the graded result; None without faults or without an order to land."""
         if self._grader is None:
             return None
@@ -147,15 +134,9 @@ class GradedBody(NullObserver):
 
     def truth(self) -> Truth:
         """Return the true state at the newest step; call it after one."""
-        body = self._body
-        assert body is not None
-        s = body.state()
-        phase = VehiclePhase.FLYING if body.flying else VehiclePhase.LANDED if body.upright else VehiclePhase.EMERGENCY
-        contacts = self.contacts
-        return Truth(
-            self._clock.now(), s.p_ned, s.v_ned, s.R_ned_body, body.p_pad_ned, body.v_pad_ned, body.R_ned_pad, phase,
-            contacts[-1] if contacts else None, contacts, w_body=s.w_body,
-        )  # fmt: skip
+        assert self._body is not None
+        contacts, newest = self.contacts, self._contacts[-1] if self._contacts else None
+        return replace(self._body.truth(), at=self._clock.now(), touchdown=newest, contacts=contacts)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         stamp = processed.frame.stamp
@@ -166,75 +147,3 @@ class GradedBody(NullObserver):
         if self._grader is not None:
             self._grader.on_decision(decision)
         self.guidance_phase = decision.phase
-
-
-class PerceivedBody:
-    """The world of one body.
-
-    Args:
-        faults: the faults that are active now.
-    """
-
-    def __init__(self, body: Body, seed: int, clock: Clock, faults: FaultTimer) -> None:
-        self._body, self._clock = body, clock
-        self.seed, self.faults, self.corruptions = seed, faults, Corruptions(faults, seed)
-        self._motion: tuple[float, Mounted] | None = None
-        self._truth: tuple[float, Truth] | None = None
-
-    @property
-    def scenario(self) -> Scenario:
-        return self._body.scenario
-
-    @property
-    def pad(self) -> Pad:
-        return self._body.pad
-
-    @property
-    def camera(self) -> Camera:
-        return self._body.camera
-
-    @property
-    def vessel(self) -> Vessel:
-        return self._body.vessel
-
-    def pad_motion(self) -> Mounted:
-        """Return the pad's true motion at the newest step, with shapes (3,) and (3, 3)."""
-        t_s = self._body.t_s
-        if self._motion is None or self._motion[0] != t_s:
-            self._motion = t_s, self._body.vessel.pad_at(t_s)
-        return self._motion[1]
-
-    def pad_ahead(self, ahead_s: F64) -> Mounted:
-        """Return the pad's true motion at (H,) s after the newest step."""
-        return self._body.vessel.pad(self._body.t_s + ahead_s)
-
-    def truth(self) -> Truth:
-        """Return the true state at the newest step; contacts are not noted here."""
-        t_s = self._body.t_s
-        if self._truth is None or self._truth[0] != t_s:
-            self._truth = t_s, self._true_state()
-        return self._truth[1]
-
-    def _true_state(self) -> Truth:
-        body, s, pad = self._body, self._body.state(), self.pad_motion()
-        phase = VehiclePhase.FLYING if body.flying else VehiclePhase.LANDED if body.upright else VehiclePhase.EMERGENCY
-        gravity = np.array([0.0, 0.0, G_M_S2])
-        return Truth(
-            self._clock.now(), s.p_ned, s.v_ned, s.R_ned_body, pad.p_ned, pad.v_ned, Rotation(pad.R_ned), phase, None,
-            a_body_ned=s.R_ned_body @ s.f_body + gravity, w_body=s.w_body,
-        )  # fmt: skip
-
-    def expose(
-        self, worker: RenderWorker | None = None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None = None
-    ) -> Callable[[], RenderedFrame]:
-        """Fix the scene now, and return the call that makes the frame; `camera` replaces the renderer.
-
-        The frames of one body are rendered in this process: `worker` is not used.
-        """
-        at: MonoNs = self._clock.now()
-        exposure_s = self.scenario.camera.exposure_s
-        if camera is None:
-            return self._body.expose(math.prod(fault.fraction for fault, _ in self.faults.on(LightFalls)))
-        covered = self.faults.active("lens_covered")
-        px = camera(None if covered else self._body.shot(), self._body.tick)
-        return lambda: RenderedFrame(px, at, exposure_s)

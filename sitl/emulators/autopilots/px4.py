@@ -22,11 +22,11 @@ import numpy as np
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput, SetupImpossible
-from estimator.contracts.geodesy import GeoPoint, moved, pressure_of_height_pa
+from estimator.contracts.geodesy import moved, pressure_of_height_pa
 from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
 from sitl.emulators.autopilots.motors import Motors
 from sitl.emulators.autopilots.program import GUIDE
-from sitl.sensors.sensors import ORIGIN_DEG
+from sitl.sensors.sensors import ORIGIN, ORIGIN_DEG
 
 PHYSICS_PORT = 4560
 MAVLINK_PORTS = (14540, 14550)
@@ -46,17 +46,14 @@ PARAMETERS: dict[str, float] = {
 }
 _ALL_SENSORS = 0x1FFF
 _ARMED = 128
+_GNSS_S = 0.1
+"""Interval of HIL_GPS."""
+_NUDGE_S = 0.004
+"""Interval at which the world moves one step until PX4 sends its first actuator message."""
 
 
-@dataclass(frozen=True, slots=True)
-class Home:
-    """The position on earth of the world's origin, and the magnetic field there."""
-
-    latitude_deg: float = ORIGIN_DEG[0]
-    longitude_deg: float = ORIGIN_DEG[1]
-    altitude_m: float = 0.0
-    field_ned_gauss: tuple[float, float, float] = (0.136, 0.008, 0.497)
-    """The magnetic field at Trondheim by the World Magnetic Model, rounded."""
+_FIELD_NED_GAUSS = np.array([0.136, 0.008, 0.497])
+"""The magnetic field at the world's origin, Trondheim, by the World Magnetic Model, rounded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,27 +67,27 @@ class SensorNoise:
     gnss_m: float = 0.05
 
 
-def sensors(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Generator) -> Message:
+def sensors(state: BodyState, noise: SensorNoise, rng: np.random.Generator) -> Message:
     """Return the HIL_SENSOR message for a state."""
     acc = state.f_body + rng.normal(0.0, noise.acc_m_s2, 3)
     gyro = state.w_body + rng.normal(0.0, noise.gyro_rad_s, 3)
-    mag = state.R_ned_body.inv @ np.array(home.field_ned_gauss) + rng.normal(0.0, noise.mag_gauss, 3)
-    height_m = home.altitude_m - float(state.p_ned[2])
+    mag = state.R_ned_body.inv @ _FIELD_NED_GAUSS + rng.normal(0.0, noise.mag_gauss, 3)
+    height_m = -float(state.p_ned[2])
     pressure_hpa = pressure_of_height_pa(height_m) / 100.0 + float(rng.normal(0.0, noise.pressure_hpa))
     return mav.MAVLink_hil_sensor_message(
         _us(state), *map(float, acc), *map(float, gyro), *map(float, mag), pressure_hpa, 0.0, height_m, 20.0, _ALL_SENSORS
     )
 
 
-def gnss(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Generator) -> Message:
+def gnss(state: BodyState, noise: SensorNoise, rng: np.random.Generator) -> Message:
     """Return the HIL_GPS message for a state."""
     p_ned = state.p_ned + rng.normal(0.0, noise.gnss_m, 3)
-    place = moved(GeoPoint.of_degrees(home.latitude_deg, home.longitude_deg, home.altitude_m), p_ned)
+    place = moved(ORIGIN, p_ned)
     latitude, longitude = math.degrees(place.latitude_rad), math.degrees(place.longitude_rad)
     vn, ve, vd = (round(100.0 * float(v)) for v in state.v_ned)
     speed, course = round(math.hypot(vn, ve)), math.degrees(math.atan2(ve, vn)) % 360.0
     return mav.MAVLink_hil_gps_message(
-        _us(state), 3, round(latitude * 1e7), round(longitude * 1e7), round(1000.0 * (home.altitude_m - float(p_ned[2]))), 30, 40,
+        _us(state), 3, round(latitude * 1e7), round(longitude * 1e7), round(-1000.0 * float(p_ned[2])), 30, 40,
         min(speed, 65535), vn, ve, vd, round(100.0 * course) % 36000, 14,
     )  # fmt: skip
 
@@ -111,22 +108,13 @@ class HilBackend:
     """One body behind the simulator interface. It does no I/O: it takes messages and returns messages.
 
     Args:
-        gnss_hz: rate of HIL_GPS.
         stepped: called after each step.
     """
 
-    def __init__(
-        self,
-        body: Body,
-        *,
-        seed: int = 0,
-        gnss_hz: float = 10.0,
-        stepped: Callable[[Body], None] = lambda body: None,
-    ) -> None:
+    def __init__(self, body: Body, *, seed: int = 0, stepped: Callable[[Body], None] = lambda body: None) -> None:
         self.body = body
-        self._home, self._noise = Home(), SensorNoise()
+        self._noise = SensorNoise()
         self._rng = np.random.default_rng(seed)
-        self._gnss_s = 1.0 / gnss_hz
         self._next_gnss_s = 0.0
         self._stepped = stepped
 
@@ -150,16 +138,14 @@ class HilBackend:
 
     def _readings(self) -> list[Message]:
         state = self.body.state()
-        out = [sensors(state, self._home, self._noise, self._rng)]
+        out = [sensors(state, self._noise, self._rng)]
         if state.t_s >= self._next_gnss_s:
-            self._next_gnss_s += self._gnss_s
-            out.append(gnss(state, self._home, self._noise, self._rng))
+            self._next_gnss_s += _GNSS_S
+            out.append(gnss(state, self._noise, self._rng))
         return out
 
 
-async def _converse(
-    backend: HilBackend, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, nudge_s: float, settle: Settle
-) -> None:
+async def _converse(backend: HilBackend, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, settle: Settle) -> None:
     codec = Codec(1, 51)
     first = True
     try:
@@ -167,7 +153,7 @@ async def _converse(
             writer.write(codec.pack(message))
         while True:
             try:
-                async with asyncio.timeout(nudge_s if first else None):
+                async with asyncio.timeout(_NUDGE_S if first else None):
                     data = await reader.read(4096)
             except TimeoutError:
                 # Before its loops run, PX4 answers nothing but needs time to advance.
@@ -194,12 +180,9 @@ async def _converse(
 
 @asynccontextmanager
 async def serve_hil(
-    backend: HilBackend, host: str = "127.0.0.1", port: int = PHYSICS_PORT, nudge_s: float = 0.004, *, settle: Settle = at_once
+    backend: HilBackend, host: str = "127.0.0.1", port: int = PHYSICS_PORT, *, settle: Settle = at_once
 ) -> AsyncIterator[int]:
     """Wait for PX4 on this port (0: any free one), step with it until the context ends, and yield the port.
-
-    Args:
-        nudge_s: interval, s, at which the world moves one step until PX4 sends its first actuator message.
 
     Raises:
         SetupImpossible: the port is in use.
@@ -209,7 +192,7 @@ async def serve_hil(
     async def met(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         open_writers.add(writer)
         try:
-            await _converse(backend, reader, writer, nudge_s, settle)
+            await _converse(backend, reader, writer, settle)
         except asyncio.CancelledError:
             # asyncio's streams write a traceback for a conversation that ends cancelled; this one ends with the flight.
             writer.close()
@@ -245,15 +228,14 @@ def start(binary: Path, *, height_m: float, parameters: Mapping[str, float] | No
         raise BadInput(
             f"--binary: there is no {etc / 'init.d-posix' / 'rcS'}; PX4 needs its build's etc beside bin (see {GUIDE})"
         )
-    at = Home()
     asked = {**PARAMETERS, "MIS_TAKEOFF_ALT": height_m, **(parameters or {})}
     environment = {
         "PX4_SIM_MODEL": "none_iris",
         "PX4_SYS_AUTOSTART": "10016",
         "PX4_SIM_HOSTNAME": "127.0.0.1",
-        "PX4_HOME_LAT": f"{at.latitude_deg:.7f}",
-        "PX4_HOME_LON": f"{at.longitude_deg:.7f}",
-        "PX4_HOME_ALT": f"{at.altitude_m:g}",
+        "PX4_HOME_LAT": f"{ORIGIN_DEG[0]:.7f}",
+        "PX4_HOME_LON": f"{ORIGIN_DEG[1]:.7f}",
+        "PX4_HOME_ALT": "0",
         **{f"PX4_PARAM_{name}": f"{value:g}" for name, value in asked.items()},
     }
     return [str(binary), "-d", "-i", "0", str(etc)], environment

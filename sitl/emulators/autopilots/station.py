@@ -86,16 +86,9 @@ class GroundStation:
         unaided: whether the autopilot is ordered to land by its own landing mode, and the companion is not.
     """
 
-    def __init__(
-        self,
-        stack: Stack,
-        *,
-        height_m: float,
-        system: int = 1,
-        unaided: bool = False,
-    ) -> None:
+    def __init__(self, stack: Stack, *, height_m: float, unaided: bool = False) -> None:
         self._stack, self._height_m, self._unaided = stack, height_m, unaided
-        self._autopilot, self._companion = (system, _AUTOPILOT), (system, COMPANION)
+        self._autopilot, self._companion = (1, _AUTOPILOT), (1, COMPANION)
         self._since: MonoNs | None = None
         self._asked: dict[str, MonoNs] = {}
         self._there_since: MonoNs | None = None

@@ -16,7 +16,6 @@ from drivers.ardrone import at, pave
 from drivers.ardrone.navdata import LAYOUTS, ControlState, NavdataState
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
-from sitl.ardrone.navdata_from_world import further_fields
 from sitl.emulators.ardrone import truth_log
 from sitl.emulators.ardrone.server import ArDroneServer, Ports
 from sitl.faults.kinds import FrameStream, LinkLost
@@ -116,7 +115,7 @@ async def test_full_navdata_holds_what_the_sensors_read(server: ArDroneServer, p
     flown_us = (world.now - world.started) // 1000
     assert full.time_us is not None
     assert 89_000_000 < full.time_us - flown_us < 91_000_000, "the drone was switched on a minute and a half before"
-    further = further_fields(server.drone._situation())
+    further = server.drone.further_fields()
     assert [further[f"magneto_raw_{axis}"] for axis in "xyz"] == pytest.approx((210.0, -15.0, 430.0))
     assert [further[f"motor_{n}"] for n in range(1, 5)] == [170, 171, 172, 173]
     assert set(further) <= {name for layout in LAYOUTS.values() for name in layout.fields}
@@ -192,26 +191,14 @@ async def test_garbage_on_every_port_hurts_nobody(server: ArDroneServer, peer: P
     assert server.counters["navdata_request_refused"] > 60
 
 
-async def test_truth_log_reports_where_it_was(tmp_path: Path, stack: ExitStack) -> None:
-    world, path = PointMass(SystemClock().now(), height_m=2.0), tmp_path / "truth.jsonl"
-    began = SystemClock().now()
-    async with serving(world, truth_path=path) as server:
-        peer = Peer(HOST, server.ports)
-        stack.callback(peer.close)
-        async with peer.talking(FLY, at.Pcmd(1, 0.0, -1.0, 0.0, 0.0)):
-            while world.now - began < 500_000_000 or world.v[0] <= 0.1:  # noqa: ASYNC110 (the world tells nobody)
-                await asyncio.sleep(0.01)
-    ended = SystemClock().now()
-    records = truth_log.read(path)
+async def test_the_truth_log_holds_each_hundredth_of_a_second_in_this_hosts_time(tmp_path: Path) -> None:
+    world, path, began = PointMass(SystemClock().now(), height_m=2.0), tmp_path / "truth.jsonl", SystemClock().now()
+    async with serving(world, truth_path=path):
+        await until(lambda: world.now - began > 500_000_000)
+    records, ended = truth_log.read(path), SystemClock().now()
     assert len(records) >= 40
-    assert all(began <= r["at_ns"] <= ended for r in records), "in this host's monotonic time"
+    assert all(began <= r["at_ns"] <= ended for r in records)
     assert np.median(np.diff([r["at_ns"] for r in records])) == pytest.approx(10e6, rel=0.01)
-    last = records[-1]
-    assert last["phase"] == "flying"
-    assert last["d_body_pad_level_m"] == pytest.approx([-p for p in last["p_body_ned_m"]])
-    assert last["d_body_pad_level_m"][2] == pytest.approx(2.0)
-    assert last["v_body_ned_m_s"][0] > 0.1
-    assert last["touchdown"] is None
     with path.open("a") as f:
         f.write('{"at_ns": 1, "cut')
     assert len(truth_log.read(path)) == len(records)
@@ -219,8 +206,6 @@ async def test_truth_log_reports_where_it_was(tmp_path: Path, stack: ExitStack) 
         f.write("\n")
     with pytest.raises(BadInput, match=f"line {len(records) + 1}"):
         truth_log.read(path)
-    with pytest.raises(BadInput, match="No such file"):
-        truth_log.read(tmp_path / "none")
 
 
 async def test_a_bug_inside_takes_the_body_down(world: PointMass, monkeypatch: pytest.MonkeyPatch) -> None:

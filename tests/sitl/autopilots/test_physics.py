@@ -15,7 +15,7 @@ from estimator.contracts.geodesy import GeoPoint, ned_between
 from sitl.emulators.autopilots.arducopter import CURVE, JsonBackend, decode
 from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.motors import wrench
-from sitl.emulators.autopilots.px4 import HilBackend, Home, SensorNoise, gnss, motors_of, sensors, serve_hil
+from sitl.emulators.autopilots.px4 import HilBackend, SensorNoise, gnss, motors_of, sensors, serve_hil
 from sitl.scenario.scenario import Scenario, load
 from sitl.sensors.sensors import ORIGIN
 from sitl.vehicle.airframe import Airframe
@@ -100,14 +100,14 @@ def test_sensors_say_what_the_state_is() -> None:
     state = body.state()
     rng = np.random.default_rng(1)
     still = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0)
-    m = sensors(state, Home(), still, rng)
+    m = sensors(state, still, rng)
     assert m.time_usec == 400_000
     assert m.fields_updated == 0x1FFF
     assert (m.xacc, m.yacc, m.zacc) == pytest.approx(tuple(state.f_body))
     assert math.hypot(m.xmag, m.ymag, m.zmag) == pytest.approx(0.515, abs=0.01)
     assert m.pressure_alt == pytest.approx(-state.p_ned[2])
     assert 990 < m.abs_pressure < 1014
-    g = gnss(state, Home(), still, rng)
+    g = gnss(state, still, rng)
     seen = ned_between(ORIGIN, GeoPoint.of_degrees(1e-7 * g.lat, 1e-7 * g.lon, 1e-3 * g.alt))
     assert seen == pytest.approx(state.p_ned, abs=0.02), "the ship's receiver has the same origin"
     assert g.alt == pytest.approx(-1000 * state.p_ned[2], abs=1)

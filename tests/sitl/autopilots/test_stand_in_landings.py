@@ -141,8 +141,8 @@ async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(stack,
     assert 1.0 < silence.moved_m < 5.0, "the deck's way until it stopped over the ground"
     assert not silence.touched
     assert_landed_and_stopped_at_once(flight, end)
-    assert end.result is not None
-    assert end.result.judged.grade == "on pad"
+    assert end.graded is not None
+    assert end.graded.good
 
 
 @pytest.mark.hazard("H4", "H6")
@@ -166,9 +166,8 @@ async def test_a_pilot_who_switches_the_mode_is_obeyed_and_gives_it_back(
         end = await flight.fly()
     assert [act for _, act in modes] == ["mode", "begin"]
     assert modes[1][0] - modes[0][0] == pytest.approx(2.0, abs=0.2)
-    assert end.result is not None
-    assert end.result.judged.unsafe == ()
-    assert end.result.judged.grade == "on pad"
+    assert end.graded is not None
+    assert end.graded.good
 
 
 @pytest.mark.timeout(400)
@@ -190,8 +189,8 @@ async def test_killed_for_good_it_is_left_alone(tmp_path: Path) -> None:
     end = await flight_of("arducopter", tmp_path, faults=(killed,), duration_limit_s=25.0, expect="refuse").fly()
     assert end.outcome is None
     assert end.contacts == ()
-    assert end.result is not None
-    assert end.result.judged.because.startswith("hovered without a service")
+    assert end.graded is not None
+    assert end.graded.as_json()["because"].startswith("hovered without a service")
 
 
 @pytest.mark.hazard("H4", "H5")

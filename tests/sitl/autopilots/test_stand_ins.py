@@ -137,28 +137,6 @@ def test_px4_arms_on_a_ship_under_way_only_without_the_checks_of_drift(speed_m_s
     assert deck.pilot.armed is arms
 
 
-def landed(deck: Deck, seconds: float) -> float | None:
-    """Seconds from the contact to the disarming; None if it stayed armed."""
-    while deck.body.landing() is None or deck.height_m > 0.06:
-        deck.fly(0.1, 0.4)
-    for k in range(round(seconds / 0.1)):
-        deck.fly(0.1, 0.4)
-        if not deck.pilot.armed:
-            return 0.1 * k
-    return None
-
-
-def test_px4_does_not_see_that_it_stands_on_a_deck_that_heaves() -> None:
-    low = {"LNDMC_Z_VEL_MAX": 0.1}
-    still, rough = Deck("calm", Stack.PX4, QUICK | low), Deck("sea_state_4", Stack.PX4, SHIP | low)
-    for deck in (still, rough):
-        deck.up(1.0)
-    quick = landed(still, 12.0)
-    assert quick is not None
-    late = landed(rough, quick + 10.0)
-    assert late is None or late > quick + 1.5
-
-
 def test_px4_fails_safe_when_the_setpoints_of_an_armed_vehicle_end() -> None:
     deck = Deck("calm", Stack.PX4, QUICK)
     deck.up()
@@ -245,23 +223,26 @@ def test_a_tilt_of_px4_follows_an_acceleration_as_its_response_file_says() -> No
     assert fit.response.damping == pytest.approx(given.damping, rel=0.2)
 
 
-def test_arducopter_stays_armed_on_a_deck_in_loiter_and_disarms_in_land() -> None:
-    for mode, ends_armed in (("loiter", True), ("land", False)):
-        deck = Deck("calm", Stack.ARDUPILOT)
-        deck.up(0.6)
-        while deck.height_m > 0.06:
-            deck.fly(0.1, 0.4)
-        deck.mode(mode)
-        deck.fly(6.0)
-        assert deck.pilot.armed is ends_armed, mode
-
-
-@pytest.mark.parametrize(("down_m_s", "notices"), [(None, False), (0.4, True)])
-def test_arducopter_notices_that_it_stands_while_it_wants_to_descend_and_else_leaves_by_a_velocity(down_m_s, notices):
+def on_deck() -> Deck:
+    """Return an ArduCopter that flew and stands again, its motors turning."""
     deck = Deck("calm", Stack.ARDUPILOT)
     deck.up(0.6)
     while deck.height_m > 0.06:
         deck.fly(0.1, 0.4)
+    return deck
+
+
+@pytest.mark.parametrize(("mode", "ends_armed"), [("loiter", True), ("land", False)])
+def test_arducopter_stays_armed_on_a_deck_in_loiter_and_disarms_in_land(mode: str, ends_armed: bool) -> None:
+    deck = on_deck()
+    deck.mode(mode)
+    deck.fly(6.0)
+    assert deck.pilot.armed is ends_armed
+
+
+@pytest.mark.parametrize(("down_m_s", "notices"), [(None, False), (0.4, True)])
+def test_arducopter_notices_that_it_stands_while_it_wants_to_descend_and_else_leaves_by_a_velocity(down_m_s, notices):
+    deck = on_deck()
     deck.fly(6.0, down_m_s)
     assert deck.pilot.armed
     accepted = deck.order(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0) == mav.MAV_RESULT_ACCEPTED

@@ -1,6 +1,5 @@
 """A campaign loses no flight and doubles none, whatever ends it, and its flights do not depend on where they were flown."""
 
-import json
 import os
 import resource
 import signal
@@ -150,45 +149,16 @@ def test_wilsons_interval() -> None:
     assert wilson(0, 0) == (0.0, 1.0)
 
 
-def test_a_campaign_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    near = tmp_path / "near.toml"
-    near.write_text(NEAR.replace("duration_limit_s = 40.0", "duration_limit_s = 1.0"))
-    command = ["campaign", str(near), "--runs", "2", "--seed", "5", "--workers", "1", "--json", "--out", str(tmp_path / "out")]
-    command += ["--set", "start.height_m=1.5"]
-    assert cli.main(command) == 1, "time ran out"
-    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [line["seed"] for line in lines[:-1]] == [5, 6]
-    reported = lines[-1]["summary"]
-    assert (reported["runs"], reported["failed"], reported["on_pad"], reported["lateral_median_m"]) == (2, 2, 0, None)
-    kept = json.loads((tmp_path / "out" / MANIFEST).read_text())
-    assert kept["options"] == ["--set", "start.height_m=1.5"]
-    assert cli.main(command) == 1
-    again = capsys.readouterr()
-    assert json.loads(again.out.splitlines()[-1])["summary"]["hash"] == reported["hash"]
-    assert "2 of 2 flights are there already; 0 flights to fly" in again.err
-    assert cli.main(["simulate", str(near), "--seed", "6", *kept["options"], "--json"]) == 1
-    alone = json.loads(capsys.readouterr().out)
-    assert {k: v for k, v in lines[1].items() if k not in ("cpu_s", "hash", "perception")} == {
-        k: v for k, v in alone.items() if k != "cpu_s"
-    }
-
-
 SOAK, VIRTUAL = ["demo", "--soak"], ["demo", "--soak", "--virtual"]
 WRONG_USE = [
     (["calm", "--runs", "0"], "--runs must be 1 or more, got 0"),
-    (["calm", "--seed", "-1"], "--seed must be 0 or more, got -1"),
     (["calm", "--workers", "0"], "--workers must be 1 or more, got 0"),
     (["calm", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "--workers does not go with --scheduler"),
     (["calm", "--set", "wind.sped_m_s=3"], "have a key 'wind.sped_m_s'; did you mean 'wind.speed_m_s'?"),
-    (["calm", "--set", "wind.speed_m_s=99"], "wind.speed_m_s must be a number from 0 to 25 m/s, found 99"),
-    (["calm", "--set", "wind.speed_m_s=strong"], "--set: wind.speed_m_s needs a number, found 'strong'"),
-    (["calm", "--set", "wind"], "--set 'wind': write KEY=VALUE"),
-    (["calm", "--set", "wind=3"], "have a key 'wind'"),
     (["calm", "--perception", "dreams"], "there is no level 'dreams'"),
     (["clam"], "did you mean 'calm'"),
     (["calm", "calm"], "scenario 'calm' is listed twice"),
     (["gimbal", "--perception", "model"], "gimbal: an AR.Drone has none"),
-    (["calm", "--vary", "wind.speed_m_s=0:30:10"], "--vary: wind.speed_m_s must be a number from 0 to 25 m/s, found 30"),
     (["calm", "--vary", "wind.speed_m_s=0:3:1", "--vary", "wind.speed_m_s=4,5"], "wind.speed_m_s is given twice"),
     (["calm", "--against", "x"], "--against goes with --report"),
     (["calm", "--report", "--against", "nothing"], "nothing is no campaign's folder: manifest.json: No such file"),
@@ -197,13 +167,9 @@ WRONG_USE = [
     ([*SOAK, "--hours", "0"], "--hours must lie in"),
     ([*SOAK, "--runs", "3"], "--runs with --soak needs --virtual"),
     ([*SOAK, "--workers", "2"], "--workers does not go with --soak"),
-    ([*SOAK, "--vary", "wind.speed_m_s=1,2"], "--vary does not go with --soak"),
     ([*SOAK, "--set", "wind.speed_m_s=3"], "--set with --soak needs --virtual"),
-    ([*SOAK, "--seed", "-1"], "--seed must be 0 or more"),
     ([*SOAK, "--perception", "model"], "--perception needs --virtual"),
-    ([*SOAK, "--failed-max", "-1"], "--failed-max must be 0 or more"),
     ([*SOAK, "--fault", "link_lost_4_s"], "needs --virtual"),
-    ([*VIRTUAL, "--runs", "0"], "is 1 or more"),
     ([*VIRTUAL, "--runs", "3", "--hours", "1"], "takes the place of --hours"),
     ([*VIRTUAL, "--fault", "none"], "not a fault scenario"),
     ([*VIRTUAL, "--fault", "wrong_pad", "--perception", "model"], "seen in rendered frames only"),

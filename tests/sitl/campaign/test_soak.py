@@ -8,6 +8,7 @@ import sys
 import tempfile
 import tracemalloc
 from collections import Counter
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,8 @@ from companion.base.mission import FlightOutcome
 from companion.cli import main as cli
 from estimator.contracts.estimates import Verdict
 from sitl.campaign.growth import Reading, findings, give_back, read, warm_up_s
-from sitl.campaign.soak import Class, Flown, Records, Tally, real
-from sitl.flight.ending import Load
+from sitl.campaign.soak import Flown, Records, Tally, real
+from sitl.flight.ending import Grade, Load
 from sitl.scenario.scenario import load
 from sitl.scenario.with_fault import faulty
 from tests.fly import NEAR
@@ -97,20 +98,20 @@ CUT: dict[str, Any] = {"ended": "emergency", "on_pad": False}
 LANDED, GAVE_UP, EMERGENCY = FlightOutcome.LANDED, FlightOutcome.GAVE_UP, FlightOutcome.EMERGENCY
 WET, STRAY = "in the water, 2.50 m from the pad's centre", "touched the deck 0.48 m from the pad's centre"
 OVERTAKEN, UNLEVELLED = (Counter({verdict: 600, Verdict.FUSED: 280}) for verdict in (Verdict.REPLACED, Verdict.NO_ATTITUDE))
-FLIGHTS: list[tuple[FlightOutcome, dict[str, Any], Counter[Verdict], float, Class, str]] = [
-    (LANDED, {}, GOOD, 0.0, Class.ON_PAD, ""),
-    (GAVE_UP, AWAY, GOOD, 0.0, Class.REFUSED_RIGHTLY, ""),
-    (GAVE_UP, AWAY | {"expect": "land"}, GOOD, 0.0, Class.FAILED, ""),
-    (EMERGENCY, AWAY, GOOD, 0.0, Class.FAILED, "time ran out: it neither landed nor gave up"),
-    (LANDED, {"on_pad": False, "surface": "water", "unsafe": [WET]}, GOOD, 0.0, Class.FAILED, WET),
-    (LANDED, {"unsafe": [STRAY]}, GOOD, 0.0, Class.FAILED, STRAY),
-    (EMERGENCY, CUT, GOOD, 0.02, Class.FAILED, "emergency"),
-    (EMERGENCY, CUT, GOOD, 0.045, Class.STARVED, "half of the guidance cycles came 45 ms late or later"),
-    (EMERGENCY, CUT | {"stood_still_s": 4.0}, GOOD, 0.0, Class.STARVED, "the simulated drone stood still for 4.0 s"),
-    (EMERGENCY, CUT | {"frames_sent": 200}, GOOD, 0.0, Class.STARVED, "22% of the frames were rendered in time"),
-    (EMERGENCY, CUT, OVERTAKEN, 0.0, Class.STARVED, "68% of the frames were overtaken by newer ones"),
-    (EMERGENCY, CUT, UNLEVELLED, 0.0, Class.STARVED, "68% of the frames had no attitude"),
-    (LANDED, {"stood_still_s": 4.0}, OVERTAKEN, 0.0, Class.ON_PAD, ""),
+FLIGHTS: list[tuple[FlightOutcome, dict[str, Any], Counter[Verdict], float, Grade, str]] = [
+    (LANDED, {}, GOOD, 0.0, Grade.ON_PAD, ""),
+    (GAVE_UP, AWAY, GOOD, 0.0, Grade.REFUSED_RIGHTLY, ""),
+    (GAVE_UP, AWAY | {"expect": "land"}, GOOD, 0.0, Grade.FAILED, ""),
+    (EMERGENCY, AWAY, GOOD, 0.0, Grade.FAILED, "time ran out: it neither landed nor gave up"),
+    (LANDED, {"on_pad": False, "surface": "water", "unsafe": [WET]}, GOOD, 0.0, Grade.FAILED, WET),
+    (LANDED, {"unsafe": [STRAY]}, GOOD, 0.0, Grade.FAILED, STRAY),
+    (EMERGENCY, CUT, GOOD, 0.02, Grade.FAILED, "emergency"),
+    (EMERGENCY, CUT, GOOD, 0.045, Grade.STARVED, "half of the guidance cycles came 45 ms late or later"),
+    (EMERGENCY, CUT | {"stood_still_s": 4.0}, GOOD, 0.0, Grade.STARVED, "the simulated drone stood still for 4.0 s"),
+    (EMERGENCY, CUT | {"frames_sent": 200}, GOOD, 0.0, Grade.STARVED, "22% of the frames were rendered in time"),
+    (EMERGENCY, CUT, OVERTAKEN, 0.0, Grade.STARVED, "68% of the frames were overtaken by newer ones"),
+    (EMERGENCY, CUT, UNLEVELLED, 0.0, Grade.STARVED, "68% of the frames had no attitude"),
+    (LANDED, {"stood_still_s": 4.0}, OVERTAKEN, 0.0, Grade.ON_PAD, ""),
 ]
 
 
@@ -119,23 +120,23 @@ def test_a_flight_in_real_time_is_good_failed_or_starved_by_the_machine(outcome,
     flight = real(10.0, SAID | said, outcome, frames, late_s)
     assert flight.worth is worth
     assert because in flight.because
-    assert worth is not Class.STARVED or "emergency" in flight.because, "what happened is reported beside"
+    assert worth is not Grade.STARVED or "emergency" in flight.because, "what happened is reported beside"
     assert Load(30.0, 880, 0.2, GOOD).starved() is None
 
 
-def flown(worth: Class, seed: int = 1, title: str = "a; faults/b") -> Flown:
+def flown(worth: Grade, seed: int = 1, title: str = "a; faults/b") -> Flown:
     return Flown(60.0 * seed, seed, title, worth, "why", 30.0)
 
 
 def test_failed_flights_and_a_starved_soak_are_faults_and_a_failed_flight_is_flown_again_by_fault_and_seed() -> None:
     """WHY: a seed selects another fault as soon as fault scenarios are added, so the seed alone does not tell the flight."""
-    failed = flown(Class.FAILED, 7, "a ferry; faults/link_lost_4_s")
-    bad = Tally([flown(Class.ON_PAD), flown(Class.REFUSED_RIGHTLY), failed, flown(Class.STARVED)])
+    failed = flown(Grade.FAILED, 7, "a ferry; faults/link_lost_4_s")
+    bad = Tally([flown(Grade.ON_PAD), flown(Grade.REFUSED_RIGHTLY), failed, flown(Grade.STARVED)])
     assert bad.faults(0) == ["1 of 4 flights failed"]
     assert bad.faults(1) == []
     assert "  seed 7, faults/link_lost_4_s: failed: why" in bad.in_words("demo")
     assert bad.as_json()["classes"] == {"on_pad": 1, "refused_rightly": 1, "failed": 1, "starved": 1}
-    slow = Tally([flown(Class.STARVED), flown(Class.STARVED), flown(Class.ON_PAD)])
+    slow = Tally([flown(Grade.STARVED), flown(Grade.STARVED), flown(Grade.ON_PAD)])
     assert slow.faults(0) == ["this machine was too slow for 2 of 3 flights, so the run shows nothing"]
     again = "decklander campaign demo --soak --virtual --runs 1 --seed 7 --fault faults/link_lost_4_s"
     assert bad.in_words("demo", ("--config", "my rig.toml"))[-1].endswith(f"{again} --config 'my rig.toml'")
@@ -145,7 +146,7 @@ def test_failed_flights_and_a_starved_soak_are_faults_and_a_failed_flight_is_flo
 
 
 def record_number(n: int) -> Flown:
-    return Flown(30.0 * n, n, f"a ferry; faults/number_{n}", Class.FAILED if n % 3 else Class.ON_PAD, f"because of {n}", 12.5 + n)
+    return Flown(30.0 * n, n, f"a ferry; faults/number_{n}", Grade.FAILED if n % 3 else Grade.ON_PAD, f"because of {n}", 12.5 + n)
 
 
 def test_a_day_of_records_takes_no_memory_and_more_may_come_while_one_reads() -> None:
@@ -167,30 +168,12 @@ def test_a_day_of_records_takes_no_memory_and_more_may_come_while_one_reads() ->
 
 
 def test_a_full_temporary_folder_loses_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    class Full:
-        """A file on which there is room for two and a half records."""
-
-        def __init__(self, file: Any) -> None:
-            self._file, self._left = file, 0
-
-        def write(self, data: bytes) -> int:
-            self._left = self._left or 2 * len(data) + len(data) // 2
-            part = data[: self._left - self._file.tell()]
-            return int(self._file.write(part))
-
-        def close(self) -> None:
-            self._file.close()
-
-        def fileno(self) -> int:
-            return int(self._file.fileno())
-
-    whole = tempfile.TemporaryFile
-    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **keys: Full(whole(**keys)))
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda buffering: FileIO("/dev/full", "w"))
     records = Records(Flown)
     for n in range(6):
         records.append(record_number(n))
     assert list(records) == [record_number(n) for n in range(6)]
-    assert capsys.readouterr().err.count("no space left; the run keeps its further records in memory\n") == 1
+    assert capsys.readouterr().err.count("No space left on device; the run keeps its further records in memory\n") == 1
 
 
 def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.CaptureFixture[str]) -> None:
