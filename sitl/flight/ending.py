@@ -76,7 +76,7 @@ class Grade(StrEnum):
     REFUSED_RIGHTLY = "refused rightly"
     FAILED = "failed"
     STARVED = "not judged: the machine was too slow"
-    """In place of a failed flight in real time."""
+    """Grade of a flight in real time that failed on a machine which was too slow for it."""
 
 
 def on_pad_m(contacts: Sequence[Touchdown]) -> float | None:

@@ -4,6 +4,7 @@ import math
 from collections import deque
 
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.contracts.geodesy import moved
 from estimator.contracts.geometry import wrap_pi
@@ -45,7 +46,7 @@ class VesselReporter:
         newest: Reports = ()
         while self._under_way and after(self._under_way[0][0], late_s) <= now:
             newest = self._under_way.popleft()[1]
-        return tuple(_arrived(report, now) for report in newest)
+        return tuple(replace(report, stamp=replace(report.stamp, received_at=now)) for report in newest)
 
     def _make(self, now: MonoNs) -> None:
         """Send one report."""
@@ -77,12 +78,3 @@ class VesselReporter:
         if self._world.scenario.vessel.reports_place:
             made = (*made, GeoFix(stamp, "vessel", place, SIGMA_M, velocity))
         self._under_way.append((now, made))
-
-
-def _arrived(report: VesselReport | GeoFix, now: MonoNs) -> VesselReport | GeoFix:
-    """Return a report as it is when it arrives at an instant."""
-    made = report.stamp
-    stamp = Stamp(made.measured_at, now, made.sigma_s, made.source)
-    if isinstance(report, GeoFix):
-        return GeoFix(stamp, report.whose, report.place, report.sigma_m, report.v_ned)
-    return VesselReport(stamp, report.v_vessel_ned, report.cov_v_ned, report.heading_rad, report.sigma_heading_rad)

@@ -201,11 +201,9 @@ class TruthLevel(Model):
     """The estimate is the truth with an error model of the filter."""
 
     level: Level = "truth"
-
-    def __init__(self, model: PerceptionModel | str | None = None) -> None:
-        super().__init__(model)
-        self._world: PerceivedWorld | None = None
-        self._rng = np.random.Generator(np.random.PCG64(0))
+    world: PerceivedWorld
+    """The world of the flight, from its beginning on."""
+    _rng: np.random.Generator
 
     def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
         """Return a pilot that flies by the truth."""
@@ -228,15 +226,8 @@ class TruthLevel(Model):
     def begin(self, world: PerceivedWorld) -> None:
         """Begin a flight in this world."""
         super().begin(world)
-        self._world = world
+        self.world = world
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
-
-    @property
-    def world(self) -> PerceivedWorld:
-        """The world of the flight."""
-        if self._world is None:
-            raise RuntimeError("no flight has begun")
-        return self._world
 
     def true_motion(self) -> TrueMotion:
         """Return a source of the true motion, made uncertain, with a generator of its own."""

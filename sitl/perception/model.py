@@ -123,10 +123,11 @@ class Model(Perception):
     """
 
     level: Level = "model"
+    scenes: Scenes
+    """The exposures of the flight, from its beginning on."""
 
     def __init__(self, model: PerceptionModel | str | None = None) -> None:
         self._given = load(model) if isinstance(model, str) else model
-        self._scenes: Scenes | None = None
 
     def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
         """Return a pilot whose detections are drawn."""
@@ -142,18 +143,11 @@ class Model(Perception):
     def begin(self, world: PerceivedWorld) -> None:
         """Begin a flight in this world."""
         super().begin(world)
-        self._scenes = Scenes(world.camera, world)
+        self.scenes = Scenes(world.camera, world)
 
     def expose(self, world: PerceivedWorld, worker: RenderWorker | None = None) -> Callable[[], RenderedFrame]:
         """Keep the scene as it is now."""
         return world.expose(camera=self.scenes.expose)
-
-    @property
-    def scenes(self) -> Scenes:
-        """The exposures of the flight."""
-        if self._scenes is None:
-            raise RuntimeError("no flight has begun")
-        return self._scenes
 
 
 def model_for(settings: Settings, given: PerceptionModel | None) -> PerceptionModel:

@@ -1,9 +1,10 @@
 """The numbers of the error models, as a file holds them: configs/perception/*.toml, written by `decklander perception fit`."""
 
+import json
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta, Struct
@@ -176,40 +177,27 @@ def _check(model: PerceptionModel, path: Path) -> None:
 def dump(model: PerceptionModel) -> str:
     """Return the text of a model's file."""
     lines = ["# Written by `decklander perception fit`. Fit it again rather than editing it.", ""]
-    lines += [f"format = {model.format}", f'method = "{model.method}"', "recordings = ["]
-    lines += [f"    {_text(name)}," for name in model.recordings] + ["]"]
-    detection, estimate = model.detection, model.estimate
-    lines += (
-        _table("detection", detection)
-        + _table("detection.tilt_deg", detection.tilt_deg)
-        + _table("detection.light_stops", detection.light_stops)
-    )
-    for cell in detection.cell:
-        lines += _table("detection.cell", cell, many=True)
-    lines += _table("estimate", estimate)
-    for part in estimate.cell:
-        lines += _table("estimate.cell", part, many=True)
-    return "\n".join(lines) + "\n"
+    lines += [f"format = {model.format}", f"method = {_value(model.method)}", "recordings = ["]
+    lines += [f"    {_value(name)}," for name in model.recordings] + ["]"]
+    return "\n".join(lines + _table("[detection]", model.detection) + _table("[estimate]", model.estimate)) + "\n"
 
 
-def _table(name: str, of: Struct, *, many: bool = False) -> list[str]:
-    out = ["", f"[[{name}]]" if many else f"[{name}]"]
+def _table(head: str, of: Struct) -> list[str]:
+    """Return the lines of a table, then those of the tables in it."""
+    out, inner, name = ["", head], [], head.strip("[]")
     for key in of.__struct_fields__:
         value = getattr(of, key)
-        if isinstance(value, Struct) or (isinstance(value, tuple) and value and isinstance(value[0], Struct)):
-            continue
-        out.append(f"{key} = {_value(value)}")
-    return out
+        if isinstance(value, Struct):
+            inner += _table(f"[{name}.{key}]", value)
+        elif isinstance(value, tuple) and isinstance(value[0], Struct):
+            inner += [line for part in value for line in _table(f"[[{name}.{key}]]", part)]
+        else:
+            out.append(f"{key} = {_value(value)}")
+    return out + inner
 
 
-def _value(value: int | float | tuple[float, ...]) -> str:
+def _value(value: Any) -> str:
+    """Return a text, a number with five digits, or a list of numbers, as TOML."""
     if isinstance(value, tuple):
-        return "[" + ", ".join(_value(v) for v in value) + "]"
-    if isinstance(value, int):
-        return str(value)
-    text = f"{value:.5g}"
-    return text if any(c in text for c in ".en") else f"{text}.0"
-
-
-def _text(value: str) -> str:
-    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        return f"[{', '.join(map(_value, value))}]"
+    return json.dumps(float(f"{value:.5g}") if isinstance(value, float) else value)

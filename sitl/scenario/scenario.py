@@ -83,10 +83,6 @@ TITLE_MAX = 120
 """Number of characters of a title."""
 
 
-def _switch(meaning: str) -> Meta:
-    return Meta(description=meaning)
-
-
 class Start(Struct, frozen=True, forbid_unknown_fields=True):
     """The start of the vehicle, relative to the pad at that instant."""
 
@@ -100,7 +96,8 @@ class Start(Struct, frozen=True, forbid_unknown_fields=True):
         0.0
     )
     with_vessel: Annotated[
-        bool, _switch("whether the vehicle starts with the vessel's steady velocity instead of at rest over the ground")
+        bool,
+        Meta(description="whether the vehicle starts with the vessel's steady velocity instead of at rest over the ground"),
     ] = True
 
 
@@ -288,8 +285,7 @@ def camera_model(scenario: Scenario) -> Camera:
     Raises:
         BadInput: the file is missing or has a fault.
     """
-    path = _find(scenario.camera.file, "cameras", Path(), "camera.file")
-    return read_camera(path)
+    return read_camera(_find(scenario.camera.file, "cameras", Path(), "camera.file"))
 
 
 def with_ardrone1(scenario: Scenario) -> Scenario:
@@ -317,8 +313,7 @@ def pad_model(scenario: Scenario) -> Pad:
     """
     for n, fault in enumerate(scenario.faults):
         if isinstance(fault, OtherPad):
-            other = _find(fault.file, "pads", Path(), f"faults[{n}].file")
-            pad_of_file(other)
+            pad_of_file(_find(fault.file, "pads", Path(), f"faults[{n}].file"))
     return pad_of_file(_find(scenario.pad.file, "pads", Path(), "pad.file"))
 
 

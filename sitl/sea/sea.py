@@ -49,28 +49,6 @@ def ochi_hubble_part(w_rad_s: F64, hs_m: float, tp_s: float, shape: float) -> F6
     return np.asarray(0.25 * hs_m**2 * np.exp(log))
 
 
-def fully_grown_period_s(hs_m: float) -> float:
-    """Return the peak period of the one-parameter Pierson-Moskowitz spectrum of this significant height, over 0.
-
-    Source: Pierson & Moskowitz 1964 by height, S = 0.0081 g^2 w^-5 exp(-0.032 (g / Hs)^2 w^-4): wp = 0.4 sqrt(g / Hs).
-    """
-    return math.tau / (0.4 * math.sqrt(G_M_S2 / hs_m))
-
-
-def most_probable_ochi_hubble(hs_m: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return (height m, peak period s, shape) of the swell and of the wind sea that are most probable at a significant height.
-
-    The two heights are scaled by 0.14 % so that they add up to `hs_m`.
-    Source: Ochi & Hubble 1976, table 2b, "most probable" of 800 North Atlantic spectra.
-    """
-    swell, wind = 0.84, 0.54
-    scale = hs_m / math.hypot(swell, wind)
-    return (
-        (swell * scale, math.tau / (0.70 * math.exp(-0.046 * hs_m)), 3.0),
-        (wind * scale, math.tau / (1.15 * math.exp(-0.039 * hs_m)), 1.54 * math.exp(-0.062 * hs_m)),
-    )
-
-
 Components = Literal["geometric", "equal_energy"]
 """The choice of the harmonics' frequencies: a random place inside each of geometric bins, or of bins of equal energy."""
 
@@ -94,14 +72,25 @@ class SeaState:
 
     @staticmethod
     def fully_grown(hs_m: float) -> SeaState:
-        """Return the one-parameter Pierson-Moskowitz sea: the height sets the period."""
-        return SeaState(hs_m, fully_grown_period_s(hs_m) if hs_m > 0 else 2.0, 1.0)
+        """Return the one-parameter Pierson-Moskowitz sea: the height sets the period.
+
+        Source: Pierson & Moskowitz 1964 by height, S = 0.0081 g^2 w^-5 exp(-0.032 (g / Hs)^2 w^-4): wp = 0.4 sqrt(g / Hs).
+        """
+        return SeaState(hs_m, math.tau / (0.4 * math.sqrt(G_M_S2 / hs_m)) if hs_m > 0 else 2.0, 1.0)
 
     @staticmethod
     def swell_and_wind_sea(hs_m: float) -> tuple[SeaState, SeaState]:
-        """Return the two parts of the most probable Ochi-Hubble spectrum of this significant height."""
-        swell, wind = (SeaState(h, tp, 1.0, shape) for h, tp, shape in most_probable_ochi_hubble(hs_m))
-        return swell, wind
+        """Return the two parts of the most probable Ochi-Hubble spectrum of this significant height.
+
+        The two heights are scaled by 0.14 % so that they add up to `hs_m`.
+        Source: Ochi & Hubble 1976, table 2b, "most probable" of 800 North Atlantic spectra.
+        """
+        swell, wind = 0.84, 0.54
+        scale = hs_m / math.hypot(swell, wind)
+        return (
+            SeaState(swell * scale, math.tau / (0.70 * math.exp(-0.046 * hs_m)), 1.0, 3.0),
+            SeaState(wind * scale, math.tau / (1.15 * math.exp(-0.039 * hs_m)), 1.0, 1.54 * math.exp(-0.062 * hs_m)),
+        )
 
 
 SEA_STATES: dict[int, SeaState] = {
@@ -118,11 +107,6 @@ SEA_STATES: dict[int, SeaState] = {
 Source: Bales, Designing ships to the natural environment, Naval Engineers Journal 1983, as in STANAG 4194; the periods of 0, 1
 and 2 are assumed (waves that low have no typical period there).
 """
-
-WMO_3700_M: dict[int, tuple[float, float]] = {
-    0: (0.0, 0.0), 1: (0.0, 0.1), 2: (0.1, 0.5), 3: (0.5, 1.25), 4: (1.25, 2.5), 5: (2.5, 4.0), 6: (4.0, 6.0)
-}  # fmt: skip
-"""Lowest and highest significant height of each sea state: WMO Manual on Codes (WMO-No. 306), code table 3700."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,12 +173,6 @@ class Waves:
             phase.append(math.tau * start)
         w_all = np.array(w)
         return Waves(np.broadcast_to(amplitude, w_all.shape), w_all, np.array(towards), np.array(phase))
-
-    @staticmethod
-    def flat(batch: int = 1) -> Waves:
-        """Return seas without waves."""
-        zero = np.zeros((batch, 1))
-        return Waves(zero, zero + 1.0, zero, zero)
 
     @staticmethod
     def together(systems: Sequence[Waves]) -> Waves:

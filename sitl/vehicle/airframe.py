@@ -355,9 +355,6 @@ class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):
         return limits
 
 
-Layout = Literal["quad_x", "hexa_x"]
-
-
 @dataclass(frozen=True, slots=True)
 class Rotor:
     """One rotor: its axis, in arms of the airframe, and the torque that its drag puts on the body."""
@@ -394,9 +391,4 @@ _LAYOUTS: dict[str, tuple[Rotor, ...]] = {
 
 def rotors(airframe: Airframe) -> tuple[Rotor, ...]:
     """Return the rotors of an airframe."""
-    return rotors_of(airframe.layout)
-
-
-def rotors_of(layout: Layout) -> tuple[Rotor, ...]:
-    """Return the rotors of a layout."""
-    return _LAYOUTS[layout]
+    return _LAYOUTS[airframe.layout]

@@ -106,8 +106,6 @@ class Vehicle:
     flow_works = Number("params", "flow_works")
     _q = Numbers("state", "q")
     _R = Numbers("state", "R")
-    _tilt_bias = Numbers("state", "tilt_bias")
-    _tilt_drift = Numbers("state", "tilt_drift")
     _rotor_health = Numbers("params", "rotor_health")
 
     def __init__(
@@ -279,11 +277,6 @@ class Vehicle:
     def f_body(self) -> F64:
         """(3,) m/s^2, specific force: at rest and level (0, 0, -9.81)."""
         return np.asarray((self.a_ned - [0.0, 0.0, G_M_S2]) @ self.R_ned_body)
-
-    @property
-    def tilt_error_rad(self) -> Sequence[float]:
-        """Error of the drone's own roll and pitch."""
-        return [bias + drift for bias, drift in zip(self._tilt_bias, self._tilt_drift, strict=True)]
 
     def keep_limits(self) -> None:
         """Give the core the stick's limits, whose fields may have been set."""

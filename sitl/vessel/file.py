@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -27,7 +28,7 @@ from companion.settings.schema import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number, text
-from sitl.vessel.seakeeping import HULLS, MODES, Hull, ResponseTable, Superstructure
+from sitl.vessel.seakeeping import HULLS, MODES, Hull, ResponseTable, Superstructure, smooth_step
 
 _EARTH_M = 6_371_000.0
 _RTK = "4"
@@ -189,10 +190,8 @@ class RecordedMotion:
         if not ends.any():
             return now
         last = self._spline(np.where(ends, t + self.period_s, t))
-        x = np.where(ends, t / self.blend_s, 1.0)[:, None]
-        s = x**3 * (10.0 + x * (6.0 * x - 15.0))
-        s1 = np.where(ends[:, None], 30.0 * x**2 * (1.0 - x) ** 2 / self.blend_s, 0.0)
-        s2 = np.where(ends[:, None], 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / self.blend_s**2, 0.0)
+        s, s1, s2 = (part[:, None] for part in smooth_step(np.where(ends, t / self.blend_s, 1.0)))
+        s1, s2 = s1 / self.blend_s, s2 / self.blend_s**2
         d = tuple(b - a for a, b in zip(last, now, strict=True))
         return (
             last[0] + s * d[0],
@@ -213,10 +212,8 @@ class RecordedMotion:
         )
 
 
-def _rows(reader: object, path: Path) -> F64:
+def _rows(lines: Iterator[list[str]], path: Path) -> F64:
     """Return (N, 7) numbers of a checked file, heave down."""
-    assert hasattr(reader, "__iter__")
-    lines = iter(reader)
     header = tuple(cell.strip() for cell in next(lines, ()))
     up = header == tuple("heave_up_m" if c == "heave_down_m" else c for c in COLUMNS)
     if header != COLUMNS and not up:

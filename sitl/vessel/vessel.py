@@ -60,19 +60,17 @@ class Mounted(Struct, frozen=True, eq=False):
 
 
 class Vessel:
-    """B vessels of one hull, each on its own sea. Frames: origin amidships at the calm waterline, x forward, y starboard, z down.
+    """B vessels of one hull, each on its own sea, at time 0 at the world's origin.
+
+    Frames: origin amidships at the calm waterline, x forward, y starboard, z down.
 
     Args:
         waves: of batch B; the vessels ride the very waves that the sea's surface shows.
         heading_rad: of the bow, clockwise from north; or (B,).
         speed_m_s: along the heading, 0 or more.
-        p0_ne_m: (2,) place at time 0, north and east.
         pad_yaw_rad: the pad's arrow against the bow, clockwise from above.
         mooring: None under way.
         seeds: phases of the mooring's wandering, one a vessel; needed with a mooring only.
-
-    Raises:
-        ValueError: shapes that do not meet, or a negative speed.
     """
 
     def __init__(
@@ -82,19 +80,15 @@ class Vessel:
         *,
         heading_rad: ArrayLike = 0.0,
         speed_m_s: float = 0.0,
-        p0_ne_m: tuple[float, float] = (0.0, 0.0),
         pad_yaw_rad: float = 0.0,
         mooring: Mooring | None = None,
         seeds: int | Sequence[int] = 0,
     ) -> None:
-        if not speed_m_s >= 0:
-            raise ValueError(f"speed_m_s must be 0 or more, got {speed_m_s!r}")
         self.hull, self.waves, self.speed_m_s = hull, waves, speed_m_s
         batch = waves.batch
         self.heading_rad = np.broadcast_to(np.asarray(heading_rad, dtype=float), (batch,))
         self.d_vessel_pad = np.array([*hull.d_vessel_pad_m, -hull.freeboard_m])
         self.R_vessel_pad = Rotation.from_rpy(0.0, 0.0, pad_yaw_rad)
-        self._p0 = np.array([*p0_ne_m, 0.0])
         ahead = np.stack([np.cos(self.heading_rad), np.sin(self.heading_rad), np.zeros(batch)], axis=-1)
         self._v0 = speed_m_s * ahead
         current = waves.current_ne_m_s
@@ -102,15 +96,12 @@ class Vessel:
             self._v0 = self._v0 + np.array([*current, 0.0])
         self._axes = np.stack([ahead, np.stack([-ahead[:, 1], ahead[:, 0], ahead[:, 2]], axis=-1)], axis=-1)
         beta = waves.towards_rad - self.heading_rad[:, None]
-        phase = waves.k_ne @ self._p0[:2] + waves.phase_rad
         w = encounter_rad_s(waves.w_rad_s, beta, speed_m_s)
         if current != (0.0, 0.0) and mooring is not None:
             w = waves.seen_rad_s
-        coefficient = responses(hull, waves.w_rad_s, beta, speed_m_s, w) * waves.amplitude_m * np.exp(1j * phase)
+        coefficient = responses(hull, waves.w_rad_s, beta, speed_m_s, w) * waves.amplitude_m * np.exp(1j * waves.phase_rad)
         if mooring is not None:
             chosen = [seeds] * batch if isinstance(seeds, int) else list(seeds)
-            if len(chosen) != batch:
-                raise ValueError(f"{len(chosen)} seeds for {batch} vessels")
             start = math.tau * np.stack([np.random.default_rng([s, 0xA2C4]).random(3) for s in chosen])
             slow = np.zeros((6, batch, 3), dtype=complex)
             for axis, n, size in ((0, 0, mooring.surge_m), (1, 1, mooring.sway_m), (5, 2, mooring.yaw_rad)):
@@ -143,9 +134,8 @@ class Vessel:
         m = self.motion(t)
         lead = (slice(None), *([None] * t.ndim))
         axes = self._axes[lead]
-        travelled = self._p0 + self._v0[lead] * t[..., None]
         return (
-            travelled + horizontal(axes, m.eta[..., :3]),
+            self._v0[lead] * t[..., None] + horizontal(axes, m.eta[..., :3]),
             self._v0[lead] + horizontal(axes, m.eta_dot[..., :3]),
             horizontal(axes, m.eta_ddot[..., :3]),
             self.heading_rad[lead],
@@ -178,10 +168,10 @@ class Vessel:
         """Return the pad's centre and frame at times (...), with the leading shape (B, ...)."""
         return self.mounted(t_s, self.d_vessel_pad, self.R_vessel_pad)
 
-    def pad_at(self, t_s: float, index: int = 0) -> Mounted:
-        """Return the pad of one vessel at one instant, with shapes (3,) and (3, 3)."""
+    def pad_at(self, t_s: float) -> Mounted:
+        """Return the pad of the first vessel at one instant, with shapes (3,) and (3, 3)."""
         m = self.pad(t_s)
-        return Mounted(m.p_ned[index], m.v_ned[index], m.a_ned[index], m.R_ned[index], m.w[index])
+        return Mounted(m.p_ned[0], m.v_ned[0], m.a_ned[0], m.R_ned[0], m.w[0])
 
 
 def horizontal(axes: F64, v: F64) -> F64:
@@ -314,7 +304,7 @@ class TurningVessel(Vessel):
         level = [np.concatenate([x, np.zeros((t_s.size, 1))], axis=-1) for x in (c.p, c.v, c.a)]
         axes = self._axes[:, None]
         p, v, a = (horizontal(axes, np.broadcast_to(x, (self.batch, *x.shape))) for x in level)
-        return self._p0 + p + t_s[:, None] * drift, v + drift, a
+        return p + t_s[:, None] * drift, v + drift, a
 
     def _heel(self, share: F64) -> tuple[F64, F64, F64]:
         """Return the heel at (T, 3) shares of the turn, rad, with its two derivatives: speed and rate grow with the share."""

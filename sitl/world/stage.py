@@ -183,12 +183,9 @@ def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]
 
 def drift_of(vessel: Vessel) -> F64:
     """Return the mean velocity of a vessel over its first seconds beyond that of its course, (2,) m/s north and east."""
-    return np.asarray(vessel.pad(np.linspace(0.0, 4.0, 41)).v_ned[0, :, :2].mean(axis=0)) - _course_ne(vessel)
-
-
-def _course_ne(vessel: Vessel) -> F64:
     heading, speed = float(vessel.heading_rad[0]), float(np.ravel(vessel.speed_m_s)[0])
-    return speed * np.array([math.cos(heading), math.sin(heading)])
+    course = speed * np.array([math.cos(heading), math.sin(heading)])
+    return np.asarray(vessel.pad(np.linspace(0.0, 4.0, 41)).v_ned[0, :, :2].mean(axis=0)) - course
 
 
 def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, at: Mounted, drift_ne_m_s: F64) -> None:

@@ -176,12 +176,11 @@ class Chapter5(NamedTuple):
     external: Landed
 
 
-def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None], heights_m: tuple[float, ...] = HEIGHTS_M) -> Chapter5:
+def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None]) -> Chapter5:
     """Fly every experiment of the simulator, with all methods of vision, which the tables compare.
 
     Args:
         say: receives the title of each before it begins.
-        heights_m: heights of the hovering.
 
     Raises:
         BadInput: the settings name a camera or pad file with a fault.
@@ -190,7 +189,7 @@ def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None], heigh
     say("5.1.2 up and down between 0.2 and 5 m")
     up = fly_by_hand(settings, *up_and_down(0.2, 5.0, 0.4, x_m=-0.1), seed)
     hovering = {}
-    for height_m in heights_m:
+    for height_m in HEIGHTS_M:
         say(f"5.1.3 hovering at {height_m:g} m")
         hovering[height_m] = fly_by_hand(settings, hold(HeldPose(0.0, 0.0, height_m)), HOVER_S, seed)
     say("5.1.4 a step from 1 to 3 m")

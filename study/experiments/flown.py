@@ -24,8 +24,8 @@ METHODS = ("ellipse", "arrow", "corners", "registration", "best")
 """The thesis' three methods as they are here, the fourth, and the estimate that all of them make together."""
 SHADOWS: tuple[PathName, ...] = ("median_mean", "dead_reckoning")
 THESIS_RATE_HZ = 10.0
-_AT_REST_S = 3.0
-"""Time that the hand gets to arrive before anything counts."""
+_AT_REST_S, _LANDS_WITHIN_S = 3.0, 60.0
+"""Time that the hand gets to arrive before anything counts, and a pilot to land."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,12 +144,10 @@ def fly_by_hand(settings: Settings, path: Path, duration_s: float, seed: int, *,
     return flown
 
 
-def fly_pilot(
-    settings: Settings, start: HeldPose, seed: int, kind: Callable[..., Pilot] = Pilot, limit_s: float = 60.0
-) -> ExperimentFlight:
+def fly_pilot(settings: Settings, start: HeldPose, seed: int, kind: Callable[..., Pilot] = Pilot) -> ExperimentFlight:
     """Fly a pilot that lands by itself from a pose."""
     pilot = make_pilot(settings, SHADOWS, kind)
-    return _flown(settings, calm_scenario(start, limit_s, exact_attitude=False), seed, pilot, 0.0, 1.0 / 30.0)
+    return _flown(settings, calm_scenario(start, _LANDS_WITHIN_S, exact_attitude=False), seed, pilot, 0.0, 1.0 / 30.0)
 
 
 def _flown(

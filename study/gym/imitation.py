@@ -32,20 +32,14 @@ AS_HANDED_OVER = TrainingOptions(start_low=(-2.5, -2.5, 0.4, -math.pi), start_hi
 """Episodes that begin wider and higher than the environment's own, as a mission hands over the vehicle."""
 
 
-class TeacherOptions(Struct, frozen=True, kw_only=True):
-    """Controller of the teacher."""
-
-    weights: TiltWeights = TiltWeights(p_m=0.015, w_m_s=4.1, u_m_s2=0.3)
-    """Weights of the regulator: softer than the law's, as an estimate is not the truth."""
-    speed_max_m_s: float = 1.5
-    rate_m_s: float = 0.4
-    """Down against the deck, over the pad."""
-    cone_m: float = 0.12
-    """Distance beside the pad at which it still goes down near the deck, and the increase with each metre of height."""
-    cone_slope: float = 0.2
-    yaw_gain_1_s: float = 0.8
-    push_time_s: float = 0.1
-    """Time constant of the push of the air that it reckons with."""
+_WEIGHTS = TiltWeights(p_m=0.015, w_m_s=4.1, u_m_s2=0.3)
+"""Weights of the teacher's regulator: softer than the law's, as an estimate is not the truth."""
+_SPEED_MAX_M_S, _DOWN_M_S = 1.5, 0.4
+"""The teacher's largest speed towards the pad, and its speed down against the deck, over the pad."""
+_CONE_M, _CONE_SLOPE = 0.12, 0.2
+"""Distance beside the pad at which it still goes down near the deck, and the increase with each metre of height."""
+_YAW_GAIN_1_S, _PUSH_S = 0.8, 0.1
+"""Gain of its heading, and time constant of the push of the air that it reckons with."""
 
 
 class Teacher:
@@ -59,9 +53,9 @@ class Teacher:
         ValueError: there are no gains for such a vehicle.
     """
 
-    def __init__(self, worlds: TrainingWorlds, response: Response, options: TeacherOptions | None = None) -> None:
-        self._worlds, self._o, self._response = worlds, options or TeacherOptions(), response
-        self._gains: TiltGains = tilt_gains(response.tilt, self._o.weights, STEP_S)
+    def __init__(self, worlds: TrainingWorlds, response: Response) -> None:
+        self._worlds, self._response = worlds, response
+        self._gains: TiltGains = tilt_gains(response.tilt, _WEIGHTS, STEP_S)
         n = worlds.count
         self._under_way = np.zeros((n, len(self._gains.under_way), 2))
         self._lag, self._push, self._lean, self._deck_v = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 3))
@@ -69,7 +63,7 @@ class Teacher:
 
     def actions(self) -> F32:
         """Return the actions (N, 4) for the worlds as they are; call it once before each step, and `flown` after it."""
-        o, w, g = self._o, self._worlds.truth, self._gains
+        w, g = self._worlds.truth, self._gains
         vehicle, deck = w["vehicle"], w["deck"]
         p, v = deck["p"] - vehicle["p"], deck["v"] - vehicle["v"]
         R = vehicle["R"].reshape(-1, 3, 3)
@@ -78,13 +72,13 @@ class Teacher:
         fresh = self._begun
         a_deck = np.where(fresh[:, None], 0.0, (deck["v"] - self._deck_v) / STEP_S)
         rate = np.where(fresh[:, None], 0.0, (lean - self._lean) / STEP_S)
-        keep = math.exp(-STEP_S / o.push_time_s)
+        keep = math.exp(-STEP_S / _PUSH_S)
         push = np.where(fresh[:, None], 0.0, keep * self._push + (1.0 - keep) * (vehicle["a"][:, :2] - lean))
         self._push, self._lean, self._deck_v = push, lean, deck["v"].copy()
         reference = a_deck[:, :2] - push
         # A place far away asks for no more than the largest speed.
         far = p[:, :2]
-        reach = o.speed_max_m_s * g.w / g.p
+        reach = _SPEED_MAX_M_S * g.w / g.p
         far = far * np.minimum(1.0, reach / np.maximum(1e-9, np.hypot(*far.T)))[:, None]
         wanted = g.p * far + g.w * v[:, :2] + g.a * (lean - reference) + g.rate * rate + g.lag * (self._lag - reference)
         for k, gain in enumerate(g.under_way):
@@ -95,11 +89,11 @@ class Teacher:
         made = np.zeros((len(p), ACTIONS))
         made[:, :2] = (level - w["trim"]) / self._worlds.acceleration_m_s2
         beside, height = np.hypot(*p[:, :2].T), p[:, 2]
-        down = np.clip(o.rate_m_s * 3.0 * (1.0 - beside / (o.cone_m + o.cone_slope * np.maximum(0.0, height))), 0.0, o.rate_m_s)
+        down = np.clip(_DOWN_M_S * 3.0 * (1.0 - beside / (_CONE_M + _CONE_SLOPE * np.maximum(0.0, height))), 0.0, _DOWN_M_S)
         made[:, 2] = (down + self._response.climb.lag_s * a_deck[:, 2]) / DOWN_MAX_M_S
         Rd = deck["R"].reshape(-1, 3, 3)
         yaw = np.angle(np.exp(1j * (heading - np.arctan2(Rd[:, 1, 0], Rd[:, 0, 0]))))
-        made[:, 3] = -o.yaw_gain_1_s * yaw / YAW_RATE_MAX_RAD_S
+        made[:, 3] = -_YAW_GAIN_1_S * yaw / YAW_RATE_MAX_RAD_S
         self._heading = heading
         return np.clip(made, -1.0, 1.0).astype(np.float32)
 
@@ -195,10 +189,9 @@ class Imitation:
         first: Policy | None = None,
         *,
         options: ImitationOptions | None = None,
-        teacher: TeacherOptions | None = None,
     ) -> None:
         self._worlds, self._o = worlds, options or ImitationOptions()
-        self._teachers = [Teacher(one, response, teacher) for one in worlds]
+        self._teachers = [Teacher(one, response) for one in worlds]
         self._rng = rng = np.random.default_rng([seed, 0x1A17])
         self._first = first is not None
         self.weights: Weights = _network(rng, self._o.width) if first is None else {k: first.weights[k].copy() for k in ARRAYS}

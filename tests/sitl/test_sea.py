@@ -8,15 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.contracts.motion import G_M_S2
-from sitl.sea.sea import (
-    SEA_STATES,
-    WMO_3700_M,
-    Components,
-    Sea,
-    SeaState,
-    Waves,
-    WaveSystem,
-)
+from sitl.sea.sea import SEA_STATES, Components, Sea, SeaState, Waves, WaveSystem
+
+WMO_3700_M: dict[int, tuple[float, float]] = {
+    0: (0.0, 0.0), 1: (0.0, 0.1), 2: (0.1, 0.5), 3: (0.5, 1.25), 4: (1.25, 2.5), 5: (2.5, 4.0), 6: (4.0, 6.0)
+}  # fmt: skip
+"""Lowest and highest significant height of each sea state: WMO Manual on Codes (WMO-No. 306), code table 3700."""
 
 
 @given(st.integers(0, 2**31), st.sampled_from([*SEA_STATES.values()]), st.floats(-10, 10))

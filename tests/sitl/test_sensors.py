@@ -11,7 +11,7 @@ import pytest
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import MonoNs
 from sitl.scenario.scenario import Scenario
-from sitl.sea.sea import Waves
+from sitl.sea.sea import SEA_STATES, Waves
 from sitl.sensors.sensors import Readings, Sensors
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.vehicle import Vehicle
@@ -50,7 +50,7 @@ def setup(settings: SensorSettings, seed: int = 1, p: tuple[float, float, float]
 
 
 def fly_sensing(v: Vehicle, s: Sensors, steps: int) -> list[Readings]:
-    physics, out = Physics(v, s, Waves.flat()), []
+    physics, out = Physics(v, s, Waves.draw(SEA_STATES[0], 1)), []
     for n in range(steps):
         physics.run(STILL_DECK, 0, 1)
         out.append(s.read(MonoNs(n)))
@@ -61,7 +61,7 @@ def echo(cone_deg: float, p: tuple[float, float, float], roll_deg: float = 0.0) 
     """Return the first echo of a perfect sensor at a place over the deck of `deck`."""
     near = msgspec.structs.replace(PERFECT, ultrasound_cone_deg=cone_deg, ultrasound_rate_hz=60.0, ultrasound_max_m=20.0)
     v, s = setup(near, p=p)
-    physics = Physics(v, s, Waves.flat())
+    physics = Physics(v, s, Waves.draw(SEA_STATES[0], 1))
     for _ in range(4):
         v.p, v.v, v.w = p, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         v.q = Rotation.from_rpy(math.radians(roll_deg), 0.0, 0.0).quat_wxyz.tolist()

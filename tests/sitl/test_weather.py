@@ -17,7 +17,6 @@ from sitl.flight.one_flight import FlyOptions, settings_for
 from sitl.flight.referee import Errand, Referee
 from sitl.scenario.scenario import load, sea_of, wind_of
 from sitl.scenario.weather import WeatherSettings, raised_sea, raising_wind_m_s
-from sitl.sea.sea import WMO_3700_M
 from sitl.vehicle.airframe import Airframe, ContactSettings
 from sitl.vehicle.disturbances import SPREADS, EffectSettings, WrongModel
 from sitl.vessel.file import read_log
@@ -25,6 +24,7 @@ from sitl.world.stage import airframe, true_camera
 from sitl.world.truth import Touchdown, Truth
 from sitl.world.world import Stick, World
 from tests.fly import land, near
+from tests.sitl.test_sea import WMO_3700_M
 from tests.sitl.test_world import CALM, run_world, with_
 
 UNKIND: dict[str, Any] = {

@@ -88,11 +88,11 @@ class TruthFlight:
         self.s = s
         rng = np.random.default_rng([s.seed, 1])
         towards, heading = rng.uniform(-math.pi, math.pi, 2)
-        waves = Waves.draw(SEA_STATES[s.sea], s.seed, towards_rad=towards) if s.sea else Waves.flat()
+        waves = Waves.draw(SEA_STATES[s.sea], s.seed, towards_rad=towards)
         speed = float(rng.uniform(0.0, 1.5)) if s.vessel_speed_m_s is None else s.vessel_speed_m_s
         self.vessel = Vessel(HULLS[s.hull], waves, heading_rad=heading, speed_m_s=speed)
         self.u = speed * np.array([math.cos(heading), math.sin(heading), 0.0])
-        rest = Vessel(HULLS[s.hull], Waves.flat(), heading_rad=heading).pad(0.0)
+        rest = Vessel(HULLS[s.hull], Waves.draw(SEA_STATES[0], 1), heading_rad=heading).pad(0.0)
         self.p0 = rest.p_ned[0]
         self._w = math.tau * rng.uniform(0.15, 0.6, (3, 3))
         self._a = s.lively * rng.uniform(0.3, 1.0, (3, 3)) * 0.35 / self._w * np.array([[1.0], [1.0], [0.5]])

@@ -68,6 +68,8 @@ _STATION_S = 0.05
 _AFTER_S = 1.5
 """Time that the flight continues at least after its end, so that a later contact is recorded."""
 _TRUTH_S = 0.02 - 1e-6
+_PACE = 10.0
+"""Largest speed of the program in multiples of real time; the lock step limits it to what the machine can do."""
 _SILENT_S = 60.0
 """Wall time without a step of the physics after which the program counts as hung."""
 
@@ -79,8 +81,6 @@ class AutopilotProgram:
     name: Name
     binary: Path | None
     """The program; None flies the stand-in for it (`sitl.emulators.autopilots.stand_in`)."""
-    pace: float = 10.0
-    """Largest speed of the program in multiples of real time; the lock step limits it to what the machine can do."""
     parameters: tuple[tuple[str, float], ...] = ()
     """Parameters of the program, in addition to those with which it is always started."""
     unaided: bool = False
@@ -429,7 +429,7 @@ class AutopilotFlight:
         backend = JsonBackend(lambda step_s: self._make(step_s, CURVE), self._stepped, self.body)
         async with serve_json(backend, HOST, 0, settle=self._settle) as port:
             argv = arducopter.argv(
-                chosen.binary, self.folder, physics_port=port, mavlink_ports=ports, speedup=chosen.pace,
+                chosen.binary, self.folder, physics_port=port, mavlink_ports=ports, speedup=_PACE,
                 parameters=dict(chosen.parameters),
             )  # fmt: skip
             async with running(argv, self.folder) as program:

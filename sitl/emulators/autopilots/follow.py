@@ -40,6 +40,8 @@ TRUTH = {Stack.ARDUPILOT: "SIM_STATE", Stack.PX4: "HIL_STATE_QUATERNION"}
 """The message in which the simulator of each stack reports the true state."""
 _EARTH_M = 6_371_000.0
 _ASK_S, _ASKS = 5.0, 3
+_EACH_US = 20_000
+"""Interval in which the true state is requested."""
 _TRUTH_LAST_S = 1.0
 _GAP_S = 0.2
 _MEAN_S = 3.0
@@ -80,18 +82,14 @@ class PoseSource:
         self._asked: MonoNs | None = None
         self._asks = 0
 
-    def ask(self, stack: Stack, target: tuple[int, int], now: MonoNs, rate_hz: float = 50.0) -> list[Message]:
-        """Return the request for the true state when it is due, or None; a simulator without one ignores it."""
-        name = TRUTH.get(stack)
+    def ask(self, stack: Stack, target: tuple[int, int], now: MonoNs) -> list[Message]:
+        """Return the request for the true state when it is due, or nothing; a simulator without one ignores it."""
         waits = self._asked is not None and seconds_between(self._asked, now) < _ASK_S
-        if name is None or self.truthful(now) or waits or self._asks >= _ASKS:
+        if stack not in TRUTH or self.truthful(now) or waits or self._asks >= _ASKS:
             return []
         self._asked, self._asks = now, self._asks + 1
-        interval_us = round(1e6 / rate_hz)
-        number = message_id(name)
-        return [
-            mav.MAVLink_command_long_message(*target, mav.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, interval_us, 0, 0, 0, 0, 0)
-        ]
+        number, every = message_id(TRUTH[stack]), mav.MAV_CMD_SET_MESSAGE_INTERVAL
+        return [mav.MAVLink_command_long_message(*target, every, 0, number, _EACH_US, 0, 0, 0, 0, 0)]
 
     def truthful(self, now: MonoNs) -> bool:
         """Return whether the simulator reported the true position recently."""
