@@ -26,7 +26,6 @@ class ReasonCause(Enum):
     ALL_LIMITS_HOLD = "all limits hold"
     FELT = "contact felt, a step of {measured:.1f} m/s^2"
     HELD_UP = "contact: held up by {measured:.1f} m/s against the commands"
-    REPORTED = "the vehicle reports contact"
     REACHED = "contact: by sight and what was reckoned since, the feet are {measured:.2f} m over the deck"
     PRESSED = "pressed on for {measured:.1f} s"
     HIGH_ENOUGH = "{measured:.1f} m over the deck"

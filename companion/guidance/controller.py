@@ -48,8 +48,7 @@ class Impact(Struct, frozen=True):
     by: str
     """Source of the contact.
 
-    It is `accelerometer` (a step that no flight makes), `velocity` (held up against all commands) or `vehicle` (it reports that
-    it is on the ground).
+    It is `accelerometer` (a step that no flight makes) or `velocity` (held up against all commands).
     """
     size_m_s2: float = math.nan
     """The step of the acceleration; nan if the contact came from another source."""
@@ -158,7 +157,9 @@ class Controller(Protocol[Memory]):
     """
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """The name by which settings choose it."""
+        ...
 
     @property
     def climb_max_m_s(self) -> float | None:

@@ -43,7 +43,6 @@ from estimator.contracts.commands import Command, Lean
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
-from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import (
     Attitude,
     Baro,
@@ -58,11 +57,12 @@ from estimator.contracts.samples import (
 )
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
+from estimator.pipeline import RelativeEstimator
 from estimator.vision.detection import PadCheck
 
 _TILT_LEFT_DEG = 2.0
 """Distance that is kept from an autopilot's own limit of the tilt, deg: its loops overshoot."""
-FORECAST_S = 0.2
+_FORECAST_S = 0.2
 """Time between two forecasts of the deck, s: they cost more than the rest of a guidance cycle, and change slowly."""
 _NIS_WEIGHT = 0.1
 _IMPOSSIBLE_S = 1.0
@@ -134,6 +134,26 @@ class PilotOptions:
     """True if a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
 
 
+@dataclass(slots=True)
+class _Flight:
+    """Knowledge of one flight; a take-off begins another."""
+
+    law: Any
+    """The control law's memory."""
+    contact: ContactWatch = field(default_factory=ContactWatch)
+    held: HeldUp = field(default_factory=HeldUp)
+    held_by_deck: HeldUp = field(default_factory=HeldUp)
+    impact: Impact | None = None
+    touch: Impact | None = None
+    forecast: Forecast | None = None
+    climb_watch: ClimbWatch = field(default_factory=ClimbWatch)
+    wind: WindWatch = field(default_factory=WindWatch)
+    swell: SwellWatch = field(default_factory=SwellWatch)
+    on_pad: PadCheck | None = None
+    overruled: bool = False
+    """The operator says that the pad is clear."""
+
+
 class LandingGuidance:
     """Decides on commands by samples and estimates."""
 
@@ -142,7 +162,7 @@ class LandingGuidance:
         self.mission = Progress.start(automatic=options.automatic)
         self._make_law = options.law
         self._law = options.law(guidance)
-        self._law_memory = self._law.start()
+        self._flight = _Flight(self._law.start())
         self._hold, self._resumes = VehicleHold(options.over_ground), options.resumes
         self._response = ResponseIdentifier(options.tilt, guidance)
         self._changes: list[StateChange] = []
@@ -162,9 +182,7 @@ class LandingGuidance:
         """Time of receipt of the vehicle's own newest sample."""
         self._measured: MonoNs | None = None
         """Time at which the vehicle's newest sample was measured."""
-        self._contact = ContactWatch()
         self._range: Range | None = None
-        self._held, self._held_by_deck = HeldUp(), HeldUp()
         self._impossible: MonoNs | None = None
         """Time when the deck's estimated motion was last impossible."""
         self._trusts_velocity = True
@@ -172,25 +190,17 @@ class LandingGuidance:
         """Instant since which the estimate does without the accelerometer."""
         self._deck_down_m_s: float | None = None
         """The deck's vertical speed over the ground in the newest guidance cycle; None if it is not known."""
-        self._impact: Impact | None = None
-        self._touch: Impact | None = None
-        self._forecast: Forecast | None = None
-        self._climb_watch = ClimbWatch()
         self._ordered: Command | None = None
         """The command of the newest guidance cycle, before people and limits."""
         self._climbs_m_s: float | None = None
         """Rate of climb of the newest command; None of one without."""
         self._baro: Baro | None = None
-        self._wind, self._tilt, self._climb, self._view = WindWatch(), options.tilt, options.climb, options.view
+        self._tilt, self._climb, self._view = options.tilt, options.climb, options.view
         self._air: WindOverDrone | None = None
-        self._swell = SwellWatch()
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
-        self._on_pad: PadCheck | None = None
         self._thing: Reason | None = None
         """Objects on the pad in the newest guidance cycle."""
-        self._overruled = False
-        """The operator says that the pad is clear, in this flight."""
         self._vessel_track = VesselTrack(options.reports)
         self._vessel: VesselPosition | Reason | None = None
         """The ship's place by reports in the newest guidance cycle, or why it is not known; None while nobody flies by it."""
@@ -235,7 +245,7 @@ class LandingGuidance:
         """Take an order of the operator."""
         if event is Event.BEGIN:
             self._vessel_track = self._vessel_track.restarted()
-            self._climb_watch = ClimbWatch()
+            self._flight.climb_watch = ClimbWatch()
             # What refused it for late answers flies by no tilt any more, by which its answers could be seen to be in time.
             self._response.begin()
         self.mission, changes = take_order(self.mission, event, self._now, self._guidance)
@@ -249,7 +259,7 @@ class LandingGuidance:
         if guidance != self._guidance:
             before, self._law = self._law, self._make_law(guidance)
             if type(before) is not type(self._law):
-                self._law_memory = self._law.start()
+                self._flight.law = self._law.start()
             self._response.retune(guidance)
         self._guidance = guidance
 
@@ -267,12 +277,13 @@ class LandingGuidance:
             # By the type itself: hundreds of samples a second, and a match checks one class after the other.
             if type(sample) is Imu:
                 if self.mission.state not in GROUND:
-                    before, self._contact = self._contact, watched(self._contact, sample)
+                    before, felt = self._flight.contact, watched(self._flight.contact, sample)
+                    self._flight.contact = felt
                     # By our own clock: a stamp that lies would put the contact before the commit.
-                    if self._contact.newest is not None and self._contact.newest is not before.newest:
-                        self._impact = replace(self._contact.newest, at=received_at)
-                    if self._contact.touch is not None and self._contact.touch is not before.touch:
-                        self._touch = replace(self._contact.touch, at=received_at)
+                    if felt.newest is not None and felt.newest is not before.newest:
+                        self._flight.impact = replace(felt.newest, at=received_at)
+                    if felt.touch is not None and felt.touch is not before.touch:
+                        self._flight.touch = replace(felt.touch, at=received_at)
             elif type(sample) is Attitude:
                 self._response.on_attitude(sample.stamp, reported_lean(sample.R_ned_body))
                 self._attitude = sample
@@ -296,33 +307,26 @@ class LandingGuidance:
 
     def _feel_held(self, at: MonoNs, down_m_s: float) -> None:
         """Note the vehicle's vertical speed over the ground, m/s down, against the commands over the ground and to the deck."""
-        ground, deck = self._held, self._held_by_deck
-        self._held = ground.measured(at, down_m_s)
+        ground, deck = self._flight.held, self._flight.held_by_deck
+        self._flight.held = ground.measured(at, down_m_s)
         if self._deck_down_m_s is not None:
-            self._held_by_deck = deck.measured(at, down_m_s - self._deck_down_m_s)
-        for before, after in ((ground, self._held), (deck, self._held_by_deck)):
+            self._flight.held_by_deck = deck.measured(at, down_m_s - self._deck_down_m_s)
+        for before, after in ((ground, self._flight.held), (deck, self._flight.held_by_deck)):
             if after.newest is not before.newest:
-                self._impact = after.newest
+                self._flight.impact = after.newest
 
     def _on_status(self, status: VehicleStatus) -> None:
         self.vehicle = status
         self._charge = self._charge.reported(status.stamp.received_at, status.battery_fraction)
-        if self.state not in GROUND and status.flying is False and (self._impact is None or self._impact.by != "vehicle"):
-            self._impact = Impact(status.stamp.measured_at, "vehicle")
         if status.flying is False:
             self.before = None
         self._left = self._left and self.state is State.TAKEN
         resumes = self._resumes and not self._left
         self.mission, changes = take_status(self.mission, status, self._guidance, resumes=resumes)
-        if any(change.event is Event.TAKEN_OFF for change in changes):
-            self._contact, self._impact, self._touch, self._forecast = ContactWatch(), None, None, None
-            self._held, self._held_by_deck, self._wind, self._swell = HeldUp(), HeldUp(), WindWatch(), SwellWatch()
-            self._climb_watch = ClimbWatch()
-            self._law_memory = self._law.start()
-            self._response.begin()
-            self._overruled, self._on_pad = False, None
         self._changes += changes
         if any(change.event is Event.TAKEN_OFF for change in changes):
+            self._flight = _Flight(self._law.start())
+            self._response.begin()
             self._resume(status)
 
     def _resume(self, status: VehicleStatus) -> None:
@@ -338,69 +342,55 @@ class LandingGuidance:
         self.mission = carried_on(self.mission, before, at, taken=event is Event.TAKEN)
         self._changes += changes
 
-    def judge(
-        self, now: MonoNs, deck: DeckMotion | None, *, accelerates_unfelt: bool = False, trusts_velocity: bool = True
-    ) -> None:
-        """Judge in each guidance cycle how the deck is estimated to move, and whether the vehicle can be held still.
+    def doubted(self, now: MonoNs) -> IntegrityAlert | None:
+        """Return why nobody lands by an estimate that is consistent by itself; None if it may be landed by."""
+        if self._impossible is not None and seconds_between(self._impossible, now) <= _IMPOSSIBLE_S:
+            return IntegrityAlert.DECK
+        unfelt_s = 0.0 if self._unfelt_since is None else seconds_between(self._unfelt_since, now)
+        return IntegrityAlert.UNFELT if unfelt_s > _UNFELT_S else None
+
+    def knowledge(self, now: MonoNs, relative: RelativeState | None, estimator: RelativeEstimator) -> Knowledge:
+        """Return what guidance knows in this cycle, and judge how the deck is estimated to move and whether the vehicle is felt.
 
         Args:
-            accelerates_unfelt: the estimate does without the accelerometer.
-            trusts_velocity: the integrity guard does not refuse the measured velocity.
+            relative: the steering path's estimate.
+            estimator: that of the motions, the forecast and the sensors that it does without.
         """
-        self._trusts_velocity = trusts_velocity
-        if not accelerates_unfelt:
+        (body, deck), guard = estimator.motion(now), estimator.guard
+        self._trusts_velocity = guard.trusts_velocity
+        if not guard.inertial.accel_lost:
             self._unfelt_since = None
         elif self._unfelt_since is None:
             self._unfelt_since = now
         if limits.impossible_deck(deck):
             self._impossible = now
-
-    def doubted(self, now: MonoNs) -> IntegrityAlert | None:
-        """Return why nobody lands by an estimate that is consistent by itself; None if it may be landed by."""
-        if self.deck_impossible(now):
-            return IntegrityAlert.DECK
-        unfelt_s = 0.0 if self._unfelt_since is None else seconds_between(self._unfelt_since, now)
-        return IntegrityAlert.UNFELT if unfelt_s > _UNFELT_S else None
-
-    def deck_impossible(self, now: MonoNs) -> bool:
-        """Return whether the deck's estimated motion is impossible, now or within the last second."""
-        return self._impossible is not None and seconds_between(self._impossible, now) <= _IMPOSSIBLE_S
-
-    def knowledge(
-        self,
-        now: MonoNs,
-        relative: RelativeState | None,
-        motion: tuple[BodyMotion | None, DeckMotion | None],
-        forecast: Callable[[MonoNs, Sequence[float]], Forecast | None],
-    ) -> Knowledge:
-        """Return what guidance knows at an instant, by the steering path's estimate, motions and forecast."""
-        body, deck = motion
+        objection = self.doubted(now)
+        if objection is not None and relative is not None:
+            relative = alerted(relative, objection)
+        flight = self._flight
+        if objection is IntegrityAlert.DECK:
+            deck = flight.forecast = None
+        elif flight.forecast is None or abs(seconds_between(flight.forecast.at, now)) >= _FORECAST_S:
+            flight.forecast = estimator.forecast(now, HORIZONS_S)
         self._deck_down_m_s = None if deck is None else float(deck.v_level[2])
-        if self.deck_impossible(now):
-            self._forecast = None
-            return Knowledge(now, relative, body, None, None, self._impact, self._response.in_use, self._law.climb_max_m_s)
-        aim = (0.0, 0.0) if self._air is None else self._air.aim_level(self._guidance.cone.feet_below_m)
-        self._swell = watched_swell(self._swell, now, deck)
-        climb_m_s = self._law.climb_max_m_s
-        outrun_m = 0.0 if climb_m_s is None else self._swell.gained_m(climb_m_s)
-        # In steps, so that a forecast is carried on once and not in each cycle.
-        swell_rad_s = round(self._swell.rad_s, 1)
-        own = self.vehicle
-        jerk_m_s3 = None if own is None else own.jerk_max_m_s3
-        tilt_deg = None if own is None or own.tilt_max_deg is None else max(2.0, own.tilt_max_deg - _TILT_LEFT_DEG)
-        if tilt_deg is not None:
-            tilt_deg = min(tilt_deg, self._guidance.follow_deck.tilt_max_deg)
-        seen = Knowledge(
-            now, relative, body, deck, aim_level=aim, swell_rad_s=swell_rad_s, swell_watched_s=self._swell.known_s,
-            outrun_m=outrun_m, jerk_max_m_s3=jerk_m_s3, tilt_max_deg=tilt_deg,
+        flight.swell = watched_swell(flight.swell, now, deck)
+        climb_m_s, own = self._law.climb_max_m_s, self.vehicle
+        tilt_deg = None
+        if own is not None and own.tilt_max_deg is not None:
+            tilt_deg = min(max(2.0, own.tilt_max_deg - _TILT_LEFT_DEG), self._guidance.follow_deck.tilt_max_deg)
+        known = Knowledge(
+            now, relative, body, deck, flight.forecast, flight.impact, self._response.in_use, climb_m_s, self._climb,
+            jerk_max_m_s3=None if own is None else own.jerk_max_m_s3,
+            tilt_max_deg=tilt_deg,
+            trusts_velocity=guard.trusts_velocity,
+            unfelt=self._unfelt_since is not None,
+            # In steps, so that a forecast is carried on once and not in each cycle.
+            swell_rad_s=round(flight.swell.rad_s, 1),
+            swell_watched_s=flight.swell.known_s,
+            outrun_m=0.0 if climb_m_s is None else flight.swell.gained_m(climb_m_s),
+            aim_level=(0.0, 0.0) if self._air is None else self._air.aim_level(self._guidance.cone.feet_below_m),
         )  # fmt: skip
-        known = self._forecast
-        if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
-            self._forecast = forecast(now, HORIZONS_S)
-        return replace(
-            seen, forecast=self._forecast, impact=self._impact, response=self._response.in_use,
-            climb_max_m_s=climb_m_s, climb=self._climb, unfelt=self._unfelt_since is not None, at_contact=self._at_contact(seen),
-        )  # fmt: skip
+        return replace(known, at_contact=self._at_contact(known))
 
     def _at_contact(self, seen: Knowledge) -> AtContact | None:
         """Return what the contact will be like, by the law's memory of the cycle before."""
@@ -408,7 +398,7 @@ class LandingGuidance:
         if estimate is None or self.mission.state not in _NEAR:
             return None
         left_s = limits.to_contact_s(estimate, seen, self._guidance.cone)
-        ahead = self._law.ahead(self._law_memory, seen, left_s)
+        ahead = self._law.ahead(self._flight.law, seen, left_s)
         if ahead is None:
             return None
         air = self._air
@@ -422,10 +412,10 @@ class LandingGuidance:
         """Run one guidance cycle; return its command, None while guidance leaves the vehicle alone."""
         now = knowledge.at
         self._now = max(self._now, now)
-        self._wind = watched_wind(self._wind, knowledge)
+        self._flight.wind = watched_wind(self._flight.wind, knowledge)
         tilt = self._tilt if knowledge.tilt_max_deg is None else replace(self._tilt, max_deg=knowledge.tilt_max_deg)
-        wind = None if knowledge.body is None else wind_over_drone(self._wind, tilt, knowledge.body.heading_rad, self._view)
-        self._air = wind
+        body = knowledge.body
+        self._air = None if body is None else wind_over_drone(self._flight.wind, tilt, body.heading_rad, self._view)
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
             if self._attitude is not None:
@@ -437,16 +427,16 @@ class LandingGuidance:
         near = self._range
         range_m = None if near is None or seconds_between(near.stamp.measured_at, now) > _RANGE_S else near.range_m
         s = GuidanceCycle(
-            now, knowledge, self._charge.fraction, wind, self._quality, self._frames, place, silent_s,
-            self._contact.feels and self._unfelt_since is None,
-            self._response.late_s, self._touch, range_m, self._hold, self._thing, unseen, self._off_orders(knowledge),
+            now, knowledge, self._charge.fraction, self._air, self._quality, self._frames, place, silent_s,
+            self._flight.contact.feels and not knowledge.unfelt,
+            self._response.late_s, self._flight.touch, range_m, self._hold, self._thing, unseen, self._off_orders(knowledge),
             0.0 if self._measured is None else max(0.0, seconds_between(self._measured, now)),
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance)
         self._changes += changes
         self.memory = memory_of(self.mission, s)
         target = aim if isinstance(aim, Target) else None
-        self._law_memory, command = self._law.step(self._law_memory, now, knowledge, target)
+        self._flight.law, command = self._law.step(self._flight.law, now, knowledge, target)
         if isinstance(aim, Target):
             aim = allowed(command, self.mission, s, self._guidance)
         self._ordered = keep_up(aim, self.mission, s, self._guidance)
@@ -455,12 +445,11 @@ class LandingGuidance:
     def without_velocity(self, command: Command, knowledge: Knowledge, *, guided: bool) -> Command:
         """Return what is flown in place of a velocity while the measured one is refused, as `command_limits` has it."""
         if knowledge.body is not None:
-            trim = trim_level(self._wind, knowledge.body.heading_rad)
+            trim = trim_level(self._flight.wind, knowledge.body.heading_rad)
         else:
-            trim = np.zeros(2) if self._attitude is None else trim_level(self._wind, self._attitude.R_ned_body.rpy_rad[2])
+            trim = np.zeros(2) if self._attitude is None else trim_level(self._flight.wind, self._attitude.R_ned_body.rpy_rad[2])
         seen = knowledge.relative
-        fit = seen is not None and unfit(seen, knowledge.at, self._guidance.stale_after_s) is None
-        v_seen = -seen.v_pad_level if fit and seen is not None else None
+        v_seen = None if seen is None or unfit(seen, knowledge.at, self._guidance.stale_after_s) else -seen.v_pad_level
         flown = without_velocity(command, Unmeasured(trim, self._tilt.drag_1_s, v_seen, self._hold.over_ground), guided=guided)
         if command is self._ordered:
             # It climbs as ordered, and so it counts.
@@ -475,9 +464,9 @@ class LandingGuidance:
         down_m_s = float(command.v_level[2]) if isinstance(command, Lean) else None
         self._climbs_m_s = None if down_m_s is None else -down_m_s
         if self._hold.over_ground:
-            self._held = self._held.commanded(now, down_m_s)
-            to_deck_m_s = self._held.to_deck(now, self._deck_down_m_s)
-            self._held_by_deck = self._held_by_deck.commanded(now, to_deck_m_s)
+            self._flight.held = self._flight.held.commanded(now, down_m_s)
+            to_deck_m_s = self._flight.held.to_deck(now, self._deck_down_m_s)
+            self._flight.held_by_deck = self._flight.held_by_deck.commanded(now, to_deck_m_s)
         return response
 
     def _off_orders(self, knowledge: Knowledge) -> Reason | None:
@@ -490,14 +479,14 @@ class LandingGuidance:
         if baro is not None and seconds_between(baro.stamp.measured_at, knowledge.at) > _BARO_S:
             baro = None
         seen_m = None if unfit(estimate, knowledge.at, self._guidance.stale_after_s) or estimate is None else estimate.height_m
-        self._climb_watch = self._climb_watch.flown(self._climbs_m_s, baro, seen_m, self._climb, since_last_s)
-        if (off_m := self._climb_watch.off_m) is None:
+        self._flight.climb_watch = self._flight.climb_watch.flown(self._climbs_m_s, baro, seen_m, self._climb, since_last_s)
+        if (off_m := self._flight.climb_watch.off_m) is None:
             return None
         return Reason(ReasonCause.OFF_ORDERS, abs(off_m), OFF_M, "higher" if off_m > 0.0 else "lower")
 
     def forecast_made(self, now: MonoNs) -> Forecast | None:
         """Return the deck's forecast if it was made in the cycle of this instant."""
-        made = self._forecast
+        made = self._flight.forecast
         return None if made is None or made.at != now else made
 
     def on_fused(self, steering: FusionResult, stamp: Stamp) -> None:
@@ -513,16 +502,16 @@ class LandingGuidance:
 
     def on_pad(self, check: PadCheck | None) -> None:
         """Take what a frame's detection knows of things on the pad."""
-        self._on_pad = check or self._on_pad
+        self._flight.on_pad = check or self._flight.on_pad
 
     def overrule(self) -> None:
         """Land in this flight whatever is seen on the pad, by the operator's order."""
-        self._overruled = True
+        self._flight.overruled = True
 
     def _lies_there(self, now: MonoNs) -> tuple[Reason | None, Reason | None]:
         """Return the thing on the pad or about it that bars the landing, and the glare that hides a part of it."""
-        check = self._on_pad
-        if check is None or self._overruled or seconds_between(check.at, now) > self._guidance.limits.on_pad_s:
+        check = self._flight.on_pad
+        if check is None or self._flight.overruled or seconds_between(check.at, now) > self._guidance.limits.on_pad_s:
             return None, None
         unseen = Reason(ReasonCause.GLARE, 100.0 * check.glare) if check.glare > 0.0 else None
         if check.thing is not None:
@@ -548,6 +537,12 @@ class LandingGuidance:
     def vessel_velocity(self, now: MonoNs) -> F64 | None:
         """Return the velocity that the ship reports, (2,) m/s north and east; None if there is no fresh report of it."""
         return self._vessel_track.velocity_ned(now)
+
+
+def alerted(belief: RelativeState, alert: IntegrityAlert) -> RelativeState:
+    """Return the estimate with an alert, which makes it inconsistent."""
+    alerts = (*(other for other in belief.alerts if other is not alert), alert)
+    return replace(belief, consistent=False, alerts=alerts)
 
 
 def of_ship(sample: Sample) -> bool:

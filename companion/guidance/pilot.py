@@ -5,13 +5,11 @@ The daemon and the simulator run the same pilot, so tests in virtual time cover 
 
 from collections.abc import Callable, Sequence
 
-from msgspec import structs
 from msgspec.structs import replace
 
 from companion.base.mission import AGAIN, FLOWN, GROUND, Event, FlightOutcome, State
 from companion.base.observer import Decision, DeckOutlook
-from companion.guidance.controller import Knowledge
-from companion.guidance.landing import LandingGuidance, PilotOptions
+from companion.guidance.landing import LandingGuidance, PilotOptions, alerted
 from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.guidance.pad_search import Look, PadSearch
 from companion.settings.guidance import GuidanceOptions
@@ -142,9 +140,9 @@ class Pilot:
         if believed is None:
             return None
         if self.state is State.ANOTHER_PAD:
-            believed = _alerted(believed, IntegrityAlert.ELSEWHERE)
+            believed = alerted(believed, IntegrityAlert.ELSEWHERE)
         objection = self.landing.doubted(now)
-        return believed if objection is None else _alerted(believed, objection)
+        return believed if objection is None else alerted(believed, objection)
 
     def on_samples(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
         """Process samples in the order in which they were received. Return the fusion results of each, path by path."""
@@ -222,7 +220,7 @@ class Pilot:
         self.operator.tick(now)
         believed = self.estimator.all_at(now)
         steering = self.estimator.path
-        knowledge = self._knowledge(now, next((b for b in believed if b.path == steering), None))
+        knowledge = self.landing.knowledge(now, next((b for b in believed if b.path == steering), None), self.estimator)
         belief = knowledge.relative
         guided, trusts = self.landing.command(knowledge), knowledge.trusts_velocity
         chosen = self.operator.choose(now, guided, belief, trusts_velocity=trusts)
@@ -237,25 +235,7 @@ class Pilot:
         ahead = None if made is None else DeckOutlook.of(made)
         return Decision(now, phase, chosen.command, belief, shadows, why, chosen.limit, changes, response, ahead)
 
-    def _knowledge(self, now: MonoNs, relative: RelativeState | None) -> Knowledge:
-        body, deck = self.estimator.motion(now)
-        guard = self.estimator.guard
-        trusts = guard.trusts_velocity
-        self.landing.judge(now, deck, accelerates_unfelt=guard.inertial.accel_lost, trusts_velocity=trusts)
-        objection = self.landing.doubted(now)
-        if objection is not None and relative is not None:
-            relative = _alerted(relative, objection)
-        if objection is IntegrityAlert.DECK:
-            deck = None
-        return replace(self.landing.knowledge(now, relative, (body, deck), self.estimator.forecast), trusts_velocity=trusts)
-
     def _why(self, belief: RelativeState | None) -> str:
         """Return the machine's reason, the estimate's alerts and the sensors that it does without, as text."""
         alerts = (*(() if belief is None else (alert.value for alert in belief.alerts)), *self.estimator.guard.lost)
         return "; ".join(dict.fromkeys((self.landing.reason, *alerts) if self.landing.reason else alerts))
-
-
-def _alerted(belief: RelativeState, alert: IntegrityAlert) -> RelativeState:
-    """Return the estimate with an alert, which makes it inconsistent."""
-    alerts = (*(other for other in belief.alerts if other is not alert), alert)
-    return structs.replace(belief, consistent=False, alerts=alerts)

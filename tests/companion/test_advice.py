@@ -16,7 +16,7 @@ from tests.make import ns
 
 NO_FAULT = {
     ReasonCause.VEHICLE_FLIES, ReasonCause.OPERATOR, ReasonCause.AUTOMATIC, ReasonCause.PAD_SEEN, ReasonCause.ARRIVED,
-    ReasonCause.OUT_OF_CONE, ReasonCause.LOW_ENOUGH, ReasonCause.ALL_LIMITS_HOLD, ReasonCause.FELT, ReasonCause.REPORTED,
+    ReasonCause.OUT_OF_CONE, ReasonCause.LOW_ENOUGH, ReasonCause.ALL_LIMITS_HOLD, ReasonCause.FELT,
     ReasonCause.HELD_UP, ReasonCause.PRESSED, ReasonCause.HIGH_ENOUGH, ReasonCause.VESSEL_FAR, ReasonCause.VESSEL_AWAY,
     ReasonCause.VESSEL_NEAR, ReasonCause.REACHED, ReasonCause.GIVEN_BACK, ReasonCause.RESTARTED,
 }  # fmt: skip

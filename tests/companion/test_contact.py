@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.mission.contact import ANSWERS_S, ENOUGH, HELD_S, ContactWatch, HeldUp, votes, watched
+from companion.guidance.mission.contact import ENOUGH, HELD_S, ContactWatch, HeldUp, votes, watched
 from companion.guidance.mission.contact import way_s as contact_way_s
 from companion.guidance.mission.cycle import GuidanceCycle
 from companion.guidance.mission.wind import WindOverDrone
@@ -243,19 +243,6 @@ def test_a_vehicle_that_goes_with_the_deck_against_its_commands_stands_on_it(dec
     found = contacts(command, (1.0 - stood) * speed + stood * deck_m_s)
     assert found
     assert 3.0 + HELD_S < found[0] < 3.7
-
-
-def test_a_deck_that_falls_faster_and_faster_is_felt_by_the_speeds_to_the_deck() -> None:
-    """The least of the commands over the ground is then that of 0.7 s ago, which the deck has passed."""
-    t = np.arange(0.0, 6.0, HELD_STEP_S)
-    deck = -0.5 + 0.4 * np.maximum(t - 2.0, 0.0)
-    command = deck + 0.4 * ANSWERS_S + 0.4
-    stood = np.clip((t - 3.5) / 0.3, 0.0, 1.0)
-    speed = (1.0 - stood) * answered(command, 0.14, 0.12) + stood * deck
-    assert contacts(command, speed) == []
-    found = contacts(command, speed, deck)
-    assert found
-    assert 3.5 + HELD_S < found[0] < 4.2
 
 
 @pytest.mark.parametrize(("delay_s", "lag_s"), [(0.14, 0.12), (0.28, 0.2), (0.1, 0.1)])

@@ -1,31 +1,137 @@
 """Whole flights of the machine over a point that follows: which states, how low, how often, and why."""
 
+from __future__ import annotations
+
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 from msgspec.structs import replace
 
-from companion.base.mission import DESCENDS, ENDED, Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import DESCENDS, ENDED, Event, State, StateChange
+from companion.base.reason import ReasonCause
+from companion.base.response_in_use import ResponseInUse
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.make_pilot import make_pilot
-from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold, unfit
 from companion.guidance.mission.limits import DWELL_S, ChargeWatch, last_landing, of_try
 from companion.guidance.mission.machine import mission_step, take_order, take_status
+from companion.guidance.mission.phase import Aim
 from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.load import load
 from estimator.contracts.commands import Hover, Land, Velocity
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
-from tests.companion.mission_flights import DT, PointFlight, guided, holding
-from tests.make import estimate, ns, status
+from tests.make import change, deck, estimate, ns, status
 
+DT = 0.05
 WAY_DOWN = [State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN]
+
+
+def guided(mission="cone", **changes: dict[str, object]) -> GuidanceOptions:
+    """Return options with some keys changed, by section: `guided(tries={"go_arounds_max": 1})`."""
+    return change(GuidanceOptions(mission=mission), **changes)
+
+
+def holding(s: GuidanceCycle, over_ground: bool) -> GuidanceCycle:
+    """Return the cycle of a vehicle that holds over the ground, or of one that holds against the deck."""
+    return structs.replace(s, hold=VehicleHold(over_ground))
+
+
+@dataclass
+class PointFlight:
+    """A flight of a point with a lag of 0.3 s; on the deck it stands when told to stop the motors."""
+
+    d: F64
+    options: GuidanceOptions = field(default_factory=GuidanceOptions)
+    sight: Callable[[float, F64], bool] = lambda t, d: True
+    track: Callable[[float], int] = lambda t: 1
+    pad_v: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rolled: Callable[[float, F64], float] = lambda t, d: 0.0
+    """The deck's roll, rad."""
+    response: ResponseInUse | None = None
+    battery: float | None = None
+    silent_s: float = 0.0
+    """Time since the newest sample of the vehicle."""
+    stands: bool = True
+    feels: bool = True
+    over_ground: bool = False
+    """Its own hover holds over the ground, and the deck's velocity is added to every velocity."""
+    t: float = 0.0
+    v: F64 = field(default_factory=lambda: np.zeros(3))
+    rows: list[tuple[float, F64, Aim, State]] = field(default_factory=list)
+    changes: list[StateChange] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.d = np.array(self.d, float)
+        self.progress, _ = take_status(Progress.start(automatic=True), status(0.0, True), self.options)
+        self.seen: RelativeState | None = None
+        self.seen_at = 0.0
+        self.impact: Impact | None = None
+
+    @property
+    def states(self) -> list[State]:
+        """The states in order, each once."""
+        return [state for i, (*_, state) in enumerate(self.rows) if i == 0 or self.rows[i - 1][3] is not state]
+
+    def order(self, event: Event) -> None:
+        self.progress, changes = take_order(self.progress, event, ns(self.t), self.options)
+        self.changes += changes
+
+    def cycle(self) -> None:
+        """Run one guidance cycle and move."""
+        relative_v = np.array(self.pad_v) - self.v
+        if self.sight(self.t, self.d):
+            self.seen = estimate(self.t, self.d, relative_v, track=self.track(self.t))
+            self.seen_at = self.t
+        elif self.seen is not None:
+            self.seen = estimate(self.t, self.d, relative_v, age=self.t - self.seen_at, track=self.track(self.t), sigma=0.1)
+        moves = deck(self.t, self.pad_v, roll=self.rolled(self.t, self.d))
+        knowledge = Knowledge(ns(self.t), self.seen, deck=moves, impact=self.impact, response=self.response)
+        s = GuidanceCycle(ns(self.t), knowledge, self.battery, silent_s=self.silent_s)
+        self.progress, aim, changes = mission_step(self.progress, holding(s, self.over_ground), self.options)
+        self.changes += changes
+        self.rows.append((self.t, self.d.copy(), aim, self.progress.state))
+        self._move(aim)
+        self.t += DT
+
+    def _move(self, aim: Aim) -> None:
+        wanted = np.array(self.pad_v)
+        if isinstance(aim, Target):
+            off = self.d - aim.d_body_pad_level
+            aside = 0.9 * off[:2]
+            aside *= min(1.0, aim.speed_max_m_s / max(1e-9, math.hypot(*aside)))
+            rate = np.clip(1.5 * off[2], -aim.vertical_rate_max_m_s, aim.vertical_rate_max_m_s)
+            wanted = wanted + np.array([*aside, rate if aim.descent_rate_m_s is None else aim.descent_rate_m_s])
+        elif isinstance(aim, Velocity):
+            wanted = wanted + aim.v_level
+        elif isinstance(aim, Hover) and self.over_ground:
+            wanted = np.zeros(3)
+        elif isinstance(aim, Land):
+            wanted = wanted + np.array([0.0, 0.0, 0.4])
+        self.v = self.v + (wanted - self.v) * DT / 0.3
+        self.d = self.d + (np.array(self.pad_v) - self.v) * DT
+        if self.d[2] <= 0.0 and self.stands:
+            if self.feels and self.v[2] > 0.1:
+                self.impact = Impact(ns(self.t + DT), "accelerometer", 9.0)
+            self.d[2], self.v[2] = 0.0, min(0.0, self.v[2])
+            if isinstance(aim, Land):
+                self.progress, changes = take_status(self.progress, status(self.t, False), self.options)
+                self.changes += changes
+
+    def run(self, seconds: float) -> PointFlight:
+        """Fly for this long, or until it stands."""
+        for _ in range(round(seconds / DT)):
+            self.cycle()
+            if self.progress.state is State.LANDED:
+                break
+        return self
 
 
 def causes(flight: PointFlight, target: State) -> list[ReasonCause]:
@@ -45,15 +151,6 @@ def test_it_flies_over_the_pad_down_the_cone_through_the_gate_to_the_deck() -> N
             assert d[2] > 5.0, "nothing descends outside the cone"
 
 
-def test_the_thesis_way_points_end_in_the_vehicles_own_landing() -> None:
-    flight = PointFlight([3.0, 1.0, 5.0], guided("thesis")).run(60)
-    assert flight.states == [State.INTERCEPT, State.DESCEND, State.GATE, State.DOWN]
-    assert flight.progress.state is State.LANDED
-    over = next(d for _, d, _, state in flight.rows if state is State.DESCEND)
-    assert math.hypot(*over[:2]) <= 0.25
-    assert over[2] == pytest.approx(2.0, abs=0.25)
-
-
 def test_a_pad_lost_for_a_moment_stops_the_descent_and_is_found_again() -> None:
     flight = PointFlight([0.0, 0.0, 6.0], sight=lambda t, d: not 2.0 < t < 3.3).run(40)
     assert State.HOLD_BLIND in flight.states
@@ -61,45 +158,6 @@ def test_a_pad_lost_for_a_moment_stops_the_descent_and_is_found_again() -> None:
     held = [d[2] for t, d, *_ in flight.rows if 2.6 < t < 3.3]
     assert max(held) - min(held) < 0.2
     assert causes(flight, State.HOLD_BLIND) == [ReasonCause.STALE]
-
-
-def test_a_pad_lost_low_is_sought_from_higher_up_and_found() -> None:
-    state = {"blind": False, "done": False}
-
-    def sight(t, d):
-        if d[2] < 1.0 and not state["done"]:
-            state["blind"] = True
-        if d[2] > 1.5 and state["blind"]:
-            state["blind"], state["done"] = False, True
-        return not state["blind"]
-
-    flight = PointFlight([0.0, 0.0, 3.0], sight=sight).run(60)
-    assert {State.HOLD_BLIND, State.GO_AROUND} <= {change.target for change in flight.changes}
-    assert flight.progress.state is State.LANDED
-    (why,) = [change.reason for change in flight.changes if change.target is State.GO_AROUND]
-    assert why.cause is ReasonCause.LOST_LOW
-    assert why.measured == pytest.approx(0.75, abs=0.25)
-    assert why.text == f"the pad was lost at {why.measured:.1f} m"
-
-
-def test_a_pad_lost_for_good_is_given_up_at_a_safe_height() -> None:
-    flight = PointFlight([0.0, 0.0, 2.5], sight=lambda t, d: t < 2.0).run(80)
-    assert flight.progress.state is State.GAVE_UP
-    assert flight.d[2] == pytest.approx(2.0, abs=0.5)
-    assert flight.progress.fault is not None
-    assert flight.progress.fault.cause in (ReasonCause.LOST_LOW, ReasonCause.NOT_FOUND_AGAIN)
-
-
-def test_no_pad_at_all_ends_in_giving_up() -> None:
-    options = guided(tries={"search_s": 9.0})
-    flight = PointFlight([0.0, 0.0, 3.0], options, sight=lambda t, d: False, over_ground=True).run(14)
-    assert flight.states == [State.SEARCH, State.GAVE_UP]
-    flown = [(t, aim.v_level.tolist()) for t, _, aim, _ in flight.rows if isinstance(aim, Velocity)]
-    assert len(flown) == len(flight.rows)
-    assert all(v == [0.0, 0.0, -0.0] for t, v in flown if t < 2.9 or t > 7.2)
-    climbs = [v for _, v in flown if v != [0.0, 0.0, -0.0]]
-    assert all(v == [0.0, 0.0, -0.5] for v in climbs), "out of reach"
-    assert len(climbs) == pytest.approx(4.0 / DT, abs=2)
 
 
 @pytest.mark.parametrize("mission", ["cone", "thesis"])
@@ -174,18 +232,6 @@ def test_a_charge_decides_once_every_report_of_three_seconds_says_so(reports: li
     assert watch.reported(ns(t), None).fraction is None
 
 
-def test_a_dip_of_the_battery_lands_no_refused_drone_where_it_is() -> None:
-    """WHY: one report of 4 % while a climb loaded the battery brought it down into the sea."""
-    landing = make_pilot(load("sim")).landing
-    landing.on_samples([status(0.0, flying=True)])
-    landing.mission = replace(landing.mission, state=State.REFUSED, begun=True, stood=False, since=ns(0.0))
-    for n in range(600):
-        charge = 0.04 if 5.0 <= 0.02 * n < 7.5 or 0.02 * n >= 8.0 else 0.3
-        landing.on_samples([replace(status(0.02 * n, flying=True), battery_fraction=charge)])
-        lands = landing.command(Knowledge(ns(0.02 * n), None)) == Land()
-        assert lands is (0.02 * n >= 8.0 + DWELL_S), 0.02 * n
-
-
 @pytest.mark.parametrize(("battery", "lands"), [(0.5, False), (0.09, True), (0.03, True)])
 def test_a_landing_whose_battery_ends_bears_more_and_gives_up_for_nothing(battery: float, lands: bool) -> None:
     """WHY: six go-arounds for .46 instead of .45 m/s, and then a landing beside the pad with what the battery had left."""
@@ -207,27 +253,6 @@ def test_what_a_try_allows_stays_within_the_settings_ranges(data: st.DataObject)
     assert last.cone.slope >= o.cone.slope
 
 
-def bumpy(options: GuidanceOptions) -> PointFlight:
-    """Return a flight whose estimate fails for a second in every six, and that is blown out of the cone then."""
-
-    def sight(t: float, d: F64) -> bool:
-        return t % 6.0 > 1.0
-
-    flight = PointFlight([0.0, 0.0, 3.2], options, sight=sight)
-    while flight.t < 600.0 and flight.progress.state not in (State.GAVE_UP, State.REFUSED, State.LANDED):
-        flight.d[0] += 0.2 if flight.t % 6.0 < 1.0 else 0.0
-        flight.cycle()
-    return flight
-
-
-def test_the_time_of_a_leg_does_not_begin_again_with_every_loss_of_sight() -> None:
-    """WHY: with a shaken accelerometer the estimate failed and recovered for as long as the scenario lasted."""
-    flight = bumpy(guided(tries={"try_s": 3600.0, "landing_s": 3600.0, "leg_s": 10.0}))
-    assert flight.states.count(State.HOLD_BLIND) > 4
-    assert ReasonCause.STATE_TIME in causes(flight, State.GO_AROUND)
-    assert flight.progress.state is State.GAVE_UP
-
-
 def test_a_climb_that_nobody_confirms_is_not_accepted() -> None:
     """WHY: after a lost link guidance took itself to be two metres up by the clock, while the drone hovered at 0.2 m."""
     flight = PointFlight([0.0, 0.0, 2.5], sight=lambda t, d: not 2.5 < t < 14.0)
@@ -245,35 +270,6 @@ def test_a_climb_that_nobody_confirms_is_not_accepted() -> None:
     assert flight.d[2] > 1.8, "it may have flown on down to the deck, so it climbs the whole way to the safe height"
     assert flight.t - back < 6.0
     assert flight.run(40).progress.state is State.LANDED
-
-
-@pytest.mark.parametrize(("blind", "cause"), [("contradicts", ReasonCause.INCONSISTENT), ("dark", ReasonCause.NOT_FOUND_AGAIN)])
-def test_giving_up_gives_the_reason_the_hold_began_and_not_what_ended_an_earlier_try(blind: str, cause: ReasonCause) -> None:
-    o = GuidanceOptions()
-    earlier = Reason(ReasonCause.DECK_TILT, 3.0, 2.5)
-    progress, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
-    progress = replace(progress, fault=earlier)
-    for i in range(1, 900):
-        t = i * DT
-        seen = estimate(t, [0, 0, 2.5], age=0.0 if t < 2.0 or blind != "dark" else t - 2.0, consistent=t < 2.0 or blind == "dark")
-        progress, _, _ = mission_step(progress, GuidanceCycle(ns(t), Knowledge(ns(t), seen)), o)
-        if progress.state is State.GAVE_UP:
-            break
-    assert progress.state is State.GAVE_UP
-    assert progress.fault is not None
-    assert progress.fault.cause is cause
-
-
-def test_another_pad_is_not_flown_to_but_confirmed_from_higher_up() -> None:
-    flight = PointFlight([0.0, 0.0, 3.0], track=lambda t: 1 if t < 3 else 2).run(120)
-    asked = [(t, d, aim) for t, d, aim, state in flight.rows if state is State.ANOTHER_PAD]
-    assert asked[0][0] == pytest.approx(3, abs=2 * DT)
-    assert asked[-1][1][2] == pytest.approx(flight.options.tries.safe_height_m, abs=0.4)
-    assert flight.progress.state is State.GAVE_UP
-    assert asked[-1][0] - asked[0][0] == pytest.approx(flight.options.tries.operator_wait_s, abs=0.2)
-    again = PointFlight([0.0, 0.0, 3.0], track=lambda t: 1 if t < 3 else 2).run(10)
-    again.order(Event.BEGIN)
-    assert again.run(60).progress.state is State.LANDED
 
 
 @pytest.mark.parametrize(("jump_at", "lands"), [(1.0, True), (5.0, False)], ids=["high up", "below the safe height"])
@@ -306,32 +302,21 @@ def test_still_means_still_against_the_deck(order: Event | None, blind_sigma_m: 
     assert {type(aim) for aim in aims} == {Target if blind_sigma_m > 0.1 else without}
 
 
-@pytest.mark.parametrize("order", [None, Event.PAUSE, Event.ABORT])
 @pytest.mark.parametrize("over_ground", [False, True])
-def test_until_a_landing_is_requested_nothing_but_the_vehicles_own_hover_is_commanded(order, over_ground):
+def test_until_a_landing_is_requested_nothing_but_the_vehicles_own_hover_is_commanded(over_ground: bool) -> None:
     """A velocity would take an autopilot from whoever flies it, even one that holds still."""
-    o = GuidanceOptions()
-    progress, _ = take_status(Progress.start(automatic=False), status(0.0, True), o)
-    if order is not None:
-        progress, _ = take_order(progress, order, ns(0.1), o)
-    for n in range(10):
-        t = 0.2 + n * DT
-        s = GuidanceCycle(ns(t), Knowledge(ns(t), estimate(t, [2.5, 0.3, 3.0], v=(1.0, 0.0, 0.0))))
-        progress, aim, _ = mission_step(progress, holding(s, over_ground), o)
-        assert isinstance(aim, Hover)
-    if order is not Event.ABORT:
-        progress, _ = take_order(progress, Event.BEGIN, ns(t), o)
-        progress, aim, _ = mission_step(progress, holding(s, over_ground), o)
-        assert isinstance(aim, Target)
-        assert progress.state is State.INTERCEPT
-        # Held in the same flight it stays with the deck; in the next one it is left alone again.
-        progress, _ = take_order(progress, Event.PAUSE, ns(t), o)
-        progress, aim, _ = mission_step(progress, holding(s, over_ground), o)
-        assert isinstance(aim, Target)
-        progress, _ = take_status(progress, status(t, False), o)
-        progress, _ = take_status(progress, status(t, True), o)
-        progress, aim, _ = mission_step(progress, holding(s, over_ground), o)
-        assert isinstance(aim, Hover)
+    o, seen = GuidanceOptions(), estimate(0.2, [2.5, 0.3, 3.0], v=(1.0, 0.0, 0.0))
+    s = holding(GuidanceCycle(ns(0.2), Knowledge(ns(0.2), seen)), over_ground)
+    p, _ = take_status(Progress.start(automatic=False), status(0.0, True), o)
+    for order in (None, Event.ABORT, Event.PAUSE):
+        held = p if order is None else take_order(p, order, ns(0.1), o)[0]
+        assert isinstance(mission_step(held, s, o)[1], Hover)
+    # Held in the same flight it stays with the deck; in the next one it is left alone again.
+    for order, state in ((Event.BEGIN, State.INTERCEPT), (Event.PAUSE, State.PAUSED)):
+        held, aim, _ = mission_step(take_order(held, order, ns(0.2), o)[0], s, o)
+        assert (held.state, isinstance(aim, Target)) == (state, True)
+    stands, _ = take_status(held, status(0.2, False), o)
+    assert isinstance(mission_step(take_status(stands, status(0.2, True), o)[0], s, o)[1], Hover)
 
 
 def test_no_contact_that_nobody_felt_stops_the_motors_of_a_cone() -> None:
@@ -405,7 +390,7 @@ def test_whatever_is_seen_and_felt_the_landing_ends_within_its_budget(spells, an
 
 @pytest.mark.hazard("H10")
 def test_flips_between_states_restart_no_budget() -> None:
-    """Sight that comes and goes each second: descend, hold blind, descend; the attempt's and the landing's times go on."""
+    """WHY: with a shaken accelerometer sight came and went for as long as the scenario lasted; the landing's times go on."""
     o = guided(tries={"landing_s": 20.0, "losses_max": 1000, "blind_descent_max_m": 10.0, "climb_after_s": 15.0})
     p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
     t = 0.0
@@ -415,13 +400,3 @@ def test_flips_between_states_restart_no_budget() -> None:
         p, _, _ = mission_step(p, GuidanceCycle(ns(t), Knowledge(ns(t), estimate(t, (0.0, 0.0, 2.5), age=age_s))), o)
         assert t < 20.0 + 23.0
     assert p.state is State.GAVE_UP
-
-
-def test_an_order_in_the_air_is_another_landing() -> None:
-    o = SHORT
-    p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
-    for k in range(1, 200):
-        p, _, _ = mission_step(p, GuidanceCycle(ns(0.1 * k), Knowledge(ns(0.1 * k), None)), o)
-    assert p.state is State.GAVE_UP
-    p, _ = take_order(p, Event.BEGIN, ns(20.0), o)
-    assert (p.state, p.asked_at) == (State.SEARCH, ns(20.0))

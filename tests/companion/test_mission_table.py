@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import CONTACT_INTENDED, DESCENDS, ENDED, FAULTS, FLOWN, GROUND, Event, State
+from companion.base.mission import DESCENDS, ENDED, FAULTS, FLOWN, GROUND, Event, State
 from companion.base.reason import Reason, ReasonCause
 from companion.cli.config import mission_page
 from companion.guidance.controller import Knowledge
@@ -17,7 +17,7 @@ from companion.guidance.mission.progress import Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover
 from estimator.contracts.total_table import total
-from tests.companion.mission_flights import holding
+from tests.companion.test_mission_flights import holding
 from tests.make import estimate, ns, status
 
 MISSIONS = sorted(TABLES)
@@ -92,23 +92,12 @@ def test_every_state_can_be_reached_and_every_flight_can_end(name: str) -> None:
         assert {State.LANDED, State.GAVE_UP, State.ABORTED} <= ends
 
 
-def test_contact_is_intended_only_behind_the_gate() -> None:
-    assert {State.COMMIT, State.PRESS, State.DOWN} == CONTACT_INTENDED
-
-
 def test_a_table_with_a_gap_or_an_idle_line_is_refused() -> None:
     rows = {state: dict(row) for state, row in TABLES["cone"].items()}
     with pytest.raises(ValueError, match="leads nowhere else"):
         total(rows, Event)
     with pytest.raises(ValueError, match="no row"):
         total({State.WAIT: {}}, Event)
-
-
-def test_an_event_that_a_row_does_not_name_leaves_the_state_as_it_is() -> None:
-    table = total({state: {Event.TAKEN_OFF: State.SEARCH} if state is State.WAIT else {} for state in State}, Event)
-    for state, event in product(State, Event):
-        named = (state, event) == (State.WAIT, Event.TAKEN_OFF)
-        assert table[state][event] is (State.SEARCH if named else state)
 
 
 def test_the_page_is_what_the_table_says() -> None:
@@ -162,12 +151,6 @@ def test_a_flight_that_ended_in_the_air_is_followed_by_one_after_the_vehicle_sto
         (ns(5), state, Event.TAKEN_OFF, State.READY, ReasonCause.VEHICLE_FLIES),
         (ns(5), State.READY, Event.BEGIN, State.SEARCH, ReasonCause.AUTOMATIC),
     ]
-
-
-@pytest.mark.parametrize("state", sorted(ENDED, key=str))
-def test_without_the_setting_the_next_flight_waits_for_an_order(state: State) -> None:
-    p, changes = take_status(in_state(state, stood=True), status(5.0, flying=True), OPTIONS)
-    assert (p.state, len(changes)) == (State.READY, 1)
 
 
 @pytest.mark.parametrize("state", [State.READY, State.SEARCH, State.STANDBY, State.PAUSED])

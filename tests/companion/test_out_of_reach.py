@@ -13,13 +13,12 @@ from companion.base.mission import ENDED, FLOWN, GROUND, State
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold
 from companion.guidance.mission.machine import mission_step
-from companion.guidance.mission.out_of_reach import flown_by_others
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.estimates import IntegrityAlert
-from tests.companion.mission_flights import holding
+from tests.companion.test_mission_flights import holding
 from tests.make import deck, estimate, ns, vessel_position
 
 NOW, DT = 100.0, 0.05
@@ -79,14 +78,8 @@ class Sea:
     ) -> None:
         self.p = waiting(state)
         self.o = replace(OPTIONS, tries=replace(OPTIONS.tries, search_s=3600.0, give_up_after_s=600.0, operator_wait_s=3600.0))
-        self.height_m, self.v_up, self.t, self.ranged, self.over_ground, self.swell_m = (
-            height_m,
-            0.0,
-            0.0,
-            ranged,
-            over_ground,
-            swell_m,
-        )
+        self.height_m, self.v_up, self.t = height_m, 0.0, 0.0
+        self.ranged, self.over_ground, self.swell_m = ranged, over_ground, swell_m
         self.low_moves, self.climbed_m = 0.0, 0.0
 
     def fly(self, seconds: float) -> "Sea":
@@ -161,13 +154,6 @@ def test_what_a_person_holds_moves_by_a_witness_alone(state: State) -> None:
         assert isinstance(found, Velocity) is climbs
         stands = mission_step(replace(waiting(state, **memory), stood=True), s, OPTIONS)[1]
         assert state is State.PAUSED or stands == Hover(), "what was landed since is not taken off"
-
-
-def test_after_a_person_s_hand_nobody_knows_the_height() -> None:
-    p = flown_by_others(waiting(State.PAUSED, seen_height_m=5.0, climbs_m_s=0.5, climbed_m=1.0))
-    assert (p.seen_height_m, p.climbed_m, p.climbs_m_s) == (math.inf, 0.0, 0.0)
-    p = flown_by_others(waiting(State.SEARCH, seen_height_m=5.0, climbs_m_s=0.5, climbed_m=1.0))
-    assert (p.seen_height_m, p.climbed_m, p.climbs_m_s) == (5.0, 1.0, 0.0), "a fence that held it back is no hand"
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 
 from companion.base.observer import Decision
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
@@ -19,12 +20,14 @@ from companion.guidance.pilot import Pilot
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, load, pad_model
 from companion.settings.mission import TryOptions
-from estimator.contracts.commands import Land, Lean, Velocity
+from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert, PathName, Sighting, Verdict
-from estimator.contracts.samples import Frame
-from estimator.contracts.time import MonoNs, after
+from estimator.contracts.geodesy import GeoPoint
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, GeoFix, Imu, Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
-from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
+from estimator.vision.detection import Detection, PadCheck
 from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig
 from tests.make import attitude, deck, imu, range_down, stamp_at, status, velocity
@@ -50,10 +53,6 @@ class Loop:
     v: np.ndarray = field(default_factory=lambda: np.zeros(3))
     verdicts: list[Verdict] = field(default_factory=list)
     lowest_m: float = math.inf
-    thing: PadThing | None = None
-    """Vision reports things on the pad."""
-    near: NearThing | None = None
-    """Vision reports things about it."""
     glare: float = 0.0
     """Share of the pad that vision cannot see for glare."""
     automatic: bool = True
@@ -126,7 +125,7 @@ class Loop:
         cov = np.diag([4e-5, 4e-5, 4e-5, 1e-3])
         cov[:3, :3] += 1e-5 * tilt @ tilt.T
         seen = Sighting(stamp, self.ticks, "registration", d, 0.1, False, cov, 0.9)
-        on_pad = PadCheck(stamp.measured_at, 1.0, self.thing, self.near, self.glare)
+        on_pad = PadCheck(stamp.measured_at, 1.0, glare=self.glare)
         self.verdicts.append(self.pilot.on_detection(Detection(seen, "registration", {}, on_pad=on_pad))[0])
 
     def until(self, done, fault: str = "none", seconds: float = 60.0) -> Decision:
@@ -178,13 +177,6 @@ def test_no_history_of_faults_makes_it_descend_without_a_fresh_consistent_estima
                 assert not descends(paused := loop.tick(fault)) or fit_to_steer(paused.belief, paused.at, GUIDANCE.stale_after_s)
                 loop.pilot.begin()
                 flown, around, landing_s = None, 0, 0.0
-
-
-def test_without_a_fault_it_lands() -> None:
-    """The histories above can descend."""
-    loop = Loop()
-    loop.until(lambda decision: isinstance(decision.command, Land))
-    assert loop.d[2] < 0.45
 
 
 @pytest.mark.hazard("H6")
@@ -301,37 +293,6 @@ def test_a_deck_that_would_move_as_none_does_leads_nobody_down_nor_up(monkeypatc
     loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
 
 
-CRATE = PadThing(0.2, 0.0, -0.12)
-
-
-@pytest.mark.parametrize("mission", ["thesis", "cone"])
-def test_what_lies_on_the_pad_ends_the_descent_and_is_refused_after_some_tries(mission: str) -> None:
-    tries = TryOptions(leg_s=4.0, go_arounds_max=1)
-    loop = Loop("ekf", GuidanceOptions(mission=mission, controller="pid", tries=tries))
-    loop.until(below(2.2, loop))
-    loop.thing, appeared = CRATE, 0
-    while loop.pilot.phase != "refused":
-        appeared += 1
-        decision = loop.tick()
-        assert appeared < 1500, (loop.pilot.phase, loop.pilot.landing.reason)
-        assert appeared < 20 or loop.pilot.phase not in ("descend", "gate", "commit", "press", "down")
-    assert "something 20 cm wide lies 12 cm from the pad's centre" in decision.reason
-    assert loop.lowest_m > 1.5
-
-
-@pytest.mark.parametrize(
-    ("height_m", "words"), [(1.7, "something stands 170 cm out of the deck 0.5 m from"), (0.0, "something moves 0.5 m from")]
-)
-def test_what_stands_or_moves_about_the_pad_ends_the_descent(height_m: float, words: str) -> None:
-    loop = Loop("ekf", GuidanceOptions(mission="cone", controller="pid"))
-    loop.until(below(2.2, loop))
-    loop.near = NearThing(0.3, -0.4, height_m)
-    loop.until(lambda decision: words in decision.reason)
-    loop.until(lambda decision: loop.pilot.phase not in ("descend", "gate"), seconds=2.0)
-    loop.near = None
-    loop.until(lambda decision: loop.pilot.phase == "commit", seconds=90.0)
-
-
 @pytest.mark.parametrize("passes", [True, False], ids=["glare that passes", "the operator looks"])
 def test_a_pad_in_glare_is_not_landed_upon_before_it_is_seen_or_called_clear(passes: bool) -> None:
     loop = Loop("ekf", GuidanceOptions(mission="cone", controller="pid"))
@@ -345,3 +306,59 @@ def test_a_pad_in_glare_is_not_landed_upon_before_it_is_seen_or_called_clear(pas
     else:
         assert loop.pilot.operator.take(OperatorOrder.CLEAR, OrderSender(OrderSource.PAGE), loop.now).accepted
     loop.until(lambda decision: loop.pilot.phase == "commit")
+
+
+# The pilot's own: frames and samples as they come
+
+
+def test_it_leaves_the_vehicle_alone_until_it_flies_and_hovers_until_it_sees() -> None:
+    loop = Loop(flying=False)
+    assert loop.tick().command is None
+    loop.flying = True
+    commands = {type(loop.tick("no frames").command) for _ in range(64)}
+    assert commands == {Hover}, "its ultrasound would find a deck that is near"
+
+
+@pytest.mark.hazard("H2")
+def test_a_pad_elsewhere_is_for_the_guard_to_judge_with_the_tracked_one_and_without() -> None:
+    loop = Loop()
+    for _ in range(60):
+        loop.tick()
+
+    def judged(tracked: float | None) -> Verdict:
+        stamp = Stamp(after(loop.now, -0.04), loop.now, 0.001, "sim")
+        here = Sighting(stamp, 1, "registration", loop.d, 0.1, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), tracked or 0.0)
+        there = structs.replace(here, d_body_pad_level=loop.d + np.array([0.0, 1.5, 0.0]), confidence=0.9)
+        selected = None if tracked is None else here
+        return loop.pilot.on_detection(Detection(selected, "registration", {}, elsewhere=there))[0]
+
+    assert [judged(tracked) for tracked in (None, 0.1, 0.4)] == [Verdict.ELSEWHERE, Verdict.ELSEWHERE, Verdict.FUSED]
+
+
+@settings(max_examples=10)
+@given(cuts=st.lists(st.integers(1, 9), min_size=1, max_size=8), flies_from=st.integers(0, 30), seed=st.integers(0, 9))
+def test_samples_together_fly_as_samples_one_by_one(cuts: list[int], flies_from: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pilots = [Loop().pilot for _ in range(2)]
+    samples: list[Sample] = []
+    for n in range(60):
+        stamp = Stamp(MonoNs(n * 5_000_000), MonoNs(n * 5_000_000 + 1_000_000), 0.001, "sim")
+        push = 40.0 if rng.uniform() < 0.05 else 0.0
+        roll, pitch, yaw = rng.normal(0.0, 0.05, 3)
+        samples += [
+            VehicleStatus(stamp, n >= flies_from, "hovering", 0.9, False, True),
+            Attitude(stamp, Rotation.from_rpy(roll, pitch, yaw), 1e-5 * np.eye(3)),
+            Imu(stamp, rng.normal(0.0, 1e-3, 3), np.array([0.0, 0.0, -9.80665 - push])),
+            BodyVelocity(stamp, np.array([*rng.normal(0.0, 0.5, 2), 0.0]), np.diag([0.01, 0.01, UNKNOWN_VAR])),
+            GeoFix(stamp, "vehicle" if n % 2 else "vessel", GeoPoint(0.9, 0.1, 2.0), 2.0),
+        ]
+    while samples:
+        n = cuts[len(samples) % len(cuts)]
+        some, samples = samples[:n], samples[n:]
+        together, one_by_one = pilots[0].on_samples(some), [pilots[1].on_sample(sample) for sample in some]
+        assert [[r.verdict for r in of_one] for of_one in together] == [[r.verdict for r in of_one] for of_one in one_by_one]
+        now = after(some[-1].stamp.received_at, 0.001)
+        assert repr(pilots[0].decide(now)) == repr(pilots[1].decide(now))
+        known = [pilot.landing.knowledge(now, pilot.estimator.at(now), pilot.estimator) for pilot in pilots]
+        assert repr(known[0]) == repr(known[1])
+        assert pilots[0].landing.vessel_counts() == pilots[1].landing.vessel_counts()

@@ -245,7 +245,7 @@ def reason_of(impact: Impact) -> Reason:
     """Return a contact as a reason."""
     if impact.by == "accelerometer":
         return Reason(ReasonCause.FELT, impact.size_m_s2)
-    return Reason(ReasonCause.HELD_UP, impact.held_m_s) if impact.by == "velocity" else Reason(ReasonCause.REPORTED)
+    return Reason(ReasonCause.HELD_UP, impact.held_m_s)
 
 
 def _of_impact(felt: Impact | None, *, feels: bool) -> float:
