@@ -71,6 +71,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/integrity/tracks.py": (f"{_INTEGRITY}/test_tracks.py",),
     "companion/guidance/mission/machine.py": (
         "tests/companion/test_mission_table.py",
+        "tests/companion/test_out_of_reach.py",
         *_MISSION,
     ),
     "companion/guidance/landing.py": ("tests/companion/test_landing.py", "tests/companion/test_flight_memory.py"),

@@ -226,13 +226,6 @@ def heave(seed: int, seconds: float = 60.0) -> F64:
     return np.asarray(waves + steps)
 
 
-@pytest.mark.parametrize(("delay_s", "lag_s"), [(0.14, 0.12), (0.28, 0.2), (0.12, 0.4)])
-@pytest.mark.parametrize("seed", range(4))
-def test_no_flight_over_a_heaving_deck_is_a_contact(seed: int, delay_s: float, lag_s: float) -> None:
-    command = heave(seed)
-    assert contacts(command, answered(command, delay_s, lag_s, push_m_s=-0.1)) == []
-
-
 @pytest.mark.parametrize("deck_m_s", [-0.6, -0.3, 0.0])
 def test_a_vehicle_that_goes_with_the_deck_against_its_commands_stands_on_it(deck_m_s: float) -> None:
     """A PX4 1.16.2 slowed down over 0.3 s, then was carried, while the command was 0.4 m/s more."""
@@ -245,11 +238,14 @@ def test_a_vehicle_that_goes_with_the_deck_against_its_commands_stands_on_it(dec
     assert 3.0 + HELD_S < found[0] < 3.7
 
 
-@pytest.mark.parametrize(("delay_s", "lag_s"), [(0.14, 0.12), (0.28, 0.2), (0.1, 0.1)])
+@pytest.mark.parametrize(("delay_s", "lag_s"), [(0.14, 0.12), (0.28, 0.2), (0.1, 0.1), (0.12, 0.4)])
 @pytest.mark.parametrize("seed", range(4))
-def test_no_flight_is_a_contact_by_the_speeds_to_the_deck(seed: int, delay_s: float, lag_s: float) -> None:
+def test_no_flight_over_a_heaving_deck_is_a_contact_by_the_speeds_over_the_ground_or_to_it(
+    seed: int, delay_s: float, lag_s: float
+) -> None:
     """Commands lead the deck by the vehicle's answer, as the law's do; ground effect holds up, the deck's speed is uncertain."""
     whole = heave(seed)
+    assert contacts(whole, answered(whole, delay_s, lag_s, push_m_s=-0.1)) == []
     deck = whole - 0.45 * (np.floor(np.arange(whole.size) * HELD_STEP_S / 3.0) % 2.0)
     ahead = round((delay_s + lag_s) / HELD_STEP_S)
     command = np.concatenate((deck[ahead:], np.full(ahead, deck[-1]))) + (whole - deck)

@@ -169,6 +169,13 @@ def test_a_contact_of_this_commit_counts_and_says_by_what(by: str, cause: Reason
     assert of(Event.CONTACT, memory(State.COMMIT, since=None), struck) is None
 
 
+@pytest.mark.parametrize(("ago_s", "since_s", "counts"), [(0.3, 1.0, True), (0.31, 1.0, False), (0.2, 0.1, False)])
+def test_one_foot_s_push_counts_at_the_deck_for_three_tenths_of_the_commit(ago_s: float, since_s: float, counts: bool) -> None:
+    pushed = Impact(ns(NOW - ago_s), "accelerometer", 5.0, doubtful=True)
+    s = cycle(sees((0.0, 0.0, CONE.feet_below_m + 0.04), v=(0.0, 0.0, -0.4)), touch=pushed)
+    assert (of(Event.CONTACT, memory(State.COMMIT, since_s), s) is not None) is counts
+
+
 def test_being_held_up_is_a_contact_near_the_deck_alone_and_while_it_lasts() -> None:
     """An updraft holds up too; a step that no flight makes is a contact at any height."""
     for height_m, ago_s, counts in (

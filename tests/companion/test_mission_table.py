@@ -153,12 +153,6 @@ def test_a_flight_that_ended_in_the_air_is_followed_by_one_after_the_vehicle_sto
     ]
 
 
-@pytest.mark.parametrize("state", [State.READY, State.SEARCH, State.STANDBY, State.PAUSED])
-def test_a_report_within_a_flight_begins_nothing_by_itself(state: State) -> None:
-    p, _ = take_status(in_state(state, automatic=True), status(5.0, flying=True), OPTIONS)
-    assert p.state is (State.READY if state is State.STANDBY else state)
-
-
 @pytest.mark.parametrize("state", [State.WAIT, State.STANDBY, State.LANDED, State.DESCEND])
 def test_a_vehicle_that_does_not_say_whether_it_flies_changes_nothing(state: State) -> None:
     p = in_state(state, automatic=True, stood=True)

@@ -72,12 +72,6 @@ def test_from_every_side_it_comes_behind_a_moving_ship_and_not_over_her(north: f
     assert max(math.hypot(*way) for way in ways[arrival:]) < math.sqrt(2.0) * OPTIONS.extent_m + 2.0
 
 
-def test_the_pad_in_sight_ends_it_anywhere() -> None:
-    states, *_ = fly_to_ship([60.0, 0.0], seen=lambda t, d: math.hypot(*d) < 30.0)
-    assert states[-1] is State.INTERCEPT
-    assert State.RENDEZVOUS in states
-
-
 def test_a_source_that_stops_is_waited_for_and_then_refused_with_its_reason() -> None:
     states, _, _, changes = fly_to_ship([60.0, 0.0], known=lambda t: t < 5.0)
     assert states[-1] is State.REFUSED

@@ -17,6 +17,7 @@ from companion.guidance.mission.phase import Aim, never_lower, usable
 from companion.guidance.mission.progress import Progress
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import ElsewhereOptions, GuidanceOptions
+from companion.settings.response import ClimbResponse
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert, RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
@@ -348,12 +349,37 @@ def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
 @pytest.mark.parametrize("state", [State.GATE, State.HOLD_BLIND, State.GO_AROUND, State.INTERCEPT])
 def test_a_soft_contact_near_the_centre_while_it_waits_is_the_landing(state: State) -> None:
     p = Progress(state, automatic=True, begun=True, since=ns(NOW - 1.0), seen=ns(NOW), in_sight=True, track=1)
-    for aside_m, taken in ((0.1, True), (0.5, False)):
-        knows = replace(known((aside_m, 0.0, 0.05)), impact=Impact(ns(NOW - 0.01), "accelerometer", 6.0))
+    for aside_m, height_m, sigma_m, bounces, taken in (
+        (0.1, 0.05, 0.01, 3, True), (0.5, 0.05, 0.01, 0, False), (0.1, 0.3, 0.01, 0, False), (0.1, 0.05, 0.2, 0, False),
+        (0.1, 0.05, 0.01, 4, False),
+    ):  # fmt: skip
+        p = replace(p, bounces=bounces)
+        knows = replace(known((aside_m, 0.0, height_m), sigma=sigma_m), impact=Impact(ns(NOW - 0.01), "accelerometer", 6.0))
         happens = PHASES[p.state].events(p, GuidanceCycle(ns(NOW), knows), guided())
         found = [event for event, _ in happens if event is Event.CONTACT]
         assert bool(found) is (taken and state is not State.INTERCEPT)
         assert not found or TABLES["cone"][state][Event.CONTACT] is State.PRESS
+
+
+def test_a_climb_s_own_thrust_is_no_contact_and_whatever_else_is_felt_is_one() -> None:
+    climb = ClimbResponse(0.1, 0.2, 1.0)
+    for size_m_s2, by, response, taken in (
+        (7.9, "accelerometer", climb, False), (8.1, "accelerometer", climb, True), (7.9, "velocity", climb, True),
+        (7.9, "accelerometer", None, True),
+    ):  # fmt: skip
+        knows = replace(known((0.1, 0.0, 0.05)), impact=Impact(ns(NOW), by, size_m_s2, 0.5), climb=response, climb_max_m_s=1.0)
+        p = Progress(State.GO_AROUND, automatic=True, begun=True, since=ns(NOW - 1.0), seen=ns(NOW), in_sight=True, track=1)
+        happens = PHASES[p.state].events(p, GuidanceCycle(ns(NOW), knows), guided())
+        assert any(event is Event.CONTACT for event, _ in happens) is taken
+
+
+def test_a_held_drone_follows_its_deck_up_the_less_the_higher_it_is_over_what_it_needs() -> None:
+    up, p = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, -0.4]), 0.0), Progress(State.PAUSED, automatic=True, begun=True)
+    for height_m, rate in ((2.0, -0.4), (2.5, -0.2), (3.0, 0.0)):
+        s = GuidanceCycle(ns(NOW), known((0.0, 0.0, height_m)))
+        given = allowed(up, replace(p, held=np.array([0.0, 0.0, 2.0])), s, guided())
+        assert isinstance(given, Lean)
+        assert given.v_level[2] == pytest.approx(rate)
 
 
 # Flight without sight of the pad
