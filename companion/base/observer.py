@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from typing import Protocol
 
@@ -152,12 +153,12 @@ class NullObserver:
         return None
 
 
-class Relay:
+class Relay(ABC):
     """An observer that hands every event on."""
 
+    @abstractmethod
     def hand_on(self, method: str, *what: object) -> None:
         """Hand an event on: the observer's method that takes it, and its arguments."""
-        raise NotImplementedError
 
     def on_sample(self, sample: Sample) -> None:
         self.hand_on("on_sample", sample)
