@@ -38,7 +38,7 @@ def imu(w: float = 0.0, f: float = 0.0) -> Spoil:
     return each(Imu, lambda e: structs.replace(e, w_body=e.w_body + by_w, f_body=e.f_body + by_f))
 
 
-def moved(e: Event, by_ns: int) -> Event:
+def stamped_later(e: Event, by_ns: int) -> Event:
     """Return an event with its stamp later by this much."""
     at, received_at = (MonoNs(t + by_ns) for t in (e.stamp.measured_at, e.stamp.received_at))
     return structs.replace(e, stamp=structs.replace(e.stamp, measured_at=at, received_at=received_at))
@@ -76,7 +76,7 @@ FAULTS: dict[str, tuple[Spoil, float]] = {
         each(Sighting, lambda e: structs.replace(e, d_body_pad_level=e.d_body_pad_level + 2.0 * AHEAD)), 0.4
     ),
     "heading turned round": (each(Sighting, turned_round), 2.0),
-    "an hour ahead": (lambda e: [moved(e, HOUR_NS)], 0.005),
+    "an hour ahead": (lambda e: [stamped_later(e, HOUR_NS)], 0.005),
 }  # fmt: skip
 """Faults of single sensors in the middle of a voyage, and how long each lasts, s."""
 
@@ -197,7 +197,7 @@ def test_one_stamp_far_ahead_is_refused_and_time_that_leaps_is_followed() -> Non
     rest = [e for e in received_at if e.stamp.received_at > ns(8.0)]
     for by in (HOUR_NS, -10_000_000_000):
         after = copied(ekf)
-        outcomes = after.put([moved(rest[0], by)])
+        outcomes = after.put([stamped_later(rest[0], by)])
         assert outcomes[0].verdict is (Verdict.TOO_NEW if by > 0 else Verdict.TOO_OLD)
         assert newest(after).t == newest(ekf).t
         outcomes = after.put([rest[1]])
@@ -205,7 +205,7 @@ def test_one_stamp_far_ahead_is_refused_and_time_that_leaps_is_followed() -> Non
         # Every one of them so far away: it is time itself.
         verdicts, leapt = [], copied(ekf)
         for event in rest:
-            outcomes = leapt.put([moved(event, by)])
+            outcomes = leapt.put([stamped_later(event, by)])
             verdicts.append(outcomes[0].verdict)
         refused = [v for v in verdicts if v in (Verdict.TOO_NEW, Verdict.TOO_OLD)]
         assert len(refused) == OPTIONS.leap_count - 1
