@@ -5,7 +5,7 @@
 Needs root, debootstrap and whatever this machine uses to reach Debian's and Python's packages. Each step is read from the
 Dockerfiles, so that the two cannot drift. Then compose.yaml's broker, sim and daemon run from those roots as its user, the roots
 read-only, in a network of their own, until the simulated drone has landed on the pad, the health check says yes, Prometheus'
-endpoint has every figure of the dashboard and the ground receives the drone through TLS. Times and sizes are printed.
+endpoint has every figure of the dashboard and the ground receives the drone through TLS. Times are printed.
 """
 
 import argparse
@@ -81,7 +81,6 @@ class Builder:
 
     def __init__(self, work: Path) -> None:
         self.work = work
-        self.times: list[tuple[str, float]] = []
         self._bases: dict[str, Path] = {}
         self._pip = _pip_files()
 
@@ -99,8 +98,7 @@ class Builder:
     def _timed(self, what: str, handler: object) -> None:
         began = time.monotonic()
         handler()  # type: ignore[operator]
-        self.times.append((what, time.monotonic() - began))
-        print(f"{self.times[-1][1]:7.1f} s  {what[:110]}", flush=True)
+        print(f"{time.monotonic() - began:7.1f} s  {what[:110]}", flush=True)
 
     def _copy_base(self, base: str, to: Path) -> None:
         if base not in self._bases:
@@ -208,13 +206,6 @@ def _pip_files() -> list[Path]:
     return [lent, *sorted(folder for folder in folders if folder.is_dir())]
 
 
-def sizes(image: Image) -> str:
-    output = subprocess.run(
-        ["du", "--summarize", "--one-file-system", "--block-size=1M", str(image.root)], capture_output=True, text=True, check=True
-    )
-    return f"{output.stdout.split()[0]} MB"
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description="The images' own steps without an engine, up to a landing.")
     parser.add_argument("--work", type=Path, help="working folder; a base made there before is used again")
@@ -235,9 +226,7 @@ def main() -> int:
         builder = Builder(work)
         service = builder.build(ROOT / "Dockerfile")
         broker = builder.build(ROOT / "configs/compose/broker.Dockerfile")
-        lab = builder.build(ROOT / "configs/compose/lab.Dockerfile")
-        base = builder._bases["debian:bookworm-slim"]
-        print(f"sizes: base {sizes(Image(base))}, service {sizes(service)}, broker {sizes(broker)}, lab {sizes(lab)}", flush=True)
+        builder.build(ROOT / "configs/compose/lab.Dockerfile")
         fly(work, service, broker, asked.config or CONFIG)
     finally:
         if not asked.keep and asked.work is None:

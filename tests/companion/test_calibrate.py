@@ -251,6 +251,15 @@ async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, P
         await watch(absent, (480, 320), guide, reported.append, timeout_s=1.0, first_s=0.2)
 
 
+def test_images_of_two_sizes_and_images_that_are_none_are_named(tmp_path: Path) -> None:
+    collection = Collection(CHARUCO, moving=False)
+    collection.add("a", np.zeros((64, 64), np.uint8))
+    with pytest.raises(BadInput, match="b: 64x32 px"):
+        collection.add("b", np.zeros((32, 64), np.uint8))
+    (tmp_path / "x.png").write_text("none")
+    assert main(["calibrate", "camera", str(tmp_path), "--out", str(tmp_path / "c.toml")]) == 2
+
+
 TURNED = np.radians([2.1, -1.4, 0.9])
 
 

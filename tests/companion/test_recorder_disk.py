@@ -135,6 +135,20 @@ def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: P
     assert len(kept) + recorder.dropped["imu"] == 300
 
 
+def test_a_full_disk_with_a_little_room_is_left_alone(tmp_path, disk, caplog, monkeypatch):
+    monkeypatch.setattr(
+        "companion.parts.recorder.storage_policy.shutil.disk_usage", lambda _: type("Usage", (), {"free": 300_000})
+    )
+    folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=0.0)
+    with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=0.5)) as recorder:
+        for i in range(500):
+            disk.full = 50 < i < 90
+            recorder.on_sample(numbered_imu(0.01 * i))
+            wait_until(lambda: recorder._queue.empty())
+    assert len([r for r in caplog.records if r.levelname == "ERROR"]) == 1
+    assert len(list(tmp_path.iterdir())) == 1
+
+
 def record_samples(recorder: Recorder, at_s: float, seconds: float) -> float:
     """Return samples at 100 Hz from an instant on, taken in before this returns; the instant after them."""
     for i in range(round(100 * seconds)):

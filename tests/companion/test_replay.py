@@ -28,7 +28,7 @@ from estimator.contracts.commands import Land
 from estimator.contracts.time import MonoNs
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
-from tests.fly import NEAR, ObservedCalls, sim_settings
+from tests.fly import ObservedCalls, sim_settings
 
 
 def replayed(path: Path, *words: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
@@ -171,15 +171,3 @@ async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(reco
     true = [float(np.linalg.norm(d.shadows[0].d_body_pad_level)) for d in recorded_flight[1].decisions if d.shadows]
     assert 0.8 * min(true) < targets[-1].distance < 1.2 * max(true)
     assert math.isfinite(targets[-1].angle_x)
-
-
-def test_a_flight_steered_by_constant_velocity_is_recorded_and_replayed_to_the_bit(tmp_path, capsys):
-    recording, near = tmp_path / "flight.mcap", tmp_path / "near.toml"
-    near.write_text(NEAR)
-    words = ["simulate", str(near), "--perception", "model", "--set", "estimator.path=constant_velocity", "--json"]
-    assert cli.main([*words, "--record", str(recording)]) == 0
-    assert json.loads(capsys.readouterr().out)["landed_on_pad"] is True
-    assert cli.main(["replay", str(recording), "--sightings", "--json"]) == 0
-    (found,) = json.loads(capsys.readouterr().out)["against"].values()
-    against = {d["path"]: d for d in found}
-    assert against["constant_velocity"]["both"] == against["constant_velocity"]["identical"] > 100

@@ -341,6 +341,15 @@ def test_a_long_film_stays_small_enough_to_be_mailed(monkeypatch):
     assert 4 / 3 * FILM_BYTES < 8.5e6
 
 
+def test_broken_images_are_passed_over(tmp_path):
+    log = report_flight()
+    log.frames = [
+        FrameRecord(ns(100), 0, Verdict.FAILED, None, image=b"no frame"),
+        FrameRecord(ns(100.1), 1, Verdict.FAILED, None, image=Path(tmp_path / "gone.jpg")),
+    ]
+    assert film_of(log) is None
+
+
 def near_ink(canvas, uv, ink, reach=2):
     u, v = round(uv[0]), round(uv[1])
     patch = canvas[max(0, v - reach) : v + reach + 1, max(0, u - reach) : u + reach + 1].astype(int)

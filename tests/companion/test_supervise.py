@@ -17,7 +17,7 @@ from companion.base.health import Health
 from companion.base.loop_lag import HELD_S, STOOD_S, Lags, LoopWatch
 from companion.base.memory import GroundedCollector, no_full_collections
 from companion.base.observer import Decision
-from companion.base.supervise import keep_alive, run
+from companion.base.supervise import contain, keep_alive, run
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import open_recording
 from companion.service.daemon import VisionShare
@@ -158,6 +158,19 @@ async def test_the_vital_parts_have_ended_before_the_others_are_ordered_to() -> 
     assert output == ["vehicle", "mqtt"]
 
 
+async def test_a_failing_part_has_one_traceback_in_the_log_however_often_it_fails(caplog: pytest.LogCaptureFixture) -> None:
+    health = Health(SleepingClock())
+
+    async def body() -> None:
+        raise KeyError("ours")
+
+    await contain("mqtt", body, RestartOptions(), health, SleepingClock())
+    assert sum(record.exc_info is not None for record in caplog.records) == 1
+    assert health.contained["mqtt"] == 10
+    assert health.flight_fault() is None
+    assert health.fault() == "mqtt is down: off after 10 failures: 'ours'"
+
+
 def looked_at(core_fraction: float, look_s: float, period_s: float, frames: int = 300) -> tuple[list[float], float]:
     """Return the instants at which frames of a camera were looked at, s, and the share of the time that the looks took."""
     share, free_at, began = VisionShare(core_fraction), MonoNs(0), []
@@ -176,6 +189,14 @@ def test_looks_take_no_more_than_their_share(core_fraction: float, look_s: float
     began, share = looked_at(core_fraction, look_s, period_s)
     assert share <= core_fraction + look_s / (300 * period_s)
     assert np.max(np.diff(began), initial=0.0) <= look_s / core_fraction + period_s + 1e-6, "and hardly less"
+
+
+def test_a_fast_machine_looks_at_each_frame_and_no_look_waits_longer_than_a_fifth_of_a_second() -> None:
+    began, share = looked_at(0.7, 0.02, 1 / 30)
+    assert len(began) == 300
+    assert 0.5 < share < 0.7
+    assert len(looked_at(1.0, 0.05, 1 / 30)[0]) == 150, "all that the thread has time for"
+    assert np.max(np.diff(looked_at(0.1, 1.0, 1 / 30)[0])) <= 1.0 + 0.2 + 1 / 30 + 1e-6
 
 
 def test_a_full_collection_happens_on_the_ground_alone() -> None:

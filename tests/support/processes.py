@@ -1,6 +1,7 @@
-"""Programs that a test starts, in a group of their own that is gone when the test is, however it ends."""
+"""Programs that a test starts, in a group of their own that is gone when the test is; and a process without file descriptors."""
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -80,3 +81,26 @@ def gone(number: int) -> bool:
     with suppress(TimeoutError):
         wait_until(lambda: not alive(number))
     return not alive(number)
+
+
+@contextmanager
+def no_descriptors(spare: int = 0) -> Iterator[None]:
+    """Let opening fail with EMFILE once `spare` more descriptors are taken."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    highest = max(int(name) for name in os.listdir("/proc/self/fd"))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (highest + 1, hard))
+    held: list[int] = []
+    try:
+        try:
+            while True:
+                held.append(os.open("/dev/null", os.O_RDONLY))
+        except OSError:
+            pass
+        for descriptor in held[:spare]:
+            os.close(descriptor)
+        held = held[spare:]
+        yield
+    finally:
+        for descriptor in held:
+            os.close(descriptor)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

@@ -68,10 +68,9 @@ def fly_voyage(
         spoil: given each event and its instant, s; what is received instead.
     """
     voyage = Voyage(scene)
-    received_at, sensors = voyage_truth.events(voyage)
     memory, out, next_s, next_forecast_s = ekf.Filter(options), Score(), since_s, since_s + 2.0
     watch = SensorWatch()
-    for event in received_at:
+    for event in voyage_truth.events(voyage):
         t = (event.stamp.measured_at - voyage_truth.EPOCH_NS) * 1e-9
         while event.stamp.received_at >= ns(next_s):
             score(out, memory, voyage, next_s)
@@ -90,7 +89,7 @@ def fly_voyage(
     final = memory.at(ns(scene.duration_s - 0.05))
     if final is not None:
         named = dict(final.details)
-        out.delay_error_s = named["camera_delay_s"] - sensors.delay_s
+        out.delay_error_s = named["camera_delay_s"] - scene.hidden_delay_s
         out.delay_sigma_s = named["sigma_camera_delay_s"]
         out.moving = named["probability_moving"]
     out.memory = memory

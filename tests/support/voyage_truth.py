@@ -5,7 +5,7 @@ are splines through those series; velocities, accelerations and body rates are d
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -253,17 +253,8 @@ class Voyage:
 Event = Imu | Attitude | BodyVelocity | Range | Sighting
 
 
-@dataclass
-class SensorErrors:
-    """The random parameters of one flight."""
-
-    mount: F64 = field(default_factory=lambda: np.zeros(3))
-    delay_s: float = 0.0
-    scale: float = 1.0
-
-
-def events(voyage: Voyage) -> tuple[list[Event], SensorErrors]:
-    """Everything the sensors tell, in the order of arrival, and the constant errors drawn."""
+def events(voyage: Voyage) -> list[Event]:
+    """Everything the sensors tell, in the order of arrival."""
     s = voyage.scene
     rng = np.random.default_rng([s.seed, 42])
     step = 1.0 / s.imu_hz
@@ -281,12 +272,12 @@ def events(voyage: Voyage) -> tuple[list[Event], SensorErrors]:
     cov_att = np.eye(3) * math.radians(0.4) ** 2
     out += [Attitude(stamp(t[k]), Rotation(measured[k].as_matrix()), cov_att) for k in range(0, t.size, 2)]
 
-    sensors = SensorErrors(scale=float(rng.uniform(0.82, 1.0)), delay_s=s.hidden_delay_s)
+    scale = float(rng.uniform(0.82, 1.0))
     every = slice(0, t.size, 4)
     tv, Rv = t[every], R[every]
     psi = np.arctan2(Rv[:, 1, 0], Rv[:, 0, 0])
     v = np.einsum("nij,nj->ni", Spin.from_euler("Z", -psi[:, None]).as_matrix(), voyage.body(tv)[1])
-    v = sensors.scale * v + coloured(rng, tv.size, 4 * step, 0.03, 0.25, 3)
+    v = scale * v + coloured(rng, tv.size, 4 * step, 0.03, 0.25, 3)
     v += (rng.random(tv.size) < 0.5 * s.outliers)[:, None] * rng.uniform(-3.0, 3.0, v.shape)
     cov_v = np.diag([0.03**2, 0.03**2, UNKNOWN_VAR])
     out += [BodyVelocity(stamp(x), np.array([vi[0], vi[1], 0.0]), cov_v) for x, vi in zip(tv.tolist(), v, strict=True)]
@@ -300,7 +291,7 @@ def events(voyage: Voyage) -> tuple[list[Event], SensorErrors]:
     out += [Range(stamp(x), max(0.0, float(y)), 0.03) for x, y in zip(tr.tolist(), reach, strict=True)]
 
     axis = rng.standard_normal(3)
-    sensors.mount = math.radians(s.mount_deg) * axis / float(np.linalg.norm(axis))
+    mount = math.radians(s.mount_deg) * axis / float(np.linalg.norm(axis))
     away = [(b, b + float(rng.uniform(0.5, 1.5))) for b in rng.uniform(6.0, s.duration_s - 3.0, s.gaps).tolist()]
     away += list(s.blind)
     tilted = RotationSpline(t, measured)
@@ -309,16 +300,16 @@ def events(voyage: Voyage) -> tuple[list[Event], SensorErrors]:
         elsewhere = rng.uniform(-3.0, 3.0, 4)
         if any(b <= x < e for b, e in away):
             continue
-        out.append(_sighting(voyage, sensors, x, seq, tilted(x), draw, elsewhere if wrong else None, 0.1 + 0.03 * abs(late)))
-    return sorted(out, key=lambda e: (e.stamp.received_at, type(e).__name__)), sensors
+        out.append(_sighting(voyage, mount, x, seq, tilted(x), draw, elsewhere if wrong else None, 0.1 + 0.03 * abs(late)))
+    return sorted(out, key=lambda e: (e.stamp.received_at, type(e).__name__))
 
 
 def _sighting(
-    voyage: Voyage, sensors: SensorErrors, x: float, seq: int, measured: Spin, draw: F64, elsewhere: F64 | None, late_s: float
+    voyage: Voyage, mount: F64, x: float, seq: int, measured: Spin, draw: F64, elsewhere: F64 | None, late_s: float
 ) -> Sighting:
-    at = np.array([x + sensors.delay_s])
+    at = np.array([x + voyage.scene.hidden_delay_s])
     (p, *_), (pp, _, Rp), R = voyage.body(at), voyage.pad(at), Spin.from_matrix(voyage.attitude(at)[0])
-    camera = R * Spin.from_rotvec(sensors.mount)
+    camera = R * Spin.from_rotvec(mount)
     _, pitch, roll = measured.as_euler("ZYX")
     level = Spin.from_euler("ZYX", [0.0, pitch, roll])
     d = camera.inv().apply((pp - p)[0])

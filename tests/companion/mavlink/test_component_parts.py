@@ -27,8 +27,8 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
-from tests.support.descriptors import no_descriptors
 from tests.support.fake_operator import FakeOperator
+from tests.support.processes import no_descriptors
 
 S = 1_000_000_000
 US, STATION = (7, 191), (255, 190)

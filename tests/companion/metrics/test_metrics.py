@@ -21,7 +21,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from tests.support.clocks import SteppedClock
-from tests.support.descriptors import no_descriptors
+from tests.support.processes import no_descriptors
 from tests.support.waiting import until
 
 

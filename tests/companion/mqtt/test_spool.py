@@ -1,8 +1,10 @@
 """The spool against a model: whatever happens in between, nothing changes place or vanishes uncounted."""
 
+import errno
 import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import given, settings
@@ -165,3 +167,11 @@ def test_a_folder_that_cannot_be_is_the_users_fault(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInput, match=r"mqtt\.spool: .*file"):
         Spool(tmp_path / "file", 8000)
+
+
+def test_a_disk_that_is_read_only_keeps_events_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "mkdir", Mock(side_effect=OSError(errno.EROFS, os.strerror(errno.EROFS))))
+    spool = Spool(tmp_path / "spool", 8000)
+    spool.append([b"{}"])
+    assert [record.body for record in spool.peek(5)] == [b"{}"]
+    assert spool.write_errors == 1

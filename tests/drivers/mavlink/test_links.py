@@ -145,10 +145,16 @@ async def test_a_serial_port_carries_both_ways_and_its_loss_is_seen() -> None:
 
 
 async def test_several_links_at_once_and_one_of_them_missing() -> None:
+    taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    taken.bind((HOST, 0))
     urls = [f"udpin://{HOST}:0", "serial:///dev/no-such-port:57600", f"udpin://{HOST}:0"]
+    urls.append(f"udpin://{HOST}:{taken.getsockname()[1]}")
     async with open_links([quick(u) for u in urls], SystemClock(), (1, 191), access=ANYBODY) as ours:
         await until(lambda: ours.all[0].local and ours.all[2].local and ours.all[1].counters.restarts)
         assert "no-such-port" in (ours.all[1].down or "")
+        await until(lambda: "in use" in (ours.all[3].down or ""))
+        taken.close()
+        await until(lambda: ours.all[3].local is not None)
         async with (
             open_links([quick(f"udpout://{HOST}:{port_of(ours, 0)}")], SystemClock(), (2, 1)) as a,
             open_links([quick(f"udpout://{HOST}:{port_of(ours, 2)}")], SystemClock(), (3, 1)) as b,
