@@ -68,10 +68,10 @@ class Delays:
         self.buckets[bisect_left(EDGES_S, seconds)] += 1
         self._newest.append(seconds)
 
-    def quantile(self, q: float) -> float | None:
-        """Return the q-quantile, seconds; None before the first value."""
+    def quantiles(self, *qs: float) -> list[float | None]:
+        """Return several quantiles, seconds, of one sort; None before the first value."""
         ordered = sorted(self._newest)
-        return ordered[min(len(ordered) - 1, int(q * len(ordered)))] if ordered else None
+        return [ordered[min(len(ordered) - 1, int(q * len(ordered)))] if ordered else None for q in qs]
 
 
 @dataclass(slots=True)
@@ -391,7 +391,7 @@ class Health:
         now = self._clock.now()
         stages = {}
         for name, delays in self.delays.items():
-            p50, p99 = (delays.quantile(q) for q in (0.5, 0.99))
+            p50, p99 = delays.quantiles(0.5, 0.99)
             stages[name] = StageState(delays.count, p50, p99, delays.sum_s, tuple(delays.buckets))
         return HealthSnapshot(
             at=now,

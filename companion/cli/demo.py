@@ -239,7 +239,7 @@ def _ending(
     contacts = tuple(map(contact_of, truth[-1]["contacts"] if truth else ()))
     started = MonoNs(truth[0]["at_ns"]) if truth else MonoNs(0)
     delays = health.delays.get("guidance_late")
-    late_s = None if delays is None else delays.quantile(0.5)
+    late_s = None if delays is None else delays.quantiles(0.5)[0]
     load = Load(duration_s, drone.frames_sent, drone.stood_still_s, health.frames, late_s)
     return Ending(args.scenario, args.seed, outcome, contacts, duration_s, health.frames, started, load=load)
 

@@ -437,7 +437,7 @@ class Daemon:
                 f"{verdict.value} {n}" for verdict, n in sorted(self.health.frames.items(), key=lambda i: i[0].value)
             )
             delay = self.health.delays.get("exposure_to_belief")
-            p50 = delay.quantile(0.5) if delay is not None else None
+            p50 = delay.quantiles(0.5)[0] if delay is not None else None
             missing = missing_inputs(self.health.snapshot())
             log.log(
                 logging.WARNING if missing else logging.INFO,

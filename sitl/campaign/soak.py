@@ -389,7 +389,7 @@ async def _listen(lines: asyncio.StreamReader, tally: Tally, pilot: Pilot, healt
                 await asyncio.sleep(0.05)  # the drone says that it landed before the pilot knows of it
             frames = health.frames - before
             before = Counter(health.frames)
-            late_s = late.quantile(0.5) if (late := health.delays.get("guidance_late")) is not None else None
+            late_s = late.quantiles(0.5)[0] if (late := health.delays.get("guidance_late")) is not None else None
             tally.flown(printed["ended"], real(time.monotonic() - tally.began, printed, pilot.outcome, frames, late_s))
 
 
