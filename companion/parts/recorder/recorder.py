@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from enum import Enum
 from types import TracebackType
 from typing import Literal, ParamSpec
@@ -55,12 +54,6 @@ class RecorderState(Enum):
     CLOSED = "closed"
 
 
-@dataclass(frozen=True, slots=True)
-class _Item:
-    at: MonoNs
-    what: object
-
-
 class Recorder:
     """An observer (`companion.base.observer`) and a context manager: its thread runs inside the context.
 
@@ -91,10 +84,11 @@ class Recorder:
         self._health: Health | None = None
         if health is not None:
             self.watch(health)
-        self._queue: queue.Queue[_Item | None] = queue.Queue(maxsize=options.queue_records)
+        self._queue: queue.Queue[tuple[MonoNs, object] | None] = queue.Queue(maxsize=options.queue_records)
         self._frames_waiting = threading.BoundedSemaphore(options.queue_frames)
         self._thread = threading.Thread(target=self._work, name=PART, daemon=True)
-        self._file: McapFile | None = None
+        self.file: McapFile | None = None
+        """The file that is being written."""
         self._began = self._flushed = self._synced = MonoNs(0)
         self._tried: MonoNs | None = None
         self._back_off_s = options.retry_s
@@ -107,7 +101,7 @@ class Recorder:
         self._seen = 0
         self._paused = False
         self._unflushed = 0
-        self._state = RecorderState.IDLE
+        self.state = RecorderState.IDLE
         self.why = ""
         """The reason why nothing is being written, in words; it is empty while records are written."""
         self.written = 0
@@ -123,13 +117,9 @@ class Recorder:
         self.files = 0
 
     @property
-    def state(self) -> RecorderState:
-        return self._state
-
-    @property
-    def file(self) -> McapFile | None:
-        """The file that is being written."""
-        return self._file
+    def rests(self) -> bool:
+        """True while it is paused and its file has ended: it takes nothing, and its thread is not woken."""
+        return self._paused and self.state is RecorderState.PAUSED
 
     def __enter__(self) -> Recorder:
         self._thread.start()
@@ -164,7 +154,7 @@ class Recorder:
 
     def close(self) -> None:
         """Write the waiting records and end the file. Stop waiting after `close_s`."""
-        if self._state is RecorderState.CLOSED or not self._thread.is_alive():
+        if self.state is RecorderState.CLOSED or not self._thread.is_alive():
             return
         give_up_s = time.monotonic() + self._close_s
         with suppress(queue.Full):
@@ -176,7 +166,7 @@ class Recorder:
     def switch(self, on: bool) -> str | None:
         """Begin a new file, or end the file and write nothing more; return the reason if that is impossible, else None."""
         self._paused = not on
-        return self.why if on and self._state is RecorderState.BLOCKED else None
+        return self.why if on and self.state is RecorderState.BLOCKED else None
 
     def on_sample(self, sample: Sample) -> None:
         self._give(sample.stamp.received_at, sample)
@@ -187,6 +177,8 @@ class Recorder:
             self._give(at, result)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
+        if self.rests:
+            return
         self._seen += 1
         keep = self._options.frames != "none" and (self._seen - 1) % self._options.frames_each == 0
         if keep and not self._frames_waiting.acquire(blocking=self._lossless):
@@ -205,7 +197,7 @@ class Recorder:
             if self._lossless and self._thread.is_alive():
                 self._queue.join()  # how far the thread has come must not show in a file of virtual time
             self._show()
-            if self._health is not None:
+            if self._health is not None and not self.rests:
                 self._give(decision.at, encode.health(decision.at, self._health.snapshot()))
 
     def on_order(self, handled: HandledOrder) -> None:
@@ -220,11 +212,13 @@ class Recorder:
         self._give(at, rec.LinkRecord(int(at), link, direction, data, name))
 
     def _give(self, at: MonoNs, what: object) -> bool:
-        if self._lossless and self._state is not RecorderState.CLOSED:
-            self._queue.put(_Item(at, what))
+        if self.rests:
+            return False
+        if self._lossless and self.state is not RecorderState.CLOSED:
+            self._queue.put((at, what))
             return True
         try:
-            self._queue.put_nowait(_Item(at, what))
+            self._queue.put_nowait((at, what))
         except queue.Full:
             self.dropped[_kind(what)] += 1
             return False
@@ -240,10 +234,10 @@ class Recorder:
         """Write the recorder's own state into the service's health, from the loop's thread."""
         if not self._lossless:
             self._tell_of_hanging()
-        if self._health is None or self._state is self._shown:
+        if self._health is None or self.state is self._shown:
             return
-        self._shown = self._state
-        if self._state is RecorderState.BLOCKED:
+        self._shown = self.state
+        if self.state is RecorderState.BLOCKED:
             self._health.down(PART, OSError(self.why))
         else:
             self._health.up(PART)
@@ -270,19 +264,19 @@ class Recorder:
                 if item is None:
                     break
                 self._busy_since_s = time.monotonic()
-                self._guarded(self._take, item)
+                self._guarded(self._take, *item)
                 self._busy_since_s = None
                 self._queue.task_done()
             self._guarded(self._end_file)
         finally:
-            self._state = RecorderState.CLOSED
+            self.state = RecorderState.CLOSED
 
     def _guarded(self, handler: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
         """Run a handler: a fault of the disk ends the file, a fault of ours costs a record; neither ends the flight."""
         try:
             handler(*args, **kwargs)
         except OSError as why:
-            file, self._file = self._file, None
+            file, self.file = self.file, None
             if file is not None:
                 file.abandon()
             self.lost += self._unflushed
@@ -293,41 +287,41 @@ class Recorder:
             if self.faults == 1:
                 log.exception("recorder: a fault of its own; further ones are only counted")
 
-    def _take(self, item: _Item) -> None:
+    def _take(self, at: MonoNs, what: object) -> None:
         accepted = False
         try:
-            if not self._ready(item.at):
+            if not self._ready(at):
                 return
-            assert self._file is not None
-            for topic, at_ns, message in self._message_encoder.messages(item.at, item.what):
-                self._file.add(topic, at_ns, message)
+            assert self.file is not None
+            for topic, at_ns, message in self._message_encoder.messages(at, what):
+                self.file.add(topic, at_ns, message)
                 self.written += 1
                 self._unflushed += 1
             accepted = True
         finally:
             if not accepted:
-                self.dropped[_kind(item.what)] += 1
-            if isinstance(item.what, tuple) and item.what[1] is not None:
+                self.dropped[_kind(what)] += 1
+            if isinstance(what, tuple) and what[1] is not None:
                 self._frames_waiting.release()
-        self._flush(item.at)
+        self._flush(at)
 
     def _ready(self, at: MonoNs) -> bool:
         """Return whether there is a file to write to, and open one if that is allowed."""
         if self._paused:
-            if self._file is not None:
+            if self.file is not None:
                 self._end_file()
-            self._state = RecorderState.PAUSED
+            self.state = RecorderState.PAUSED
             return False
-        if self._file is not None:
+        if self.file is not None:
             return True
         if (
             self._tried is not None
-            and self._state is RecorderState.BLOCKED
+            and self.state is RecorderState.BLOCKED
             and 0.0 <= seconds_between(self._tried, at) < self._back_off_s
         ):
             return False
         self._tried = at
-        reason = self._storage_policy.lacks_room(_ROOM_AGAIN_MB if self._state is RecorderState.BLOCKED else 0.0)
+        reason = self._storage_policy.lacks_room(_ROOM_AGAIN_MB if self.state is RecorderState.BLOCKED else 0.0)
         if reason is not None:
             self._lacks(reason)
             return False
@@ -335,21 +329,21 @@ class Recorder:
         return True
 
     def _open(self, at: MonoNs) -> None:
-        self._file = McapFile(self._storage_policy.next_path(), self._about)
+        self.file = McapFile(self._storage_policy.next_path(), self._about)
         self.files += 1
         self._message_encoder.begin()
         for topic, at_ns, message in self._message_encoder.preamble(at):
-            self._file.add(topic, at_ns, message)
-        self._file.flush()
+            self.file.add(topic, at_ns, message)
+        self.file.flush()
         self._began = self._flushed = self._synced = at
-        if self._state is RecorderState.BLOCKED:
-            log.warning("recorder: recording again, into %s", self._file.path)
-        self._state, self.why, self._back_off_s = RecorderState.RECORDING, "", self._options.retry_s
-        self._storage_policy.tidy(self._file.path)
+        if self.state is RecorderState.BLOCKED:
+            log.warning("recorder: recording again, into %s", self.file.path)
+        self.state, self.why, self._back_off_s = RecorderState.RECORDING, "", self._options.retry_s
+        self._storage_policy.tidy(self.file.path)
 
     def _flush(self, now: MonoNs | None) -> None:
         """Flush the file if that is due at `now`, or at once if `now` is None."""
-        file = self._file
+        file = self.file
         if file is None or (now is not None and seconds_between(self._flushed, now) < self._options.flush_s):
             return
         file.flush()
@@ -371,18 +365,18 @@ class Recorder:
             self._lacks(reason)
 
     def _end_file(self) -> None:
-        file, self._file = self._file, None
+        file, self.file = self.file, None
         if file is not None:
             file.close()
             self._unflushed = 0
 
     def _lacks(self, reason: str) -> None:
         self.blocked += 1
-        if self._state is RecorderState.BLOCKED:
+        if self.state is RecorderState.BLOCKED:
             self._back_off_s = min(2.0 * self._back_off_s, self._options.retry_cap_s)
         else:
             log.error("recorder: nothing is recorded now: %s; the flight goes on, trying again", reason)
-        self._state, self.why = RecorderState.BLOCKED, reason
+        self.state, self.why = RecorderState.BLOCKED, reason
 
 
 def _kind(what: object) -> str:

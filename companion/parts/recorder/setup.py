@@ -92,7 +92,7 @@ class RecorderBeside(RestartablePart[Recorder]):
 
     def on_link(self, at: MonoNs, link: str, direction: Literal["in", "out"], data: bytes, name: str | None = None) -> None:
         """Record one message of a link. Links call this between the vehicle and guidance, so it never raises."""
-        if self.now is not None:
+        if self.now is not None and not self.now.rests:
             self._guard.call(self.now.on_link, at, link, direction, data, name)
 
     def _as_wanted(self, recorder: Recorder) -> Recorder:

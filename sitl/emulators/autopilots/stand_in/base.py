@@ -219,7 +219,7 @@ class MiniatureAutopilot:
 
     def _streams(self, t: float) -> list[Message]:
         self._samples += 1
-        # No reading of a true sensor repeats for long: the least digits of IMU and attitude never stand still.
+        # No reading of a true sensor repeats for long: the least digits of IMU, attitude and velocity never stand still.
         least = self._samples % 7 - 3
         roll, pitch, yaw = self.rpy(t)
         q = Rotation.from_rpy(roll + 1e-6 * least, pitch, yaw).quat_wxyz
@@ -228,16 +228,17 @@ class MiniatureAutopilot:
                 self.boot_ms, *q, 0.0, 0.0, 0.0
             ),
             mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: lambda: mav.MAVLink_local_position_ned_message(
-                self.boot_ms, *self.p_ned, *self.v_ned
+                self.boot_ms, *self.p_ned, *(self.v_ned + 1e-7 * least)
             ),
             mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda: global_position(self.boot_ms, self.p_world_ned, self.v_ned),
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda: mav.MAVLink_extended_sys_state_message(0, self.landed_state),
             mav.MAVLINK_MSG_ID_SYS_STATUS: lambda: mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 83, 0, 0, 0, 0, 0, 0),
             mav.MAVLINK_MSG_ID_RAW_IMU: lambda: mav.MAVLink_raw_imu_message(
-                self.boot_ns // 1000, *self._f_mg(least), *self.gyro_mrad_s, 0, 0, 0
+                self.boot_ns // 1000, *self._f_mg(least), *(w + least for w in self.gyro_mrad_s), 0, 0, 0
             ),
             mav.MAVLINK_MSG_ID_HIGHRES_IMU: lambda: mav.MAVLink_highres_imu_message(
-                *(self.boot_ns // 1000, *self.f_body[:2], self.f_body[2] + 1e-3 * least, *(1e-3 * w for w in self.gyro_mrad_s)),
+                *(self.boot_ns // 1000, *self.f_body[:2], self.f_body[2] + 1e-3 * least),
+                *(1e-3 * (w + least) for w in self.gyro_mrad_s),
                 *(0, 0, 0, 1000.0, 0, 0, 20.0, 0xFFFF),
             ),
         }
