@@ -14,8 +14,8 @@ enum { FRACTION = 16, CELL_BITS = 3, TEXEL_MOST = 16000, STEPS = 32, BLOCK_CELLS
 /* a + (b - a) f / 65536, to one part of 65536; two truncations are corrected once. */
 static inline lanes between(lanes a, lanes b, lanes f)
 {
-    const lanes rest = lanes_xor(f, lanes_all(UINT16_MAX));
-    return lanes_add(lanes_all(1), lanes_add(lanes_times(a, rest), lanes_times(b, f)));
+    const lanes rest = ~f;
+    return lanes_times(a, rest) + lanes_times(b, f) + 1;
 }
 
 /* The texel's number, reflected at the drawing's borders. */
@@ -51,12 +51,12 @@ static inline uint16_t step_of(int32_t position)
 static inline lanes interpolate(const steps *s, lanes upper, lanes lower, uint16_t across, uint16_t down)
 {
     const lanes a = lanes_times(upper, lanes_load(s->upper + down)), b = lanes_times(lower, lanes_load(s->lower + down));
-    return lanes_times(lanes_add(lanes_add(a, b), lanes_all(1)), lanes_load(s->across + across));
+    return lanes_times(a + b + 1, lanes_load(s->across + across));
 }
 
 static inline lanes pixel_of(lanes weighed)
 {
-    return lanes_add(lanes_all(1), lanes_fold(weighed));
+    return lanes_fold(weighed) + 1;
 }
 
 static lanes read_reflected(const dl_sim_drawing *d, const steps *s, int32_t x, int32_t y)
@@ -182,9 +182,9 @@ static void draw_inside(const dl_sim_drawing *d, const steps *s, const positions
     int32_t k = from;
     for (; k + 2 <= to; k += 2) {
         const lanes left = interpolate_inside(texels, row, s, p, k), right = interpolate_inside(texels, row, s, p, k + 1);
-        const lanes sums = lanes_add(lanes_lower_halves(left, right), lanes_upper_halves(left, right));
+        const lanes sums = lanes_lower_halves(left, right) + lanes_upper_halves(left, right);
         lanes_fetch((uintptr_t)texels + 8 * (uintptr_t)(p->texel[k] + ahead));
-        lanes_store(scene + 4 * k, lanes_add(lanes_all(1), sums));
+        lanes_store(scene + 4 * k, sums + 1);
     }
     if (k < to) {
         lanes_store_four(scene + 4 * k, pixel_of(interpolate_inside(texels, row, s, p, k)));

@@ -57,8 +57,7 @@ static inline eight load_eight(const uint16_t *scene)
 /* Twice the factors on the light of the pad's paint, as worn as the scene is there. */
 static inline lanes worn(lanes wear, lanes twice_gain)
 {
-    const lanes factor = lanes_at_most(lanes_times(twice_gain, wear), LIGHT_MOST);
-    return lanes_add(factor, factor);
+    return 2 * lanes_saturated(lanes_times(twice_gain, wear));
 }
 
 /* Put the pad's paint on what it covers, and its wear onto the factors. */
@@ -66,8 +65,8 @@ static inline void put_paints(const exposure16 *e, lanes kinds, eight *p, lanes 
 {
     lanes on = lanes_all(0);
     for (uint16_t paint = DL_PAD_NONE + 1; paint < DL_PAD_PAINTS; paint++) {
-        const lanes here = lanes_equal(kinds, lanes_all(paint));
-        on = lanes_or(on, here);
+        const lanes here = (lanes)(kinds == lanes_all(paint));
+        on |= here;
         for (int c = 0; c < CHANNELS; c++) {
             p->colour[c] = lanes_choose(here, lanes_all(e->paint[paint][c]), p->colour[c]);
         }
@@ -77,14 +76,14 @@ static inline void put_paints(const exposure16 *e, lanes kinds, eight *p, lanes 
 
 static inline lanes lit(lanes reflected, uint16_t of_one, lanes twice_gain)
 {
-    return lanes_at_most(lanes_times_rounded(reflected, lanes_times(lanes_all(of_one), twice_gain)), LIGHT_MOST);
+    return lanes_saturated(lanes_times_rounded(reflected, lanes_times(lanes_all(of_one), twice_gain)));
 }
 
 /* Light that is kept at a part of itself, doubled up to its limit. */
 static inline lanes redoubled(lanes light, int doubled)
 {
     for (; doubled > 0; doubled--) {
-        light = lanes_at_most(lanes_add(light, light), LIGHT_MOST);
+        light = lanes_saturated(light + light);
     }
     return light;
 }
@@ -110,7 +109,7 @@ static inline void expose_eight(const exposure16 *e, const uint16_t *scene, cons
                                 uint16_t *const *light)
 {
     const uint64_t each = UINT64_C(0x0101010101010101);
-    const lanes factor = lanes_load(gain), twice_gain = lanes_add(factor, factor);
+    const lanes twice_gain = 2 * lanes_load(gain);
     uint64_t all = DL_PAD_NONE;
     if (kinds) {
         memcpy(&all, kinds, sizeof all);
