@@ -169,9 +169,9 @@ async def measure(scenario: Scenario, rate_hz: float, how: str, seconds: float) 
             daemon.stop()
     ms, limit = np.quantile(timed.whole_ms, [0.5, 0.99]), np.array(LIMITS[how])
     held = f"limit {limit[0]:.0f} and {limit[1]:.0f} {'held' if (ms <= floor * limit).all() else 'not held'}"
-    whole = f"p50 {ms[0]:6.2f} ms  p99 {ms[1]:6.2f}  most {max(timed.whole_ms):6.2f} of {len(timed.whole_ms)} frames"
+    said = f"p50 {ms[0]:6.2f} ms  p99 {ms[1]:6.2f}  most {max(timed.whole_ms):6.2f} of {len(timed.whole_ms)} frames"
     floors = f"{ms[0] / floor:.1f} and {ms[1] / floor:.1f} floors of {floor:.2f} ms ({held})"
-    print(f"{rate_hz:3.0f} fps  {how:<8}  frame in to bytes out {whole}; {floors}")
+    print(f"{rate_hz:3.0f} fps  {how:<8}  frame in to bytes out {said}; {floors}")
     cpu = f"{100 * loop_s / took_s:.1f} % of a core for the loop, {1e3 * (whole_s - loop_s) / number:.2f} ms a frame for vision"
     print(f"{rate_hz:3.0f} fps  {how:<8}  LANDING_TARGET {len(fake.of('LANDING_TARGET')) / seconds:.0f} Hz; {cpu}")
 

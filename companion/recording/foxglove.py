@@ -7,6 +7,7 @@ docs/conventions.md below it.
 
 import math
 from collections.abc import Iterable
+from itertools import starmap
 
 import numpy as np
 from msgspec import Struct
@@ -281,8 +282,8 @@ def image_annotations(at_ns: int, features: Iterable[tuple[str, Feature]], capti
     for method, feature in features:
         ink = _color(method)
         # Tenths of a pixel are what an eye sees; every further digit is stored and cannot be packed.
-        known = ((float(u), float(v)) for u, v in feature.uv_px if math.isfinite(u) and math.isfinite(v))
-        uv = [Point2(round(u + 0.5, 1), round(v + 0.5, 1)) for u, v in known]
+        known = feature.uv_px[np.isfinite(feature.uv_px).all(axis=1)]
+        uv = list(starmap(Point2, np.round(known + 0.5, 1).tolist()))
         notes = [KeyValuePair("method", method), KeyValuePair("kind", feature.kind), KeyValuePair("label", feature.label)]
         points.append(PointsAnnotation(t, _POINT_TYPES[feature.kind], uv, ink, [], _CLEAR, 2.0, notes))
     text = TextAnnotation(t, Point2(8.0, 20.0), caption, 14.0, Color(1.0, 1.0, 1.0, 1.0), Color(0.0, 0.0, 0.0, 0.5))

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager, suppress
 
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import NS_PER_S, MonoNs
 
 _DATAGRAM_MAX = 1 << 16
 _MOST_AT_ONCE = 64
@@ -60,7 +60,8 @@ class WaitingDatagrams:
                     break
                 except ConnectionRefusedError:
                     continue
-                age_ns = 0 if wall_was_set or not ancillary else wall_ns - _wall_ns(ancillary)
+                seconds, ns = _TIMESPEC.unpack_from(ancillary[0][2]) if ancillary else (0, wall_ns)
+                age_ns = 0 if wall_was_set else wall_ns - (seconds * NS_PER_S + ns)
                 self._received(data, MonoNs(max(self.taken_at, now - max(0, age_ns))))
         except Exception as why:
             self._lost = why
@@ -102,12 +103,6 @@ class WaitingDatagrams:
         except OSError as why:
             self._lost = why
             self.check()
-
-
-def _wall_ns(ancillary: list[tuple[int, int, bytes]]) -> int:
-    """Return the wall time in the message of `SO_TIMESTAMPNS`, ns."""
-    seconds, ns = _TIMESPEC.unpack_from(ancillary[0][2])
-    return int(seconds * 1_000_000_000 + ns)
 
 
 @asynccontextmanager

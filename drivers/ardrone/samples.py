@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
+from drivers.ardrone.navdata import Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.geodesy import GeoPoint, height_of_pressure_m
 from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
@@ -147,10 +147,6 @@ def _range_key(r: Navdata) -> tuple[Any, ...]:
     return (r.altitude_raw_mm, r.nb_echo, r.sum_echo)
 
 
-def _baro_key(r: Navdata) -> tuple[Any, ...] | None:
-    return None if r.pressure_pa is None else (r.up, r.ut, r.temperature_dc, r.pressure_pa)
-
-
 def _status(r: Navdata, stamp: Stamp, options: ArDroneOptions) -> VehicleStatus:
     mode = r.control_state
     return VehicleStatus(
@@ -161,10 +157,6 @@ def _status(r: Navdata, stamp: Stamp, options: ArDroneOptions) -> VehicleStatus:
         emergency=bool(r.state & NavdataState.EMERGENCY),
         link_ok=not r.state & (NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST),
     )
-
-
-def _status_key(r: Navdata) -> tuple[int, ControlState | None]:
-    return r.state & ~_COMMAND_ACK, r.control_state
 
 
 def _fix(r: Navdata, stamp: Stamp, options: ArDroneOptions) -> GeoFix | None:
@@ -192,9 +184,9 @@ def _fix_key(r: Navdata) -> tuple[Any, ...] | None:
 _Maker = Callable[[Navdata, Stamp, ArDroneOptions], Sample | None]
 _REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata], Any]]] = {
     Range: (_range, _range_key),
-    Baro: (_baro, _baro_key),
+    Baro: (_baro, lambda r: None if r.pressure_pa is None else (r.up, r.ut, r.temperature_dc, r.pressure_pa)),
     GeoFix: (_fix, _fix_key),
-    VehicleStatus: (_status, _status_key),
+    VehicleStatus: (_status, lambda r: (r.state & ~_COMMAND_ACK, r.control_state)),
 }
 """Makers of samples for sensors that are slower than the datagrams, in the order of their samples.
 

@@ -5,7 +5,6 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
@@ -283,7 +282,10 @@ class Autopilot:
                     self._roster.on_namesake(received.received_at)
                 continue
             for handler in (self._on_message, *self._listeners):
-                self.links.contained.run(received.place, received.source_text, partial(handler, received))
+                try:
+                    handler(received)
+                except Exception as why:
+                    self.links.contained.hold(received.place, received.source_text, why)
 
     def _on_message(self, received: ReceivedMessage) -> None:
         message, name = received.message, received.message.get_type()

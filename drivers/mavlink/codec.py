@@ -6,6 +6,7 @@ signatures are the dialect's.
 """
 
 import hashlib
+import re
 import struct
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from drivers.mavlink.dialect import Message, mav, unfit_field
 from drivers.mavlink.signing import TICKS_PER_S, Signing
 
 _V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
+_MARKER = re.compile(rb"[\xfd\xfe]")
 _SIGNED = mav.MAVLINK_IFLAG_SIGNED
 _SIGNATURE = mav.MAVLINK_SIGNATURE_BLOCK_LEN
 _SENDERS_MAX = 64
@@ -124,7 +126,8 @@ class Codec:
         start = 0
         buffer = self._buffer
         while True:
-            begin = _next_marker(buffer, start)
+            found = _MARKER.search(buffer, start)
+            begin = len(buffer) if found is None else found.start()
             if begin > start:
                 self.counters.damaged += 1
             start = begin
@@ -137,7 +140,9 @@ class Codec:
                 start += 1
                 self.counters.damaged += 1
                 continue
-            took, message = self._decode(buffer[start : start + length], _plausible_end(buffer, start + length))
+            took, message = self._decode(
+                buffer[start : start + length], start + length == len(buffer) or buffer[start + length] in (_V1, _V2)
+            )
             start += length if took else 1
             if message is not None:
                 out.append(message)
@@ -213,13 +218,6 @@ class Codec:
         return stream, self._mav.signing.stream_timestamps.get(stream)
 
 
-def _next_marker(buffer: bytearray, start: int) -> int:
-    for i in range(start, len(buffer)):
-        if buffer[i] in (_V1, _V2):
-            return i
-    return len(buffer)
-
-
 def _frame_length(buffer: bytearray, start: int) -> int | None:
     """Return the header's length of the frame at `start`, bytes; None while the header is not complete."""
     if len(buffer) - start < 3:
@@ -227,7 +225,3 @@ def _frame_length(buffer: bytearray, start: int) -> int | None:
     if buffer[start] == _V1:
         return 6 + buffer[start + 1] + 2
     return 10 + buffer[start + 1] + 2 + (_SIGNATURE if buffer[start + 2] & _SIGNED else 0)
-
-
-def _plausible_end(buffer: bytearray, end: int) -> bool:
-    return end >= len(buffer) or buffer[end] in (_V1, _V2)

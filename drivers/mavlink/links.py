@@ -17,6 +17,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal, TypeVar
 
+from msgspec import Struct
+from msgspec.structs import replace
+
 from drivers.endpoint import Address, Endpoint
 from drivers.mailbox import Line
 from drivers.mavlink.access import Access, AccessLevel, NamedSenders, Source
@@ -70,10 +73,11 @@ class Containment:
         try:
             return handler()
         except Exception as why:
-            self._hold(place, source, why)
+            self.hold(place, source, why)
             return None
 
-    def _hold(self, place: str, source: str, why: Exception) -> None:
+    def hold(self, place: str, source: str, why: Exception) -> None:
+        """Count an error that escaped a handler, and log it; its arguments are those of `run`."""
         if place not in self.faults and len(self.faults) >= _PLACES_MAX:
             place = "others"
         self.faults[place] += 1
@@ -120,8 +124,7 @@ class LinkCounters:
         return own | {name: getattr(self.codec, name) for name in of_codec}
 
 
-@dataclass(frozen=True, slots=True)
-class ReceivedMessage:
+class ReceivedMessage(Struct, frozen=True, eq=False):
     """One message and where it came from."""
 
     message: Message
@@ -263,15 +266,15 @@ class Link:
         return Codec(*self._links.identity, datagrams=datagrams, signing=self._o.signing, counters=self.counters.codec)
 
     def _received(self, data: bytes, received_at: MonoNs, address: Address | None) -> None:
-        self._links.contained.run("the MAVLink codec", f"{self.endpoint}", lambda: self._decode(data, received_at, address))
-
-    def _decode(self, data: bytes, received_at: MonoNs, address: Address | None) -> None:
         self.counters.bytes_in += len(data)
         peer = self._peers.get(address)
         if peer is not None:
             peer.received_at = received_at
-        for message in self._codec_for(peer).feed(data):
-            self._hand_on(message, received_at, address)
+        try:
+            for message in self._codec_for(peer).feed(data):
+                self._hand_on(message, received_at, address)
+        except Exception as why:
+            self._links.contained.hold("the MAVLink codec", f"{self.endpoint}", why)
 
     @property
     def _asked_for(self) -> bool:
@@ -294,21 +297,21 @@ class Link:
             access.refused["no system id"] += 1
             return
         level = access.level(source, ids, received_at, asked_for=self._asked_for, signed=self.signed)
-        if level is AccessLevel.UNKNOWN and self._links.follows(
-            ReceivedMessage(message, self._number, received_at, *ids, address, level)
-        ):
+        received = ReceivedMessage(message, self._number, received_at, *ids, address, level)
+        if level is AccessLevel.UNKNOWN and self._links.follows(received):
             level = access.level(source, ids, received_at, asked_for=self._asked_for, signed=self.signed)
+            received = replace(received, access_level=level)
         if level is AccessLevel.UNKNOWN:
             self.counters.unknown_senders += 1
             access.refuse_unknown(ids, address, received_at)
             # A flood from unknown senders may fill half of the queue, and never pushes out messages of known ones.
             if message.get_type() == "HEARTBEAT" and 2 * len(line) < line.capacity:
-                line.offer(ReceivedMessage(message, self._number, received_at, *ids, address, level))
+                line.offer(received)
             return
         if level >= AccessLevel.PEER:
             self.admit(address, received_at)
-        self._links.notify_tap(received_at, self.endpoint, "in", bytes(message.get_msgbuf()), message)
-        line.offer(ReceivedMessage(message, self._number, received_at, *ids, address, level))
+        self._links.notify_tap(received_at, self.endpoint, "in", message.get_msgbuf(), message)
+        line.offer(received)
 
     def _forget_silent(self) -> None:
         if not self._asked_for:
@@ -347,11 +350,16 @@ class Links:
         """Number of times that each link was opened; it grows when the link comes back."""
         self.all = tuple(Link(number, one, self, clock) for number, one in enumerate(options))
 
-    def notify_tap(self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes, message: Message) -> None:
+    def notify_tap(
+        self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes | bytearray, message: Message
+    ) -> None:
         """Hand a message that crossed a link to the tap; none that carries a key."""
-        tap, name = self.tap, message.get_type()
-        if tap is not None and name not in _SECRET:
-            self.contained.run(f"the tap of {name}", str(endpoint), lambda: tap(at, str(endpoint), way, data, name))
+        name = message.get_type()
+        if self.tap is not None and name not in _SECRET:
+            try:
+                self.tap(at, str(endpoint), way, bytes(data), name)
+            except Exception as why:
+                self.contained.hold(f"the tap of {name}", str(endpoint), why)
 
     def refuse(self, why: Unfit) -> None:
         """Count a message of ours that does not fit the wire, and log each field once."""

@@ -23,7 +23,7 @@ from drivers.mavlink.options import SampleOptions
 from drivers.mavlink.timesync import MS_WRAP_NS, BootClock, boot_ms, boot_us
 from drivers.mavlink.vehicle import ARMED, Condition, Stack, flying_of, mode_name
 from estimator.contracts.geodesy import GeoPoint, height_of_pressure_m
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
@@ -45,6 +45,7 @@ _HAS_PLACE, _HAS_VELOCITY = 1 << 0, 1 << 1
 """Bits of FOLLOW_TARGET's est_capabilities."""
 _PLACE_MAX_M, _SPEED_MAX_M_S = 1e6, 150.0
 _PRESSURE_HPA = (100.0, 1200.0)
+_M_S2_PER_MG = 1e-3 * G_M_S2
 
 _CUTOFF_HZ, _INTERVALS_HZ = "INS_GYRO_FILTER", "IMU_INTEG_RATE"
 _JERKS_M_S3 = ("PSC_JERK_XY", "PSC_JERK_NE")
@@ -108,6 +109,11 @@ class MavlinkSampler:
         self._stack = stack
         self._clock = clock
         self._o = options or SampleOptions()
+        tilt_var, yaw_var, velocity_var = (
+            s**2 for s in (self._o.sigma_tilt_rad, self._o.sigma_yaw_rad, self._o.sigma_velocity_m_s)
+        )
+        self._cov_attitude = fixed_matrix(tilt_var, 0.0, 0.0, 0.0, tilt_var, 0.0, 0.0, 0.0, yaw_var)
+        self._cov_velocity = fixed_matrix(velocity_var, 0.0, 0.0, 0.0, velocity_var, 0.0, 0.0, 0.0, velocity_var)
         self.ranges = ranges
         self.inertial_delay_s = 0.0
         """The time by which gyro and accelerometer are older than the stamps of their messages."""
@@ -267,8 +273,7 @@ class MavlinkSampler:
         return self._to_level(m, Rotation.from_rpy(*_within(_ANGLE_MAX_RAD, m.roll, m.pitch, m.yaw)), received_at)
 
     def _to_level(self, m: Message, rotation: Rotation, received_at: MonoNs) -> list[Sample]:
-        cov = np.diag([self._o.sigma_tilt_rad**2, self._o.sigma_tilt_rad**2, self._o.sigma_yaw_rad**2])
-        self.attitude = Attitude(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), rotation, cov)
+        self.attitude = Attitude(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), rotation, self._cov_attitude)
         return [self.attitude]
 
     def _position(self, m: Message, received_at: MonoNs) -> list[Sample]:
@@ -280,8 +285,9 @@ class MavlinkSampler:
         if attitude is None or abs(seconds_between(attitude.stamp.measured_at, stamp.measured_at)) > self._o.attitude_gap_s:
             return []
         yaw_rad = attitude.R_ned_body.rpy_rad[2]
-        v_level = Rotation.from_rpy(0.0, 0.0, yaw_rad).inv @ v_body_ned
-        return [BodyVelocity(stamp, v_level, np.eye(3) * self._o.sigma_velocity_m_s**2)]
+        c, s, (north, east, down) = math.cos(yaw_rad), math.sin(yaw_rad), v_body_ned.tolist()
+        v_level = fixed_vector(c * north + s * east, c * east - s * north, down)
+        return [BodyVelocity(stamp, v_level, self._cov_velocity)]
 
     def _global(self, m: Message, received_at: MonoNs) -> list[Sample]:
         place = _place(m.lat, m.lon, 1e-3 * m.alt)
@@ -294,8 +300,8 @@ class MavlinkSampler:
         if self._stack is not Stack.ARDUPILOT:
             # Only there is "raw" known to mean milli-g and mrad/s in body axes.
             return []
-        f_body = np.array([m.xacc, m.yacc, m.zacc]) * (1e-3 * G_M_S2)
-        w_body = np.array([m.xgyro, m.ygyro, m.zgyro]) * 1e-3
+        f_body = fixed_vector(m.xacc * _M_S2_PER_MG, m.yacc * _M_S2_PER_MG, m.zacc * _M_S2_PER_MG)
+        w_body = fixed_vector(m.xgyro * 1e-3, m.ygyro * 1e-3, m.zgyro * 1e-3)
         return [Imu(self._inertial(self._clock.stamp(boot_us(m.time_usec), received_at)), w_body, f_body)]
 
     def _inertial(self, stamp: Stamp) -> Stamp:
@@ -359,6 +365,7 @@ def _within(limit: float, *values: float) -> F64:
     Raises:
         ValueError: one is not finite, or larger than the limit: no sensor can have measured it.
     """
-    if not all(abs(value) <= limit for value in values):
-        raise ValueError("out of range")
-    return np.array(values, dtype=float)
+    for value in values:
+        if not abs(value) <= limit:
+            raise ValueError("out of range")
+    return fixed_vector(*values) if len(values) == 3 else np.array(values, dtype=float)

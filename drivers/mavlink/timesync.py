@@ -34,6 +34,10 @@ class TimeSync:
     def __init__(self, options: TimeSyncOptions | None = None) -> None:
         self._o = options or TimeSyncOptions()
         self._answers: deque[_Answer] = deque(maxlen=256)
+        self._best: _Answer | None = None
+        """The answer that says most of the offset, since the newest one and until the next: all of them age alike."""
+        self.round_trip_s: float | None = None
+        """The shortest round trip of the window."""
         self._asked: deque[int] = deque(maxlen=64)
         self._next = MonoNs(0)
         self._odd = 0
@@ -49,24 +53,20 @@ class TimeSync:
         """True if enough answers agree."""
         return len(self._answers) >= _LOCKED_AFTER
 
-    @property
-    def round_trip_s(self) -> float | None:
-        """The shortest round trip of the window."""
-        return min(a.round_trip_ns for a in self._answers) / NS_PER_S if self._answers else None
-
     def offset_ns(self, now: MonoNs) -> tuple[int, float] | None:
         """Return the offset (remote minus ours, ns) and its standard deviation (s), None until locked.
 
         The true offset is uniform within half the round trip at worst; drift since then is added.
         """
-        if not self.locked:
+        best = self._best
+        if best is None or not self.locked:
             return None
-        best = min(self._answers, key=lambda a: self._uncertainty_s(a, now))
         return best.offset_ns, self._uncertainty_s(best, now) / math.sqrt(3.0)
 
     def reset(self) -> None:
         """Forget the remote clock."""
         self._answers.clear()
+        self._best = self.round_trip_s = None
         self._asked.clear()
         self._odd = 0
         self._next = MonoNs(0)
@@ -101,12 +101,14 @@ class TimeSync:
         self._answers.append(answer)
         while seconds_between(self._answers[0].received_at, received_at) > self._o.window_s:
             self._answers.popleft()
+        self._best = min(self._answers, key=lambda a: self._uncertainty_s(a, received_at))
+        self.round_trip_s = min(a.round_trip_ns for a in self._answers) / NS_PER_S
         self.answers += 1
 
     def _agrees(self, answer: _Answer) -> bool:
-        if not self._answers:
+        best = self._best
+        if best is None:
             return True
-        best = min(self._answers, key=lambda a: self._uncertainty_s(a, answer.received_at))
         room_s = self._uncertainty_s(best, answer.received_at) + 0.5 * answer.round_trip_ns / NS_PER_S + _SLACK_S
         return abs(answer.offset_ns - best.offset_ns) <= room_s * NS_PER_S
 

@@ -155,20 +155,18 @@ class Rotation:
         Raises:
             ValueError: zero or not finite.
         """
-        q = np.asarray(wxyz, dtype=float)
-        n = float(np.linalg.norm(q))
-        if q.shape != (4,) or not math.isfinite(n) or n < 1e-9:
+        w, x, y, z = q = np.asarray(wxyz, dtype=float).ravel().tolist() if np.shape(wxyz) == (4,) else (0.0,) * 4
+        n = math.hypot(w, x, y, z)
+        if not math.isfinite(n) or n < 1e-9:
             raise ValueError(f"not a quaternion: {wxyz!r}")
-        w, x, y, z = q / n
-        return Rotation(
-            np.array(
-                [
-                    [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                    [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-                ]
+        w, x, y, z = (part / n for part in q)
+        return _rotation_by(
+            fixed_matrix(
+                1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+                2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
             )
-        )
+        )  # fmt: skip
 
     @property
     def inv(self) -> Rotation:

@@ -70,14 +70,6 @@ def _of_imu(event: Imu) -> bytes:
     return b"".join([_head(abi.DL_IMU, event), event.w_body.tobytes(), event.f_body.tobytes(), lost, _AFTER_IMU])
 
 
-def _of_range(event: Range) -> bytes:
-    return _record(abi.DL_RANGE, event, {"distance": (event.range_m, event.sigma_m)})
-
-
-def _of_height(event: Baro) -> bytes:
-    return _record(abi.DL_HEIGHT, event, {"distance": (event.height_m, event.sigma_m)})
-
-
 def _of_vessel(report: VesselReport) -> bytes:
     v, cov, values = report.v_vessel_ned, report.cov_v_ned, dict[str, Any]()
     if v is not None and cov is not None:
@@ -115,8 +107,8 @@ _RECORDS: dict[type[Event], Callable[[Any], bytes]] = {
     Imu: _of_imu,
     Attitude: _of_arrays(abi.DL_ATTITUDE, "dl_attitude", R_ned_body="R_ned_body.matrix"),
     BodyVelocity: _of_arrays(abi.DL_VELOCITY, "dl_velocity"),
-    Range: _of_range,
-    Baro: _of_height,
+    Range: lambda event: _record(abi.DL_RANGE, event, {"distance": (event.range_m, event.sigma_m)}),
+    Baro: lambda event: _record(abi.DL_HEIGHT, event, {"distance": (event.height_m, event.sigma_m)}),
     VesselReport: _of_vessel,
     Sighting: _of_sighting,
 }

@@ -90,7 +90,9 @@ class TargetTrack:
             return
         yaw_rad = R_ned_body.rpy_rad[2]
         R_ned_level = Rotation.from_rpy(0.0, 0.0, yaw_rad)
-        arrow_rad = None if state.yaw_rad is None or dict(state.details).get("yaw_ambiguous") else yaw_rad - state.yaw_rad
+        # The filter's figures, which are made when they are read, have no such word.
+        ambiguous = state.path != "ekf" and dict(state.details).get("yaw_ambiguous")
+        arrow_rad = None if state.yaw_rad is None or ambiguous else yaw_rad - state.yaw_rad
         self._knots.append(
             _Knot(
                 state.at,
@@ -343,6 +345,11 @@ class Outputs:
         kinds = (vehicle.parameter_values.get(f"RNGFND{n}_TYPE") for n in range(1, 5))
         return vehicle.stack is Stack.ARDUPILOT and _MAVLINK_RANGEFINDER in kinds
 
+    def is_due(self, now: MonoNs) -> bool:
+        """Return whether `due` has something to do at this instant."""
+        periods = (self._target_at, self._o.rate_hz), (self._range_at, self._o.range_rate_hz)
+        return any(self._time_has_come(last, now, rate_hz) for last, rate_hz in periods)
+
     def due(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> list[Message]:
         """Return the messages that are due at this instant.
 
@@ -352,9 +359,10 @@ class Outputs:
         out: list[Message] = []
         if self._time_has_come(self._target_at, now, self._o.rate_hz):
             out += self.target(now, vehicle, sighted)
-        if self._time_has_come(self._range_at, now, self._o.range_rate_hz) and self.sends_ranges(vehicle):
+        if self._time_has_come(self._range_at, now, self._o.range_rate_hz):
             self._range_at = now
-            out.append(self._range(now, vehicle, sighted))
+            if self.sends_ranges(vehicle):
+                out.append(self._range(now, vehicle, sighted))
         return out
 
     def target(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> list[Message]:

@@ -40,6 +40,8 @@ _ROOM_AGAIN_MB = 20.0
 """The free space at which a disk that was full is used again, MB: less would be full again within seconds."""
 _HANGS_S = 1.5
 """Time for one record after which the disk counts as hanging: a card that tidies itself takes up to a second."""
+_GATHER_S = 0.05
+"""Time for which records gather once all are written, s: a thread that wakes for each costs the flight more than to write it."""
 P = ParamSpec("P")
 
 
@@ -267,6 +269,8 @@ class Recorder:
                 self._guarded(self._take, *item)
                 self._busy_since_s = None
                 self._queue.task_done()
+                if not self._lossless and self._queue.empty():
+                    time.sleep(_GATHER_S)
             self._guarded(self._end_file)
         finally:
             self.state = RecorderState.CLOSED
