@@ -8,11 +8,17 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 WORKERS := -n logical --maxprocesses 8
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
-CORE := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
+INSTALL := @$(BIN)/python -m supply.install
+
+LIBRARIES := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
+BINDINGS := estimator/core/abi.py sitl/core/abi.py
+CORE := $(LIBRARIES) $(BINDINGS)
 
 .PHONY: core demo check test qualify test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins release
 
-demo: $(VENV)/.report $(VENV)/.compare $(VENV)/.video $(CORE)
+# The core compiles while the packages are fetched.
+demo:
+	@$(MAKE) --no-print-directory -j2 $(VENV)/.runtime $(CORE)
 	$(BIN)/decklander demo
 
 # Before each commit: lint, types, the limits of benches/house.toml, and every test but those of the slow files that tests/conftest.py names.
@@ -30,9 +36,11 @@ qualify: $(VENV)/.dev $(CORE)
 # The native libraries (estimator/core, sitl/core), with cc where there is one, else with zig's compiler. Only what changed is compiled.
 core: $(CORE)
 
-$(CORE) &: $(shell find estimator/core sitl/core -name "*.[ch]") supply/core.py | $(VENV)/.runtime
-	@command -v cc >/dev/null || $(MAKE) --no-print-directory $(VENV)/.compiler
-	$(BIN)/python -m supply.core
+$(LIBRARIES) &: $(shell find estimator/core sitl/core -name "*.[ch]") supply/core.py | $(BIN)/python $(if $(shell command -v cc 2>&1),,$(VENV)/.compiler)
+	@$(BIN)/python -m supply.core libraries
+
+$(BINDINGS) &: estimator/core/decklander.h sitl/core/decklander_sim.h supply/core.py | $(VENV)/.runtime
+	@$(BIN)/python -m supply.core bindings
 
 # The core's calls as a Raspberry Pi computes them: cross-built by zig, under qemu-aarch64 (apt install qemu-user).
 test-aarch64: $(VENV)/.dev $(VENV)/.compiler $(CORE)
@@ -102,48 +110,33 @@ licences: $(VENV)/.dev
 audit: $(VENV)/.supply
 	@sh supply/audit.sh $(BIN)/pip-audit $(if $(OSV),--vulnerability-service osv --osv-url $(OSV)) $(if $(STRICT),--strict)
 
-$(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/runtime.txt | $(BIN)/python
-	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip --upgrade >/dev/null
-	$(PIP) install --require-hashes -r requirements/build.txt -r requirements/runtime.txt
+# The service with H.264, which the demo's simulated AR.Drone films in.
+$(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/video.txt | $(BIN)/pip
+	$(INSTALL) requirements/build.txt requirements/video.txt
 	$(PIP) install --no-deps --no-build-isolation --editable .
 	@touch $@
 
 # zig's compiler, which builds for other machines and where there is no `cc`.
-$(VENV)/.compiler: requirements/compiler.txt | $(BIN)/python
-	$(PIP) install --require-hashes -r requirements/compiler.txt
-	@touch $@
-
-# H.264, which the demo's simulated AR.Drone films in.
-$(VENV)/.video: requirements/video.txt $(VENV)/.runtime
-	$(PIP) install --require-hashes -r requirements/video.txt
-	@touch $@
-
-# The drawings of demo's report, of calibrate and of campaigns.
-$(VENV)/.report: requirements/report.txt $(VENV)/.runtime
-	$(PIP) install --require-hashes -r requirements/report.txt
-	@touch $@
-
-# The estimator path `constant_velocity`, which demo shows beside the others.
-$(VENV)/.compare: requirements/compare.txt $(VENV)/.runtime
-	$(PIP) install --require-hashes -r requirements/compare.txt
+$(VENV)/.compiler: requirements/compiler.txt | $(BIN)/pip
+	$(INSTALL) requirements/compiler.txt
 	@touch $@
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.runtime
-	$(PIP) install --require-hashes -r requirements/dev.txt
+	$(INSTALL) requirements/dev.txt
 	@touch $@
 
 $(VENV)/.fuzz: requirements/fuzz.txt $(VENV)/.dev
 	@$(BIN)/python -c 'import sys, platform as p; sys.exit(not ((3, 11) <= sys.version_info < (3, 14) and p.machine() == "x86_64" and p.system() == "Linux"))' || \
 	  { echo "atheris, the fuzzer, has wheels for Python 3.11 to 3.13 on x86-64 Linux, and this is another; see 'make PYTHON=...'" >&2; exit 1; }
-	$(PIP) install --require-hashes -r requirements/fuzz.txt
+	$(INSTALL) requirements/fuzz.txt
 	@touch $@
 
 $(VENV)/.docs: requirements/docs.txt $(VENV)/.dev
-	$(PIP) install --require-hashes -r requirements/docs.txt
+	$(INSTALL) requirements/docs.txt
 	@touch $@
 
 $(VENV)/.supply: requirements/supply.txt $(VENV)/.dev
-	$(PIP) install --require-hashes -r requirements/supply.txt
+	$(INSTALL) requirements/supply.txt
 	@touch $@
 
 # An environment with the service's needs and every extra's, and nothing else.
@@ -159,7 +152,10 @@ $(BIN)/python:
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
 	  { echo "$(PYTHON) cannot make virtual environments; on Debian: apt install python3-venv" >&2; exit 1; }
 	@echo "making $(VENV) (once)"
-	@$(PYTHON) -m venv $(VENV)
+	@$(PYTHON) -m venv --without-pip $(VENV)
+
+$(BIN)/pip: | $(BIN)/python
+	@$(BIN)/python -m ensurepip --upgrade --default-pip >/dev/null
 
 # Pins every dependency again, by name, version and hash, for all platforms. Needs pip-tools (pipx install pip-tools).
 PIN := pip-compile --quiet --upgrade --generate-hashes --allow-unsafe --strip-extras --no-annotate --no-header --no-config --no-emit-options

@@ -16,13 +16,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 import zlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
-
-from cffi import FFI
 
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "estimator/core"
@@ -194,6 +193,8 @@ def bind(library: Library, out: Path | None = None) -> Path:
         library: the library.
         out: the file to write, by default the library's own.
     """
+    from cffi import FFI  # the libraries compile while it is fetched
+
     out = out or library.abi
     declared = FFI()
     declared.set_source(".".join(library.abi.relative_to(ROOT).with_suffix("").parts), None)
@@ -213,11 +214,18 @@ def bind(library: Library, out: Path | None = None) -> Path:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m supply.core", description="Build the native libraries.")
-    parser.parse_args(argv)
+    parser.add_argument("what", nargs="?", choices=("libraries", "bindings"), help="make these alone")
+    what = parser.parse_args(argv).what
     try:
-        for library in LIBRARIES:
-            build(library)
-            bind(library)
+        if what != "bindings":
+            began_s = time.monotonic()
+            print(f"compiling the native core, {sum(len(library.sources) for library in LIBRARIES)} files ...", flush=True)
+            for library in LIBRARIES:
+                build(library)
+            print(f"compiled in {time.monotonic() - began_s:.1f} s", flush=True)
+        if what != "libraries":
+            for library in LIBRARIES:
+                bind(library)
     except BuildError as why:
         print(f"{why}", file=sys.stderr)
         return 1

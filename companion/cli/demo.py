@@ -28,7 +28,7 @@ from companion.base.version import version
 from companion.cli import kept_flight
 from companion.cli.kept_flight import compared_paths
 from companion.cli.options import check_seed, option, prepare_folder, print_result, written
-from companion.cli.progress import ProgressObserver
+from companion.cli.progress import ProgressObserver, named_wait, video_progress
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon
@@ -116,7 +116,8 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         truth_path = Path(folder) / "truth.jsonl"
         async with AsyncExitStack() as drone:
-            child = await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path, args.ardrone1))
+            with named_wait("starting the simulated drone"):
+                child = await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path, args.ardrone1))
             settings = _profile(scenario, child.ports)
             token = make_token()
             if args.page is not None or args.foxglove is not None:
@@ -249,9 +250,7 @@ def _write_report(args: argparse.Namespace, log: FlightLog, ending: Ending, trut
         add_truth(log, kept_flight.truth_from_log(line))
     ending.write_into(log)
     log.facts += [("scenario", args.scenario), ("seed", str(args.seed)), ("decklander", version())]
-    if not args.json:
-        sys.stderr.write("writing the report ...\n")
-    write_report(log, args.report)
+    write_report(log, args.report, video_progress(args.report / PAGE, quiet=args.json))
 
 
 def _add_servers(parser: argparse.ArgumentParser) -> None:

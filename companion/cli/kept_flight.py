@@ -15,6 +15,7 @@ from typing import Any, get_args
 from companion.base.health import Health
 from companion.base.observer import Observer, Relay
 from companion.cli.options import file_errors, option, prepare_folder, written
+from companion.cli.progress import video_progress
 from companion.facts.records import ContactRecord, TruthRecord
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
@@ -102,8 +103,8 @@ class KeptFlight:
         ending.write_into(self.log)
         self.log.facts += [("scenario", self.args.scenario), ("seed", str(self.args.seed))]
         self.log.facts += [("flown in", f"{wall_s:.1f} s, {time}"), *ending.facts()]
-        write_report(self.log, self.args.report)
-        return written(self.args.report / PAGE)
+        page = self.args.report / PAGE
+        return written(write_report(self.log, self.args.report, video_progress(page, quiet=self.args.json)))
 
     def _keep(self, truth: Truth) -> None:
         for observer in self.held_back:

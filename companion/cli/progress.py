@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
+import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from importlib.util import find_spec
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -106,6 +107,8 @@ def shown(*, quiet: bool) -> Iterator[list[Observer]]:
 
 _SAY_EACH_S = 30.0
 _REDRAW_S = 0.2
+_SILENT_S = 2.0
+"""Work that takes less is not shown."""
 _LEAST_ITEMS = 10
 """Items after which the time left is worth printing."""
 
@@ -121,20 +124,40 @@ class WorkProgress:
     def __init__(self, title: str, items: str) -> None:
         self._title, self._items = title, items
         self._began_s = time.monotonic()
-        self._printed_s = -math.inf
+        self._due_s = self._began_s + _SILENT_S
+        self._shown, self._done = False, 0
         self._live = sys.stderr.isatty()
 
     def take(self, done: int, of: int) -> None:
-        """Print how much is done."""
+        """Print how much is done: at once if that is nothing yet, else when the work has taken two seconds."""
         now_s = time.monotonic()
-        if done < of and now_s - self._printed_s < (_REDRAW_S if self._live else _SAY_EACH_S):
+        if done < self._done or done == 0:  # it begins again
+            self._began_s, self._due_s, self._shown = now_s, now_s + _SILENT_S, False
+        self._done = done
+        if now_s < self._due_s and done > 0 and (done < of or not self._shown):
             return
-        self._printed_s = now_s
-        left_s = (now_s - self._began_s) * (of / done - 1.0)
+        self._shown, self._due_s = True, now_s + (_REDRAW_S if self._live else _SAY_EACH_S)
+        left_s = (now_s - self._began_s) * (of / max(1, done) - 1.0)
         left = f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min"
         text = f"{self._title}: {done} of {of} {self._items}" + (f", {left} left" if _LEAST_ITEMS <= done < of else "")
         sys.stderr.write(f"\r{text}\x1b[K" + ("\n" if done == of else "") if self._live else f"{text}\n")
         sys.stderr.flush()
+
+
+def video_progress(page: Path, *, quiet: bool) -> Callable[[int, int], None]:
+    """Return what shows that a report can be opened, and the encoding of its video."""
+    return (lambda _done, _of: None) if quiet else WorkProgress(f"{page} can be opened; encoding its video", "frames").take
+
+
+@contextmanager
+def named_wait(title: str) -> Iterator[None]:
+    """Print the title of a step whose length is unknown when it has taken two seconds."""
+    timer = threading.Timer(_SILENT_S, lambda: sys.stderr.write(f"{title} ...\n"))
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 class CampaignProgress(AbstractContextManager["CampaignProgress"]):

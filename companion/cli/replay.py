@@ -17,7 +17,7 @@ from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, Observer
 from companion.cli.options import option, prepare_folder, print_result, recording_argument, written
-from companion.cli.progress import shown
+from companion.cli.progress import WorkProgress, shown, video_progress
 from companion.facts.records import TruthRecord
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.commands import LandingProgress
@@ -199,6 +199,8 @@ def run(args: argparse.Namespace) -> int:
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
     if args.realtime:
         return play(args, recording, settings)
+    if not args.json:
+        recording.watch = WorkProgress(f"replaying {recording.name}", "kB").take
     passes = [_pass(args, recording, "as set", settings, args.config is None, args.record)]
     if args.against is not None:
         passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), False, None))
@@ -210,7 +212,8 @@ def run(args: argparse.Namespace) -> int:
     compared = {name: differences(passes[0].log_observer.beliefs, beliefs) for name, beliefs in others.items()}
     if args.report is not None:
         for i, done in enumerate(passes):
-            write_report(_finished(recording, done, compared), args.report if i == 0 else args.report / "against")
+            folder = args.report if i == 0 else args.report / "against"
+            write_report(_finished(recording, done, compared), folder, video_progress(folder / PAGE, quiet=args.json))
     report = [] if args.report is None else [written(args.report / PAGE)]
     print_result(args, _as_json(recording, passes, compared), "\n".join([*_in_words(recording, passes, compared), *report]))
     return 0

@@ -7,10 +7,11 @@ import sys
 from pathlib import Path
 
 from companion.cli.options import option, written
+from companion.cli.progress import WorkProgress, video_progress
 from companion.recording.reading import open_recording
 from companion.tools.replay.recorded_log import log_of
-from companion.tools.report.page import render, render_comparison, write_page
-from companion.tools.report.video import film_of, write_animation
+from companion.tools.report.page import write_flights
+from companion.tools.report.video import write_animation
 
 DESCRIPTION = (
     "Write the report of a recorded flight as one HTML file: what the flight saw, decided and did then. With a "
@@ -33,6 +34,8 @@ def run(args: argparse.Namespace) -> int:
     paths = [args.recording] if args.other is None else [args.recording, args.other]
     recordings = [open_recording([path]) for path in paths]
     output = args.output or Path("-".join(path.stem for path in paths) + ".html")
+    for recording in recordings:
+        recording.watch = WorkProgress(f"reading {recording.name}", "kB").take
     logs = [log_of(recording, path.stem, images=not args.no_video) for recording, path in zip(recordings, paths, strict=True)]
     for recording in recordings:
         for path, why in recording.cut.items():
@@ -41,7 +44,5 @@ def run(args: argparse.Namespace) -> int:
         size = write_animation(logs[0], args.animation)
         sys.stdout.write(f"animation: {args.animation} ({size / 1e6:.1f} MB)\n")
         return 0
-    films = [film_of(log) for log in logs]
-    page = render(logs[0], films[0]) if args.other is None else render_comparison(logs, films)
-    sys.stdout.write(written(write_page(output, page)))
+    sys.stdout.write(written(write_flights(output, logs, video_progress(output, quiet=False))))
     return 0

@@ -3,7 +3,7 @@
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, cast
@@ -151,6 +151,8 @@ class Recording:
     """The number of messages in that pass that this version does not understand, by topic."""
     cut: dict[Path, str] = field(default_factory=dict)
     """The files that are truncated or damaged, and the reason for each."""
+    watch: Callable[[int, int], None] = lambda _read, _of: None
+    """Shows how many kB of the files the newest pass has read, and how many there are."""
 
     @property
     def name(self) -> str:
@@ -159,9 +161,14 @@ class Recording:
     def events(self) -> Iterator[Event]:
         """Yield every event in the order of recording; a frame is decoded when it is requested."""
         self.counts, self.skipped, self.cut = Counter(), Counter(), {}
+        read, size = 0, sum(path.stat().st_size for path in self.paths)
         for path in self.paths:
             with _opened(path) as stream:
-                yield from self._events(path, stream)
+                for event in self._events(path, stream):
+                    self.watch((read + stream.tell()) // 1000 + 1, size // 1000 + 2)
+                    yield event
+            read += path.stat().st_size
+        self.watch(size // 1000 + 2, size // 1000 + 2)
 
     def _events(self, path: Path, stream: IO[bytes]) -> Iterator[Event]:
         topics: dict[int, str] = {}

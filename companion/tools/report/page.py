@@ -18,19 +18,20 @@ from companion.tools.report.figures import all_series, error_rows, innovation_se
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.page_data import Mark, PadTrack, events, marks, page_data, page_flight, tracks
 from companion.tools.report.plots import Layer, Plot, Section, steering_path
-from companion.tools.report.video import FilmFile, film_of
+from companion.tools.report.video import FilmFile, Watch, film_of, still_of, unwatched
 from estimator.contracts.errors import BadInput, fault_of
 from estimator.contracts.time import MonoNs, seconds_between
 
 PAGE = "index.html"
 
 
-def write_report(log: FlightLog, folder: Path) -> Path:
+def write_report(log: FlightLog, folder: Path, watch: Watch = unwatched) -> Path:
     """Write `folder`/index.html, with the video drawn from the log's kept frames inside.
 
     Args:
         log: what the flight left behind; any part may be empty.
         folder: made if missing; a page of this name in it is replaced.
+        watch: see `write_flights`.
 
     Returns:
         The page's path.
@@ -42,7 +43,23 @@ def write_report(log: FlightLog, folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as why:
         raise BadInput(f"{folder}: cannot make the report's folder: {fault_of(why)}") from why
-    return write_page(folder / PAGE, render(log, film_of(log)))
+    return write_flights(folder / PAGE, [log], watch)
+
+
+def write_flights(path: Path, logs: Sequence[FlightLog], watch: Watch = unwatched) -> Path:
+    """Write the page of one flight or two, at once with a frame of each in place of its video, then with the videos.
+
+    Args:
+        watch: shows the encoding of each video. From its first call on the page can be opened.
+    """
+
+    def page(films: Sequence[FilmFile | None]) -> str:
+        return render(logs[0], films[0]) if len(logs) == 1 else render_comparison(logs, films)
+
+    stills = [still_of(log) for log in logs]
+    write_page(path, page(stills))
+    films = [still and (film_of(log, watch) or still) for log, still in zip(logs, stills, strict=True)]
+    return path if films == stills else write_page(path, page(films))
 
 
 def write_page(path: Path, text: str) -> Path:

@@ -44,7 +44,7 @@ def flight_page(title: str, body: str, data: str, films: Sequence[FilmFile | Non
     stored = "\n".join(
         f'<script type="text/plain" id="film-{k}">{base64.b64encode(film.data).decode()}</script>'
         for k, film in enumerate(films)
-        if film is not None
+        if film is not None and film.frames
     )
     without = '<noscript><p class="note">The plots and the video need JavaScript; the tables do not.</p></noscript>'
     return document(
@@ -89,7 +89,10 @@ def films(flights: Sequence[PageFlight], have: Sequence[FilmFile | None]) -> str
     for k, (flight, film) in enumerate(zip(flights, have, strict=True)):
         name = f"<h3>{escape(flight.label)}</h3>" if len(flights) > 1 else ""
         shown = '<p class="note">No frames were kept.</p>'
-        if film is not None:
+        if film is not None and not film.frames:
+            shown = f'<img alt="from the drone\'s camera" src="data:image/jpeg;base64,{base64.b64encode(film.data).decode()}">'
+            shown += '<p class="note">The video is being encoded (PyAV does it): load the page again in a moment.</p>'
+        elif film is not None:
             words = f"video from the drone's camera, {film.frames} frames, moved by the slider below"
             shown = (
                 f'<video muted playsinline preload="auto" data-flight="{k}" data-bytes="film-{k}" '

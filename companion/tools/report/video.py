@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -37,14 +37,31 @@ _RATE_HZ = 30
 """The usual rate; only the encoder's rate control goes by it."""
 
 
+Watch = Callable[[int, int], None]
+"""Receives the number of frames that are encoded, at first 0, and of all."""
+
+
+def unwatched(_done: int, _of: int) -> None:
+    """Show nothing."""
+
+
 @dataclass(frozen=True, slots=True)
 class FilmFile:
-    """A whole video file."""
+    """A whole video file, or one frame as JPEG in its place."""
 
     data: bytes
     began: MonoNs
     """The instant of its first frame."""
     frames: int
+    """Number of its frames; 0 for a JPEG."""
+
+
+def still_of(log: FlightLog) -> FilmFile | None:
+    """Draw the middle one of the kept frames; None if none was kept or it cannot be decoded."""
+    kept = [frame for frame in log.frames if frame.image is not None]
+    for image, at in drawn_frames(replace(log, frames=kept[len(kept) // 2 :][:1])):
+        return FilmFile(cv2.imencode(".jpg", image)[1].tobytes(), at, 0)
+    return None
 
 
 def drawn_frames(log: FlightLog, scale: float = 1.0, apart_s: float = 0.0) -> Iterator[tuple[U8, MonoNs]]:
@@ -72,7 +89,7 @@ def drawn_frames(log: FlightLog, scale: float = 1.0, apart_s: float = 0.0) -> It
         yield annotate(image, overlay, _camera(log, frame), log.pad, scale), frame.exposed_at
 
 
-def film_of(log: FlightLog) -> FilmFile | None:
+def film_of(log: FlightLog, watch: Watch = unwatched) -> FilmFile | None:
     """Draw every kept frame of the log into a film; None if none was kept or can be decoded, or PyAV is not installed.
 
     Frames keep their own times, so a lost frame is a pause and not a jump; one that is not later than the last is left out.
@@ -100,12 +117,14 @@ def film_of(log: FlightLog) -> FilmFile | None:
                 options = {"preset": "veryfast", "crf": "27", "g": str(_RATE_HZ)}
                 stream.codec_context.options = options | {"maxrate": str(most_bit_s), "bufsize": str(2 * most_bit_s)}
                 container.start_encoding()
-                for image, at in drawn_frames(log):
+                for done, (image, at) in enumerate(drawn_frames(log)):
+                    watch(done, len(exposures))
                     if (frame := timed.frame(image, at)) is not None:
                         container.mux(stream.encode(frame))
                         drawn.append(at)
                 if drawn:
                     container.mux(stream.encode())
+                    watch(len(exposures), len(exposures))
         except OSError as why:
             raise Recoverable(f"{path}: cannot write the video: {why}") from why
         return FilmFile(path.read_bytes(), drawn[0], len(drawn)) if drawn else None
