@@ -18,7 +18,7 @@ CORE := $(LIBRARIES) $(BINDINGS)
 
 # The core compiles while the packages are fetched.
 demo:
-	@$(MAKE) --no-print-directory -j2 $(VENV)/.runtime $(CORE)
+	@$(MAKE) --no-print-directory -j2 core
 	$(BIN)/decklander demo
 
 # Before each commit: lint, types, the limits of benches/house.toml, and every test but those of the slow files that tests/conftest.py names.
@@ -35,6 +35,7 @@ qualify: $(VENV)/.dev $(CORE)
 
 # The native libraries (estimator/core, sitl/core), with cc where there is one, else with zig's compiler. Only what changed is compiled.
 core: $(CORE)
+	@:
 
 $(LIBRARIES) &: $(shell find estimator/core sitl/core -name "*.[ch]") supply/core.py | $(BIN)/python $(if $(shell command -v cc 2>&1),,$(VENV)/.compiler)
 	@$(BIN)/python -m supply.core libraries
