@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 WORKERS := -n logical --maxprocesses 8
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
-INSTALL := @$(BIN)/python -m supply.install
+INSTALL := @sh supply/install.sh $(BIN)/python
 
 LIBRARIES := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 BINDINGS := estimator/core/abi.py sitl/core/abi.py

@@ -29,6 +29,7 @@ import numpy as np  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 from pupil_apriltags import Detector  # noqa: E402
 
+from benches.search import floor_ms  # noqa: E402
 from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
@@ -210,15 +211,6 @@ def camera_mask(stage: Stage, pose: PadPose, times: float) -> np.ndarray:
     return mask.astype(bool)
 
 
-def milliseconds_of_floor(px: np.ndarray) -> float:
-    took = []
-    for _ in range(40):
-        began = time.process_time_ns()
-        cv2.inRange(cv2.cvtColor(px, cv2.COLOR_BGR2HSV), (52, 217, 38), (68, 255, 153))
-        took.append((time.process_time_ns() - began) * 1e-6)
-    return min(took)
-
-
 def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally], float, F64]:
     """Return the tallies by method, the floor in ms, and the bound (x, y, range in m, heading in rad)."""
     camera, pad, sensor = shipped_camera("sim"), shipped_pad("thesis"), Sensor(exposure_s=0.0)
@@ -291,7 +283,7 @@ def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally]
 
         place, ms = timed(by_apriltag)
         tallies[APRILTAG].add(place, view, ms)
-        floor.append(milliseconds_of_floor(view.px))
+        floor.append(min(floor_ms(view.px) for _ in range(40)))
     return tallies, float(np.median(floor)), bound(stage, height_m)
 
 
@@ -302,7 +294,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=20, help="frames at each height")
     parser.add_argument("--heights", default=",".join(map(str, HEIGHTS_M)), help="metres, with commas")
-    parser.add_argument("--write", type=Path, metavar="DIR", help="write benchmarks.md and benchmarks.png there")
+    parser.add_argument("--write", type=Path, metavar="DIR", help="write benchmarks.md there")
     args = parser.parse_args()
     cv2.setNumThreads(1)
     rows: list[list[str]] = []
@@ -324,7 +316,7 @@ def main() -> None:
 def write(folder: Path, rows: list[list[str]], frames: int) -> None:
     lines = [
         "# Benchmarks: vision", "", f"Made by `python -m benches.vision --frames {frames} --write docs`.", "",
-        *(__doc__ or "").strip().splitlines()[4:], "", "![by height](benchmarks.png)", "",
+        *(__doc__ or "").strip().splitlines()[4:], "",
         "| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER),
         *("| " + " | ".join(row) + " |" for row in rows if row[2] != "0 %"), "",
         f"The machine's load meanwhile was {os.getloadavg()[2]:.1f} on {os.cpu_count()} cores; where it is above one a core, "
@@ -332,36 +324,11 @@ def write(folder: Path, rows: list[list[str]], frames: int) -> None:
         _kept(folder / "benchmarks.md"),
     ]  # fmt: skip
     (folder / "benchmarks.md").write_text("\n".join(lines), encoding="utf-8")
-    plot(folder / "benchmarks.png", rows)
 
 
 def _kept(page: Path) -> str:
     """Return what the page has of other benches, which this one leaves as it is."""
     return "## Other benches" + page.read_text(encoding="utf-8").partition("## Other benches")[2].rstrip("\n") + "\n"
-
-
-def plot(path: Path, rows: list[list[str]]) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, 4, figsize=(16, 4), constrained_layout=True)
-    for index, name in enumerate(dict.fromkeys(row[1] for row in rows)):
-        mine = [row for row in rows if row[1] == name]
-        for axis, column in zip(axes, (3, 4, 6, 8), strict=True):
-            points = [(float(r[0]), float(r[column])) for r in mine if r[column]]
-            if points:
-                style = "k--" if name == "bound" else f"C{index}o-"
-                axis.loglog(*zip(*points, strict=True), style, label=name, lw=1.2, ms=3)
-    titles = ("lateral std, mm", "range std, mm", "heading std, degrees", "time over the floor")
-    for axis, title in zip(axes, titles, strict=True):
-        axis.set_title(title)
-        axis.set_xlabel("height, m")
-        axis.grid(alpha=0.3, which="both")
-    axes[0].legend(fontsize=7)
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
 
 
 if __name__ == "__main__":

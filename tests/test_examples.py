@@ -1,7 +1,6 @@
 """The programs in examples/ run as they are shipped, and their data is what the repository's script makes."""
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -14,6 +13,7 @@ import pytest
 from examples import make_data
 from examples.known_controllers import Lateral, Lqr, Mpc, integrators
 from tests.fly import record_to
+from tests.support.processes import ran
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "configs/examples"
@@ -21,15 +21,7 @@ LARGEST_BYTES = 150_000
 
 
 def run_example(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-W", "error", "-m", f"examples.{name}", *arguments],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
+    return ran(sys.executable, "-W", "error", "-m", f"examples.{name}", *arguments, cwd=ROOT)
 
 
 def test_the_pad_is_found_in_the_shipped_image() -> None:

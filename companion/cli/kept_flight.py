@@ -14,6 +14,7 @@ from typing import Any, get_args
 
 from companion.base.health import Health
 from companion.base.observer import Observer, Relay
+from companion.base.version import version
 from companion.cli.options import file_errors, option, prepare_folder, written
 from companion.cli.progress import video_progress
 from companion.facts.records import ContactRecord, TruthRecord
@@ -101,7 +102,7 @@ class KeptFlight:
         if self.log is None:
             return ""
         ending.write_into(self.log)
-        self.log.facts += [("scenario", self.args.scenario), ("seed", str(self.args.seed))]
+        self.log.facts += [("scenario", self.args.scenario), ("seed", str(self.args.seed)), ("decklander", version())]
         self.log.facts += [("flown in", f"{wall_s:.1f} s, {time}"), *ending.facts()]
         page = self.args.report / PAGE
         return written(write_report(self.log, self.args.report, video_progress(page, quiet=self.args.json)))
@@ -109,7 +110,10 @@ class KeptFlight:
     def _keep(self, truth: Truth) -> None:
         for observer in self.held_back:
             observer.begin()
-        record = truth_record(truth)
+        self.keep(truth_record(truth))
+
+    def keep(self, record: TruthRecord) -> None:
+        """Keep the true state of one instant."""
         if self.recorder is not None:
             self.recorder.on_truth(record)
         if self.log is not None:
@@ -126,6 +130,7 @@ def keeping(
     started: MonoNs,
     *,
     from_truth: bool = False,
+    live: bool = False,
 ) -> Iterator[KeptFlight]:
     """Keep what `--report` and `--record` request.
 
@@ -134,6 +139,7 @@ def keeping(
         facts: facts of the flight for the recording.
         started: the zero of the report's time axes.
         from_truth: the flight begins with its first truth; of one that is over before, nothing is kept.
+        live: see `recording`.
 
     Raises:
         BadInput: the report's folder or the recording's file cannot be made.
@@ -144,7 +150,7 @@ def keeping(
     log = None if args.report is None else _log(settings, title, started)
     reported: list[Observer] = [] if log is None else [LogObserver(log, keep_images=perception == "pixels")]
     facts = {**facts, "scenario": args.scenario, "seed": str(args.seed), "perception": perception}
-    with recording(args, settings, facts, live=False) as recorder:
+    with recording(args, settings, facts, live=live) as recorder:
         if recorder is not None:
             reported.append(recorder)
         held_back = tuple(HeldBack(observer) for observer in reported) if from_truth else ()

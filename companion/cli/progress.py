@@ -8,11 +8,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from importlib.util import find_spec
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any
 
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from estimator.contracts.time import MonoNs, seconds_between
@@ -49,7 +46,7 @@ class ProgressObserver(NullObserver):
         if self._said is not None and not new_phase and seconds_between(self._said, decision.at) < self._period_s:
             return
         if new_phase and self._phase:
-            self._end_line()
+            self.close()
         self._said, self._phase = decision.at, decision.phase
         columns = self._columns()
         line = self._line(decision) if columns >= _WIDE else self._short_line(decision)
@@ -59,9 +56,6 @@ class ProgressObserver(NullObserver):
 
     def close(self) -> None:
         """End the current line of the terminal."""
-        self._end_line()
-
-    def _end_line(self) -> None:
         if self._live:
             self._out.write("\n")
             self._out.flush()
@@ -128,7 +122,7 @@ class WorkProgress:
         self._shown, self._done = False, 0
         self._live = sys.stderr.isatty()
 
-    def take(self, done: int, of: int) -> None:
+    def take(self, done: int, of: int, more: str = "") -> None:
         """Print how much is done: at once if that is nothing yet, else when the work has taken two seconds."""
         now_s = time.monotonic()
         if done < self._done or done == 0:  # it begins again
@@ -140,6 +134,7 @@ class WorkProgress:
         left_s = (now_s - self._began_s) * (of / max(1, done) - 1.0)
         left = f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min"
         text = f"{self._title}: {done} of {of} {self._items}" + (f", {left} left" if _LEAST_ITEMS <= done < of else "")
+        text += more
         sys.stderr.write(f"\r{text}\x1b[K" + ("\n" if done == of else "") if self._live else f"{text}\n")
         sys.stderr.flush()
 
@@ -158,55 +153,3 @@ def named_wait(title: str) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
-
-
-class CampaignProgress(AbstractContextManager["CampaignProgress"]):
-    """Progress on standard error.
-
-    Args:
-        total: number of flights of the campaign.
-        kept: number of flights that an earlier session has flown.
-        quiet: nothing is shown.
-    """
-
-    def __init__(self, total: int, kept: int, quiet: bool) -> None:
-        self._total, self._kept, self._quiet = total, kept, quiet
-        self._flown = self._failed = 0
-        self._began_s = self._said_s = time.monotonic()
-        self._bar: Any = None
-        self._row: Any = None
-
-    def __enter__(self) -> CampaignProgress:
-        if not self._quiet and sys.stderr.isatty() and find_spec("rich") is not None:
-            from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-            columns = (
-                TextColumn("{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TextColumn("{task.fields[rate]}"),
-                TimeElapsedColumn(),
-                TextColumn("left"),
-                TimeRemainingColumn(elapsed_when_finished=True),
-            )
-            self._bar = Progress(*columns, console=Console(stderr=True))
-            self._bar.start()
-            self._row = self._bar.add_task("flights", total=self._total, completed=self._kept, rate="")
-        return self
-
-    def take(self, failed: bool) -> None:
-        """Count one more flight."""
-        self._flown += 1
-        self._failed += failed
-        now_s = time.monotonic()
-        rate = f"{60.0 * self._flown / max(1e-9, now_s - self._began_s):.1f} a minute, {self._failed} failed"
-        if self._bar is not None:
-            self._bar.update(self._row, advance=1, rate=rate)
-        elif not self._quiet and now_s - self._said_s >= _SAY_EACH_S:
-            self._said_s = now_s
-            sys.stderr.write(f"{self._kept + self._flown} of {self._total} flights, {rate}\n")
-
-    def __exit__(self, kind: type[BaseException] | None, why: BaseException | None, traceback: TracebackType | None) -> None:
-        if self._bar is not None:
-            self._bar.stop()

@@ -193,7 +193,10 @@ def column(data, number):
 
 
 def test_the_page_is_one_file_and_says_what_happened(tmp_path):
-    page = write_report(report_flight(), tmp_path / "report")
+    page, watched = tmp_path / "report/index.html", list[tuple[int, int, str]]()
+    write_report(report_flight(), page.parent, lambda done, of: watched.append((done, of, page.read_text("utf-8"))))
+    assert [watched[k][:2] for k in (0, -1)] == [(0, 100), (100, 100)]
+    assert {(parts_of(text).texts.get("film-0"), "data:image/jpeg" in text) for *_, text in watched} == {(None, True)}
     text = page.read_text("utf-8")
     assert [p.name for p in page.parent.iterdir()] == ["index.html"]
     assert "http://" not in text

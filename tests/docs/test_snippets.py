@@ -9,7 +9,6 @@ import importlib
 import os
 import re
 import shlex
-import subprocess
 import sys
 import tomllib
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ import pytest
 from companion.cli.main import COMMANDS
 from companion.settings.load import from_mapping
 from estimator.vision.pad import Pad
+from tests.support.processes import ran
 
 ROOT = Path(__file__).parents[2]
 PAGES = [*sorted(ROOT.glob("docs/**/*.md")), *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY"))]
@@ -83,15 +83,7 @@ def test_shell_snippets_run(snippet: Snippet, tmp_path: Path) -> None:
     (tmp_path / "bin/decklander").chmod(0o755)
     (tmp_path / "configs").symlink_to(ROOT / "configs")
     path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
-    done = subprocess.run(
-        ["sh", "-e", "-c", snippet.text],
-        cwd=tmp_path,
-        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
+    done = ran("sh", "-e", "-c", snippet.text, cwd=tmp_path, PATH=path)
     wanted = re.search(r"exit=(\d+)", snippet.kind)
     assert done.returncode == (int(wanted[1]) if wanted else 0), done.stderr
     assert "Traceback" not in done.stderr
@@ -99,15 +91,7 @@ def test_shell_snippets_run(snippet: Snippet, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("snippet", of_kind("python run"), ids=str)
 def test_python_snippets_run(snippet: Snippet, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", snippet.text],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
+    done = ran(sys.executable, "-W", "error", "-c", snippet.text, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
 
 

@@ -108,31 +108,28 @@ def test_a_sea_state_takes_the_place_of_the_height_of_a_base(tmp_path: Path) -> 
     assert (system.state.hs_m, system.state.tp_s) == (2.9, 9.0)
 
 
-def test_an_error_beside_a_base_is_named_in_the_file_it_is_in(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('base = "low.toml"\n[[faults]]\nkind = "rain"\nat_s = 1.0\n', r"mine\.toml: faults\[0\]\.kind must be one of"),
+        ('base = "sick.toml"\n', r"sick\.toml: sea must be a table"),
+        ('base = "mine.toml"\n', r"mine\.toml: base leads back to this file"),
+        ('base = "dmo"\n', r"mine\.toml: base: .*did you mean 'demo'"),
+        ('[pad]\nfile = "thesi"\n', r"mine\.toml: pad\.file: .*did you mean 'thesis'"),
+        ("sea = \n", r"mine\.toml: not valid TOML"),
+    ],
+)
+def test_an_error_is_named_in_the_file_it_is_in(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "low.toml").write_text('title = "low"\n[[faults]]\nkind = "flow_blind"\nat_s = 1.0\n')
-    (tmp_path / "wrong.toml").write_text('title = "w"\nbase = "low.toml"\n[[faults]]\nkind = "rain"\nat_s = 1.0\n')
-    with pytest.raises(BadInput, match=r"wrong\.toml: faults\[0\]\.kind must be one of"):
-        load(tmp_path / "wrong.toml")
-    (tmp_path / "low.toml").write_text('title = "low"\nsea = 3\n')
-    with pytest.raises(BadInput, match=r"low\.toml: sea must be a table"):
-        load(tmp_path / "wrong.toml")
-    (tmp_path / "round.toml").write_text('title = "r"\nbase = "round.toml"\n')
-    with pytest.raises(BadInput, match=r"round\.toml: base leads back to this file"):
-        load(tmp_path / "round.toml")
-    (tmp_path / "none.toml").write_text('title = "r"\nbase = "dmo"\n')
-    with pytest.raises(BadInput, match=r"none\.toml: base: .*did you mean 'demo'"):
-        load(tmp_path / "none.toml")
+    (tmp_path / "sick.toml").write_text('title = "sick"\nsea = 3\n')
+    (tmp_path / "mine.toml").write_text(f'title = "mine"\n{text}')
+    with pytest.raises(BadInput, match=said):
+        load(tmp_path / "mine.toml")
 
 
-def test_missing_files_are_named(tmp_path: Path) -> None:
+def test_a_scenario_that_is_not_there_is_named() -> None:
     with pytest.raises(BadInput, match=r"scenario: there is no file 'dmo' .*did you mean 'demo'"):
         load("dmo")
-    (tmp_path / "mine.toml").write_text('title = "mine"\n[pad]\nfile = "thesi"\n')
-    with pytest.raises(BadInput, match=r"mine\.toml: pad\.file: .*did you mean 'thesis'"):
-        load(tmp_path / "mine.toml")
-    (tmp_path / "bad.toml").write_text("title = \n")
-    with pytest.raises(BadInput, match=r"bad\.toml: not valid TOML"):
-        load(tmp_path / "bad.toml")
 
 
 def test_every_number_says_its_unit_range_and_meaning() -> None:

@@ -93,3 +93,19 @@ def test_an_audit_fails_on_a_weakness_and_reports_it_where_it_could_not_be_made(
     assert (done.returncode, says in done.stdout) == (ends, True)
     asked = [Path(word).stem for word in (tmp_path / "asked").read_text().split() if word.endswith(".txt")]
     assert set().union(*(pins(PINS.with_name(f"{name}.txt")) for name in asked)) == shipped().keys()
+
+
+def test_an_installation_prints_what_it_downloaded_and_ends_as_pip_does(tmp_path: Path) -> None:
+    python = tmp_path / "python"
+    python.write_text(
+        '#!/bin/sh\n[ -e two.txt ] || exit 3\necho "$@" > words\n'
+        "printf '  Downloading %s\\n' 'a.whl.metadata (900 kB)' 'a.whl (1.5 MB)' 'c.whl (500 kB)'\n"
+        "echo 'Installing collected packages: a, b, c'\n"
+    )
+    python.chmod(0o755)
+    command = ["sh", ROOT / "supply/install.sh", python, "one.txt", "two.txt"]
+    assert subprocess.run(command, cwd=tmp_path, capture_output=True, check=False).returncode == 3
+    (tmp_path / "two.txt").touch()
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert re.search(r"downloaded 2 files, 2.0 MB, in \d+ s; installed 3 packages in \d+ s", done.stdout)
+    assert (tmp_path / "words").read_text().endswith(" -r one.txt -r two.txt\n")

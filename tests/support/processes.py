@@ -16,6 +16,12 @@ from tests.support.waiting import PATIENCE_S, wait_until
 ROOT = Path(__file__).parents[2]
 
 
+def ran(*words: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end, with this checkout on Python's path."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
+    return subprocess.run(words, cwd=cwd, env=environment, capture_output=True, text=True, timeout=240, check=False)
+
+
 @contextmanager
 def started(words: Sequence[str], *, lasting_s: float = PATIENCE_S + 30.0, **options: Any) -> Iterator[subprocess.Popen[str]]:
     """Yield a program with its standard output as lines of text. Its whole group is killed at the end.
