@@ -32,6 +32,8 @@ class Look(Struct, frozen=True):
     """The tracker as it is for this frame: with the camera as it was held, and its motion."""
     expected: RelativeState | None
     """The estimate at the exposure; None for a search of the whole frame."""
+    reads_deck: bool = True
+    """Read the deck in the frame, too; else `PadSearch.read_deck` is for that, after the sighting was reported."""
     asks_alone: Callable[[Sighting], bool] | None = None
     """Tells whether to search for a second pad, for a frame without an attitude of its own."""
 
@@ -98,15 +100,30 @@ class PadSearch:
     def begin_following(self, known: RelativeEstimator, frame: Frame, assumed: Attitude, *, watches: bool = True) -> Look:
         """Return what the search of a frame that no attitude covers begins with: the place where the pad was."""
         tracker = replace(self._tracker, watches=watches)
-        return Look(frame, assumed, tracker, known.place_to_look(assumed), known.asks_alone(assumed))
+        return Look(frame, assumed, tracker, known.place_to_look(assumed), asks_alone=known.asks_alone(assumed))
 
     def detect(self, look: Look) -> Detection:
         """Search a frame for the pad. This may run on another thread, one call at a time: it writes only its own memory."""
-        from estimator.vision.tracker import TrackerMemory, alone_in, track
+        from estimator.vision.tracker import TrackerMemory, alone_in, sight
 
         before = self._memory or TrackerMemory()
-        seen, self._memory = track(look.tracker, before, look.frame, look.attitude, look.expected)
+        seen, self._memory = sight(look.tracker, before, look.frame, look.attitude, look.expected)
+        if look.reads_deck:
+            seen = self.read_deck(seen)
         sighting = seen.selected or seen.elsewhere
         if look.asks_alone is None or sighting is None or not look.asks_alone(sighting):
             return seen
         return structs.replace(seen, alone_in=alone_in(self._tracker, self._memory, look.frame, look.attitude, sighting))
+
+    @property
+    def has_unread(self) -> bool:
+        """True if `read_deck` has something to read in the newest frame."""
+        return self._memory is not None and self._memory.unread is not None
+
+    def read_deck(self, seen: Detection) -> Detection:
+        """Return the newest detection with what its frame shows on the pad and about it; threads as for `detect`."""
+        from estimator.vision.by_paint import read_deck
+
+        if self._memory is not None:
+            seen, self._memory = read_deck(seen, self._memory)
+        return seen

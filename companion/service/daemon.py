@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
+from msgspec.structs import replace
+
 from companion.base.containment import Audience
 from companion.base.health import SHIP_PLACE, Health, missing_inputs
 from companion.base.memory import GroundedCollector, no_full_collections
@@ -155,6 +157,7 @@ class Daemon:
         """Set after the first guidance cycle, which nothing is to delay."""
         self._wrong_size_logged = False
         self._logged = ("", "")
+        self._look_began = MonoNs(0)
         self._taken_at = MonoNs(0)
         """Time when the waiting samples were last taken."""
         self._newest_fused: Stamp | None = None
@@ -272,6 +275,18 @@ class Daemon:
             for result in processed.results:
                 self.health.fusion(result)
                 self._audience.on_fusion(processed.done, result)
+            await self._read_deck(processed)
+
+    async def _read_deck(self, processed: ProcessedFrame) -> None:
+        """Let the thread of vision read the deck in a frame that is reported, so that no sighting waits for that."""
+        if processed.detection is None or self._tracker is None:
+            return
+        began = self._clock.now()
+        if self._pilot.search.has_unread:
+            seen = await self._tracker.run(self._pilot.search.read_deck, processed.detection)
+            self._pilot.landing.on_pad(seen.on_pad)
+        read_s = seconds_between(began, self._clock.now())
+        self._share.looked(self._look_began, seconds_between(self._look_began, processed.done) + read_s)
 
     async def _load_vision(self) -> None:
         """Let the thread of vision load and prepare itself once, after the first guidance cycle."""
@@ -308,10 +323,10 @@ class Daemon:
             verdict = Verdict.NO_GIMBAL
         else:
             assert self._tracker is not None
-            waited_from = self._clock.now()
-            found, look_s = await self._tracker.run(self._look, self._pilot.look_at(frame, attitude, held))
+            self._look_began = self._clock.now()
+            look = replace(self._pilot.look_at(frame, attitude, held), reads_deck=False)
+            found, look_s = await self._tracker.run(self._look, look)
             seen, detection = self._clock.now(), found
-            self._share.looked(waited_from, seconds_between(waited_from, seen))
             verdict, results = self._pilot.on_detection(found)
         done, times = self._clock.now(), None
         if detection is not None:

@@ -27,13 +27,13 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.core.library import CORE
-from estimator.vision.clear_deck import LASTS_S, SurfaceMemory
-from estimator.vision.detect.pyramid import FrameView
+from estimator.vision.clear_deck import LASTS_S, PERIOD_S, SurfaceMemory
+from estimator.vision.detect.pyramid import U8, FrameView
+from estimator.vision.detect.template import F32
 from estimator.vision.detection import NearThing, PadCheck
 from estimator.vision.native import checked, image_of
 from estimator.vision.pad_pose import PadPose
 
-U8 = NDArray[np.uint8]
 _LEVEL_MOST = 3
 """Smallest size of the frame that is read: of smaller ones too much is lost where the frame ends."""
 
@@ -74,8 +74,8 @@ def from_above(view: FrameView, pose: PadPose, reach_m: float, step_m: float, me
     return above, shown
 
 
-_PERIOD_S, _GAP_S = 0.24, 0.7
-"""Time between two frames that are read, and longest time that a corner is followed across, s."""
+_GAP_S = 0.7
+"""Longest time that a corner is followed across, s."""
 MOVED_LASTS_S, STANDING_LASTS_S = 10.0, 60.0
 """Times for which a finding counts, s. What stands is measured on the way down alone; a drone that waits must not forget it."""
 _STEP_M, _MESH = 0.016, 10
@@ -160,19 +160,11 @@ class AroundMemory(_Found):
     stood: F64
     """Corners that were lost and stood out of the deck, (N, 4): place (2) m, height m, and time of the loss, s."""
 
-    def is_like(self, height_m: float, at: MonoNs) -> bool:
-        """Return whether corners of the picture can be followed in one from this height, exposed at an instant."""
-        return seconds_between(self.key_at, at) < 2.0 * _KEY_S and _LOWER * self.key_height_m < height_m < 1.5 * self.key_height_m
-
-    def ends(self, height_m: float, at: MonoNs) -> bool:
-        """Return whether the next picture may be too unlike this one."""
-        return seconds_between(self.key_at, at) > _KEY_S or not 0.65 * self.key_height_m < height_m < 1.3 * self.key_height_m
-
 
 def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> AroundMemory:
     """Return the memory with what a frame shows about the pad, whose registered pose is `pose`."""
     since_s = math.inf if memory is None else seconds_between(memory.at, at)
-    if memory is not None and 0.0 <= since_s < _PERIOD_S:
+    if memory is not None and 0.0 <= since_s < PERIOD_S:
         return memory
     camera, rim_m = view.camera, _OFF_DISC * view.pad.disc_radius_m
     corner_m = pose.range_m * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2.0
@@ -183,15 +175,19 @@ def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at
     above, shown = from_above(view, pose, view.pad.disc_radius_m + _MOVES_REACH_M, _STEP_M, _MESH, 1)
     found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
     uv, sums, stood = np.empty((0, 2)), np.empty((0, 16)), np.empty((0, 4)) if memory is None else memory.stood
-    if memory is not None and len(memory.uv) and 0.0 <= since_s <= _GAP_S and memory.is_like(height_m, at):
+    key_s, grown = (0.0, 0.0) if memory is None else (seconds_between(memory.key_at, at), height_m / memory.key_height_m)
+    if memory is not None and len(memory.uv) and 0.0 <= since_s <= _GAP_S and key_s < 2.0 * _KEY_S and _LOWER < grown < 1.5:
         uv, kept = _follow(memory, above, shown)
         q = (uv - (len(above) - 1) / 2) * _STEP_M
         sums = memory.sums[kept] + _reading(q, centre[:2], height_m, px_m)
-        stood, of = _keep_stood(memory, kept, at), _heights(sums, view.pad.disc_radius_m)
+        is_lost = memory.of.stands & ~np.isin(np.arange(len(memory.uv)), kept)
+        rows = np.column_stack([memory.of.place, memory.of.z, np.full(len(is_lost), memory.at * 1e-9)])[is_lost]
+        stood = np.concatenate([stood[at * 1e-9 - stood[:, 3] < _LOST_S], rows])
+        of = _heights(sums, view.pad.disc_radius_m)
         new, known = _nearest_of(of, q, stood, view.pad.disc_radius_m), memory.near(at)
         if new is not None and (known is None or new.height_m > 0.0 or known.height_m == 0.0):
             found, found_at = new, at
-        if len(uv) > _LEFT * memory.began and not memory.ends(height_m, at):
+        if len(uv) > _LEFT * memory.began and key_s <= _KEY_S and 0.65 < grown < 1.3:
             corners = memory.corners[kept]
             return replace(memory, at=at, corners=corners, uv=uv, sums=sums, of=of, stood=stood, found=found, found_at=found_at)
         # Corners that stay go on in the new picture: a longer way down shows a lower thing. What moves is seen without.
@@ -286,15 +282,6 @@ def _left_by_own(sums: F64) -> F64:
     return np.asarray(np.where(within, np.maximum(0.0, own - np.square(aside).sum(axis=1) / weight), own))
 
 
-def _keep_stood(memory: AroundMemory, kept: NDArray[np.intp], at: MonoNs) -> F64:
-    """Return the corners that stood and were lost lately, those that are not among the `kept` ones now included."""
-    of = memory.of
-    lost = of.stands.copy()
-    lost[kept] = False
-    rows = np.column_stack([of.place[lost], of.z[lost], np.full(np.count_nonzero(lost), memory.at * 1e-9)])
-    return np.concatenate([memory.stood[at * 1e-9 - memory.stood[:, 3] < _LOST_S], rows])
-
-
 def _nearest_of(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearThing | None:
     """Return the nearest thing that several corners agree on, with those that stood and were lost."""
     standing = np.concatenate([of.place[of.stands], stood[:, :2]]), np.concatenate([of.z[of.stands], stood[:, 2]])
@@ -315,8 +302,6 @@ def _nearest_of(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearT
                 best = seen
     return best
 
-
-F32 = NDArray[np.float32]
 
 _PASS_PERIOD_S, _LOW_PERIOD_S, _LOW_M = 0.19, 0.09, 1.0
 """Time between two frames that are read, and from this height down, where a thing is in view for a shorter time."""
@@ -379,7 +364,9 @@ def watch_passing(memory: PassMemory | None, view: FrameView, pose: PadPose, at:
         # Its share of a mean that is itself says nothing: a shadow that is there already would seem to come.
         now = _Reading(at, light, np.full_like(light, _ONE), np.zeros_like(shown), centre[:2], float(-centre[2]))
         return PassMemory(light, shown, np.zeros(shown.shape, np.float32), (now,), found=found, found_at=found_at)
-    mean = cv2.convertScaleAbs(memory.mean, alpha=_brighter(light, shown, memory))
+    both = ((shown > 0) & (memory.known > 0))[::2, ::2]
+    bright, was = (of[::2, ::2, 1][both].astype(np.float32) + _FLOOR for of in (light, memory.mean))
+    mean = cv2.convertScaleAbs(memory.mean, alpha=float(np.median(bright / was)) if len(was) else 1.0)  # by the exposure
     cv2.copyTo(light, cv2.bitwise_not(memory.known), mean)
     bright, usual = (np.add(of, _FLOOR, dtype=np.float32) for of in (light, mean))
     share = cv2.divide(bright, usual, scale=_ONE, dtype=cv2.CV_8U)
@@ -398,13 +385,6 @@ def watch_passing(memory: PassMemory | None, view: FrameView, pose: PadPose, at:
     return PassMemory(
         np.asarray(mean, np.uint8), memory.known | shown, noise, (*last, *kept, now), found=found, found_at=found_at
     )
-
-
-def _brighter(light: U8, shown: U8, memory: PassMemory) -> float:
-    """Return by how much the frame is exposed more than the mean was."""
-    both = ((shown > 0) & (memory.known > 0))[::2, ::2]
-    now, was = (of[::2, ::2, 1][both].astype(np.float32) + _FLOOR for of in (light, memory.mean))
-    return float(np.median(now / was)) if len(now) else 1.0
 
 
 def _compare(before: _Reading, now: _Reading, mean: U8, noise: F32) -> tuple[U8, F32]:
@@ -467,6 +447,11 @@ class DeckMemory:
     surface: SurfaceMemory | None = None
     around: AroundMemory | None = None
     passing: PassMemory | None = None
+
+    def is_due(self, at: MonoNs) -> bool:
+        """Return whether something may be read in a frame exposed then."""
+        each = ((self.surface, PERIOD_S), (self.around, PERIOD_S), (self.passing, _LOW_PERIOD_S))
+        return any(of is None or not 0.0 <= seconds_between(of.at, at) < period_s for of, period_s in each)
 
     def check(self, at: MonoNs) -> PadCheck | None:
         """Return what was lately seen on the pad and about it; None if its surface was not read and nothing is about it."""

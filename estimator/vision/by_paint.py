@@ -33,7 +33,6 @@ from estimator.vision.detect.verification import calibrate
 from estimator.vision.detection import Detection, Opinions, PadCheck, agree, fuse
 from estimator.vision.expectation import ExpectedPlace, expected, in_camera, near_enough, sigma_of
 from estimator.vision.learned.second_opinion import WORTH_ASKING
-from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -43,7 +42,6 @@ from estimator.vision.register.registration import (
     Registration,
     RegistrationOptions,
     ToneMemory,
-    fade_tone,
     learn_tone,
     with_tone,
 )
@@ -70,6 +68,8 @@ class TrackerMemory:
     """Things that were seen on the pad and about it."""
     tone: ToneMemory = SRGB
     """The camera's tone curve as far as it was learnt."""
+    unread: tuple[_Now, _Registered | None, RelativeState | None] | None = None
+    """The newest frame, the pad that it shows, and the belief about it, if it is left to `read_deck`."""
 
 
 _CLOSE_PX = 1.0
@@ -167,8 +167,9 @@ class _Seen:
 def by_paint(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
 ) -> tuple[Detection, TrackerMemory]:
-    """Return the detection of the painted pad, and the new memory."""
-    camera, tracker = tracker.camera, dataclasses.replace(tracker, camera=with_tone(tracker.camera, memory.tone.steps))
+    """Return the detection of the painted pad, and the new memory, in which the rest of the frame is unread."""
+    if memory.tone.steps:
+        tracker = dataclasses.replace(tracker, camera=with_tone(tracker.camera, memory.tone.steps))
     place = ExpectedPlace.of(belief, frame, tracker, memory.alike_yaw_rad)
     orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
     now = _Now(tracker, frame, FrameView(Pyramid(frame.px), tracker.camera, tracker.pad), attitude, orientation, memory)
@@ -176,14 +177,10 @@ def by_paint(
     thesis = None
     if tracker.options.method != "registration":
         thesis, registered = _verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
-    settled, tone = registered.settled(), memory.tone
+    settled, at = registered.settled(), frame.stamp.measured_at
     best, elsewhere = settled.tracked, None if settled.elsewhere is None else settled.elsewhere.sighting
-    deck = _watch_deck(now, best, belief) if tracker.watches else DeckMemory()
-    if best is None or not best.is_sure:
-        tone = fade_tone(tone)
-    elif deck.around is memory.deck.around and deck.passing is memory.deck.passing:
-        tone = learn_tone(tone, camera, now.view, best.found, now.orientation, frame.stamp.measured_at)
-    check = deck.check(frame.stamp.measured_at)
+    is_sure, deck = best is not None and best.is_sure, memory.deck if tracker.watches else DeckMemory()
+    check = deck.check(at)
     found = None if best is None else _add_outlines(best, check, tracker.camera)
     opinions = None if best is None else best.opinions
     methods: dict[Method, Sighting | None] = {**({} if thesis is None else thesis.methods), "registration": found}
@@ -192,10 +189,32 @@ def by_paint(
         selected = fuse(cue for cue in methods.values() if cue is not None and not place.excludes(cue))
         chosen = None if selected is None else selected.method
     seen = Detection(selected, chosen, MappingProxyType(methods), opinions, elsewhere, check)
-    sure = best is not None and best.sighting.yaw_ambiguous and best.is_sure
-    yaw_rad = best.sighting.yaw_rad if best is not None and sure and alike_headings(tracker.pad) > 1 else None
+    alike = best is not None and is_sure and best.sighting.yaw_ambiguous and alike_headings(tracker.pad) > 1
+    yaw_rad = best.sighting.yaw_rad if best is not None and alike else None
     paint = fade(memory.paint) if best is None else best.paint
-    return seen, TrackerMemory(paint, left, yaw_rad, deck=deck, tone=tone)
+    tone, steps = memory.tone, memory.tone.steps
+    if steps and not is_sure:
+        tone = dataclasses.replace(tone, steps=steps + (1 if steps < 0 else -1))
+    due = (tracker.watches and deck.is_due(at)) or (best is not None and is_sure and tone.is_due(best.found, at))
+    unread = (now, best, belief) if due else None
+    return seen, TrackerMemory(paint, left, yaw_rad, deck=deck, tone=tone, unread=unread)
+
+
+def read_deck(seen: Detection, memory: TrackerMemory) -> tuple[Detection, TrackerMemory]:
+    """Return a detection with what its frame shows on the pad and about it, and the memory, which learns the tone, too.
+
+    A frame in which something about the pad is read has cost enough: the tone is learnt in the next ones.
+    """
+    if memory.unread is None:
+        return seen, memory
+    (now, best, belief), deck, tone = memory.unread, memory.deck, memory.tone
+    at = now.frame.stamp.measured_at
+    if now.tracker.watches:
+        deck = _watch_deck(now, deck, best, belief)
+    if best is not None and best.is_sure and deck.around is memory.deck.around and deck.passing is memory.deck.passing:
+        tone = learn_tone(tone, now.view, best.found, now.orientation, at)
+    seen = seen if seen.chosen == "lamps" else replace(seen, on_pad=deck.check(at))
+    return seen, dataclasses.replace(memory, deck=deck, tone=tone, unread=None)
 
 
 def _add_outlines(best: _Registered, check: PadCheck | None, camera: Camera) -> Sighting:
@@ -212,12 +231,12 @@ def _add_outlines(best: _Registered, check: PadCheck | None, camera: Camera) -> 
     return sighting
 
 
-def _watch_deck(now: _Now, best: _Registered | None, belief: RelativeState | None) -> DeckMemory:
+def _watch_deck(now: _Now, memory: DeckMemory, best: _Registered | None, belief: RelativeState | None) -> DeckMemory:
     """Return the memory of things on the pad and about it, with what the frame shows of one of them.
 
     A frame in which one of them is read has cost enough: the others follow in the next ones.
     """
-    memory, at = now.memory.deck, now.frame.stamp.measured_at
+    at = now.frame.stamp.measured_at
     shows = best is not None and _shows(now, best, belief)
     where = _surface_of(now, best.found if best is not None and shows else None, best is not None and best.is_sure, belief)
     if where is not None:
@@ -293,7 +312,8 @@ def _register(now: _Now, belief: RelativeState | None, place: ExpectedPlace) -> 
                 aligned = align_at(start, now.orientation.measured, now.view)
                 if aligned is not None and aligned.score >= WORTH_A_TRY:
                     best = best.having(_register_from(now, aligned.pose, CLOSE, tracked, searched=False), place)
-            if not best.is_sure and _is_small(start, camera, pad):
+            by_parts = pad.markings.is_searched_by_parts and not pad.markings.is_letter_alone
+            if not best.is_sure and by_parts and start.disc_px(camera, pad) < _SMALL_PX:
                 plane = Plane.of(camera, attitude.R_ned_body.without_heading())
                 about = pose_about(now.view.as_seen(), plane, start)
                 if about is not None and about[1] >= _LEAST_ABOUT:
@@ -359,14 +379,11 @@ def _spread(best: _Registered, a: _Registered | None, b: _Registered) -> _Regist
         return best
     if abs(a.agreement - b.agreement) > _BETTER or max(a.agreement, b.agreement) >= _WORTH_ANOTHER:
         return best
-    apart = np.append(a.sighting.d_body_pad_level - b.sighting.d_body_pad_level, _turned_by(a.sighting, b.sighting))
+    one, other = a.sighting, b.sighting
+    turn = 0.0 if one.yaw_rad is None or other.yaw_rad is None else math.remainder(one.yaw_rad - other.yaw_rad, math.tau)
+    # Opposite headings say nothing of how far the pad is turned.
+    apart = np.append(one.d_body_pad_level - other.d_body_pad_level, turn if abs(turn) < 0.5 * math.pi else 0.0)
     return dataclasses.replace(best, sighting=replace(best.sighting, cov=best.sighting.cov + np.outer(apart, apart)))
-
-
-def _turned_by(a: Sighting, b: Sighting) -> float:
-    """Return the angle between the headings of two sightings; 0 where one has none, or where they are opposite."""
-    turn = 0.0 if a.yaw_rad is None or b.yaw_rad is None else math.remainder(a.yaw_rad - b.yaw_rad, math.tau)
-    return turn if abs(turn) < 0.5 * math.pi else 0.0
 
 
 def _stays(a: _Registered | None, b: _Registered) -> bool:
@@ -418,9 +435,3 @@ def _second_opinion(now: _Now, of: Verified) -> Opinions | None:
         return None
     log_odds = network.log_odds(*now.view, of.found.pose, of.cut)
     return None if log_odds is None else Opinions(of.confidence, verification.confidence(log_odds))
-
-
-def _is_small(start: PadPose, camera: Camera, pad: Pad) -> bool:
-    """Return whether a pad has so few pixels that the belief may be too far off to begin with."""
-    searched = pad.markings.is_searched_by_parts and not pad.markings.is_letter_alone
-    return searched and start.disc_px(camera, pad) < _SMALL_PX

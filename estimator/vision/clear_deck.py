@@ -24,8 +24,7 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.core.abi import DL_TEMPLATE_ONE
 from estimator.core.library import CORE
-from estimator.vision.camera import Camera
-from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.detect.template import BLURS_M, F32, STEP_M, template
 from estimator.vision.detection import PadCheck, PadThing
 from estimator.vision.native import checked
@@ -44,7 +43,7 @@ _CELL_PX_LEAST = 1.2
 """Width of a cell in the frame below which it is too far away."""
 _LEAST_CELLS = 10
 """Least number of cells of a paint in view."""
-_PERIOD_S, _AVERAGE_S, LASTS_S = 0.24, 1.0, 10.0
+PERIOD_S, _AVERAGE_S, LASTS_S = 0.24, 1.0, 10.0
 """Time between two frames that are read, of the average, and for which a cell that has left the view counts, s."""
 _ENOUGH = 3.0
 """Frames' weight in the average from which on a cell counts."""
@@ -167,26 +166,20 @@ def check_surface(
     """
     pyramid, camera, pad = view
     since_s = math.inf if memory is None else seconds_between(memory.at, at)
-    if 0.0 <= since_s < _PERIOD_S or pyramid.monochrome:
+    if 0.0 <= since_s < PERIOD_S or pyramid.monochrome:
         return memory
     px_m = pose.range_m / camera.fx
     cell_px = 2.0 * pad.disc_radius_m / ACROSS / px_m
     if cell_px < _CELL_PX_LEAST:
         return memory
     level = max(0, math.floor(math.log2(cell_px / 3.0)))
-    values, shown = _read(pyramid, level, camera, pose.points(np.pad(_cells(pad)[0], ((0, 0), (0, 1)))))
-    blur_m = math.hypot(px_m * math.hypot(blur_px, 0.5 * (1 << level)), sigma_m)
-    return _after(memory if 0.0 <= since_s < LASTS_S else None, pad, values, shown, blur_m, at)
-
-
-def _read(pyramid: Pyramid, level: int, camera: Camera, points: F64) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Return the frame's values at points in `cam`, (N, 3), and which of them are in the frame."""
-    px, scale = pyramid[level], 1.0 / (1 << level)
-    on_level = ((camera.project(points) + 0.5) * scale - 0.5).astype(np.float32)
+    px, points = pyramid[level], pose.points(np.pad(_cells(pad)[0], ((0, 0), (0, 1))))
+    on_level = ((camera.project(points) + 0.5) / (1 << level) - 0.5).astype(np.float32)
     values = cv2.remap(px, on_level[None], np.empty(0, np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
-    h, w = px.shape[:2]
-    u, v = on_level.T
-    return np.asarray(values, np.uint8), (u > 1.0) & (v > 1.0) & (u < w - 2.0) & (v < h - 2.0)
+    (h, w), (u, v) = px.shape[:2], on_level.T
+    shown = (u > 1.0) & (v > 1.0) & (u < w - 2.0) & (v < h - 2.0)
+    blur_m = math.hypot(px_m * math.hypot(blur_px, 0.5 * (1 << level)), sigma_m)
+    return _after(memory if 0.0 <= since_s < LASTS_S else None, pad, np.asarray(values, np.uint8), shown, blur_m, at)
 
 
 def _after(

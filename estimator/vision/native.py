@@ -26,7 +26,7 @@ from estimator.vision.markings import Markings
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.regions import PaintedPanel, Region, rectangles_of, slanted_sides_of
+from estimator.vision.regions import Region, rectangles_of, slanted_sides_of
 from estimator.vision.srgb import LINEAR_LIGHT, light_of_tone, linear_light
 
 _STRIPS = 6
@@ -99,7 +99,8 @@ def _gap(marks: Markings) -> float:
     That between lettering of two paints does not count: pixels that see both are left out one by one.
     """
     if marks.panel is not None:
-        return _panel_margin(marks.panel, marks)
+        # The border around its lettering; of an empty panel half of its shorter side.
+        return 0.5 * min(marks.panel.length_m - marks.lettering_m[0], marks.panel.width_m - marks.lettering_m[1])
     around = [
         (0.0, _lettering_reach(marks)) if marks.letters or marks.triangle is not None else None,
         (marks.ring_inner_m or marks.arrow_tip_m - marks.arrow_depth_m, marks.arrow_tip_m or marks.ring_outer_m)
@@ -120,11 +121,6 @@ def _lettering_reach(marks: Markings) -> float:
     if marks.triangle is None and not marks.upper:
         return math.hypot(marks.h_length_m, marks.h_width_m) / 2
     return marks.lettering_reach_m
-
-
-def _panel_margin(panel: PaintedPanel, marks: Markings) -> float:
-    """Return the least width of a panel's border around its lettering, m; of an empty panel half of its shorter side."""
-    return 0.5 * min(panel.length_m - marks.lettering_m[0], panel.width_m - marks.lettering_m[1])
 
 
 def _region(radii_m: Sequence[float], figure: int = DL_NONE, has_wedge: bool = False) -> dict[str, Any]:

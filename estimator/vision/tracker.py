@@ -26,7 +26,7 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.about_pad import DeckMemory
 from estimator.vision.by_paint import TrackerMemory as TrackerMemory
-from estimator.vision.by_paint import by_paint, by_thesis
+from estimator.vision.by_paint import by_paint, by_thesis, read_deck
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import FRESH_SEARCH
 from estimator.vision.detect.template import paints_at
@@ -106,7 +106,17 @@ _LAMPS_WORK = 3.0
 def track(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None = None
 ) -> tuple[Detection, TrackerMemory]:
+    """Detect the pad in one frame and read the deck there; return the detection and the new memory. Arguments as for `sight`."""
+    return read_deck(*sight(tracker, memory, frame, attitude, belief))
+
+
+def sight(
+    tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None = None
+) -> tuple[Detection, TrackerMemory]:
     """Detect the pad in one frame and return the detection and the new memory. This function is pure.
+
+    Nobody who waits for the pad's place waits for what lies about it: `read_deck` reads that afterwards. A memory in which
+    it was not read forgets the frame.
 
     Args:
         attitude: the attitude at the exposure. With None the vehicle is assumed level, and the covariance grows accordingly.
@@ -205,7 +215,7 @@ def alone_in(tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitu
     u, v = np.clip(uv, 0, (camera.width - 1, camera.height - 1)).T
     cv2.fillConvexPoly(px, uv, np.median(px[v, u], axis=0).tolist())  # with the deck's colour: else it would be a disc again
     whole = dataclasses.replace(tracker, search_work=math.inf)
-    other = track(whole, dataclasses.replace(memory, search=FRESH_SEARCH), replace(frame, px=px), attitude)[0].selected
+    other = sight(whole, dataclasses.replace(memory, search=FRESH_SEARCH), replace(frame, px=px), attitude)[0].selected
     if other is None or other.confidence < _DOUBTFUL:
         return corners
     if math.dist(other.d_body_pad_level[:2], pad.d_body_pad_level[:2]) < tracker.integrity.pads_apart_m:

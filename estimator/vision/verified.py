@@ -15,7 +15,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import COVERED_LOG_ODDS, SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT, align_uncovered
 from estimator.vision.detect.paint import FRESH, PaintMemory
@@ -51,7 +51,8 @@ def heading_z_scores(px: U8, camera: Camera, pad: Pad, pose: PadPose, turns_rad:
     light = LINEAR_LIGHT[px[uv[:, 1], uv[:, 0]]] @ LUMA[::-1]
     blur_m = _LENS_PX * pose.range_m / camera.fx
     own = _drawn(pad, at, blur_m)
-    return {turn: _z_score(light, own, _drawn(pad, at @ _turn(turn), blur_m)) for turn in turns_rad}
+    turned = {turn: at @ Rotation.from_rpy(0.0, 0.0, turn).matrix[:2, :2] for turn in turns_rad}
+    return {turn: _z_score(light, own, _drawn(pad, there, blur_m)) for turn, there in turned.items()}
 
 
 def _z_score(light: F64, own: F64, other: F64) -> float:
@@ -62,11 +63,6 @@ def _z_score(light: F64, own: F64, other: F64) -> float:
     left = light - fitted @ rows
     var = float(left @ left) / (len(light) - 3) * float(np.linalg.inv(normal)[2, 2])
     return float(np.sign(fitted[1]) * fitted[2]) / math.sqrt(max(var, 1e-18))
-
-
-def _turn(turn_rad: float) -> F64:
-    c, s = math.cos(turn_rad), math.sin(turn_rad)
-    return np.array([[c, -s], [s, c]])
 
 
 def _places(camera: Camera, pad: Pad, pose: PadPose) -> tuple[np.ndarray, F64]:

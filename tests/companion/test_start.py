@@ -7,13 +7,17 @@ import threading
 from pathlib import Path
 
 import cv2
+import pytest
+from msgspec.structs import replace
 
-from companion.base.observer import Decision, NullObserver
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.service import RestartOptions
+from estimator.contracts.time import MonoNs
 from estimator.options import EstimatorOptions
+from estimator.vision.detection import Detection, PadCheck
 from tests.companion.test_daemon import CLOCK, EYES, FakeVehicle
 from tests.fly import NEAR
 from tests.support.waiting import until
@@ -59,24 +63,31 @@ class Order(NullObserver):
     def on_decision(self, decision: Decision) -> None:
         self._order.append("decided")
 
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self._order.append("reported")
 
-async def test_vision_is_prepared_once_on_its_own_thread_between_the_first_cycle_and_the_first_frame() -> None:
-    vehicle, order = FakeVehicle(), list[str]()
+
+async def test_vision_is_prepared_once_on_its_own_thread_between_the_first_cycle_and_the_first_frame(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    vehicle, order, crate = FakeVehicle(), list[str](), PadCheck(MonoNs(1), 1.0)
 
     class Looks(Pilot):
         def detect(self, *args: object, **named: object) -> object:  # type: ignore[override]
             order.append(f"looked with {cv2.getNumThreads()}")
             return super().detect(*args, **named)  # type: ignore[arg-type]
 
-    daemon = Daemon(
-        vehicle.open,
-        Looks(EYES, EstimatorOptions(), GuidanceOptions()),
-        CLOCK,
-        DaemonSetup(
-            RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, threads=1, prepare=lambda: order.append(threading.current_thread().name)
-        ),
-        observers=[Order(order)],
-    )
+    def read_deck(seen: Detection) -> Detection:
+        order.append("deck read")
+        return replace(seen, on_pad=crate)
+
+    pilot = Looks(EYES, EstimatorOptions(), GuidanceOptions())
+    monkeypatch.setattr(type(pilot.search), "has_unread", True)
+    monkeypatch.setattr(pilot.search, "read_deck", read_deck)
+    monkeypatch.setattr(pilot.landing, "on_pad", lambda check: order.append("told") if check is crate else None)
+    restart, prepare = RestartOptions(0.01, 1.0, 0.01, 5.0), lambda: order.append(threading.current_thread().name)
+    setup = DaemonSetup(restart, 50.0, threads=1, prepare=prepare)
+    daemon = Daemon(vehicle.open, pilot, CLOCK, setup, observers=[Order(order)])
     cv2.setNumThreads(2)
     async with asyncio.TaskGroup() as group:
         group.create_task(daemon.run())
@@ -86,12 +97,12 @@ async def test_vision_is_prepared_once_on_its_own_thread_between_the_first_cycle
                 vehicle.say(flying=True)
                 await asyncio.sleep(0.04)
             vehicle.film(seq, late_s=0.05)
-            await until(lambda n=seq: sum(entry.startswith("looked") for entry in order) == n)  # type: ignore[misc]
+            await until(lambda n=seq: daemon.health.frames.total() >= n and "told" in order)  # type: ignore[misc]
         daemon.stop()
     assert order[0] == "decided"
     assert order.count("vision") == 1
-    assert order.index("vision") < order.index("looked with 1")
     assert "looked with 2" not in order
+    assert [entry for entry in order if entry != "decided"][:5] == ["vision", "looked with 1", "reported", "deck read", "told"]
 
 
 ROOT = Path(__file__).parents[2]

@@ -55,7 +55,11 @@ class Pyramid:
 
     def __getitem__(self, level: int) -> U8:
         while len(self._levels) <= level:
-            self._levels.append(_halved(self._levels[-1]))
+            px = self._levels[-1]
+            w, h = max(1, px.shape[1] // 2), max(1, px.shape[0] // 2)
+            # An odd row or column left over would stretch the result.
+            half = cv2.resize(px[: 2 * h, : 2 * w], (w, h), interpolation=cv2.INTER_AREA)
+            self._levels.append(np.asarray(half, np.uint8))
             if self._native is not None and len(self._levels) <= DL_FRAME_LEVELS + 1:
                 put_image(self._levels[-1], self._native.level[len(self._levels) - 1])
         return self._levels[level]
@@ -71,9 +75,3 @@ class FrameView(NamedTuple):
     def as_seen(self) -> Self:
         """Return the same with the pad in the paints that the camera sees."""
         return self._replace(pad=in_grey(self.pad)) if self.pyramid.monochrome else self
-
-
-def _halved(px: U8) -> U8:
-    w, h = max(1, px.shape[1] // 2), max(1, px.shape[0] // 2)
-    # An odd row or column left over would stretch the result.
-    return np.asarray(cv2.resize(px[: 2 * h, : 2 * w], (w, h), interpolation=cv2.INTER_AREA), np.uint8)

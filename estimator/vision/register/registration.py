@@ -131,11 +131,6 @@ class Registration:
         """The core's `dl_level_sighting`."""
         return np.asarray(self.record["seen"])
 
-    @property
-    def outlines(self) -> tuple[F64, ...]:
-        """The outline by kind of edge, (N, 2) px each, of the points that the lens projects."""
-        return tuple(uv[np.isfinite(uv).all(axis=1)] for uv in (self.outline[part] for part in edge_points(self.pad).shown))
-
     def paint(self) -> PaintMemory:
         """Return what is known of the paints if this is the pad."""
         paint = self.record["paint"]
@@ -165,45 +160,30 @@ def register(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    return _looked(FrameView(Pyramid(px), camera, pad), start, prior, options or RegistrationOptions(), cut, alone=True)
+    return look(FrameView(Pyramid(px), camera, pad), start, prior, options or RegistrationOptions(), cut=cut, alone=True)
 
 
 def look(
     view: FrameView,
     start: PadPose,
-    orientation: Orientation,
+    prior: Orientation | None,
     options: RegistrationOptions,
     *,
-    tracked: bool = False,
     cut: F64 = UNCUT,
     paint: PaintMemory = FRESH,
+    **how: bool,
 ) -> Registration | None:
     """Register the drawing from a start pose and verify it there; return None if nothing of it is found.
 
     Args:
         view: the pad as the camera sees it, see `FrameView.as_seen`.
-        start: as for `register`.
-        orientation: the attitude at the exposure and the deck's expected tilt.
-        tracked: whether a track has confirmed the pad there before.
-        cut: the line beyond which something covers the pad, (3,); see `alignment.UNCUT`.
+        start, prior, cut: as for `register`.
         paint: what is known of the paints.
+        how: `tracked` if a track has confirmed the pad there before, `alone` to verify nothing.
 
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    return _looked(view, start, orientation, options, cut, paint, tracked=tracked)
-
-
-def _looked(
-    view: FrameView,
-    start: PadPose,
-    prior: Orientation | None,
-    options: RegistrationOptions,
-    cut: F64,
-    paint: PaintMemory = FRESH,
-    **how: bool,
-) -> Registration | None:
-    """Have the core register the drawing and verify it; return None if nothing is found. `how`: members of `dl_start`."""
     pyramid, camera, pad = view
     shape, measured = pyramid[0].shape, prior is not None and prior.measured
     if shape != (camera.height, camera.width, 3):
@@ -259,6 +239,11 @@ class ToneMemory:
     """Trials since a step was kept."""
     next_at: MonoNs = _AT_ONCE
 
+    def is_due(self, found: Registration, at: MonoNs) -> bool:
+        """Return whether something may be learnt from a registration."""
+        off = not found.dense and found.edge_rms_px >= _UNEXPLAINED_PX and found.inliers >= _AGREES
+        return off and at >= self.next_at
+
 
 SRGB = ToneMemory()
 
@@ -266,36 +251,24 @@ SRGB = ToneMemory()
 @lru_cache(maxsize=8)
 def with_tone(camera: Camera, steps: int) -> Camera:
     """Return a camera with the tone of so many steps from sRGB."""
-    return replace(camera, tone=1.0 + STEP * steps) if steps else camera
+    return replace(camera, tone=1.0 + STEP * steps)
 
 
-def learn_tone(
-    memory: ToneMemory, camera: Camera, view: FrameView, found: Registration, orientation: Orientation, at: MonoNs
-) -> ToneMemory:
-    """Return the tone after one more frame in which the pad is sure; most frames change nothing.
-
-    Args:
-        camera: as its file has it, without a tone.
-        found: the pad in this frame, by the tone of the memory.
-    """
-    if at < memory.next_at or found.dense or found.edge_rms_px < _UNEXPLAINED_PX or found.inliers < _AGREES:
+def learn_tone(memory: ToneMemory, view: FrameView, found: Registration, orientation: Orientation, at: MonoNs) -> ToneMemory:
+    """Return the tone after one more frame in which the pad is sure, found by that of the memory; most change nothing."""
+    if not memory.is_due(found, at):
         return memory
     if _is_clipped(view.pyramid[0], found):
         return replace(memory, next_at=MonoNs(at + _EVERY_NS))
     steps = memory.steps + memory.way * (_STRIDE if found.edge_rms_px > _FAR_OFF_PX else 1)
     if not _LOWEST <= steps <= _HIGHEST:
         return replace(memory, way=-memory.way)
-    tried = view._replace(camera=with_tone(camera, steps)).as_seen()
+    tried = view._replace(camera=with_tone(view.camera, steps)).as_seen()
     other = look(tried, found.pose, orientation, RegistrationOptions(coarse=False), tracked=True)
     if other is not None and _left(other) < _LESS * _left(found):
         return ToneMemory(steps, memory.way, 0, MonoNs(at + _EVERY_NS))
     rests = _RESTS_NS if memory.failed else _EVERY_NS
     return ToneMemory(memory.steps, -memory.way, (memory.failed + 1) % 2, MonoNs(at + rests))
-
-
-def fade_tone(memory: ToneMemory) -> ToneMemory:
-    """Return the tone one step nearer to sRGB, after a frame in which no pad is sure."""
-    return replace(memory, steps=memory.steps - (memory.steps > 0) + (memory.steps < 0)) if memory.steps else memory
 
 
 def _left(found: Registration) -> float:

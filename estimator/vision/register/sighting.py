@@ -1,5 +1,6 @@
 """Convert a registration to a sighting in `level`, including the attitude's uncertainty, and back to the camera's axes."""
 
+import math
 from typing import Any, NamedTuple
 
 import cv2
@@ -12,12 +13,12 @@ from estimator.contracts.samples import Frame
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind
-from estimator.vision.native import native_lens, native_pose, native_prior
+from estimator.vision.native import edge_points, native_lens, native_pose, native_prior
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation, tilt_axes
 from estimator.vision.register.registration import Registration
 
-_NAMES = {kind: kind.name.lower() for kind in EdgeKind}
+_NAMES = [kind.name.lower() for kind in EdgeKind]
 _YAW_VAR_MAX = 0.5
 """Variance of the heading from which it counts as unknown, rad^2."""
 
@@ -28,10 +29,12 @@ def sighting_of_look(frame: Frame, found: Registration, confidence: float) -> Si
     Args:
         confidence: how sure it is that this is the pad, 0..1.
     """
+    uv, shown = found.outline, edge_points(found.pad).shown
+    is_whole = math.isfinite(float(uv.sum()))  # else the lens does not project some points
     features = tuple(
-        Feature("outline" if kind is not EdgeKind.H else "point", _NAMES[kind], uv)
-        for kind, uv in zip(EdgeKind, found.outlines, strict=True)
-        if kind is not EdgeKind.UPPER or found.pad.markings.upper
+        Feature("point" if name == "h" else "outline", name, part if is_whole else part[np.isfinite(part).all(axis=1)])
+        for name, part in zip(_NAMES, (uv[each] for each in shown), strict=True)
+        if name != "upper" or found.pad.markings.upper
     )
     return sighting_in_level(frame, found.in_level, found.yaw_ambiguous, confidence, features)
 

@@ -35,7 +35,7 @@ from sitl.sea.sea import SEA_STATES, Waves
 from tests.support.pad_scenes import load_camera, load_pad, truth_of
 
 CAMERA, PAD = load_camera("sim"), load_pad("thesis")
-BRIGHT = Light(drone_shadow=0.0)
+BRIGHT, USUAL = Light(drone_shadow=0.0), Light()
 
 
 def shown(
@@ -108,7 +108,12 @@ def test_nothing_old_is_reported_and_on_the_ground_all_is_forgotten() -> None:
         at = MonoNs(deck.at + round(later_s * 1e9))
         stamp = Stamp(at, at, 0.001, "sim")
         level = Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3))
-        return pilot.detect(pilot.look_at(Frame(stamp, 0, blank), level)).on_pad
+        look = pilot.look_at(Frame(stamp, 0, blank), level)
+        before, seen = pilot.search._memory, pilot.detect(look).on_pad
+        pilot.search._memory = before
+        later = pilot.search.read_deck(pilot.detect(replace(look, reads_deck=False)))
+        assert later.on_pad == seen, "what is read after the report"
+        return seen
 
     pilot.search._memory = TrackerMemory(deck=DeckMemory(deck))
     check = looked(1.0, State.REFUSED)
@@ -131,12 +136,12 @@ def test_what_was_taken_away_is_gone_and_what_left_the_view_still_counts() -> No
     assert gone.seen < 0.5
 
 
+WALKER = Bystander(at_s=0.0, forward_m=-1.0, right_m=0.9, to_forward_m=1.0, to_right_m=0.9, speed_m_s=0.7)
 WIDE = Deck(8.0, 5.0, (0.0, 0.0), 0.0, seed=3)
 
 
-def came_down_about(surroundings: Surroundings, *bodies: Bystander, light: Light | None = None) -> AroundMemory:
+def came_down_about(surroundings: Surroundings, *bodies: Bystander, light: Light = USUAL) -> AroundMemory:
     """Return what is known after an approach from 4.5 m to 1.5 m, with errors of registration."""
-    light = light or Light()
     renderer, effects = Renderer(CAMERA, PAD, surroundings, light), PictureEffects(CAMERA, PAD, light, 1)
     rng, memory = np.random.default_rng(4), None
     for k in range(14):
@@ -173,11 +178,7 @@ def test_what_lies_flat_and_what_is_light_or_sea_is_nothing(surroundings: Surrou
     [
         (Bystander(at_s=0.0, thing="box", forward_m=0.1, right_m=0.75, width_m=0.4, height_m=0.4), (0.3, 0.5), STANDING_LASTS_S),
         (Bystander(at_s=0.0, forward_m=-0.3, right_m=0.8), (0.4, 2.0), STANDING_LASTS_S),
-        (
-            Bystander(at_s=0.0, forward_m=-1.0, right_m=0.9, to_forward_m=1.0, to_right_m=0.9, speed_m_s=0.7),
-            (0.0, 2.0),
-            MOVED_LASTS_S,
-        ),
+        (WALKER, (0.0, 2.0), MOVED_LASTS_S),
     ],
     ids=["a crate", "a person stands", "a person walks"],
 )
@@ -195,19 +196,9 @@ def test_what_is_about_the_pad_is_seen_with_its_height_for_a_time(
     assert memory.near(MonoNs(at + round(1e9 * (lasts_s + 0.1)))) is None
 
 
-BIRD = Bystander(
-    at_s=0.0,
-    thing="bird",
-    forward_m=1.0,
-    right_m=-1.5,
-    to_forward_m=-1.0,
-    to_right_m=1.5,
-    width_m=0.5,
-    height_m=1.5,
-    speed_m_s=3.0,
-)
-
-
+FOOT = Bystander(at_s=0.0, forward_m=0.1, right_m=-0.8, to_forward_m=0.1, to_right_m=0.9, height_m=0.15, speed_m_s=0.8)
+CROSSING = {"forward_m": 1.0, "right_m": -1.5, "to_forward_m": -1.0, "to_right_m": 1.5, "speed_m_s": 3.0}
+BIRD = Bystander(at_s=0.0, thing="bird", width_m=0.5, height_m=1.5, **CROSSING)
 WIDE_DECK = Surroundings(WIDE)
 
 
@@ -216,11 +207,10 @@ def came_down(
     to_m: float,
     *faults: Bystander | Glint,
     scene: Surroundings = WIDE_DECK,
-    light: Light | None = None,
+    light: Light = BRIGHT,
     gain: float = 1.0,
 ) -> PassMemory:
     """Return what is known after 1.2 s on the way down, with swings, errors of registration, and an exposure that rises."""
-    light = light or Light(drone_shadow=0.0)
     renderer, effects = Renderer(CAMERA, PAD, scene, light), PictureEffects(CAMERA, PAD, light, 1)
     rng, memory = np.random.default_rng(5), None
     for k in range(13):
@@ -244,11 +234,7 @@ def came_down(
         (4.8, 3.8, BIRD),
         (2.6, 1.8, BIRD),
         (3.0, 2.2, Bystander(at_s=0.0, forward_m=0.2, right_m=-0.9, to_forward_m=0.0, to_right_m=0.9, speed_m_s=0.8)),
-        (
-            0.5,
-            0.2,
-            Bystander(at_s=0.0, forward_m=0.1, right_m=-0.8, to_forward_m=0.1, to_right_m=0.9, height_m=0.15, speed_m_s=0.8),
-        ),
+        (0.5, 0.2, FOOT),
     ],
     ids=["a bird far below", "a bird close below", "a person", "a foot that comes in below during the commit"],
 )
@@ -268,12 +254,12 @@ def test_what_crosses_the_pad_once_is_seen_where_it_is_and_for_a_time(from_m: fl
     [
         (WIDE_DECK, Light(drone_shadow=0.7, sun_elevation_rad=1.2), 1.0),
         (WIDE_DECK, Light(drone_shadow=0.7, sun_elevation_rad=0.8), 1.0),
-        (WIDE_DECK, None, 1.6),
-        (Surroundings(Deck(seed=2), Waves.draw(SEA_STATES[4], 3)), None, 1.0),
+        (WIDE_DECK, BRIGHT, 1.6),
+        (Surroundings(Deck(seed=2), Waves.draw(SEA_STATES[4], 3)), BRIGHT, 1.0),
     ],
     ids=["the drone's own shadow", "its shadow in low sun", "a changing exposure", "a small deck over waves"],
 )
-def test_light_and_waves_do_not_pass(scene: Surroundings, light: Light | None, gain: float, heights: tuple[float, float]) -> None:
+def test_light_and_waves_do_not_pass(scene: Surroundings, light: Light, gain: float, heights: tuple[float, float]) -> None:
     memory = came_down(*heights, scene=scene, light=light, gain=gain)
     assert memory.near(memory.at) is None
     assert (memory.known > 0).any()
