@@ -29,8 +29,8 @@ check: lint
 test: lint
 	$(BIN)/pytest $(WORKERS)
 
-# Slow proofs that a change of Python rarely breaks: real devices of the kernel, installations, the learned detector.
-qualify: $(VENV)/.dev $(CORE)
+# Slow proofs that a change of Python rarely breaks: sanitizers, another architecture, kernel devices, installations, a learned detector.
+qualify: $(VENV)/.dev $(VENV)/.compiler $(CORE)
 	$(BIN)/pytest qualification
 
 # The native libraries (estimator/core, sitl/core), with cc where there is one, else with zig's compiler. Only what changed is compiled.
@@ -45,7 +45,7 @@ $(BINDINGS) &: estimator/core/decklander.h sitl/core/decklander_sim.h supply/cor
 
 # The core's calls as a Raspberry Pi computes them: cross-built by zig, under qemu-aarch64 (apt install qemu-user).
 test-aarch64: $(VENV)/.dev $(VENV)/.compiler $(CORE)
-	$(BIN)/pytest tests/estimator/core/test_aarch64.py
+	$(BIN)/pytest qualification/test_core.py -k architectures
 
 # Wheels for x86-64 and aarch64 in dist/, which need no compiler where they are installed, and the source archive; ready for PyPI.
 wheels: $(VENV)/.dev $(VENV)/.compiler

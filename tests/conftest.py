@@ -69,20 +69,10 @@ def flight_file(recorded_flight: tuple[Path, Any]) -> Path:
     return recorded_flight[0]
 
 
-def share(nodeid: str) -> str:
-    """Return the name of the tests that one worker runs in a row: a file or a single test."""
-    file = nodeid.partition("::")[0]
-    return nodeid if file in APART else file
-
-
 @cache
-def place(file: str) -> int:
-    """Return the place of a file among `SLOW`; their number for what is not slow."""
-    return next((n for n, start in enumerate(SLOW) if file.startswith(start)), len(SLOW))
-
-
-def place_of(item: pytest.Item) -> int:
-    return place(item.nodeid.partition("::")[0])
+def place(name: str) -> int:
+    """Return the place of a file, or of the file of a test, among `SLOW`; their number for what is not slow."""
+    return next((n for n, start in enumerate(SLOW) if name.startswith(start)), len(SLOW))
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -95,9 +85,9 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what is slow and put it first: workers end at about the same time only if short files come last."""
     for item in items:
-        if place_of(item) < len(SLOW):
+        if place(item.nodeid) < len(SLOW):
             item.add_marker("slow")
-    items.sort(key=place_of)
+    items.sort(key=lambda item: place(item.nodeid))
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -113,7 +103,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     class ByShare(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return share(nodeid)
+            """Return the name of the tests that one worker runs in a row: a file or a single test."""
+            file = nodeid.partition("::")[0]
+            return nodeid if file in APART else file
 
     config.option.loadscopereorder = False
     return ByShare(config, log)

@@ -32,7 +32,7 @@ def guide_commands() -> list[str]:
 def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_path, monkeypatch, capsys):
     block = re.search(r"```toml rig\n(.*?)```", PAGE, re.DOTALL)
     assert block is not None
-    (tmp_path / "sea.toml").write_text('title = "guide"\nbase = "calm"\n[camera]\nfile = "ardrone2_bottom"\n')
+    (tmp_path / "sea.toml").write_text('title = "x"\nbase = "calm"\n[camera]\nfile = "ardrone2_bottom"\n[start]\nheight_m = 2\n')
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     monkeypatch.chdir(tmp_path)
 
@@ -48,7 +48,7 @@ def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_
             code, answer = cli("fly", "status", "--json")
             if code == 0 and done(status := json.loads(answer)):
                 return status
-            time.sleep(1.0)
+            time.sleep(0.2)
         raise AssertionError(f"{answer}{(tmp_path / 'log').read_text()}")
 
     drone = [sys.executable, "-m", "sitl.emulators.ardrone.serve", str(tmp_path / "sea.toml"), "--seed", "3"]

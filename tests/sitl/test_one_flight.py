@@ -201,20 +201,16 @@ def test_a_deck_under_the_drone_before_it_sees_the_pad_is_no_leap_of_its_velocit
 
 
 @pytest.mark.parametrize(
-    ("scenario", "words"),
+    ("words", "code", "reason"),
     [
-        ("faults/ship_place_stops", "the ship's newest place is"),
-        ("faults/ship_place_jumps", "reported place jumped"),
-        ("faults/ship_place_late", "come too late"),
+        (["faults/ship_place_stops"], 0, "the ship's newest place is"),
+        (["faults/ship_place_jumps"], 0, "reported place jumped"),
+        (["faults/ship_place_late"], 0, "come too late"),
+        (["rendezvous", "--set", "vehicle.gnss_hz=0"], 1, "the drone does not know its own place (no GNSS)"),
     ],
 )
-def test_wrong_places_are_refused_with_their_reason(capsys: pytest.CaptureFixture[str], scenario: str, words: str) -> None:
-    code, ending = simulate(capsys, scenario)
-    assert (code, ending["outcome"], ending["contacts"]) == (0, "refused", [])
-    assert words in str(ending["refused"])
-
-
-def test_a_drone_without_a_receiver_refuses_and_gives_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
-    code, ending = simulate(capsys, "rendezvous", "--set", "vehicle.gnss_hz=0")
-    assert (code, ending["outcome"]) == (1, "refused")
-    assert "the drone does not know its own place (no GNSS)" in str(ending["refused"])
+def test_places_that_are_wrong_or_missing_are_refused_with_their_reason(capsys, monkeypatch, words, code, reason):
+    monkeypatch.setattr("sitl.flight.afterwards.WATCHED_S", 2.0)
+    ended, ending = simulate(capsys, *words)
+    assert (ended, ending["outcome"], ending["contacts"]) == (code, "refused", [])
+    assert reason in str(ending["refused"])

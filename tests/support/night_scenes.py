@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.contracts.estimates import Sighting
-from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.lamp import points_of
 from estimator.vision.pad import Pad
@@ -114,13 +113,3 @@ def _with_lights(rng: np.random.Generator, px: NDArray[np.uint8], n: int) -> NDA
         light = level * np.outer(down[rows], across[columns])
         out[np.ix_(rows, columns)] += light[:, :, None] * rng.uniform(0.5, 1.0, 3)
     return np.asarray(out.clip(0, 255), np.uint8)
-
-
-def level_errors(seen: Sighting, scene: NightScene, camera: Camera) -> F64:
-    """Return a sighting's four numbers less the true ones, (4,) m and rad."""
-    assert seen.yaw_rad is not None
-    R = scene.R_level_body.matrix @ camera.T_body_cam.R.matrix
-    d = R @ scene.truth.t_cam_pad + scene.R_level_body.matrix @ camera.T_body_cam.t
-    R_level_pad = R @ scene.truth.R_cam_pad.matrix
-    yaw_rad = -math.atan2(R_level_pad[1, 0], R_level_pad[0, 0])
-    return np.append(seen.d_body_pad_level - d, wrap_pi(seen.yaw_rad - yaw_rad))

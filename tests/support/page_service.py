@@ -18,7 +18,7 @@ from companion.base.observer import ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.guidance.make_pilot import make_pilot
 from companion.guidance.pilot import Pilot
-from companion.parts.page import endpoint, viewer
+from companion.parts.page import endpoint, recordings, viewer
 from companion.parts.page.make import make_page
 from companion.settings.links import HttpSettings
 from companion.settings.load import load
@@ -119,8 +119,9 @@ class PageService:
 async def serving(folder: Path, limits: ConnectionLimits | None = None, **settings: Any) -> AsyncIterator[PageService]:
     """Serve the page; at the end show that neither it nor guidance has failed."""
     service = PageService(folder, limits, **settings)
-    # A browser of a test answers pings when the test reads, which may be seconds apart on a busy machine.
-    with patch.object(endpoint, "_ALIVE_S", PATIENCE_S):
+    # A browser of a test answers pings when the test reads, which may be seconds apart on a busy machine. A report's process of
+    # the lowest priority would wait there until all other tests have ended.
+    with patch.object(endpoint, "_ALIVE_S", PATIENCE_S), patch.object(recordings, "_NICE", 0):
         async with listening(service.server, service.page.run), asyncio.TaskGroup() as group:
             flying = group.create_task(service.live())
             yield service

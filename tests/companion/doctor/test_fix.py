@@ -6,22 +6,25 @@ import json
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from companion.tools.doctor import rules_values
+from companion.cli import doctor
+from companion.tools.doctor import gather, rules_values
 from companion.tools.doctor.diagnose import PARAMETERS
 from companion.tools.doctor.undo import decode_undo
 from drivers.clock import SystemClock
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.links import ReceivedMessage
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
-from tests.companion.doctor.test_rules import run_doctor
+from tests.companion.doctor.test_rules import defaults, run_doctor
 from tests.support.waiting import until
 
 HOST = "127.0.0.1"
@@ -31,7 +34,7 @@ GOOD = {stack: {r.parameter: r.good for r in rules_values.RULES if r.stack == st
 def quiet(stack: str, **wrong: float) -> MiniatureAutopilot:
     """Return an autopilot that stands disarmed on deck, with the parameters of its stand-in and those that are wrong."""
     stand_in = (CopterStandIn if stack == "ArduPilot" else Px4StandIn)(SystemClock())
-    own = {n: stand_in.parameters.get(n, GOOD[stack].get(n, 0)) for n in PARAMETERS[stack]} | wrong
+    own = defaults(stack) | {n: stand_in.parameters.get(n, GOOD[stack].get(n, 0)) for n in PARAMETERS[stack]} | wrong
     kind = Stack.ARDUPILOT if stack == "ArduPilot" else Stack.PX4
     mode = "loiter" if stack == "ArduPilot" else "auto.loiter"
     return MiniatureAutopilot(kind, 1, mode, armed=False, landed_state=1, parameters=own)
@@ -60,6 +63,13 @@ def on_link(fake: MiniatureAutopilot) -> Iterator[str]:
     finally:
         loops[0].call_soon_threadsafe(stop.set)
         thread.join(60)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ask every 10 ms, and do not wait for a version that no autopilot here sends."""
+    monkeypatch.setattr(doctor, "AutopilotOptions", partial(AutopilotOptions, command_period_s=0.01))
+    monkeypatch.setattr(gather, "_VERSION_S", 0.0)
 
 
 @pytest.fixture

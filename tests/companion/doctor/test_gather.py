@@ -16,10 +16,9 @@ from companion.base.http_server import HttpServer
 from companion.parts.metrics.endpoint import MetricsEndpoint
 from companion.settings.links import HttpSettings
 from companion.settings.load import Settings
-from companion.tools.doctor import rules_values
+from companion.tools.doctor import gather, rules_values
 from companion.tools.doctor.diagnose import PARAMETERS, diagnose
 from companion.tools.doctor.firmware_parameters import names_in
-from companion.tools.doctor.gather import examine
 from companion.tools.doctor.gather_service import examine_service
 from companion.tools.doctor.snapshot import Snapshot, encode
 from drivers.clock import SystemClock
@@ -27,7 +26,7 @@ from drivers.mavlink.dialect import Event, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, run_doctor
+from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, defaults, run_doctor
 from tests.support.waiting import listening, until
 
 HOST = "127.0.0.1"
@@ -39,12 +38,13 @@ async def examined(fake: MiniatureAutopilot, seconds: float = 1.0, system: int =
         assert fake.links is not None
         host, port = fake.links.all[0].local or ("", 0)
         options = AutopilotOptions(f"udpout://{host}:{port}", system_id=system, silence_s=1.0, command_period_s=0.01)
-        return await examine(options, SystemClock(), seconds)
+        return await gather.examine(options, SystemClock(), seconds)
 
 
 async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
     good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "ArduPilot"}
-    parameters = {n: ARDUPILOT.parameters.get(n, good.get(n, 0.0)) for n in PARAMETERS["ArduPilot"]}
+    parameters = defaults("ArduPilot", (4, 5, 7))
+    parameters |= {n: ARDUPILOT.parameters.get(n, good.get(n, 0.0)) for n in PARAMETERS["ArduPilot"]}
     parameters |= {"PLND_TYPE": 2.0, "EK3_SRC1_POSXY": 6.0, "INS_GYR_CAL": 1.0}
     parameters |= {"SCR_ENABLE": 1.0, "SCR_HEAP_SIZE": 204800.0, "DKL_ENABLE": 1.0}
     fake = MiniatureAutopilot(parameters=parameters)
@@ -57,7 +57,7 @@ async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
     a = snapshot.autopilot
     assert a is not None
     assert a.firmware == (4, 5, 7)
-    assert set(a.parameters) == set(names_in(PARAMETERS["ArduPilot"], a.firmware))
+    assert set(a.parameters) == {*names_in(PARAMETERS["ArduPilot"], a.firmware), *defaults("ArduPilot", a.firmware)}
     assert 30 < a.rates_hz["ATTITUDE_QUATERNION"] < 130
     assert snapshot.sync is not None
     assert snapshot.sync.locked
@@ -73,8 +73,9 @@ async def test_a_later_firmware_is_queried_by_its_own_names() -> None:
     assert not any(m.param_id == "LAND_SPEED" for m in fake.of("PARAM_REQUEST_READ"))
 
 
-async def test_only_a_disarmed_vehicle_is_queried_why_it_does_not_arm() -> None:
-    names = dict.fromkeys(PARAMETERS["ArduPilot"], 0.0)
+async def test_only_a_disarmed_vehicle_is_queried_why_it_does_not_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gather, "_VERSION_S", 0.0)
+    names = defaults("ArduPilot") | dict.fromkeys(PARAMETERS["ArduPilot"], 0.0)
     fake = MiniatureAutopilot(armed=False, parameters=names)
     talking = asyncio.create_task(examined(fake, 0.5))
     await until(lambda: fake.commands[mav.MAV_CMD_RUN_PREARM_CHECKS] > 0)
@@ -88,7 +89,7 @@ async def test_only_a_disarmed_vehicle_is_queried_why_it_does_not_arm() -> None:
 
 async def test_a_px4_without_the_module_and_with_an_event() -> None:
     good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "PX4"}
-    asked = {n: good.get(n, 1.0) for n in PARAMETERS["PX4"] if n != "PLD_HACC_RAD"}
+    asked = defaults("PX4") | {n: good.get(n, 1.0) for n in PARAMETERS["PX4"] if n != "PLD_HACC_RAD"}
     parameters = asked | {"EKF2_EV_CTRL": 0, "COM_OBL_RC_ACT": 0, "COM_RC_IN_MODE": 4}
     fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter", parameters=parameters)
     talking = asyncio.create_task(examined(fake))
@@ -107,7 +108,8 @@ async def test_the_systems_that_are_received_when_the_wished_one_is_not() -> Non
     assert found.fix.startswith("give --system 3, and vehicle.system_id = 3 in the settings")
 
 
-async def test_an_autopilot_that_does_not_hear_us_is_one_finding_and_not_four() -> None:
+async def test_an_autopilot_that_does_not_hear_us_is_one_finding_and_not_four(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gather, "_FIRST_ANSWER_S", 1.0)
     deaf = MiniatureAutopilot(deaf=True)
     (found,) = diagnose(await examined(deaf, 0.5))
     assert found.rule == "link-one-way"
@@ -115,7 +117,7 @@ async def test_an_autopilot_that_does_not_hear_us_is_one_finding_and_not_four() 
 
 
 async def test_nobody_there() -> None:
-    snapshot = await examine(AutopilotOptions("serial:///dev/no-such-port:57600"), SystemClock(), 0.3)
+    snapshot = await gather.examine(AutopilotOptions("serial:///dev/no-such-port:57600"), SystemClock(), 0.3)
     assert [f.rule for f in diagnose(snapshot)] == ["link-down"]
 
 

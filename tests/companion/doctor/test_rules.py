@@ -11,6 +11,7 @@ from companion.settings.load import from_mapping
 from companion.settings.remarks import Contradiction, contradiction
 from companion.tools.doctor.diagnose import diagnose
 from companion.tools.doctor.finding import Severity
+from companion.tools.doctor.firmware_parameters import defaults_of
 from companion.tools.doctor.rules_autopilots import event_id
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
@@ -25,6 +26,7 @@ from companion.tools.doctor.snapshot import (
     encode,
 )
 from drivers.mavlink.requests import RATES_HZ
+from drivers.mavlink.samples import SAMPLE_PARAMETERS
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
 
@@ -98,6 +100,11 @@ def service(**changes: Any) -> Snapshot:
 def out_of_place(**tables: dict[str, Any]) -> Contradiction | None:
     data = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}, **tables}
     return contradiction(from_mapping(data, "mine.toml"))
+
+
+def defaults(stack: str, firmware: tuple[int, int, int] | None = None) -> dict[str, float]:
+    """Return every parameter that an examination requests besides those of its rules: an absent one is waited for."""
+    return dict.fromkeys(SAMPLE_PARAMETERS[Stack(stack)], 0.0) | defaults_of(stack, firmware)
 
 
 def run_doctor(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:

@@ -342,8 +342,7 @@ async def test_a_recording_is_loaded_once_from_an_address_that_only_the_page_get
         assert [(file["name"], file["size_bytes"]) for file in listed["files"]] == [("decklander-1.mcap", len(content))]
         await browser.send(kind="download", name="decklander-1.mcap")
         assert "the vehicle flies" in (await browser.read("download"))["text"]
-        service.flying = False
-        await until(lambda: service.pilot.vehicle is not None and service.pilot.vehicle.flying is False)
+        await service.lands()
         await browser.send(kind="download", name="decklander-1.mcap")
         address = (await browser.read("download"))["address"]
         async with client.get(address) as answer:
@@ -389,8 +388,7 @@ async def test_a_report_is_made_on_the_ground_and_opened_in_a_sandbox(tmp_path: 
     async with serving(tmp_path) as service, browsing(service) as browser, aiohttp.ClientSession(service.address) as client:
         await browser.send(kind="report", name="decklander-1.mcap")
         assert "the vehicle flies" in (await browser.read("report"))["text"]
-        service.flying = False
-        await until(lambda: service.pilot.vehicle is not None and service.pilot.vehicle.flying is False)
+        await service.lands()
         await browser.send(kind="report", name="decklander-1.mcap")
         assert (await browser.read("report"))["text"] == "is being made"
         made = await browser.read("report")

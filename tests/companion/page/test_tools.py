@@ -39,7 +39,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.companion.doctor.test_rules import ARDUPILOT
+from tests.companion.doctor.test_rules import ARDUPILOT, defaults
 from tests.make import seen
 from tests.support.page_service import Browser, browsing, serving
 from tests.support.waiting import until
@@ -47,7 +47,8 @@ from tests.support.waiting import until
 
 def with_fault() -> dict[str, float]:
     good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "ArduPilot"}
-    return {n: ARDUPILOT.parameters.get(n, good.get(n, 0.0)) for n in PARAMETERS["ArduPilot"]} | {"PLND_TYPE": 2.0}
+    own = {n: ARDUPILOT.parameters.get(n, good.get(n, 0.0)) for n in PARAMETERS["ArduPilot"]} | {"PLND_TYPE": 2.0}
+    return defaults("ArduPilot") | own
 
 
 @asynccontextmanager

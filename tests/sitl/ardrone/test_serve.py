@@ -26,7 +26,6 @@ from sitl.perception.port import Perception
 from sitl.scenario.scenario import Start
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.with_fault import faulty, real_time
-from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import World
 from tests.sitl.ardrone.peer import options_for
 from tests.sitl.ardrone.point_mass import PointMass
@@ -81,10 +80,6 @@ def test_wrong_use_is_one_line(arguments: tuple[str, ...], code: int, what: str,
 
 
 HOST = "127.0.0.1"
-
-
-async def reach(world: PointMass, phase: VehiclePhase) -> None:
-    await until(lambda: world.phase is phase)
 
 
 async def ready(drone: ArDrone) -> None:

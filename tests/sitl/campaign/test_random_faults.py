@@ -159,6 +159,7 @@ def test_a_campaign_writes_cases_that_fly_again_and_simulate_draws_the_same(tmp_
     scenario = tmp_path / "near.toml"
     scenario.write_text(NEAR)
     monkeypatch.setattr(random_faults, "verdict_of", lambda flight_row: "unsafe")  # a safe flight stands for an unsafe one
+    monkeypatch.setattr(random_faults, "shrunk", lambda faults, fails: shrunk(faults, fails, 2))
     common = [str(scenario), "--perception", "model", "--seed", "3", "--json", "--faults", "random"]
     cli.main(["campaign", *common, "--runs", "1", "--workers", "1", "--out", str(tmp_path / "out")])
     flown, summary = map(json.loads, capsys.readouterr().out.splitlines())

@@ -1,7 +1,8 @@
-"""The core of a Raspberry Pi computes what this machine's does: the same calls, cross-built by zig, under qemu's emulation."""
+"""The calls of exercise.c, which reach every function of the core: clean under the sanitizers, and on a Raspberry Pi the same."""
 
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -10,18 +11,34 @@ from pathlib import Path
 import pytest
 
 from estimator.core import abi
+from estimator.core.library import CORE
+from sitl.core.library import SIM
 from supply import core
+from tests.estimator.core.test_library import entries
 
-CALLS = Path(__file__).parent / "exercise.c"
+CALLS = Path(__file__).parents[1] / "tests/estimator/core/exercise.c"
 FLAGS = ["-std=c99", "-O3", "-ffp-contract=off", *core.all_in_one(), str(CALLS), "-lm"]
 
-pytestmark = pytest.mark.skipif(
+
+def test_the_core_runs_clean_under_the_sanitizers(tmp_path: Path) -> None:
+    flags = ["-std=c99", "-g", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    program = tmp_path / "exercise"
+    command = [*core.compiler(), *flags, *core.all_in_one(), str(CALLS)]
+    built = subprocess.run([*command, "-o", str(program), "-lm"], capture_output=True, text=True, check=False)
+    if built.returncode != 0 and re.search("sanitize|asan|ubsan", built.stderr):
+        pytest.skip("this compiler has no sanitizers")
+    assert built.returncode == 0, built.stderr
+    ran = subprocess.run([str(program)], capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert entries(CORE) | entries(SIM) <= set(ran.stdout.split()), "exercise.c misses a function"
+
+
+@pytest.mark.skipif(
     shutil.which("qemu-aarch64") is None or importlib.util.find_spec("ziglang") is None,
     reason="needs qemu-aarch64 (apt install qemu-user) and zig's compiler; `make test-aarch64` installs the latter",
 )
-
-
 def test_both_architectures_compute_the_same(tmp_path: Path) -> None:
+    """The core of a Raspberry Pi is cross-built by zig and runs under qemu's emulation."""
     own, other = tmp_path / "own", tmp_path / "aarch64"
     subprocess.run([*core.compiler(), *FLAGS, "-o", str(own)], check=True)
     zig = [sys.executable, "-m", "ziglang", "cc", "-target", "aarch64-linux-musl", "-static"]
