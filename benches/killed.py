@@ -1,10 +1,10 @@
 """Kill the daemon beside an autopilot at each of five phases, and see what the autopilot does and whether a new daemon lands it.
 
 python -m benches.killed --autopilot {px4,arducopter} [--binary PATH] [--scenario NAME] [--phase NAME ...] [--first SEED]
-    [--seeds N] [--perception truth|model|pixels] [--for SECONDS] [--out FILE]
+    [--seeds N] [--perception truth|model|pixels] [--for SECONDS]
 
-Every flight is one of `decklander simulate --autopilot` with the fault `service_killed`, in lock step, one after the other.
-`--out` appends each flight as a line of JSON, and flights that such a file has are not flown again.
+Every flight is one of `decklander simulate --autopilot` with the fault `service_killed`, in lock step, one after the other; each
+is a line of JSON on standard error.
 """
 
 import argparse
@@ -50,17 +50,11 @@ def scenario_of(name: str, phase: str, for_s: float) -> Scenario:
 def fly(args: argparse.Namespace, phase: str, seed: int) -> dict[str, Any]:
     """Fly once, and return the result."""
     scenario = scenario_of(args.scenario, phase, args.for_s)
+    settings = settings_for(scenario, None, by_autopilot=True)
     binary = None if args.binary == "stand-in" else executable(args.binary, args.autopilot)
     program = AutopilotProgram(args.autopilot, binary)
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
-        flight = AutopilotFlight(
-            scenario,
-            seed,
-            settings_for(scenario, None, by_autopilot=True),
-            program,
-            Path(folder),
-            perception=perceive(args.perception),
-        )
+        flight = AutopilotFlight(scenario, seed, settings, program, Path(folder), perception=perceive(args.perception))
         end = event_loop.run(flight.fly())
     return {"phase": phase, "seed": seed, **_told(end)}
 
@@ -70,7 +64,7 @@ def _told(end: FlightEnd) -> dict[str, Any]:
     contact = end.contacts[-1] if end.contacts else None
     landed = end.outcome is FlightOutcome.LANDED and contact is not None
     return {
-        "outcome": _outcome(end),
+        "outcome": end.failure or (end.without_outcome if end.outcome is None else end.outcome.value),
         "upright": end.upright,
         "on_pad": landed and contact is not None and contact.on_pad,
         "lateral_m": None if contact is None or not landed else round(contact.lateral_m, 4),
@@ -80,10 +74,6 @@ def _told(end: FlightEnd) -> dict[str, Any]:
         "silence": silence,
         "failsafes": list(end.failsafes),
     }
-
-
-def _outcome(end: FlightEnd) -> str:
-    return end.failure or (end.without_outcome if end.outcome is None else end.outcome.value)
 
 
 def table(flights: Sequence[dict[str, Any]]) -> str:
@@ -130,22 +120,12 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--perception", type=perception_level, default="pixels")
     parser.add_argument("--for", dest="for_s", type=float, default=5.0)
-    parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     flights: list[dict[str, Any]] = []
-    if args.out is not None and args.out.exists():
-        flights = [json.loads(line) for line in args.out.read_text().splitlines()]
-    have = {(f["phase"], f["seed"]) for f in flights}
     for seed in range(args.first, args.first + args.seeds):
         for phase in args.phase:
-            if (phase, seed) in have:
-                continue
             flights.append(fly(args, phase, seed))
-            line = json.dumps(flights[-1])
-            sys.stderr.write(line + "\n")
-            if args.out is not None:
-                with args.out.open("a") as out:
-                    out.write(line + "\n")
+            sys.stderr.write(json.dumps(flights[-1]) + "\n")
     sys.stdout.write(table(flights) + "\n")
     return 0 if all(f["on_pad"] for f in flights if f["silence"] is not None) else 1
 

@@ -16,10 +16,11 @@ import math
 import os
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
@@ -30,14 +31,13 @@ from numpy.typing import NDArray  # noqa: E402
 from pupil_apriltags import Detector  # noqa: E402
 
 from benches.search import floor_ms  # noqa: E402
+from estimator.contracts.estimates import Sighting  # noqa: E402
 from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
-from estimator.vision.detection import Detection  # noqa: E402
 from estimator.vision.options import TrackerOptions  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
-from estimator.vision.pose import Orientation  # noqa: E402
-from estimator.vision.register.registration import Registration, RegistrationOptions, register  # noqa: E402
+from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
 from estimator.vision.srgb import LINEAR_LIGHT  # noqa: E402
 from estimator.vision.thesis.detection import detect  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
@@ -52,10 +52,13 @@ from tests.support.plain_light import FLAT  # noqa: E402
 from tests.support.shipped import shipped_camera, shipped_pad  # noqa: E402
 
 U8 = NDArray[np.uint8]
-T = TypeVar("T")
+Place = tuple[F64, float | None, bool] | None
+"""The vector from the lens to the pad in `level`, the heading, and whether half a turn is left open; None if not found."""
 HEIGHTS_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 FINE = 6
 """Subsamples along a pixel's side for the markers' frames."""
+OTHERS = "## Other benches"
+"""Heading of the page's rest, which is left as it is."""
 FLOOR_LIGHT, WHITE_LIGHT, BLACK_LIGHT = 0.16, 0.8, 0.02
 
 
@@ -76,12 +79,12 @@ class Tally:
     yaw_rad: list[float] = field(default_factory=list)
     ms: list[float] = field(default_factory=list)
 
-    def add(self, found: tuple[F64, float | None] | None, view: RenderedView, ms: float, either_way: bool = False) -> None:
+    def add(self, found: Place, view: RenderedView, ms: float) -> None:
         self.tried += 1
         self.ms.append(ms)
         if found is None:
             return
-        d, yaw = found
+        d, yaw, either_way = found
         off = d - truth(view)
         if np.linalg.norm(off) > 0.1 * view.pose.range_m + 0.02:
             return
@@ -159,20 +162,14 @@ class MarkerScene:
         return np.asarray(np.round(255 * coded), np.uint8)
 
 
-def pnp(uv: F64, side_m: float, view: RenderedView, camera: Camera) -> tuple[F64, float]:
+def pnp(uv: F64, side_m: float, view: RenderedView, camera: Camera) -> Place:
     """Solve the pose from the four corners, clockwise from the corner at the arrow's port side."""
     h = side_m / 2
     square = np.array([(-h, h, 0), (h, h, 0), (h, -h, 0), (-h, -h, 0)])
     _, rvec, tvec = cv2.solvePnP(square, uv.astype(float), camera.K, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
     R = cv2.Rodrigues(rvec)[0]
     up = R_level_cam(view, camera).matrix @ R[:, 1]
-    return in_level(view, camera, np.asarray(tvec[:, 0], float)), -math.atan2(up[1], up[0])
-
-
-def timed(work: Callable[[], T]) -> tuple[T, float]:
-    began = time.process_time_ns()
-    found = work()
-    return found, (time.process_time_ns() - began) * 1e-6
+    return in_level(view, camera, np.asarray(tvec[:, 0], float)), -math.atan2(up[1], up[0]), False
 
 
 def bound(stage: Stage, height_m: float) -> F64:
@@ -211,80 +208,76 @@ def camera_mask(stage: Stage, pose: PadPose, times: float) -> np.ndarray:
     return mask.astype(bool)
 
 
+class Peers:
+    """The pad and the markers in its place under one camera, and the methods that look for them."""
+
+    def __init__(self, seed: int) -> None:
+        camera, pad, sensor = shipped_camera("sim"), shipped_pad("thesis"), Sensor(exposure_s=0.0)
+        self.stage = Stage(camera, pad, PLAIN, FLAT, sensor, seed)
+        self._side_m = pad.disc_radius_m * math.sqrt(2)
+        codes, tags = map(cv2.aruco.getPredefinedDictionary, (cv2.aruco.DICT_5X5_50, cv2.aruco.DICT_APRILTAG_36h11))
+        self._markers = [
+            MarkerScene(np.asarray(cv2.aruco.generateImageMarker(of, 7, cells), np.uint8), self._side_m, camera, sensor, its_seed)
+            for of, cells, its_seed in ((codes, 7, seed), (tags, 8, seed + 1))
+        ]
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        self._aruco = cv2.aruco.ArucoDetector(codes, parameters)
+        self._look = TrackerConfig(camera, pad, TrackerOptions(deck_tilt_sigma_deg=math.degrees(SIGMA_DECK_RAD)))
+
+    def looks(self, view: RenderedView) -> dict[tuple[str, ...], Callable[[], list[Place]]]:
+        """Return what looks at a view, by the names of the methods that it finds a place by."""
+        camera, pad, px, orientation = self.stage.camera, self.stage.pad, view.px, view.orientation()
+        level = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0)
+        frame, attitude = Frame(STAMP, 0, px), Attitude(STAMP, level, 1e-8 * np.eye(3))
+        start, mount = self.stage.start(view, 0.5), level @ camera.T_body_cam.t
+        square, tag = (cv2.cvtColor(scene.image(view.pose), cv2.COLOR_BGR2GRAY) for scene in self._markers)
+
+        def seen(s: Sighting | None) -> Place:
+            return None if s is None else (s.d_body_pad_level - mount, s.yaw_rad, s.yaw_ambiguous)
+
+        def by_thesis() -> list[Place]:
+            found = detect(frame, attitude, camera, pad, COLOUR_SETS["simulator"], sigma_deck_rad=SIGMA_DECK_RAD)
+            return [seen(found.methods[name]) for name in THESIS]
+
+        def registered(first: PadPose) -> list[Place]:
+            found = register(px, camera, pad, first, orientation, _CLOSE)
+            return [None if found is None else (*of_pose(view, camera, found.pose), found.yaw_ambiguous)]
+
+        def searched() -> list[Place]:
+            candidates = acquire(px, camera, pad, level)
+            return registered(candidates[0].pose) if candidates else [None]
+
+        def by_aruco() -> list[Place]:
+            corners, ids, _ = self._aruco.detectMarkers(square)
+            return [None if ids is None else pnp(corners[0][0], self._side_m, view, camera)]
+
+        def by_apriltag() -> list[Place]:
+            # Its corners begin at the lower left and its pixel (0.5, 0.5) is the first one's centre.
+            places = [np.roll(found.corners[::-1], 2, axis=0) - 0.5 for found in _TAGS.detect(tag)]
+            return [pnp(places[0], self._side_m, view, camera) if places else None]
+
+        return {
+            THESIS: by_thesis, ("registration, tracked",): lambda: registered(start), ("registration, searched",): searched,
+            (LOOK,): lambda: [seen(track(self._look, TrackerMemory(), frame, attitude)[0].selected)],
+            (ARUCO,): by_aruco, (APRILTAG,): by_apriltag,
+        }  # fmt: skip
+
+
 def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally], float, F64]:
     """Return the tallies by method, the floor in ms, and the bound (x, y, range in m, heading in rad)."""
-    camera, pad, sensor = shipped_camera("sim"), shipped_pad("thesis"), Sensor(exposure_s=0.0)
-    stage = Stage(camera, pad, PLAIN, FLAT, sensor, seed)
-    side_m = pad.disc_radius_m * math.sqrt(2)
-    code = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
-    aruco_scene = MarkerScene(np.asarray(cv2.aruco.generateImageMarker(code, 7, 7), np.uint8), side_m, camera, sensor, seed)
-    tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    tag_scene = MarkerScene(np.asarray(cv2.aruco.generateImageMarker(tags, 7, 8), np.uint8), side_m, camera, sensor, seed + 1)
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    aruco = cv2.aruco.ArucoDetector(code, parameters)
-    tallies = {name: Tally() for name in (*THESIS, "registration, tracked", "registration, searched", LOOK, ARUCO, APRILTAG)}
-    whole = TrackerConfig(camera, pad, TrackerOptions(deck_tilt_sigma_deg=math.degrees(SIGMA_DECK_RAD)))
-    floor: list[float] = []
+    peers, tallies, floor = Peers(seed), defaultdict[str, Tally](Tally), list[float]()
     for _ in range(frames):
-        view = stage.view(height_m)
-        orientation = view.orientation()
-        frame = Frame(STAMP, 0, view.px)
-        attitude = Attitude(STAMP, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), 1e-8 * np.eye(3))
-        mount = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0) @ camera.T_body_cam.t
-
-        def by_thesis(frame: Frame = frame, attitude: Attitude = attitude) -> Detection:
-            return detect(frame, attitude, camera, pad, COLOUR_SETS["simulator"], sigma_deck_rad=SIGMA_DECK_RAD)
-
-        def by_look(frame: Frame = frame, attitude: Attitude = attitude) -> Detection:
-            return track(whole, TrackerMemory(), frame, attitude)[0]
-
-        for names, work in ((THESIS, by_thesis), ((LOOK,), by_look)):
-            work()  # The first look at a frame waits for memory.
-            seen, ms = timed(work)
-            for name in names:
-                cue = seen.selected if name == LOOK else seen.methods[name]
-                found = None if cue is None else (cue.d_body_pad_level - mount, cue.yaw_rad)
-                tallies[name].add(found, view, ms, either_way=cue is not None and cue.yaw_ambiguous)
-
-        start = stage.start(view, 0.5)
-
-        def tracked(
-            view: RenderedView = view, start: PadPose = start, orientation: Orientation = orientation
-        ) -> Registration | None:
-            return register(view.px, camera, pad, start, orientation, _CLOSE)
-
-        def searched(view: RenderedView = view, orientation: Orientation = orientation) -> Registration | None:
-            level = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0)
-            candidates = acquire(view.px, camera, pad, level)
-            return register(view.px, camera, pad, candidates[0].pose, orientation, _CLOSE) if candidates else None
-
-        for name, work in (("registration, tracked", tracked), ("registration, searched", searched)):
-            result, ms = timed(work)
-            place = None if result is None else of_pose(view, camera, result.pose)
-            tallies[name].add(place, view, ms, either_way=result is not None and result.yaw_ambiguous)
-
-        px = aruco_scene.image(view.pose)
-
-        def by_aruco(px: U8 = px, view: RenderedView = view) -> tuple[F64, float] | None:
-            corners, ids, _ = aruco.detectMarkers(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
-            return None if ids is None else pnp(corners[0][0], side_m, view, camera)
-
-        place, ms = timed(by_aruco)
-        tallies[ARUCO].add(place, view, ms)
-        px = tag_scene.image(view.pose)
-
-        def by_apriltag(px: U8 = px, view: RenderedView = view) -> tuple[F64, float] | None:
-            found = _TAGS.detect(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
-            if not found:
-                return None
-            # Its corners begin at the lower left and its pixel (0.5, 0.5) is the first one's centre.
-            return pnp(np.roll(found[0].corners[::-1], 2, axis=0) - 0.5, side_m, view, camera)
-
-        place, ms = timed(by_apriltag)
-        tallies[APRILTAG].add(place, view, ms)
+        view = peers.stage.view(height_m)
+        for names, look in peers.looks(view).items():
+            look()  # The first look at a frame waits for memory.
+            began = time.process_time_ns()
+            places = look()
+            ms = (time.process_time_ns() - began) * 1e-6
+            for name, place in zip(names, places, strict=True):
+                tallies[name].add(place, view, ms)
         floor.append(min(floor_ms(view.px) for _ in range(40)))
-    return tallies, float(np.median(floor)), bound(stage, height_m)
+    return tallies, float(np.median(floor)), bound(peers.stage, height_m)
 
 
 HEADER = ["height m", "method", "found", "lateral mm", "range mm", "range bias mm", "heading deg", "ms", "x floor"]
@@ -321,14 +314,9 @@ def write(folder: Path, rows: list[list[str]], frames: int) -> None:
         *("| " + " | ".join(row) + " |" for row in rows if row[2] != "0 %"), "",
         f"The machine's load meanwhile was {os.getloadavg()[2]:.1f} on {os.cpu_count()} cores; where it is above one a core, "
         "processor times come out longer than on a machine at rest, ratios less so.", "",
-        _kept(folder / "benchmarks.md"),
+        OTHERS + (folder / "benchmarks.md").read_text(encoding="utf-8").split(OTHERS)[1],
     ]  # fmt: skip
     (folder / "benchmarks.md").write_text("\n".join(lines), encoding="utf-8")
-
-
-def _kept(page: Path) -> str:
-    """Return what the page has of other benches, which this one leaves as it is."""
-    return "## Other benches" + page.read_text(encoding="utf-8").partition("## Other benches")[2].rstrip("\n") + "\n"
 
 
 if __name__ == "__main__":
