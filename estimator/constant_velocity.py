@@ -66,7 +66,7 @@ class ConstantVelocityPath(Path):
         self._belief: _Belief | None = None
         self._arrow: ArrowHeading | None = None
 
-    def put(self, samples: Sequence[Sample]) -> Sequence[FusionResult | None]:
+    def put(self, samples: Sequence[Sample], *, wanted: bool = True) -> Sequence[FusionResult | None]:
         self._attitudes = self._attitudes.add(*[s for s in samples if type(s) is Attitude])
         return [None] * len(samples)
 

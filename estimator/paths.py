@@ -12,7 +12,7 @@ from msgspec import structs
 
 from estimator import dead_reckoning
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
-from estimator.contracts.fusion import FusionResult, source_of
+from estimator.contracts.fusion import FusionResult, uncompared
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import GeoFix, GimbalAttitude, Sample, VehicleStatus
@@ -31,8 +31,8 @@ class Path(Protocol):
 
     name: PathName
 
-    def put(self, samples: Sequence[Sample]) -> Sequence[FusionResult | None]:
-        """Process samples in the order in which they were received; return each sample's result.
+    def put(self, samples: Sequence[Sample], *, wanted: bool = True) -> Sequence[FusionResult | None]:
+        """Process samples in the order in which they were received; return each sample's result, if `wanted`.
 
         The result is None for a kind of sample that this path does not use. Otherwise it holds the verdict and, if the path
         compares the measurement with a prediction, the innovation.
@@ -244,7 +244,7 @@ class MedianMeanPath(Path):
         self._newest: Filtered | None = None
         self._sighting: Sighting | None = None
 
-    def put(self, samples: Sequence[Sample]) -> Sequence[FusionResult | None]:
+    def put(self, samples: Sequence[Sample], *, wanted: bool = True) -> Sequence[FusionResult | None]:
         return [None] * len(samples)
 
     def sight(self, sighting: Sighting) -> FusionResult:
@@ -252,9 +252,9 @@ class MedianMeanPath(Path):
             sighting.stamp.measured_at, sighting.d_body_pad_level, sighting.yaw_rad, sighting.yaw_ambiguous
         )
         if out is None:
-            return _uncompared(self.name, sighting, Verdict.TOO_OLD)
+            return uncompared(self.name, sighting, Verdict.TOO_OLD)
         self._filter, self._newest, self._sighting = memory, out, sighting
-        return _uncompared(self.name, sighting, Verdict.FUSED)
+        return uncompared(self.name, sighting, Verdict.FUSED)
 
     def at(self, now: MonoNs) -> RelativeState | None:
         if self._newest is None or self._sighting is None:
@@ -287,7 +287,7 @@ class DeadReckoningPath(Path):
         self._filter = MedianMean(max_gap_s)
         self._state = dead_reckoning.DeadReckoning.start(options)
 
-    def put(self, samples: Sequence[Sample]) -> Sequence[FusionResult | None]:
+    def put(self, samples: Sequence[Sample], *, wanted: bool = True) -> Sequence[FusionResult | None]:
         for sample in samples:
             self._state, _ = dead_reckoning.step(self._state, sample)
         return [None] * len(samples)
@@ -295,10 +295,10 @@ class DeadReckoningPath(Path):
     def sight(self, sighting: Sighting) -> FusionResult:
         memory, smooth = self._filter.smooth(sighting)
         if smooth is None:
-            return _uncompared(self.name, sighting, Verdict.TOO_OLD)
+            return uncompared(self.name, sighting, Verdict.TOO_OLD)
         self._filter = memory
         self._state, verdict = dead_reckoning.sighted(self._state, smooth)
-        return _uncompared(self.name, sighting, verdict)
+        return uncompared(self.name, sighting, verdict)
 
     def at(self, now: MonoNs) -> RelativeState | None:
         return dead_reckoning.at(self._state, now)
@@ -312,10 +312,10 @@ class EkfPath(Path):
     def __init__(self, options: EkfOptions) -> None:
         self._filter = Filter(options)
 
-    def put(self, samples: Sequence[Sample]) -> Sequence[FusionResult | None]:
+    def put(self, samples: Sequence[Sample], *, wanted: bool = True) -> Sequence[FusionResult | None]:
         used = [s for s in samples if type(s) not in _UNUSED_BY_EKF]
-        made = self._filter.put(used)  # type: ignore[arg-type]
-        if len(used) == len(samples):
+        made = self._filter.put(used, wanted=wanted)  # type: ignore[arg-type]
+        if len(used) == len(samples) or not wanted:
             return made
         of_used = iter(made)
         return [None if type(s) in _UNUSED_BY_EKF else next(of_used) for s in samples]
@@ -331,8 +331,3 @@ class EkfPath(Path):
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
         return self._filter.forecast(now, horizons_s)
-
-
-def _uncompared(path: PathName, event: Event, verdict: Verdict) -> FusionResult:
-    """Return the result of a path that compares no measurement with a prediction."""
-    return FusionResult(path, source_of(event), verdict, event.stamp.measured_at, event.stamp.received_at)

@@ -18,7 +18,7 @@ from msgspec import structs
 from estimator.attitude_history import AttitudeHistory, GimbalHistory, HeldCamera
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Details, PathName, RelativeState, Sighting, Verdict
-from estimator.contracts.fusion import FusionResult, source_of
+from estimator.contracts.fusion import FusionResult, uncompared
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import (
@@ -119,11 +119,11 @@ class RelativeEstimator:
         """Take what `PadTracker.track` found; its stamp says when the image was exposed."""
         return self._verdict_of(sighting)
 
-    def put(self, events: Sequence[Event]) -> list[tuple[FusionResult, ...]]:
+    def put(self, events: Sequence[Event], *, wanted: bool = True) -> list[tuple[FusionResult, ...]]:
         """Process samples and sightings in the order in which they were received; return the results of each, path by path.
 
         A sighting has one result for each path. A sample has one for each path that uses it, and one for each path if it is
-        refused before the paths. The results are those of one event after the other.
+        refused before the paths. They are those of one event after the other; of samples none is made unless `wanted`.
         """
         results: list[tuple[FusionResult, ...]] = []
         samples: list[Sample] = []
@@ -131,10 +131,10 @@ class RelativeEstimator:
             if not isinstance(event, Sighting):
                 samples.append(event)
                 continue
-            results += self._put_samples(samples)
+            results += self._put_samples(samples, wanted)
             results.append(self._sight(event))
             samples = []
-        return results + self._put_samples(samples)
+        return results + self._put_samples(samples, wanted)
 
     def put_seen(self, tracked: Sighting | None, elsewhere: Sighting | None) -> tuple[FusionResult, ...]:
         """Process what one frame shows: the tracked pad, or more clearly a pad in a place that the estimate excludes, or both.
@@ -304,17 +304,25 @@ class RelativeEstimator:
             self._newest = max(self._newest or event.stamp.measured_at, event.stamp.measured_at)
         return verdict
 
-    def _put_samples(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
+    def _put_samples(self, samples: Sequence[Sample], wanted: bool) -> list[tuple[FusionResult, ...]]:
         if not samples:
             return []
-        restarts = self.guard.restarts
-        self.guard, admitted = integrity.admit(self.guard, samples)
+        before = self.guard
+        self.guard, admitted = integrity.admit(before, samples)
+        restarts = self.guard.restarts != before.restarts
+        if restarts and len(stamps := dict.fromkeys([sample.stamp for sample in samples])) > 1:
+            # What came before the one that shows a sensor's fault belongs to the filter before.
+            self.guard = before
+            return [r for stamp in stamps for r in self._put_samples([s for s in samples if s.stamp == stamp], wanted)]
         passed = [sample for sample in admitted if not isinstance(sample, Verdict)]
         self._attitudes = self._attitudes.add(*[s for s in passed if type(s) is Attitude])
         self._gimbal = self._gimbal.add(*[s for s in passed if type(s) is GimbalAttitude])
-        if self.guard.restarts != restarts:
+        if restarts:
             self._begin_again()
-        by_sample = zip(*[path.put(passed) for path in self._paths], strict=True)
+        made = [path.put(passed, wanted=wanted) for path in self._paths]
+        if not wanted:
+            return []
+        by_sample = zip(*made, strict=True)
         return [
             self._refused(sample, found) if isinstance(found, Verdict) else tuple([r for r in next(by_sample) if r is not None])
             for sample, found in zip(samples, admitted, strict=True)
@@ -340,8 +348,7 @@ class RelativeEstimator:
 
     def _refused(self, event: Event, verdict: Verdict) -> tuple[FusionResult, ...]:
         """Return the results of an event that reaches none of the paths."""
-        source, stamp = source_of(event), event.stamp
-        return tuple([FusionResult(path.name, source, verdict, stamp.measured_at, stamp.received_at) for path in self._paths])
+        return tuple([uncompared(path.name, event, verdict) for path in self._paths])
 
     def _dressed(self, state: RelativeState, now: MonoNs) -> RelativeState:
         guard = self.guard

@@ -49,7 +49,7 @@ def main(seed: int) -> bool:
                 estimator.on_sighting(sighting)
         state = estimator.state
         if state is not None and state.height_m < 0.35 and state.lateral_m < 0.15:
-            world.land()
+            world.vehicle.land()
         elif world.phase is not VehiclePhase.LANDING:
             world.stick(control(state))
         if world.phase is VehiclePhase.LANDED:

@@ -1,4 +1,6 @@
-"""Files of a simulated flight that `--report` and `--record` keep."""
+"""Files of a simulated flight that `--report` and `--record` keep. Report and recorder are loaded only where one is wanted."""
+
+from __future__ import annotations
 
 import argparse
 import math
@@ -10,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from companion.base.health import Health
 from companion.base.observer import Observer, Relay
@@ -18,16 +20,9 @@ from companion.base.version import version
 from companion.cli.options import file_errors, option, prepare_folder, written
 from companion.cli.progress import video_progress
 from companion.facts.records import ContactRecord, TruthRecord
-from companion.parts.recorder.recorder import Recorder
-from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
-from companion.settings import schema
 from companion.settings.load import body_camera, camera_model, pad_model
 from companion.settings.model import Settings
 from companion.settings.service import FrameForm
-from companion.tools.replay.recorded_log import add_truth
-from companion.tools.report.flight_log import FlightLog, LogObserver
-from companion.tools.report.page import PAGE, write_report
-from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation
@@ -35,6 +30,10 @@ from estimator.contracts.time import MonoNs
 from sitl.flight.ending import Ending
 from sitl.perception.port import Level
 from sitl.world.truth import Touchdown, Truth
+
+if TYPE_CHECKING:
+    from companion.parts.recorder.recorder import Recorder
+    from companion.tools.report.flight_log import FlightLog
 
 
 class HeldBack(Relay):
@@ -101,6 +100,8 @@ class KeptFlight:
         """
         if self.log is None:
             return ""
+        from companion.tools.report.page import PAGE, write_report
+
         ending.write_into(self.log)
         self.log.facts += [("scenario", self.args.scenario), ("seed", str(self.args.seed)), ("decklander", version())]
         self.log.facts += [("flown in", f"{wall_s:.1f} s, {time}"), *ending.facts()]
@@ -117,6 +118,8 @@ class KeptFlight:
         if self.recorder is not None:
             self.recorder.on_truth(record)
         if self.log is not None:
+            from companion.tools.replay.recorded_log import add_truth
+
             add_truth(self.log, record)
 
 
@@ -147,21 +150,22 @@ def keeping(
     prepare_folder(args.report)
     if perception != "pixels":
         args.record_frames = "none"
-    log = None if args.report is None else _log(settings, title, started)
-    reported: list[Observer] = [] if log is None else [LogObserver(log, keep_images=perception == "pixels")]
+    log, reported = None, list[Observer]()
+    if args.report is not None:
+        from companion.settings import schema
+        from companion.tools.report.flight_log import FlightLog, LogObserver
+
+        log = FlightLog(
+            title, started=started, pad=pad_model(settings), camera=camera_model(settings), steering=settings.estimator.path,
+            settings=schema.toml(settings),
+        )  # fmt: skip
+        reported.append(LogObserver(log, keep_images=perception == "pixels"))
     facts = {**facts, "scenario": args.scenario, "seed": str(args.seed), "perception": perception}
     with recording(args, settings, facts, live=live) as recorder:
         if recorder is not None:
             reported.append(recorder)
         held_back = tuple(HeldBack(observer) for observer in reported) if from_truth else ()
         yield KeptFlight(args, recorder, log, held_back or tuple(reported), held_back)
-
-
-def _log(settings: Settings, title: str, started: MonoNs) -> FlightLog:
-    return FlightLog(
-        title, started=started, pad=pad_model(settings), camera=camera_model(settings), steering=settings.estimator.path,
-        settings=schema.toml(settings),
-    )  # fmt: skip
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -186,6 +190,9 @@ def recording(
     if args.record is None:
         yield None
         return
+    from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
+    from drivers.clock import SystemClock
+
     _require_writable(args.record)
     offset_ns = wall_offset_ns(SystemClock()) if live else 0
     described = about(settings, flight, offset_ns)

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from companion.base import event_loop
 from companion.cli import kept_flight, perception_option
 from companion.cli.kept_flight import keeping
 from companion.cli.options import check_seed, option, print_result
@@ -23,9 +23,6 @@ from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 from sitl.campaign.overrides import Overridable
-from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
-from sitl.emulators.autopilots.follow import FollowEnd, follow
-from sitl.emulators.autopilots.program import executable
 from sitl.faults.kinds import STREAMS
 from sitl.flight.ending import Ending
 from sitl.flight.one_flight import FlyOptions, fly, perception_level, settings_for
@@ -34,6 +31,10 @@ from sitl.perception.port import Level
 from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.with_fault import with_random_faults
+
+if TYPE_CHECKING:
+    from sitl.emulators.autopilots.flight import FlightEnd
+    from sitl.emulators.autopilots.follow import FollowEnd
 
 DESCRIPTION = (
     "Simulate one flight in virtual time, without sockets. The same scenario, seed and settings give the same "
@@ -150,6 +151,10 @@ STAND_IN = "stand-in"
 
 def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     """Fly the scenario; return 0 if it landed on the pad, else 1."""
+    from companion.base import event_loop  # these load MAVLink and asyncio, which a flight in virtual time does not need
+    from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
+    from sitl.emulators.autopilots.program import executable
+
     binary = None if args.binary == STAND_IN else executable(args.binary, args.autopilot)
     scenario = load_scenario(args.scenario, args.base)
     refuse_faults(args.scenario, scenario, CARRIED)
@@ -239,6 +244,9 @@ def _folder(keep: Path | None) -> Iterator[Path]:
 
 def run_follow(args: argparse.Namespace) -> int:
     """Follow the vehicle until the landing has ended; return 0 if it landed on the pad, else 1."""
+    from companion.base import event_loop
+    from sitl.emulators.autopilots.follow import follow
+
     if args.report is not None or args.record is not None:
         raise BadInput("--report and --record do not go with --follow")
     parse_endpoint(args.follow)

@@ -144,13 +144,13 @@ class Pilot:
         objection = self.landing.doubted(now)
         return believed if objection is None else alerted(believed, objection)
 
-    def on_samples(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
-        """Process samples in the order in which they were received. Return the fusion results of each, path by path."""
+    def on_samples(self, samples: Sequence[Sample], *, wanted: bool = True) -> list[tuple[FusionResult, ...]]:
+        """Process samples in the order in which they were received. Return the results of each, path by path, if `wanted`."""
         self.operator.on_samples(samples)
         self.landing.on_samples(samples)
         fused = [sample for sample in samples if type(sample) not in _NOT_FUSED]
-        results = self.estimator.put(fused)
-        if len(fused) == len(samples):
+        results = self.estimator.put(fused, wanted=wanted)
+        if len(fused) == len(samples) or not wanted:
             return results
         of_fused = iter(results)
         return [() if type(sample) in _NOT_FUSED else next(of_fused) for sample in samples]

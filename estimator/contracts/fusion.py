@@ -97,6 +97,11 @@ def source_of(event: Sample | Sighting) -> Source:
         raise TypeError(f"a measurement is a sample or a sighting, not {type(event).__name__}") from None
 
 
+def uncompared(path: PathName, event: Sample | Sighting, verdict: Verdict) -> FusionResult:
+    """Return the result of a measurement that a path compares with no prediction."""
+    return FusionResult(path, source_of(event), verdict, event.stamp.measured_at, event.stamp.received_at)
+
+
 def components_of(source: Source, size: int) -> tuple[str, ...]:
     """Return the names of the components of an innovation of `size` numbers whose components are the source's first ones."""
     return POSE_COMPONENTS if source == "sighting" and size == len(POSE_COMPONENTS) else COMPONENTS[source][:size]

@@ -2,7 +2,6 @@
 
 import struct
 from collections.abc import Callable
-from functools import reduce
 from typing import Any
 
 from estimator.contracts.estimates import Sighting
@@ -15,7 +14,8 @@ Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
 
 _HEAD = struct.Struct("@I4x3qQ")
 """The numbers of an event before its sample: kind, instants of measuring and of reception, frame, method."""
-_LOST_S = struct.Struct("2d")  # the times for which gyro and accelerometer were lost, s
+_TWO = struct.Struct("2d")
+"""The times for which gyro and accelerometer were lost, s; a distance and its standard deviation, m."""
 _new, _bytes_of, _EVENT = CORE.ffi.new, CORE.ffi.buffer, CORE.ffi.typeof("dl_event *")
 
 
@@ -47,27 +47,24 @@ def _padding(sample: str) -> bytes:
     return bytes(CORE.ffi.sizeof("dl_event") - _HEAD.size - CORE.ffi.sizeof(sample))
 
 
-def _of_arrays(kind: int, sample: str, **at: str) -> Callable[[Any], bytes]:
-    """Return a function that packs events whose members are one array each.
-
-    Args:
-        kind: the kind of event.
-        sample: the structure of its sample.
-        at: where the event has an array whose name is not the member's.
-    """
-    paths = [at.get(name, name).split(".") for name, _ in CORE.ffi.typeof(sample).fields]
-    rest = _padding(sample)
-
-    def record(event: Any) -> bytes:
-        arrays = [reduce(getattr, path, event).tobytes() for path in paths]
-        return b"".join([_head(kind, event), *arrays, rest])
-
-    return record
-
-
+# Hundreds of samples a second: their bytes are joined in the order of the header's members.
 def _of_imu(event: Imu) -> bytes:
-    lost = _LOST_S.pack(event.gyro_lost_s, event.accel_lost_s)
+    lost = _TWO.pack(event.gyro_lost_s, event.accel_lost_s)
     return b"".join([_head(abi.DL_IMU, event), event.w_body.tobytes(), event.f_body.tobytes(), lost, _AFTER_IMU])
+
+
+def _of_attitude(event: Attitude) -> bytes:
+    R, cov = event.R_ned_body.matrix, event.cov_body
+    return b"".join([_head(abi.DL_ATTITUDE, event), R.tobytes(), cov.tobytes(), _AFTER_ATTITUDE])
+
+
+def _of_velocity(event: BodyVelocity) -> bytes:
+    v, cov = event.v_level, event.cov_level
+    return b"".join([_head(abi.DL_VELOCITY, event), v.tobytes(), cov.tobytes(), _AFTER_VELOCITY])
+
+
+def _of_distance(kind: int, event: Range | Baro, measured_m: float) -> bytes:
+    return b"".join([_head(kind, event), _TWO.pack(measured_m, event.sigma_m), _AFTER_DISTANCE])
 
 
 def _of_vessel(report: VesselReport) -> bytes:
@@ -102,13 +99,15 @@ def _of_sighting(s: Sighting) -> bytes:
     return _record(abi.DL_SIGHTING, s, {"sighting": values}, s.seq, method)
 
 
-_AFTER_IMU = _padding("dl_imu")
+_AFTER_IMU, _AFTER_ATTITUDE, _AFTER_VELOCITY, _AFTER_DISTANCE = map(
+    _padding, ("dl_imu", "dl_attitude", "dl_velocity", "dl_distance")
+)
 _RECORDS: dict[type[Event], Callable[[Any], bytes]] = {
     Imu: _of_imu,
-    Attitude: _of_arrays(abi.DL_ATTITUDE, "dl_attitude", R_ned_body="R_ned_body.matrix"),
-    BodyVelocity: _of_arrays(abi.DL_VELOCITY, "dl_velocity"),
-    Range: lambda event: _record(abi.DL_RANGE, event, {"distance": (event.range_m, event.sigma_m)}),
-    Baro: lambda event: _record(abi.DL_HEIGHT, event, {"distance": (event.height_m, event.sigma_m)}),
+    Attitude: _of_attitude,
+    BodyVelocity: _of_velocity,
+    Range: lambda event: _of_distance(abi.DL_RANGE, event, event.range_m),
+    Baro: lambda event: _of_distance(abi.DL_HEIGHT, event, event.height_m),
     VesselReport: _of_vessel,
     Sighting: _of_sighting,
 }

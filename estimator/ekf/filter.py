@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState, Verdict
-from estimator.contracts.fusion import COMPONENTS, FusionResult, Source, components_of, source_of
+from estimator.contracts.fusion import COMPONENTS, FusionResult, Source, components_of, source_of, uncompared
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
@@ -39,6 +39,7 @@ from estimator.ekf.state import (
 _CONSISTENT_NIS = 2.0
 """Recent mean of NIS over degrees of freedom below which the innovations agree with the covariance."""
 _VERDICTS = {value: Verdict[name.removeprefix("DL_")] for name, value in CORE.names("dl_verdict").items()}
+_EVENTS = CORE.ffi.typeof("dl_event[]")
 _ANSWERS_KEPT = 8
 """Number of answers that are kept.
 
@@ -75,11 +76,11 @@ class Filter:
     def __reduce__(self) -> tuple[type[Filter], tuple[EkfOptions, bytes]]:
         return type(self), (self.options, self.save())
 
-    def put(self, events: Sequence[Event]) -> list[FusionResult]:
+    def put(self, events: Sequence[Event], *, wanted: bool = True) -> list[FusionResult]:
         """Process samples and sightings in the order in which they were received; they may be out of sequence.
 
         Returns:
-            The result of each event. Its verdict is FUSED; GATED (implausible, or nothing to compare it with yet);
+            The result of each event, if `wanted`. Its verdict is FUSED; GATED (implausible, or nothing to compare it with yet);
             LOW_CONFIDENCE (a sighting with less than `min_confidence`); TOO_OLD (before the history); TOO_NEW (measured after
             every time of reception so far); SINGULAR; or NO_ATTITUDE (no sample has shown which way is down yet). A measurement
             that was compared with a prediction has its innovation, the innovation's covariance, NIS and test ratio, whatever the
@@ -90,16 +91,20 @@ class Filter:
         """
         if not events:
             return []
-        records = CORE.ffi.from_buffer("dl_event[]", b"".join([packed(event) for event in events]))
+        records = CORE.ffi.from_buffer(_EVENTS, b"".join([packed(event) for event in events]))
         outcomes, pointer = CORE.room("dl_outcome", len(events))
         changed = CORE.lib.dl_filter_put(self._core, len(events), records, pointer)
         if changed < 0:
             raise MemoryError("the filter has no memory")
         self._answers = {at: answer for at, answer in self._answers.items() if at < changed}
+        if not wanted:
+            return []
         outcomes.setflags(write=False)
         innovations, covariances = outcomes["innov"], outcomes["S"]
         return [
-            _result(event, pointer[i], innovations[i], covariances[i]) if pointer[i].m else _uncompared(event, pointer[i].verdict)
+            _result(event, pointer[i], innovations[i], covariances[i])
+            if pointer[i].m
+            else uncompared("ekf", event, _VERDICTS[pointer[i].verdict])
             for i, event in enumerate(events)
         ]
 
@@ -113,7 +118,7 @@ class Filter:
                 self._answers.clear()
             made, pointer = CORE.room("dl_answer", 1)
             known = CORE.lib.dl_filter_answer(self._core, now, pointer)
-            self._answers[now] = FilterAnswer(made[0, ...], now, self.options) if known else None
+            self._answers[now] = FilterAnswer(made, pointer[0], now, self.options) if known else None
         return self._answers[now]
 
     def at(self, now: MonoNs) -> RelativeState | None:
@@ -144,11 +149,6 @@ class Filter:
         return Forecast.of(now, h, made) if known else None
 
 
-def _uncompared(event: Event, verdict: int) -> FusionResult:
-    stamp = event.stamp
-    return FusionResult("ekf", source_of(event), _VERDICTS[verdict], stamp.measured_at, stamp.received_at)
-
-
 def _result(event: Event, outcome: Any, innov: F64, S: F64) -> FusionResult:
     """Return the result of a measurement that was compared with a prediction."""
     source, stamp, m = source_of(event), event.stamp, outcome.m
@@ -171,51 +171,54 @@ class FilterAnswer:
     """The pad, the body's motion and the deck's motion at one instant; each is put together when it is first requested.
 
     Args:
-        answer: the core's `dl_answer`. No later event changes it.
+        made: the core's `dl_answer`, (1,). No later event changes it.
+        core: the same as C sees it.
     """
 
-    def __init__(self, answer: NDArray[Any], now: MonoNs, options: EkfOptions) -> None:
-        self._answer, self._now, self._options = answer, now, options
-        answer.setflags(write=False)
+    def __init__(self, made: NDArray[Any], core: Any, now: MonoNs, options: EkfOptions) -> None:
+        # Nobody can write to it any more, so that what is taken from it needs no copy.
+        for array in (np.asarray(made.base), made):
+            array.setflags(write=False)
+        self._answer, self._core, self._now, self._options = made[0, ...], core, now, options
 
     @cached_property
     def pad(self) -> RelativeState | None:
         """The estimate of the pad; None if no pad is tracked."""
-        if not self._number("has_pad"):
+        if not self._core.has_pad:
             return None
         cov = self._matrix("cov", 7)
-        yaw: float | None = wrap_pi(self._number("yaw"))
-        if not self._number("heading_known"):
+        yaw: float | None = wrap_pi(self._core.yaw)
+        if not self._core.heading_known:
             yaw = None
             cov = cov.copy()
             cov[6, :] = cov[:, 6] = 0.0
             cov[6, 6] = UNKNOWN_YAW_VAR
-        fits = self._number("nis_mean") < _CONSISTENT_NIS and self._number("agreed") >= 3
+        fits = self._core.nis_mean < _CONSISTENT_NIS and self._core.agreed >= 3
         return RelativeState(
             at=self._now,
             path="ekf",
-            d_body_pad_level=self._vector("d"),
-            v_pad_level=self._vector("v"),
+            d_body_pad_level=self._answer["d"],
+            v_pad_level=self._answer["v"],
             yaw_rad=yaw,
             cov=cov,
-            sighted=MonoNs(self._number("sighted")),
+            sighted=MonoNs(self._core.sighted),
             consistent=fits and self._confirmed(cov, self._options),
-            adrift=bool(self._number("adrift")),
-            steers=bool(self._number("steers")),
+            adrift=bool(self._core.adrift),
+            steers=bool(self._core.steers),
             details=Details(lambda: _figures(self._answer)),
         )
 
     @cached_property
     def body(self) -> BodyMotion | None:
         """The body's motion by the newest IMU sample; None while there is none or no attitude was reported."""
-        if not self._number("has_body"):
+        if not self._core.has_body:
             return None
         return BodyMotion(
             self._now,
-            self._number("heading"),
-            self._vector("a_body"),
+            self._core.heading,
+            self._answer["a_body"],
             self._matrix("cov_a_body", 3),
-            self._vector("w_body"),
+            self._answer["w_body"],
             Rotation(self._matrix("levelled_by", 3)),
             self._matrix("cov_levelled_by", 3),
         )
@@ -226,13 +229,13 @@ class FilterAnswer:
 
         The covariance is the one of at most `EkfOptions.tick_s` before.
         """
-        if not self._number("has_pad"):
+        if not self._core.has_pad:
             return None
-        roll, pitch, roll_rate, pitch_rate = self._vector("tilt").tolist()
+        roll, pitch, roll_rate, pitch_rate = self._answer["tilt"].tolist()
         return DeckMotion(
             self._now,
-            self._vector("v_deck"),
-            self._vector("a_deck"),
+            self._answer["v_deck"],
+            self._answer["a_deck"],
             self._matrix("cov_deck", 6),
             roll,
             pitch,
@@ -246,15 +249,9 @@ class FilterAnswer:
 
         Either a sighting or a fused velocity confirms it: both bound the drift of the position.
         """
-        newest = max(self._number("sighted"), self._number("velocity_fused"))
+        newest = max(self._core.sighted, self._core.velocity_fused)
         var_max = float(max(cov.diagonal()[:3].tolist()))
         return (self._now - newest) * 1e-9 <= o.confirm_s and var_max <= o.consistent_sigma_m**2
-
-    def _number(self, name: str) -> Any:
-        return self._answer[name].item()
-
-    def _vector(self, name: str) -> F64:
-        return self._answer[name]
 
     def _matrix(self, name: str, n: int) -> F64:
         return self._answer[name].reshape(n, n)

@@ -302,9 +302,10 @@ def watch_view(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Inte
     weights = _off_line(np.array(at, float))
     apart = np.concatenate([weights.dot(expected)[:2], weights.dot(found)[:2]])
     moments = state.moments
-    if abs(np.diff(found - expected, axis=0)).max() < _JUMP_RAD:
+    off = found - expected
+    if abs(off[1:] - off[:-1]).max() < _JUMP_RAD:
         kept_share = math.exp((bearings[-2][0] - t) * 1e-9 / _FORGET_S)
-        moments = np.outer(apart, apart) + (0.0 if moments is None else kept_share * moments)
+        moments = np.multiply.outer(apart, apart) + (0.0 if moments is None else kept_share * moments)
         if distance_m > _LAG_FROM_M:
             state = _lagged(state, np.array(at, float) * 1e-9, expected, found, np.array(levels))
     return state._replace(
@@ -334,12 +335,13 @@ def _lagged(state: ViewWatch, at: F64, expected: F64, found: F64, levels: F64) -
     if 0.0 <= at[-1] - state.aside_s < _LAG_FORGET_S:
         return state
     seen = found[middle, :2] - np.add.reduce(found[:, :2]) / len(at) - (at[middle] - mean) * along.dot(found[:, :2])
-    line = np.add.reduce(expected[:, :2]) / len(at) + np.outer(there - mean, along.dot(expected[:, :2]))
-    turned = np.stack([np.interp(there, at, expected[:, k]) for k in range(2)], axis=1) - line
-    sums = np.stack([np.full(len(there), float(seen.dot(seen))), (turned * turned).sum(axis=1), turned.dot(seen)], axis=1)
+    turned, sums = np.empty((len(there), 2)), np.empty((len(there), 3))
+    turned[:, 0], turned[:, 1] = (np.interp(there, at, expected[:, k]) for k in range(2))
+    turned -= np.add.reduce(expected[:, :2]) / len(at) + np.multiply.outer(there - mean, along.dot(expected[:, :2]))
+    sums[:, 0], sums[:, 1], sums[:, 2] = seen.dot(seen), np.add.reduce(turned * turned, axis=1), turned.dot(seen)
     lags = sums + (0.0 if state.lags is None else math.exp((at[-2] - at[-1]) / _LAG_FORGET_S) * state.lags)
     alike = lags[:, 2] / np.sqrt(np.maximum(lags[:, 0] * lags[:, 1], 1e-18))
-    best, none = int(np.argmax(alike)), len(_LAGS_S) // 2
+    best, none = int(alike.argmax()), len(_LAGS_S) // 2
     late_s, better = float(_LAGS_S[best]), alike[best] * abs(alike[best]) - alike[none] * abs(alike[none])
     shows = (
         abs(late_s) > _LATE_S - 1e-9 and alike[best] > _LAG_ALIKE and better > _LAG_BETTER and lags[best, 0] > _LAG_TURNED_RAD**2
@@ -359,6 +361,9 @@ def _off_line(at: F64) -> F64:
 def _is_reversed(moments: F64) -> bool:
     """Return whether view and rotation run against each other along the axis on which they agree least."""
     expected, crossed, seen = moments[:2, :2], moments[:2, 2:], moments[2:, 2:]
+    (a, b), (c, d) = crossed.tolist()
+    if a > 0.0 and d > 0.0 and 4.0 * a * d > 1.001 * (b + c) * (b + c):
+        return False  # along every axis they run together, and which of them agrees least is not needed
     axis = np.linalg.eigh(crossed + crossed.T)[1][:, 0]
     turned = float(axis.dot(expected).dot(axis))
     both = math.sqrt(max(turned * float(axis.dot(seen).dot(axis)), 0.0))

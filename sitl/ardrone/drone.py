@@ -94,6 +94,7 @@ class SentFrame(Struct, frozen=True):
 
 TICK_S = 0.005
 """Period of the physics and of full navdata (200 Hz), s."""
+_degrees = math.degrees
 BATTERY_LOW = 0.2
 """Charge of the battery below which the drone reports it low, 0..1."""
 _STEERABLE = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING)
@@ -187,39 +188,39 @@ class Drone:
         if self.in_demo_mode:
             mask &= int(self.state.config.number("general:navdata_options"))
         self._sequence += 1
-        phase = self.world.phase
+        phase, readings = self.world.phase, self._readings
         values: dict[str, float] = {}
-        readings, echo = self._readings, self._readings.ultrasound_m
+        echo = readings.ultrasound_m
         state = self.state.word(phase, readings.battery_fraction < BATTERY_LOW, echo is None)
         if mask & 1 << 0:
             roll, pitch, yaw = readings.rpy_rad
             vx, vy = readings.v_level_m_s
-            values.update(
-                ctrl_state=self.state.control_state(phase),
-                battery_percent=round(100 * readings.battery_fraction),
-                theta_mdeg=_mdeg(pitch),
-                phi_mdeg=_mdeg(roll),
-                psi_mdeg=_mdeg(yaw),
-                altitude_mm=0 if phase is VehiclePhase.LANDED else round(1e3 * self._altitude_m),
-                vx_mm_s=1e3 * vx,
-                vy_mm_s=1e3 * vy,
-            )
+            values = {
+                "ctrl_state": self.state.control_state(phase),
+                "battery_percent": round(100 * readings.battery_fraction),
+                "theta_mdeg": _degrees(pitch) * 1e3,
+                "phi_mdeg": _degrees(roll) * 1e3,
+                "psi_mdeg": _degrees(yaw) * 1e3,
+                "altitude_mm": 0 if phase is VehiclePhase.LANDED else round(1e3 * self._altitude_m),
+                "vx_mm_s": 1e3 * vx,
+                "vy_mm_s": 1e3 * vy,
+            }
         if mask & 1 << 1:
             values["clock"] = clock_of_us(max(0, self._clock.microseconds(readings.at)))
         if mask & 1 << 2:
-            values.update(nb_echo=0 if echo is None else 1, sum_echo=self._echoes % 2**32)
+            values["nb_echo"], values["sum_echo"] = 0 if echo is None else 1, self._echoes % 2**32
         if mask & 1 << 3:
             x, y, z = readings.f_body
             p, q, r = readings.w_body
-            values.update(ax_mg=1e3 * x / G_M_S2, ay_mg=1e3 * y / G_M_S2, az_mg=1e3 * z / G_M_S2)
-            values.update(wx_deg_s=math.degrees(p), wy_deg_s=math.degrees(q), wz_deg_s=math.degrees(r))
+            values["ax_mg"], values["ay_mg"], values["az_mg"] = 1e3 * x / G_M_S2, 1e3 * y / G_M_S2, 1e3 * z / G_M_S2
+            values["wx_deg_s"], values["wy_deg_s"], values["wz_deg_s"] = _degrees(p), _degrees(q), _degrees(r)
         if mask & 1 << 10:
             values["altitude_raw_mm"] = 0 if echo is None else round(1e3 * echo)
         if mask & 1 << 21:
-            temperature_dc, pressure_pa = round(10 * readings.temperature_c), round(readings.pressure_pa)
-            values.update(up=0, ut=0, temperature_dc=temperature_dc, pressure_pa=pressure_pa)
+            values["up"] = values["ut"] = 0
+            values["temperature_dc"], values["pressure_pa"] = round(10 * readings.temperature_c), round(readings.pressure_pa)
         if mask & 1 << 27:
-            values.update(self._recorder.newest)
+            values |= self._recorder.newest
         return Navdata(state, self._sequence, _tags(mask), **values)  # type: ignore[arg-type]
 
     def datagram(self) -> bytes:
@@ -290,17 +291,17 @@ class Drone:
         match handler:
             case RefAction.TAKE_OFF:
                 self._stick = self._flown = HOVER
-                self.world.take_off()
+                self.world.vehicle.take_off()
             case RefAction.LAND:
                 self._stick = self._flown = HOVER
-                self.world.land()
+                self.world.vehicle.land()
             case RefAction.STAY_UP:
                 self._stick = self._flown = HOVER
-                self.world.stay_up()
+                self.world.vehicle.stay_up()
             case RefAction.CUT_MOTORS:
-                self.world.emergency()
+                self.world.vehicle.cut_motors()
             case RefAction.LEAVE_EMERGENCY:
-                self.world.leave_emergency()
+                self.world.vehicle.leave_emergency()
             case RefAction.FLAT_TRIM:
                 # The simulated attitude estimate has no trim to set; the counter shows that a trim was requested.
                 pass

@@ -4,7 +4,7 @@ The same packets, faults and seed give the same result.
 """
 
 from bisect import insort
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import Generic, NamedTuple, TypeVar
 
@@ -117,13 +117,6 @@ class InTransit(Generic[_T]):
             make: makes the packet; it is not called where the packet is lost.
             usual_s: time that the packet needs without a fault.
         """
-        if self._stream.clear and not self._held:
-            due = after(now, usual_s) if usual_s else now
-            before, under_way = self._due, self._under_way
-            if (before is None or before <= due) and (not under_way or under_way[-1][0] <= due):
-                self._due = due
-                under_way.append((due, make()))
-                return
         fate = self._stream.fate()
         if fate.copies:
             self.put(make(), fate, now, usual_s)
@@ -147,6 +140,16 @@ class InTransit(Generic[_T]):
             insort(self._under_way, each, key=itemgetter(0))
         self._held.clear()
         return due
+
+    def through(self, make: Callable[[], _T], now: MonoNs) -> Sequence[tuple[MonoNs, _T]]:
+        """Send a packet that takes no time without a fault; return all that have arrived, each with its instant."""
+        if self._stream.clear and not self._under_way and not self._held:
+            return ((now, make()),)
+        self.send(make, now)
+        arrived = []
+        while (packet := self.arrived(now)) is not None:
+            arrived.append(packet)
+        return arrived
 
     def arrived(self, now: MonoNs) -> tuple[MonoNs, _T] | None:
         """Return the next packet that has arrived, with the instant of its arrival, and forget it; None if there is none."""

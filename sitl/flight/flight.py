@@ -8,7 +8,7 @@ A simulated person stands beside it and gives the orders of the scenario's `oper
 
 import math
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -33,7 +33,7 @@ from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.samples import Frame, Sample
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone, DroneClock
 from sitl.ardrone.generations import GENERATIONS
@@ -58,6 +58,8 @@ from sitl.world.world import World
 NAVDATA_DELAY_S = 0.004
 _TICK_NS, _NAVDATA_DELAY_NS = round(TICK_S * NS_PER_S), round(NAVDATA_DELAY_S * NS_PER_S)
 _NO_PIXELS = np.empty((0, 0, 3), np.uint8)
+_QUICK = frozenset({Imu, Attitude, BodyVelocity, Range, Baro})
+"""Samples that end no flight: what is made of them is first looked at with the next frame or in the next guidance cycle."""
 _WATCH_EACH = 10
 """Number of ticks between two checks of the truth for the grade: 50 ms."""
 
@@ -156,6 +158,9 @@ class Flight:
         self._gone, self._phase = False, self.world.phase
         self._begin_service(pilot)
         self.health = Health(self._clock)
+        self.watched = True
+        """False if nobody reads what the health says of samples: without observers either, their results are not asked for."""
+        self._waiting: list[Sample] = []
         self._drone = Drone(self.world, DroneClock(start), generation=self._generation)
         for key, commands in configuration_commands(self._options):
             for command in [*commands, at.Ctrl(at.CTRL_ACK)]:
@@ -231,9 +236,8 @@ class Flight:
 
     def _serve(self, now: MonoNs) -> None:
         """Run the service for one tick."""
-        self._send_navdata(now)
-        while (arrived := self._arrived_navdata(now)) is not None:
-            self._deliver_samples(*arrived)
+        for navdata, measured_at in self._navdata(now):
+            self._deliver_samples(navdata, measured_at, MonoNs(now + _NAVDATA_DELAY_NS))
         if reports := self._reporter.reports(now):
             self._take(reports)
         self._film(now)
@@ -248,7 +252,8 @@ class Flight:
 
     def _killed(self) -> bool:
         """Return whether the service's process is gone; after a restart it is a new process."""
-        if self.world.active("service_killed"):
+        if self.world.faults.active("service_killed"):
+            self._catch_up()
             if not self._gone:
                 self._arbiter.lost(self._clock.t)
                 self._send(self._options.timeouts(self._options.hold_com_watchdog_s))
@@ -264,9 +269,8 @@ class Flight:
 
     def _hold(self, now: MonoNs) -> None:
         """Act as the sender, which outlives the service."""
-        self._send_navdata(now)
-        while (arrived := self._arrived_navdata(now)) is not None:
-            self._arbiter.on_report(arrived[0], arrived[2])
+        for navdata, _ in self._navdata(now):
+            self._arbiter.on_report(navdata, MonoNs(now + _NAVDATA_DELAY_NS))
         if now >= self._due_command:
             self._due_command = after(self._due_command, self._options.command_period_s)
             self._send(self._arbiter.commands(now))
@@ -281,7 +285,7 @@ class Flight:
         self._due_guidance = self._due_frame = self._due_command = now
         self._navdata_order = NavdataOrder()
         self._frames_under_way.clear()
-        self._looking = None
+        self._looking, self._waiting = None, []
 
     def _on_order(self, handled: HandledOrder) -> None:
         for observer in self._observers:
@@ -301,20 +305,14 @@ class Flight:
         while (packet := self._commands_under_way.arrived(now)) is not None:
             self._drone.take(packet[1], now)
 
-    def _send_navdata(self, now: MonoNs) -> None:
-        """Send the drone's next datagram."""
-        self._navdata_under_way.send(self._datagram, now)
+    def _navdata(self, now: MonoNs) -> Iterator[tuple[Navdata, MonoNs]]:
+        """Send the drone's next datagram; give those that have arrived, in order, each with the instant of measuring."""
+        for _, (navdata, measured_at) in self._navdata_under_way.through(self._datagram, now):
+            if self._navdata_order.place(navdata.sequence) is not SequencePlace.OLD:
+                yield navdata, measured_at
 
     def _datagram(self) -> tuple[Navdata, MonoNs]:
         return self._drone.navdata(), self._drone.measured_at
-
-    def _arrived_navdata(self, now: MonoNs) -> tuple[Navdata, MonoNs, MonoNs] | None:
-        """Return the next datagram that has arrived, in order, and the instants of measuring and of arrival; None without one."""
-        while (packet := self._navdata_under_way.arrived(now)) is not None:
-            navdata, measured_at = packet[1]
-            if self._navdata_order.place(navdata.sequence) is not SequencePlace.OLD:
-                return navdata, measured_at, MonoNs(now + _NAVDATA_DELAY_NS)
-        return None
 
     def _deliver_samples(self, navdata: Navdata, measured_at: MonoNs, received_at: MonoNs) -> None:
         self._streamer.on_navdata(navdata, received_at)
@@ -324,11 +322,22 @@ class Flight:
         self._take(samples)
 
     def _take(self, samples: Sequence[Sample]) -> None:
+        if not self.watched and not self._observers:
+            self._waiting += samples
+            if not _QUICK.issuperset(map(type, samples)):
+                self._catch_up()
+            return
         results = self._pilot.on_samples(samples)
         for observer in self._observers:
             for sample in samples:
                 observer.on_sample(sample)
         self._count(samples, results)
+
+    def _catch_up(self) -> None:
+        """Give the pilot the samples that wait for the next look at what it makes of them: together they cost less."""
+        if self._waiting:
+            waiting, self._waiting = self._waiting, []
+            self._pilot.on_samples(waiting, wanted=False)
 
     def _count(self, samples: Sequence[Sample], results: Sequence[tuple[FusionResult, ...]]) -> None:
         """Report to health and observers what became of samples, as the daemon does."""
@@ -364,6 +373,7 @@ class Flight:
 
     def _process(self, now: MonoNs) -> None:
         if self._looking is not None and now >= self._looking[0]:
+            self._catch_up()
             self._conclude(self._looking[1])
             self._looking = None
         arrived: Frame | None = None
@@ -379,6 +389,7 @@ class Flight:
             arrived = self._arriving.frame(self._frames, image, received_at)
         if arrived is None:
             return
+        self._catch_up()
         refused = self._pilot.estimator.admit(arrived)
         if refused is not None:
             self._conclude(ProcessedFrame(arrived, None, None, refused, now, now))
@@ -412,6 +423,7 @@ class Flight:
         self._grader.on_verdict(self._views.pop(seq), verdict)
 
     def _decide(self, now: MonoNs) -> None:
+        self._catch_up()
         self._person.act(self._pilot.operator, now)
         decision = self._pilot.decide(now)
         self._grader.on_decision(decision)

@@ -48,14 +48,12 @@ _BLAMES = frozenset(
 class GradedWorld(Protocol):
     """Interface of a flight's world that the grader and the ship's reports need."""
 
-    @property
-    def scenario(self) -> Scenario: ...
-
-    @property
-    def seed(self) -> int: ...
-
-    @property
-    def started(self) -> MonoNs: ...
+    scenario: Scenario
+    seed: int
+    started: MonoNs
+    faults: FaultTimer
+    corruptions: Corruptions
+    guidance_phase: str | None
 
     @property
     def now(self) -> MonoNs: ...
@@ -66,20 +64,9 @@ class GradedWorld(Protocol):
         ...
 
     @property
-    def faults(self) -> FaultTimer: ...
-
-    @property
-    def corruptions(self) -> Corruptions: ...
-
-    @property
     def reached(self) -> bool:
         """True if commands reach the vehicle."""
         ...
-
-    @property
-    def guidance_phase(self) -> str | None: ...
-
-    def active(self, kind: str) -> bool: ...
 
     def truth(self) -> Truth: ...
 
@@ -215,7 +202,7 @@ class FlightGrader:
             unsafe,
             scenario.expect,
             AtEnd(
-                left_alone=world.active("service_killed") or world.active("link_lost"),
+                left_alone=world.faults.active("service_killed") or world.faults.active("link_lost"),
                 asks=world.guidance_phase == State.ANOTHER_PAD.value,
                 held=outcome is FlightOutcome.ABORTED or situation in (ControlSituation.HELD, ControlSituation.MANUAL),
                 theirs=referee.hands.act or "",

@@ -6,20 +6,7 @@ from typing import NamedTuple
 
 from companion.base.orders import CENTRED, StickPositions
 from drivers.ardrone.at import PCMD_PROGRESSIVE, AtCommand, Pcmd, Ref
-from drivers.mavlink.codec import Codec
-from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.vehicle import (
-    ARMED,
-    HOLD_MODE,
-    LAND_MODE,
-    RETURN_MODE,
-    VELOCITY_MODE,
-    Stack,
-    is_autopilot,
-    mode_name,
-    stack_of,
-)
-from estimator.contracts.time import MonoNs, after, seconds_between
+from estimator.contracts.time import MonoNs, seconds_between
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import Truth
 
@@ -35,12 +22,6 @@ STOPS = ("emergency", "disarm")
 GIVES_BACK = ("begin", "release", "takeoff", "reset")
 OBEYED_S = 0.3
 """Longest time in which an act is obeyed: a person's own time of reaction."""
-LAPSES_S = 3.0
-"""Time after which an autopilot does not do any more what was requested."""
-_CLIMBS_S = 30.0
-"""Longest take-off."""
-_SETPOINTS_END_S = 0.5
-"""Silence after which PX4 has left OFFBOARD by itself, s: many times the interval of setpoints, below its COM_OF_LOSS_T."""
 
 
 class Asks(Enum):
@@ -77,78 +58,6 @@ def of_at(commands: Iterable[AtCommand], at: MonoNs) -> SentPacket | None:
     if sticks[-1].flags & PCMD_PROGRESSIVE:
         return SentPacket(at, Asks.MOVE)
     return SentPacket(at, Asks.HOVER if words else Asks.CENTRED)
-
-
-class MavlinkWires:
-    """Reads the datagrams between a service and its autopilot. Call both ways in order of time."""
-
-    def __init__(self) -> None:
-        self._out, self._in = (Codec(0, 0, datagrams=True) for _ in range(2))
-        self._stack = Stack.OTHER
-        self._mode, self._armed = "", False
-        self._requested: dict[str, MonoNs] = {}
-        """The newest request for each mode, and for `Asks.STOP`."""
-        self._moved_at: MonoNs | None = None
-        """Time of the newest setpoint."""
-
-    def to_vehicle(self, data: bytes, at: MonoNs) -> list[SentPacket]:
-        """Return what a datagram of the service asks."""
-        asked = [self._asked(message, at) for message in self._out.feed(data)]
-        return [SentPacket(at, asks) for asks in asked if asks is not None]
-
-    def from_vehicle(self, data: bytes, at: MonoNs) -> str | None:
-        """Return the act of a person, or of a failsafe, that a datagram shows: a mode, or disarming, that was not requested."""
-        act = None
-        for m in self._in.feed(data):
-            if m.get_type() != "HEARTBEAT" or not is_autopilot(m, m.get_srcComponent()):
-                continue
-            self._stack = stack_of(m)
-            mode, armed = mode_name(self._stack, m.custom_mode), bool(m.base_mode & ARMED)
-            if self._armed and not armed and not self._was_requested(Asks.STOP.value, at):
-                act = "disarm"
-            elif armed and self._mode not in ("", mode) and not self._was_requested(mode, at) and not self._ends(mode, at):
-                act = "mode"
-            if mode != self._mode:
-                self._requested.pop(mode, None)
-            self._mode, self._armed = mode, armed
-        return act
-
-    def _ends(self, mode: str, at: MonoNs) -> bool:
-        """Return whether PX4 left OFFBOARD by itself, as it does where setpoints end."""
-        silent = self._moved_at is not None and seconds_between(self._moved_at, at) > _SETPOINTS_END_S
-        return silent and (self._mode, mode) == (VELOCITY_MODE[Stack.PX4], HOLD_MODE[Stack.PX4])
-
-    def _was_requested(self, what: str, at: MonoNs) -> bool:
-        requested = self._requested.get(what)
-        return requested is not None and seconds_between(requested, at) <= LAPSES_S
-
-    def _asked(self, m: Message, at: MonoNs) -> Asks | None:
-        match m.get_type():
-            case "SET_POSITION_TARGET_LOCAL_NED":
-                self._moved_at = at
-                return Asks.MOVE
-            case "COMMAND_LONG" | "COMMAND_INT":
-                return self._command(m, at)
-        return None
-
-    def _command(self, m: Message, at: MonoNs) -> Asks | None:
-        if m.command == mav.MAV_CMD_DO_SET_MODE:
-            px4 = self._stack is Stack.PX4
-            mode = mode_name(self._stack, int(m.param2) << 16 | int(m.param3) << 24 if px4 else int(m.param2))
-            self._requested[mode] = at
-            return Asks.LAND if mode in LAND_MODE.values() else Asks.LEAVE if mode in RETURN_MODE.values() else Asks.MODE
-        if m.command == mav.MAV_CMD_COMPONENT_ARM_DISARM:
-            if not m.param1:
-                self._requested[Asks.STOP.value] = at
-            return Asks.ARM if m.param1 else Asks.STOP
-        if m.command == mav.MAV_CMD_DO_REPOSITION:
-            self._requested["guided" if self._stack is Stack.ARDUPILOT else HOLD_MODE[Stack.PX4]] = at
-            return Asks.LEAVE
-        if m.command == mav.MAV_CMD_NAV_TAKEOFF:
-            # PX4 climbs in a mode of its own, and then holds by itself.
-            self._requested |= {"auto.takeoff": at, HOLD_MODE[Stack.PX4]: after(at, _CLIMBS_S)}
-            return Asks.ARM
-        return None
 
 
 class HandsWatch:

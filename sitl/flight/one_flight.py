@@ -146,7 +146,7 @@ def fly(
     timing = Timing(overtime_s=options.overtime_s)
     began_s = _cpu_s()
     flight = Flight(scenario, seed, settings, renew(), observers=observers, timing=timing, renew=renew, perception=seen_by)
-    flight.contained = True
+    flight.contained, flight.watched = True, options.on_start is not None
     if options.on_start is not None:
         options.on_start(flight.health)
     on_truth = options.on_truth

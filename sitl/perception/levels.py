@@ -256,7 +256,7 @@ class TruthEstimator(RelativeEstimator):
         self._reported: Attitude | None = None
         self._true_motion: TrueMotion | None = None
 
-    def put(self, events: Sequence[Event]) -> list[tuple[FusionResult, ...]]:
+    def put(self, events: Sequence[Event], *, wanted: bool = True) -> list[tuple[FusionResult, ...]]:
         """Keep the attitude that the vehicle reports; no other sample is of use without a filter."""
         for event in events:
             if type(event) is Attitude:

@@ -30,26 +30,13 @@ LEVELS: tuple[Level, ...] = ("pixels", "model", "truth")
 class PerceivedWorld(Protocol):
     """Interface of a flight's world that a perception needs."""
 
-    @property
-    def scenario(self) -> Scenario: ...
-
-    @property
-    def seed(self) -> int: ...
-
-    @property
-    def pad(self) -> Pad: ...
-
-    @property
-    def camera(self) -> Camera: ...
-
-    @property
-    def faults(self) -> FaultTimer: ...
-
-    @property
-    def corruptions(self) -> Corruptions: ...
-
-    @property
-    def vessel(self) -> Vessel: ...
+    scenario: Scenario
+    seed: int
+    pad: Pad
+    camera: Camera
+    faults: FaultTimer
+    corruptions: Corruptions
+    vessel: Vessel
 
     def truth(self) -> Truth:
         """Return the true state at the newest step."""

@@ -47,6 +47,7 @@ Rng = np.random.Generator
 BOARD_TEMPERATURE_C = 43.5
 """Temperature of the board as in a captured navdata: the chip sits beside warm electronics."""
 
+_READ_NUMBERS = SIM.ffi.sizeof("dl_sim_readings") // 8
 _PRESSURE_TIME_S = 60.0
 """Correlation time of the pressure's drift."""
 _MOTORS = ("front_left", "front_right", "rear_right", "rear_left")
@@ -130,15 +131,18 @@ class Sensors:
             pressure_drift=s.pressure_drift_sigma_pa * block.first,
         )  # fmt: skip
         """The core's `dl_sim_sensors`."""
-        self._read = SIM.new("dl_sim_readings")
+        self._readings = SIM.new("dl_sim_readings")
+        self._numbers = SIM.ffi.cast("double *", self._readings)
 
     def read(self, at: MonoNs) -> Readings:
         """Return the readings of the newest step. Reading changes nothing."""
-        v, read = self._vehicle, self._read
-        SIM.lib.dl_sim_sensors_read(v.params, v.state, self.params, self.state, read)
-        (fx, fy, fz), (p, q, r), (roll, pitch, yaw), (ahead, aside) = read.f_body, read.w_body, read.rpy_rad, read.v_level_m_s
-        (mx, my, mz), (front_left, front_right, rear_right, rear_left) = read.magnetometer, read.motors_pwm
-        echo_m = read.ultrasound_m
+        v = self._vehicle
+        SIM.lib.dl_sim_sensors_read(v.params, v.state, self.params, self.state, self._readings)
+        # All at once: one member after the other takes four times as long, at every step of a flight.
+        (
+            fx, fy, fz, p, q, r, roll, pitch, yaw, ahead, aside, mx, my, mz, echo_m, pressure_pa, battery,
+            front_left, front_right, rear_right, rear_left,
+        ) = SIM.ffi.unpack(self._numbers, _READ_NUMBERS)  # fmt: skip
         return Readings(
             at,
             (fx, fy, fz),
@@ -146,10 +150,10 @@ class Sensors:
             (roll, pitch, yaw),
             (ahead, aside),
             None if echo_m != echo_m else echo_m,
-            read.pressure_pa,
+            pressure_pa,
             BOARD_TEMPERATURE_C,
             (mx, my, mz),
-            read.battery,
+            battery,
             (int(front_left), int(front_right), int(rear_right), int(rear_left)),
         )
 

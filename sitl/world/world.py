@@ -23,6 +23,7 @@ from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.film import Film
 from sitl.camera.picture_effects import PictureEffects
 from sitl.camera.render_worker import RenderWorker
+from sitl.core.abi import DL_EFFECT_NOISE, DL_FLIGHT_NOISE, DL_SENSOR_NOISE
 from sitl.core.library import SIM
 from sitl.faults.corrupted import Corruptions
 from sitl.faults.faulty_streams import VehicleStreams
@@ -52,6 +53,8 @@ from sitl.world.stage import (
 )
 from sitl.world.truth import RenderedFrame, Touchdown, Truth, touchdown_of
 
+_NOISE_WIDTHS = (DL_FLIGHT_NOISE, DL_FLIGHT_NOISE, DL_EFFECT_NOISE, DL_SENSOR_NOISE)
+"""Numbers of a step's rows of noise, in the order in which the core takes them."""
 _SEA_EVERY = 5
 """Steps from one look at the water's level to the next; in between it moves with its velocity."""
 
@@ -76,6 +79,10 @@ class Physics:
         )  # fmt: skip
         self._decks: NDArray[Any] = np.empty(0)
         self._first_deck: Any = None
+        self._rows: list[Any] = []
+        """The next rows of noise, as the core takes them."""
+        self._ready = self._taken = 0
+        """Number of these rows that lie ready, and of those that were taken since they were asked for."""
 
     def run(self, decks: NDArray[Any], first: int, at_most: int) -> int:
         """Take steps over a deck, up to a contact with deck or water after flight; return how many.
@@ -92,23 +99,17 @@ class Physics:
             self._decks, self._first_deck = decks, SIM.array("dl_sim_deck", decks)
         if not 0 <= first <= len(decks) - at_most:
             raise IndexError(f"{at_most} steps from {first} on, but {len(decks)} decks")
-        n, vehicle = at_most, self._vehicle
-        for noise in self._noises:
-            ready = noise.prepare()
-            if ready < n:
-                n = ready
-        vehicle.keep_limits()
-        done: int = SIM.lib.dl_sim_run(
-            self._flight,
-            n,
-            self._first_deck + first,
-            vehicle.noise.row,
-            self._air.row,
-            self._effects.row,
-            self._sensors.noise.row,
-        )
-        for noise in self._noises:
-            noise.used(done)
+        if self._ready == 0:
+            for noise in self._noises:
+                noise.used(self._taken)
+            self._ready, self._taken = min([noise.prepare() for noise in self._noises]), 0
+            self._rows = [noise.row for noise in (self._vehicle.noise, self._air, self._effects, self._sensors.noise)]
+        self._vehicle.keep_limits()
+        n = min(at_most, self._ready)
+        done: int = SIM.lib.dl_sim_run(self._flight, n, self._first_deck + first, *self._rows)
+        self._rows = [row + done * width for row, width in zip(self._rows, _NOISE_WIDTHS, strict=True)]
+        self._ready -= done
+        self._taken += done
         return done
 
 
@@ -161,17 +162,18 @@ class World:
         self._camera_seed = seeds.camera
         self.waves, self.vessel = sea_and_vessel(scenario, [seeds.sea])
         shape = deck_shape(self.vessel.hull, math.radians(scenario.vessel.pad_yaw_deg))
-        self._vehicle = Vehicle(
+        self.vehicle = Vehicle(
             airframe(scenario), shape, self._step_s, seeds.flight, wind(scenario), air(scenario, self.vessel.hull)
         )
-        self._vehicle.limits = limits(scenario)
-        self._vehicle.current = sea_of(scenario).current_ne_m_s
+        """The vehicle; it takes orders at any time."""
+        self.vehicle.limits = limits(scenario)
+        self.vehicle.current = sea_of(scenario).current_ne_m_s
         wrong = scenario.wrong_model
-        self._sensors = Sensors(scenario.sensors, self._vehicle, seeds.sensors, (wrong.accelerometer_scale, wrong.gyro_scale))
+        self._sensors = Sensors(scenario.sensors, self.vehicle, seeds.sensors, (wrong.accelerometer_scale, wrong.gyro_scale))
         self._tick = 0
         self.now = start
         """The latest instant requested; the physics is at most one step behind."""
-        self._physics = Physics(self._vehicle, self._sensors, self.waves)
+        self._physics = Physics(self.vehicle, self._sensors, self.waves)
         at = self.vessel.pad_at(0.0)
         self._pads = Mounted(*(x[None, None] for x in (at.p_ned, at.v_ned, at.a_ned, at.R_ned, at.w)))
         """The pad's motion at the steps after `_pads_at`."""
@@ -180,7 +182,7 @@ class World:
         """The same as the core reads it: the next row is `_deck_next`, and those before `_deck_end` hold."""
         self._deck_next = self._deck_end = 0
         drift = drift_of(self.vessel) if scenario.vessel.motion else np.zeros(2)
-        place(scenario, self._vehicle, Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w), at, drift)
+        place(scenario, self.vehicle, Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w), at, drift)
         self.faults = FaultTimer(scenario.faults, seed)
         """The faults that are active now."""
         self.guidance_phase: str | None = None
@@ -205,13 +207,13 @@ class World:
 
     @property
     def phase(self) -> VehiclePhase:
-        phase: int = self._vehicle.state.phase
+        phase: int = self.vehicle.state.phase
         return _PHASES[phase]
 
     @property
     def limits(self) -> StickLimits:
         """The values at full stick; its fields may be set at any time."""
-        return self._vehicle.limits
+        return self.vehicle.limits
 
     @property
     def at(self) -> MonoNs:
@@ -223,34 +225,10 @@ class World:
         self._stick = stick
         self._command()
 
-    def take_off(self) -> None:
-        """Leave the deck and hover; do nothing unless the vehicle is on deck with its motors off."""
-        self._vehicle.take_off()
-
-    def land(self) -> None:
-        """Descend on the spot, held by optical flow, and stop the motors on contact; do nothing unless the vehicle flies."""
-        self._vehicle.land()
-
-    def stay_up(self) -> None:
-        """End the present landing and hover; do nothing unless the vehicle is landing."""
-        self._vehicle.stay_up()
-
-    def emergency(self) -> None:
-        """Stop the motors, wherever it is."""
-        self._vehicle.cut_motors()
-
-    def leave_emergency(self) -> None:
-        """Make the vehicle ready to take off again; do nothing unless it lies still on deck."""
-        self._vehicle.leave_emergency()
-
     @property
     def reached(self) -> bool:
         """True if commands reach the vehicle."""
         return not self.streams.commands.silent
-
-    def active(self, kind: str) -> bool:
-        """Return whether a fault of this kind is active."""
-        return self.faults.active(kind)
 
     def advance(self, to: MonoNs) -> None:
         """Run the physics up to `to`; an instant in the past changes nothing."""
@@ -338,7 +316,7 @@ class World:
 
     def _scene(self, aside: F64 | None) -> Exposure:
         """Return the scene of the camera, `aside` (3,) m in the pad frame beside its true place."""
-        v, pad = self._vehicle, self.pad_motion()
+        v, pad = self.vehicle, self.pad_motion()
         p_body_ned = v.p_ned
         if aside is not None:
             # The scene stays where it is and the camera looks from beside its true place: every part is seen shifted alike.
@@ -367,13 +345,13 @@ class World:
 
     def truth(self) -> Truth:
         """Return the true state at the newest step."""
-        of = self._tick, self._vehicle.phase, len(self._contacts)
+        of = self._tick, self.vehicle.phase, len(self._contacts)
         if self._truth is None or self._truth[0] != of:
             self._truth = of, self._true_state()
         return self._truth[1]
 
     def _true_state(self) -> Truth:
-        v, pad = self._vehicle, self.pad_motion()
+        v, pad = self.vehicle, self.pad_motion()
         return Truth(
             at=self.at,
             p_body_ned=v.p_ned,
@@ -397,12 +375,8 @@ class World:
 
     def pad_motion(self) -> Mounted:
         """Return the pad's true motion at the newest step, with shapes (3,) and (3, 3)."""
-        n, pads = self._pads_row, self._pads
+        n, pads = self._tick - self._pads_at - 1, self._pads
         return Mounted(pads.p_ned[0, n], pads.v_ned[0, n], pads.a_ned[0, n], pads.R_ned[0, n], pads.w[0, n])
-
-    @property
-    def _pads_row(self) -> int:
-        return self._tick - self._pads_at - 1
 
     @property
     def _seconds(self) -> float:
@@ -410,7 +384,7 @@ class World:
 
     def _run(self, at_most: int) -> int:
         """Take this many steps of the physics, or fewer: up to a contact, which is noted; return how many."""
-        v = self._vehicle
+        v = self.vehicle
         done = self._physics.run(self._decks, self._deck_next, min(at_most, self._deck_end - self._deck_next))
         self._deck_next += done
         if v.state.touched_what and v.touched_s != self._touched_s:
@@ -426,7 +400,7 @@ class World:
         self._pads_at, self._deck_next, self._deck_end = self._tick, 0, _CHUNK
 
     def _apply_faults(self) -> None:
-        faults, v = self.faults, self._vehicle
+        faults, v = self.faults, self.vehicle
         for begun in faults.update(self._seconds, self._height_m(), self.guidance_phase):
             self._faulty.begin(begun, self._sensors.read(self.at))
             if self._manoeuvre.begin(begun, self._seconds):
@@ -449,17 +423,17 @@ class World:
         # Whole packets are late or doubled on their way here (`FaultyStream`).
         if any(fault.error not in ("late", "doubled") for fault, _ in self.corruptions.active("commands")):
             pitch, roll, gaz = self.corruptions.of("commands", (pitch, roll, gaz), self.at)
-        self._vehicle.command(roll, pitch, gaz, self._stick.yaw, self._stick.progressive)
+        self.vehicle.command(roll, pitch, gaz, self._stick.yaw, self._stick.progressive)
 
     def _height_m(self) -> float:
         """Height of the body's origin over the deck's plane."""
         pad = self.pad_motion()
-        p, g, R = self._vehicle.p, pad.p_ned.tolist(), pad.R_ned.tolist()
+        p, g, R = self.vehicle.p, pad.p_ned.tolist(), pad.R_ned.tolist()
         return -float(sum(R[i][2] * (p[i] - g[i]) for i in range(3)))
 
     def _contact(self) -> Touchdown:
         """Return the contact of the newest step of the physics."""
-        v = self._vehicle
+        v = self.vehicle
         at, phase = MonoNs(self.started + round(v.touched_s * NS_PER_S)), _PHASES[int(v.touched_phase)]
         motors = phase not in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
         return touchdown_of(v, at, self.pad.disc_radius_m, phase, self.guidance_phase, motors=motors)

@@ -156,9 +156,9 @@ class CountingPilot(Pilot):
     vehicle_link: FakeVehicle
     given = 0
 
-    def on_samples(self, samples: Sequence[Sample]) -> list[tuple[FusionResult, ...]]:
+    def on_samples(self, samples: Sequence[Sample], *, wanted: bool = True) -> list[tuple[FusionResult, ...]]:
         self.given += 1
-        return super().on_samples(samples)
+        return super().on_samples(samples, wanted=wanted)
 
     def decide(self, now: MonoNs) -> Decision:
         self.waiting = max(getattr(self, "waiting", 0), len(self.vehicle_link.samples))

@@ -172,7 +172,7 @@ def test_a_landing_for_silence_is_called_off_by_whoever_comes_back() -> None:
 def test_a_landing_by_a_low_battery_is_left_alone() -> None:
     bench = Bench(2.5, seed=1)
     bench.run(0.5, Hover)
-    bench.world.land()  # as the firmware does by itself, or another's remote control
+    bench.world.vehicle.land()  # as the firmware does by itself, or another's remote control
     bench.run(3.0, Hover)
     assert bench.world.phase in (VehiclePhase.LANDING, VehiclePhase.LANDED)
     assert bench.drone.counters["stay_up"] == 0

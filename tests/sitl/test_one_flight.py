@@ -26,8 +26,7 @@ def test_the_same_arguments_give_the_same_ending() -> None:
     truth: list[Truth] = []
     first = land(scenario, 3, level="pixels", options=FlyOptions(on_truth=truth.append)).as_json()
     again = land(scenario, 3, level="pixels", options=FlyOptions(render_beside=True)).as_json()
-    assert first.pop("cpu_s") > 0
-    again.pop("cpu_s")
+    assert first.pop("cpu_s") > 0 < again.pop("cpu_s")
     assert first == again
     assert first["outcome"] == "time ran out"
     reported = [sample.at for sample in truth]
@@ -81,6 +80,8 @@ def test_a_sea_that_rises_faster_than_the_drone_climbs_does_not_reach_it_at_the_
 def test_a_campaign_counts_the_flights_in_which_a_sensor_was_named() -> None:
     stuck = {"kind": "accelerometer", "at_s": 1.0, "frozen": True}
     flights = [land(near(duration_limit_s=2.0, faults=faults), 3, level="model").as_json() for faults in ([], [stuck])]
+    watched = land(near(duration_limit_s=2.0, faults=[stuck]), 3, level="model", options=FlyOptions(on_start=vars)).as_json()
+    assert {**watched, "cpu_s": 0.0} == {**flights[1], "cpu_s": 0.0}, "results that somebody asks for change nothing"
     assert flights[0]["named"] == []
     (named,) = flights[1]["named"]
     assert named["text"] == "the accelerometer repeats its readings; flying without it"
@@ -103,9 +104,7 @@ class Chosen(NullObserver):
 
 def test_a_vehicle_lands_at_night_by_the_lamps_of_the_pad():
     chosen = Chosen()
-
     ending = land("night", 300, level="pixels", observers=[chosen]).as_json()
-
     assert ending["landed_on_pad"], ending
     assert ending["touchdown"]["lateral_m"] < 0.1
     assert ending["contacts_outside_commit"] == 0

@@ -132,7 +132,7 @@ def test_a_contact_with_a_thing_is_unsafe_and_one_with_water_is_not(thing: str, 
     lies = {"kind": "object_on_pad", "at_s": 0.0, "thing": thing, "size_m": 0.3, "right_m": right_m}
     scenario = from_mapping({"title": "x", "start": {"height_m": 0.6}, "faults": [lies]}, "mine.toml")
     flight = new_flight(scenario)
-    flight.world.land()
+    flight.world.vehicle.land()
     while flight.world.truth().touchdown is None:
         flight.world.advance(after(flight.world.now, 0.05))
     flight._grader.step()

@@ -27,9 +27,10 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
+from sitl.emulators.autopilots.observed_body import MavlinkWires
 from sitl.flight.ending import AtEnd, Grade, grade, on_pad_m, outside_commit
 from sitl.flight.grader import RECEIVERS_M, UNREACHED_STOP_M, errand_of
-from sitl.flight.hands import Asks, MavlinkWires, SentPacket, of_at
+from sitl.flight.hands import Asks, SentPacket, of_at
 from sitl.flight.referee import STAMP_ERROR_MAX_S, Errand, Referee, SightWatch, limits_of, unsafe_contacts
 from sitl.scenario.scenario import load
 from sitl.vehicle.airframe import ContactSettings

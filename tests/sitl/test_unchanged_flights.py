@@ -31,7 +31,7 @@ def fly_fixed_stick(name: str) -> F64:
         gaz = -0.5 if i > 60 else 0.1
         world.stick(Stick(0.2 * math.sin(i / 9), 0.15 * math.cos(i / 7), gaz, 0.1, progressive=i % 40 > 8))
         if i == 120:
-            world.land()
+            world.vehicle.land()
         if i % 40 == 0:
             t = world.truth()
             rows.append(np.concatenate([t.p_body_ned, t.v_body_ned, t.p_pad_ned, t.v_pad_ned]))

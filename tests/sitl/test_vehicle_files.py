@@ -139,7 +139,7 @@ def test_stick_and_settings_change_the_vehicle_of_the_file(tmp_path: Path) -> No
         'title = "v"\nbase = "calm"\n[vehicle]\nfile = "quad_1_5kg"\nmass_kg = 1.8\nmotor_lag_s = 0.1\nvz_max_m_s = 0.5\n'
     )
     world = World(load_scenario(tmp_path / "v.toml"), 1)
-    f = world._vehicle.airframe
+    f = world.vehicle.airframe
     file = shipped_vehicle("quad_1_5kg")
     assert (f.mass_kg, f.motor_lag_s, world.limits.vz_max_m_s) == (1.8, 0.1, 0.5)
     assert f.inertia_kg_m2[0] == pytest.approx(1.2 * file.inertia_kg_m2[0])

@@ -109,7 +109,7 @@ def test_a_rotor_at_its_limit_gives_no_more_torque() -> None:
 def test_a_thing_on_the_pad_holds_a_vehicle_up() -> None:
     def stands_m(height_m: float) -> float:
         world = World(with_(CALM, effects=EffectSettings(thing_height_m=height_m, thing_radius_m=0.5)), seed=2)
-        world.land()
+        world.vehicle.land()
         run_world(world, 12.0)
         return float(world.truth().d_body_pad_level[2])
 

@@ -112,9 +112,9 @@ def test_same_seed_same_flight_to_the_bit() -> None:
 
 def test_takes_off_from_a_moving_deck_and_comes_back() -> None:
     world = World(with_(load("demo"), start=Start(where="pad")), 1)
-    world.land()
+    world.vehicle.land()
     assert phase_of(world) == VehiclePhase.LANDED
-    world.take_off()
+    world.vehicle.take_off()
     assert phase_of(world) == VehiclePhase.TAKING_OFF
     run_world(world, 6.0)
     assert phase_of(world) == VehiclePhase.HOVERING
@@ -123,7 +123,7 @@ def test_takes_off_from_a_moving_deck_and_comes_back() -> None:
     world.stick(Stick(0.0, 0.0, 0.0, 0.0, True))
     run_world(world, 0.1)
     assert phase_of(world) == VehiclePhase.FLYING
-    world.land()
+    world.vehicle.land()
     run_world(world, 8.0)
     assert phase_of(world) == VehiclePhase.LANDED
     touch = world.truth().touchdown
@@ -140,7 +140,7 @@ def test_every_contact_of_a_flight_is_kept_with_what_the_vehicle_was_doing() -> 
     world.stick(Stick(gaz=1.0, progressive=True))
     run_world(world, 1.0)
     world.guidance_phase = State.COMMIT.value
-    world.land()
+    world.vehicle.land()
     run_world(world, 4.0)
     truth = world.truth()
     strike, landing = truth.contacts

@@ -86,7 +86,7 @@ async def _end(server: ArDroneServer, clock: Clock) -> str:
             return "emergency"
         if flew and world.phase is VehiclePhase.LANDED:
             return "landed"
-    world.emergency()
+    world.vehicle.cut_motors()
     return "time is up"
 
 
@@ -102,7 +102,7 @@ def _result(world: World) -> dict[str, Any]:
         "on_pad": touched is not None and touched.on_pad,
         "lateral_m": None if touched is None else round(touched.lateral_m, 4),
         "unsafe": list(unsafe_contacts(truth.contacts, vehicle.contact, vehicle.airframe())),
-        "left_alone": world.active("link_lost"),
+        "left_alone": world.faults.active("link_lost"),
     }
 
 

@@ -272,7 +272,7 @@ class AutopilotFlight:
             lost = not self.body.upright
             if self.autopilot.unaided and station.task is Task.ORDER:
                 self.link.muted = True
-            if service.gone and not self.graded.active("service_killed"):
+            if service.gone and not self.graded.faults.active("service_killed"):
                 await service.restart(group)
                 self._expose_by(service.now, camera)
                 self.link.cut = False
@@ -387,7 +387,7 @@ class AutopilotFlight:
 
     def _leave_alone(self, body: Body) -> None:
         """Kill the service when its time has come, and note what the vehicle does without one."""
-        if self._service is None or not self.graded.active("service_killed"):
+        if self._service is None or not self.graded.faults.active("service_killed"):
             return
         now_s, height_m = seconds_between(self.graded.started, self.clock.now()), self.graded.height_m
         if not self._service.gone:

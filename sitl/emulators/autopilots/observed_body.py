@@ -1,4 +1,4 @@
-"""A body that an autopilot program flies as the grader of flights sees a world, with the faults of the streams around it."""
+"""A body that an autopilot program flies as the grader sees a world, with the faults of the streams around it and its wires."""
 
 import numpy as np
 from msgspec.structs import replace
@@ -8,8 +8,11 @@ from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import CENTRED, HandledOrder
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
+from drivers.mavlink import vehicle as mavlink
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.emulators.autopilots.body import Body
 from sitl.faults.corrupted import Corruptions
 from sitl.faults.faulty_streams import VehicleStreams
@@ -17,13 +20,97 @@ from sitl.faults.kinds import OperatorActs
 from sitl.faults.timer import FaultTimer
 from sitl.flight.ending import Ending
 from sitl.flight.grader import FlightGrader
-from sitl.flight.hands import STOPS, MavlinkWires
+from sitl.flight.hands import STOPS, Asks, SentPacket
 from sitl.flight.referee import ON_DECK_M
 from sitl.scenario.scenario import Scenario
 from sitl.world.truth import RenderedFrame, Touchdown, Truth
 
 _WATCH_EACH_S = 0.05
+_LAPSES_S = 3.0
+"""Time after which an autopilot does not do any more what was requested."""
+_CLIMBS_S = 30.0
+"""Longest take-off."""
+_SETPOINTS_END_S = 0.5
+"""Silence after which PX4 has left OFFBOARD by itself, s: many times the interval of setpoints, below its COM_OF_LOSS_T."""
 _NO_PIXELS = np.empty((0, 0, 3), np.uint8)
+
+
+class MavlinkWires:
+    """Reads the datagrams between a service and its autopilot. Call both ways in order of time."""
+
+    def __init__(self) -> None:
+        self._out, self._in = (Codec(0, 0, datagrams=True) for _ in range(2))
+        self._stack = mavlink.Stack.OTHER
+        self._mode, self._armed = "", False
+        self._requested: dict[str, MonoNs] = {}
+        """The newest request for each mode, and for `Asks.STOP`."""
+        self._moved_at: MonoNs | None = None
+        """Time of the newest setpoint."""
+
+    def to_vehicle(self, data: bytes, at: MonoNs) -> list[SentPacket]:
+        """Return what a datagram of the service asks."""
+        asked = [self._asked(message, at) for message in self._out.feed(data)]
+        return [SentPacket(at, asks) for asks in asked if asks is not None]
+
+    def from_vehicle(self, data: bytes, at: MonoNs) -> str | None:
+        """Return the act of a person, or of a failsafe, that a datagram shows: a mode, or disarming, that was not requested."""
+        act = None
+        for m in self._in.feed(data):
+            if m.get_type() != "HEARTBEAT" or not mavlink.is_autopilot(m, m.get_srcComponent()):
+                continue
+            self._stack = mavlink.stack_of(m)
+            mode, armed = mavlink.mode_name(self._stack, m.custom_mode), bool(m.base_mode & mavlink.ARMED)
+            if self._armed and not armed and not self._was_requested(Asks.STOP.value, at):
+                act = "disarm"
+            elif armed and self._mode not in ("", mode) and not self._was_requested(mode, at) and not self._ends(mode, at):
+                act = "mode"
+            if mode != self._mode:
+                self._requested.pop(mode, None)
+            self._mode, self._armed = mode, armed
+        return act
+
+    def _ends(self, mode: str, at: MonoNs) -> bool:
+        """Return whether PX4 left OFFBOARD by itself, as it does where setpoints end."""
+        silent = self._moved_at is not None and seconds_between(self._moved_at, at) > _SETPOINTS_END_S
+        return silent and (self._mode, mode) == (mavlink.VELOCITY_MODE[mavlink.Stack.PX4], mavlink.HOLD_MODE[mavlink.Stack.PX4])
+
+    def _was_requested(self, what: str, at: MonoNs) -> bool:
+        requested = self._requested.get(what)
+        return requested is not None and seconds_between(requested, at) <= _LAPSES_S
+
+    def _asked(self, m: Message, at: MonoNs) -> Asks | None:
+        match m.get_type():
+            case "SET_POSITION_TARGET_LOCAL_NED":
+                self._moved_at = at
+                return Asks.MOVE
+            case "COMMAND_LONG" | "COMMAND_INT":
+                return self._command(m, at)
+        return None
+
+    def _command(self, m: Message, at: MonoNs) -> Asks | None:
+        if m.command == mav.MAV_CMD_DO_SET_MODE:
+            px4 = self._stack is mavlink.Stack.PX4
+            mode = mavlink.mode_name(self._stack, int(m.param2) << 16 | int(m.param3) << 24 if px4 else int(m.param2))
+            self._requested[mode] = at
+            return (
+                Asks.LAND
+                if mode in mavlink.LAND_MODE.values()
+                else Asks.LEAVE
+                if mode in mavlink.RETURN_MODE.values()
+                else Asks.MODE
+            )
+        if m.command == mav.MAV_CMD_COMPONENT_ARM_DISARM:
+            if not m.param1:
+                self._requested[Asks.STOP.value] = at
+            return Asks.ARM if m.param1 else Asks.STOP
+        if m.command == mav.MAV_CMD_DO_REPOSITION:
+            self._requested["guided" if self._stack is mavlink.Stack.ARDUPILOT else mavlink.HOLD_MODE[mavlink.Stack.PX4]] = at
+            return Asks.LEAVE
+        if m.command == mav.MAV_CMD_NAV_TAKEOFF:
+            # PX4 climbs in a mode of its own, and then holds by itself.
+            self._requested |= {"auto.takeoff": at, mavlink.HOLD_MODE[mavlink.Stack.PX4]: after(at, _CLIMBS_S)}
+            return Asks.ARM
+        return None
 
 
 class GradedBody(NullObserver):
@@ -71,11 +158,7 @@ class GradedBody(NullObserver):
     @property
     def reached(self) -> bool:
         """True if a service's commands reach the vehicle."""
-        return not (self.streams.commands.silent or self.active("service_killed"))
-
-    def active(self, kind: str) -> bool:
-        """Return whether a fault of this kind is active."""
-        return self.faults.active(kind)
+        return not (self.streams.commands.silent or self.faults.active("service_killed"))
 
     def stepped(self, body: Body, began: MonoNs | None) -> None:
         """Note a step of the physics.
@@ -87,7 +170,7 @@ class GradedBody(NullObserver):
         if began is None:
             return
         self.started, now, landing = began, self._clock.now(), body.landing()
-        if self.active("service_killed"):
+        if self.faults.active("service_killed"):
             self.guidance_phase = None
         if landing is not None and (self._newest is None or landing.at != self._newest.at):
             self._newest = landing
