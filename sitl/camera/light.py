@@ -195,13 +195,13 @@ def _taps(sigma_px: float) -> U16:
     return np.asarray(taps, dtype=np.uint16)
 
 
-_REFLECTED = np.round(DL_SCENE_ONE * linear_light(np.arange(256)).astype(np.float32)).astype(np.uint16)
+REFLECTED = np.round(DL_SCENE_ONE * linear_light(np.arange(256)).astype(np.float32)).astype(np.uint16)
 """Reflected light of each paint value, (256,), parts of `DL_SCENE_ONE`."""
 
 
 def scene_of(bgr: U8 | Sequence[int]) -> U16:
     """Return pixels of a scene (..., 4), without wear, for paint values (..., 3) in blue, green, red."""
-    light = _REFLECTED[np.asarray(bgr, dtype=np.intp)]
+    light = REFLECTED[np.asarray(bgr, dtype=np.intp)]
     return np.concatenate([light, np.full((*light.shape[:-1], 1), DL_SCENE_ONE, np.uint16)], axis=-1)
 
 

@@ -197,11 +197,10 @@ def draw_deck(deck: Deck) -> DeckDrawing:
         return np.asarray(cv2.resize(rng.standard_normal(shape, dtype=np.float32), (cols, rows), interpolation=cv2.INTER_CUBIC))
 
     stain = 0.5 * blotches(1.6) + 0.35 * blotches(0.5) + 0.2 * blotches(0.15)
-    image = np.empty((rows, cols, 3), np.float32)
-    image[:] = np.array(deck.paint[::-1], np.float32)
-    image *= (1.0 + 0.05 * stain)[..., None]
-    rust = np.clip(0.8 * blotches(0.9) + 0.7 * blotches(0.25) + 0.5 * blotches(0.06) - 1.75, 0.0, 1.2)[..., None] * 0.35
-    image += rust * (np.array([38.0, 66.0, 112.0], np.float32) - image)
+    # Channel by channel: numpy takes three times as long where the innermost of its loops runs over three.
+    bare = np.array(deck.paint[::-1], np.float32)[:, None, None] * (1.0 + 0.05 * stain)
+    rust = np.clip(0.8 * blotches(0.9) + 0.7 * blotches(0.25) + 0.5 * blotches(0.06) - 1.75, 0.0, 1.2) * 0.35
+    bare += rust * (np.array([38.0, 66.0, 112.0], np.float32)[:, None, None] - bare)
 
     plate_x, plate_y = 1.5, 1.2
     line = 0.006
@@ -211,7 +210,8 @@ def draw_deck(deck: Deck) -> DeckDrawing:
         seam = np.clip((line + 0.5 / ppm - gap) * ppm, 0.0, 1.0).astype(np.float32) * 0.35
         bead = np.clip(1.0 - np.abs(gap - 3 * line) / (2 * line), 0.0, 1.0).astype(np.float32) * 0.06
         factor = 1.0 - seam + bead
-        image *= factor[:, None, None] if axis == 0 else factor[None, :, None]
+        bare *= factor[:, None] if axis == 0 else factor
+    image = np.asarray(cv2.merge(list(bare)))
 
     def place(points: list[tuple[float, float]] | F64) -> NDArray[np.int32]:
         p = np.asarray(points, dtype=float)
@@ -220,7 +220,6 @@ def draw_deck(deck: Deck) -> DeckDrawing:
     def fill(points: list[tuple[float, float]] | F64, rgb: tuple[float, float, float]) -> None:
         cv2.fillPoly(image, [place(points)], rgb[::-1], cv2.LINE_AA, 4)
 
-    worn = image.copy()
     edge_x = (deck.centre_m[0] - deck.length_m / 2, deck.centre_m[0] + deck.length_m / 2 - deck.bow_taper_m)
     edge_y = (deck.centre_m[1] - deck.width_m / 2, deck.centre_m[1] + deck.width_m / 2)
     for side, sign in ((edge_y[0], 1.0), (edge_y[1], -1.0)):
@@ -267,7 +266,9 @@ def draw_deck(deck: Deck) -> DeckDrawing:
             fill(_box(cx, cy, 1.2, 0.6), (40, 84, 128) if cy < 0 else (140, 60, 48))
             for rib in np.linspace(-1.0, 1.0, 9):
                 fill(_box(cx + rib * 1.1, cy, 0.02, 0.6), (34, 70, 108) if cy < 0 else (118, 50, 42))
-    rubbed = np.clip(0.35 * blotches(0.3) + 0.35 * blotches(0.08) - 0.15, 0.0, 0.55)[..., None]
-    image += rubbed * (worn - image)
-
-    return DeckDrawing(np.clip(image, 0, 255).astype(np.uint8), ppm, (x0, y0))
+    rubbed = np.clip(0.35 * blotches(0.3) + 0.35 * blotches(0.08) - 0.15, 0.0, 0.55)
+    painted = [
+        np.clip(over + rubbed * (below - over), 0, 255).astype(np.uint8)
+        for over, below in zip(cv2.split(image), bare, strict=True)
+    ]
+    return DeckDrawing(np.asarray(cv2.merge(painted), np.uint8), ppm, (x0, y0))

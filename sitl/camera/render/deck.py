@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from sitl.camera.light import I16, U16, Light, scene_of
+from sitl.camera.light import I16, REFLECTED, U16, Light, scene_of
 from sitl.camera.projection import F32, SHIFT, Lens, fixed_point
 from sitl.camera.render.textures import grain
 from sitl.camera.surroundings import Deck, draw_deck
@@ -67,7 +67,8 @@ def _with_wear(paint: U8, corner_m: tuple[float, float], texels_per_m: float, se
     y, x = np.meshgrid(corner_m[1] + (np.arange(cols) + 0.5) * step, corner_m[0] + (np.arange(rows) + 0.5) * step)
     gain = 1.0 + wear * grain(seed).read(np.stack([x, y], axis=-1).astype(np.float32), step)
     each = cv2.resize(np.clip(gain, 0.05, 64000.0 / DL_SCENE_ONE).astype(np.float32), (2 * cols, 2 * rows))[:h, :w]
-    return np.asarray(np.round(scene_of(paint) * each[..., None]), dtype=np.uint16)
+    light = [np.round(channel * each).astype(np.uint16) for channel in (*cv2.split(cv2.LUT(paint, REFLECTED)), DL_SCENE_ONE)]
+    return np.asarray(cv2.merge(light), np.uint16)
 
 
 class DeckPainter:

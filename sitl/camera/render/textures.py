@@ -75,7 +75,9 @@ class Tile:
 def _periodic_noise(seed: int, n: int, spectrum: F32) -> F32:
     """Return (n, n) Gaussian noise of mean 0, standard deviation 1 and the given amplitude spectrum."""
     white = np.random.default_rng(seed).standard_normal((n, n))
-    field = np.fft.ifft2(np.fft.fft2(white) * spectrum).real
+    # Of a real field half of the wave numbers say all; each stands for its opposite as well.
+    half, opposite = (side.astype(float)[:, : n // 2 + 1] for side in (spectrum, np.roll(spectrum[::-1, ::-1], 1, (0, 1))))
+    field = np.fft.irfft2(np.fft.rfft2(white) * (0.5 * (half + opposite)), (n, n))
     return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
 
 
