@@ -200,10 +200,6 @@ def test_recorded_logs_of_both_stacks() -> None:
     }  # fmt: skip
 
 
-def precland_text(at_s: float, text: str) -> Row:
-    return at_s, "MSG", (f"PrecLand: {text}",)
-
-
 @pytest.mark.parametrize(
     ("said", "rules"),
     [
@@ -216,7 +212,7 @@ def precland_text(at_s: float, text: str) -> Row:
 )
 def test_only_what_is_still_true_at_the_landing_is_a_fault_of_it(said, rules, tmp_path):
     """ArduCopter begins its estimate on the climb-out, loses the pad on the way, and near the deck again: all of it ends well."""
-    assert [f.rule for f in copter(tmp_path, [*FLIGHT, *(precland_text(*one) for one in said)])] == rules
+    assert [f.rule for f in copter(tmp_path, [*FLIGHT, *((at_s, "MSG", (f"PrecLand: {text}",)) for at_s, text in said)])] == rules
 
 
 def test_a_log_reports_what_its_own_firmware_begins_with(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from drivers.ardrone.link import ArDrone, open_ardrone
+from drivers.ardrone.link import open_ardrone
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Land
 from estimator.contracts.samples import VehicleStatus
@@ -82,10 +82,6 @@ def test_wrong_use_is_one_line(arguments: tuple[str, ...], code: int, what: str,
 HOST = "127.0.0.1"
 
 
-async def ready(drone: ArDrone) -> None:
-    await until(lambda: drone.ready)
-
-
 async def test_its_stamps_of_frames_agree_with_when_they_were_exposed() -> None:
     clock = SystemClock()
     world = PointMass(clock.now(), height_m=1.5)
@@ -102,7 +98,7 @@ async def test_its_stamps_of_frames_agree_with_when_they_were_exposed() -> None:
     async with ArDroneServer(cast(World, world), HOST, Ports(0, 0, 0, 0), clock) as server:
         exposed.clear()  # the frame made before flight is no frame
         async with open_ardrone(options_for(server.ports), clock) as drone:
-            await ready(drone)
+            await until(lambda: drone.ready)
             off_ms = []
             for _ in range(28):
                 frame = await drone.frames.get()

@@ -22,7 +22,7 @@ from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 
 HOST = "127.0.0.1"
-STEP_S = 0.00125
+STEP_S = 0.004
 
 
 NOISE = np.random.default_rng(1)

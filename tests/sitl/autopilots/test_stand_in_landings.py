@@ -15,8 +15,10 @@ from companion.guidance.mission import contact
 from companion.settings.load import response_model, shipped_response
 from estimator.contracts.time import MonoNs
 from sitl.campaign.overrides import Overridable
+from sitl.emulators.autopilots import flight as autopilot_flight
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.faults.kinds import OperatorActs, ServiceKilled
+from sitl.flight.afterwards import STANDS_AFTER_S
 from sitl.flight.hands import HandsWatch
 from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
@@ -42,6 +44,12 @@ def test_an_autopilot_is_flown_by_its_own_response_and_not_by_that_of_the_simula
         _, settings = given.with_values([given.parse(text, "--set") for text in changes], "--set")
         flown_by = AutopilotFlight(scenario, 1, settings, AutopilotProgram(stack, None), tmp_path).service_settings(14540)
         assert response_model(flown_by) == shipped_response(response)
+
+
+@pytest.fixture(autouse=True)
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """End each flight soon after its contact: only one of them is to stand."""
+    monkeypatch.setattr(autopilot_flight, "STANDS_AFTER_S", 0.0)
 
 
 def flight_of(
@@ -109,6 +117,7 @@ async def test_it_lands_by_sight_and_an_autopilots_filtered_gyro_is_not_taken_fo
 async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_falling_deck(tmp_path, monkeypatch):
     """The speeds over the ground alone do not show this contact: the vehicle goes around after it."""
     monkeypatch.setattr(contact, "LEAST_M_S2", math.inf)
+    monkeypatch.setattr(autopilot_flight, "STANDS_AFTER_S", STANDS_AFTER_S)
     end = await flight_of("px4", tmp_path, "sea_state_5", 4, "model", start={}).fly()
     assert end.outcome is FlightOutcome.LANDED
     assert end.failsafes == ()
