@@ -85,9 +85,6 @@ class Result:
     moving: float = 0.0
     cost_s: dict[str, float] = field(default_factory=dict)
     """Median processor time of a step by kind, of an answer and of a forecast at three horizons, seconds."""
-    floor_s: float = 0.0
-    """Median time of a product of two (50, 50) matrices, seconds; a sighting needs some twenty of them."""
-    verdicts: dict[str, int] = field(default_factory=dict)
 
 
 def fly(seed: int) -> Result:
@@ -102,7 +99,6 @@ def fly(seed: int) -> Result:
     squares: dict[str, list[tuple[float, float]]] = defaultdict(list)
     nees, nis, cost = [], [], defaultdict(list)
     covered: dict[tuple[str, float, float], list[int]] = defaultdict(lambda: [0, 0])
-    verdicts: dict[str, int] = defaultdict(int)
     next_s, next_forecast_s = 5.0, 10.0
     for event in events(flight):
         while event.stamp.received_at >= ns(next_s):
@@ -131,7 +127,6 @@ def fly(seed: int) -> Result:
         outcomes = memory.put([event])
         cost[type(event).__name__].append(time.process_time() - began)
         outcome = outcomes[0]
-        verdicts[outcome.verdict.value] += 1
         if isinstance(event, Sighting) and outcome.verdict is Verdict.FUSED and outcome.innovation is not None and event.seq > 20:
             low, high = CHI2_NIS[outcome.innovation.size]
             nis.append((outcome.nis / outcome.innovation.size, low <= outcome.nis <= high))
@@ -154,20 +149,7 @@ def fly(seed: int) -> Result:
         out.scale_error = named["velocity_scale"] / s.velocity_scale - 1.0
         out.moving = named["probability_moving"]
     out.cost_s = {kind: float(np.median(values[len(values) // 4 :])) for kind, values in cost.items()}
-    out.floor_s = floor()
-    out.verdicts = dict(verdicts)
     return out
-
-
-def floor() -> float:
-    """Return the processor time that this machine takes for a product of two (50, 50) matrices, seconds."""
-    a, took = np.random.default_rng(0).standard_normal((50, 50)), []
-    for _ in range(100):
-        began = time.process_time()
-        for _ in range(10):
-            a.dot(a)
-        took.append((time.process_time() - began) / 10)
-    return float(np.median(took))
 
 
 def compare(
@@ -252,12 +234,6 @@ def report(results: Sequence[Result]) -> None:
         cost = np.array([r.cost_s[kind] for r in results]) * 1e6
         what = kind if kind in ("answer", "forecast") else f"step of a {kind}"
         print(f"{what:23s} {np.min(cost):6.0f} us in the quickest flight, {np.median(cost):6.0f} us in the median one")
-    print(f"product of two (50, 50) matrices {1e6 * np.median([r.floor_s for r in results]):6.1f} us")
-    verdicts: dict[str, int] = defaultdict(int)
-    for r in results:
-        for name, count in r.verdicts.items():
-            verdicts[name] += count
-    print("verdicts:", ", ".join(f"{name} {count}" for name, count in sorted(verdicts.items())))
 
 
 def rms(x: F64) -> float:
