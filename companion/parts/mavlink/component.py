@@ -34,7 +34,7 @@ from drivers.reconnect import running_beside
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Sample
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import MonoNs, after, seconds_between
 
 log = logging.getLogger(__name__)
 
@@ -132,8 +132,8 @@ _SEVERITIES = {
 
 PARAMETERS = ("PLND_LAG", "PLND_ENABLED", "PLND_TYPE", "RNGFND1_TYPE", "RNGFND2_TYPE", "RNGFND3_TYPE", "RNGFND4_TYPE")
 """The parameters that are requested from the autopilot (see `open_autopilot`)."""
-_TICK_S, _HEARTBEAT_S, _STATE_S, _COMPUTER_S = 0.01, 1.0, 0.2, 1.0
-"""The periods of ticks, HEARTBEAT, NAMED_VALUE_FLOAT and ONBOARD_COMPUTER_STATUS."""
+_TICK_S, _FINE_TICK_S, _HEARTBEAT_S, _STATE_S, _COMPUTER_S = 0.02, 0.01, 1.0, 0.2, 1.0
+"""The periods of ticks, of those where something is due between them, HEARTBEAT, NAMED_VALUE_FLOAT, ONBOARD_COMPUTER_STATUS."""
 _BELIEF_S = 0.015
 """Age up to which the track of the target needs no newer belief, s: at 2 m/s^2 it is interpolated to a tenth of a millimetre."""
 _GUIDANCE_SILENCE_S = 1.0
@@ -290,6 +290,11 @@ class Component(NullObserver):
             self._send(self.outputs.due(now, view, self._sighted))
 
     @property
+    def sends_often(self) -> bool:
+        """True if ticks of `_TICK_S` are too few for the target's rate, or for a rangefinder's 20 Hz."""
+        return self.sends_ranges or not (1.0 / (_TICK_S * self.outputs.rate_hz)).is_integer()
+
+    @property
     def sends_ranges(self) -> bool:
         """True if the component serves as the autopilot's rangefinder."""
         return self._autopilot is not None and self.outputs.sends_ranges(AutopilotView.of(self._autopilot))
@@ -370,9 +375,11 @@ async def speaking(component: Component, autopilot: Autopilot, clock: Clock) -> 
     """Run the component on the links of an autopilot."""
 
     async def tick() -> None:
+        due = clock.now()
         while True:
             component.tick(clock.now())
-            await clock.sleep(_TICK_S)
+            due = max(after(due, _FINE_TICK_S if component.sends_often else _TICK_S), clock.now())
+            await clock.sleep(seconds_between(clock.now(), due))
 
     component.attach(autopilot)
     async with running_beside([("mavlink-component", tick())]):

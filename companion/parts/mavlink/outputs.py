@@ -329,6 +329,7 @@ class Outputs:
         self._o = options
         self._pad_radius_m = pad_radius_m
         self.stale_s = stale_s
+        self.rate_hz = options.rate_hz
         self.track = TargetTrack()
         self._target_at: MonoNs | None = None
         self._range_at: MonoNs | None = None
