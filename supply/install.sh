@@ -12,14 +12,20 @@ for pins in "$@"; do
     set -- "$@" -r "$pins"
     shift
 done
-{ "$python" -m pip install --disable-pip-version-check --progress-bar=off --no-deps --require-hashes $compile "$@" || echo "ended with $?"; } | awk '
-BEGIN { "date +%s" | getline began; close("date +%s"); megabytes["kB"] = .001; megabytes["MB"] = 1; megabytes["GB"] = 1000 }
-/ Downloading .*\)$/ && !/\.metadata \(/ { files++; size = $(NF - 1); unit = $NF; sub(/\(/, "", size); sub(/\)/, "", unit); all += size * megabytes[unit] }
-/^Installing collected packages: / { "date +%s" | getline fetched; close("date +%s"); packages = NF - 3 }
-/^ended with / { failed = $3 }
-END {
-  if (failed) exit failed
-  "date +%s" | getline now
-  if (!fetched) fetched = now
-  printf "downloaded %d files, %.1f MB, in %d s; installed %d packages in %d s\n", files, all, fetched - began, packages, now - fetched
-}'
+began=$(date +%s)
+{ "$python" -u -m pip install --disable-pip-version-check --progress-bar=off --no-deps --require-hashes $compile "$@" || echo "failed $?"; } | {
+    sizes= fetched= packages=0 failed=
+    while read -r line; do
+        case $line in
+        *".metadata ("*) ;;
+        "Downloading "*")") sizes="$sizes ${line##*\(}" ;;
+        "Installing collected packages: "*) fetched=$(date +%s) packages=$(($(echo "$line" | wc -w) - 3)) ;;
+        "failed "*) failed=${line#failed } ;;
+        esac
+    done
+    [ -z "$failed" ] || exit "$failed"
+    now=$(date +%s)
+    files=$(echo "$sizes" | awk '{ for (i = 1; i < NF; i += 2) mb += $i * ($(i + 1) ~ /^k/ ? .001 : $(i + 1) ~ /^M/ ? 1 : $(i + 1) ~ /^G/ ? 1000 : 0)
+        printf "%d files, %.1f MB", NF / 2, mb }')
+    echo "downloaded $files, in $((${fetched:-$now} - began)) s; installed $packages packages in $((now - ${fetched:-$now})) s"
+}
