@@ -103,8 +103,8 @@ _SAY_EACH_S = 30.0
 _REDRAW_S = 0.2
 _SILENT_S = 2.0
 """Work that takes less is not shown."""
-_LEAST_ITEMS = 10
-"""Items after which the time left is worth printing."""
+_LEAST_SHARE = 0.05
+"""The share of the work after which the time left is worth printing."""
 
 
 class WorkProgress:
@@ -133,7 +133,7 @@ class WorkProgress:
         self._shown, self._due_s = True, now_s + (_REDRAW_S if self._live else _SAY_EACH_S)
         left_s = (now_s - self._began_s) * (of / max(1, done) - 1.0)
         left = f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min"
-        text = f"{self._title}: {done} of {of} {self._items}" + (f", {left} left" if _LEAST_ITEMS <= done < of else "")
+        text = f"{self._title}: {done} of {of} {self._items}" + (f", {left} left" if _LEAST_SHARE * of <= done < of else "")
         text += more
         sys.stderr.write(f"\r{text}\x1b[K" + ("\n" if done == of else "") if self._live else f"{text}\n")
         sys.stderr.flush()

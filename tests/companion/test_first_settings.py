@@ -13,7 +13,7 @@ import pytest
 
 from companion.cli import start
 from companion.cli.main import COMMANDS, main, pointed
-from companion.cli.progress import ProgressObserver
+from companion.cli.progress import ProgressObserver, WorkProgress
 from companion.settings.load import load
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
@@ -117,3 +117,11 @@ def test_progress_stays_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, ca
     progress.on_decision(decision(MonoNs(10**9)))
     shown = capsys.readouterr().err.split("\x1b[2K")[1]
     assert 10 < len(shown) < 40
+
+
+def test_work_announces_itself_and_is_silent_while_it_is_short(capsys: pytest.CaptureFixture[str]) -> None:
+    progress = WorkProgress("digging", "holes")
+    for done in (0, 5, 9, 10):
+        progress.take(done, 10, ", dry")
+    WorkProgress("raking", "leaves").take(5, 5)
+    assert capsys.readouterr().err == "digging: 0 of 10 holes, dry\ndigging: 10 of 10 holes, dry\n"
