@@ -125,9 +125,6 @@ def test_an_error_is_named_in_the_file_it_is_in(tmp_path: Path, text: str, said:
     (tmp_path / "mine.toml").write_text(f'title = "mine"\n{text}')
     with pytest.raises(BadInput, match=said):
         load(tmp_path / "mine.toml")
-
-
-def test_a_scenario_that_is_not_there_is_named() -> None:
     with pytest.raises(BadInput, match=r"scenario: there is no file 'dmo' .*did you mean 'demo'"):
         load("dmo")
 
