@@ -156,7 +156,7 @@ def run(args: argparse.Namespace) -> int:
     for file in files:
         try:
             camera, pad = models[file].camera, models[file].pad
-            trackers = [TrackerConfig(camera, pad, of, second_opinion=asked) for of in options]
+            trackers = [TrackerConfig(camera, pad, of, second_opinion=asked, watches=False) for of in options]
             memories = [TrackerMemory()] * len(trackers)
             for image in _images(file, models[file]):
                 attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg)) or image.attitude

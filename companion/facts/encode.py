@@ -98,6 +98,7 @@ def detection(of: ProcessedFrame) -> rec.DetectionRecord:
         gain=of.frame.gain,
         coded=of.frame.coded,
         on_pad=None if processed is None or processed.on_pad is None else _pad_check(processed.on_pad),
+        unfinished=processed is not None and processed.unfinished,
         **({} if processed is None else _methods(processed)),
     )
 

@@ -197,6 +197,8 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     """True if a codec predicted the frame from others before it came; left out if none did."""
     on_pad: PadCheckRecord | None = None
     """Known things on the pad; left out before its surface was read."""
+    unfinished: bool = False
+    """True if the frame's budget of work ended its search, which goes on with the next frame; left out if not."""
 
 
 class NamedNumber(Struct, frozen=True):

@@ -76,7 +76,9 @@ def detection(of: rec.DetectionRecord) -> Detection | None:
     methods = {_method(name): seen(name) for name in of.tried}
     chosen = None if of.chosen is None else _method(of.chosen)
     on_pad = None if of.on_pad is None else _pad_check(of.on_pad)
-    return Detection(seen("selected"), chosen, MappingProxyType(methods), elsewhere=seen("elsewhere"), on_pad=on_pad)
+    return Detection(
+        seen("selected"), chosen, MappingProxyType(methods), elsewhere=seen("elsewhere"), on_pad=on_pad, unfinished=of.unfinished
+    )
 
 
 def _pad_check(of: rec.PadCheckRecord) -> PadCheck:

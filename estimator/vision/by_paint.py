@@ -74,6 +74,8 @@ class TrackerMemory:
 
 _CLOSE_PX = 1.0
 """Largest standard deviation of the expected position in the frame at which registration starts directly from it."""
+_SEARCHED = 0.75
+"""Share of a frame's work at which a search ends: the rest is for the registration of a candidate."""
 _CANDIDATES = 2
 """Number of candidates of acquisition that are registered."""
 WORTH_A_TRY = 0.03
@@ -188,7 +190,7 @@ def by_paint(
     if thesis is not None:
         selected = fuse(cue for cue in methods.values() if cue is not None and not place.excludes(cue))
         chosen = None if selected is None else selected.method
-    seen = Detection(selected, chosen, MappingProxyType(methods), opinions, elsewhere, check)
+    seen = Detection(selected, chosen, MappingProxyType(methods), opinions, elsewhere, check, unfinished=left is not FRESH_SEARCH)
     alike = best is not None and is_sure and best.sighting.yaw_ambiguous and alike_headings(tracker.pad) > 1
     yaw_rad = best.sighting.yaw_rad if best is not None and alike else None
     paint = fade(memory.paint) if best is None else best.paint
@@ -320,7 +322,7 @@ def _register(now: _Now, belief: RelativeState | None, place: ExpectedPlace) -> 
                     best = best.having(_register_from(now, about[0], CLOSE, tracked, searched=False), place)
     if not best.is_sure or (suspect and not best.agrees):
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
-        found = search(now.view, R_level_body, now.memory.paint, now.memory.search, budget=now.tracker.search_work)
+        found = search(now.view, R_level_body, now.memory.paint, now.memory.search, budget=_SEARCHED * now.tracker.search_work)
         left = found.memory
         for candidate in found.candidates[:_CANDIDATES]:
             if candidate.score < WORTH_A_TRY:

@@ -208,3 +208,5 @@ class Detection(Struct, frozen=True, eq=False):
 
     Empty if a second one is there; None if that is in doubt or was not looked for.
     """
+    unfinished: bool = False
+    """True if the frame's budget of work ended its search, which goes on with the next frame."""

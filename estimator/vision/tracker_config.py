@@ -14,16 +14,14 @@ if TYPE_CHECKING:
     from estimator.vision.learned.second_opinion import SecondOpinion
     from estimator.vision.rolling import CameraMotion
 
-FRAME_WORK = 8.0
-"""Work that a search may do in one frame of a flight.
+FRAME_WORK = 14.0
+"""Work in one frame of a flight, in floors, at which its search goes on with the next frame.
 
-The unit is the time of one BGR to HSV conversion and one inRange of a frame of 640x360.
+The unit is the time of one BGR to HSV conversion and one inRange of a frame of 640x360, as the core counts it. What Python does
+besides takes a third as long.
 """
-IMAGE_WORK = 5.0 * FRAME_WORK
-"""Work that a search may do in an image on its own.
-
-On 36 frames without a pad a search to the end took 112 at worst, and found no more.
-"""
+IMAGE_WORK = 36.0
+"""Work in an image on its own, in floors, at which its search ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,8 +32,8 @@ class TrackerConfig:
     pad: Pad
     options: TrackerOptions = field(default_factory=TrackerOptions)
     search_work: float = IMAGE_WORK
-    """Work of a search in one frame; what is left goes on with the next frame. In flight it is `FRAME_WORK`; inf searches each
-    frame to the end."""
+    """Work in one frame at which a search goes on with the next one. In flight it is `FRAME_WORK`; inf searches each frame to the
+    end."""
     motion: CameraMotion | None = None
     """Motion of the camera in this frame; None if unknown, or if all rows are exposed at once."""
     second_opinion: SecondOpinion | None = None

@@ -105,7 +105,7 @@ static void read_light(dl_tracker *t)
 }
 
 dl_tracker *dl_tracker_new(const dl_camera *camera, const double *rays, const dl_pad *pad, const int16_t *coverage,
-                           const int16_t *local, const double *edges, const int32_t *edge_of)
+                           const int16_t *local, const double *edges, const int32_t *edge_of, int64_t *work)
 {
     const dl_lens *c = &camera->lens;
     if (!lies_within(c->width, 1, FRAME_SIDE_MAX) || !lies_within(c->height, 1, FRAME_SIDE_MAX) || (c->distorted
@@ -119,11 +119,16 @@ dl_tracker *dl_tracker_new(const dl_camera *camera, const double *rays, const dl
     if (t == NULL) {
         return NULL;
     }
+    t->work = work ? work : &t->uncounted;
     t->camera = *camera, t->rays = c->distorted ? rays : NULL;
     t->maps = coverage, t->local_maps = local, t->edges = edges, t->edge_of = edge_of;
     t->has_drawing = pad != NULL;
     if (pad != NULL) {
         t->pad = *pad;
+    }
+    for (int ring = 0; ring < DL_POLAR_RADII; ring++) {
+        search_shape(t->pad.polar.h_marking + DL_POLAR_ANGLES * ring, &t->lettering[ring]);
+        search_shape(t->pad.polar.arrow + DL_POLAR_ANGLES * ring, &t->arrow[ring]);
     }
     read_light(t);
     t->row = register_row(t->pad.edge_points);

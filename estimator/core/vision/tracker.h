@@ -6,6 +6,12 @@
 
 #include "decklander.h"
 
+/* The cells of a ring that a shape covers, and their shares; half of them where half a turn brings the shape onto itself. */
+typedef struct {
+    int n, turns, cell[DL_POLAR_ANGLES];
+    float share[DL_POLAR_ANGLES];
+} ring_shape;
+
 struct dl_tracker {
     dl_camera camera;
     const double *rays;
@@ -14,6 +20,7 @@ struct dl_tracker {
     uint16_t lamp_light[256];
     int has_drawing;
     dl_pad pad;
+    ring_shape lettering[DL_POLAR_RADII], arrow[DL_POLAR_RADII];
     const int16_t *maps, *local_maps;
     const double *edges;
     const int32_t *edge_of;
@@ -22,7 +29,15 @@ struct dl_tracker {
     int64_t floats, part_bytes;
     float *scratch;
     uint8_t *parts;
+    /* Where the entries count their work; and where they do if nobody wants to know. */
+    int64_t *work, uncounted;
 };
+
+/* Count the work on so many things, `each` of them some millionths of a floor. */
+static inline void count_work(const dl_tracker *t, int64_t things, int64_t each)
+{
+    *t->work += things * each;
+}
 
 /* A part of one level of a frame, px of that level. */
 typedef struct {

@@ -5,17 +5,17 @@ the outlines of small areas that stand out, from the strokes of the H, and from 
 there is colour. A pad that has fiducials and not
 disc, ring and lettering besides is searched by its fiducials alone, as nothing else distinguishes it from other markings.
 
-A search may be given a budget of work; what is left goes on with the next frame. The budget counts work and not time, so that the
-same frames give the same results.
+A frame may have a budget of work, which all that is done in it counts against; what is left of a search goes on with the next
+frame. The core counts work and not time (`native.work_done`), so that the same frames give the same results.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
@@ -29,14 +29,13 @@ from estimator.vision.detect.alignment import (
 )
 from estimator.vision.detect.fiducials import WINDOWS_PX, WORK_FIDUCIALS, fiducial_poses
 from estimator.vision.detect.guesses import Guess
-from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, WORK_GUESS, Kind, kinds
+from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, Kind, kinds
 from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, confidence, log_odds
+from estimator.vision.native import count_work
 from estimator.vision.pad_pose import PadPose
-
-U8 = NDArray[np.uint8]
 
 SURE, ENOUGH = 0.9, 0.5
 """Confidence at which no further hypotheses are tried, and confidence at which no further kinds of hypotheses are tried."""
@@ -54,10 +53,8 @@ _ARROW_SEEN = 0.3
 """Support of the arrowhead at which the heading is unambiguous."""
 _ARROW_MISSING = 0.5
 """Margin by which it must be surer that no arrowhead is at its place than that there is none half a turn away."""
-_WORK_ALIGN, _WORK_ALIGN_FREE, _WORK_VERIFY, _WORK_TURN = 1.0, 1.2, 0.3, 0.6
-"""Work of alignments. They are with the tilt known and unknown, without a step or given up, and after a turn by 180 degrees."""
-_WORK_COVER, _WORK_COVERED, _WORK_TURNED = 0.3, 1.2, 1.8
-"""Work of looking for what covers a part of the pad, of aligning the drawing with the rest, and of doing so at other headings."""
+_WORK_ALIGN, _WORK_TURNED = 0.8, 1.2
+"""Work that an alignment usually takes, and that of other headings beside what covers a part."""
 _SMALL_PX = 30.0
 """Radius of the disc, px, up to which what covers a part of it may turn a guess."""
 _SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
@@ -97,15 +94,11 @@ class SearchMemory:
 FRESH_SEARCH = SearchMemory()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """The result of a search in one frame."""
+class Found(NamedTuple):
+    """The result of a search in one frame: candidates, best first, and empty if nothing resembles the pad; and its memory."""
 
     candidates: list[PadCandidate]
-    """Best first; empty if nothing resembles the pad."""
     memory: SearchMemory
-    work: float
-    """Work done."""
 
 
 def search(
@@ -125,7 +118,8 @@ def search(
         paint: learned paints. They only order the search: where the disc stood out by its colour, colour comes first.
         memory: what the search left in the frame before.
         sure: confidence at which no further hypotheses are tried; a value over 1 gives all candidates.
-        budget: work at which the search goes on with the next frame, as `tracker_config.FRAME_WORK`.
+        budget: work in the frame, whatever did it, at which the search goes on with the next one, as `tracker_config.FRAME_WORK`.
+            The first kind that is looked for is, whatever is left.
 
     Raises:
         ValueError: the frame is not of the camera's size.
@@ -133,21 +127,21 @@ def search(
     camera, (height, width) = view.camera, view.pyramid[0].shape[:2]
     if (height, width) != (camera.height, camera.width):
         raise ValueError(f"the frame is {width}x{height} px, the camera's are {camera.width}x{camera.height}")
-    task = _Search(view.as_seen(), Plane.of(camera, R_level_body), sure, budget, memory.refused)
+    task = _Search(view.as_seen(), Plane.of(camera, R_level_body), sure, budget, memory.refused, refused=list(memory.refused))
     # A marker that is blurred, cut or half covered is not read, and its drawing is found as any other is.
     if view.pad.markings.fiducials and task.try_fiducials():
-        return Found(_distinct(task.found), FRESH_SEARCH, task.work)
-    of_all = kinds(task.view, task.plane, paint)
+        return Found(_distinct(task.found), FRESH_SEARCH)
+    of_all, began = kinds(task.view, task.plane, paint), view.pyramid.work
     for k in ((memory.first + i) % len(of_all) for i in range(len(of_all))):
-        whole = k == memory.first or task.work <= WORK_COARSE * camera.width * camera.height / FULL_PIXELS
+        whole = k == memory.first or view.pyramid.work - began <= WORK_COARSE * camera.width * camera.height / FULL_PIXELS
         enough = task.try_kind(of_all[k])
         if enough is None:
             # A kind may have more guesses than a frame has work and the memory places: a search that stayed would never leave it.
             after = (k + 1) % len(of_all) if whole else k
-            return Found(_distinct(task.found), SearchMemory(after, tuple(task.refused[-_REMEMBERED:])), task.work)
+            return Found(_distinct(task.found), SearchMemory(after, tuple(task.refused[-_REMEMBERED:])))
         if enough:
             break
-    return Found(_distinct(task.found), FRESH_SEARCH, task.work)
+    return Found(_distinct(task.found), FRESH_SEARCH)
 
 
 def align_at(pose: PadPose, tilt_known: bool, view: FrameView) -> PadCandidate | None:
@@ -165,15 +159,16 @@ class _Search:
     budget: float = math.inf
     refused_before: tuple[Place, ...] = ()
     found: list[PadCandidate] = field(default_factory=list)
-    refused: list[Place] = field(init=False)
+    refused: list[Place] = field(default_factory=list)
     guesses: dict[Callable[[], list[Guess]], list[Guess]] = field(default_factory=dict)
     """Guesses of the kinds that were looked for, by what made them: two kinds may share them."""
     tried: set[int] = field(default_factory=set)
     """Identities of the guesses that the drawing was aligned at."""
-    work: float = 0.0
 
-    def __post_init__(self) -> None:
-        self.refused = list(self.refused_before)
+    @property
+    def left(self) -> float:
+        """Work that is left of the frame's budget."""
+        return self.budget - self.view.pyramid.work
 
     def try_fiducials(self) -> bool:
         """Read the pad's fiducials and verify the drawing there; return whether that is enough.
@@ -184,13 +179,11 @@ class _Search:
         dictionaries = len({fiducial.dictionary for fiducial in pad.markings.fiducials})
         grey = np.asarray(cv2.cvtColor(pyramid[0], cv2.COLOR_BGR2GRAY), np.uint8)
         for window_px in WINDOWS_PX:
-            self.work += WORK_FIDUCIALS * dictionaries * camera.width * camera.height / FULL_PIXELS
+            count_work(round(1e6 * WORK_FIDUCIALS * dictionaries * camera.width * camera.height / FULL_PIXELS))
             for pose, off_px in fiducial_poses(grey, camera, pad, self.plane, window_px):
-                self.work += _WORK_VERIFY
                 candidate = _candidate(align(self.view, pose, SIGMA_TILT_RAD, 0))
                 if candidate is None or candidate.score < self.sure or off_px > _CLOSE_PX:
                     moved = align_at(pose, self.plane.known, self.view)
-                    self.work += _WORK_ALIGN if self.plane.known else _WORK_ALIGN_FREE
                     if moved is not None and (candidate is None or moved.score > min(candidate.score, ENOUGH)):
                         candidate = moved
                 if candidate is not None:
@@ -205,10 +198,9 @@ class _Search:
         """Align the drawing at the best guesses of a kind. Return whether that is enough, or None if the budget ends before."""
         guesses = self.guesses.get(kind.guesses)
         if guesses is None:
-            if self.work > 0.0 and self.work + kind.expected_work > self.budget:
+            if self.guesses and self.left < kind.work:
                 return None
             guesses = self.guesses[kind.guesses] = kind.guesses()
-            self.work += kind.work + WORK_GUESS * len(guesses)
         aligned = kept = 0
         drawn = [guess for guess in guesses if kind.is_drawn(guess) and id(guess) not in self.tried]
         for guess in sorted(drawn, key=lambda g: (self._is_refused(g), -g.score)):
@@ -217,7 +209,7 @@ class _Search:
                 continue
             if aligned == _TRIES * _ALIGNED or kept == _ALIGNED:
                 break
-            if self.work + (_WORK_ALIGN if guess.tilt_known else _WORK_ALIGN_FREE) > self.budget and aligned > 0:
+            if self.left < _WORK_ALIGN and aligned > 0:
                 return None
             candidate = self.align_at(guess.pose, guess.tilt_known, guess.side, kind.covered)
             self.tried.add(id(guess))
@@ -241,49 +233,41 @@ class _Search:
             covered: where the whole drawing does not fit at all, look for what covers a part of it, too.
         """
         sigma, steps = (SIGMA_TILT_RAD, _STEPS) if tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
-        left, aligned = self.budget - self.work, align(self.view, pose, sigma, steps, local=True, side=side)
-        found, work = None, _WORK_VERIFY
-        if aligned is not None:
-            found, turned = self._with_arrow(aligned, sigma, side)
-            work = (_WORK_ALIGN if tilt_known else _WORK_ALIGN_FREE) + turned
+        aligned = align(self.view, pose, sigma, steps, local=True, side=side)
+        found = None if aligned is None else self._with_arrow(aligned, sigma, side)
         enough = not covered if found is None else found.score >= ENOUGH
         if not enough and self.view.pad.markings.is_searched_by_parts:
-            other, more = self._uncovered_at(pose if found is None else found.pose, sigma, steps, left - work)
-            found, work = _better(found, other), work + more
-        self.work += work
+            found = _better(found, self._uncovered_at(pose if found is None else found.pose, sigma, steps))
         return found
 
-    def _uncovered_at(self, pose: PadPose, sigma_tilt_rad: float, steps: int, left: float) -> tuple[PadCandidate | None, float]:
-        """Align the drawing with what nothing covers, and verify it; return None if nothing seems to be covered, and the work.
+    def _uncovered_at(self, pose: PadPose, sigma_tilt_rad: float, steps: int) -> PadCandidate | None:
+        """Align the drawing with what nothing covers, and verify it; return None if nothing seems to be covered.
 
         Other headings beside a cover are tried if so much work is left, and if half of the disc has so few pixels that what
         covers the rest may turn it.
         """
         uncovered = align_uncovered(self.view, pose, sigma_tilt_rad, steps)
         if uncovered is None:
-            return None, _WORK_COVER
+            return None
         aligned, cut = uncovered
         found = _candidate(aligned, aligned.arrow_support < _ARROW_SEEN, cut)
-        work = _WORK_COVER + _WORK_COVERED
         is_small = aligned.pose.disc_px(self.view.camera, self.view.pad) < _SMALL_PX
-        if found is not None and (found.score >= ENOUGH or work + _WORK_TURNED > left or not is_small):
-            return found, work
+        if found is not None and (found.score >= ENOUGH or self.left < _WORK_TURNED or not is_small):
+            return found
         turned = turned_uncovered(self.view, aligned, cut, sigma_tilt_rad, steps)
         other = None if turned is None else _candidate(turned, turned.arrow_support < _ARROW_SEEN, cut)
-        return _better(found, other), work + _WORK_TURNED
+        return _better(found, other)
 
-    def _with_arrow(self, aligned: AlignedTemplate, sigma_tilt_rad: float, side: F64 | None) -> tuple[PadCandidate | None, float]:
-        """Return an aligned drawing as a candidate, turned by half a turn if its arrowhead can only be there; and the work."""
+    def _with_arrow(self, aligned: AlignedTemplate, sigma_tilt_rad: float, side: F64 | None) -> PadCandidate | None:
+        """Return an aligned drawing as a candidate, turned by half a turn if its arrowhead can only be there."""
         arrow, (fore, aft) = aligned.arrow_support, aligned.arrow
         missing = fore.seen * (1.0 - fore.found) - aft.seen * (1.0 - aft.found)
-        work = 0.0
         if arrow < -0.5 * _ARROW_SEEN or missing > _ARROW_MISSING:
-            work = _WORK_TURN
             side = None if side is None else -side
             turned = align(self.view, aligned.pose.turned(math.pi), sigma_tilt_rad, 2, local=True, side=side)
             if turned is not None:
                 aligned, arrow = turned, turned.arrow_support
-        return _candidate(aligned, ambiguous=arrow < _ARROW_SEEN and not self.view.pad.markings.fiducials), work
+        return _candidate(aligned, ambiguous=arrow < _ARROW_SEEN and not self.view.pad.markings.fiducials)
 
     def _is_refused(self, guess: Guess) -> bool:
         """Return whether a hypothesis near this one that explained about as much, or more, was refused in a frame before."""

@@ -35,10 +35,12 @@ def disc_colour(px: U8, pad: Pad) -> U8:
     """Return the measure, (h, w), of a BGR frame."""
     main = 2 - int(np.argmax(pad.markings.colours.disc))
     channels = cv2.split(px)
-    others = cv2.LUT(cv2.max(channels[(main + 1) % 3], channels[(main + 2) % 3]), _LOG)
-    own = cv2.LUT(channels[main], _LOG)
-    more, less = cv2.subtract(own, others), cv2.subtract(others, own)
-    return np.asarray(cv2.subtract(cv2.convertScaleAbs(more, alpha=1.0, beta=_MIDDLE), less), np.uint8)
+    own, others, more = channels[main], channels[(main + 1) % 3], channels[(main + 2) % 3]
+    # Each step writes over an image that is no longer needed: the system takes longer to give memory than a step takes.
+    cv2.LUT(cv2.max(others, more, others), _LOG, others)
+    cv2.subtract(cv2.LUT(own, _LOG, own), others, more)
+    cv2.subtract(others, own, others)
+    return np.asarray(cv2.subtract(cv2.add(more, float(_MIDDLE), more), others, more), np.uint8)
 
 
 def is_coloured(measure: U8) -> bool:

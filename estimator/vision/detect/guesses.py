@@ -35,8 +35,6 @@ from estimator.vision.native import checked, image_of, native_pose, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 
-Circle = NDArray[Any]
-"""A circle of edges in a plane at unit distance, with the edges on its outline: the core's `dl_circle`, an array of one."""
 _MOST_AREAS = 16
 """Largest number of outlines of areas. Of 280 pads at 10 and 15 m in any light nine in ten are among the first eight."""
 
@@ -49,6 +47,15 @@ _BY_SUPPORT, _BY_FILLED = 0.3, 0.1
 """Weight of a circle's support beside the drawing's score: from afar the drawing alone is weak evidence. The outline of an area
 is one more often, whatever the area is.
 """
+
+
+class Circle(NamedTuple):
+    """A circle of edges in a plane at unit distance, with the edges on its outline."""
+
+    native: U8
+    """The core's `dl_circle`, in bytes."""
+    support: float
+    radius: float
 
 
 class Outline(Enum):
@@ -124,11 +131,15 @@ def edge_circles(
         "step": step, "margin": margin_px, "radii": radii.count, "most": most, "only_bright": only_bright,
         "least": radii.least_px * step / camera.fx, "ratio": radii.ratio, "R_cam_plane": plane.R_cam_plane.ravel().tolist(),
     })  # fmt: skip
-    out, rays = np.empty(most, CORE.dtype("dl_circle")), _corner_rays(camera.optics, step, w, h)
-    found = CORE.lib.dl_search_circles(
-        tracker_of(camera), CORE.ffi.NULL, image_of(grey), CORE.array("float", rays), how, CORE.array("dl_circle", out, most)
-    )
-    return [out[i : i + 1] for i in range(checked(found))]
+    (out, circles), rays = CORE.room("dl_circle", most), _corner_rays(camera.optics, step, w, h)
+    found = CORE.lib.dl_search_circles(tracker_of(camera), CORE.ffi.NULL, image_of(grey), CORE.array("float", rays), how, circles)
+    return _circles_of(out[: checked(found)])
+
+
+def _circles_of(rows: NDArray[Any]) -> list[Circle]:
+    """Return the circles in structures `dl_circle` of the core, (n,)."""
+    native = rows.view(np.uint8).reshape(len(rows), rows.itemsize)
+    return list(map(Circle, native, rows["support"].tolist(), rows["radius"].tolist()))
 
 
 @lru_cache(maxsize=16)
@@ -150,10 +161,9 @@ def blob_circles(pyramid: Pyramid, camera: Camera, plane: Plane) -> list[Circle]
     how = CORE.ffi.new("dl_circle_search *", {
         "most": _MOST_AREAS, "grey": pyramid.monochrome, "R_cam_plane": plane.R_cam_plane.ravel().tolist()
     })  # fmt: skip
-    out, none = np.empty(_MOST_AREAS, CORE.dtype("dl_circle")), CORE.ffi.NULL
-    circles = CORE.array("dl_circle", out, _MOST_AREAS)
+    (out, circles), none = CORE.room("dl_circle", _MOST_AREAS), CORE.ffi.NULL
     found = CORE.lib.dl_search_circles(tracker_of(camera), pyramid.native, none, none, how, circles)
-    return [out[i : i + 1] for i in range(checked(found))]
+    return _circles_of(out[: checked(found)])
 
 
 def guesses_from(
@@ -162,7 +172,7 @@ def guesses_from(
     view: FrameView,
     plane: Plane,
     most: int = MOST,
-    rated: dict[int, NDArray[Any]] | None = None,
+    rated: dict[int, U8] | None = None,
 ) -> list[Guess]:
     """Return guesses from circles: one for each circle of the drawing that one may be, in each plane that it may lie in.
 
@@ -181,39 +191,48 @@ def guesses_from(
     known = [rated.get(id(circle)) for circle in circles]
     counts = np.array([DL_NONE if rows is None else len(rows) for rows in known], np.int64)
     some = [rows for rows in known if rows is not None and len(rows)]
-    pyramid, camera, pad = view
-    pyramid[DL_SEARCH_LEVELS - 1]
-    found, out = np.concatenate(circles, dtype=CORE.dtype("dl_circle")), np.empty(most, CORE.dtype("dl_guess"))
-    before = np.concatenate(some, dtype=out.dtype) if some else out[:0]
-    radius_m, sign = _circles(pad, of)
-    how = CORE.ffi.new("dl_guess_search *", {
-        "plane_known": plane.known, "radii": len(radius_m), "most": most, "before": len(before),
-        "R_cam_plane": plane.R_cam_plane.ravel().tolist(), "radius_m": radius_m, "sign": sign,
-    })  # fmt: skip
-    n = checked(CORE.lib.dl_search_guesses(
-        tracker_of(camera, pad), pyramid.native, how, len(found), CORE.array("dl_circle", found),
-        CORE.array("int64_t", counts, len(found)), CORE.array("dl_guess", before), CORE.array("dl_guess", out, most),
-    ))  # fmt: skip
-    first = 0
+    native, before = np.concatenate([circle.native for circle in circles]), np.concatenate(some) if some else None
+    out = _compared(native, counts, before, of, view, plane, most)
+    n, first = len(out), 0
     for circle, count in zip(circles, counts.tolist(), strict=True):
         if count < 0 or first + count > n:
             break
         rated[id(circle)] = out[first : first + count]
         first += count
-    return guesses_of(out[:n], _BY_FILLED if of is Outline.AREA else _BY_SUPPORT)
+    return guesses_of(out, _BY_FILLED if of is Outline.AREA else _BY_SUPPORT)
 
 
-def guesses_of(rows: NDArray[Any], by_support: float = _BY_SUPPORT) -> list[Guess]:
-    """Return the guesses in structures `dl_guess` of the core, (n,).
+def _compared(
+    circles: U8, counts: NDArray[np.int64], before: U8 | None, of: Outline, view: FrameView, plane: Plane, most: int
+) -> U8:
+    """Return the core's guesses from circles in bytes, (n, bytes); `counts` says how many each has, and then how many it got."""
+    pyramid, camera, pad = view
+    pyramid[DL_SEARCH_LEVELS - 1]
+    radius_m, sign = _circles(pad, of)
+    how = CORE.ffi.new("dl_guess_search *", {
+        "plane_known": plane.known, "radii": len(radius_m), "most": most, "before": 0 if before is None else len(before),
+        "R_cam_plane": plane.R_cam_plane.ravel().tolist(), "radius_m": radius_m, "sign": sign,
+    })  # fmt: skip
+    out, guesses = CORE.block("dl_guess", most)
+    n = checked(CORE.lib.dl_search_guesses(
+        tracker_of(camera, pad), pyramid.native, how, len(counts), CORE.ffi.from_buffer("dl_circle[]", circles),
+        CORE.array("int64_t", counts), CORE.ffi.NULL if before is None else CORE.ffi.from_buffer("dl_guess[]", before), guesses,
+    ))  # fmt: skip
+    return out.reshape(most, -1)[:n]
+
+
+def guesses_of(native: U8, by_support: float = _BY_SUPPORT) -> list[Guess]:
+    """Return the guesses in structures `dl_guess` of the core, (n, bytes).
 
     Args:
         by_support: weight of the circle's support beside the drawing's score.
     """
+    rows = np.ndarray((len(native),), CORE.dtype("dl_guess"), native)
+    columns = (rows[name].tolist() for name in ("known", "one_sided", "R", "t", "turn_rad", "drawing", "support", "side"))
     found = []
-    for known, one_sided, R, t, turn, drawing, support, side in rows.tolist():
-        score = drawing + by_support * support
+    for known, one_sided, R, t, turn, drawing, support, side in zip(*columns, strict=True):
         half = np.array(side) if one_sided else None
-        found.append(Guess(R.tolist(), t.tolist(), turn, drawing, score, bool(known), support, half))
+        found.append(Guess(R, t, turn, drawing, drawing + by_support * support, known, support, half))
     return found
 
 
@@ -264,18 +283,16 @@ def pose_about(view: FrameView, plane: Plane, expected: PadPose) -> tuple[PadPos
     if not np.isfinite(middle).all():
         return None
     circles = _circles_about(middle, camera, pad, plane, expected)
-    guesses = guesses_from(circles, Outline.DISC, view, plane, len(circles))
-    for guess in sorted(guesses, key=lambda g: -g.drawing):
-        turn = _turned(guess, expected)
+    counts = np.full(len(circles), DL_NONE, np.int64)
+    native = _compared(circles.view(np.uint8), counts, None, Outline.DISC, view, plane, len(circles))
+    drawing = np.ndarray((len(native),), CORE.dtype("dl_guess"), native)["drawing"]
+    for k in np.argsort(-drawing, kind="stable").tolist():
+        guess = guesses_of(native[k : k + 1])[0]
+        yaw = float((expected.R_cam_pad.inv @ guess.pose.R_cam_pad).rpy_rad[2])
+        turn = math.remainder(yaw, math.pi)
         if abs(turn) < _MOST_TURNED_RAD:
             return PadPose(expected.R_cam_pad, np.array(guess.t_cam_pad)).turned(turn), guess.drawing
     return None
-
-
-def _turned(guess: Guess, expected: PadPose) -> float:
-    """Return the angle by which the expected pose is to be turned for a guess's heading, -quarter to quarter of a turn."""
-    yaw = float((expected.R_cam_pad.inv @ guess.pose.R_cam_pad).rpy_rad[2])
-    return (yaw + 0.5 * math.pi) % math.pi - 0.5 * math.pi
 
 
 @lru_cache(maxsize=1)
@@ -290,8 +307,8 @@ def _offsets_px() -> F64:
     return out
 
 
-def _circles_about(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> list[Circle]:
-    """Return the disc at each place about the middle, px, once as a whole and once with an outline on each side alone."""
+def _circles_about(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> NDArray[Any]:
+    """Return the core's circles of the disc at each place about the middle, px: the whole, and with an outline on one side."""
     offsets = _offsets_px()
     rays = camera.rays(middle + offsets[:, :2])
     on_plane = np.c_[rays, np.ones(len(rays))] @ plane.R_cam_plane
@@ -306,7 +323,7 @@ def _circles_about(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected
     turns = np.arctan2(offsets[:, 3], offsets[:, 2])[:, None] + np.array([-1.0, 0.0, 1.0])
     outline = (middle + offsets[:, :2])[:, None] + radius_px * np.stack([np.cos(turns), np.sin(turns)], axis=2)
     out["outline_px"][:, : 2 * _OUTLINE] = np.nan_to_num(outline.reshape(len(offsets), -1))
-    return [out[i : i + 1] for i in range(len(out))]
+    return out
 
 
 _HEADING_PX = 28.0

@@ -42,7 +42,7 @@ from estimator.vision.detect.paint import PaintMemory
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
 from estimator.vision.detect.template import F32
-from estimator.vision.native import checked, image_of, tracker_of
+from estimator.vision.native import checked, count_work, image_of, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.regions import Region, covers
@@ -168,7 +168,8 @@ def _guesses(component: _Component, view: FrameView, plane: Plane) -> Iterator[G
         return
     planes = [[(plane, turn) for turn in _turns(component.of, pad)]]
     if not plane.known:
-        facing = dataclasses.replace(Plane.facing(_unit(rays.mean(axis=0))), known=False)
+        towards = np.append(rays.mean(axis=0), 1.0)
+        facing = dataclasses.replace(Plane.facing(towards / np.linalg.norm(towards)), known=False)
         seen = _moments(_contour(facing.met_by(rays)))[1]
         turns = _turns(component.of, pad, any_shape=True)
         planes = [[(facing, turn) for turn in _turns(component.of, pad)]]
@@ -213,10 +214,6 @@ def _tilted(facing: Plane, seen: F64, of: _Silhouette, turn: float | None, way: 
 
 def _contour(at: F64) -> F32:
     return np.asarray(at, np.float32).reshape(-1, 1, 2)
-
-
-def _unit(ray: F64) -> F64:
-    return np.asarray(np.append(ray, 1.0) / math.hypot(*ray, 1.0))
 
 
 def _root(of: F64) -> F64:
@@ -312,10 +309,9 @@ def h_markings(view: FrameView, level: int, plane: Plane) -> list[Guess]:
         "step": 1 << level, "bright": pad.markings.is_bright, "plane_known": plane.known, "most": _MOST_LETTERS,
         "R_cam_plane": plane.R_cam_plane.ravel().tolist(),
     })  # fmt: skip
-    out = np.empty(_MOST_LETTERS, CORE.dtype("dl_guess"))
-    guesses = CORE.array("dl_guess", out, _MOST_LETTERS)
+    out, guesses = CORE.block("dl_guess", _MOST_LETTERS)
     n = CORE.lib.dl_search_strokes(tracker_of(camera, pad), image_of(pyramid[level]), how, guesses)
-    return guesses_of(out[: checked(n)])
+    return guesses_of(out.reshape(_MOST_LETTERS, -1)[: checked(n)])
 
 
 STROKES_WIDTH_PX = 160
@@ -334,15 +330,12 @@ thirty from areas.
 """
 _ROUND = 0.8
 """Support at which an area's outline is an ellipse."""
-WORK_GUESS = 0.035
-"""Work of a guess; see `Kind`. This and the other amounts of work are means over frames without a pad, on a machine at rest."""
 _CIRCLES = 12
 """Number of circles of one image."""
-_MORE_CIRCLES, _MORE_GUESSES, _MORE_USUAL = {0: 32, 1: 16}, 60, 50
-"""Number of circles of an image at full and at half size where half of the disc may be covered.
+_MORE_CIRCLES, _MORE_GUESSES = {0: 32, 1: 16}, 60
+"""Number of circles of an image at full and at half size where half of the disc may be covered, and of guesses from one size.
 
-Then the largest number of guesses from one size, and their usual number from the full size. Of ten half discs at 10 m the full
-size has nine among them, of ten at 15 m six.
+Of ten half discs at 10 m the full size has nine among them, of ten at 15 m six.
 """
 _MARGIN_PX = 8
 """Margin beyond the edge of such an image in which centres are searched, px: half of the disc may be out of the frame."""
@@ -357,9 +350,11 @@ _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Rad
 """Radii searched at full size, at half and a quarter of it, and at an eighth."""
 _BEYOND = 0.4
 """Margin beyond the edge of the smallest image in which centres are searched, in its widths."""
-_WORK_GREEN, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_SMALL_GREEN = 2.2, 3.0, 1.6, 3.2
-WORK_COARSE, _WORK_LARGER = 1.5, 0.8
-_WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_OF_HALF = 3.0, 2.2, 0.6
+_WORK_GREEN, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_SMALL_GREEN = 2.9, 4.4, 1.9, 4.7
+WORK_COARSE, _WORK_LARGER = 2.2, 2.1
+_WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_OF_HALF = 3.7, 3.2, 1.0
+_LUMINANCE_WORK, _COLOUR_WORK = 1, 9
+"""Work of a pixel in luminance and in the disc's colour, millionths of a floor."""
 FULL_PIXELS = 640 * 360
 """Pixels of the frame that work is counted for."""
 
@@ -368,10 +363,8 @@ class Kind(NamedTuple):
     """One kind of hypotheses. Each frame has all of them, whether they are looked for or not."""
 
     work: float
-    """Work of looking for them, in the time of one BGR to HSV conversion and one inRange of a frame of 640x360."""
+    """Work of looking for them and of comparing them with the drawing that is usual without a pad, in floors."""
     guesses: Callable[[], list[Guess]]
-    usual: int = MOST
-    """Number of guesses that there usually are in a frame without a pad."""
     covered: bool = False
     """True if guesses may be partly covered pads."""
     exact: bool = False
@@ -382,11 +375,6 @@ class Kind(NamedTuple):
     """Smallest such fraction for any other guess."""
     by_colour: bool = False
     """True if guesses come from the disc's colour."""
-
-    @property
-    def expected_work(self) -> float:
-        """Work of looking for them and of comparing as many as there usually are with the drawing."""
-        return self.work + WORK_GUESS * self.usual
 
     def is_drawn(self, guess: Guess) -> bool:
         """Return whether a guess explains enough of the variance to be tried."""
@@ -404,7 +392,8 @@ def kinds(view: FrameView, plane: Plane, paint: PaintMemory) -> list[Kind]:
     Those that only a partly covered pad needs are the last ones.
     """
     pyramid, camera, pad = view
-    luminance, colour = _Images(_luminance, pyramid, _MORE_CIRCLES), _Images(lambda px: disc_colour(px, pad), pyramid, {})
+    luminance = _Images(lambda px: cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), pyramid, _MORE_CIRCLES, _LUMINANCE_WORK)
+    colour = _Images(lambda px: disc_colour(px, pad), pyramid, {}, _COLOUR_WORK)
     frame = _Searched(view, plane)
     size = camera.width * camera.height / FULL_PIXELS
 
@@ -414,12 +403,12 @@ def kinds(view: FrameView, plane: Plane, paint: PaintMemory) -> list[Kind]:
         of, most = (Outline.RING, _MORE_GUESSES) if of_ring else (Outline.DISC, MOST)
         return frame.guesses(frame.circles(colour, levels, only_bright=not of_ring), of, most)
 
-    any_strokes = Kind(_WORK_STROKES, frame.strokes, usual=0, covered=True)
+    any_strokes = Kind(_WORK_STROKES, frame.strokes, covered=True)
     strokes = any_strokes.clear(_CLEAR_STROKES)._replace(covered=False)
     if not pad.markings.field_radius_m and not pad.markings.ring_outer_m:
         alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(view, plane), exact=True)]
         return [*alone, strokes] if pad.markings.is_h else alone
-    coarse = Kind(WORK_COARSE * size, lambda: frame.plain(luminance))
+    coarse = Kind(WORK_COARSE * size, lambda: frame.guesses_by_edges(luminance, _COARSE_LEVELS, _PLAIN_DRAWING))
     larger = Kind(_WORK_LARGER * size, lambda: frame.guesses_by_edges(luminance, _REDUCED_LEVELS))
     blobs = Kind(_WORK_OUTLINES * size, frame.blobs, exact=True, least_round=_LEAST_ROUND)
     full = Kind(_WORK_FULL_SIZE * size, lambda: frame.guesses(frame.circles(luminance, (0,)), Outline.EDGES))
@@ -429,14 +418,14 @@ def kinds(view: FrameView, plane: Plane, paint: PaintMemory) -> list[Kind]:
     if pad.markings.is_searched_by_parts:
         in_ring = green._replace(guesses=lambda: circles_of_colour(_REDUCED_LEVELS, of_ring=True), covered=True)
         half = Kind(_WORK_MORE_OF_HALF * size, lambda: frame.more(luminance, 1), covered=True)
-        more = Kind(_WORK_FULL_SIZE * size, lambda: frame.more(luminance, 0), _MORE_USUAL, covered=True)
+        more = Kind((_WORK_FULL_SIZE + 1.0) * size, lambda: frame.more(luminance, 0), covered=True)
         # By its colour half a distant disc is found before all circles of the full size are needed, and without colour not.
         last = [blobs.clear(_CLEAR_AREA), more.clear()]
         last = [any_strokes, *last] if disc_has_colour(pad) else [*last, any_strokes]
         out = [
             coarse, larger.clear(), half.clear(), green.clear(_CLEAR_COLOUR), small_green.clear(_CLEAR_COLOUR), strokes, *last,
             small_green, green, larger, blobs, in_ring, half, more,
-            Kind(_WORK_STROKES, frame.beside_strokes, usual=0, covered=True),
+            Kind(_WORK_STROKES, frame.beside_strokes, covered=True),
         ]  # fmt: skip
     if not disc_has_colour(pad):
         return [kind for kind in out if not kind.by_colour]
@@ -452,23 +441,19 @@ class _Searched:
     view: FrameView
     plane: Plane
 
-    def guesses(self, circles: list[Circle], of: Outline, most: int = MOST, rated: dict[int, F64] | None = None) -> list[Guess]:
+    def guesses(self, circles: list[Circle], of: Outline, most: int = MOST, rated: dict[int, U8] | None = None) -> list[Guess]:
         """Return guesses from circles."""
         return guesses_from(circles, of, self.view, self.plane, most, rated)
 
-    def plain(self, images: _Images) -> list[Guess]:
-        """Return guesses from the circles of the smallest images that the drawing explains well."""
-        guesses = self.guesses_by_edges(images, _COARSE_LEVELS)
-        return [guess for guess in guesses if guess.drawing >= _PLAIN_DRAWING]
-
-    def guesses_by_edges(self, images: _Images, levels: tuple[int, ...]) -> list[Guess]:
+    def guesses_by_edges(self, images: _Images, levels: tuple[int, ...], least: float = 0.0) -> list[Guess]:
         """Return guesses from circles of edges at several sizes of an image; those of one size are computed once."""
-        return self.guesses(self.circles(images, levels), Outline.EDGES, rated=images.rated)
+        guesses = self.guesses(self.circles(images, levels), Outline.EDGES, rated=images.rated)
+        return [guess for guess in guesses if guess.drawing >= least]
 
     def circles(self, images: _Images, levels: tuple[int, ...], only_bright: bool = False) -> list[Circle]:
         """Return the circles at several sizes of an image: the most prominent at each size first."""
         by_level = {level: self._circles(images, level, only_bright)[:_CIRCLES] for level in levels}
-        found = [(rank - one["support"].item(), one) for circles in by_level.values() for rank, one in enumerate(circles)]
+        found = [(rank - one.support, one) for circles in by_level.values() for rank, one in enumerate(circles)]
         return [circle for _, circle in sorted(found, key=lambda of: of[0])]
 
     def _circles(self, images: _Images, level: int, only_bright: bool) -> list[Circle]:
@@ -488,9 +473,7 @@ class _Searched:
 
         Half a circle is one of them.
         """
-        circles = sorted(
-            self._circles(images, level, only_bright=False), key=lambda c: -c["support"].item() * math.sqrt(c["radius"].item())
-        )
+        circles = sorted(self._circles(images, level, only_bright=False), key=lambda c: -c.support * math.sqrt(c.radius))
         return self.guesses(circles, Outline.EDGES, _MORE_GUESSES, images.rated)
 
     def blobs(self) -> list[Guess]:
@@ -519,12 +502,13 @@ def _moved(guess: Guess, across_m: float) -> Guess:
 class _Images:
     """One measure of a frame at full, half, quarter ... size; each is computed on demand."""
 
-    def __init__(self, measure: Callable[[U8], U8], pyramid: Pyramid, more_circles: Mapping[int, int]) -> None:
+    def __init__(self, measure: Callable[[U8], U8], pyramid: Pyramid, more_circles: Mapping[int, int], work: int) -> None:
+        self._work = work
         self.more_circles = more_circles
         """Sizes at which more circles are looked for than at others, beyond the frame's edge, too; and how many."""
         self.circles: dict[tuple[int, bool], list[Circle]] = {}
         """Circles by size and by whether only bright ones were looked for, as far as they were."""
-        self.rated: dict[int, F64] = {}
+        self.rated: dict[int, U8] = {}
         """Guesses from them as circles of edges; see `guesses_from`."""
         self._measure = measure
         self._pyramid = pyramid
@@ -533,8 +517,5 @@ class _Images:
     def __getitem__(self, level: int) -> U8:
         if level not in self._made:
             self._made[level] = self._measure(self._pyramid[level])
+            count_work(self._made[level].size * self._work)
         return self._made[level]
-
-
-def _luminance(px: U8) -> U8:
-    return np.asarray(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), np.uint8)

@@ -36,10 +36,6 @@ class Plane:
         turn = axis * (math.atan2(s, c) / s) if s > 1e-9 else np.zeros(3)
         return Plane(Rotation.from_rotvec(turn).matrix, True)
 
-    def places(self, camera: Camera, uv_px: F64) -> F64:
-        """Map (N, 2) px to (N, 2) positions on the plane; nan where the ray misses it."""
-        return self.met_by(camera.rays(uv_px))
-
     def met_by(self, xy: F64) -> F64:
         """Map (N, 2) rays to (N, 2) positions on the plane; nan where the ray misses it."""
         p = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ self.R_cam_plane

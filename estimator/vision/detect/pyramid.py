@@ -10,10 +10,12 @@ from estimator.core.abi import DL_FRAME_LEVELS
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.colour import in_grey
-from estimator.vision.native import checked, put_image
+from estimator.vision.native import checked, count_work, put_image, work_done
 from estimator.vision.pad import Pad
 
 U8 = NDArray[np.uint8]
+_HALVING_WORK = 3
+"""Work of a byte of a reduced image, millionths of a floor."""
 _MONOCHROME = 3.0
 """Largest difference between the channels of a pixel in a frame of a grey camera."""
 
@@ -22,6 +24,7 @@ class Pyramid:
     """One frame at full, half, quarter ... size; each level is computed on demand."""
 
     def __init__(self, px: U8) -> None:
+        self._began = work_done()
         self._levels = [np.ascontiguousarray(px, np.uint8)]
         self._native: Any = None
 
@@ -36,22 +39,17 @@ class Pyramid:
         return self._native
 
     @property
+    def work(self) -> float:
+        """Work that was done since it was made, in floors, as the core counts it; see `native.work_done`."""
+        return 1e-6 * (work_done() - self._began)
+
+    @property
     def monochrome(self) -> bool:
         """True if the frame comes from a grey camera: its channels are equal, apart from what a codec adds.
 
         A painted pad in view of a colour camera, or anything else of some colour, makes it False.
         """
         return bool(self.native.quality.chroma <= _MONOCHROME)
-
-    @property
-    def noise(self) -> float:
-        """Standard deviation of the frame's noise beyond what a camera usually has, 3 values of a pixel; 1 is full scale."""
-        return float(self.native.quality.noise)
-
-    @property
-    def contrast(self) -> float:
-        """Contrast of the frame, 1 without airlight."""
-        return float(self.native.quality.contrast)
 
     def __getitem__(self, level: int) -> U8:
         while len(self._levels) <= level:
@@ -60,6 +58,7 @@ class Pyramid:
             # An odd row or column left over would stretch the result.
             half = cv2.resize(px[: 2 * h, : 2 * w], (w, h), interpolation=cv2.INTER_AREA)
             self._levels.append(np.asarray(half, np.uint8))
+            count_work(half.size * _HALVING_WORK)
             if self._native is not None and len(self._levels) <= DL_FRAME_LEVELS + 1:
                 put_image(self._levels[-1], self._native.level[len(self._levels) - 1])
         return self._levels[level]

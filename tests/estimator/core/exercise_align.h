@@ -95,7 +95,7 @@ static dl_tracker *tracker_for(const dl_lens *c, const double *rays, const dl_pa
     for (int i = 0; i < 256; i++) {
         camera.light[i] = i * i / 65025.0, camera.log_light[i] = log1p(100.0 * camera.light[i]);
     }
-    return dl_tracker_new(&camera, rays, pad, d ? d->maps : NULL, d ? d->local : NULL, edges, edge_of);
+    return dl_tracker_new(&camera, rays, pad, d ? d->maps : NULL, d ? d->local : NULL, edges, edge_of, NULL);
 }
 
 /* A drawing of some pad, with a template of its size. */

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from estimator.contracts.geometry import F64
+from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
 from estimator.vision.detect.guesses import Circle, Outline, Radii, blob_circles, edge_circles, guesses_from, pose_about
@@ -56,9 +56,9 @@ def disc_on(shape: tuple[int, int], at: tuple[float, float], radius: float, insi
 def test_a_disc_of_little_contrast_is_the_most_prominent_circle(u, v, radius, shades, seed):
     camera = sim_camera((0.0, 0.0, 0.0))
     grey = disc_on((90, 160), (u, v), radius, *shades) + np.random.default_rng(seed).normal(0.0, 2.0, (90, 160))
-    best = edge_circles(np.asarray(np.rint(grey), np.uint8), 4, camera, Plane.of(camera, None), Radii(8.5, 1.2, 7), 3)[0][0]
-    middle = camera.rays((np.array([[u, v]]) + 0.5) * 4 - 0.5)[0]
-    assert np.hypot(*(best["centre"] - middle)) < 0.05 * radius * 4 / camera.fx
+    found = edge_circles(np.asarray(np.rint(grey), np.uint8), 4, camera, Plane.of(camera, None), Radii(8.5, 1.2, 7), 3)
+    best = found[0].native.view(CORE.dtype("dl_circle"))[0]
+    assert np.hypot(*(best["centre"] - camera.rays((np.array([[u, v]]) + 0.5) * 4 - 0.5)[0])) < 0.05 * radius * 4 / camera.fx
     assert best["radius"] == pytest.approx(radius * 4 / camera.fx, rel=0.05)
     assert best["bright_inside"] == (shades[0] > shades[1])
     assert best["support"] > 0.8
@@ -71,9 +71,9 @@ def test_a_plain_frame_has_no_circles_nor_areas_and_stripes_and_noise_none_with_
     noise = np.random.default_rng(1).integers(0, 256, (180, 320), np.uint8)
     for px, most, most_area in ((np.full((180, 320), 77, np.uint8), 0.0, 0.0), (stripes, 0.4, 0.0), (noise, 0.8, 0.8)):
         grey = np.ascontiguousarray(px)
-        assert all(c["support"] < most for c in edge_circles(grey[:90, :160].copy(), 4, camera, plane, radii, 6))
+        assert all(c.support < most for c in edge_circles(grey[:90, :160].copy(), 4, camera, plane, radii, 6))
         areas = blob_circles(Pyramid(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)), camera, plane)  # type: ignore[arg-type]
-        assert all(c["support"] < most_area for c in areas)
+        assert all(c.support < most_area for c in areas)
 
 
 def discs_on_grey(camera: Camera, at: tuple[float, float], discs: tuple[tuple[float, float], ...], half: bool = False) -> U8:
@@ -91,7 +91,7 @@ def test_a_bright_circle_does_not_hide_a_dark_one_about_it() -> None:
     camera = sim_camera((0.0, 0.0, 0.0))
     px = discs_on_grey(camera, (328.0, 184.0), ((9.0, 60.0), (5.0, 200.0)))
     found = edge_circles(px, 1, camera, Plane.of(camera, None), Radii(4.5, 1.22, 5), 6)
-    sizes = {bool(circle["bright_inside"]): circle["radius"].item() * camera.fx for circle in found}
+    sizes = {bool(circle.native.view(CORE.dtype("dl_circle"))["bright_inside"][0]): circle.radius * camera.fx for circle in found}
     assert sizes == {True: pytest.approx(5.0, abs=0.5), False: pytest.approx(9.0, abs=0.5)}
 
 
@@ -103,11 +103,11 @@ def test_guesses_that_are_known_are_the_guesses_that_would_be_computed(camera: C
         grey = np.asarray(cv2.cvtColor(view.pyramid[level], cv2.COLOR_BGR2GRAY), np.uint8)
         circles += edge_circles(grey, 1 << level, camera, plane, Radii(5.0, 1.2, 7), 6)
 
-    def tried(of: list[Circle], rated: dict[int, F64] | None = None) -> list[tuple[object, ...]]:
+    def tried(of: list[Circle], rated: dict[int, U8] | None = None) -> list[tuple[object, ...]]:
         found = guesses_from(of, Outline.EDGES, view, plane, most, rated)
         return [(*g.R_cam_pad, *g.t_cam_pad, *g[2:7], None if g.side is None else tuple(g.side)) for g in found]
 
-    rated: dict[int, F64] = {}
+    rated: dict[int, U8] = {}
     first = tried(circles[::2], rated)
     assert len(first) > 1
     assert rated
@@ -162,7 +162,7 @@ def test_an_oval_is_the_most_prominent_outline_whatever_is_in_its_middle(ways, a
     camera = sim_camera((0.0, 0.0, 0.0))
     px = oval((180, 320), (150.3, 80.7), axes, turn, ways)
     px = np.asarray(px + np.random.default_rng(2).integers(-1, 2, px.shape), np.uint8)
-    best = blob_circles(Pyramid(px), camera, Plane.of(camera, None))[0][0]
+    best = blob_circles(Pyramid(px), camera, Plane.of(camera, None))[0].native.view(CORE.dtype("dl_circle"))[0]
     uv = best["outline_px"].reshape(-1, 2)
     assert np.hypot(*(uv.mean(axis=0) - (150.3, 80.7))) < 0.5
     assert np.sqrt(2.0 * np.linalg.eigvalsh(np.cov(uv.T, bias=True))[::-1]) == pytest.approx(axes, abs=1.0)

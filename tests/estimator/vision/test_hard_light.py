@@ -78,7 +78,7 @@ def test_the_noise_of_a_frame_is_measured_beside_what_it_shows(camera: Camera, p
     seen = pad_scene(rng, camera, pad, 3.0, "light").px
     mid = np.clip(seen, 64, 190)
     noisy = np.asarray(np.clip(np.rint(mid + rng.normal(0.0, sigma, mid.shape)), 0, 255), np.uint8)
-    assert 255.0 * Pyramid(noisy).noise == pytest.approx(np.sqrt(sigma**2 - 3.0**2), rel=0.15)
+    assert 255.0 * Pyramid(noisy).native.quality.noise == pytest.approx(np.sqrt(sigma**2 - 3.0**2), rel=0.15)
 
 
 @pytest.mark.parametrize("k", range(4))

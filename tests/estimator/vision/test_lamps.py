@@ -188,7 +188,7 @@ def core_answer(px: np.ndarray, spoil: tuple[str, str, float] | None = None, exp
     if expected is not None:
         at = CORE.ffi.new("dl_expected_lamps *", ((list(expected[:9]), list(expected[9:12])), expected[12]))
     tracker = CORE.ffi.gc(
-        CORE.lib.dl_tracker_new(CORE.array("dl_camera", camera), *[CORE.ffi.NULL] * 6), CORE.lib.dl_tracker_free
+        CORE.lib.dl_tracker_new(CORE.array("dl_camera", camera), *[CORE.ffi.NULL] * 7), CORE.lib.dl_tracker_free
     )
     return int(CORE.lib.dl_find_lamps(
         tracker, image_of(px), CORE.array("dl_lamp_pattern", pattern), prior, at, CORE.array("dl_found_lamps", out)

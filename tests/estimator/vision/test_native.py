@@ -51,6 +51,6 @@ def test_a_drawing_with_more_parts_than_the_core_holds_is_refused(member: str) -
     maps, edges, of = np.zeros(4 * 5 * 25, np.int16), np.zeros(5), np.zeros(2, np.int32)
     made = CORE.lib.dl_tracker_new(
         CORE.array("dl_camera", camera), CORE.ffi.NULL, CORE.array("dl_pad", pad), CORE.array("int16_t", maps),
-        CORE.array("int16_t", maps), CORE.array("double", edges), CORE.array("int32_t", of),
+        CORE.array("int16_t", maps), CORE.array("double", edges), CORE.array("int32_t", of), CORE.ffi.NULL,
     )  # fmt: skip
     assert not made

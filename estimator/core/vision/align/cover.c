@@ -8,7 +8,7 @@
 
 /* Something that covers a part of the pad is one region with a border. About the pad this border is taken for straight, and beyond
  * it everything for another thing of one colour: of all lines that one is searched for which this explains best. */
-enum { WAYS = 24, BINS = 24, ENOUGH = 400, LEAST = 30 };
+enum { WAYS = 24, BINS = 24, ENOUGH = 400, LEAST = 30, COVER_WORK = 600 };
 /* Least share of the samples on either side of the line, and residual variance that a right drawing leaves anyway. */
 static const double LEAST_LEFT = 0.25, LEAST_COVERED = 0.06, FLOOR = 2e-4;
 
@@ -38,9 +38,9 @@ static void sum_strips(const samples *s, int every, double angle, double reach_m
     }
 }
 
-/* The best line across a direction, if it is better than `best`. With each strip on this side the squares that are left can only
- * grow: those of a line before say of most lines that they are not better. */
-static void try_direction(fit_sums strips[BINS], const fit_sums all, double angle, double reach_m, line *best)
+/* The best line across a direction, or against it from the last strip on, if it is better than `best`. With each strip on this side
+ * the squares that are left can only grow: those of a line before say of most lines that they are not better. */
+static void try_direction(fit_sums strips[BINS], const fit_sums all, double angle, int against, double reach_m, line *best)
 {
     fit_sums left, covered;
     double so_far = 0.0;
@@ -48,7 +48,7 @@ static void try_direction(fit_sums strips[BINS], const fit_sums all, double angl
     memset(left, 0, sizeof left);
     for (int k = 0; k < BINS - 1; k++) {
         for (int i = 0; i < SUM_ROWS; i++) {
-            left[i] += strips[k][i];
+            left[i] += strips[against ? BINS - 1 - k : k][i];
             covered[i] = all[i] - left[i];
         }
         if (align_number(left) < LEAST_LEFT * n || align_number(left) < LEAST || align_number(covered) < LEAST_COVERED * n) {
@@ -63,7 +63,7 @@ static void try_direction(fit_sums strips[BINS], const fit_sums all, double angl
         so_far = squares;
         if (value < best->value) {
             best->value = value;
-            best->angle = angle;
+            best->angle = against ? angle + acos(-1.0) : angle;
             best->offset_m = (2.0 * (k + 1) / BINS - 1.0) * reach_m;
             best->left = squares / fmax(align_varied(left), 1e-9);
         }
@@ -106,13 +106,15 @@ int align_cover(const dl_tracker *t, const seen_part *seen, const dl_pad_pose *p
     }
     align_take(from.light, &s);
     const int every = s.n / ENOUGH > 1 ? s.n / ENOUGH : 1;
-    for (int k = 0; k < WAYS; k++) {
+    count_work(t, s.n / every, COVER_WORK);
+    for (int k = 0; k < WAYS / 2; k++) {
         const double angle = 2.0 * acos(-1.0) * k / WAYS;
         sum_strips(&s, every, angle, reach_m, strips);
         if (k == 0) {
             align_total(BINS, strips, all);
         }
-        try_direction(strips, all, angle, reach_m, &best);
+        try_direction(strips, all, angle, 0, reach_m, &best);
+        try_direction(strips, all, angle, 1, reach_m, &best);
     }
     if (!isfinite(best.value)) {
         return 0;

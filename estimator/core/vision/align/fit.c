@@ -9,6 +9,8 @@
 static const float PURE = 0.85f, TRUSTED = 0.5f;
 /* Coverage by the H from which a sample's light may be clipped because of it. */
 static const float SOME_H = 0.25f;
+/* Work of each sample. */
+enum { FIT_WORK = 350 };
 
 /* The fraction of the disc's area inside the frame. */
 static double in_view(const dl_pad_template *p, const samples *s, const dl_pad_pose *pose, double side_m)
@@ -83,6 +85,7 @@ int align_fit(const dl_tracker *t, const seen_part seen[2], const dl_pad_pose *p
         return 0;
     }
     const double tilt_sigmas = out->tilt_sigmas;
+    count_work(t, s.n, FIT_WORK);
     memset(out, 0, sizeof *out);
     out->sample_m = from.side_m;
     out->tilt_sigmas = tilt_sigmas;

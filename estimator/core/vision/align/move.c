@@ -22,6 +22,8 @@ static const double LEAST_DEPTH_M = 0.02, LEAST_FACING = 0.2;
 static const double LEAST_AT_START = 0.10, LEAST_HALFWAY = 0.15, LEAST_AT_END = 0.40;
 /* Least explained fractions for a disc with a radius up to FAR_PX, in pixels. An occluder can leave as little of it. */
 static const double FAR_PX = 16.0, LEAST_FAR_AT_START = 0.05, LEAST_FAR_HALFWAY = 0.12, LEAST_FAR_AT_END = 0.25;
+/* Work of a step for each sample. */
+enum { STEP_WORK = 220 };
 static const double LENS_BLUR_PX = 0.7, PIXEL_SIGMA = 0.29;
 
 int align_blur_at(const dl_lens *c, const dl_pad_template *p, double side_m, double depth_m)
@@ -186,6 +188,7 @@ int align_move(const dl_tracker *t, const seen_part *seen, const dl_alignment *h
         if (!fit_at(p, align_map(p, maps, i < steps / 2 ? soft : sharp), of, pose, &from, &s, &fit)) {
             return 0;
         }
+        count_work(t, s.n, STEP_WORK);
         if (how->local && align_explained(&s, noise_var) < least_explained(far, i, steps)) {
             return 0;
         }

@@ -11,6 +11,8 @@
 
 /* Fewest samples that are used. */
 enum { LEAST_SAMPLES = 40 };
+/* Work of a pixel's light, and of smoothing it over each pixel beside it. */
+enum { LIGHT_WORK = 45, SMOOTH_WORK = 8 };
 /* Samples between the one that is read and the one whose cells are fetched. */
 enum { AHEAD = 8 };
 /* Length over depth, in `pad`, of a ray beyond which it meets the pad's plane too far away. */
@@ -101,6 +103,7 @@ void align_light(const dl_tracker *t, const seen_part *seen, double depth_m, int
     const float *light = t->lights;
     const int w = (int)part->width, h = (int)part->height;
     camera_rays(&t->camera.lens, part, out->x, out->y);
+    count_work(t, out->n, LIGHT_WORK);
     out->side_m = (double)(1 << part->level) * depth_m / t->camera.lens.fx;
     for (int row = 0; row < h; row++) {
         const uint8_t *from = seen->px + (size_t)row * (size_t)seen->stride;
@@ -115,6 +118,7 @@ void align_light(const dl_tracker *t, const seen_part *seen, double depth_m, int
     if (with_local) {
         float taps[LOCAL_MAX + 1];
         const int radius = gaussian(t->pad.drawn.local_m / out->side_m, taps);
+        count_work(t, out->n, SMOOTH_WORK * radius);
         for (int k = 0; k < 3; k++) {
             smooth_rows(w, h, radius, taps, out->local[k], out->wide, spare);
             subtract_smoothed(w, h, radius, taps, spare, out->wide, out->local[k]);

@@ -15,6 +15,8 @@ typedef struct {
     /* Standard deviations of the painted sizes, m, and of the place of a patch that a video codec has moved, px. */
     double size_sigma_m, coded_px;
     rows free;
+    /* Work done, as the tracker counts it. */
+    int64_t *work;
 } fit_task;
 
 /* Amplitude of the drawing's pointer at its place and at the opposite one, 1 is a whole pointer, and the deviation of either. */

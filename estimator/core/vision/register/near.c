@@ -6,7 +6,7 @@
 #include <stddef.h>
 #include <string.h>
 
-enum { SAMPLINGS = 3, ROUNDS = 5, HALF_MIN = 3, GROUPS_MIN = 3 };
+enum { SAMPLINGS = 3, ROUNDS = 5, HALF_MIN = 3, GROUPS_MIN = 3, PIXEL_WORK = 1100 };
 /* Longest step, px; step at which the fit rests; motion and growth of the blur after which the pixels are sampled again. */
 static const double STEP_PX = 2.0, AT_REST_PX = 0.08, SETTLED_PX = 1.2, BLUR_FACTOR = 1.5, BLUR_MORE_PX = 0.3;
 /* The mean of Tukey's weights under Gaussian noise. */
@@ -293,6 +293,7 @@ static int sample_and_fit(attempt *a)
         if (!sample_profiles(&a->k->seen, s, &a->k->edges, half, &a->work, p)) {
             return 0;
         }
+        *a->k->work += p->n * PIXEL_WORK;
         d->f.n = p->n;
         look_at(s, p->ray_x, p->ray_y, &d->f);
         drop_foreign(a->k->pad, s, &d->f, d->spare[0], p);

@@ -207,7 +207,7 @@ int register_pad(const dl_tracker *t, const dl_frame *frame, const dl_start *how
     fit_task k = {
         .seen = {&t->camera.lens, t->rays, frame->level[0].px, t->lights, how->cut, frame->quality.noise}, .pad = &t->pad.shape,
         .edges = {(int)t->pad.edge_points, t->edges, t->edge_of}, .size_sigma_m = t->pad.size_sigma_m, .coded_px = how->coded_px,
-        .free = {t->scratch, FIT_ROWS * t->row, t->row},
+        .free = {t->scratch, FIT_ROWS * t->row, t->row}, .work = t->work,
     };
     fit_state s;
     fit_solved solved;

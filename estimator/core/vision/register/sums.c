@@ -100,57 +100,52 @@ static inline float unordered(uint32_t bits)
     return value;
 }
 
-/* The k-th smallest of the first n keys. Source: Hoare, Algorithm 65: Find, Communications of the ACM 4(7), 1961. */
-static uint32_t kth_smallest(int n, int k, uint32_t *keys)
+WIDE
+static void keys_of(int n, const float *values, uint32_t *restrict keys)
 {
-    int low = 0, high = n - 1;
-    while (low < high) {
-        const uint32_t pivot = keys[low + (high - low) / 2];
-        int i = low, j = high;
-        while (i <= j) {
-            while (keys[i] < pivot) {
-                i++;
-            }
-            while (pivot < keys[j]) {
-                j--;
-            }
-            if (i <= j) {
-                const uint32_t kept = keys[i];
-                keys[i++] = keys[j];
-                keys[j--] = kept;
-            }
-        }
-        if (k <= j) {
-            high = j;
-        } else if (k >= i) {
-            low = i;
-        } else {
-            break;
-        }
+    for (int i = 0; i < n; i++) {
+        keys[i] = ordered(values[i]);
     }
-    return keys[k];
+}
+
+/* The least and the largest of some keys. */
+WIDE
+static void ends_of(int n, const uint32_t *keys, uint32_t ends[2])
+{
+    uint32_t least = UINT32_MAX, most = 0;
+    for (int i = 0; i < n; i++) {
+        least = keys[i] < least ? keys[i] : least;
+        most = keys[i] > most ? keys[i] : most;
+    }
+    ends[0] = least, ends[1] = most;
 }
 
 float order_statistic(int k, int n, const float *values, uint32_t *spare)
 {
-    /* Numbers with the same sign, exponent and first three bits of the fraction share a bin; only the bin of the wanted is searched. */
-    enum { BINS = 4096, SHIFT = 20 };
-    uint32_t count[BINS] = {0};
-    for (int i = 0; i < n; i++) {
-        spare[i] = ordered(values[i]);
-        count[spare[i] >> SHIFT]++;
+    enum { BINS = 512 };
+    uint32_t ends[2];
+    keys_of(n, values, spare);
+    /* Keys are counted in bins between the least and the largest; those of the wanted one's bin are counted again. */
+    for (ends_of(n, spare, ends); ends[0] < ends[1]; ends_of(n, spare, ends)) {
+        uint32_t count[BINS] = {0}, bin = 0;
+        int kept = 0, shift = 0;
+        while ((ends[1] - ends[0]) >> shift >= BINS) {
+            shift++;
+        }
+        for (int i = 0; i < n; i++) {
+            count[(spare[i] - ends[0]) >> shift]++;
+        }
+        while ((int)count[bin] <= k) {
+            k -= (int)count[bin++];
+        }
+        for (int i = 0; i < n; i++) {
+            const uint32_t key = spare[i];
+            spare[kept] = key;
+            kept += (key - ends[0]) >> shift == bin;
+        }
+        n = kept;
     }
-    int below = 0, kept = 0;
-    uint32_t bin = 0;
-    while (below + (int)count[bin] <= k) {
-        below += (int)count[bin++];
-    }
-    for (int i = 0; i < n; i++) {
-        const uint32_t key = spare[i];
-        spare[kept] = key;
-        kept += key >> SHIFT == bin;
-    }
-    return unordered(kth_smallest(kept, k - below, spare));
+    return unordered(ends[0]);
 }
 
 float median_of(int n, const float *values, uint32_t *spare)

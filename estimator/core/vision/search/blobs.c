@@ -7,7 +7,7 @@
 #include "vision/camera.h"
 #include "vision/search/search.h"
 
-enum { MOST = 64 };
+enum { MOST = 64, PIXEL_WORK = 14, OUTLINE_WORK = 115000 };
 /* Fraction of an ellipse's area at which an area is no support for a circle. */
 static const double LEAST_FILLED = 0.9;
 /* Noise of the half-size image, values of a pixel, per noise of the frame. */
@@ -49,6 +49,8 @@ int32_t search_areas(const dl_tracker *t, const dl_frame *frame, const dl_circle
     int32_t found = 0;
     memcpy(within.R_cam_plane, how->R_cam_plane, sizeof within.R_cam_plane);
     const int n = within.most > 0 ? blob_peaks(&within, t->scratch, peaks) : 0;
+    count_work(t, within.half->width * within.half->height, PIXEL_WORK);
+    count_work(t, n, OUTLINE_WORK);
     for (int k = 0; k < n; k++) {
         found += blob_outline(&within, &peaks[k], &one) && circle_of(&t->camera.lens, &within, &one, &out[found]);
     }

@@ -16,6 +16,8 @@ static const double SAME_PLACE = 0.25, SAME_RADIUS = 1.15;
 static const double MOST_EDGES = 0.4;
 /* The margin of an image at full size, and the largest of any, px. */
 enum { MARGIN_PX = 8, MARGIN_MAX = 16384 };
+/* Work of a pixel, of an edge and its vote for a radius, of a cell of votes, and of fitting a peak. */
+enum { PIXEL_WORK = 6, EDGE_WORK = 40, VOTE_WORK = 10, CELL_WORK = 1, FIT_WORK = 12000 };
 
 int64_t search_divide(const search_image *image, float *scratch, search_rows *r)
 {
@@ -103,10 +105,15 @@ int32_t dl_search_circles(dl_tracker *t, const dl_frame *frame, const dl_image *
     search_divide(&image, t->scratch, &rows);
     search_edges(&image, grey->px, rays, &rows);
     search_votes(&image, how, &rows);
+    const int64_t planes = how->radii * (how->only_bright ? 1 : 2), tiles = (int64_t)rows.tiles.columns * rows.tiles.rows;
+    count_work(t, image.width * image.height, PIXEL_WORK);
+    count_work(t, rows.edges.n, EDGE_WORK + planes * VOTE_WORK);
+    count_work(t, planes * tiles, TILE_CELLS * TILE_CELLS * CELL_WORK);
     for (int tries = 0; tries < TRIES * (int)how->most && n < (int)how->most; tries++) {
         if (!search_peak(&image, &rows, &peak)) {
             break;
         }
+        count_work(t, 1, FIT_WORK);
         n += search_fit(&image, how, &rows, &peak, &out[n]) && !is_among(&out[n], out, n);
     }
     return n;

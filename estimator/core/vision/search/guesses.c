@@ -48,15 +48,14 @@ static int guess_of(const dl_tracker *t, const dl_frame *frame, const circle_sta
                     dl_guess *out)
 {
     const dl_lens *c = &t->camera.lens;
-    const dl_polar_pad *pad = &t->pad.polar;
     const double depth = radius_m / stand->radius, at[3] = {stand->centre[0] * depth, stand->centre[1] * depth, depth};
     dl_pad_pose pose;
     dl_polar_fit fit;
     memcpy(pose.R, stand->R, sizeof pose.R);
     rotated(stand->R, at, pose.t);
-    const double radius_px = c->fx * pad->radius_m / pose.t[2];
+    const double radius_px = c->fx * t->pad.polar.radius_m / pose.t[2];
     const int level = isfinite(radius_px) && radius_px > 1.0 ? level_of(radius_px) : 0;
-    if (!search_heading(c, pad, &frame->level[level], 1 << level, &pose, side, &fit)) {
+    if (!search_heading(t, &frame->level[level], 1 << level, &pose, side, &fit)) {
         return 0;
     }
     memcpy(out->R, pose.R, sizeof out->R);

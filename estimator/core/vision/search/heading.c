@@ -9,6 +9,8 @@
 #include "base/wide.h"
 
 enum { CELLS = DL_POLAR_RADII * DL_POLAR_ANGLES, VALUES = 4, LANES = 8, HALF_TURN = DL_POLAR_ANGLES / 2 };
+/* Work of a heading. */
+enum { HEADING_WORK = 35000 };
 /* Least depth of a cell, m. */
 static const double NEAREST_M = 1e-3;
 /* Area of a paint in view, as a fraction of the whole, below which the paint is ignored. */
@@ -208,13 +210,7 @@ static void read_view(const dl_lens *c, const dl_polar_pad *pad, const dl_image 
     add_up(pad, (const float(*)[CELLS])light, out, sums);
 }
 
-/* The cells of a ring that a shape covers, and their shares; half of them where half a turn brings the shape onto itself. */
-typedef struct {
-    int n, turns, cell[DL_POLAR_ANGLES];
-    float share[DL_POLAR_ANGLES];
-} ring_shape;
-
-static void shape_of(const double *shape, ring_shape *out)
+void search_shape(const double *shape, ring_shape *out)
 {
     int same = 1;
     for (int a = 0; a < HALF_TURN; a++) {
@@ -261,14 +257,12 @@ static void add_turned(const ring_shape *of, const float *ring, float *out)
 
 /* Weighted light under a shape that is turned by every whole number of cells: correlation along the angle. The drawing's shapes
  * cover few cells, so those are added one by one. */
-static void turned_sums(const polar_view *seen, const double *shape, float out[VALUES][DL_POLAR_ANGLES])
+static void turned_sums(const polar_view *seen, const ring_shape rings[DL_POLAR_RADII], float out[VALUES][DL_POLAR_ANGLES])
 {
     memset(out, 0, sizeof(float) * DL_POLAR_ANGLES * VALUES);
-    for (int ring = 0; ring < CELLS; ring += DL_POLAR_ANGLES) {
-        ring_shape of;
-        shape_of(shape + ring, &of);
-        for (int value = 0; value < VALUES && of.n > 0; value++) {
-            add_turned(&of, seen->of[value] + ring, out[value]);
+    for (int ring = 0; ring < DL_POLAR_RADII; ring++) {
+        for (int value = 0; value < VALUES && rings[ring].n > 0; value++) {
+            add_turned(&rings[ring], seen->of[value] + DL_POLAR_ANGLES * ring, out[value]);
         }
     }
 }
@@ -305,13 +299,15 @@ static void rate(const float h[VALUES][DL_POLAR_ANGLES], const float arrow[VALUE
     }
 }
 
-int search_heading(const dl_lens *c, const dl_polar_pad *pad, const dl_image *image, int32_t step, const dl_pad_pose *pose, const double *side,
-                   dl_polar_fit *out)
+int search_heading(const dl_tracker *t, const dl_image *image, int32_t step, const dl_pad_pose *pose, const double *side, dl_polar_fit *out)
 {
+    const dl_lens *c = &t->camera.lens;
+    const dl_polar_pad *pad = &t->pad.polar;
     polar_view seen;
     float h[VALUES][DL_POLAR_ANGLES], arrow[VALUES][DL_POLAR_ANGLES];
     double score[DL_POLAR_ANGLES];
     disc_sums of;
+    count_work(t, 1, HEADING_WORK);
     read_view(c, pad, image, step, pose, side, &seen, &of);
     if (!(of.in_view >= LEAST_IN_VIEW * of.area)) {
         return 0;
@@ -324,8 +320,8 @@ int search_heading(const dl_lens *c, const dl_polar_pad *pad, const dl_image *im
     if (!(spread > 1e-6 * of.area)) {
         return 0;
     }
-    turned_sums(&seen, pad->h_marking, h);
-    turned_sums(&seen, pad->arrow, arrow);
+    turned_sums(&seen, t->lettering, h);
+    turned_sums(&seen, t->arrow, arrow);
     rate((const float(*)[DL_POLAR_ANGLES])h, (const float(*)[DL_POLAR_ANGLES])arrow, &of, LEAST_PAINT * of.area, spread, pad->polarity,
          resolved, score);
     int best = 0;
@@ -347,5 +343,5 @@ int32_t dl_search_heading(dl_tracker *t, const dl_image *image, int32_t step, co
     if (!t->has_drawing || !is_image(image, 3) || step < 1) {
         return DL_WRONG_SIZE;
     }
-    return search_heading(&t->camera.lens, &t->pad.polar, image, step, pose, side, out);
+    return search_heading(t, image, step, pose, side, out);
 }

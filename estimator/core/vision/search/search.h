@@ -77,8 +77,10 @@ int64_t search_most(int64_t width, int64_t height);
 int32_t search_areas(const dl_tracker *t, const dl_frame *frame, const dl_circle_search *how, dl_circle *out);
 
 /* The best heading of a drawing, as `dl_search_heading`. */
-int search_heading(const dl_lens *c, const dl_polar_pad *pad, const dl_image *image, int32_t step, const dl_pad_pose *pose, const double *side,
-                   dl_polar_fit *out);
+int search_heading(const dl_tracker *t, const dl_image *image, int32_t step, const dl_pad_pose *pose, const double *side, dl_polar_fit *out);
+
+/* The cells of a ring that a shape of DL_POLAR_ANGLES shares covers. */
+void search_shape(const double *shape, ring_shape *out);
 
 /* Find the edges: ridges of the gradient that stand out from their neighbourhood. */
 void search_edges(const search_image *image, const uint8_t *grey, const float *rays, search_rows *rows);

@@ -10,6 +10,8 @@
 #include "base/wide.h"
 
 enum { LONGEST = 72, LEAST_WIDTH = 4, MOST_WIDTH = 70, WIDE_FROM = 9, FEWEST = 8, WIDTHS = 2, LIMITS = 2 };
+/* Work of a pixel, and of looking for an H of one size in it. */
+enum { IMAGE_WORK = 16, SIZE_WORK = 17 };
 /* Weights of runs one and two pixels longer or shorter. */
 static const double NEXT = 0.7, SECOND = 0.4;
 /* Widths within this fraction of each other are one. */
@@ -139,27 +141,31 @@ static int pose_of(const strokes_image *image, const upright_view *view, const d
 }
 
 /* Find the strokes of an H in an image; returns how many places. */
-static int32_t find(const dl_lens *c, const strokes_image *image, const dl_pad_strokes *h, const uint8_t *px, float *scratch,
-                    int32_t most, dl_guess *out)
+static int32_t find(const dl_tracker *t, const strokes_image *image, const uint8_t *px, int32_t most, dl_guess *out)
 {
+    const dl_lens *c = &t->camera.lens;
+    const dl_pad_strokes *h = &t->pad.strokes;
     const int64_t pixels = image->width * image->height, n = strokes_size(image);
-    arena memory = {scratch, 0};
+    arena memory = {t->scratch, 0};
     const workspace w = divide(image, &memory);
     int32_t found = 0;
     double angle, widths[WIDTHS];
     int limits[LIMITS];
     upright_view view;
+    count_work(t, pixels, IMAGE_WORK);
     strokes_darkest(image, px, w.grey);
     if (!strokes_direction((int)image->width, (int)image->height, w.grey, &angle) || !strokes_place(c, image, angle, &view)) {
         return 0;
     }
     const int shades = strokes_limits((int)pixels, w.grey, limits);
     strokes_upright(image, &view, w.grey, w.upright);
+    count_work(t, n * n, IMAGE_WORK);
     for (int k = 0; k < shades; k++) {
         mask_of((int)(n * n), w.upright, limits[k], w.mask);
         const int sizes = strokes_widths((int)n, w.mask, w.starts, widths);
         for (int i = 0; i < sizes; i++) {
             stroke_place places[STROKES_PLACES];
+            count_work(t, n * n, SIZE_WORK);
             const int fits = strokes_fit(h, (int)n, w.mask, widths[i], w.sums, w.score, places);
             for (int j = 0; j < fits; j++) {
                 dl_guess one;
@@ -179,5 +185,5 @@ int32_t dl_search_strokes(dl_tracker *t, const dl_image *of, const dl_stroke_sea
     }
     strokes_image seen = {of->width, of->height, of->stride, how->step, how->bright, how->plane_known, {0.0}};
     memcpy(seen.R_cam_plane, how->R_cam_plane, sizeof seen.R_cam_plane);
-    return find(&t->camera.lens, &seen, &t->pad.strokes, of->px, t->scratch, (int32_t)how->most, out);
+    return find(t, &seen, of->px, (int32_t)how->most, out);
 }
