@@ -26,7 +26,7 @@ from companion.settings.model import CameraSettings, Settings
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from drivers.nmea.sentences import KNOT_M_S, REFUSED_FOR
-from estimator.contracts.geodesy import moved
+from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import F64
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.sensors.sensors import ORIGIN
@@ -61,9 +61,14 @@ def sentence(body: str, start: str = "$") -> bytes:
     return f"{start}{body}*{check:02X}\r\n".encode()
 
 
+def place_of(p_ned: F64) -> GeoPoint:
+    """Return the place of a point of the simulated world, (3,) m."""
+    return moved(ORIGIN, p_ned)
+
+
 def rmc(at_s: float, p_ned: F64 = SHIP_NED, speed_kn: float = 4.0) -> bytes:
     """Return the ship's sentence at a time of the minute, s; she sails to the east."""
-    at = moved(ORIGIN, p_ned)
+    at = place_of(p_ned)
 
     def part(angle_rad: float, width: int, letters: str) -> str:
         minutes = abs(math.degrees(angle_rad)) * 60.0
