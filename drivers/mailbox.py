@@ -1,6 +1,7 @@
 """Back-pressure by type: a slot for the newest item alone, and a bounded queue that keeps every item until it is full."""
 
 import asyncio
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from typing import Generic, TypeVar
@@ -8,27 +9,17 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Latest(Generic[T]):
-    """One slot: a newer item replaces an unread one, and the replacement is counted. One reader.
-
-    Cancelling the reader loses nothing: the item stays in the slot. After `fail` the reader gets the last item, then the
-    error.
-    """
+class _Mailbox(ABC, Generic[T]):
+    """Items for one reader. Cancelling it loses nothing. After `fail` it gets what is left, then the error."""
 
     def __init__(self) -> None:
-        self._item: T | None = None
         self._end: BaseException | None = None
         self._ready = asyncio.Event()
         self.offered = 0
-        self.replaced = 0
 
-    def offer(self, item: T) -> T | None:
-        """Put an item (from the loop's thread only) and return the unread one it pushed out, if any."""
-        pushed_out, self._item = self._item, item
-        self.offered += 1
-        self.replaced += pushed_out is not None
-        self._ready.set()
-        return pushed_out
+    @abstractmethod
+    def _next(self) -> T | None:
+        """Take the next item, or None if none waits."""
 
     def fail(self, why: BaseException) -> None:
         """No more items will come; the reader is to raise `why`."""
@@ -36,11 +27,10 @@ class Latest(Generic[T]):
         self._ready.set()
 
     async def get(self) -> T:
-        """Wait for an item and return the newest."""
+        """Wait for an item and return it."""
         while True:
             await self._ready.wait()
-            item, self._item = self._item, None
-            if item is not None:
+            if (item := self._next()) is not None:
                 return item
             if self._end is not None:
                 raise self._end
@@ -51,10 +41,29 @@ class Latest(Generic[T]):
             yield await self.get()
 
 
-class Line(Generic[T]):
-    """A bounded queue that drops the oldest when full, and counts the drops. One reader.
+class Latest(_Mailbox[T]):
+    """One slot: a newer item replaces an unread one, and the replacement is counted."""
 
-    Cancelling the reader loses nothing. After `fail` the reader gets what is left, then the error.
+    def __init__(self) -> None:
+        super().__init__()
+        self._item: T | None = None
+        self.replaced = 0
+
+    def offer(self, item: T) -> T | None:
+        """Put an item (from the loop's thread only) and return the unread one it pushed out, if any."""
+        pushed_out, self._item = self._item, item
+        self.offered += 1
+        self.replaced += pushed_out is not None
+        self._ready.set()
+        return pushed_out
+
+    def _next(self) -> T | None:
+        item, self._item = self._item, None
+        return item
+
+
+class Line(_Mailbox[T]):
+    """A bounded queue that drops the oldest when full, and counts the drops.
 
     Args:
         capacity: the largest number of items that wait.
@@ -62,12 +71,10 @@ class Line(Generic[T]):
     """
 
     def __init__(self, capacity: int, fetch: Callable[[], None] = lambda: None) -> None:
+        super().__init__()
         self._items: deque[T] = deque()
         self._fetch = fetch
         self.capacity = capacity
-        self._end: BaseException | None = None
-        self._ready = asyncio.Event()
-        self.offered = 0
         self.dropped = 0
 
     def offer(self, item: T) -> None:
@@ -79,23 +86,11 @@ class Line(Generic[T]):
         self.offered += 1
         self._ready.set()
 
-    def fail(self, why: BaseException) -> None:
-        """No more items will come; the reader is to raise `why`."""
-        self._end = why
-        self._ready.set()
-
     def __len__(self) -> int:
         return len(self._items)
 
-    async def get(self) -> T:
-        """Wait for an item and return the oldest."""
-        while True:
-            await self._ready.wait()
-            if self._items:
-                return self._items.popleft()
-            if self._end is not None:
-                raise self._end
-            self._ready.clear()
+    def _next(self) -> T | None:
+        return self._items.popleft() if self._items else None
 
     def waiting(self) -> list[T]:
         """Take all items that wait, the oldest first, without waiting for one."""
@@ -113,7 +108,3 @@ class Line(Generic[T]):
         """Wait for items, and yield all that wait together, the oldest first."""
         while True:
             yield [await self.get(), *self.waiting()]
-
-    async def __aiter__(self) -> AsyncIterator[T]:
-        while True:
-            yield await self.get()

@@ -49,7 +49,6 @@ def test_both_architectures_compute_the_same(tmp_path: Path) -> None:
     assert len(here) > 3
     for functions, found in here.items():
         assert there[functions] == pytest.approx(found, rel=1e-9), functions
-        print(f"{functions}: {found!r} here, {there[functions]!r} on aarch64")
 
 
 def _called(command: list[str]) -> dict[str, float]:

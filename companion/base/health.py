@@ -13,7 +13,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from companion.base.mission import ENDED
-from companion.base.observer import Decision, FrameTimes
+from companion.base.observer import Decision
 from companion.base.response_in_use import ResponseInUse
 from estimator.contracts.errors import in_words
 from estimator.contracts.estimates import PathName, Verdict
@@ -231,6 +231,8 @@ class HealthSnapshot:
     """Flows that the settings request beside those of every flight."""
     vital: frozenset[str] = frozenset()
     """The parts that the flight needs."""
+    too_slow: str | None = None
+    """Sign that this computer does not keep up, with the cure; None while it does."""
 
 
 class Health:
@@ -255,6 +257,7 @@ class Health:
         self._transitions: Counter[tuple[str, str, str, str]] = Counter()
         self._flights: Counter[str] = Counter()
         self._response: ResponseInUse | None = None
+        self.too_slow: str | None = None
         self.contained: Counter[str] = Counter()
         """Failures of callees that the flight does not need, by callee."""
 
@@ -340,11 +343,6 @@ class Health:
             delays = self.delays[stage] = Delays()
         delays.add(seconds)
 
-    def frame_times(self, times: FrameTimes) -> None:
-        """Note how long each stage of one frame took."""
-        for stage, seconds in times.by_stage():
-            self.delay(stage, seconds)
-
     def beat(self, name: str, now: MonoNs | None = None, n: int = 1) -> None:
         """Count arrivals of a kind of data, at this instant if none is given."""
         flow = self.flows.get(name)
@@ -356,21 +354,10 @@ class Health:
         """Register `read`, which each snapshot calls to get the part's counters."""
         self._counters[part] = read
 
-    @property
-    def all_up(self) -> bool:
-        return self.fault() is None
-
-    def fault(self) -> str | None:
-        """Return the first part of the service that is down, and why; None while all are up."""
-        return self._down(vital_only=False)
-
-    def flight_fault(self) -> str | None:
-        """Return the first part that is down among those that the flight needs, and why; None while they are up."""
-        return self._down(vital_only=True)
-
-    def _down(self, *, vital_only: bool) -> str | None:
+    def fault(self, *, of_flight: bool = False) -> str | None:
+        """Return the first part that is down (of those that the flight needs), and why; None while they are up."""
         for name, part in self.parts.items():
-            if not part.up and (part.vital or not vital_only):
+            if not part.up and (part.vital or not of_flight):
                 return f"{name} is down: {part.last_error or 'not begun'}"
         return None
 
@@ -395,8 +382,8 @@ class Health:
             stages[name] = StageState(delays.count, p50, p99, delays.sum_s, tuple(delays.buckets))
         return HealthSnapshot(
             at=now,
-            all_up=self.all_up,
-            flight_up=self.flight_fault() is None,
+            all_up=self.fault() is None,
+            flight_up=self.fault(of_flight=True) is None,
             parts={
                 name: PartRecord(name, p.up, 0.0 if p.since is None else seconds_between(p.since, now), p.restarts, p.last_error)
                 for name, p in self.parts.items()
@@ -410,6 +397,7 @@ class Health:
             mission=self._mission(),
             awaited=self.awaited,
             vital=frozenset(name for name, part in self.parts.items() if part.vital),
+            too_slow=self.too_slow,
         )
 
 

@@ -141,7 +141,7 @@ class Pulse(NullObserver):
         self._last_reason = ""
         rates = (health.flows.get(kind) for kind in ("Frame", "Imu"))
         frames, samples = (0.0 if flow is None or flow.rate_hz is None else flow.rate_hz for flow in rates)
-        phase = ": ".join(filter(None, (decision.phase, ", ".join(missing_inputs(health)))))
+        phase = ": ".join(filter(None, (decision.phase, ", ".join(missing_inputs(health)), health.too_slow)))
         fields = {"STATUS": f"{phase}; {frames:.0f} frames and {samples:.0f} inertial samples a second"}
         if self.pings == 0:
             fields["READY"] = "1"

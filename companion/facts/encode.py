@@ -229,6 +229,7 @@ def health(at: MonoNs, of: HealthSnapshot) -> rec.HealthRecord:
         ],
         of.all_up,
         of.flight_up,
+        of.too_slow or "",
     )
 
 

@@ -413,6 +413,8 @@ class HealthRecord(Struct, frozen=True):
     """True if every part of the service is up."""
     flight_up: bool = True
     """True if the parts that the flight needs are up; older recordings do not have it."""
+    too_slow: str = ""
+    """Sign that this computer does not keep up, with the cure; empty while it does."""
 
 
 SampleRecord = (

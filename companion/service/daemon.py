@@ -4,7 +4,7 @@ Every frame that the driver offers gets exactly one counted verdict. Vision runs
 on the event loop. When the service ends, for whatever reason, the driver leaves the vehicle in its own hover.
 
 Vehicle and guidance are vital; observers and every further part run beside the flight and cannot touch it (`supervise`,
-`containment`). On a machine too slow for every frame some are skipped (`VisionShare`).
+`containment`). On a machine too slow for every frame some are skipped (`FramePace`).
 """
 
 import asyncio
@@ -38,30 +38,42 @@ from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
-
-# Limit the share of a core that looking at frames may take: on a machine too slow for each frame some are skipped.
-#
-# Vision and event loop share the interpreter's lock. A thread that is never idle makes samples, guidance and commands late, and
-# each sighting older; half of the frames, seen in time, land a drone better than all of them, seen late.
 
 _WEIGHT = 0.2
 """Weight of the newest look in the mean: five frames distinguish a slow machine from one slow look."""
 _PAUSE_MAX_S = 0.2
 """Longest time without a look: a sighting at least each 0.2 s keeps an estimate fresh, whatever a look costs."""
+_LATE_WEIGHT, _LATE_S, _ROOM_S, _BACK_S = 0.05, 0.01, 0.002, 0.0005
+"""Weight of the newest guidance cycle in the mean lateness; the mean above which looks make room, s: half a cycle at 50 Hz; what
+each cycle adds to the pause between looks then, s, and takes off it once the mean is below half of that."""
+_WINDOW_S, _LEFT_OUT, _TOLD_LATE_S = 5.0, 0.4, 0.02
+"""Time of one judgement, s; share of frames left out, and mean lateness, s, above which a computer is called too slow. It is
+called so until both are below half of that."""
+
+log = logging.getLogger(__name__)
 
 
-class VisionShare:
-    """Decides which frames are looked at.
+class FramePace:
+    """Decides which frames are looked at, and tells health whether the computer keeps up.
+
+    Vision and event loop share the interpreter's lock, and a small computer's core. Vision that is never idle makes guidance late
+    and each sighting older: half of the frames, seen in time, land a drone better than all of them, seen late.
 
     Args:
         core_fraction: the largest share of the time that looks may take, 0 to 1; at 1 no frame is skipped.
+        camera: what takes the frames; where they are large, smaller ones are advised.
     """
 
-    def __init__(self, core_fraction: float) -> None:
-        self._core_fraction = core_fraction
+    def __init__(self, core_fraction: float, camera: Camera, health: Health) -> None:
+        self._core_fraction, self._health = core_fraction, health
+        smaller = f"choose {camera.width // 2}x{camera.height // 2}"
+        self._cure = smaller if camera.width >= 640 else "end other programs on it"
         self._mean_s: float | None = None
+        self._late_s = self._pause_s = 0.0
         self._not_before = MonoNs(0)
+        self._window: tuple[MonoNs, int, int] | None = None
 
     def admits(self, now: MonoNs) -> bool:
         """Return whether a frame that arrives now is to be looked at."""
@@ -70,10 +82,35 @@ class VisionShare:
     def looked(self, began: MonoNs, duration_s: float) -> None:
         """Take how long a look took, by the clock on the wall: what else keeps the core busy counts."""
         self._mean_s = duration_s if self._mean_s is None else self._mean_s + _WEIGHT * (duration_s - self._mean_s)
-        self._not_before = after(began, min(self._mean_s / self._core_fraction, self._mean_s + _PAUSE_MAX_S))
+        wait_s = self._mean_s / self._core_fraction + self._pause_s
+        self._not_before = after(began, min(wait_s, self._mean_s + _PAUSE_MAX_S))
 
+    def cycle(self, now: MonoNs, late_s: float) -> None:
+        """Take by how much a guidance cycle came late."""
+        self._late_s += _LATE_WEIGHT * (late_s - self._late_s)
+        if self._late_s > _LATE_S:
+            self._pause_s = min(self._pause_s + _ROOM_S, _PAUSE_MAX_S)
+        elif self._late_s < 0.5 * _LATE_S:
+            self._pause_s = max(self._pause_s - _BACK_S, 0.0)
+        frames = self._health.frames
+        arrived, left_out = frames.total(), frames[Verdict.SKIPPED] + frames[Verdict.REPLACED]
+        began, arrived_before, left_before = self._window = self._window or (now, arrived, left_out)
+        if (took_s := seconds_between(began, now)) >= _WINDOW_S:
+            self._window = now, arrived, left_out
+            self._judge((arrived - arrived_before) / took_s, (left_out - left_before) / took_s)
 
-log = logging.getLogger(__name__)
+    def _judge(self, rate_hz: float, left_out_hz: float) -> None:
+        told = self._health.too_slow
+        limit, slow = 1.0 if told is None else 0.5, None
+        busy = self._pause_s > 0.0 or (self._mean_s or 0.0) * rate_hz > 0.5  # else frames wait for attitudes, not for looks
+        if busy and left_out_hz > limit * _LEFT_OUT * rate_hz:
+            slow = f"this computer manages {rate_hz - left_out_hz:.0f} of {rate_hz:.0f} frames a second: {self._cure}"
+        elif self._late_s > limit * _TOLD_LATE_S:
+            slow = f"this computer is too slow: guidance is {1e3 * self._late_s:.0f} ms late"
+        self._health.too_slow = slow
+        if (slow is None) != (told is None):
+            log.warning("%s", slow or "this computer keeps up again")
+
 
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 _ATTITUDE_TRIES, _ATTITUDE_PAUSE_S, _ATTITUDE_SILENT_S = 10, 0.005, 0.2
@@ -147,7 +184,6 @@ class Daemon:
         self._clock = clock
         self._options = options
         self._period_s = 1.0 / options.guidance_rate_hz
-        self._share = VisionShare(options.core_fraction)
         self._collector = GroundedCollector()
         self._link: VehicleLink | None = None
         self._ended = asyncio.Event()
@@ -166,6 +202,7 @@ class Daemon:
         if reports is not None:
             self._extras["ship_reports"] = partial(self._read_reports, reports)
         self.health = health or Health(clock)
+        self._pace = FramePace(options.core_fraction, pilot.camera, self.health)
         self._audience = Audience(observers, self.health)
         pilot.operator.on_order = self._on_order
 
@@ -254,7 +291,7 @@ class Daemon:
             overtaken = link.frames.replaced
             now = self._clock.now()
             self.health.beat("Frame", now)
-            if not self._share.admits(now):
+            if not self._pace.admits(now):
                 self.health.frame(Verdict.SKIPPED)
                 continue
             try:
@@ -264,7 +301,8 @@ class Daemon:
                 raise
             self._judged(processed.verdict)
             if processed.times is not None:
-                self.health.frame_times(processed.times)
+                for stage, seconds in processed.times.by_stage():
+                    self.health.delay(stage, seconds)
             self.health.delay("exposure_to_belief", seconds_between(frame.stamp.measured_at, processed.done))
             self._audience.on_frame(processed)
             reported = self._clock.now()
@@ -286,7 +324,7 @@ class Daemon:
             seen = await self._tracker.run(self._pilot.search.read_deck, processed.detection)
             self._pilot.landing.on_pad(seen.on_pad)
         read_s = seconds_between(began, self._clock.now())
-        self._share.looked(self._look_began, seconds_between(self._look_began, processed.done) + read_s)
+        self._pace.looked(self._look_began, seconds_between(self._look_began, processed.done) + read_s)
 
     async def _load_vision(self) -> None:
         """Let the thread of vision load and prepare itself once, after the first guidance cycle."""
@@ -341,7 +379,7 @@ class Daemon:
         if assumed is not None and self._tracker is not None:
             began = self._clock.now()
             seen = await self._tracker.run(self._pilot.detect, self._pilot.look_after(frame, assumed))
-            self._share.looked(began, seconds_between(began, self._clock.now()))
+            self._pace.looked(began, seconds_between(began, self._clock.now()))
             self._pilot.on_followed(seen, assumed)
 
     def _look(self, look: Look) -> tuple[Detection, float]:
@@ -415,6 +453,7 @@ class Daemon:
             await self._clock.sleep(max(0.001, self._period_s - spent_s))
             late_s = seconds_between(began, self._clock.now()) - self._period_s
             self.health.delay("guidance_late", max(0.0, late_s))
+            self._pace.cycle(self._clock.now(), late_s)
 
     def _commanded(self, decided: MonoNs) -> None:
         """Note the times of a command that was given to the link."""
@@ -451,13 +490,12 @@ class Daemon:
             frames = ", ".join(
                 f"{verdict.value} {n}" for verdict, n in sorted(self.health.frames.items(), key=lambda i: i[0].value)
             )
-            delay = self.health.delays.get("exposure_to_belief")
-            p50 = delay.quantiles(0.5)[0] if delay is not None else None
-            missing = missing_inputs(self.health.snapshot())
+            health = self.health.snapshot()
+            belief, missing = health.stages.get("exposure_to_belief"), missing_inputs(health)
             log.log(
                 logging.WARNING if missing else logging.INFO,
                 "%s; frames: %s; exposure to belief %s",
                 ": ".join(filter(None, (self._pilot.phase, ", ".join(missing)))),
                 frames or "none",
-                "unknown" if p50 is None else f"{1e3 * p50:.0f} ms",
+                "unknown" if belief is None or belief.p50_s is None else f"{1e3 * belief.p50_s:.0f} ms",
             )

@@ -76,7 +76,8 @@ class LateClock(VirtualClock):
 def test_the_daemon_measures_how_late_guidance_comes(clock: VirtualClock, late_s: float) -> None:
     vehicle = FakeFlight(clock)
     daemon = Daemon(vehicle.open, SeeingPilot(vehicle), clock, DaemonSetup(RestartOptions(), 50.0, health_period_s=0.0))
-    asyncio.run(fly(daemon, vehicle, clock, 0.6))
+    asyncio.run(fly(daemon, vehicle, clock, 5.2))
+    assert daemon.health.too_slow == ("this computer is too slow: guidance is 49 ms late" if late_s else None)
     stage = daemon.health.snapshot().stages["guidance_late"]
     assert stage.count >= 8
     assert stage.p50_s == pytest.approx(late_s, abs=1e-6)

@@ -316,18 +316,21 @@ class Component(NullObserver):
     def _fault(self, now: MonoNs) -> str | None:
         if self._decided is None or seconds_between(self._decided, now) > _GUIDANCE_SILENCE_S:
             return "guidance stands still"
-        return self._health.flight_fault()
+        return self._health.fault(of_flight=True)
 
     def _check_health(self, now: MonoNs) -> None:
         why = self._fault(now) if self._decided is not None else None
         if why is not None and not self._sick:
             self.texts.say(MavSeverity.ERROR, f"Decklander: {why}", now)
         self._sick = why is not None
-        for name, part in self._health.parts.items():
+        troubles = {n: f"{n} is down: {p.last_error}" for n, p in self._health.parts.items() if not (p.up or p.vital)}
+        if self._health.too_slow is not None:
+            troubles["speed"] = self._health.too_slow
+        for name, text in troubles.items():
             last = self._reported.get(name)
-            if not (part.up or part.vital) and (last is None or seconds_between(last, now) >= _REPEAT_S):
+            if last is None or seconds_between(last, now) >= _REPEAT_S:
                 self._reported[name] = now
-                self.texts.say(MavSeverity.WARNING, f"Decklander: {name} is down: {part.last_error}", now)
+                self.texts.say(MavSeverity.WARNING, f"Decklander: {text}", now)
 
     def _heartbeat(self, now: MonoNs) -> Message | None:
         if self._fault(now) is not None:

@@ -118,14 +118,7 @@ def computer_status(computer: Computer, now: MonoNs) -> Message:
         [_UNKNOWN_16] * 4,
         _memory_field(computer.memory_used_mib),
         _memory_field(computer.memory_total_mib),
-        [_UNKNOWN_32] * 4,
-        [_UNKNOWN_32] * 4,
-        [_UNKNOWN_32] * 4,
-        [_UNKNOWN_32] * 6,
-        [_UNKNOWN_32] * 6,
-        [_UNKNOWN_32] * 6,
-        [_UNKNOWN_32] * 6,
-        [_UNKNOWN_32] * 6,
+        *([_UNKNOWN_32] * n for n in (4, 4, 4, 6, 6, 6, 6, 6)),
     )
 
 

@@ -150,7 +150,7 @@ class MetricsEndpoint:
 
     async def _state(self, request: web.Request) -> web.Response:
         down = {name: part.last_error for name, part in self._health.parts.items() if not part.up}
-        ok = self._health.flight_fault() is None
+        ok = self._health.fault(of_flight=True) is None
         if "Decision" in self._health.flows and (why := stuck(self._health.snapshot(), flying=False)) is not None:
             down["pipeline"], ok = why, False
         output: dict[str, object] = {"ok": ok}

@@ -132,8 +132,8 @@ def _causes(health: HealthSnapshot, decision: Decision | None, *, flying: bool) 
         if not part.up:
             level: Level = "fault" if name in health.vital else "warning"
             yield HealthCause(level=level, text=f"{name} is down: {part.last_error or 'not begun'}")
-    if slow := _too_slow(health):
-        yield HealthCause(level="fault", text=slow)
+    if health.too_slow is not None:
+        yield HealthCause(level="fault", text=health.too_slow)
     for text in missing_inputs(health):
         yield HealthCause(level="fault" if flying else "warning", text=text)
     belief = None if decision is None else decision.belief
@@ -147,23 +147,6 @@ def _causes(health: HealthSnapshot, decision: Decision | None, *, flying: bool) 
         yield HealthCause(level="warning", text=decision.limit)
     for name, count in health.counters.get("contained", {}).items():
         yield HealthCause(level="info", text=f"{name} failed {count:.0f} times; the flight goes on")
-
-
-_FRAMES_MIN, _REPLACED_MAX, _LATE_MAX_S = 60, 0.4, 0.02
-"""Frames before a judgement; the share of them that newer ones replace, and the lateness of guidance, of a slow computer."""
-
-
-def _too_slow(health: HealthSnapshot) -> str | None:
-    """Return what shows that this computer does not keep up; None if it does."""
-    frames, late = sum(health.frames.values()), health.stages.get("guidance_late")
-    share = health.frames.get(Verdict.REPLACED.value, 0) / max(1, frames)
-    if frames >= _FRAMES_MIN and share > _REPLACED_MAX:
-        flow = health.flows.get("Frame")
-        rate = 0.0 if flow is None or flow.rate_hz is None else flow.rate_hz
-        return f"this computer is too slow: {(1.0 - share) * rate:.0f} of {rate:.0f} frames a second are searched"
-    if late is not None and late.p50_s is not None and late.p50_s > _LATE_MAX_S:
-        return f"this computer is too slow: guidance is {1000 * late.p50_s:.0f} ms late"
-    return None
 
 
 def _figures(health: HealthSnapshot) -> Iterator[tuple[str, str]]:

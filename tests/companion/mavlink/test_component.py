@@ -253,9 +253,11 @@ def health() -> Health:
 
 def test_a_part_beside_the_flight_that_is_down_costs_no_heartbeat_a_vital_one_ends_it(health) -> None:
     health.down("broker", Recoverable("gone"))
+    health.too_slow = "this computer manages 7 of 30 frames a second: choose 320x180"
     output = ticked(health, SteppedClock(MonoNs(0)))
     assert output.kinds["HEARTBEAT"] == FLOWN_S
-    assert [text for text in output.texts if "broker" in text] == ["Decklander: broker is down: gone"]
+    texts = ["Decklander: broker is down: gone", f"Decklander: {health.too_slow}"[:50]]
+    assert [text for text in output.texts if "broker" in text or "frames" in text] == texts
     health.down("guidance", Recoverable("gone"))
     assert ticked(health, SteppedClock(MonoNs(0))).kinds["HEARTBEAT"] == 0
 
