@@ -96,8 +96,8 @@ def serve(rig: str, how: str, *, profiled: bool) -> None:
         Path(f"{rig}.ms").write_text(json.dumps(ms))
 
     threading.Thread._bootstrap_inner = named  # type: ignore[attr-defined]
-    v4l2.V4l2Channel.__init__.__defaults__ = (Pipe,)  # type: ignore[attr-defined]
-    Component.on_frame = timed  # type: ignore[method-assign]
+    v4l2.V4l2Channel.__init__.__defaults__ = (Pipe,)
+    Component.on_frame = timed  # type: ignore[assignment, method-assign]
     if how == "searched":
         Pilot.look_at = lambda self, frame, attitude, held=None: self.search.anywhere(frame, attitude)  # type: ignore[method-assign]
     signal.signal(BEGIN, lambda *_: profiler.enable() if profiled else ms.clear())
