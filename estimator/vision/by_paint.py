@@ -20,6 +20,7 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Feature, Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs
 from estimator.vision.about_pad import DeckMemory, watch_around, watch_passing
 from estimator.vision.camera import Camera
 from estimator.vision.clear_deck import check_surface
@@ -68,6 +69,8 @@ class TrackerMemory:
     """Things that were seen on the pad and about it."""
     tone: ToneMemory = SRGB
     """The camera's tone curve as far as it was learnt."""
+    cover: tuple[F64, MonoNs] | None = None
+    """The line on the pad beyond which something covers it, (3,) as `alignment.UNCUT`, and when it was found."""
     unread: tuple[_Now, _Registered | None, RelativeState | None] | None = None
     """The newest frame, the pad that it shows, and the belief about it, if it is left to `read_deck`."""
 
@@ -87,6 +90,8 @@ pad, and a registration from a start one edge off holds 0.06 to 0.66 of them at 
 """
 _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the expected position within which a candidate of acquisition counts as expected."""
+_COVER_NS, _COVER_SURE = 250_000_000, 0.9
+"""Time for which a cover is taken to lie where it was found, and the least confidence and agreement of what is seen beside it."""
 _SUPPORTED = 0.2
 """Confidence from which what is found at the expected place is the tracked pad although something else is surer."""
 _NEAR_DRAWN_M, _SQUARE = 0.4, 0.5 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])
@@ -120,6 +125,8 @@ class _Registered:
     paint: PaintMemory
     found: Registration
     opinions: Opinions | None = None
+    cut: F64 | None = None
+    """The line in the frame beyond which something covers the pad; see `alignment.UNCUT`."""
 
     @property
     def agreement(self) -> float:
@@ -194,12 +201,19 @@ def by_paint(
     alike = best is not None and is_sure and best.sighting.yaw_ambiguous and alike_headings(tracker.pad) > 1
     yaw_rad = best.sighting.yaw_rad if best is not None and alike else None
     paint = fade(memory.paint) if best is None else best.paint
-    tone, steps = memory.tone, memory.tone.steps
-    if steps and not is_sure:
-        tone = dataclasses.replace(tone, steps=steps + (1 if steps < 0 else -1))
+    tone, back = memory.tone, (memory.tone.steps < 0) - (memory.tone.steps > 0)
+    tone = tone if is_sure or not back else dataclasses.replace(tone, steps=tone.steps + back)
     due = (tracker.watches and deck.is_due(at)) or (best is not None and is_sure and tone.is_due(best.found, at))
-    unread = (now, best, belief) if due else None
-    return seen, TrackerMemory(paint, left, yaw_rad, deck=deck, tone=tone, unread=unread)
+    unread, cover = (now, best, belief) if due else None, None
+    if best is not None and is_sure and best.cut is not None:
+        is_known = memory.cover is not None and 0 <= at - memory.cover[1] < _COVER_NS
+        cover = memory.cover if is_known else (_rays_of(best.found.pose).T @ best.cut, at)
+    return seen, TrackerMemory(paint, left, yaw_rad, deck=deck, tone=tone, cover=cover, unread=unread)
+
+
+def _rays_of(pose: PadPose) -> F64:
+    """Return the matrix, (3, 3), that takes a place on the pad, x, y and 1, to its ray, times its depth."""
+    return np.column_stack([pose.R_cam_pad.matrix[:, :2], pose.t_cam_pad])
 
 
 def read_deck(seen: Detection, memory: TrackerMemory) -> tuple[Detection, TrackerMemory]:
@@ -307,7 +321,13 @@ def _register(now: _Now, belief: RelativeState | None, place: ExpectedPlace) -> 
         if start is not None and start.t_cam_pad[2] > 0.05:
             options = CLOSE if sigma_m * camera.fx < _CLOSE_PX * start.t_cam_pad[2] else ROUGH
             tracked = verification.TRACKED_LOG_ODDS
-            best = best.having(_register_from(now, start, options, tracked, searched=False), place)
+            cover, beside = now.memory.cover, None
+            if cover is not None and 0 <= now.frame.stamp.measured_at - cover[1] < _COVER_NS:
+                cut = np.asarray(np.linalg.solve(_rays_of(start).T, cover[0]))
+                beside = _register_from(now, start, CLOSE, tracked, cut, searched=False)
+            if beside is None or min(beside.sighting.confidence, beside.agreement) < _COVER_SURE:
+                beside = _register_from(now, start, options, tracked, searched=False)
+            best = best.having(beside, place)
             suspect = options is ROUGH and best.tracked is not None and best.tracked.agreement < _WORTH_ANOTHER
             if suspect:
                 # The whole drawing, blurred, draws from farther away than edges do.
@@ -427,7 +447,7 @@ def _register_from(
     learned = fade(paint) if sure < SURE else of.found.paint() if sure >= LEARNED_AT else paint
     # A letter alone tells too little to be surer than its bound.
     said = sure if now.tracker.pad.markings.is_letter_alone else calibrate(sure)
-    return _Registered(sighting_of_look(now.frame, of.found, said), learned, of.found, opinions)
+    return _Registered(sighting_of_look(now.frame, of.found, said), learned, of.found, opinions, of.cut)
 
 
 def _second_opinion(now: _Now, of: Verified) -> Opinions | None:

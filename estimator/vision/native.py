@@ -248,7 +248,7 @@ _LEAST_SPAN = 0.05
 
 
 class _OfThread(threading.local):
-    """Trackers and counted work of one thread: one thread at a time may use a tracker, which holds all memory that it works in."""
+    """Trackers and counted work of one thread: one at a time may use a tracker, which holds all memory that it works in."""
 
     def __init__(self) -> None:
         self.trackers = lru_cache(maxsize=_KEPT)(_made)

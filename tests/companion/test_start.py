@@ -67,9 +67,7 @@ class Order(NullObserver):
         self._order.append("reported")
 
 
-async def test_vision_is_prepared_once_on_its_own_thread_between_the_first_cycle_and_the_first_frame(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_vision_is_prepared_once_between_the_first_cycle_and_the_first_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle, order, crate = FakeVehicle(), list[str](), PadCheck(MonoNs(1), 1.0)
 
     class Looks(Pilot):
@@ -86,8 +84,7 @@ async def test_vision_is_prepared_once_on_its_own_thread_between_the_first_cycle
     monkeypatch.setattr(pilot.search, "read_deck", read_deck)
     monkeypatch.setattr(pilot.landing, "on_pad", lambda check: order.append("told") if check is crate else None)
     restart, prepare = RestartOptions(0.01, 1.0, 0.01, 5.0), lambda: order.append(threading.current_thread().name)
-    setup = DaemonSetup(restart, 50.0, threads=1, prepare=prepare)
-    daemon = Daemon(vehicle.open, pilot, CLOCK, setup, observers=[Order(order)])
+    daemon = Daemon(vehicle.open, pilot, CLOCK, DaemonSetup(restart, 50.0, threads=1, prepare=prepare), observers=[Order(order)])
     cv2.setNumThreads(2)
     async with asyncio.TaskGroup() as group:
         group.create_task(daemon.run())

@@ -241,8 +241,7 @@ class ToneMemory:
 
     def is_due(self, found: Registration, at: MonoNs) -> bool:
         """Return whether something may be learnt from a registration."""
-        off = not found.dense and found.edge_rms_px >= _UNEXPLAINED_PX and found.inliers >= _AGREES
-        return off and at >= self.next_at
+        return at >= self.next_at and not found.dense and found.edge_rms_px >= _UNEXPLAINED_PX and found.inliers >= _AGREES
 
 
 SRGB = ToneMemory()

@@ -5,7 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from benches.search import expected
 from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import SearchMemory, align_at, search
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, align_uncovered, cut_at, turned_uncovered
@@ -14,7 +17,8 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import register
-from estimator.vision.tracker_config import FRAME_WORK
+from estimator.vision.tracker import TrackerMemory, track
+from estimator.vision.tracker_config import FRAME_WORK, TrackerConfig
 from estimator.vision.verified import CLOSE, SURE, verify
 from tests.support.deck_images import keeps_claim
 from tests.support.hard_light import HARD, hard_scene
@@ -180,3 +184,16 @@ def test_a_search_over_frames_leaves_every_kind_of_guesses_again(camera: Camera,
         if best > SURE:
             return
     raise AssertionError(f"best score {best}")
+
+
+def test_a_cover_lies_where_it_was_for_a_time_and_is_found_again_then(camera: Camera, pad: Pad) -> None:
+    scene, memory, tracker = covered_scene(camera, pad, "half covered", 2.5, 8), TrackerMemory(), TrackerConfig(camera, pad)
+    assert scene.R_level_body is not None
+    belief, attitude, d = expected(scene, scene.R_level_body, tracker, np.random.default_rng(1), 0.01)
+    for at_ms, found_ms in ((0, 0), (100, 0), (200, 0), (300, 300)):
+        stamp = Stamp(MonoNs(at_ms * 10**6), MonoNs(at_ms * 10**6), 0.0, "sim")
+        seen, memory = track(tracker, memory, Frame(stamp, at_ms, scene.px), attitude, belief)
+        assert seen.selected is not None
+        assert np.linalg.norm(seen.selected.d_body_pad_level - d) < 0.02
+        assert memory.cover is not None
+        assert memory.cover[1] == found_ms * 10**6

@@ -127,7 +127,7 @@ def two_pads(height_m: float, hidden: float) -> tuple[Shown, np.ndarray, Relativ
     cv2.fillPoly(inside, [np.rint(CAMERA.project(other + disc.T)).astype(np.int32)], 255)
     px = np.where(inside[:, :, None] > 0, moved, seen.px).astype(np.uint8)
     edge = np.array([[-0.5, 0.4 - 0.8 * hidden], [0.5, 0.4 - 0.8 * hidden], [0.5, 0.42], [-0.5, 0.42]])
-    px = covered(replace_px(seen, px), CAMERA, edge, (60, 60, 60))
+    px = covered(Shown(px, seen.truth, seen.R_level_body), CAMERA, edge, (60, 60, 60))
     mount = CAMERA.T_body_cam
     d = seen.R_level_body @ (mount.R @ t + mount.t)
     arrow = (seen.R_level_body @ mount.R @ R).matrix[:, 0]
@@ -135,11 +135,7 @@ def two_pads(height_m: float, hidden: float) -> tuple[Shown, np.ndarray, Relativ
     at = STAMP.measured_at
     of = RelativeState(at, "ekf", d, np.zeros(3), -math.atan2(arrow[1], arrow[0]), cov, at, True)
     reported = Attitude(STAMP, seen.R_level_body, 1e-5 * np.eye(3))
-    return replace_px(seen, px), seen.R_level_body @ (mount.R @ other + mount.t), of, reported
-
-
-def replace_px(seen: Shown, px: np.ndarray) -> Shown:
-    return Shown(px, seen.truth, seen.R_level_body)
+    return Shown(px, seen.truth, seen.R_level_body), seen.R_level_body @ (mount.R @ other + mount.t), of, reported
 
 
 @pytest.mark.parametrize("method", ["fused", "registration"])
