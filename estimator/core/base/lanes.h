@@ -49,10 +49,14 @@ static inline lanes lanes_all(uint16_t value)
 /* a b / 65536, rounded down. */
 static inline lanes lanes_times(lanes a, lanes b)
 {
+#ifdef __SSE2__ /* not every compiler finds the one instruction that does this */
+    return (lanes)__builtin_ia32_pmulhuw128((signed_lanes)a, (signed_lanes)b);
+#else
     for (int k = 0; k < 8; k++) {
         a[k] = (uint16_t)((uint32_t)a[k] * b[k] >> 16);
     }
     return a;
+#endif
 }
 
 /* a b / 65536, rounded to the nearest. */
@@ -135,9 +139,8 @@ static inline lanes lanes_choose(lanes choice, lanes a, lanes b)
 /* The sums of the products of neighbours, as signed numbers: four of 32 bits. */
 static inline lanes lanes_dot_pairs(lanes a, lanes b)
 {
-#ifdef __SSE2__ /* gcc does not find the one instruction that does this */
-    typedef short eight __attribute__((vector_size(16)));
-    return (lanes)__builtin_ia32_pmaddwd128((eight)a, (eight)b);
+#ifdef __SSE2__
+    return (lanes)__builtin_ia32_pmaddwd128((signed_lanes)a, (signed_lanes)b);
 #else
     int32_t sums[4];
     for (int k = 0; k < 4; k++) {
