@@ -48,10 +48,6 @@ KIND_OF = {path: kind for kind in MINIMALS for path, _ in walk(Settings, kind)}
 """A kind of vehicle that has this key."""
 
 
-def bare(field: inspect.Field) -> inspect.Type:
-    return field.type.type if isinstance(field.type, inspect.Metadata) else field.type
-
-
 def minimal(kind: str = "ardrone", **changes: Any) -> dict[str, Any]:
     """Return the smallest good file with keys set by dotted path (`__` for a dot)."""
     data: dict[str, Any] = tomllib.loads(MINIMALS[kind])
@@ -156,7 +152,7 @@ def test_a_number_out_of_range_is_refused_in_code_as_in_a_file() -> None:
 
 
 def values(field: inspect.Field) -> st.SearchStrategy[Any]:
-    match bare(field):
+    match field.type.type if isinstance(field.type, inspect.Metadata) else field.type:
         case inspect.FloatType(ge=low, le=high):
             return st.floats(low, high)
         case inspect.IntType(ge=low, le=high):
