@@ -85,7 +85,8 @@ def test_images_scenes_and_logs_are_of_the_kinds_that_their_panels_show(recorded
         assert kinds[mode["imageTopic"]] in IMAGES
         assert kinds[mode["calibrationTopic"]] == "foxglove.CameraCalibration"
         assert {kinds[topic] for topic in mode["annotations"]} == {"foxglove.ImageAnnotations"}
-    frames = {frame for topic in ("/tf", "/tf_static") for m in messages[topic] for t in m["transforms"] for frame in ends(t)}
+    transforms = [t for topic in ("/tf", "/tf_static") for m in messages[topic] for t in m["transforms"]]
+    frames = {t[end] for t in transforms for end in ("parent_frame_id", "child_frame_id")}
     for _, config in panels_of("3D"):
         assert {kinds[topic] for topic in config["topics"]} <= DRAWN_IN_3D
         assert config["followTf"] in frames
@@ -97,10 +98,6 @@ def test_images_scenes_and_logs_are_of_the_kinds_that_their_panels_show(recorded
             assert named, topic
             assert named <= frames, topic
     assert {kinds[config["topicToRender"]] for _, config in panels_of("RosOut")} == {"foxglove.Log"}
-
-
-def ends(transform: dict[str, Any]) -> tuple[str, str]:
-    return transform["parent_frame_id"], transform["child_frame_id"]
 
 
 def test_the_paths_that_the_docs_name_are_there(recorded: tuple[dict[str, str], Messages]) -> None:

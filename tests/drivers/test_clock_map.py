@@ -35,10 +35,6 @@ def simulate(seed: int, *, rate_hz: float, drift_ppm: float, jitter_s: float, wr
     return Received(to_ns(true_s), remote_ns % wrap_ns if wrap_ns else remote_ns, to_ns(received_at_s))
 
 
-def follow(clock: ClockMap, received: Received) -> list[Stamp]:
-    return [clock.stamp(int(r), MonoNs(int(h))) for r, h in zip(received.remote_ns, received.received_at_ns, strict=True)]
-
-
 @settings(max_examples=25)
 @example(seed=78962, rate_hz=15.0, drift_ppm=0.0, jitter_s=0.0078125, wrap_ns=None)  # sigma 2.15 ms: few samples, much jitter
 @given(
@@ -55,7 +51,7 @@ def test_simulated_jitter_drift_and_stalls(seed, rate_hz, drift_ppm, jitter_s, w
     """
     clock = ClockMap(ClockMapOptions(wrap_ns=wrap_ns, floor_s=FLOOR_S, floor_sigma_s=0.0005))
     received = simulate(seed, rate_hz=rate_hz, drift_ppm=drift_ppm, jitter_s=jitter_s, wrap_ns=wrap_ns)
-    stamps = follow(clock, received)
+    stamps = [clock.stamp(int(r), MonoNs(int(h))) for r, h in zip(received.remote_ns, received.received_at_ns, strict=True)]
     measured_at = np.array([s.measured_at for s in stamps])
     sigma_s = np.array([s.sigma_s for s in stamps])
     error_s = (measured_at - received.true_ns) / S

@@ -222,16 +222,12 @@ def test_a_value_in_range_is_put_into_force_and_reported_and_any_other_changes_n
 # Texts
 
 
-def said(messages: list[Message]) -> list[tuple[int, str]]:
-    return [(m.severity, wired(m).text) for m in messages]
-
-
 def test_texts_are_few_and_the_severe_ones_go_first() -> None:
     texts = StatusTexts()
     for n in range(WAITING + 2):
         texts.say(MavSeverity.INFO, f"news {n}", instant(0))
     texts.say(MavSeverity.CRITICAL, "gave up", instant(0))
-    first = said(texts.due(instant(0)))
+    first = [(m.severity, wired(m).text) for m in texts.due(instant(0))]
     assert first[0] == (2, "gave up")
     assert len(first) == BURST
     assert texts.dropped == 3
