@@ -31,7 +31,7 @@ from numpy.typing import NDArray  # noqa: E402
 from pupil_apriltags import Detector  # noqa: E402
 
 from benches.search import floor_ms  # noqa: E402
-from estimator.contracts.estimates import Sighting  # noqa: E402
+from estimator.contracts.estimates import Method, Sighting  # noqa: E402
 from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
@@ -60,12 +60,11 @@ FINE = 6
 OTHERS = "## Other benches"
 """Heading of the page's rest, which is left as it is."""
 FLOOR_LIGHT, WHITE_LIGHT, BLACK_LIGHT = 0.16, 0.8, 0.02
-
-
 _CLOSE = RegistrationOptions(coarse=False)
 SIGMA_DECK_RAD = 1e-5
 """The deck is level, and every method knows it."""
-THESIS, ARUCO, APRILTAG, LOOK = ("ellipse", "arrow", "corners"), "ArUco, sub-pixel", "AprilTag", "whole look, searched"
+THESIS: tuple[Method, ...] = ("ellipse", "arrow", "corners")
+ARUCO, APRILTAG, LOOK = "ArUco, sub-pixel", "AprilTag", "whole look, searched"
 _TAGS = Detector(families="tag36h11", nthreads=1, quad_decimate=1.0)
 """The detector of the whole run; it is never destroyed, because its destructor corrupts the heap."""
 

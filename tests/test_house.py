@@ -119,7 +119,7 @@ def test_the_rules_for_sentences_catch_an_offender() -> None:
 @cache
 def findings() -> dict[str, tuple[Collection[Any], Collection[Any], set[str], set[str]]]:
     """Return each file's hard docstrings, hard messages, impure calls and imports; it is parsed once for all of them."""
-    found = {}
+    found: dict[str, tuple[Collection[Any], Collection[Any], set[str], set[str]]] = {}
     for name, text in sources():
         tree, top = ast.parse(text), name.partition("/")[0]
         nodes = list(ast.walk(tree))

@@ -40,7 +40,7 @@ def disc_colour(px: U8, pad: Pad) -> U8:
     cv2.LUT(cv2.max(others, more, others), _LOG, others)
     cv2.subtract(cv2.LUT(own, _LOG, own), others, more)
     cv2.subtract(others, own, others)
-    return np.asarray(cv2.subtract(cv2.add(more, float(_MIDDLE), more), others, more), np.uint8)
+    return np.asarray(cv2.subtract(cv2.convertScaleAbs(more, more, 1.0, _MIDDLE), others, more), np.uint8)
 
 
 def is_coloured(measure: U8) -> bool:

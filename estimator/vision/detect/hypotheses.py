@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -502,7 +502,7 @@ def _moved(guess: Guess, across_m: float) -> Guess:
 class _Images:
     """One measure of a frame at full, half, quarter ... size; each is computed on demand."""
 
-    def __init__(self, measure: Callable[[U8], U8], pyramid: Pyramid, more_circles: Mapping[int, int], work: int) -> None:
+    def __init__(self, measure: Callable[[U8], Any], pyramid: Pyramid, more_circles: Mapping[int, int], work: int) -> None:
         self._work = work
         self.more_circles = more_circles
         """Sizes at which more circles are looked for than at others, beyond the frame's edge, too; and how many."""
