@@ -43,6 +43,7 @@ class Disk:
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
     disk = Disk(monkeypatch)
+    monkeypatch.setattr("companion.parts.recorder.recorder._GATHER_S", 0.0)
     yield disk
     disk.moving.set()
 

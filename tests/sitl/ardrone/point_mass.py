@@ -46,7 +46,7 @@ class PointMass:
     """Acceleration follows the tilt at once, drag slows it, a hover brakes."""
 
     def __init__(self, start: MonoNs, height_m: float = 0.0, size: tuple[int, int] = (640, 360)) -> None:
-        self.now = self.started = start
+        self.vehicle, self.now, self.started = self, start, start
         self.scenario, self.seed = Scenario("a point mass"), 3
         self.phase = VehiclePhase.HOVERING if height_m else VehiclePhase.LANDED
         self.limits = StickLimits()
@@ -72,7 +72,7 @@ class PointMass:
         if self.phase in (VehiclePhase.TAKING_OFF, *STEERABLE):
             self.phase = VehiclePhase.LANDING
 
-    def emergency(self) -> None:
+    def cut_motors(self) -> None:
         self.phase = VehiclePhase.EMERGENCY
 
     def leave_emergency(self) -> None:
