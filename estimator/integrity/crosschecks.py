@@ -214,13 +214,13 @@ def hold_heading(watch: HeadingWatch, event: Attitude, o: IntegrityOptions) -> t
     offset = math.atan2(s, c) - watch.turned_rad - watch.rate_rad_s * since_s
     if watch.held_rad is None:
         return replace(watch, down=(x, y, z), held_rad=wrap_pi(offset), held_at=t, off_rad=0.0), event
-    off = wrap_pi(offset - watch.held_rad)
-    slip = 1.0 if abs(off) <= math.radians(o.heading_tolerance_deg) else _APART
+    off, tolerance = wrap_pi(offset - watch.held_rad), math.radians(o.heading_tolerance_deg)
+    slip = 1.0 if abs(off) <= tolerance else _APART
     most = slip * math.radians(o.heading_slip_deg_s) * max(0.0, (t - watch.held_at) * 1e-9)
     step = min(most, max(-most, off))
     off -= step
     held = wrap_pi(watch.held_rad + step)
-    if abs(off) <= math.radians(o.heading_tolerance_deg):
+    if abs(off) <= tolerance:
         offs = watch._changed(t, 0.0)
         return HeadingWatch(watch.turned_rad, watch.turned_at, watch.rate_rad_s, (x, y, z), held, t, 0.0, offs), event
     # Turning about the vertical leaves roll and pitch, and the last row, as they are.
@@ -259,8 +259,8 @@ _LAG_LASTS = 15
 """Number of sightings in a row that show it."""
 
 
-Bearing = tuple[int, F64, F64, F64]
-"""Instant, ns; unit vector to the pad in `body` and in `level`, (3,); the level frame's axes in `body`, (3, 3)."""
+Bearing = tuple[int, bytes]
+"""Instant, ns; unit vector to the pad in `body` and in `level`, (3,), and the axes of `level` in `body`, (3, 3), as bytes."""
 
 
 class ViewWatch(NamedTuple):
@@ -292,14 +292,16 @@ def watch_view(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Inte
     level = sighting.d_body_pad_level / distance_m
     span_ns = _VIEW_SPAN_S * 1e9
     kept = [k for k in state.bearings if 0 <= t - k[0] <= span_ns]
-    bearings = (*kept, (t, R_body_level.dot(level), level, R_body_level))
+    bearings = (*kept, (t, R_body_level.dot(level).tobytes() + level.tobytes() + R_body_level.tobytes()))
     if len(bearings) < _LEAST or t - bearings[0][0] < _LEAST_SPAN_S * 1e9:
         return state._replace(bearings=bearings, frozen=False)
-    at, seen, levels, axes = zip(*bearings, strict=True)
-    expected, found = np.array(axes).dot(np.add.reduce(levels) / len(levels)), np.array(seen)
+    # All rows at once: numpy takes as long for each small array that it joins.
+    rows = np.frombuffer(b"".join([row for _, row in bearings])).reshape(-1, 5, 3)
+    found, levels, at = rows[:, 0].copy(), rows[:, 1].copy(), np.array([instant for instant, _ in bearings], float)
+    expected = rows[:, 2:].dot(np.add.reduce(levels) / len(levels))
     turned = _spread(expected)
     still = turned > o.view_turned_min_rad and _spread(found) < o.view_still_ratio * turned
-    weights = _off_line(np.array(at, float))
+    weights = _off_line(at)
     apart = np.concatenate([weights.dot(expected)[:2], weights.dot(found)[:2]])
     moments = state.moments
     off = found - expected
@@ -307,7 +309,7 @@ def watch_view(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Inte
         kept_share = math.exp((bearings[-2][0] - t) * 1e-9 / _FORGET_S)
         moments = np.multiply.outer(apart, apart) + (0.0 if moments is None else kept_share * moments)
         if distance_m > _LAG_FROM_M:
-            state = _lagged(state, np.array(at, float) * 1e-9, expected, found, np.array(levels))
+            state = _lagged(state, at * 1e-9, expected, found, levels)
     return state._replace(
         bearings=bearings, frozen=still, moments=moments, reversed=moments is not None and _is_reversed(moments)
     )

@@ -132,7 +132,8 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
                     against = crosschecks.add_baro(against, sample, o)
                     halves = replace(halves, parity=parity.weighed(halves.parity, sample))
                 elif type(sample) is BodyVelocity:
-                    halves = replace(halves, parity=parity.moved(halves.parity, sample))
+                    if (moved := parity.moved(halves.parity, sample)) is not halves.parity:
+                        halves = replace(halves, parity=moved)
                     verdict = Verdict.IMPOSSIBLE if halves.velocity_fault is not None else None
             if kind is BodyVelocity:
                 trusts = verdict is None

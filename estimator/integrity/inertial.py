@@ -459,11 +459,11 @@ def _judged_velocity(state: Inertial) -> Inertial:
 def _differences(p: Parity) -> Differences:
     end = p.bins[-1].t + round(p.bins[-1].span_s * 1e9)
     places, velocities = end - round(_PLACE_S * 1e9), end - round(_VELOCITY_S * 1e9)
-    baro = _widened(parity.curvature(p.baro, 2, places, _PLACES), _GROUND_SIGMA_M_S2)
-    climb = _widened(parity.slope(p.flow, 2, velocities, _VELOCITIES), _VELOCITY_SIGMA_M_S2)
+    (height,) = parity.accelerations(p.baro, (2,), places, _PLACES, 2)
+    *flow, down = parity.accelerations(p.flow, (0, 1, 2), velocities, _VELOCITIES, 1)
+    *seen, deck = parity.accelerations(p.sight, (0, 1, 2), places, _PLACES, 2)
+    baro, climb = _widened(height, _GROUND_SIGMA_M_S2), _widened(down, _VELOCITY_SIGMA_M_S2)
     ground = baro if climb is None or (baro is not None and baro.var < climb.var) else climb
-    flow = [parity.slope(p.flow, axis, velocities, _VELOCITIES) for axis in range(2)]
-    seen = [parity.curvature(p.sight, axis, places, _PLACES) for axis in range(2)]
     side = None
     if None not in flow and None not in seen:
         (c, s), off = p.bins[-1].heading, [0.0, 0.0]
@@ -471,7 +471,7 @@ def _differences(p: Parity) -> Differences:
             if a and b and a.value * b.value > 0.0 and abs(a.value - b.value) < 0.6 * max(abs(a.value), abs(b.value)):
                 off[axis] = 0.5 * (a.value + b.value)
         side = (c * off[0] + s * off[1], c * off[1] - s * off[0])
-    return Differences(ground, parity.curvature(p.sight, 2, places, _PLACES), side)
+    return Differences(ground, deck, side)
 
 
 def _widened(found: Slope | None, sigma: float) -> Slope | None:

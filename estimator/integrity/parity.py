@@ -319,38 +319,32 @@ def _off_between(bins: tuple[Bin, ...], axis: int, since: int, until: int) -> fl
     return total
 
 
-def curvature(points: tuple[Point, ...], axis: int, since: int, least: int) -> Slope | None:
-    """Return the acceleration that a place says along an axis, since an instant, ns; None with fewer points than `least`."""
-    return _fit(points, axis, since, least, 2)
+def accelerations(points: tuple[Point, ...], axes: tuple[int, ...], since: int, least: int, order: int) -> list[Slope | None]:
+    """Return the acceleration that places (`order` 2) or velocities (1) say along each axis, since an instant, ns.
 
-
-def slope(points: tuple[Point, ...], axis: int, since: int, least: int) -> Slope | None:
-    """Return the acceleration from a velocity; otherwise as `curvature`."""
-    return _fit(points, axis, since, least, 1)
-
-
-def _fit(points: tuple[Point, ...], axis: int, since: int, least: int, order: int) -> Slope | None:
-    taken = [(t - since, value[axis]) for t, value in points if t >= since]
+    None with fewer points than `least`, and along an axis that is not measured.
+    """
+    taken = [(t - since, *value) for t, value in points if t >= since]
     if len(taken) < least:
-        return None
-    both = np.array(taken)
-    x, y = both[:, 0] * 1e-9, both[:, 1]
-    n = len(taken)
+        return [None] * len(axes)
+    both, n = np.array(taken), len(taken)
+    x = both[:, 0] * 1e-9
     x = x - np.add.reduce(x) / n
-    y = y - np.add.reduce(y) / n
-    m2, xy = float(x.dot(x)), float(x.dot(y))
-    if not math.isfinite(xy) or m2 <= 0.0:
-        return None
-    rest = float(y.dot(y)) - xy * xy / m2
-    if order == 1:
-        return Slope(xy / m2, max(0.0, rest) / (n - 2) / m2)
-    squares = x * x
-    q = squares - float(squares.dot(x)) / m2 * x - m2 / n
+    m2, squares = float(x.dot(x)), x * x
+    q = squares - float(squares.dot(x)) / m2 * x - m2 / n if order == 2 and m2 > 0.0 else x
     qq = float(q.dot(q))
-    if qq <= 0.0:
-        return None
-    c = float(q.dot(y)) / qq
-    return Slope(2.0 * c, 4.0 * max(0.0, rest - c * c * qq) / (n - 3) / qq)
+    found: list[Slope | None] = []
+    for axis in axes:
+        y = both[:, 1 + axis]
+        y = y - np.add.reduce(y) / n
+        xy = float(x.dot(y))
+        if not math.isfinite(xy) or m2 <= 0.0 or qq <= 0.0:
+            found.append(None)
+            continue
+        rest, c = float(y.dot(y)) - xy * xy / m2, float(q.dot(y)) / qq
+        of_place = Slope(2.0 * c, 4.0 * max(0.0, rest - c * c * qq) / (n - 3) / qq)
+        found.append(of_place if order == 2 else Slope(xy / m2, max(0.0, rest) / (n - 2) / m2))
+    return found
 
 
 def _binned(p: Parity, end: Attitude, imus: list[Imu], span_s: float) -> Parity:
