@@ -69,7 +69,7 @@ def serve(rig: str, how: str, *, profiled: bool) -> None:
         def __init__(self, path: str, options: Any, size: tuple[int, int]) -> None:
             self._fd, self._n = os.open(path, os.O_RDONLY | os.O_NONBLOCK), 0
             data, each = Path(path).with_suffix(".yuyv").read_bytes(), 2 * size[0] * size[1]
-            self._images = [data[at : at + each] for at in range(0, len(data), each)]
+            self._images = [bytearray(data[at : at + each]) for at in range(0, len(data), each)]
             self.layout, self.exposure_s, self._row = FrameLayout("YUYV", *size, 2 * size[0]), options.exposure_s, 16 * size[0]
             self.fileno, self.close = lambda: self._fd, lambda: os.close(self._fd)
 
@@ -79,7 +79,7 @@ def serve(rig: str, how: str, *, profiled: bool) -> None:
             except BlockingIOError:
                 return None
             self._n += 1
-            data = bytearray(self._images[self._n % len(self._images)])
+            data = self._images[self._n % len(self._images)]
             data[self._row + 2 * (self._n % 640)] ^= 1  # no frame of a camera is that of another exposure
             return Buffer(bytes(data), self._n, time.monotonic_ns(), True, False, False)
 

@@ -4,12 +4,11 @@ import asyncio
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from queue import Full, Queue
+from functools import partial
+from queue import SimpleQueue  # noqa: TID251 - `run` keeps its size, and no lock is taken in Python before a call begins
 from typing import Any, TypeVar
 
 from estimator.contracts.errors import Recoverable
-
-WAITING = 4
 
 T = TypeVar("T")
 
@@ -25,19 +24,20 @@ class Worker:
         waiting: the number of calls that may wait behind one that does not return.
     """
 
-    def __init__(self, name: str, waiting: int = WAITING) -> None:
-        self._calls: Queue[Callable[[], None] | None] = Queue(maxsize=waiting)
-        self._awaited = 0
+    def __init__(self, name: str, waiting: int = 4) -> None:
+        self._calls: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._waiting = waiting
+        self._awaited: set[asyncio.Future[Any]] = set()
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
 
     @property
     def busy(self) -> bool:
         """True if somebody awaits the result of a call."""
-        return self._awaited > 0
+        return bool(self._awaited)
 
-    async def run(self, function: Callable[..., T], *args: Any) -> T:
-        """Run the function on the thread and return its result. It is carried out even if the caller is cancelled meanwhile.
+    def run(self, function: Callable[..., T], *args: Any) -> asyncio.Future[T]:
+        """Begin to run the function on the thread and return its result to come. It is carried out even if that is cancelled.
 
         Raises:
             Recoverable: too many calls wait behind one that does not return.
@@ -46,37 +46,24 @@ class Worker:
         loop = asyncio.get_running_loop()
         future: asyncio.Future[T] = loop.create_future()
 
-        def settle(result: T | None, error: BaseException | None) -> None:
-            if future.done():
-                return
-            if error is not None:
-                future.set_exception(error)
-            else:
-                future.set_result(result)  # type: ignore[arg-type]
-
         def call() -> None:
-            result, error = None, None
             try:
-                result = function(*args)
+                settle: Callable[[], object] = partial(future.set_result, function(*args))
             except BaseException as why:
-                error = why
+                settle = partial(future.set_exception, why)
             with suppress(RuntimeError):  # the loop is closed, so nobody waits any more
-                loop.call_soon_threadsafe(settle, result, error)
+                loop.call_soon_threadsafe(lambda: future.done() or settle())
 
-        try:
-            self._calls.put_nowait(call)
-        except Full as why:
-            raise Recoverable(f"the thread {self._thread.name!r} is busy with an earlier call") from why
-        self._awaited += 1
-        try:
-            return await future
-        finally:
-            self._awaited -= 1
+        if self._calls.qsize() >= self._waiting:
+            raise Recoverable(f"the thread {self._thread.name!r} is busy with an earlier call")
+        self._calls.put(call)
+        self._awaited.add(future)
+        future.add_done_callback(self._awaited.discard)
+        return future
 
     def close(self) -> None:
         """Take no more calls. The one that runs goes on by itself."""
-        with suppress(Full):  # then the running call never returns, and the thread ends with the process
-            self._calls.put_nowait(None)
+        self._calls.put(None)
 
     def _work(self) -> None:
         while (call := self._calls.get()) is not None:

@@ -253,7 +253,7 @@ def make_daemon(
             return CameraComponent(send, pilot.camera, settings.video_stream, video.size, lambda: video.flows)
 
     vehicle = vehicle_parts(settings, pilot, health, ticking, recording, tap, show)
-    watching += vehicle.observers
+    watching[:0] = vehicle.observers  # the autopilot waits for the pad, and nobody else does
     if isinstance(ticking, SystemClock):
         modes = modes_left if isinstance(settings.vehicle, AutopilotOptions) else no_modes
         if (keeper := keeper_of(pilot, vehicle_name(settings), os.environ, modes)) is not None:

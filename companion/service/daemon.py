@@ -152,7 +152,7 @@ class DaemonSetup:
     """The largest share of the time that looking at frames may take; 1 skips none."""
     once: bool = False
     """True if `Daemon.run` ends with the first flight; otherwise it waits for the next one."""
-    prepare: Callable[[], None] | None = None
+    prepare: Callable[[], object] = lambda: None
     """Called by the thread of vision before its first frame."""
 
 
@@ -283,7 +283,10 @@ class Daemon:
                     self._audience.on_fusion(sample.stamp.received_at, result)
 
     async def _read_frames(self, link: VehicleLink) -> None:
-        await self._load_vision()
+        await self._decided.wait()
+        if self._tracker is not None and not self._loaded:
+            self._loaded = True
+            await self._tracker.run(self._prepare_vision)
         overtaken = 0
         async for frame in link.frames:
             for _ in range(link.frames.replaced - overtaken):
@@ -300,12 +303,12 @@ class Daemon:
                 self._judged(Verdict.FAILED)
                 raise
             self._judged(processed.verdict)
+            self._audience.on_frame(processed)
+            reported = self._clock.now()
             if processed.times is not None:
                 for stage, seconds in processed.times.by_stage():
                     self.health.delay(stage, seconds)
             self.health.delay("exposure_to_belief", seconds_between(frame.stamp.measured_at, processed.done))
-            self._audience.on_frame(processed)
-            reported = self._clock.now()
             self.health.delay("outputs", seconds_between(processed.done, reported))
             if processed.verdict is Verdict.FUSED:
                 self.health.delay("arrival_to_outputs", seconds_between(frame.stamp.received_at, reported))
@@ -326,19 +329,11 @@ class Daemon:
         read_s = seconds_between(began, self._clock.now())
         self._pace.looked(self._look_began, seconds_between(self._look_began, processed.done) + read_s)
 
-    async def _load_vision(self) -> None:
-        """Let the thread of vision load and prepare itself once, after the first guidance cycle."""
-        await self._decided.wait()
-        if self._tracker is not None and not self._loaded:
-            self._loaded = True
-            await self._tracker.run(self._prepare_vision)
-
     def _prepare_vision(self) -> None:
         import cv2  # a tenth of the service's start, which no guidance cycle waits for
 
         cv2.setNumThreads(self._options.threads)
-        if self._options.prepare is not None:
-            self._options.prepare()
+        self._options.prepare()
 
     def _judged(self, verdict: Verdict) -> None:
         self.health.frame(verdict)

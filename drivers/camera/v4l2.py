@@ -1,7 +1,7 @@
 """Find V4L2 cameras, read frames from one, and set its exposure.
 
-The kernel stamps the frames, one worker thread decodes them, and only the newest is kept. Another thread sets the exposure, so
-that a slow bus never holds up frames. Device numbers change with each boot and each plug; names do not.
+The kernel stamps the frames, and only the newest is kept. One worker thread decodes those that are packed or large, and another
+one sets the exposure, so that a slow bus never holds up frames. Device numbers change with each boot and each plug; names do not.
 
 Source for the meaning of buffers: Linux media documentation, struct v4l2_buffer (flags, timestamp, sequence).
 """
@@ -12,6 +12,7 @@ import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -163,6 +164,8 @@ class ExposureSetter:
 
 
 _WRAP = 1 << 32
+_UNPACKED, _SMALL_PX = ("YUYV", "NV12", "GREY"), 640 * 480
+"""Formats, and the largest size, px, that are decoded sooner than a thread for it begins."""
 
 OpenDevice = Callable[[str, CameraOptions, Size], KernelDevice]
 
@@ -238,7 +241,9 @@ class V4l2Channel:
                 control.tend(last)
             if not batch:
                 continue
-            seen = await loop.run_in_executor(pool, self._newest, device, batch, gap > 0)
+            at_once = device.layout.format in _UNPACKED and device.layout.width * device.layout.height <= _SMALL_PX
+            decoding = partial(self._newest, device, batch, gap > 0)
+            seen = decoding() if at_once else await loop.run_in_executor(pool, decoding)
             if seen is None:
                 continue
             buffer, px = seen

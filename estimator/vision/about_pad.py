@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.core.library import CORE
-from estimator.vision.clear_deck import LASTS_S, PERIOD_S, SurfaceMemory
+from estimator.vision.clear_deck import LASTS_S, PERIOD_S, SurfaceMemory, is_near
 from estimator.vision.detect.pyramid import U8, FrameView
 from estimator.vision.detect.template import F32
 from estimator.vision.detection import NearThing, PadCheck
@@ -161,14 +161,19 @@ class AroundMemory(_Found):
     """Corners that were lost and stood out of the deck, (N, 4): place (2) m, height m, and time of the loss, s."""
 
 
+def _shows_ring(view: FrameView, pose: PadPose) -> bool:
+    """Return whether enough of what is about the pad is in the frame, and near enough, to be read."""
+    camera, rim_m = view.camera, _OFF_DISC * view.pad.disc_radius_m
+    corner_m = pose.range_m * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2.0
+    return corner_m >= rim_m + _RING_M and pose.range_m <= _FAR_PX_M * camera.fx
+
+
 def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> AroundMemory:
     """Return the memory with what a frame shows about the pad, whose registered pose is `pose`."""
     since_s = math.inf if memory is None else seconds_between(memory.at, at)
     if memory is not None and 0.0 <= since_s < PERIOD_S:
         return memory
-    camera, rim_m = view.camera, _OFF_DISC * view.pad.disc_radius_m
-    corner_m = pose.range_m * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2.0
-    if memory is not None and (corner_m < rim_m + _RING_M or pose.range_m > _FAR_PX_M * camera.fx):
+    if memory is not None and not _shows_ring(view, pose):
         return memory
     centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
     height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
@@ -448,10 +453,14 @@ class DeckMemory:
     around: AroundMemory | None = None
     passing: PassMemory | None = None
 
-    def is_due(self, at: MonoNs) -> bool:
-        """Return whether something may be read in a frame exposed then."""
-        each = ((self.surface, PERIOD_S), (self.around, PERIOD_S), (self.passing, _LOW_PERIOD_S))
-        return any(of is None or not 0.0 <= seconds_between(of.at, at) < period_s for of, period_s in each)
+    def is_due(self, at: MonoNs, view: FrameView, pose: PadPose | None) -> bool:
+        """Return whether something may be read in a frame exposed then: at a sure pose, or without one the surface elsewhere."""
+        each = (
+            (self.surface, PERIOD_S, pose is None or is_near(view, pose)),
+            (self.around, PERIOD_S, pose is not None and (self.around is None or _shows_ring(view, pose))),
+            (self.passing, _LOW_PERIOD_S if pose is not None and pose.range_m < _LOW_M else _PASS_PERIOD_S, pose is not None),
+        )
+        return any(may and (of is None or not 0.0 <= seconds_between(of.at, at) < over_s) for of, over_s, may in each)
 
     def check(self, at: MonoNs) -> PadCheck | None:
         """Return what was lately seen on the pad and about it; None if its surface was not read and nothing is about it."""

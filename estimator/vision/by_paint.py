@@ -203,7 +203,8 @@ def by_paint(
     paint = fade(memory.paint) if best is None else best.paint
     tone, back = memory.tone, (memory.tone.steps < 0) - (memory.tone.steps > 0)
     tone = tone if is_sure or not back else dataclasses.replace(tone, steps=tone.steps + back)
-    due = (tracker.watches and deck.is_due(at)) or (best is not None and is_sure and tone.is_due(best.found, at))
+    pose = best.found.pose if best is not None and is_sure and _shows(now, best, belief) else None
+    due = (tracker.watches and deck.is_due(at, now.view, pose)) or (best is not None and is_sure and tone.is_due(best.found, at))
     unread, cover = (now, best, belief) if due else None, None
     if best is not None and is_sure and best.cut is not None:
         is_known = memory.cover is not None and 0 <= at - memory.cover[1] < _COVER_NS

@@ -153,6 +153,11 @@ def _markings(pad: Pad, blur: int) -> tuple[NDArray[np.intp], F32, tuple[_Markin
     return np.flatnonzero(share[:, 2] >= _GROUND), (nominal[2] / bright).astype(np.float32), tuple(out)
 
 
+def is_near(view: FrameView, pose: PadPose) -> bool:
+    """Return whether the pad's cells are large enough in a frame, and in colour, to be read."""
+    return not view.pyramid.monochrome and 2.0 * view.pad.disc_radius_m / ACROSS * view.camera.fx >= _CELL_PX_LEAST * pose.range_m
+
+
 def check_surface(
     memory: SurfaceMemory | None, view: FrameView, pose: PadPose, at: MonoNs, blur_px: float, sigma_m: float
 ) -> SurfaceMemory | None:
@@ -166,12 +171,10 @@ def check_surface(
     """
     pyramid, camera, pad = view
     since_s = math.inf if memory is None else seconds_between(memory.at, at)
-    if 0.0 <= since_s < PERIOD_S or pyramid.monochrome:
+    if 0.0 <= since_s < PERIOD_S or not is_near(view, pose):
         return memory
     px_m = pose.range_m / camera.fx
     cell_px = 2.0 * pad.disc_radius_m / ACROSS / px_m
-    if cell_px < _CELL_PX_LEAST:
-        return memory
     level = max(0, math.floor(math.log2(cell_px / 3.0)))
     px, points = pyramid[level], pose.points(np.pad(_cells(pad)[0], ((0, 0), (0, 1))))
     on_level = ((camera.project(points) + 0.5) / (1 << level) - 0.5).astype(np.float32)

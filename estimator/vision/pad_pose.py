@@ -34,7 +34,7 @@ class PadPose:
     @property
     def range_m(self) -> float:
         """Distance from the lens to the pad's centre, metres."""
-        return float(np.linalg.norm(self.t_cam_pad))
+        return math.sqrt(float(self.t_cam_pad.dot(self.t_cam_pad)))
 
     def disc_px(self, camera: Camera, pad: Pad) -> float:
         """Return the radius of the pad's disc in the frame as if it faced the camera, px."""

@@ -69,7 +69,7 @@ program(lambda: run(main()))
     "vision's thread": """
 from companion.base.worker import Worker
 async def main():
-    call = asyncio.create_task(Worker("eyes").run(hashlib.pbkdf2_hmac, "sha256", b"", b"", 10**9))
+    call = Worker("eyes").run(hashlib.pbkdf2_hmac, "sha256", b"", b"", 10**9)
     await asyncio.sleep(0.1)
     say("ready")
     await call
