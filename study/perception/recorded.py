@@ -15,6 +15,7 @@ from companion.base.observer import Decision
 from companion.facts.records import TruthRecord
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.model import Settings
+from companion.tools.calibrate.flight_views import camera_pose
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
@@ -22,7 +23,6 @@ from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
-from estimator.vision.register.sighting import camera_pose
 from sitl.perception.draw import View, Viewer
 from sitl.scenario.scenario import Scenario, load
 

@@ -58,7 +58,7 @@ def flight(
     before, after = R_fine[3:-4:4], R_fine[5::4]
     n = min(before.shape[0], after.shape[0])
     w = np.zeros((t_gyro.size, 3))
-    w[1 : n + 1] = _rates(before[:n], after[:n], 2.0 * (fine[1] - fine[0]))
+    w[1 : n + 1] = logs(transposed(before[:n]) @ after[:n]) / (2.0 * (fine[1] - fine[0]))
     w += rng.normal(0.0, 0.01, 3) + rng.normal(0.0, 0.02, w.shape)
     level = np.r_[rng.normal(0.0, LEVEL_SIGMA_RAD, 2), 0.0]
     wander = np.stack([_markov(rng, t_gyro, math.radians(0.3), 1.0), _markov(rng, t_gyro, math.radians(0.3), 1.0),
@@ -83,10 +83,6 @@ def _attitudes(roll: F64, pitch: F64, yaw: F64) -> F64:
     parts = (np.stack(axis, axis=1) for axis in ((zero, zero, yaw), (zero, pitch, zero), (roll, zero, zero)))
     about_down, about_right, about_forward = (exps(part) for part in parts)
     return np.asarray(about_down @ about_right @ about_forward)
-
-
-def _rates(before: F64, after: F64, apart_s: float) -> F64:
-    return logs(transposed(before) @ after) / apart_s
 
 
 def _swing(rng: np.random.Generator, t: F64, amplitude: float) -> F64:

@@ -123,8 +123,7 @@ class FakeDevice:
 
 
 def yuyv(shift: int = 0) -> bytes:
-    yuv = cv2.cvtColor(image(shift), cv2.COLOR_BGR2YUV_YUY2)
-    return yuv.tobytes()
+    return cv2.cvtColor(image(shift), cv2.COLOR_BGR2YUV_YUY2).tobytes()
 
 
 def buffer(sequence: int, data: bytes | None = None, error: bool = False, age_s: float = 0.005) -> Buffer:

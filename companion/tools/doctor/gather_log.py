@@ -1,7 +1,10 @@
 """Take a snapshot of an autopilot from its flight log. It judges nothing."""
 
 import contextlib
+import math
+import re
 import sys
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +15,7 @@ from companion.tools.doctor.firmware_parameters import differing, names_in
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
 from drivers.imports import dataflash, px4_ulog, tlog
 from drivers.imports.kinds import FileKind, kind_of
-from drivers.imports.log_history import AutopilotLog, parameters_of
+from drivers.imports.log_history import AutopilotLog, LogHistory
 from drivers.imports.stamps import Tell
 from estimator.contracts.errors import BadInput
 
@@ -86,3 +89,63 @@ def _standing(log: AutopilotLog) -> tuple[str, ...]:
             continue
         out.append(text)
     return tuple(reversed(out))
+
+
+_PX4_NAMES = re.compile(r"MAV_SYS_ID|(COM|MPC|EKF2|CAL|SENS|NAV|LNDMC|RTL|CBRK|MC|IMU)_")
+_OF_TABLE = re.compile(r"(\d+)\t(\d+)\t")
+_DECIMAL_COMMA = re.compile(r"[A-Z]\w*[\s,=]+-?\d+,\d+\s*(?:#|$)")
+_ARDUPILOT_NAMES = re.compile(r"SYSID_|MAV_SYSID|FRAME_CLASS|(INS|EK3|ATC|PSC|PLND|GUID|LAND|WPNAV|ARMING|SERVO\d+|RC\d+)_")
+
+
+def parameters_of(path: Path) -> AutopilotLog:
+    """Read a file of parameters as ground stations keep them: `NAME,VALUE`, `NAME VALUE`, or QGroundControl's table with tabs.
+
+    Return a log that holds nothing else; the stack is given by the file, or by its names.
+
+    Raises:
+        BadInput: the file cannot be read, no line of it is a parameter, or a value is not clear: two of one name, two vehicles,
+            decimal commas, a file that is included.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
+    parameters: dict[str, float] = {}
+    table = [row for line in lines if (row := _OF_TABLE.match(line)) is not None]
+    if len({row[1] for row in table}) > 1:
+        raise BadInput(f"{path}: it holds the parameters of several vehicles: save those of one")
+    usual = Counter(row[2] for row in table).most_common(1)
+    for line in lines:
+        if line.startswith("@include"):
+            raise BadInput(f"{path}: it includes another file ({line[8:].strip()}): give one with all parameters")
+        if table and (row := _OF_TABLE.match(line)) is not None and row[2] != usual[0][0]:
+            continue  # another component, such as a gimbal
+        if (found := _parameter_in(line)) is not None:
+            name, value = found
+            if parameters.setdefault(name, value) != value:
+                raise BadInput(f"{path}: {name} stands in it twice, as {parameters[name]:g} and as {value:g}")
+    if not parameters:
+        raise BadInput(f"{path}: no line of it is a parameter")
+    if not any("." in line or "Value" in line for line in lines) and any(_DECIMAL_COMMA.match(line) for line in lines):
+        raise BadInput(f"{path}: its numbers have decimal commas: save it with points")
+    comments = " ".join(line for line in lines[:40] if line.startswith("#"))
+    output = re.search(r"Stack:\s*(PX4|ArduPilot)", comments)
+    px4 = sum(_PX4_NAMES.match(name) is not None for name in parameters)
+    ardupilot = sum(_ARDUPILOT_NAMES.match(name) is not None for name in parameters)
+    stack = output[1] if output is not None else "PX4" if px4 > ardupilot else "ArduPilot"
+    version = re.search(r"Version:\s*(\d+)\.(\d+)\.(\d+)", comments)
+    firmware = None if version is None else (int(version[1]), int(version[2]), int(version[3]))
+    return AutopilotLog(stack, None, firmware, dict(sorted(parameters.items())), (), (), LogHistory(0.0))
+
+
+def _parameter_in(line: str) -> tuple[str, float] | None:
+    words = re.split(r"[\s,=]+", line.split("#")[0].strip())
+    if len(words) >= 4 and words[0].isdigit() and words[1].isdigit():
+        words = words[2:]
+    if len(words) < 2 or re.fullmatch(r"[A-Z][A-Z0-9_]{0,15}", words[0]) is None:
+        return None
+    try:
+        value = float(words[1])
+    except ValueError:
+        return None
+    return (words[0], value) if math.isfinite(value) else None

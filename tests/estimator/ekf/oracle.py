@@ -1205,13 +1205,9 @@ def _compare_forecasts(skill: SimpleNamespace, t: int, now: F64, ahead: F64) -> 
     return SimpleNamespace(issued=[*kept, (t, ahead)], n=n, product=product, square=square, came=came)
 
 
-def _periods(horizons_s: F64, w: F64) -> F64:
-    return np.asarray(horizons_s[:, None] * w / math.tau)
-
-
 def _factor(bank: SimpleNamespace, horizons_s: F64) -> F64:
     """Return the factor, 0..1, by which to scale a forecast, (H, 5, 2)."""
-    skill, periods, n = bank.skill, _periods(HORIZONS_S, bank.w_rad_s), bank.skill.n[:, None, None]
+    skill, periods, n = bank.skill, HORIZONS_S[:, None] * bank.w_rad_s / math.tau, bank.skill.n[:, None, None]
     prior, weight = 0.8 * np.exp(-(periods**2))[..., None], (20.0 + 100.0 * periods**4)[..., None]
     known = np.clip((weight * prior + n * skill.product / np.maximum(skill.square, 1e-12)) / (weight + n), 0.0, 1.0)
     return _interpolated(horizons_s, np.concatenate([np.ones((1, 5, 2)), known]))

@@ -40,10 +40,6 @@ def judge(*events: Reading, flying: bool = True) -> list[Verdict | None]:
     return out
 
 
-def noisy_imu(t_s: float) -> Reading:
-    return imu(t_s, RNG.normal(0, 0.01, 3), RNG.normal((0.0, 0.0, -9.8), 0.01))
-
-
 def speed(axis: int, v_m_s: float) -> BodyVelocity:
     """Return a velocity along one axis; the other components were not measured and say anything."""
     v, var = np.full(3, 500.0), np.full(3, 1e3)
@@ -86,7 +82,7 @@ def test_a_reading_that_holds_to_the_bit_is_frozen_after_its_time_and_in_flight_
     assert found[:n] == [None] * n
     assert found[-1] is (FROZEN if frozen_s < math.inf else None)
     assert set(judge(*events, flying=False)) == {None}
-    assert judge(*events, noisy_imu(9.0))[-1] is None, "one bit has changed"
+    assert judge(*events, imu(9.0, RNG.normal(0, 0.01, 3), RNG.normal((0.0, 0.0, -9.8), 0.01)))[-1] is None, "one bit has changed"
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.tools.calibrate.flight_views import camera_pose
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
@@ -20,7 +21,6 @@ from estimator.vision.native import image_of, native_camera, native_prior
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.sighting import camera_pose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from tests.support.night_scenes import NIGHTS, NightCondition, NightScene, night_scene
 from tests.support.pad_scenes import ROOT, load_camera, load_pad, pad_scene

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from companion.tools.calibrate.flight_views import camera_pose
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, Rotation, Transform, rpy_matrix, wrap_pi
 from estimator.contracts.samples import Frame
@@ -13,7 +14,7 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.sighting import camera_pose, sighting_of
+from estimator.vision.register.sighting import sighting_of
 from tests.estimator.ekf import oracle
 
 MOUNT = Transform(Rotation.from_rpy(0.02, -0.03, 1.6), np.array([0.15, 0.02, 0.01]))
