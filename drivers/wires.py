@@ -19,11 +19,11 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, ClassVar, NoReturn
 
 import serial
 
+from drivers.datagrams import WaitingDatagrams
 from drivers.endpoint import Address, Endpoint
 from drivers.reconnect import running_beside
 from estimator.contracts.errors import Recoverable
@@ -105,8 +105,6 @@ _SERIAL_S, _TCP_S = 0.1, 0.5
 _STILL_S = 0.3
 """Age of a byte that waits for a serial line at which the line counts as standing still, and the kernel's queue is emptied."""
 _PUMP_S = 0.02
-_DATAGRAMS_MAX = 2048
-"""Bytes of datagrams that may wait: the kernel takes them at once, unless the device has stopped."""
 _CONNECT_TIMEOUT_S = 3.0
 SILENT_S = 10.0
 """Silence after which a TCP peer is connected to again, and the name of a UDP peer looked up again: ten heartbeats."""
@@ -183,9 +181,9 @@ class Wire(ABC):
         """The time without a byte, s."""
         return seconds_between(self.received_at or self.opened_at, self._clock.now())
 
-    def _take(self, data: bytes, sender: Address | None = None) -> None:
+    def _take(self, data: bytes) -> None:
         self.received_at = self._clock.now()
-        self._received(data, self.received_at, sender)
+        self._received(data, self.received_at, None)
 
     def stop(self, why: str) -> None:
         """Make it count as broken."""
@@ -201,46 +199,65 @@ class Wire(ABC):
         raise Recoverable(await asyncio.shield(self._end))
 
 
-class _Datagrams(Wire, asyncio.DatagramProtocol):
-    def __init__(self, clock: Clock, received: Received, counts: WireCounts, listening: bool) -> None:
+class Datagrams(Wire):
+    """A UDP socket; its datagrams are read all at one wake-up of the loop, or wait for `take`."""
+
+    def __init__(
+        self, clock: Clock, received: Received, counts: WireCounts, own: socket.socket, listening: bool, waits: bool
+    ) -> None:
         super().__init__(clock, received, counts)
-        self._listening = listening
-        self._transport: Any = None  # the loops' datagram transports share no class that has both methods used here
+        self._own, self._listening, self._loop = own, listening, asyncio.get_running_loop()
+        self._waiting = WaitingDatagrams(own, clock, self._datagram, stamped=waits)
         self.refused_at: MonoNs | None = None
         """Time when the other side last refused; None since its last message."""
+        if not waits:
+            self._loop.add_reader(own, self.take)
 
     @property
     def local(self) -> Address | None:
-        host, port = self._transport.get_extra_info("sockname")[:2]
+        host, port = self._own.getsockname()[:2]
         return str(host), int(port)
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = transport
+    def close(self) -> None:
+        self._loop.remove_reader(self._own)
+        self._own.close()
 
-    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
-        self.refused_at = None
-        self._take(data, (addr[0], addr[1]) if self._listening else None)
+    def take(self) -> None:
+        """Process what waits in the socket."""
+        if self._end.done():
+            return
+        refused = self._waiting.refused
+        self._waiting.take()
+        if self._waiting.refused > refused:
+            self._refused(self._waiting.refused - refused)
+        try:
+            self._waiting.check()
+        except Exception as why:
+            self.stop(str(why))
 
-    def error_received(self, exc: Exception) -> None:
-        # A peer that is not there yet refuses; it may come.
-        if isinstance(exc, ConnectionRefusedError):
-            self._counts.refused += 1
-            self.refused_at = self._clock.now()
-        elif not self._listening:
-            self.stop(str(exc))
+    def _datagram(self, data: bytes, received_at: MonoNs, sender: tuple[Any, ...]) -> None:
+        self.refused_at, self.received_at = None, received_at
+        self._received(data, received_at, (sender[0], sender[1]) if self._listening else None)
 
-    def connection_lost(self, exc: Exception | None) -> None:
-        self.stop(str(exc or "socket closed"))
+    def _refused(self, times: int) -> None:
+        """Count what a peer that is not there yet refuses; it may come."""
+        self._counts.refused += times
+        self.refused_at = self._clock.now()
 
     def send(self, pack: Pack, to: Address | None, newest_of: str = "") -> bool:
-        if self._end.done() or (to is None) is self._listening:
+        if self._end.done() or (to is None) is self._listening or not (data := pack()):
             return False
-        if self._transport.get_write_buffer_size() > _DATAGRAMS_MAX:
+        try:
+            self._own.send(data) if to is None else self._own.sendto(data, to)
+        except BlockingIOError:  # the kernel takes datagrams at once, unless the device has stopped
             self._counts.late += 1
             return False
-        if data := pack():
-            self._transport.sendto(data, to)
-        return bool(data)
+        except ConnectionRefusedError:
+            self._refused(1)
+        except OSError as why:
+            if not self._listening:
+                self.stop(str(why))
+        return True
 
 
 class _Paced(Wire):
@@ -410,12 +427,13 @@ class _Serial(_Paced):
 
 @asynccontextmanager
 async def open_wire(
-    endpoint: Endpoint, clock: Clock, received: Received, counts: WireCounts | None = None
+    endpoint: Endpoint, clock: Clock, received: Received, counts: WireCounts | None = None, *, waits: bool = False
 ) -> AsyncIterator[Wire]:
     """Open what the endpoint names; closed on leaving.
 
     Args:
         counts: the endpoint's own, over all its openings.
+        waits: let datagrams wait for `Wire.take`, stamped by the kernel; otherwise each is processed when it arrives.
 
     Raises:
         Recoverable: it cannot be opened now (no such device yet, nobody listens, port in use, no such name).
@@ -433,7 +451,7 @@ async def open_wire(
             line.close()
             port.close()
         return
-    opened, transport, address = await _open_socket(endpoint, clock, received, counts)
+    opened, transport, address = await _open_socket(endpoint, clock, received, counts, waits)
     watch = [] if endpoint.scheme == "udpin" else [(f"watch-{endpoint}", _watch(endpoint, opened, address, clock))]
     try:
         async with running_beside(watch):
@@ -445,8 +463,8 @@ async def open_wire(
 
 
 async def _open_socket(
-    endpoint: Endpoint, clock: Clock, received: Received, counts: WireCounts
-) -> tuple[_Datagrams | _Stream, asyncio.BaseTransport, Any]:
+    endpoint: Endpoint, clock: Clock, received: Received, counts: WireCounts, waits: bool
+) -> tuple[Datagrams | _Stream, Datagrams | asyncio.BaseTransport, Any]:
     """Return what is open to the first of the host's addresses that can be opened, those first that were not tried in vain.
 
     Raises:
@@ -470,9 +488,8 @@ async def _open_socket(
                 return wire, stream, address
             listening = endpoint.scheme == "udpin"
             (made.bind if listening else made.connect)(address)
-            protocol_of = partial(_Datagrams, clock, received, counts, listening)
-            datagrams, door = await loop.create_datagram_endpoint(protocol_of, sock=made)
-            return door, datagrams, address
+            datagrams = Datagrams(clock, received, counts, made, listening, waits)
+            return datagrams, datagrams, address
         except (OSError, TimeoutError) as why:
             made.close()
             reasons.append(str(why) or f"no answer from {address[0]}")
@@ -482,12 +499,12 @@ async def _open_socket(
     raise Recoverable("; ".join(reasons))
 
 
-async def _watch(endpoint: Endpoint, wire: _Datagrams | _Stream, address: Any, clock: Clock) -> None:
+async def _watch(endpoint: Endpoint, wire: Datagrams | _Stream, address: Any, clock: Clock) -> None:
     """Break a wire whose peer has been silent for `SILENT_S`, and for UDP only if there is another way to it."""
     looked_at = clock.now()
     while True:
         await clock.sleep(_WATCH_S)
-        refused = isinstance(wire, _Datagrams) and wire.refused_at is not None
+        refused = isinstance(wire, Datagrams) and wire.refused_at is not None
         most_s = _REFUSED_S if refused else SILENT_S
         if wire.quiet_s <= most_s or seconds_between(looked_at, clock.now()) <= most_s:
             continue

@@ -22,6 +22,8 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 Handler = Callable[[], object]
 _SHORTEST_S = 0.05
+_SLACK_S = 0.002
+"""Time by which a timer may come early, with another one: each wake-up of the loop costs more than most of what it is for."""
 _heeded: dict[int, Handler] = {}
 
 
@@ -33,6 +35,7 @@ def run(main: Coroutine[Any, Any, T]) -> T:
         Whatever `main` raises.
     """
     loop = asyncio.new_event_loop()
+    loop._clock_resolution = _SLACK_S  # type: ignore[attr-defined]  # timers due within it run together
     asyncio.set_event_loop(loop)
     task = loop.create_task(main, name="main")
 

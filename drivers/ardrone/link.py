@@ -14,7 +14,6 @@ from contextlib import asynccontextmanager
 from drivers.ardrone.command_channel import CommandChannel
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.custody import CommandStreamer
-from drivers.ardrone.datagrams import open_waiting
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
@@ -22,6 +21,7 @@ from drivers.ardrone.pave import PaveFrame, PaveParser
 from drivers.ardrone.setup import ControlChannel, Setup
 from drivers.ardrone.video import VideoDecoder, unit_decoder
 from drivers.clock_map import ClockMap, ClockMapOptions
+from drivers.datagrams import open_waiting
 from drivers.mailbox import Latest, Line
 from drivers.reconnect import BackOff, reconnect, running_beside
 from estimator.contracts.commands import Command

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from enum import Enum
 
 from drivers.ardrone.counters import Counters, Refusal
-from drivers.ardrone.datagrams import WaitingDatagrams, open_waiting
 from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import NavdataSampler
 from drivers.clock_map import ClockMap, ClockMapOptions
+from drivers.datagrams import WaitingDatagrams, open_waiting
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample

@@ -49,6 +49,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 _log = logging.getLogger(__name__)
 
 _KNOCK_S = 1.0
+_UNASKED_S = 0.01
+"""Time after which messages are handled that nobody asked for: PX4 wants round trips of TIMESYNC below 10 ms."""
 _WARNING = 4
 """MAV_SEVERITY_WARNING; what is graver has a lower number."""
 _BEFORE_S, _AFTER_S = 5.0, 2.0
@@ -105,6 +107,7 @@ class Autopilot:
         self._open = True
         self._known: _Known | None = None
         self._listeners: list[Callable[[ReceivedMessage], None]] = []
+        self._taken_at = clock.now()
         self._boots = 0
         self._knocked: MonoNs | None = None
         self._requests = RateLimit(_REQUESTS_HZ, _REQUESTS_MAX)
@@ -122,7 +125,7 @@ class Autopilot:
         links.follows = self._follows
         self.frames: Latest[Frame] = Latest()
         """An autopilot has no frames; a camera driver offers them here."""
-        self.samples: Line[Sample] = Line(sample_queue_items)
+        self.samples: Line[Sample] = Line(sample_queue_items, self._take_waiting)
         self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=100)
         """The newest STATUSTEXTs of the autopilot, each as (received_at, severity, text)."""
         self._joined = JoinedTexts()
@@ -276,21 +279,40 @@ class Autopilot:
         self._listeners.remove(listener)
 
     async def _read(self) -> None:
+        while self.links.waits:
+            if (waits_s := _UNASKED_S - seconds_between(self._taken_at, self._clock.now())) <= 0.0:
+                self._take_waiting()
+            await self._clock.sleep(waits_s if waits_s > 0.0 else _UNASKED_S)
         async for received in self.links.received:
-            if (received.system, received.component) == self.links.identity:
-                if not self.links.sent_by_us(received):  # else it was routed back
-                    self._roster.on_namesake(received.received_at)
-                continue
-            for handler in (self._on_message, *self._listeners):
-                try:
-                    handler(received)
-                except Exception as why:
-                    self.links.contained.hold(received.place, received.source_text, why)
+            self._handle(received)
+
+    def _take_waiting(self) -> None:
+        """Handle what waits. Guidance, vision and the setpoints ask for it just before they need it.
+
+        Most of the time that the loop spends on a datagram is spent on waking for it, hundreds of times a second.
+        """
+        if self.links.waits:
+            self._taken_at = self._clock.now()
+            for received in self.links.waiting():
+                self._handle(received)
+
+    def _handle(self, received: ReceivedMessage) -> None:
+        if (received.system, received.component) == self.links.identity:
+            if not self.links.sent_by_us(received):  # else it was routed back
+                self._roster.on_namesake(received.received_at)
+            return
+        for handler in (self._on_message, *self._listeners):
+            try:
+                handler(received)
+            except Exception as why:
+                self.links.contained.hold(received.place, received.source_text, why)
 
     def _on_message(self, received: ReceivedMessage) -> None:
         message, name = received.message, received.message.get_type()
         if name == "TIMESYNC" and received.access_level >= AccessLevel.PEER:
-            answer = answer_to(message, self._clock.now(), (received.system, received.component), self.links.identity)
+            # The middle of the time for which the request waited here, so that the asker's half of the round trip fits.
+            middle = MonoNs((received.received_at + self._clock.now()) // 2)
+            answer = answer_to(message, middle, (received.system, received.component), self.links.identity)
             if answer is not None:
                 self.links.send(answer, received.source)
         if name == "HEARTBEAT" and is_autopilot(message, received.component):
@@ -491,6 +513,7 @@ class Autopilot:
         now = self._clock.now()
         while True:
             await self._clock.sleep(self._o.command_period_s)
+            self._take_waiting()
             before, known, now = now, self._known, self._clock.now()
             self._judge(now)
             if known is not None:
@@ -560,6 +583,7 @@ async def open_autopilot(
     *,
     parameters: tuple[str, ...] = (),
     sample_queue_items: int = SAMPLE_QUEUE_ITEMS,
+    waits: bool = False,
 ) -> AsyncIterator[Autopilot]:
     """Open the links and keep them open; it does not wait for the autopilot (see `Autopilot.connected`).
 
@@ -570,12 +594,13 @@ async def open_autopilot(
         links: the links of the options with their keys; None for those of the options without any key.
         parameters: names of the autopilot's parameters that are read on each connect.
         sample_queue_items: samples that may wait for the reader; the oldest is dropped and counted.
+        waits: let datagrams wait until samples are taken or setpoints sent, instead of waking the loop for each.
     """
     if links is None:
         links = tuple(LinkOptions(endpoint, limits=options) for endpoint in options.endpoints())
     identity = (options.system_id or 1, options.component_id)
     access = NamedSenders(options.named_operators(), frozenset({options.vessel_id} - {0}))
-    async with open_links(links, clock, identity, access=access) as opened:
+    async with open_links(links, clock, identity, access=access, waits=waits) as opened:
         autopilot = Autopilot(options, opened, clock, parameters, sample_queue_items)
         async with running_beside([("autopilot-read", autopilot._read()), ("autopilot-tick", autopilot._tick())]):
             try:

@@ -28,7 +28,7 @@ from drivers.mavlink.dialect import Message
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing
 from drivers.reconnect import BackOff, reconnect, running_beside
-from drivers.wires import SILENT_S, Wire, WireCounts, open_wire
+from drivers.wires import SILENT_S, Datagrams, Wire, WireCounts, open_wire
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
@@ -250,7 +250,8 @@ class Link:
             peer.codec.identify(system, component)
 
     async def _run(self) -> None:
-        async with open_wire(self._o.endpoint, self._clock, self._received, self.counters.wire) as wire:
+        waits = self._links.waits
+        async with open_wire(self._o.endpoint, self._clock, self._received, self.counters.wire, waits=waits) as wire:
             self._wire, self.down = wire, None
             if self._asked_for:
                 peer = self._peers.setdefault(None, _Peer(self._codec(), self._clock.now()))
@@ -331,7 +332,11 @@ Tap = Callable[[MonoNs, str, Literal["in", "out"], bytes, str], None]
 class Links:
     """All links. See `open_links`."""
 
-    def __init__(self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], access: NamedSenders) -> None:
+    def __init__(
+        self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], access: NamedSenders, waits: bool
+    ) -> None:
+        self.waits = waits
+        """True if datagrams wait in their sockets for a reader that takes them often."""
         self.access = Access(access)
         self._clock = clock
         self._sent: dict[tuple[int, int], MonoNs] = {}
@@ -376,6 +381,13 @@ class Links:
         at = self._sent.get((received.message.get_msgId(), received.message.get_seq()))
         return at is not None and seconds_between(at, received.received_at) < _ECHO_S
 
+    def waiting(self) -> list[ReceivedMessage]:
+        """Take all messages that wait, those in the sockets included."""
+        for link in self.all:
+            if isinstance(link._wire, Datagrams):
+                link._wire.take()
+        return self.received.waiting()
+
     def identify(self, system: int, component: int) -> None:
         """Send as another system and component from now on."""
         self.identity = (system, component)
@@ -410,14 +422,17 @@ async def open_links(
     clock: Clock,
     identity: tuple[int, int],
     access: NamedSenders | None = None,
+    *,
+    waits: bool = False,
 ) -> AsyncIterator[Links]:
     """Open every link and keep it open; it does not wait for a peer. On leaving all are closed.
 
     Args:
         identity: (system, component) to send as; `Links.identify` changes it.
         access: who is known before anything is received; nobody where it is None.
+        waits: let datagrams wait until `Links.waiting`; otherwise they are processed when they arrive.
     """
-    links = Links(options, clock, identity, access or NamedSenders())
+    links = Links(options, clock, identity, access or NamedSenders(), waits)
     async with running_beside([(f"mavlink-{link.endpoint}", link.reconnect()) for link in links.all]):
         try:
             yield links

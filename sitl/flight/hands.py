@@ -134,10 +134,10 @@ class HandsWatch:
             self._answered = True
         if self.act is not None and not self._answered:
             self._note(truth.at, "nothing that obeys")
+        at_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
         if self.act is None or not self._stays_up or not motors or not reached:
             self._held_at_m = None
         else:
-            at_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
             self._held_at_m = self._held_at_m or at_m
             self.sank_m = max(self.sank_m, descent_m(self._held_at_m, at_m))
 

@@ -249,16 +249,13 @@ class Moment(NamedTuple):
 
 def moment_of(truth: Truth, feet: Feet) -> Moment:
     """Return the moment of a true state."""
-    # In plain numbers, as it is asked for at 20 Hz. The columns are the pad's axes, and the lowest foot is on the lower side.
-    (ax, bx, cx), (ay, by, cy), (az, bz, cz) = truth.R_ned_pad.matrix.tolist()
-    (fx, rx, dx), (fy, ry, dy), (fz, rz, dz) = truth.R_ned_body.matrix.tolist()
-    x, y, z = (truth.p_body_ned - truth.p_pad_ned).tolist()
-    ahead, aside, upright = ax * dx + ay * dy + az * dz, bx * dx + by * dy + bz * dz, cx * dx + cy * dy + cz * dz
-    sides_m = feet.half_base_m * (abs(cx * fx + cy * fy + cz * fz) + abs(cx * rx + cy * ry + cz * rz))
-    down_m, away_m = cx * x + cy * y + cz * z, math.hypot(ax * x + ay * y + az * z, bx * x + by * y + bz * z)
-    clearance_m, top_m = -(down_m + sides_m + feet.below_m * upright), feet.top_m * upright - down_m
-    tilt_deg = math.degrees(math.atan2(math.hypot(ahead, aside), upright))
-    return Moment(clearance_m, min(clearance_m, top_m), away_m, tilt_deg, truth.phase in MOTORS_TURN)
+    R_ned_pad = truth.R_ned_pad.matrix
+    R = R_ned_pad.T @ truth.R_ned_body.matrix
+    d = R_ned_pad.T @ (truth.p_body_ned - truth.p_pad_ned)
+    clearance_m = -float((d + feet.corners_m @ R.T)[:, 2].max())
+    top_m = -float(d[2] - feet.top_m * R[2, 2])
+    tilt_deg = math.degrees(math.atan2(math.hypot(R[0, 2], R[1, 2]), R[2, 2]))
+    return Moment(clearance_m, min(clearance_m, top_m), math.hypot(d[0], d[1]), tilt_deg, truth.phase in MOTORS_TURN)
 
 
 class UnreachedContacts:
@@ -404,11 +401,11 @@ class Referee:
 
     def _way(self, truth: Truth, dt_s: float) -> None:
         """Count where and how fast the vehicle flies."""
-        d, v = (truth.p_pad_ned - truth.p_body_ned).tolist(), (truth.v_pad_ned - truth.v_body_ned).tolist()
-        p, away_m, farthest_m = truth.p_body_ned.tolist(), math.hypot(d[0], d[1]), self._errand.farthest_m
+        d, v, p = truth.p_pad_ned - truth.p_body_ned, truth.v_pad_ned - truth.v_body_ned, truth.p_body_ned
+        away_m, farthest_m = math.hypot(d[0], d[1]), self._errand.farthest_m
         against_ship_m_s, over_ground_m_s = math.hypot(v[0], v[1]), math.hypot(*truth.v_body_ned[:2].tolist())
         if away_m <= farthest_m or self._left_ned is None:
-            self._left_ned = p[0], p[1]
+            self._left_ned = float(p[0]), float(p[1])
         elif against_ship_m_s < over_ground_m_s:
             # It stays with the ship, and so does that place.
             north, east = truth.v_pad_ned[:2].tolist()
@@ -420,8 +417,8 @@ class Referee:
             self.counts["away_m"].note(min(away_m, farthest_m + left_m))
             self.counts["fast_m_s"].note(min(against_ship_m_s, over_ground_m_s))
         # Over the highest deck so far: a vehicle keeps clear of the crests, and over a trough it does not climb.
-        self._crest_m = max(self._crest_m, -truth.p_pad_ned.item(2))
-        self.highest_m = max(self.highest_m, -p[2] - self._crest_m)
+        self._crest_m = max(self._crest_m, -float(truth.p_pad_ned[2]))
+        self.highest_m = max(self.highest_m, -float(truth.p_body_ned[2]) - self._crest_m)
         self.counts["high_m"].note(self.highest_m, called=self._errand.highest_m)
 
     def _battery(self, truth: Truth, dt_s: float, *, hovers: bool) -> None:

@@ -4,6 +4,7 @@ It never ends by an exception through the event loop. Two seconds are requested.
 is any test's patience: what these programs would do without the deadline takes an hour or never ends.
 """
 
+import asyncio
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import time
 
 import pytest
 
+from companion.base import event_loop
 from tests.support.processes import burners, decklander, python, started
 from tests.support.waiting import PATIENCE_S, free_port
 
@@ -325,3 +327,19 @@ def test_sigterm_before_anything_was_begun_is_an_end_and_no_error(moment: str) -
     last = "sys.argv = ['decklander', 'pad', 'list']\nsys.exit(main.main())\n"
     ended = subprocess.run([sys.executable, "-c", first + moment + last], capture_output=True, text=True, timeout=60, check=False)
     assert (ended.returncode, ended.stderr) == (143, "")
+
+
+def test_timers_that_are_due_within_two_milliseconds_run_at_one_wake_up() -> None:
+    order: list[str] = []
+
+    async def note(name: str, in_s: float) -> None:
+        for _ in range(2):
+            await asyncio.sleep(in_s)
+            order.append(name)
+            in_s = 0.0
+
+    async def main() -> None:
+        await asyncio.gather(note("one", 0.01), note("another", 0.0115))
+
+    event_loop.run(main())
+    assert order == ["one", "another", "one", "another"]

@@ -12,10 +12,10 @@ import pytest
 
 from drivers.ardrone import at, command_channel
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.datagrams import WaitingDatagrams
 from drivers.ardrone.link import ArDrone, open_ardrone
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
+from drivers.datagrams import WaitingDatagrams
 from estimator.contracts.commands import TakeOff, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Frame
@@ -209,9 +209,6 @@ async def test_a_key_that_is_not_acknowledged_is_tried_again_later() -> None:
         await until(lambda: drone.ready)
 
 
-Taken = list[tuple[bytes, MonoNs]]
-
-
 class Ends:
     """A waiting socket and its peer."""
 
@@ -221,8 +218,8 @@ class Ends:
         self.own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.own.setblocking(False)
         self.own.connect(self.peer.getsockname())
-        self.taken: Taken = []
-        self.waiting = WaitingDatagrams(self.own, SystemClock(), lambda data, at: self.taken.append((data, at)))
+        self.taken: list[tuple[bytes, MonoNs]] = []
+        self.waiting = WaitingDatagrams(self.own, SystemClock(), lambda data, at, sender: self.taken.append((data, at)))
         self.waiting.take()
 
     def sent(self, *data: bytes) -> None:

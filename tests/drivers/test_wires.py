@@ -198,7 +198,7 @@ async def test_each_address_of_a_name_is_tried_in_turn(names: dict[str, list[str
         names["ship"] = ["127.0.0.1", "127.0.0.2", "127.0.0.3"]
         for _ in range(4):
             async with open_wire(Endpoint("udpout", "ship", port), clock, nobody, counts) as wire:
-                used.append(wire._transport.get_extra_info("peername")[0])  # type: ignore[attr-defined]
+                used.append(wire._own.getpeername()[0])  # type: ignore[attr-defined]
                 await asyncio.sleep(0.01)  # the watch begins
                 clock.advance(11.0)
                 with pytest.raises(Recoverable, match="not a byte"):
@@ -206,7 +206,7 @@ async def test_each_address_of_a_name_is_tried_in_turn(names: dict[str, list[str
         assert used == ["127.0.0.1", "127.0.0.2", "127.0.0.3", "127.0.0.1"]
         got: list[bytes] = []
         async with open_wire(Endpoint("udpout", "ship", port), clock, lambda data, when, who: got.append(data), counts) as wire:
-            assert wire._transport.get_extra_info("peername")[0] == "127.0.0.2"  # type: ignore[attr-defined]
+            assert wire._own.getpeername()[0] == "127.0.0.2"  # type: ignore[attr-defined]
         async with open_wire(Endpoint("udpout", "ship", port), clock, lambda data, when, who: got.append(data), counts) as wire:
             wire.send(lambda: b"hello", None)
             await until(lambda: heard(third))

@@ -25,6 +25,7 @@ from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather import Notes, snapshot_of
 from companion.tools.doctor.rules_links import WATCHED
 from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
+from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.gimbal import Gimbal, tending
 from drivers.mavlink.links import Links, Tap
@@ -220,6 +221,7 @@ class AutopilotPart:
             self._endpoints,
             parameters=PARAMETERS,
             sample_queue_items=self._sample_queue_items,
+            waits=isinstance(self._clock, SystemClock),  # in virtual time the kernel's instants would be another clock's
         )
         async with opening as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap

@@ -27,11 +27,13 @@ HOST = "127.0.0.1"
 
 
 @asynccontextmanager
-async def autopilot_of(fake: MiniatureAutopilot, parameters: tuple[str, ...] = (), **options: Any) -> AsyncIterator[Autopilot]:
+async def autopilot_of(
+    fake: MiniatureAutopilot, parameters: tuple[str, ...] = (), *, waits: bool = False, **options: Any
+) -> AsyncIterator[Autopilot]:
     quick = {"silence_s": 0.8, "command_period_s": 0.02, "restart_first_s": 0.02, "restart_most_s": 0.1}
     given = AutopilotOptions(f"udpin://{HOST}:0", **(quick | options))
     fake.clock = PatientClock()
-    async with open_autopilot(given, fake.clock, parameters=parameters) as autopilot:
+    async with open_autopilot(given, fake.clock, parameters=parameters, waits=waits) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)
         host, port = autopilot.links.all[0].local or ("", 0)
         async with fake.talking_to(f"udpout://{host}:{port}"):
@@ -43,13 +45,13 @@ def drain(autopilot: Autopilot) -> list[Sample]:
     return [autopilot.samples._items.popleft() for _ in range(len(autopilot.samples))]
 
 
-@pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
-async def test_a_fresh_link_gets_requests_for_streams_and_gives_samples(stack: Stack) -> None:
+@pytest.mark.parametrize(("stack", "waits"), [(Stack.ARDUPILOT, False), (Stack.PX4, False), (Stack.ARDUPILOT, True)])
+async def test_a_fresh_link_gets_requests_for_streams_and_gives_samples(stack: Stack, waits: bool) -> None:
     fake = MiniatureAutopilot(
         stack, mode="loiter" if stack is Stack.ARDUPILOT else "auto.loiter", v_ned=np.array([0.0, 1.0, 0.0])
     )
     fake.rpy = lambda t: (0.0, 0.0, math.radians(90.0))
-    async with autopilot_of(fake) as autopilot:
+    async with autopilot_of(fake, waits=waits) as autopilot:
         await until(lambda: autopilot.streams is not None and autopilot.streams.settled)
         await until(lambda: autopilot.sync is not None and autopilot.sync.locked)
         assert fake.intervals[mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION] == 0.01

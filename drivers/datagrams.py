@@ -1,4 +1,4 @@
-"""A connected UDP socket whose datagrams wait until they are taken, with the instants at which the kernel received them."""
+"""A UDP socket whose datagrams wait until they are taken, with the instants at which the kernel received them."""
 
 import asyncio
 import socket
@@ -6,11 +6,14 @@ import struct
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
+from typing import Any
 
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import NS_PER_S, MonoNs
 
+Taken = Callable[[bytes, MonoNs, Any], None]
+"""A function that takes a datagram, the instant of its reception and its sender's address."""
 _DATAGRAM_MAX = 1 << 16
 _MOST_AT_ONCE = 64
 """The number of datagrams that are taken at once: a flood of them must not keep the event loop."""
@@ -25,25 +28,28 @@ _WALL_STEP_NS = 1_000_000
 
 
 class WaitingDatagrams:
-    """A connected UDP socket whose datagrams wait in the kernel until `take` passes them to `received`, in order.
+    """A UDP socket whose datagrams wait in the kernel until `take` passes them to `received`, in order.
 
     Each comes with the instant at which the kernel received it. Waking the event loop for a datagram takes as long as reading it.
 
     Args:
-        connected: the socket, which does not block.
+        own: the socket, which does not block.
+        stamped: by the kernel; otherwise datagrams count as received when they are taken, as in virtual time.
     """
 
-    def __init__(self, connected: socket.socket, clock: Clock, received: Callable[[bytes, MonoNs], None]) -> None:
-        self._socket = connected
+    def __init__(self, own: socket.socket, clock: Clock, received: Taken, *, stamped: bool = True) -> None:
+        self._socket = own
         self._clock = clock
         self._received = received
         self._lost: Exception | None = None
+        self.refused = 0
+        """Number of times that the peer refused: nobody listens there."""
         self.taken_at = clock.now()
         """Time when a waiting datagram was last taken."""
         self._wall_ahead_ns: int | None = None
         """The wall clock less the monotonic one at the newest look."""
         with suppress(OSError):  # without it the datagrams count as received when they are taken
-            connected.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+            own.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, int(stamped))
 
     def take(self) -> None:
         """Pass on all datagrams that wait, at most some dozens. Never raises; `check` says what went wrong."""
@@ -55,14 +61,15 @@ class WaitingDatagrams:
         try:
             for _ in range(_MOST_AT_ONCE):
                 try:
-                    data, ancillary, _, _ = self._socket.recvmsg(_DATAGRAM_MAX, _ANCILLARY_MAX)
+                    data, ancillary, _, sender = self._socket.recvmsg(_DATAGRAM_MAX, _ANCILLARY_MAX)
                 except BlockingIOError:
                     break
                 except ConnectionRefusedError:
+                    self.refused += 1
                     continue
                 seconds, ns = _TIMESPEC.unpack_from(ancillary[0][2]) if ancillary else (0, wall_ns)
                 age_ns = 0 if wall_was_set else wall_ns - (seconds * NS_PER_S + ns)
-                self._received(data, MonoNs(max(self.taken_at, now - max(0, age_ns))))
+                self._received(data, MonoNs(max(self.taken_at, now - max(0, age_ns))), sender)
         except Exception as why:
             self._lost = why
         self.taken_at = now
@@ -123,7 +130,7 @@ async def open_waiting(
     with socket.socket(family, kind, protocol) as connected:
         connected.setblocking(False)
         connected.connect(address)
-        waiting = WaitingDatagrams(connected, clock, received)
+        waiting = WaitingDatagrams(connected, clock, lambda data, at, sender: received(data, at))
         if at_once:
             loop.add_reader(connected, waiting.take)
         try:
