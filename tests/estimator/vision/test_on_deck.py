@@ -25,6 +25,7 @@ from estimator.vision.about_pad import (
 from estimator.vision.clear_deck import LASTS_S, SurfaceMemory, check_surface
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import PadCheck
+from estimator.vision.pad_pose import PadPose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Mast
@@ -103,10 +104,8 @@ def test_nothing_old_is_reported_and_on_the_ground_all_is_forgotten() -> None:
         pilot.landing.mission = replace(pilot.landing.mission, state=state)
         at = MonoNs(deck.at + round(later_s * 1e9))
         stamp = Stamp(at, at, 0.001, "sim")
-        level = Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3))
-        return pilot.search.read_deck(
-            pilot.detect(replace(pilot.look_at(Frame(stamp, 0, blank), level), reads_deck=False))
-        ).on_pad
+        look = pilot.look_at(Frame(stamp, 0, blank), Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3)))
+        return pilot.search.read_deck(pilot.detect(replace(look, reads_deck=False))).on_pad
 
     pilot.search._memory = TrackerMemory(deck=DeckMemory(deck))
     check = looked(1.0, State.REFUSED)
@@ -148,6 +147,8 @@ def came_down_about(surroundings: Surroundings, *bodies: Bystander, light: Light
         view, at = FrameView(Pyramid(px), CAMERA, PAD), MonoNs(10**9 + 250_000_000 * k)
         memory = watch_around(memory, view, truth_of(shot, CAMERA), at)
     assert memory is not None
+    far = PadPose(Rotation.identity(), np.array([0.0, 0.0, 40.0]))
+    assert not DeckMemory(None, memory, watch_passing(None, view, far, at)).is_due(MonoNs(at + 1), view, far), "too far to read"
     return memory
 
 
