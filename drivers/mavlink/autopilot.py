@@ -49,7 +49,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 _log = logging.getLogger(__name__)
 
 _KNOCK_S = 1.0
-_UNASKED_S = 0.01
+_UNASKED_S = 0.006
 """Time after which messages are handled that nobody asked for: PX4 wants round trips of TIMESYNC below 10 ms."""
 _WARNING = 4
 """MAV_SEVERITY_WARNING; what is graver has a lower number."""
