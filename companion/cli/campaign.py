@@ -7,6 +7,7 @@ import difflib
 import json
 import os
 import sys
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import replace
@@ -276,14 +277,14 @@ def _fly_left(
     if args.json:
         for flight in _asked(store, asked):
             _say(flight)
-    progress, grades = WorkProgress("campaign", "flights"), list[str]()
+    progress, grades = WorkProgress("campaign", "flights"), Counter[str]()
 
     def on_flight(flight: Flight) -> None:
-        grades.append(flight["grade"])
+        grades[flight["grade"]] += 1
         if args.json:
             _say(flight)
         else:
-            progress.take(len(grades), left, f", {grades.count('failed')} failed")
+            progress.take(grades.total(), left, f", {grades['failed']} failed")
 
     fly_left(workforce.results, store, jobs, on_flight)
 
