@@ -20,9 +20,10 @@ At rest the means of velocity and specific force over `calibration_s` (ten secon
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
@@ -32,8 +33,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 from estimator.options import DeadReckoningOptions
 
 
-@dataclass(frozen=True, slots=True)
-class ArrowHeading:
+class ArrowHeading(Struct, frozen=True):
     """The heading of the arrow against the same north as the vehicle's own attitude."""
 
     heading_rad: float
@@ -64,8 +64,7 @@ def heading_after(arrow: ArrowHeading | None, heading_rad: float, sighting: Sigh
     return ArrowHeading(seen, float(sighting.cov[3, 3]), sighting.stamp.measured_at, ambiguous)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RestCalibration:
+class RestCalibration(Struct, frozen=True, eq=False):
     """The sums so far of velocity, m/s in level, and specific force minus gravity, m/s^2 in `body`: (sum, number of samples).
 
     `done` is True once the means are final. A reading that is too large for a vehicle at rest begins them again.
@@ -112,8 +111,7 @@ _NOT_MEASURED_VAR = 1e3
 """Variance, (m/s)^2, above which a velocity axis counts as not measured."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Anchor:
+class _Anchor(Struct, frozen=True, eq=False):
     """The newest sighting, anchored to the odometer at its own instant."""
 
     t: MonoNs
@@ -127,8 +125,7 @@ class _Anchor:
     """The state's `blind_s` at that instant."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DeadReckoning:
+class DeadReckoning(Struct, frozen=True, eq=False):
     """The belief of dead reckoning. Immutable: `step` returns the next one."""
 
     options: DeadReckoningOptions

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from msgspec import structs
+from msgspec import Struct, structs
+from msgspec.structs import replace
 
 from estimator import dead_reckoning
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
@@ -65,16 +65,14 @@ VARIANCE_RATIO = (1.0, 0.625, 0.475, 0.322, 0.286)
 """Variance of the output over that of one sample, by the number of samples (1, 2, ... 5 and more); for white Gaussian noise."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Entry:
+class _Entry(Struct, frozen=True, eq=False):
     t: MonoNs
     d: F64
     yaw_rad: float | None
     ambiguous: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Filtered:
+class Filtered(Struct, frozen=True, eq=False):
     """The filter's output for the newest sightings."""
 
     measured_at: MonoNs
@@ -93,8 +91,7 @@ class Filtered:
     """Number of sightings that took part, 1 to 5."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MedianMean:
+class MedianMean(Struct, frozen=True, eq=False):
     """The last five sightings and the last certain heading: a moving median of three, then a moving mean of three.
 
     Source: Sundvoll, A Camera-Based Perception System for Autonomous Quadcopter Landing on a Marine Vessel, 2020, sec. 4.2, eq.

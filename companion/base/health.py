@@ -7,10 +7,9 @@ import math
 from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Annotated
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
 from companion.base.mission import ENDED
 from companion.base.observer import Decision
@@ -50,8 +49,7 @@ EDGES_S = (
 """Upper edges of the histogram's buckets, s; longer durations lie above the last."""
 
 
-@dataclass(slots=True)
-class Delays:
+class Delays(Struct):
     """The durations of one stage, seconds; quantiles are of the newest."""
 
     count: int = 0
@@ -74,8 +72,7 @@ class Delays:
         return [ordered[min(len(ordered) - 1, int(q * len(ordered)))] if ordered else None for q in qs]
 
 
-@dataclass(slots=True)
-class PartHealth:
+class PartHealth(Struct):
     """One supervised part."""
 
     vital: bool = False
@@ -86,8 +83,7 @@ class PartHealth:
     last_error: str = ""
 
 
-@dataclass(slots=True)
-class Flow:
+class Flow(Struct):
     """The arrivals of one kind of data."""
 
     count: int = 0
@@ -111,8 +107,7 @@ class Flow:
         return (len(self._recent) - 1) / max(1e-9, seconds_between(self._recent[0], now))
 
 
-@dataclass(slots=True)
-class FusionTally:
+class FusionTally(Struct):
     """The results of one source on one path of the estimator."""
 
     verdicts: Counter[Verdict] = field(default_factory=Counter)
@@ -157,8 +152,7 @@ class FlowRecord(Struct, frozen=True, omit_defaults=True):
     """Time since the last arrival, s; None before the first."""
 
 
-@dataclass(frozen=True, slots=True)
-class StageState:
+class StageState(Struct, frozen=True):
     """The durations of a stage: of its newest runs, and of all."""
 
     count: int
@@ -170,8 +164,7 @@ class StageState:
     """Number of durations by bucket of `EDGES_S`; the last lies above all edges."""
 
 
-@dataclass(frozen=True, slots=True)
-class FusionState:
+class FusionState(Struct, frozen=True):
     """Results of one source on one path of the estimator, at one instant."""
 
     path: str
@@ -187,8 +180,7 @@ class FusionState:
     comparison."""
 
 
-@dataclass(frozen=True, slots=True)
-class MissionHealth:
+class MissionHealth(Struct, frozen=True):
     """The newest guidance cycle, and what became of the mission so far."""
 
     phase: str = ""
@@ -206,8 +198,7 @@ class MissionHealth:
     """The vehicle's response, once a flight has identified it."""
 
 
-@dataclass(frozen=True, slots=True)
-class HealthSnapshot:
+class HealthSnapshot(Struct, frozen=True):
     """Everything known of the service's health at one instant. Immutable."""
 
     at: MonoNs

@@ -1,7 +1,8 @@
 """The words of the mission: its states, its events, and a change of state. `companion.guidance.mission` has what follows what."""
 
-from dataclasses import dataclass
 from enum import Enum
+
+from msgspec import Struct
 
 from companion.base.reason import Reason
 from estimator.contracts.time import MonoNs
@@ -77,8 +78,7 @@ class Event(Enum):
     GATE_OPEN = "gate open"
 
 
-@dataclass(frozen=True, slots=True)
-class StateChange:
+class StateChange(Struct, frozen=True):
     """One change of state."""
 
     at: MonoNs

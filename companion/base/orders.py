@@ -1,8 +1,9 @@
 """The orders of people, their senders, and the answer that each order gets."""
 
 import math
-from dataclasses import dataclass
 from enum import Enum
+
+from msgspec import Struct
 
 from estimator.contracts.time import MonoNs
 
@@ -50,8 +51,7 @@ class OrderSource(Enum):
     """The geofence or another limit of `companion.guidance.operator.command_limits`, which may only hold."""
 
 
-@dataclass(frozen=True, slots=True)
-class OrderSender:
+class OrderSender(Struct, frozen=True):
     """One sender of orders; two terminals are two senders."""
 
     source: OrderSource
@@ -61,8 +61,7 @@ class OrderSender:
         return f"{self.source.value} {self.name}".rstrip()
 
 
-@dataclass(frozen=True, slots=True)
-class HandledOrder:
+class HandledOrder(Struct, frozen=True):
     """An order and its answer."""
 
     at: MonoNs
@@ -82,8 +81,7 @@ class HandledOrder:
         return f"{self.sender}: {what}: " + ("accepted" if self.refusal is None else f"refused, {self.refusal}")
 
 
-@dataclass(frozen=True, slots=True)
-class StickPositions:
+class StickPositions(Struct, frozen=True):
     """Positions of the sticks, -1 to 1.
 
     Raises:

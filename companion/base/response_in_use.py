@@ -1,9 +1,10 @@
 """The vehicle's response as it is known in flight."""
 
 import math
-from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
+
+from msgspec import Struct
 
 
 class ResponseState(Enum):
@@ -47,8 +48,7 @@ class TiltShape(NamedTuple):
 AS_FILED = TiltShape()
 
 
-@dataclass(frozen=True, slots=True)
-class ResponseInUse:
+class ResponseInUse(Struct, frozen=True):
     """The response that the control law flies by."""
 
     state: ResponseState

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import dataclasses
 import json
 import signal
 import socket
@@ -150,7 +149,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                     kept.keep(kept_flight.truth_from_log(line))
     ending = _ending(args, outcome, seconds_between(began, ended), truth, daemon.health, child)
     if stopped:
-        ending = dataclasses.replace(ending, without_outcome="stopped by a person")
+        ending = replace(ending, without_outcome="stopped by a person")
     report = kept.write_report(ending, ending.duration_s, "real time")
     print_result(args, ending.as_json(), f"{ending.in_words()}\n{report}")
     return 0 if ending.on_pad else 1

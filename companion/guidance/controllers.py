@@ -5,10 +5,9 @@ A package offers one as an entry point of the group `decklander.controllers`, un
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from companion.guidance.controller import Controller, FieldOfView
 from companion.guidance.law.follow_deck import FollowDeck
@@ -22,8 +21,7 @@ from estimator.contracts.errors import BadInput
 GROUP = "decklander.controllers"
 
 
-@dataclass(frozen=True, slots=True)
-class ControllerSetup:
+class ControllerSetup(Struct, frozen=True):
     """Parts from which a controller is made."""
 
     guidance: GuidanceOptions

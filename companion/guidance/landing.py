@@ -3,10 +3,10 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from msgspec import Struct, field
 from msgspec.structs import replace
 
 from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, Event, State, StateChange
@@ -104,8 +104,7 @@ def _law_for_ardrone(guidance: GuidanceOptions) -> Controller[Any]:
     return make_controller(ControllerSetup(guidance, shipped_response("ardrone2")))
 
 
-@dataclass(frozen=True, slots=True)
-class PilotOptions:
+class PilotOptions(Struct, frozen=True):
     """Options of a pilot and its landing, beside those of its tracker, its estimator and its guidance."""
 
     automatic: bool = True
@@ -134,8 +133,7 @@ class PilotOptions:
     """True if a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
 
 
-@dataclass(slots=True)
-class _Flight:
+class _Flight(Struct):
     """Knowledge of one flight; a take-off begins another."""
 
     law: Any

@@ -1,7 +1,6 @@
 """The commands of guidance to a vehicle. Drivers turn them into bytes."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from msgspec import Struct
@@ -59,8 +58,7 @@ class Lean(Struct, frozen=True, eq=False):
         force_setattr(self, "v_level", v)
 
 
-@dataclass(frozen=True, slots=True)
-class LandingPlace:
+class LandingPlace(Struct, frozen=True):
     """A place on the Earth that does not move."""
 
     place: GeoPoint
@@ -69,8 +67,7 @@ class LandingPlace:
     """Distance beyond which nobody flies to it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Hover:
+class Hover(Struct, frozen=True):
     """Hold the position with the vehicle's own means; never descend."""
 
     calls_off: bool = False
@@ -81,13 +78,11 @@ class Hover:
     """Place to which a vehicle that knows its own flies by itself, and lands there by its own rules; another one hovers."""
 
 
-@dataclass(frozen=True, slots=True)
-class TakeOff:
+class TakeOff(Struct, frozen=True):
     """Leave the ground and hover."""
 
 
-@dataclass(frozen=True, slots=True)
-class Land:
+class Land(Struct, frozen=True):
     """Descend to the ground with the vehicle's own means and stop the motors there.
 
     Guidance repeats it in every cycle for as long as it wants to land; a driver treats its absence as the end of the landing.
@@ -99,13 +94,11 @@ class Land:
     """True if contact with the deck was felt: the vehicle is down, and its motors are to be stopped at once."""
 
 
-@dataclass(frozen=True, slots=True)
-class CutMotors:
+class CutMotors(Struct, frozen=True):
     """Stop the motors at once, wherever the vehicle is. Only a person orders it."""
 
 
-@dataclass(frozen=True, slots=True)
-class LeaveEmergency:
+class LeaveEmergency(Struct, frozen=True):
     """Leave the state that `CutMotors` led to; the motors stay off until a take-off."""
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, overload
 
@@ -91,8 +90,7 @@ class Feature(Struct, frozen=True, eq=False):
     """Points, (N, 2); an ellipse is given as its outline."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pose6:
+class Pose6(Struct, frozen=True, eq=False):
     """The full pose of the pad, from a method that measures it."""
 
     d_body_pad_level: F64
@@ -102,8 +100,8 @@ class Pose6:
     """Covariance, (6, 6): [d_body_pad_level (m), small rotation of the pad written in `level` (rad)]."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", checked_vector("Pose6.d_body_pad_level", self.d_body_pad_level))
-        object.__setattr__(self, "cov", checked_covariance("Pose6.cov", self.cov, 6))
+        force_setattr(self, "d_body_pad_level", checked_vector("Pose6.d_body_pad_level", self.d_body_pad_level))
+        force_setattr(self, "cov", checked_covariance("Pose6.cov", self.cov, 6))
 
 
 class Sighting(Struct, frozen=True, eq=False):

@@ -8,9 +8,9 @@ spatial to geographical coordinates, Survey Review 23 (1976) 323 (the way back).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from estimator.contracts.geometry import F64
 
@@ -21,8 +21,7 @@ _MINOR_M = SEMI_MAJOR_M * (1.0 - FLATTENING)
 _HEIGHT_M = (-1_000.0, 20_000.0)
 
 
-@dataclass(frozen=True, slots=True)
-class GeoPoint:
+class GeoPoint(Struct, frozen=True):
     """A place in WGS-84.
 
     Raises:

@@ -1,10 +1,10 @@
 """Coded pictures: what a decoder gives to the driver that received them. The driver knows the wire, the decoder the code."""
 
-from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 
@@ -25,8 +25,7 @@ class PictureRefusal(Enum):
     """The picture holds a code that its format does not have."""
 
 
-@dataclass(frozen=True, slots=True)
-class CodedPicture:
+class CodedPicture(Struct, frozen=True):
     """The header of a picture that can be decoded."""
 
     width: int

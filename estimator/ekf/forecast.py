@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
@@ -16,8 +16,7 @@ _SCALARS = ("height", "sigma_height", "rise", "sigma_rise", "roll", "sigma_roll"
 _Z = {0.5: 0.6745, 0.68: 0.9945, 0.8: 1.2816, 0.9: 1.6449, 0.95: 1.9600, 0.99: 2.5758}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Forecast:
+class Forecast(Struct, frozen=True, eq=False):
     """The deck at H instants ahead of `at`. Axes are those of `level` at `at`; the body is taken to keep its velocity.
 
     What the body really does is up to whoever steers it: subtract the planned departure from uniform motion.

@@ -7,9 +7,11 @@ drone answers on port 5559.
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Literal
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from drivers.ardrone import control
 
@@ -28,8 +30,7 @@ class Scope(Enum):
     SESSION = "sessions"
 
 
-@dataclass(frozen=True, slots=True)
-class Key:
+class Key(Struct, frozen=True):
     """One line of the configuration."""
 
     name: str
@@ -54,8 +55,7 @@ class Answer(Enum):
     """The key belongs to a session, user or application that the client did not name just before."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ids:
+class Ids(Struct, frozen=True):
     """Eight lower-case hexadecimal digits each."""
 
     session: str = DEFAULT_ID

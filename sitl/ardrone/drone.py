@@ -6,7 +6,6 @@ Its flight recorder is a GPS receiver on the drone's USB port, whose readings it
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from typing import assert_never
 
@@ -26,8 +25,7 @@ from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import Stick, World
 
 
-@dataclass(frozen=True, slots=True)
-class DroneClock:
+class DroneClock(Struct, frozen=True):
     """Maps this host's clock to the drone's."""
 
     boot: MonoNs

@@ -4,8 +4,10 @@ Source: a configuration that a 1.0 with firmware 1.7.4 sent; Parrot's developer 
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
 from typing import Literal
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
@@ -46,8 +48,7 @@ def _keys_of_the_first() -> Iterator[Key]:
             yield replace(key, default=_OF_THE_FIRST.get(name, key.default))
 
 
-@dataclass(frozen=True, slots=True)
-class Generation:
+class Generation(Struct, frozen=True):
     """One generation of the drone."""
 
     name: Name

@@ -6,10 +6,11 @@ Source: Parrot AR.Drone SDK 2.0 developer guide, chapters 6 (AT commands) and 7 
 import struct
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 from typing import assert_never
+
+from msgspec import Struct
 
 from drivers.ardrone import at
 from drivers.ardrone.counters import Refusal
@@ -68,8 +69,7 @@ class RefAction(Enum):
 HOVER = Stick(roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0, progressive=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Leds:
+class Leds(Struct, frozen=True):
     """The light show requested last."""
 
     animation: int

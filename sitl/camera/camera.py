@@ -6,11 +6,11 @@ coverage integrated over pixel and exposure); sea, deck and decals are scenery.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import cache
 
 import cv2
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
@@ -39,8 +39,7 @@ def _zeros() -> F64:
     return np.zeros(3)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Exposure:
+class Exposure(Struct, frozen=True, eq=False):
     """The pose of every object in the middle of the exposure, and its motion during the exposure."""
 
     t_s: float
@@ -61,8 +60,7 @@ class Exposure:
     """Angular velocity (3,) of the pad in `pad`, rad/s."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _View:
+class _View(Struct, frozen=True, eq=False):
     """View of a camera during an exposure."""
 
     pose: Pose

@@ -5,10 +5,10 @@ around it. It falls at a random place, stays, then runs off towards the tail wit
 """
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from sitl.camera.settings import DropSettings
@@ -27,8 +27,7 @@ _RUNS_OFF = 0.7
 """Part of its life after which a drop runs off."""
 
 
-@dataclass(frozen=True, slots=True)
-class Drop:
+class Drop(Struct, frozen=True):
     """A drop at one instant, px."""
 
     x: float
@@ -36,8 +35,7 @@ class Drop:
     radius: float
 
 
-@dataclass(frozen=True, slots=True)
-class Drops:
+class Drops(Struct, frozen=True):
     """The water that falls on a lens: the same at an instant whatever was computed before."""
 
     settings: DropSettings

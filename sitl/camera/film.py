@@ -15,12 +15,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache, lru_cache
 
 import cv2
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
@@ -43,8 +44,7 @@ _STEPS_OF_GAIN = 2.0
 """Steps of amplification in a stop; each has tables of its noise."""
 
 
-@dataclass(frozen=True, slots=True)
-class Taken:
+class Taken(Struct, frozen=True):
     """Conditions of one frame."""
 
     setting: ExposureSetting | None = None
@@ -256,8 +256,7 @@ _MIRED = (100.0, 400.0)
 """Limits of the white balance: 10000 to 2500 K, in 1e6 / K."""
 
 
-@dataclass(frozen=True, slots=True)
-class Automatics:
+class Automatics(Struct, frozen=True):
     """The time constants of a camera's automatics, s; 0 where it has none."""
 
     exposure_lag_s: float = 0.0
@@ -271,8 +270,7 @@ class Automatics:
         return self.exposure_lag_s > 0 or self.balance_lag_s > 0
 
 
-@dataclass(frozen=True, slots=True)
-class Adjusted:
+class Adjusted(Struct, frozen=True):
     """Values that the camera's automatics have set, and when."""
 
     t_s: float

@@ -1,9 +1,9 @@
 """A simulated gimbal: it follows its command with a lag, swings about it, and carries the camera."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64, Rotation
 from sitl.camera.camera import Exposure

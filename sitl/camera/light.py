@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.vision.srgb import linear_light
@@ -37,8 +37,7 @@ I16 = NDArray[np.int16]
 U16 = NDArray[np.uint16]
 
 
-@dataclass(frozen=True, slots=True)
-class Mast:
+class Mast(Struct, frozen=True):
     """A mast whose shadow may fall on deck."""
 
     height_m: float
@@ -46,8 +45,7 @@ class Mast:
     """Position of its foot in `pad`, m."""
 
 
-@dataclass(frozen=True, slots=True)
-class Light:
+class Light(Struct, frozen=True):
     """The light on the scene, and the optics between it and the sensor."""
 
     colour_temperature_k: float = 6500.0
@@ -89,8 +87,7 @@ class Light:
         return np.asarray(rgb[::-1], dtype=np.float32)
 
 
-@dataclass(frozen=True, slots=True)
-class Sensor:
+class Sensor(Struct, frozen=True):
     """The imager behind the lens."""
 
     exposure_s: float = 0.008
@@ -205,8 +202,7 @@ def scene_of(bgr: U8 | Sequence[int]) -> U16:
     return np.concatenate([light, np.full((*light.shape[:-1], 1), DL_SCENE_ONE, np.uint16)], axis=-1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PadInImage:
+class PadInImage(Struct, frozen=True, eq=False):
     """The pad in one frame."""
 
     kinds: U8
@@ -221,8 +217,7 @@ class PadInImage:
     """(N, 6, fine * fine) coverage of these parts, row by row; None if they are not divided."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PadBlur:
+class PadBlur(Struct, frozen=True, eq=False):
     """Difference between the lens' blur of the pad's edges and a blur of pixels, in a part of the frame."""
 
     window: NDArray[np.int32]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.settings.load import find_file, read_toml
@@ -187,8 +187,7 @@ _SLICE_M = 0.04
 """Height of a person's slices."""
 
 
-@dataclass(frozen=True, slots=True)
-class Solid:
+class Solid(Struct, frozen=True):
     """A body on or over the deck, at rest or on its way to another place and back. Places are in `pad`."""
 
     kind: SolidKind

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
@@ -22,8 +22,7 @@ RGB = tuple[int, int, int]
 DecalKind = Literal["raft", "awning", "helipad", "bare_h", "green_disc", "ring", "lifebuoy", "towel", "crate", "rope"]
 
 
-@dataclass(frozen=True, slots=True)
-class Deck:
+class Deck(Struct, frozen=True):
     """A flat deck in the pad's plane. Its own axes: x to the bow, y to starboard, origin in the pad's centre."""
 
     length_m: float = 5.0
@@ -58,8 +57,7 @@ class Deck:
         return np.concatenate([[(x0, y - half)], bow, [(x0, y + half)]])
 
 
-@dataclass(frozen=True, slots=True)
-class Decal:
+class Decal(Struct, frozen=True):
     """A flat object on deck or on the pad (position in `pad`) or on the water (position in `ned`), `size_m` across."""
 
     kind: DecalKind
@@ -83,8 +81,7 @@ class Decal:
         return [(points @ turn + self.centre_m, rgb or self.colour or usual) for points, rgb in parts]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
+class Surroundings(Struct, frozen=True, eq=False):
     """Everything in the frame except the pad and the light."""
 
     deck: Deck | None = Deck()
@@ -166,8 +163,7 @@ _DRAWINGS: dict[str, tuple[RGB, list[tuple[F64, RGB | None]]]] = {
 """Usual colour of the main part of each decal, and polygons about its centre, in half sizes; None for the main part's colour."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DeckDrawing:
+class DeckDrawing(Struct, frozen=True, eq=False):
     """Painted steel around the pad, BGR."""
 
     paint: U8

@@ -4,8 +4,9 @@ import copy
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 from companion.settings.load import from_mapping as settings_from_mapping
 from companion.settings.model import EXPERT, Settings
@@ -110,8 +111,7 @@ _DIGITS = 9
 """Significant digits of a value, as a command line shows them: enough for any key, and short enough to read."""
 
 
-@dataclass(frozen=True, slots=True)
-class Axis:
+class Axis(Struct, frozen=True):
     """One varied key with its values."""
 
     key: str

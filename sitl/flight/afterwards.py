@@ -5,10 +5,10 @@ that it was refused for, over a ship that goes on.
 """
 
 import math
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from msgspec import Struct, field
 
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.flight.referee import Referee
@@ -23,8 +23,7 @@ WATCHED_S = 60.0
 _ON_DECK = (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
 
 
-@dataclass(frozen=True, slots=True)
-class Standing:
+class Standing(Struct, frozen=True):
     """The place of a vehicle on the deck some seconds after its contact."""
 
     after_s: float
@@ -60,8 +59,7 @@ class Standing:
         return f"stands {100 * self.lateral_m:.1f} cm from the pad's centre, {100 * self.slid_m:.1f} cm from its contact{beside}"
 
 
-@dataclass(frozen=True, slots=True)
-class Aftermath:
+class Aftermath(Struct, frozen=True):
     """Flight of a vehicle that was in the air at the outcome."""
 
     watched_s: float

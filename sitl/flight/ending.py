@@ -6,9 +6,11 @@ A flight is graded by what its scenario expects, and what the referee found.
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, NamedTuple
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from companion.base.mission import CONTACT_INTENDED, REFUSALS, FlightOutcome
 from companion.guidance.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
@@ -27,8 +29,7 @@ GUIDANCE_LATE_MAX_S = 0.02
 _FRAMES_HZ = 30.0
 
 
-@dataclass(frozen=True, slots=True)
-class Load:
+class Load(Struct, frozen=True):
     """The load of the machine during a flight in real time."""
 
     duration_s: float
@@ -151,8 +152,7 @@ _WHERE = {"pad": "on the pad", "deck": "on deck, off the pad", "water": "in the 
 _OVER_RIM = "over the pad's rim"
 
 
-@dataclass(frozen=True, slots=True)
-class FlightGrade:
+class FlightGrade(Struct, frozen=True):
     """The simulator's grade of a whole flight."""
 
     grade: Grade
@@ -177,8 +177,7 @@ class FlightGrade:
     """Counts of the referee, each beside its limit."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ending:
+class Ending(Struct, frozen=True):
     """The ending of a flight."""
 
     scenario: str

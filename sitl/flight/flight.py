@@ -9,11 +9,11 @@ A simulated person stands beside it and gives the orders of the scenario's `oper
 import math
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.base.health import Health
@@ -64,8 +64,7 @@ _WATCH_EACH = 10
 """Number of ticks between two checks of the truth for the grade: 50 ms."""
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
+class Timing(Struct, frozen=True):
     """The delays of the simulated service, and the end of its time."""
 
     frame_period_s: float | None = None

@@ -6,10 +6,11 @@
 import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
 from functools import partial
 
 import msgspec
+from msgspec import Struct
+from msgspec.structs import replace
 
 from companion.base.health import Health
 from companion.base.observer import Observer
@@ -99,8 +100,7 @@ def following(scenario: Scenario, settings: Settings, *, by_autopilot: bool = Fa
     )
 
 
-@dataclass(frozen=True, slots=True)
-class FlyOptions:
+class FlyOptions(Struct, frozen=True):
     """The rarer options of `fly`."""
 
     perception_model: str | None = None

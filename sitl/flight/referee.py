@@ -7,8 +7,9 @@ their instants. It knows no state, phase or setting of guidance; what a flight c
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
+
+from msgspec import Struct, field
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.motion import G_M_S2
@@ -26,8 +27,7 @@ STAMP_ERROR_MAX_S = 0.5
 """Error of a frame's stamp beyond which the frame says nothing about the pad's present position."""
 
 
-@dataclass(frozen=True, slots=True)
-class BlindDescent:
+class BlindDescent(Struct, frozen=True):
     """The deepest descent without true sight of the pad."""
 
     descent_m: float
@@ -211,8 +211,7 @@ def limits_of(errand: Errand, contact: ContactSettings, frame: Airframe) -> dict
     }  # fmt: skip
 
 
-@dataclass(slots=True)
-class Count:
+class Count(Struct):
     """One count of a flight."""
 
     limit: CountLimit

@@ -53,8 +53,7 @@ Components = Literal["geometric", "equal_energy"]
 """The choice of the harmonics' frequencies: a random place inside each of geometric bins, or of bins of equal energy."""
 
 
-@dataclass(frozen=True, slots=True)
-class SeaState:
+class SeaState(Struct, frozen=True):
     """One system of waves: significant height 4 sqrt(m0), peak period of the spectrum, and its shape."""
 
     hs_m: float

@@ -4,13 +4,13 @@ vehicle = load(path)               # of a shipped one: configs/vehicles/ardrone2
 """
 
 import math
-from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import msgspec
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
+from msgspec.structs import replace
 
 from companion.settings.load import read_toml
 from companion.settings.schema import explain
@@ -21,8 +21,7 @@ from estimator.contracts.motion import G_M_S2
 from sitl.vehicle.disturbances import EffectSettings
 
 
-@dataclass(frozen=True, slots=True)
-class Loops:
+class Loops(Struct, frozen=True):
     """Gains of the inner loops: P and D as in the thesis' simulator (hector_quadrotor's controller), the rest as documented."""
 
     tilt_p: float = 10.0
@@ -56,8 +55,7 @@ class Loops:
     """1/s: climb rate commanded per metre away from the height held."""
 
 
-@dataclass(frozen=True, slots=True)
-class Avionics:
+class Avionics(Struct, frozen=True):
     """The errors of the drone's own estimates, which feed its control loops as well as its telemetry."""
 
     tilt_bias_sigma_rad: float = 0.009
@@ -92,8 +90,7 @@ class Feet(Struct, frozen=True, forbid_unknown_fields=True):
         return np.array([[a, a, z], [a, -a, z], [-a, -a, z], [-a, a, z]])
 
 
-@dataclass(frozen=True, slots=True)
-class Airframe:
+class Airframe(Struct, frozen=True):
     """The figures that do not change in flight. Mass, inertia and largest force are those of the thesis' simulator."""
 
     mass_kg: float = 1.477
@@ -166,8 +163,7 @@ class Airframe:
         return math.degrees(least)
 
 
-@dataclass(slots=True)
-class StickLimits:
+class StickLimits(Struct):
     """The values that a full stick requests. They can be set in flight."""
 
     euler_angle_max_rad: float = 0.21
@@ -267,7 +263,7 @@ class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
             tilt_max_rad=math.radians(self.loops.tilt_max_deg),
             yaw_rate_p=self.loops.yaw_rate_p,
         )
-        shared = {one.name: getattr(self, one.name) for one in fields(Airframe) if hasattr(self, one.name)}
+        shared = {name: getattr(self, name) for name in Airframe.__struct_fields__ if hasattr(self, name)}
         return Airframe(**{**shared, "loops": loops})
 
     def stick_limits(self) -> StickLimits:
@@ -355,8 +351,7 @@ class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):
         return limits
 
 
-@dataclass(frozen=True, slots=True)
-class Rotor:
+class Rotor(Struct, frozen=True):
     """One rotor: its axis, in arms of the airframe, and the torque that its drag puts on the body."""
 
     name: str

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
@@ -21,8 +20,7 @@ from estimator.contracts.keys import number
 from sitl.core.library import SIM
 
 
-@dataclass(frozen=True, slots=True)
-class Wind:
+class Wind(Struct, frozen=True):
     """Steady wind with gusts, uniform around the vehicle.
 
     Each component of the gust is a first-order Gauss-Markov process, whose spectrum is Dryden's longitudinal one

@@ -6,7 +6,6 @@ A scenario's table `[wind]` chooses it.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
@@ -22,8 +21,7 @@ _DECK_TIME_S = 5.0
 """The ship's own velocity is that of the deck, smoothed over this time: waves do not move the wake."""
 
 
-@dataclass(frozen=True, slots=True)
-class GustOnce:
+class GustOnce(Struct, frozen=True):
     """A discrete gust: "1 - cosine" up, some time at its full speed, and down again (MIL-F-8785C, 3.7.1.3)."""
 
     at_s: float
@@ -33,8 +31,7 @@ class GustOnce:
     """m/s north and east, on top of the wind."""
 
 
-@dataclass(frozen=True, slots=True)
-class WakingHull:
+class WakingHull(Struct, frozen=True):
     """The side of a hull over which the air separates."""
 
     freeboard_m: float
@@ -42,8 +39,7 @@ class WakingHull:
     """Distances of the deck's fore, aft, port and starboard edge from the pad's centre."""
 
 
-@dataclass(frozen=True, slots=True)
-class AirModel:
+class AirModel(Struct, frozen=True):
     """Model of the air."""
 
     speed_m_s: float

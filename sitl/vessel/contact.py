@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from msgspec import Struct
+
 from estimator.contracts.geometry import F64
 
 Vec = tuple[float, float, float]
@@ -49,8 +51,7 @@ class DeckShape:
         return -self.aft_m <= along <= fore and -half <= across <= half
 
 
-@dataclass(slots=True)
-class Ground:
+class Ground(Struct):
     """The pad's frame (which is also the deck's) and the water under the vehicle at one instant."""
 
     p: Vec

@@ -14,7 +14,6 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -121,8 +120,7 @@ _FARTHEST = (1e4, 1e4, 50.0, 80.0, 80.0, 1e5)
 """m and degrees: beyond these a column holds something else."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordedMotion:
+class RecordedMotion(Struct, frozen=True, eq=False):
     """Natural cubic splines through the samples: positions are C2, velocities C1, accelerations continuous."""
 
     t_s: F64
@@ -408,8 +406,7 @@ class VesselFile(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("bow_taper_m must be less than length_m")
 
 
-@dataclass(frozen=True, slots=True)
-class Ship:
+class Ship(Struct, frozen=True):
     """Ship from a vessel file, ready to move."""
 
     hull: Hull

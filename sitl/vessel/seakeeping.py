@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -29,8 +28,7 @@ _ODD = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
 """A wave from the other side mirrors sway, roll and yaw of a hull that is alike on both sides."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ResponseTable:
+class ResponseTable(Struct, frozen=True, eq=False):
     """Complex responses on a grid, as `sitl.vessel.seakeeping.responses` returns them."""
 
     encounter_rad_s: F64
@@ -112,8 +110,7 @@ class Superstructure(Struct, frozen=True, forbid_unknown_fields=True):
         return along < 0.5 * self.length_m and across < 0.5 * self.width_m
 
 
-@dataclass(frozen=True, slots=True)
-class Hull:
+class Hull(Struct, frozen=True):
     """The figures that the responses need, and the position of the pad on the hull."""
 
     name: str
@@ -254,8 +251,7 @@ def heel_rad(hull: Hull, speed_m_s: F64, rate_rad_s: F64) -> F64:
     return np.asarray(-speed_m_s * rate_rad_s * (hull.kg_m - 0.5 * hull.draught_m) / (G_M_S2 * hull.gm_m))
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
+class Turn(Struct, frozen=True):
     """A turn that begins at some instant: rate and speed go over smoothly, then the ship runs in a circle."""
 
     rate_rad_s: float
@@ -265,8 +261,7 @@ class Turn:
     """Time until rate and speed are steady."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class Course(Struct, frozen=True, eq=False):
     """Course of the ship without waves at times (T,), relative to its place and heading at time 0."""
 
     p: F64

@@ -5,7 +5,6 @@ Two special vessels do not keep a steady course: one turns, and the motion of th
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,7 @@ from sitl.vessel.seakeeping import Course, Hull, Turn, TurningCourse, encounter_
 _EYE = np.eye(3)
 
 
-@dataclass(frozen=True, slots=True)
-class Mooring:
+class Mooring(Struct, frozen=True):
     """Slow drift of a hull at anchor: one harmonic each in surge, sway and yaw, of these amplitudes and periods."""
 
     surge_m: float = 0.05
@@ -32,8 +30,7 @@ class Mooring:
     """Period of the sway. Surge has half of it and yaw one and a half of it, so that the path does not close soon."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class Motion(Struct, frozen=True, eq=False):
     """[surge forward, sway to starboard, heave down, roll, pitch, yaw] about the steady course, and its two derivatives."""
 
     eta: F64

@@ -1,11 +1,12 @@
 """Build the parts of the world for a scenario: seeds, vehicle, deck, wind, sea, vessel, camera."""
 
+import dataclasses
 import math
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
@@ -82,7 +83,7 @@ def true_camera(scenario: Scenario) -> Camera:
     if wrong.focal_length == 1.0 and not any(turned):
         return camera
     mount = Transform(Rotation.from_rpy(*turned) @ camera.T_body_cam.R, camera.T_body_cam.t)
-    return replace(camera, fx=camera.fx * wrong.focal_length, fy=camera.fy * wrong.focal_length, T_body_cam=mount)
+    return dataclasses.replace(camera, fx=camera.fx * wrong.focal_length, fy=camera.fy * wrong.focal_length, T_body_cam=mount)
 
 
 def limits(scenario: Scenario) -> StickLimits:

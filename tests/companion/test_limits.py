@@ -47,7 +47,7 @@ def tilting(roll_deg: float, pitch_deg: float) -> Forecast:
     """Return a deck that is level now and has this tilt when the drone comes down."""
     to_come = np.radians(np.array(HORIZONS_S)[:, None] / TO_CONTACT_S * [roll_deg, pitch_deg])
     level = forecast(np.zeros(len(HORIZONS_S)), NOW)
-    fields = {name: getattr(level, name) for name in Forecast.__dataclass_fields__}
+    fields = {name: getattr(level, name) for name in Forecast.__struct_fields__}
     return Forecast(**fields | {"roll_rad": to_come[:, 0], "pitch_rad": to_come[:, 1]})
 
 

@@ -6,7 +6,6 @@ import json
 import math
 import re
 from collections import Counter
-from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from msgspec import structs
+from msgspec.structs import replace
 
 from companion.base.mission import Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause

@@ -3,7 +3,6 @@
 import functools
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
+from msgspec.structs import replace
 
 from companion.base.mission import Event, State
 from companion.base.response_in_use import AS_FILED, ResponseInUse, ResponseState  # fmt: skip

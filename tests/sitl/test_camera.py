@@ -4,10 +4,10 @@ Positions are measured in linear light, as a sensor adds it up: the 50 % crossin
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 

@@ -1,13 +1,13 @@
 """Invariants of the core's step of vehicle, contacts, air and sensors, over random flights."""
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from companion.settings.load import SHIPPED
 from estimator.contracts.geometry import F64, Rotation

@@ -1,12 +1,12 @@
 """Frames one after the other: automatics that lag, a driven exposure, a link that loses packets, a renderer of its own."""
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from drivers.camera.exposure import TARGET, ExposureDrive, ExposureSetting, Metered

@@ -1,10 +1,10 @@
 """Light, lamps, weather, sensor and noise: each does to the frame's light what its setting promises."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64
 from estimator.vision.srgb import linear_light

@@ -1,10 +1,11 @@
 """Registration of frames whose rows are exposed one after the other, with and without the camera's readout time."""
 
+import dataclasses
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.guidance.make_pilot import make_pilot
 from companion.settings.load import load
@@ -42,16 +43,15 @@ def errors(view: Exposure, camera: Camera, readout_s: float) -> tuple[F64, F64]:
     px = renderer.render(view, np.random.default_rng(3))
     true = pad_pose(view, camera)
     about = PadPose(Rotation.from_rotvec(np.array([0.01, -0.01, 0.02])) @ true.R_cam_pad, 1.02 * true.t_cam_pad)
-    mended = at_one_instant(px, replace(camera, readout_s=readout_s), about, motion_of(view, camera))
+    mended = at_one_instant(px, dataclasses.replace(camera, readout_s=readout_s), about, motion_of(view, camera))
     roll, pitch, _ = view.R_ned_body.rpy_rad
     tilt = Orientation(roll, pitch, math.radians(0.5) ** 2 * np.eye(2), math.radians(3.0), True)
     out = []
     for image in (px, mended):
         found = register(image, camera, painted, true, tilt)
         assert found is not None
-        pose = found.pose
-        turned: Rotation = pose.R_cam_pad @ true.R_cam_pad.inv
-        out.append(np.r_[pose.t_cam_pad - true.t_cam_pad, turned.rotvec_rad])
+        turned: Rotation = found.pose.R_cam_pad @ true.R_cam_pad.inv
+        out.append(np.r_[found.pose.t_cam_pad - true.t_cam_pad, turned.rotvec_rad])
     return out[0], out[1]
 
 
@@ -76,7 +76,7 @@ def test_the_readout_is_taken_out_of_the_pose(camera: Camera, height_m: float) -
 def test_a_frame_in_which_nothing_moves_is_left_as_it_is() -> None:
     px = np.zeros((360, 640, 3), np.uint8)
     still = CameraMotion(np.zeros(3), np.zeros(3))
-    assert at_one_instant(px, replace(PLAIN, readout_s=0.03), pad_pose(shot(1.0), PLAIN), still) is px
+    assert at_one_instant(px, dataclasses.replace(PLAIN, readout_s=0.03), pad_pose(shot(1.0), PLAIN), still) is px
 
 
 @pytest.mark.parametrize("noise_rad", [0.0, 2e-3])
@@ -95,7 +95,7 @@ def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief_or_of_the_gy
     stamp, R = make.stamp(2.0), Rotation.from_rotvec(w_body)
     at, v_level = stamp.measured_at, Rotation.from_rpy(0.0, 0.0, -R.rpy_rad[2]) @ -v_body_ned
     belief = RelativeState(at, "ekf", np.array([0.1, 0.2, 1.5]), v_level, 0.0, 1e-4 * np.eye(7), at, True)
-    rolling = replace(PLAIN, readout_s=READOUT_S)
+    rolling = dataclasses.replace(PLAIN, readout_s=READOUT_S)
     true = motion_of(replace(shot(1.0), R_ned_body=R, v_body_ned=v_body_ned, w_body=w_body), PLAIN)
     by_attitude = pilot.estimator.camera_motion(stamp, rolling, belief)
     assert by_attitude is not None
@@ -126,7 +126,7 @@ def test_a_camera_file_with_a_readout_time_changes_what_a_flight_sees() -> None:
     belief, off = RelativeState(at, "ekf", d, v, -heading, 1e-4 * np.eye(7), at, True), {}
     for known_s in (0.0, READOUT_S):
         motion = motion_of(view, PLAIN) if known_s else None
-        tracker = TrackerConfig(replace(PLAIN, readout_s=known_s), painted, motion=motion)
+        tracker = TrackerConfig(dataclasses.replace(PLAIN, readout_s=known_s), painted, motion=motion)
         seen, _ = track(tracker, TrackerMemory(), frame, attitude, belief)
         assert seen.selected is not None
         off[known_s] = float(np.linalg.norm(seen.selected.d_body_pad_level - d))

@@ -1,7 +1,6 @@
 """Everything around the pad: whole frames from anywhere, the same bits for the same seed, and no pad where none is."""
 
 import math
-from dataclasses import replace
 from functools import cache
 from typing import get_args
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from estimator.contracts.geometry import Rotation
 from sitl.camera.camera import Exposure, Renderer

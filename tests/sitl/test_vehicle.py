@@ -1,10 +1,10 @@
 """The rigid body, its inner loops and its contact with deck and water."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2

@@ -1,13 +1,13 @@
 """Vehicles from files: the AR.Drone as it always was, other sizes, six rotors, and the ground effect at the deck's edge."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from companion.settings.load import SHIPPED, response_model, shipped, shipped_response
 from estimator.contracts.errors import BadInput

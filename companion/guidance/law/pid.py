@@ -12,10 +12,9 @@ against the wind; here the integral outlives a hover, and the driver keeps the t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
-from msgspec import structs
+from msgspec import Struct, field, structs
 
 from companion.guidance.controller import Knowledge, Target
 from companion.settings.guidance import PidOptions
@@ -27,8 +26,7 @@ _DT_MAX_S = 0.2
 """Longest time that one step integrates over, seconds, even if the controller was not called for longer."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pid:
+class Pid(Struct, frozen=True, eq=False):
     """The controller's memory."""
 
     integral: F64 = field(default_factory=lambda: np.zeros(4))

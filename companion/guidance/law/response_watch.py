@@ -15,7 +15,6 @@ own. Gains for a shorter one that the vehicle does not have hardly stand the veh
 fit errs that way.
 """
 
-import dataclasses
 import math
 from functools import lru_cache
 
@@ -228,7 +227,7 @@ def judged(in_use: ResponseInUse, given: TiltResponse, fit: TiltFit, known_s: fl
         return in_use
     if off <= CONTRADICTION_S:
         assumed = in_use.state is ResponseState.ASSUMED
-        return dataclasses.replace(in_use, state=ResponseState.KNOWN, sigma_s=sigma) if assumed else in_use
+        return structs.replace(in_use, state=ResponseState.KNOWN, sigma_s=sigma) if assumed else in_use
     if off <= 3.0 * sigma:
         return in_use
     if abs(delay_s - given.delay_s) <= CONTRADICTION_S:
@@ -299,7 +298,7 @@ class ResponseIdentifier:
         if not self._on:
             return None
         shape, of = self._watch.shape, self._watch.in_use
-        return of if shape is AS_FILED else dataclasses.replace(of, shape=shape)
+        return of if shape is AS_FILED else structs.replace(of, shape=shape)
 
     @property
     def late_s(self) -> float | None:

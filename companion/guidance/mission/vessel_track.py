@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import MappingProxyType
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from companion.base.reason import Reason, ReasonCause
 from companion.guidance.mission.cycle import VesselPosition
@@ -45,8 +46,7 @@ class ReportRefusal(Enum):
     JUMP = "jump"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class VesselTrack:
+class VesselTrack(Struct, frozen=True, eq=False):
     """The newest reports that were taken, and the count of those that were not. Immutable."""
 
     limits: ReportLimits = field(default_factory=ReportLimits)

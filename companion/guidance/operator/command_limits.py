@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -197,8 +196,7 @@ def _braking(v: F64, change: F64) -> F64:
     return change * min(1.0, max(0.0, -float(v @ change) / size_2)) if size_2 > 0.0 else change
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Frame:
+class _Frame(Struct, frozen=True, eq=False):
     """Position of the vehicle from a fence's centre."""
 
     p: F64

@@ -2,10 +2,11 @@
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
+from msgspec import Struct, field
+from msgspec.structs import force_setattr
 
 from companion.base.mission import StateChange
 from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame, ThingReport, things_of
@@ -28,8 +29,7 @@ _SAME_S, _SAME_M = 2.0, 0.35
 """Time for which a thing may be out of sight, and distance by which its place may change, and still be the same."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TruthSample:
+class TruthSample(Struct, frozen=True, eq=False):
     """The pad's true position, in the terms of an estimate; only a simulator or motion capture knows it."""
 
     at: MonoNs
@@ -45,30 +45,27 @@ class TruthSample:
     """The attitude of the pad."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", checked_vector("TruthSample.d_body_pad_level", self.d_body_pad_level))
-        object.__setattr__(self, "v_pad_level", checked_vector("TruthSample.v_pad_level", self.v_pad_level))
+        force_setattr(self, "d_body_pad_level", checked_vector("TruthSample.d_body_pad_level", self.d_body_pad_level))
+        force_setattr(self, "v_pad_level", checked_vector("TruthSample.v_pad_level", self.v_pad_level))
         if not -math.pi <= self.yaw_rad <= math.pi:
             raise ValueError(f"TruthSample.yaw_rad must lie in (-pi, pi], got {self.yaw_rad}")
 
 
-@dataclass(frozen=True, slots=True)
-class CommandRecord:
+class CommandRecord(Struct, frozen=True):
     """A command, and the instant at which it was sent to the vehicle."""
 
     at: MonoNs
     command: Command
 
 
-@dataclass(frozen=True, slots=True)
-class PhaseChange:
+class PhaseChange(Struct, frozen=True):
     """The guidance (or the vehicle) entered a phase; it lasts until the next change."""
 
     at: MonoNs
     phase: str
 
 
-@dataclass(frozen=True, slots=True)
-class FrameRecord:
+class FrameRecord(Struct, frozen=True):
     """The outcome of one frame. Its sightings are those of `FlightLog.sightings` with the same `seq`."""
 
     exposed_at: MonoNs
@@ -84,8 +81,7 @@ class FrameRecord:
     """The image as bytes or a file, in JPEG or any format that OpenCV reads, or of a video; None if it was not kept."""
 
 
-@dataclass(frozen=True, slots=True)
-class LoggedContact:
+class LoggedContact(Struct, frozen=True):
     """A contact with a surface. What is not known is nan."""
 
     at: MonoNs
@@ -106,8 +102,7 @@ class LoggedContact:
     """The phase of guidance just before the contact."""
 
 
-@dataclass(frozen=True, slots=True)
-class DeckSample:
+class DeckSample(Struct, frozen=True):
     """The deck by a forecast or by truth."""
 
     at: MonoNs
@@ -123,8 +118,7 @@ class DeckSample:
     sigma_pitch_rad: float
 
 
-@dataclass(frozen=True, slots=True)
-class StageTime:
+class StageTime(Struct, frozen=True):
     """Duration of one stage of one frame."""
 
     at: MonoNs
@@ -132,8 +126,7 @@ class StageTime:
     seconds: float
 
 
-@dataclass(slots=True)
-class LoggedThing:
+class LoggedThing(Struct):
     """Something on the pad or about it, from the first frame that it was known in to the last one."""
 
     first: MonoNs
@@ -150,8 +143,7 @@ class LoggedThing:
         )
 
 
-@dataclass(slots=True, eq=False)
-class FlightLog:
+class FlightLog(Struct, eq=False):
     """The log of one flight. Lists are in order of time; each may be empty, and the page then reports that."""
 
     title: str

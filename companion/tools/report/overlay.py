@@ -1,11 +1,10 @@
 """Draw over a frame: features and the estimated pad, and where the filter expected it by the errors that it knows."""
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from msgspec import structs
+from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 from companion.base.observer import ProcessedFrame
@@ -21,8 +20,7 @@ _SHIFT = 4
 _FAR_PX = 20_000.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Overlay:
+class Overlay(Struct, frozen=True, eq=False):
     """The items to draw over one frame."""
 
     sightings: tuple[Sighting, ...] = ()

@@ -11,6 +11,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from msgspec import structs
+
 from companion.base.mission import ENDED, State
 from companion.recording.palette import FLIGHTS
 from companion.tools.report import page_parts, plots
@@ -175,7 +177,7 @@ def landing_began(log: FlightLog) -> MonoNs:
 
 def render_comparison(recorded: Sequence[FlightLog], films: Sequence[FilmFile | None]) -> str:
     """Return the page of two flights. The pad that is drawn is the first flight's."""
-    logs = [replace(log, started=landing_began(log)) for log in recorded]
+    logs = [structs.replace(log, started=landing_began(log)) for log in recorded]
     sections = _merged([_sections(log, k) for k, log in enumerate(logs)])
     flights, happened, ways, marked = [], [], list[PadTrack](), list[Mark]()
     for k, (log, film) in enumerate(zip(logs, films, strict=True)):

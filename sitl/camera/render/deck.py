@@ -4,11 +4,11 @@ The ship beside her deck shows her sides, her shadow on the water and her wake.
 """
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
@@ -25,8 +25,7 @@ _NEAR_M, _NEAR_PPM = 1.2, 500.0
 """Half side and resolution of the drawing for pictures from near by."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WornDrawing:
+class WornDrawing(Struct, frozen=True, eq=False):
     """A deck's drawing with the wear of its paint as fourth channel, in several resolutions."""
 
     levels: tuple[tuple[U16, F64], ...]

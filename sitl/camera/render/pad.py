@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
@@ -59,8 +59,7 @@ Pose = tuple[F64, F64]
 """Rotation (3, 3) of the pad and its centre (3,) m in `cam`."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stroke:
+class Stroke(Struct, frozen=True, eq=False):
     """The pad's way during a part of the exposure."""
 
     first: Pose
