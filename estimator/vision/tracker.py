@@ -29,11 +29,13 @@ from estimator.vision.by_paint import TrackerMemory as TrackerMemory
 from estimator.vision.by_paint import by_paint, by_thesis, read_deck
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import FRESH_SEARCH
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.template import paints_at
 from estimator.vision.detection import Detection
 from estimator.vision.expectation import ExpectedPlace, expected, in_camera, near_enough, sigma_of
 from estimator.vision.lamp import places_of
 from estimator.vision.lamp_sighting import by_lamps, is_dark
+from estimator.vision.native import tracker_of, work_done
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings, confusable_turns
@@ -48,6 +50,12 @@ _AT = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
 _NO_STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
 _DECK, _H, _ORANGE, _DISC, _BLACK = (110, 105, 100), (235, 235, 235), (30, 120, 230), (60, 130, 50), (20, 20, 20)
 """Colours of deck and paints, BGR; fiducials are dark on light."""
+
+
+def prepare(tracker: TrackerConfig, px: NDArray[np.uint8]) -> None:
+    """Build what the first look at such an image would build, in colour or in grey: the drawing's maps, and the lens' rays."""
+    for pad in (FrameView(Pyramid(px), tracker.camera, tracker.pad).as_seen().pad, None):
+        tracker_of(tracker.camera, pad)
 
 
 def rehearse(tracker: TrackerConfig) -> Detection:
@@ -99,10 +107,6 @@ def drawn_lamps(camera: Camera, pad: Pad) -> NDArray[np.uint8]:
     return np.asarray(cv2.GaussianBlur(px, (0, 0), 0.8), np.uint8)
 
 
-_LAMPS_WORK = 3.0
-"""Work of a search for lamps, in the unit of `TrackerConfig.search_work`, shared with the search for paint."""
-
-
 def track(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None = None
 ) -> tuple[Detection, TrackerMemory]:
@@ -130,11 +134,12 @@ def sight(
         return by_thesis(tracker, frame, attitude), memory
     if not tracker.pad.lamps:
         return _painted(tracker, memory, frame, attitude, belief)
+    began = work_done()
     first = memory.lit or not tracker.pad.is_identifiable_by_paint or is_dark(frame)
     lit = by_lamps(tracker, memory, frame, attitude, belief) if first else None
     seen, left = Detection(None, None, MappingProxyType({})), memory
     if tracker.pad.is_identifiable_by_paint and not _is_sure(lit):
-        rest = dataclasses.replace(tracker, search_work=tracker.search_work - _LAMPS_WORK) if first else tracker
+        rest = dataclasses.replace(tracker, search_work=tracker.search_work - 1e-6 * (work_done() - began)) if first else tracker
         seen, left = _painted(rest, memory, frame, attitude, belief)
         if not first and not _is_sure(seen.selected):
             lit = by_lamps(tracker, memory, frame, attitude, belief)

@@ -12,6 +12,8 @@
 #include "base/rotation.h"
 
 enum { CHANNELS = 3 };
+/* Work of a pixel in which something bright is looked for, and of a lamp in a pair of spots that is tried. */
+enum { PIXEL_WORK = 7, LAMP_WORK = 24 };
 /* At most this many of the brightest spots are tried in a shift of an expected pose. */
 enum { SHIFTED = 18 };
 /* Reach of a lamp's spot about a searched pose, and about a fitted one, px. */
@@ -202,13 +204,15 @@ static int write_surest(const dark_frame *f, int n, const explained_lamps *found
 }
 
 /* Find the spots of a part of the frame; 0, and none, if it has more than a dark deck. */
-static int find_spots(dark_frame *f, const uint8_t *frame, const uint16_t *light, const int at[4], uint32_t *scratch)
+static int find_spots(dl_tracker *t, const uint8_t *frame, const int at[4], dark_frame *f)
 {
     const int stride = CHANNELS * (int)f->camera->width;
-    const lit_part part = {frame + (int64_t)at[1] * stride + CHANNELS * at[0], light, stride, at[0], at[1], at[2] - at[0], at[3] - at[1]};
+    const lit_part part = {frame + (int64_t)at[1] * stride + CHANNELS * at[0], t->lamp_light, stride, at[0], at[1], at[2] - at[0],
+                           at[3] - at[1]};
     bright_part bright;
     f->spots.n = 0;
-    if (!bright_places(&part, scratch, &bright)) {
+    count_work(t, (int64_t)part.width * part.height, PIXEL_WORK);
+    if (!bright_places(&part, (uint32_t *)(void *)t->scratch, &bright)) {
         return 0;
     }
     spots_of(&bright, &part, &f->spots);
@@ -288,11 +292,12 @@ static int find_expected(dark_frame *f, const dl_expected_lamps *at, explained_l
 }
 
 /* Search the spots of the whole frame; returns the number of answers. */
-static int find_anywhere(const dark_frame *f, uint32_t *scratch, explained_lamps found[LAMP_GUESSES])
+static int find_anywhere(dl_tracker *t, const dark_frame *f, explained_lamps found[LAMP_GUESSES])
 {
     dl_pad_pose guesses[LAMP_GUESSES];
-    const int tried = guess_lamps(f->camera, f->pad, f->prior, &f->spots, scratch, guesses);
+    const int tried = guess_lamps(f->camera, f->pad, f->prior, &f->spots, (uint32_t *)(void *)t->scratch, guesses);
     const double tests = guesses_tried(f->pad, &f->spots);
+    count_work(t, (int64_t)tests * f->pad->lamps, LAMP_WORK);
     int n = 0;
     for (int k = 0; k < tried; k++) {
         int is_new = 1;
@@ -323,8 +328,6 @@ int32_t dl_find_lamps(dl_tracker *t, const dl_image *image, const dl_lamp_patter
 {
     const dl_lens *camera = &t->camera.lens;
     const uint8_t *frame = image->px;
-    const uint16_t *light = t->lamp_light;
-    uint32_t *scratch = (uint32_t *)(void *)t->scratch;
     if (!is_image(image, CHANNELS) || image->width != camera->width || image->height != camera->height
         || image->stride != CHANNELS * camera->width || !is_pattern(pad)) {
         return DL_WRONG_SIZE;
@@ -335,13 +338,13 @@ int32_t dl_find_lamps(dl_tracker *t, const dl_image *image, const dl_lamp_patter
     int part[4], n = 0, is_whole = 0;
     if (at && part_about(camera, pad, at, part)) {
         is_whole = (part[2] - part[0]) * (double)(part[3] - part[1]) > MOST_OF_FRAME * whole[2] * whole[3];
-        n = find_spots(&f, frame, light, is_whole ? whole : part, scratch) ? find_expected(&f, at, found) : 0;
+        n = find_spots(t, frame, is_whole ? whole : part, &f) ? find_expected(&f, at, found) : 0;
     }
     if (n == 0) {
-        if (!is_whole && !find_spots(&f, frame, light, whole, scratch)) {
+        if (!is_whole && !find_spots(t, frame, whole, &f)) {
             return DL_TOO_BRIGHT;
         }
-        n = find_anywhere(&f, scratch, found);
+        n = find_anywhere(t, &f, found);
     }
     return write_surest(&f, n, found, out);
 }
