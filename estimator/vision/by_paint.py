@@ -80,7 +80,7 @@ _CLOSE_PX = 1.0
 _SEARCHED = 0.75
 """Share of a frame's work at which a search ends: the rest is for the registration of a candidate."""
 _CANDIDATES = 2
-"""Number of candidates of acquisition that are registered."""
+"""Number of candidates of acquisition that are registered, those after the first while the frame's work lasts."""
 WORTH_A_TRY = 0.03
 """Score of a candidate of acquisition, or of a drawing at a method's pose, below which it is not registered."""
 _AGREES, _WORTH_ANOTHER, _BETTER = 0.6, 0.85, 0.15
@@ -345,8 +345,9 @@ def _register(now: _Now, belief: RelativeState | None, place: ExpectedPlace) -> 
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
         found = search(now.view, R_level_body, now.memory.paint, now.memory.search, budget=_SEARCHED * now.tracker.search_work)
         left = found.memory
-        for candidate in found.candidates[:_CANDIDATES]:
-            if candidate.score < WORTH_A_TRY:
+        for number, candidate in enumerate(found.candidates[:_CANDIDATES]):
+            # One that is none of the pad takes ten floors and more to be refused, beside what covers it, too.
+            if candidate.score < WORTH_A_TRY or (number > 0 and now.view.pyramid.work > now.tracker.search_work):
                 break
             off_m = math.inf if start is None else float(np.linalg.norm(candidate.pose.t_cam_pad - start.t_cam_pad))
             prior = verification.TRACKED_LOG_ODDS if off_m < _EXPECTED_SIGMAS * sigma_m else 0.0

@@ -235,8 +235,10 @@ class _Seen:
         """
         disc_radius_m = self.view.pad.disc_radius_m
         most = _STRAYS + _STRAYS_PX / (self.view.camera.fx * disc_radius_m / start.range_m)
+        if not self.searched or abs(found.range_m / start.range_m - 1.0) > most:
+            return abs(found.range_m / start.range_m - 1.0) > most
         moved = float(np.linalg.norm(found.pose.t_cam_pad / found.range_m - start.t_cam_pad / start.range_m))
-        return abs(found.range_m / start.range_m - 1.0) > most or (self.searched and moved * start.range_m > most * disc_radius_m)
+        return moved * start.range_m > most * disc_radius_m
 
     def verify_visible(self, start: PadPose, prior_log_odds: float, cut: F64) -> Verified | None:
         """Register what lies on this side of a cut, and verify the drawing there."""

@@ -19,7 +19,7 @@ typedef struct {
     double uv[2], out[2], way_px;
 } sighted;
 
-static int see_point(const view *v, const fit_state *s, const double *at, int half, sighted *seen)
+static int see_point(const view *v, const fit_state *s, const double *at, int half, double margin, sighted *seen)
 {
     const dl_lens *camera = v->camera;
     double p[3], way[3];
@@ -27,7 +27,7 @@ static int see_point(const view *v, const fit_state *s, const double *at, int ha
     for (int i = 0; i < 3; i++) {
         way[i] = s->R[3 * i] * at[2] + s->R[3 * i + 1] * at[3];
     }
-    const double *cut = v->cut, margin = (half + 1.0) / camera->fx * hypot(cut[0], cut[1]);
+    const double *cut = v->cut;
     if (!(p[2] > NEAREST_M) || cut[0] * p[0] + cut[1] * p[1] + (cut[2] - margin) * p[2] < 0.0) {
         return 0;
     }
@@ -52,11 +52,12 @@ static int see_edges(const view *v, const fit_state *s, const edge_points *edges
                      double in_view[DL_EDGE_KINDS])
 {
     int n = 0, total[DL_EDGE_KINDS] = {0}, visible[DL_EDGE_KINDS] = {0};
+    const double margin = (half + 1.0) / v->camera->fx * hypot(v->cut[0], v->cut[1]);
     double way = 0.0;
     for (int i = 0; i < edges->points; i++) {
         const int kind = edges->of[2 * i];
         total[kind]++;
-        if (see_point(v, s, edges->at + NUMBERS * i, half, &seen[n])) {
+        if (see_point(v, s, edges->at + NUMBERS * i, half, margin, &seen[n])) {
             way += hypot(seen[n].out[0], seen[n].out[1]) * edges->at[NUMBERS * i + 4];
             seen[n].way_px = way;
             index[n++] = i;
