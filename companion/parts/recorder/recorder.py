@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import queue
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
 from enum import Enum
+from queue import Empty, SimpleQueue  # noqa: TID251 - `_give` bounds it, and no lock is taken in Python for each record
 from types import TracebackType
 from typing import Literal, ParamSpec
 
@@ -86,10 +85,10 @@ class Recorder:
         self._health: Health | None = None
         if health is not None:
             self.watch(health)
-        self._queue: queue.Queue[tuple[MonoNs, object] | None] = queue.Queue(maxsize=options.queue_records)
+        self._queue: SimpleQueue[tuple[MonoNs, object] | threading.Event | None] = SimpleQueue()
         self._frames_waiting = threading.BoundedSemaphore(options.queue_frames)
         self._thread = threading.Thread(target=self._work, name=PART, daemon=True)
-        self.file: McapFile | None = None
+        self._file: McapFile | None = None
         """The file that is being written."""
         self._began = self._flushed = self._synced = MonoNs(0)
         self._tried: MonoNs | None = None
@@ -103,7 +102,7 @@ class Recorder:
         self._seen = 0
         self._paused = False
         self._unflushed = 0
-        self.state = RecorderState.IDLE
+        self._state = RecorderState.IDLE
         self.why = ""
         """The reason why nothing is being written, in words; it is empty while records are written."""
         self.written = 0
@@ -119,9 +118,13 @@ class Recorder:
         self.files = 0
 
     @property
+    def state(self) -> RecorderState:
+        return self._state
+
+    @property
     def rests(self) -> bool:
         """True while it is paused and its file has ended: it takes nothing, and its thread is not woken."""
-        return self._paused and self.state is RecorderState.PAUSED
+        return self._paused and self._state is RecorderState.PAUSED
 
     def __enter__(self) -> Recorder:
         self._thread.start()
@@ -156,19 +159,17 @@ class Recorder:
 
     def close(self) -> None:
         """Write the waiting records and end the file. Stop waiting after `close_s`."""
-        if self.state is RecorderState.CLOSED or not self._thread.is_alive():
+        if self._state is RecorderState.CLOSED or not self._thread.is_alive():
             return
-        give_up_s = time.monotonic() + self._close_s
-        with suppress(queue.Full):
-            self._queue.put(None, timeout=self._close_s)
-            self._thread.join(max(0.0, give_up_s - time.monotonic()))
+        self._queue.put(None)
+        self._thread.join(self._close_s)
         if self._thread.is_alive():
             log.error("recorder: the disk took nothing for %.1f s; the end of the recording is lost", self._close_s)
 
     def switch(self, on: bool) -> str | None:
         """Begin a new file, or end the file and write nothing more; return the reason if that is impossible, else None."""
         self._paused = not on
-        return self.why if on and self.state is RecorderState.BLOCKED else None
+        return self.why if on and self._state is RecorderState.BLOCKED else None
 
     def on_sample(self, sample: Sample) -> None:
         self._give(sample.stamp.received_at, sample)
@@ -196,8 +197,8 @@ class Recorder:
         self._give(decision.at, decision)
         if self._recorded_health is None or seconds_between(self._recorded_health, decision.at) >= 1.0:
             self._recorded_health = decision.at
-            if self._lossless and self._thread.is_alive():
-                self._queue.join()  # how far the thread has come must not show in a file of virtual time
+            if self._lossless:
+                self._catch_up()  # how far the thread has come must not show in a file of virtual time
             self._show()
             if self._health is not None and not self.rests:
                 self._give(decision.at, encode.health(decision.at, self._health.snapshot()))
@@ -216,15 +217,19 @@ class Recorder:
     def _give(self, at: MonoNs, what: object) -> bool:
         if self.rests:
             return False
-        if self._lossless and self.state is not RecorderState.CLOSED:
-            self._queue.put((at, what))
-            return True
-        try:
-            self._queue.put_nowait((at, what))
-        except queue.Full:
-            self.dropped[_kind(what)] += 1
-            return False
+        if self._queue.qsize() >= self._options.queue_records:
+            if not self._lossless or not self._thread.is_alive():
+                self.dropped[_kind(what)] += 1
+                return False
+            self._catch_up()
+        self._queue.put((at, what))
         return True
+
+    def _catch_up(self) -> None:
+        """Wait until the thread has written everything, if it runs."""
+        if self._thread.is_alive():
+            self._queue.put(written := threading.Event())
+            written.wait()
 
     def counted(self) -> dict[str, float]:
         """Return the counters for health, with dropped records by kind under `dropped_<kind>`."""
@@ -236,10 +241,10 @@ class Recorder:
         """Write the recorder's own state into the service's health, from the loop's thread."""
         if not self._lossless:
             self._tell_of_hanging()
-        if self._health is None or self.state is self._shown:
+        if self._health is None or self._state is self._shown:
             return
-        self._shown = self.state
-        if self.state is RecorderState.BLOCKED:
+        self._shown = self._state
+        if self._state is RecorderState.BLOCKED:
             self._health.down(PART, OSError(self.why))
         else:
             self._health.up(PART)
@@ -259,28 +264,30 @@ class Recorder:
             while True:
                 try:
                     item = self._queue.get(timeout=self._options.flush_s)
-                except queue.Empty:
+                except Empty:
                     if not self._lossless:
                         self._guarded(self._flush, None)
                     continue
                 if item is None:
                     break
+                if isinstance(item, threading.Event):
+                    item.set()
+                    continue
                 self._busy_since_s = time.monotonic()
                 self._guarded(self._take, *item)
                 self._busy_since_s = None
-                self._queue.task_done()
                 if not self._lossless and self._queue.empty():
                     time.sleep(_GATHER_S)
             self._guarded(self._end_file)
         finally:
-            self.state = RecorderState.CLOSED
+            self._state = RecorderState.CLOSED
 
     def _guarded(self, handler: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
         """Run a handler: a fault of the disk ends the file, a fault of ours costs a record; neither ends the flight."""
         try:
             handler(*args, **kwargs)
         except OSError as why:
-            file, self.file = self.file, None
+            file, self._file = self._file, None
             if file is not None:
                 file.abandon()
             self.lost += self._unflushed
@@ -296,9 +303,9 @@ class Recorder:
         try:
             if not self._ready(at):
                 return
-            assert self.file is not None
+            assert self._file is not None
             for topic, at_ns, message in self._message_encoder.messages(at, what):
-                self.file.add(topic, at_ns, message)
+                self._file.add(topic, at_ns, message)
                 self.written += 1
                 self._unflushed += 1
             accepted = True
@@ -312,20 +319,20 @@ class Recorder:
     def _ready(self, at: MonoNs) -> bool:
         """Return whether there is a file to write to, and open one if that is allowed."""
         if self._paused:
-            if self.file is not None:
+            if self._file is not None:
                 self._end_file()
-            self.state = RecorderState.PAUSED
+            self._state = RecorderState.PAUSED
             return False
-        if self.file is not None:
+        if self._file is not None:
             return True
         if (
             self._tried is not None
-            and self.state is RecorderState.BLOCKED
+            and self._state is RecorderState.BLOCKED
             and 0.0 <= seconds_between(self._tried, at) < self._back_off_s
         ):
             return False
         self._tried = at
-        reason = self._storage_policy.lacks_room(_ROOM_AGAIN_MB if self.state is RecorderState.BLOCKED else 0.0)
+        reason = self._storage_policy.lacks_room(_ROOM_AGAIN_MB if self._state is RecorderState.BLOCKED else 0.0)
         if reason is not None:
             self._lacks(reason)
             return False
@@ -333,21 +340,21 @@ class Recorder:
         return True
 
     def _open(self, at: MonoNs) -> None:
-        self.file = McapFile(self._storage_policy.next_path(), self._about)
+        self._file = McapFile(self._storage_policy.next_path(), self._about)
         self.files += 1
         self._message_encoder.begin()
         for topic, at_ns, message in self._message_encoder.preamble(at):
-            self.file.add(topic, at_ns, message)
-        self.file.flush()
+            self._file.add(topic, at_ns, message)
+        self._file.flush()
         self._began = self._flushed = self._synced = at
-        if self.state is RecorderState.BLOCKED:
-            log.warning("recorder: recording again, into %s", self.file.path)
-        self.state, self.why, self._back_off_s = RecorderState.RECORDING, "", self._options.retry_s
-        self._storage_policy.tidy(self.file.path)
+        if self._state is RecorderState.BLOCKED:
+            log.warning("recorder: recording again, into %s", self._file.path)
+        self._state, self.why, self._back_off_s = RecorderState.RECORDING, "", self._options.retry_s
+        self._storage_policy.tidy(self._file.path)
 
     def _flush(self, now: MonoNs | None) -> None:
         """Flush the file if that is due at `now`, or at once if `now` is None."""
-        file = self.file
+        file = self._file
         if file is None or (now is not None and seconds_between(self._flushed, now) < self._options.flush_s):
             return
         file.flush()
@@ -369,18 +376,18 @@ class Recorder:
             self._lacks(reason)
 
     def _end_file(self) -> None:
-        file, self.file = self.file, None
+        file, self._file = self._file, None
         if file is not None:
             file.close()
             self._unflushed = 0
 
     def _lacks(self, reason: str) -> None:
         self.blocked += 1
-        if self.state is RecorderState.BLOCKED:
+        if self._state is RecorderState.BLOCKED:
             self._back_off_s = min(2.0 * self._back_off_s, self._options.retry_cap_s)
         else:
             log.error("recorder: nothing is recorded now: %s; the flight goes on, trying again", reason)
-        self.state, self.why = RecorderState.BLOCKED, reason
+        self._state, self.why = RecorderState.BLOCKED, reason
 
 
 def _kind(what: object) -> str:
