@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import Generic, ParamSpec, Protocol, TypeVar
 
 from companion.base.health import Health
-from companion.base.observer import Observer, Relay, listens
+from companion.base.observer import Observer, Relay, listens, rests
 from estimator.contracts.errors import BadInput, in_words
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, after
@@ -86,23 +86,32 @@ class Audience(Relay):
 
     def __init__(self, observers: Sequence[Observer], health: Health) -> None:
         self._calls = {
-            method: [(CallGuard(f"{name_of(o)}.{method}", health), getattr(o, method)) for o in observers if listens(o, method)]
+            method: [
+                (CallGuard(f"{name_of(o)}.{method}", health), getattr(o, method), o) for o in observers if _listens(o, method)
+            ]
             for method in ("on_sample", "on_fusion", "on_frame", "on_decision", "on_order")
         }
 
     @property
     def takes_fusion(self) -> bool:
-        """True if an observer takes the results of measurements."""
-        return bool(self._calls["on_fusion"])
+        """True if an observer takes the results of measurements now."""
+        return not all(rests(o) for _, _, o in self._calls["on_fusion"])
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
-        for guard, method in self._calls["on_sample"]:
-            for sample in samples:
-                guard.call(method, sample)
+        for guard, method, observer in self._calls["on_sample"]:
+            if not rests(observer):
+                for sample in samples:
+                    guard.call(method, sample)
 
     def hand_on(self, method: str, *what: object) -> None:
-        for guard, call in self._calls[method]:
+        for guard, call, _ in self._calls[method]:
             guard.call(call, *what)
+
+
+def _listens(observer: Observer, method: str) -> bool:
+    """Return whether an observer does anything in a method; a restartable part that could not be made yet may."""
+    part = observer.now if isinstance(observer, RestartablePart) else None
+    return listens(observer if part is None else part, method)
 
 
 def name_of(observer: object) -> str:

@@ -181,6 +181,11 @@ def listens(observer: Observer, method: str) -> bool:
     return getattr(type(observer), method, None) is not getattr(NullObserver, method)
 
 
+def rests(observer: Observer) -> bool:
+    """Return whether an observer does nothing with samples and results of measurements for now, as a recorder that is off."""
+    return getattr(observer, "rests", False) is True
+
+
 class ThingReport(Struct, frozen=True, kw_only=True):
     """Something on the pad or about it. Axes of the pad: x along the arrow, y to starboard of it."""
 

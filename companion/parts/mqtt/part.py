@@ -20,7 +20,7 @@ import aiomqtt
 import msgspec
 
 from companion.base.health import Health
-from companion.base.observer import Decision, ProcessedFrame
+from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder, OrderSender, OrderSource
 from companion.base.version import version
 from companion.facts.wire import RequestRate
@@ -38,7 +38,6 @@ from companion.settings.links import MqttSettings
 from drivers.mailbox import Line
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
-from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, after, seconds_between
@@ -58,7 +57,7 @@ _STATUS_AGAIN_S = 60.0
 _NAMESAKE_AGAIN_S = 600.0
 
 
-class MqttPart:
+class MqttPart(NullObserver):
     """The observer and the supervised task.
 
     Args:
@@ -107,9 +106,6 @@ class MqttPart:
         if isinstance(sample, VehicleStatus):
             self._vehicle = sample
             self.tell(*self._changes.vehicle(sample))
-
-    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        """Do nothing: health counts the results, and the topic `fusion` is made from it."""
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         self._seen = processed

@@ -85,6 +85,11 @@ class RecorderBeside(RestartablePart[Recorder]):
         self._guard = CallGuard(f"{PART}.on_link", health)
         super().__init__(PART, lambda: self._as_wanted(make()))
 
+    @property
+    def rests(self) -> bool:
+        """True if it takes nothing: it is paused, or being started again."""
+        return self.now is None or self.now.rests
+
     def switch(self, on: bool) -> str | None:
         """Start or stop recording for the operator; return the reason if that is impossible, else None."""
         self._wanted = on
