@@ -134,8 +134,8 @@ PARAMETERS = ("PLND_LAG", "PLND_ENABLED", "PLND_TYPE", "RNGFND1_TYPE", "RNGFND2_
 """The parameters that are requested from the autopilot (see `open_autopilot`)."""
 _TICK_S, _FINE_TICK_S, _HEARTBEAT_S, _STATE_S, _COMPUTER_S = 0.02, 0.01, 1.0, 0.2, 1.0
 """The periods of ticks, of those where something is due between them, HEARTBEAT, NAMED_VALUE_FLOAT, ONBOARD_COMPUTER_STATUS."""
-_BELIEF_S = 0.015
-"""Age up to which the track of the target needs no newer belief, s: at 2 m/s^2 it is interpolated to a tenth of a millimetre."""
+_BELIEF_S = 0.035
+"""Age up to which the track of the target needs no newer belief, s: at 2 m/s^2 it is interpolated to a third of a millimetre."""
 _GUIDANCE_SILENCE_S = 1.0
 """The time without a decision after which guidance counts as stalled."""
 
@@ -279,15 +279,15 @@ class Component(NullObserver):
         return None if self._links is None else self._links.contained.run(f"making the {name}", "us", partial(maker, now))
 
     def _tell_target(self, now: MonoNs) -> None:
-        due = self.outputs.is_due(now)
-        fresh = self._believed_at is not None and seconds_between(self._believed_at, now) < _BELIEF_S
-        if self._autopilot is None or not self._autopilot.connected or self._autopilot.unclear is not None or (fresh and not due):
+        if self._autopilot is None or not self._autopilot.connected or self._autopilot.unclear is not None:
             return
-        self._update_belief(now)
+        ranges = self.sends_ranges
+        self._autopilot.take_ranges(not ranges)
+        due = self.outputs.is_due(now, ranges)
+        if due or self._believed_at is None or seconds_between(self._believed_at, now) >= _BELIEF_S:
+            self._update_belief(now)
         if due:
-            view = AutopilotView.of(self._autopilot)
-            self._autopilot.take_ranges(not self.outputs.sends_ranges(view))
-            self._send(self.outputs.due(now, view, self._sighted))
+            self._send(self.outputs.due(now, AutopilotView.of(self._autopilot), self._sighted))
 
     @property
     def sends_often(self) -> bool:

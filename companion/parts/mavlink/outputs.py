@@ -100,7 +100,7 @@ class TargetTrack:
                 R_ned_level @ state.v_pad_level,
                 R_ned_level.rotate_cov(state.cov[:3, :3]),
                 arrow_rad,
-                float(np.sqrt(state.cov[6, 6])),
+                math.sqrt(state.cov[6, 6]),
             )
         )
         while seconds_between(self._knots[0].at, state.at) > _SPAN_S:
@@ -217,15 +217,16 @@ def landing_target(
             ArduPilot, which gets it in MAV_FRAME_BODY_FRD.
         R_ned_pad: the pad's attitude where it is known; it goes into `q`, for ArduPilot relative to the body.
     """
-    d_body = R_ned_body.inv @ d_body_pad_ned
+    R_body_ned = R_ned_body.inv
+    d_body = R_body_ned @ d_body_pad_ned
     angles = angles_of(d_body)
     if angles is None:
         return None
     if p_body_ned is None:
-        frame, xyz, q = BODY_FRD, d_body, _quaternion(None if R_ned_pad is None else R_ned_body.inv @ R_ned_pad)
+        frame, xyz, q = BODY_FRD, d_body, _quaternion(None if R_ned_pad is None else R_body_ned @ R_ned_pad)
     else:
         frame, xyz, q = LOCAL_NED, p_body_ned + d_body_pad_ned, _quaternion(R_ned_pad)
-    distance_m = float(np.linalg.norm(d_body))
+    distance_m = math.hypot(*d_body)
     size_rad = 2.0 * math.atan(pad_radius_m / distance_m)
     return mav.MAVLink_landing_target_message(
         time_us, 0, frame, *angles, distance_m, size_rad, size_rad, *(float(v) for v in xyz), q, VISION_OTHER, 1
@@ -346,10 +347,11 @@ class Outputs:
         kinds = (vehicle.parameter_values.get(f"RNGFND{n}_TYPE") for n in range(1, 5))
         return vehicle.stack is Stack.ARDUPILOT and _MAVLINK_RANGEFINDER in kinds
 
-    def is_due(self, now: MonoNs) -> bool:
-        """Return whether `due` has something to do at this instant."""
-        periods = (self._target_at, self._o.rate_hz), (self._range_at, self._o.range_rate_hz)
-        return any(self._time_has_come(last, now, rate_hz) for last, rate_hz in periods)
+    def is_due(self, now: MonoNs, ranges: bool) -> bool:
+        """Return whether `due` has something to do at this instant; `ranges` as `sends_ranges` returns it."""
+        return self._time_has_come(self._target_at, now, self._o.rate_hz) or (
+            ranges and self._time_has_come(self._range_at, now, self._o.range_rate_hz)
+        )
 
     def due(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> list[Message]:
         """Return the messages that are due at this instant.
