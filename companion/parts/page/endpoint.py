@@ -8,7 +8,7 @@ nothing else changes by its going.
 
 import asyncio
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 
@@ -278,7 +278,7 @@ class PageEndpoint(NullObserver):
             self._counts["pictures_skipped"] += len(self._viewers) - len(ready)
             encoders = {viewer.encoder for viewer in ready}
             camera = processed.camera or self._pilot.camera
-            lines = await worker.run(picture_lines, processed, belief, ahead, lean, camera, self._pilot.pad)
+            lines = partial(picture_lines, processed, belief, ahead, lean, camera, self._pilot.pad)
             messages = await worker.run(_messages, number, processed, lines, encoders, self._settings.jpeg_quality)
             for viewer in ready:
                 # Nothing for one that has requested another codec meanwhile: the next picture is for it.
@@ -302,12 +302,16 @@ def _encoded(image: NDArray[np.uint8], encoder: FrameEncoder | None, quality: in
 
 
 def _messages(
-    number: int, processed: ProcessedFrame, lines: tuple[PictureLine, ...], encoders: set[FrameEncoder | None], quality: int
+    number: int,
+    processed: ProcessedFrame,
+    lines: Callable[[], tuple[PictureLine, ...]],
+    encoders: set[FrameEncoder | None],
+    quality: int,
 ) -> dict[FrameEncoder | None, bytes]:
     """Return a picture's message by each encoder; None stands for JPEG."""
-    messages = {}
+    messages, drawn = {}, lines()
     for encoder in encoders:
         codec, image = _encoded(processed.frame.px, encoder, quality)
-        header = PictureHeader(number=number, verdict=processed.verdict.value, codec=codec, lines=lines)
+        header = PictureHeader(number=number, verdict=processed.verdict.value, codec=codec, lines=drawn)
         messages[encoder] = picture_message(header, image)
     return messages

@@ -12,6 +12,7 @@ from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.page_data import FlightEvent, PageFlight
 from companion.tools.report.plots import Columns, Plot, Section
 from companion.tools.report.video import FilmFile
+from drivers.pyav import has_pyav
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import seconds_between
 
@@ -91,7 +92,8 @@ def films(flights: Sequence[PageFlight], have: Sequence[FilmFile | None]) -> str
         shown = '<p class="note">No frames were kept.</p>'
         if film is not None and not film.frames:
             shown = f'<img alt="from the drone\'s camera" src="data:image/jpeg;base64,{base64.b64encode(film.data).decode()}">'
-            shown += '<p class="note">The video is being encoded (PyAV does it): load the page again in a moment.</p>'
+            coming = "The video is being encoded: load the page again in a moment."
+            shown += f'<p class="note">{coming if has_pyav() else "A video needs PyAV, the extra decklander[video]."}</p>'
         elif film is not None:
             words = f"video from the drone's camera, {film.frames} frames, moved by the slider below"
             shown = (
