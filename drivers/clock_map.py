@@ -20,7 +20,7 @@ from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
 
-from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, StampSource
 
 _SIGMA_MAX_S = 0.999
 _MEMORY = 200
@@ -36,6 +36,7 @@ _BACK_FOR, _BACK_FOR_S = 5, 2.0
 _BLOCK_S, _BLOCKS, _LONG = 0.5, 8, 4
 """The least differences of eight times four blocks give the rate: all their steps have to agree. A link whose queue fills looks
 like a slow clock for a while, and its stamps are right; no queue fills evenly for so long. A claimed rate is refused by eight."""
+_BLOCK_NS = round(_BLOCK_S * NS_PER_S)
 _PROOF = 5
 """The blocks whose least differences have to be alike before a claimed rate counts."""
 _RATE_OFF, _RATE_AGREES = 0.01, 0.003
@@ -97,12 +98,16 @@ class ClockMap:
         self._near = _Least(_BLOCK_S, options.drift_ppm)
         self._newest_remote: int | None = None
         self._received_at = self._measured_at = 0
+        self._jump_ns = round(options.jump_s * NS_PER_S)
+        self._floor_ns = round(options.floor_s * NS_PER_S)
+        self._back_ns = max(_BACK_S, options.resolution_s) * NS_PER_S
         self._count = 0
         self._excess_s = options.unknown_s
         self._fell_s = 0.0
         self._before: tuple[int, int] | None = None
         """The (unwrapped remote, difference) of the last message."""
         self._back: _StepBack | None = None
+        self._mapped_at, self._late_s, self._known = 0, 0.0, False
         self._rate = _RateWatch(options)
         self.restarts = 0
         """The number of times that the remote clock was reset."""
@@ -123,6 +128,11 @@ class ClockMap:
 
         A `received_at` before that of the last message counts as equal to it.
         """
+        self.note(remote_ns, received_at)
+        return self.newest
+
+    def note(self, remote_ns: int, received_at: MonoNs) -> None:
+        """Take the stamp of a message as `stamp` does, whose result is `newest`; many messages need it only in case."""
         now = self._received_at = max(received_at, self._received_at)
         remote = self._unwrap(remote_ns, now)
         if self._newest_remote is not None and (self._reset_if_restarted(remote, now) or self._set_back(remote, now)):
@@ -130,19 +140,26 @@ class ClockMap:
             self.reset()
         difference = now - remote
         self._before = remote, difference
-        before = self._least.at(now) if self._least else difference
-        self._least.enter(difference, now)
-        self._near.enter(difference, now)
-        offset = self._least.at(now)
+        before, offset = self._least.enter(difference, now)
         # A slow clock, or a queue before the line: all of the last messages were late by this.
-        late_s = (self._near.at(now) - offset) / NS_PER_S if self._o.claimed else 0.0
+        late_s = self._late_s = (self._near.enter(difference, now)[1] - offset) / NS_PER_S if self._o.claimed else 0.0
         self._fell_s = _FADE * self._fell_s + abs(before - offset) / NS_PER_S
         self._count = min(self._count + 1, _MEMORY)
         self._excess_s += ((difference - offset) / NS_PER_S - self._excess_s) / (self._count + _PRIOR)
-        floor = round(self._o.floor_s * NS_PER_S)
-        known = not self._rate.disagrees(remote, now) and (self._rate.proven or not self._o.claimed)
-        if known:
-            measured_at = remote + offset + round(late_s / 2 * NS_PER_S) - floor
+        self._known = not self._rate.disagrees(remote, now) and (self._rate.proven or not self._o.claimed)
+        # How late a message is without a map, nobody knows: then it is stamped by arrival.
+        measured_at = (remote + offset + round(late_s / 2 * NS_PER_S) if self._known else now) - self._floor_ns
+        if self._newest_remote is None or remote >= self._newest_remote:
+            self._newest_remote = remote
+            self._measured_at = measured_at = max(measured_at, self._measured_at)
+        self._mapped_at = measured_at
+
+    @property
+    def newest(self) -> Stamp:
+        """The instant of the newest message on this host's clock."""
+        now = self._received_at
+        if self._known:
+            late_s = self._late_s
             sigma_s = math.hypot(
                 self._o.floor_sigma_s,
                 self._o.resolution_s / math.sqrt(12.0),
@@ -154,14 +171,12 @@ class ClockMap:
                 late_s / math.sqrt(12.0),
             )
         else:
-            # How late this message is, nobody knows; the delay that was measured before the clocks parted is the best there is.
-            measured_at = now - floor
-            own_s = 0.0 if self._rate.error is not None else (difference - self._near.at(now)) / NS_PER_S
+            assert self._before is not None
+            # The delay that was measured before the clocks parted is the best there is.
+            own_s = 0.0 if self._rate.error is not None else (self._before[1] - self._near.at(now)) / NS_PER_S
             sigma_s = math.hypot(self._o.floor_sigma_s, self._o.unknown_s, own_s)
-        if self._newest_remote is None or remote >= self._newest_remote:
-            self._newest_remote = remote
-            self._measured_at = measured_at = max(measured_at, self._measured_at)
-        return Stamp(MonoNs(measured_at), MonoNs(now), min(sigma_s, _SIGMA_MAX_S), "synced" if known else "arrival")
+        source: StampSource = "synced" if self._known else "arrival"
+        return Stamp(MonoNs(self._mapped_at), MonoNs(now), min(sigma_s, _SIGMA_MAX_S), source)
 
     def _unwrap(self, remote_ns: int, now: int) -> int:
         """Return the counter without its wraps: the value nearest to the one expected from the time since the last message."""
@@ -172,15 +187,14 @@ class ClockMap:
         return expected + (remote_ns - expected + wrap // 2) % wrap - wrap // 2
 
     def _reset_if_restarted(self, remote: int, now: int) -> bool:
-        jump = round(self._o.jump_s * NS_PER_S)
         assert self._newest_remote is not None
-        return remote < self._newest_remote - jump or now - remote < self._least.at(now) - jump
+        return remote < self._newest_remote - self._jump_ns or now - remote < self._least.at(now) - self._jump_ns
 
     def _set_back(self, remote: int, now: int) -> bool:
         """Return whether the stamps went back a while ago, and none of those since fits the clock before."""
         assert self._before is not None
         difference, before = now - remote, self._before
-        if remote < before[0] - max(_BACK_S, self._o.resolution_s) * NS_PER_S:
+        if remote < before[0] - self._back_ns:
             self._back = _StepBack(now, (before[1] + difference) // 2, 0)
         if self._back is None:
             return False
@@ -203,9 +217,6 @@ class _Least:
         self._kept: deque[tuple[int, int]] = deque()
         """Pairs (received_at, difference less the drift allowed until then), ascending in both: the front holds the least."""
 
-    def __len__(self) -> int:
-        return len(self._kept)
-
     @property
     def since(self) -> int:
         """Return when the least difference was received."""
@@ -219,20 +230,21 @@ class _Least:
     def clear(self) -> None:
         self._kept.clear()
 
-    def enter(self, difference: int, now: int) -> None:
-        level = difference - self._allowed(now)
-        while self._kept and self._kept[-1][1] >= level:
-            self._kept.pop()
-        self._kept.append((now, level))
-        while now - self._kept[0][0] > self._window:
-            self._kept.popleft()
+    def enter(self, difference: int, now: int) -> tuple[int, int]:
+        """Take the difference of a message; return the least one before it and with it, as `at` does."""
+        kept, allowed = self._kept, now * self._ppm // 1_000_000
+        level = difference - allowed
+        before = kept[0][1] if kept else level
+        while kept and kept[-1][1] >= level:
+            kept.pop()
+        kept.append((now, level))
+        while now - kept[0][0] > self._window:
+            kept.popleft()
+        return before + allowed, kept[0][1] + allowed
 
     def at(self, now: int) -> int:
         """Return the least difference, which may have grown until `now`."""
-        return self._kept[0][1] + self._allowed(now)
-
-    def _allowed(self, now: int) -> int:
-        return now * self._ppm // 1_000_000
+        return self._kept[0][1] + now * self._ppm // 1_000_000
 
 
 @dataclass(slots=True)
@@ -266,7 +278,7 @@ class _RateWatch:
 
     def disagrees(self, remote: int, now: int) -> bool:
         """Note one message, and return whether its source is not trusted."""
-        if self._block_begin is None or now - self._block_begin >= _BLOCK_S * NS_PER_S:
+        if self._block_begin is None or now - self._block_begin >= _BLOCK_NS:
             self._judge()
             self._block_begin = now
             self._least.append((now, now - remote))

@@ -291,7 +291,7 @@ class Link:
         return self._unknown_codec
 
     def _hand_on(self, message: Message, received_at: MonoNs, address: Address | None) -> None:
-        ids = (int(message.get_srcSystem()), int(message.get_srcComponent()))
+        ids = (message.get_srcSystem(), message.get_srcComponent())
         source = (self._number, address)
         access, line = self._links.access, self._links.received
         if ids[0] == 0:
@@ -359,8 +359,10 @@ class Links:
         self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes | bytearray, message: Message
     ) -> None:
         """Hand a message that crossed a link to the tap; none that carries a key."""
+        if self.tap is None:
+            return
         name = message.get_type()
-        if self.tap is not None and name not in _SECRET:
+        if name not in _SECRET:
             try:
                 self.tap(at, str(endpoint), way, bytes(data), name)
             except Exception as why:

@@ -69,15 +69,19 @@ class _Origin:
         return seconds_between(self.at, now) <= (ALIVE_S if self.messages >= _BELIEVED else _HELD_S)
 
     def fits(self, boot: int, at: MonoNs) -> bool:
-        boot = self._unwrap(boot)
-        return self.newest - _ROOM_NS <= boot <= at - self._least_at(at) + _ROOM_NS
+        boot, least = self._placed(boot, at)
+        return self.newest - _ROOM_NS <= boot <= at - least + _ROOM_NS
 
-    def add(self, boot: int, at: MonoNs, sequence: int) -> None:
-        boot = self._unwrap(boot)
-        self.least = min(self._least_at(at), at - boot)
+    def adds(self, boot: int, at: MonoNs, sequence: int) -> bool:
+        """Take a message's time and sequence number if the time fits; return whether it does."""
+        boot, least = self._placed(boot, at)
+        if not self.newest - _ROOM_NS <= boot <= at - least + _ROOM_NS:
+            return False
+        self.least = min(least, at - boot)
         self.newest = max(self.newest, boot)
         self.at, self.sequence = at, sequence
         self.messages += 1
+        return True
 
     def continued_by(self, sequence: int) -> int:
         """Return by how much a sequence number is ahead."""
@@ -87,11 +91,10 @@ class _Origin:
         """Return whether a sequence number cannot have been reached with messages without a time."""
         return _REACHED_WITHIN < self.continued_by(sequence) < 256 - _NEXT_WITHIN
 
-    def _least_at(self, at: MonoNs) -> int:
-        return self.least + (at - self.at) * _DRIFT_PPM // 1_000_000
-
-    def _unwrap(self, boot: int) -> int:
-        return boot + MS_WRAP_NS * round((self.newest - boot) / MS_WRAP_NS)
+    def _placed(self, boot: int, at: MonoNs) -> tuple[int, int]:
+        """Return a time since boot without its wraps, and the least difference to ours, which may have grown until `at`."""
+        unwrapped = boot + MS_WRAP_NS * round((self.newest - boot) / MS_WRAP_NS)
+        return unwrapped, self.least + (at - self.at) * _DRIFT_PPM // 1_000_000
 
 
 class Origins:
@@ -139,9 +142,8 @@ class Origins:
         if main is None:
             self._main = _Origin.of(boot, at, sequence)
             return [message]
-        if main.fits(boot, at):
-            main.add(boot, at, sequence)
-            return [*self._decide(sequence, at), message]
+        if main.adds(boot, at, sequence):
+            return [*self._decide(sequence, at), message] if self._held else [message]
         return self._of_another(message, boot, at, sequence)
 
     def due(self, now: MonoNs) -> list[Message]:
@@ -166,13 +168,11 @@ class Origins:
                 self._beaten = now
 
     def _of_another(self, message: Message, boot: int, at: MonoNs, sequence: int) -> list[Message]:
-        main, other = self._main, next((one for one in self._others if one.fits(boot, at)), None)
+        main, other = self._main, next((one for one in self._others if one.adds(boot, at, sequence)), None)
         assert main is not None
         if other is None:
             other = _Origin.of(boot, at, sequence)
             self._others = [*self._alive(at)[-_OTHERS_MAX + 1 :], other]
-        else:
-            other.add(boot, at, sequence)
         held, self._held = self._held, deque()
         for one in held:
             if _near(one[1], sequence) and not _near(one[1], main.sequence):

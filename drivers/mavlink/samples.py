@@ -13,15 +13,17 @@ HIGHRES_IMU.hpp and the parameter IMU_INTEG_RATE.
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from msgspec import Struct
 
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import SampleOptions
 from drivers.mavlink.timesync import MS_WRAP_NS, BootClock, boot_ms, boot_us
 from drivers.mavlink.vehicle import ARMED, Condition, Stack, flying_of, mode_name
+from estimator.contracts import samples as contract
 from estimator.contracts.geodesy import GeoPoint, height_of_pressure_m
 from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
 from estimator.contracts.motion import G_M_S2
@@ -87,8 +89,7 @@ def tilt_max_deg(stack: Stack, values: Mapping[str, float]) -> float | None:
     return min((unit * values[name] for name, unit in limits.items() if values.get(name, 0.0) > 0.0), default=None)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LocalPosition:
+class LocalPosition(Struct, frozen=True, eq=False):
     """The autopilot's estimate of its position, from the origin of its own filter (not from home)."""
 
     stamp: Stamp
@@ -273,7 +274,8 @@ class MavlinkSampler:
         return self._to_level(m, Rotation.from_rpy(*_within(_ANGLE_MAX_RAD, m.roll, m.pitch, m.yaw)), received_at)
 
     def _to_level(self, m: Message, rotation: Rotation, received_at: MonoNs) -> list[Sample]:
-        self.attitude = Attitude(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), rotation, self._cov_attitude)
+        stamp = self._clock.stamp(boot_ms(m.time_boot_ms), received_at)
+        self.attitude = contract.known(Attitude, stamp, rotation, self._cov_attitude)
         return [self.attitude]
 
     def _position(self, m: Message, received_at: MonoNs) -> list[Sample]:
@@ -287,7 +289,7 @@ class MavlinkSampler:
         yaw_rad = attitude.R_ned_body.rpy_rad[2]
         c, s, (north, east, down) = math.cos(yaw_rad), math.sin(yaw_rad), v_body_ned.tolist()
         v_level = fixed_vector(c * north + s * east, c * east - s * north, down)
-        return [BodyVelocity(stamp, v_level, self._cov_velocity)]
+        return [contract.known(BodyVelocity, stamp, v_level, self._cov_velocity)]
 
     def _global(self, m: Message, received_at: MonoNs) -> list[Sample]:
         place = _place(m.lat, m.lon, 1e-3 * m.alt)
@@ -302,7 +304,7 @@ class MavlinkSampler:
             return []
         f_body = fixed_vector(m.xacc * _M_S2_PER_MG, m.yacc * _M_S2_PER_MG, m.zacc * _M_S2_PER_MG)
         w_body = fixed_vector(m.xgyro * 1e-3, m.ygyro * 1e-3, m.zgyro * 1e-3)
-        return [Imu(self._inertial(self._clock.stamp(boot_us(m.time_usec), received_at)), w_body, f_body)]
+        return [contract.known(Imu, self._inertial(self._clock.stamp(boot_us(m.time_usec), received_at)), w_body, f_body)]
 
     def _inertial(self, stamp: Stamp) -> Stamp:
         earlier = MonoNs(stamp.measured_at - round(self.inertial_delay_s * NS_PER_S))
@@ -316,7 +318,7 @@ class MavlinkSampler:
         stamp = self._clock.stamp(boot_us(m.time_usec), received_at)
         out: list[Sample] = []
         if moved:
-            out.append(Imu(self._inertial(stamp), w_body, f_body))
+            out.append(contract.known(Imu, self._inertial(stamp), w_body, f_body))
         if m.fields_updated & _PRESSURE and _PRESSURE_HPA[0] <= m.abs_pressure <= _PRESSURE_HPA[1]:
             out.append(Baro(stamp, height_of_pressure_m(100.0 * m.abs_pressure), self._o.sigma_baro_m))
         return out

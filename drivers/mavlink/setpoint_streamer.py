@@ -182,6 +182,8 @@ class SetpointStreamer:
         self._landing = _Landing(Land(), MonoNs(0), MonoNs(0), None, by_velocity=False)
         self._down_m: float | None = None
         self._condition = Condition()
+        self._settled: tuple[Hand, bool] | None = None
+        """The holder, and whether there is no take-off, for which the newest condition changes nothing more."""
         self._attitude: Attitude | None = None
         self._modes = ModeRequests()
         self._tries = Tries(options)
@@ -321,9 +323,11 @@ class SetpointStreamer:
         Args:
             beat: whether it comes in a HEARTBEAT, which alone reports mode and motors; otherwise these are old.
         """
+        if condition is self._condition and not beat and self._settled == (self.hand, self._climb is None):
+            return
         before, self._condition = self._condition, condition
-        for event in self._reported(before, condition, beat=beat):
-            self._on(event)
+        taken = [self._on(event) for event in self._reported(before, condition, beat=beat)]
+        self._settled = None if any(taken) else (self.hand, self._climb is None)
         if self.hand is Hand.CUT and condition.armed is False and beat:
             self.motors_cut |= seconds_between(self._stop.began, self._now) >= SHOWN_S
 

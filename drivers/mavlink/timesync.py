@@ -130,6 +130,8 @@ BootNs = NewType("BootNs", int)
 """Nanoseconds since the autopilot booted."""
 
 MS_WRAP_NS = 2**32 * 1_000_000
+_STEP_SIGMA_S = 0.001 / math.sqrt(12.0)
+"""The standard deviation that the stamps' millisecond adds."""
 _LATE_MAX_S = 2.0
 """A message that is older than this by TIMESYNC was not stamped by the clock that TIMESYNC measures."""
 
@@ -163,14 +165,14 @@ class BootClock:
             self._map.reset()
             self._sync.reset()
         self._newest = boot if self._newest is None else max(boot, self._newest)
-        mapped = self._map.stamp(boot, received_at)
+        self._map.note(boot, received_at)
         found = self._sync.offset_ns(received_at)
         if found is None:
-            return mapped
+            return self._map.newest
         offset, sigma_s = found
         expected = received_at + offset
         unwrapped = expected + (boot - expected + MS_WRAP_NS // 2) % MS_WRAP_NS - MS_WRAP_NS // 2
         measured_at = unwrapped - offset
         if not -0.02 * NS_PER_S <= received_at - measured_at <= _LATE_MAX_S * NS_PER_S:
-            return mapped
-        return Stamp(MonoNs(min(measured_at, received_at)), received_at, math.hypot(sigma_s, 0.001 / math.sqrt(12.0)), "synced")
+            return self._map.newest
+        return Stamp(MonoNs(min(measured_at, received_at)), received_at, math.hypot(sigma_s, _STEP_SIGMA_S), "synced")

@@ -155,7 +155,8 @@ class Rotation:
         Raises:
             ValueError: zero or not finite.
         """
-        w, x, y, z = q = np.asarray(wxyz, dtype=float).ravel().tolist() if np.shape(wxyz) == (4,) else (0.0,) * 4
+        given = np.asarray(wxyz, dtype=float)
+        w, x, y, z = q = given.tolist() if given.shape == (4,) else (0.0,) * 4
         n = math.hypot(w, x, y, z)
         if not math.isfinite(n) or n < 1e-9:
             raise ValueError(f"not a quaternion: {wxyz!r}")

@@ -42,6 +42,7 @@ TYPE_ONBOARD, NO_AUTOPILOT = int(mav.MAV_TYPE_ONBOARD_CONTROLLER), int(mav.MAV_A
 _CAPABILITIES = int(mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2)
 _REPEAT_S = 60.0
 """The shortest time between two texts about the same part, which may fail and recover many times a minute, s."""
+_REQUESTS = frozenset({"COMMAND_LONG", "COMMAND_INT", "PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
 _CHUNK = 50
 _SAID_MAX = 64
 BURST, WAITING = 5, 10
@@ -237,7 +238,7 @@ class Component(NullObserver):
 
     def on_message(self, received: ReceivedMessage) -> None:
         """Answer a command or parameter message of any link to its sender, and broadcast changes to all."""
-        if self._links is None:
+        if self._links is None or received.message.get_type() not in _REQUESTS:
             return
         now, us = self._clock.now(), self._links.identity
         if self.refusals.refuses(received, us):
