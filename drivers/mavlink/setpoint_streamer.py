@@ -15,7 +15,7 @@ When the process itself falls silent the autopilot's own failsafe acts: ArduPilo
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -302,7 +302,7 @@ class SetpointStreamer:
         here = self._here(now)
         if here is not None and math.hypot(*ned_between(here, where.place)[:2]) <= where.range_max_m:
             highest_m = max(where.place.height_m or 0.0, here.height_m or 0.0)
-            self._goal, self._there = replace(where.place, height_m=highest_m), False
+            self._goal, self._there = GeoPoint(where.place.latitude_rad, where.place.longitude_rad, highest_m), False
             self._on(HandEvent.LEAVE)
 
     def engage(self) -> None:

@@ -1,10 +1,10 @@
 """Holder of the vehicle, and the message that is sent in each period."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from drivers.mavlink.custody import Hand
 from drivers.mavlink.dialect import Message, mav
