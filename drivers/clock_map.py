@@ -135,10 +135,12 @@ class ClockMap:
         """Take the stamp of a message as `stamp` does, whose result is `newest`; many messages need it only in case."""
         now = self._received_at = max(received_at, self._received_at)
         remote = self._unwrap(remote_ns, now)
-        if self._newest_remote is not None and (self._reset_if_restarted(remote, now) or self._set_back(remote, now)):
+        difference = now - remote
+        known = self._newest_remote
+        odd = known is not None and (self._back is not None or remote < known or self._is_ahead(difference, now))
+        if odd and (self._reset_if_restarted(remote, now) or self._set_back(remote, now)):
             self.restarts += 1
             self.reset()
-        difference = now - remote
         self._before = remote, difference
         before, offset = self._least.enter(difference, now)
         # A slow clock, or a queue before the line: all of the last messages were late by this.
@@ -188,7 +190,10 @@ class ClockMap:
 
     def _reset_if_restarted(self, remote: int, now: int) -> bool:
         assert self._newest_remote is not None
-        return remote < self._newest_remote - self._jump_ns or now - remote < self._least.at(now) - self._jump_ns
+        return remote < self._newest_remote - self._jump_ns or self._is_ahead(now - remote, now)
+
+    def _is_ahead(self, difference: int, now: int) -> bool:
+        return difference < self._least.at(now) - self._jump_ns
 
     def _set_back(self, remote: int, now: int) -> bool:
         """Return whether the stamps went back a while ago, and none of those since fits the clock before."""

@@ -352,24 +352,24 @@ class Autopilot:
             self.events.append(int(message.id))
         elif name == "AUTOPILOT_VERSION":
             self._on_version(known, message)
-        known.streams.on_message(message, received_at)
-        known.parameters.on_message(message)
-        if name == "PARAM_VALUE":
+        elif name in ("PARAM_VALUE", "PARAM_ERROR"):
+            known.parameters.on_message(message)
             known.sampler.inertial_delay_s = inertial_delay_s(known.identity.stack, known.parameters.values)
             known.sampler.jerk_max_m_s3 = jerk_max_m_s3(known.parameters.values)
             known.sampler.tilt_max_deg = tilt_max_deg(known.identity.stack, known.parameters.values)
+        known.streams.on_message(message, received_at)
         samples = known.sampler.samples(message, received_at)
-        for fix in samples:
-            if isinstance(fix, GeoFix):
-                known.streamer.on_place(fix.place, received_at)
-        self._offer(samples)
+        for sample in samples:
+            if type(sample) is GeoFix:
+                known.streamer.on_place(sample.place, received_at)
+            self.samples.offer(sample)
         known.streamer.on_condition(known.sampler.condition, beat=name == "HEARTBEAT")
         self._tell_hand(known, received_at)
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:
             position = known.sampler.positions[-1]
             known.streamer.on_position(float(position.p_body_ned[2]))
             known.streamer.on_velocity(position.v_body_ned, position.p_body_ned, received_at)
-        if name in ("ATTITUDE_QUATERNION", "ATTITUDE") and known.sampler.attitude is not None:
+        elif name in ("ATTITUDE_QUATERNION", "ATTITUDE") and known.sampler.attitude is not None:
             known.streamer.on_attitude(known.sampler.attitude)
 
     def _tell_hand(self, known: _Known, now: MonoNs) -> None:

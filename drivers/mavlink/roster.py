@@ -192,7 +192,7 @@ class Origins:
         if main is None:
             return [message]
         others = self._alive(at)
-        if main.continued_by(sequence) <= _NEXT_WITHIN and all(one.apart_from(sequence) for one in others):
+        if main.continued_by(sequence) <= _NEXT_WITHIN and (not others or all(one.apart_from(sequence) for one in others)):
             main.sequence = sequence
             return [message]
         its_own = next((one for one in others if one.continued_by(sequence) <= _NEXT_WITHIN), None)

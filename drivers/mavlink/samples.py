@@ -159,19 +159,20 @@ class MavlinkSampler:
 
     def samples(self, message: Message, received_at: MonoNs) -> list[Sample]:
         """Every sample in one message of the autopilot."""
-        handle = self._table.get(message.get_type())
+        name = message.get_type()
+        handle = self._table.get(name)
         if handle is None:
             return []
-        key, place = (message.get_type(), getattr(message, "id", 0)), _place_in_order(message)
+        key, place = (name, getattr(message, "id", 0)), _place_in_order(message)
         if _overtaken(place, self._newest.get(key)):
-            self.out_of_order[message.get_type()] += 1
+            self.out_of_order[name] += 1
             return []
         try:
             out = handle(message, received_at)
             self._newest[key] = place
             return out
         except ValueError:  # the contracts refuse what is not finite or not possible
-            self.refused[message.get_type()] += 1
+            self.refused[name] += 1
             return []
 
     def vessel(self, message: Message, received_at: MonoNs) -> list[Sample]:
