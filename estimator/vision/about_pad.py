@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.core.library import CORE
-from estimator.vision.clear_deck import LASTS_S, PERIOD_S, SurfaceMemory, is_near
+from estimator.vision.clear_deck import LASTS_S, PERIOD_S, SurfaceMemory, is_near, median
 from estimator.vision.detect.pyramid import U8, FrameView
 from estimator.vision.detect.template import F32
 from estimator.vision.detection import NearThing, PadCheck
@@ -185,8 +185,9 @@ def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at
         uv, kept = _follow(memory, above, shown)
         q = (uv - (len(above) - 1) / 2) * _STEP_M
         sums = memory.sums[kept] + _reading(q, centre[:2], height_m, px_m)
-        is_lost = memory.of.stands & ~np.isin(np.arange(len(memory.uv)), kept)
-        rows = np.column_stack([memory.of.place, memory.of.z, np.full(len(is_lost), memory.at * 1e-9)])[is_lost]
+        is_lost = memory.of.stands.copy()
+        is_lost[kept] = False
+        rows = np.column_stack([memory.of.place[is_lost], memory.of.z[is_lost], np.full(is_lost.sum(), memory.at * 1e-9)])
         stood = np.concatenate([stood[at * 1e-9 - stood[:, 3] < _LOST_S], rows])
         of = _heights(sums, view.pad.disc_radius_m)
         new, known = _nearest_of(of, q, stood, view.pad.disc_radius_m), memory.near(at)
@@ -260,7 +261,7 @@ def _heights(sums: F64, disc_radius_m: float) -> _Heights:
     # Most corners lie flat: how far their heights are off says what a standard deviation is worth in this approach.
     sure, flat = np.sqrt(aa), _SIGMAS_ARE[1]
     if np.count_nonzero(often) >= _FLAT_LEAST:
-        flat = float(np.clip(_MAD * np.median(np.abs(z * sure)[often]), *_SIGMAS_ARE))
+        flat = float(np.clip(_MAD * median(np.abs(z * sure)[often]), *_SIGMAS_ARE))
     # What is high turns and grows on the way down, and its corners are followed less well.
     stays = left < _STAYS * freedom + np.minimum(_STAYS_PART * np.maximum(0.0, aq * z), _STAYS_M**2 * w)
     stands = (
@@ -371,7 +372,7 @@ def watch_passing(memory: PassMemory | None, view: FrameView, pose: PadPose, at:
         return PassMemory(light, shown, np.zeros(shown.shape, np.float32), (now,), found=found, found_at=found_at)
     both = ((shown > 0) & (memory.known > 0))[::2, ::2]
     bright, was = (of[::2, ::2, 1][both].astype(np.float32) + _FLOOR for of in (light, memory.mean))
-    mean = cv2.convertScaleAbs(memory.mean, alpha=float(np.median(bright / was)) if len(was) else 1.0)  # by the exposure
+    mean = cv2.convertScaleAbs(memory.mean, alpha=float(median(bright / was)) if len(was) else 1.0)  # by the exposure
     cv2.copyTo(light, cv2.bitwise_not(memory.known), mean)
     bright, usual = (np.add(of, _FLOOR, dtype=np.float32) for of in (light, mean))
     share = cv2.divide(bright, usual, scale=_ONE, dtype=cv2.CV_8U)

@@ -71,8 +71,9 @@ def expected(belief: RelativeState, attitude: Attitude, camera: Camera, alike_ya
 
 def in_camera(d_body_pad_level: F64, yaw_rad: float, R_level_body: Rotation, camera: Camera) -> PadPose:
     """Return the pose in camera coordinates of a pad on a level deck."""
-    R_cam_level = camera.T_body_cam.R.inv @ R_level_body.inv
-    t = R_cam_level @ d_body_pad_level - camera.T_body_cam.R.inv @ camera.T_body_cam.t
+    R_cam_body = camera.T_body_cam.R.inv
+    R_cam_level = R_cam_body @ R_level_body.inv
+    t = R_cam_level @ d_body_pad_level - R_cam_body @ camera.T_body_cam.t
     return PadPose(R_cam_level @ Rotation.from_rpy(0.0, 0.0, -yaw_rad), t)
 
 

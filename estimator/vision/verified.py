@@ -233,12 +233,12 @@ class _Seen:
 
         A start that was aligned with the frame counts with its place, too.
         """
-        disc_radius_m = self.view.pad.disc_radius_m
-        most = _STRAYS + _STRAYS_PX / (self.view.camera.fx * disc_radius_m / start.range_m)
-        if not self.searched or abs(found.range_m / start.range_m - 1.0) > most:
-            return abs(found.range_m / start.range_m - 1.0) > most
-        moved = float(np.linalg.norm(found.pose.t_cam_pad / found.range_m - start.t_cam_pad / start.range_m))
-        return moved * start.range_m > most * disc_radius_m
+        disc_radius_m, range_m, start_m = self.view.pad.disc_radius_m, found.range_m, start.range_m
+        most = _STRAYS + _STRAYS_PX / (self.view.camera.fx * disc_radius_m / start_m)
+        if not self.searched or abs(range_m / start_m - 1.0) > most:
+            return abs(range_m / start_m - 1.0) > most
+        moved = float(np.linalg.norm(found.pose.t_cam_pad / range_m - start.t_cam_pad / start_m))
+        return moved * start_m > most * disc_radius_m
 
     def verify_visible(self, start: PadPose, prior_log_odds: float, cut: F64) -> Verified | None:
         """Register what lies on this side of a cut, and verify the drawing there."""
