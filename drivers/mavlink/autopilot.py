@@ -49,8 +49,11 @@ from estimator.contracts.time import MonoNs, seconds_between
 _log = logging.getLogger(__name__)
 
 _KNOCK_S = 1.0
-_UNASKED_S = 0.006
-"""Time after which messages are handled that nobody asked for: PX4 wants round trips of TIMESYNC below 10 ms."""
+_UNASKED_S, _TIMED_S, _TIMED_FOR_S = 0.02, 0.006, 1.0
+"""Time after which messages are handled that nobody asked for, and for how long it is shorter after a request for the time.
+
+PX4 requests it ten times a second, and drops round trips of TIMESYNC above 10 ms.
+"""
 _WARNING = 4
 """MAV_SEVERITY_WARNING; what is graver has a lower number."""
 _BEFORE_S, _AFTER_S = 5.0, 2.0
@@ -108,6 +111,8 @@ class Autopilot:
         self._known: _Known | None = None
         self._listeners: list[Callable[[ReceivedMessage], None]] = []
         self._taken_at = clock.now()
+        self._timed_at: MonoNs | None = None
+        """Time of the newest TIMESYNC request; None before the first."""
         self._boots = 0
         self._knocked: MonoNs | None = None
         self._requests = RateLimit(_REQUESTS_HZ, _REQUESTS_MAX)
@@ -280,9 +285,12 @@ class Autopilot:
 
     async def _read(self) -> None:
         while self.links.waits:
-            if (waits_s := _UNASKED_S - seconds_between(self._taken_at, self._clock.now())) <= 0.0:
+            now = self._clock.now()
+            timed = self._timed_at is not None and seconds_between(self._timed_at, now) < _TIMED_FOR_S
+            most_s = _TIMED_S if timed else _UNASKED_S
+            if (waits_s := most_s - seconds_between(self._taken_at, now)) <= 0.0:
                 self._take_waiting()
-            await self._clock.sleep(waits_s if waits_s > 0.0 else _UNASKED_S)
+            await self._clock.sleep(waits_s if waits_s > 0.0 else most_s)
         async for received in self.links.received:
             self._handle(received)
 
@@ -314,6 +322,7 @@ class Autopilot:
             middle = MonoNs((received.received_at + self._clock.now()) // 2)
             answer = answer_to(message, middle, (received.system, received.component), self.links.identity)
             if answer is not None:
+                self._timed_at = received.received_at
                 self.links.send(answer, received.source)
         if name == "HEARTBEAT" and is_autopilot(message, received.component):
             self._on_heartbeat(received)
