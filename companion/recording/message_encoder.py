@@ -164,13 +164,13 @@ class MessageEncoder:
 
 
 def packed(px: NDArray[np.uint8], form: FrameForm, jpeg_quality: int) -> bytes:
-    """Return an image encoded as the bytes of a file; JPEG keeps the full resolution of colour, which detects the pad.
+    """Return an image encoded as the bytes of a file; JPEG keeps colour in half of the columns, as cameras' own formats do.
 
     Raises:
         ValueError: OpenCV cannot encode it.
     """
     if form == "jpeg":
-        flags = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+        flags = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422]
         ok, data = cv2.imencode(".jpg", px, flags)
     elif form == "png":
         ok, data = cv2.imencode(".png", px, [cv2.IMWRITE_PNG_COMPRESSION, 1])

@@ -59,7 +59,7 @@ class RecorderOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         ),
     ] = "jpeg"
     frames_each: Annotated[int, number("keep the frame of each n-th frame only", "frames", 1, 1000)] = 1
-    jpeg_quality: Annotated[int, number("quality of JPEG frames, at full resolution of colour", "1", 50, 100)] = 90
+    jpeg_quality: Annotated[int, number("quality of JPEG frames", "1", 50, 100)] = 90
     max_file_mb: Annotated[float, number("a file that is larger ends, and a new one begins", "MB", 1.0, 100_000.0)] = 500.0
     max_file_s: Annotated[float, number("a file that is longer ends, and a new one begins", "s", 1.0, 86_400.0)] = 600.0
     max_total_mb: Annotated[
