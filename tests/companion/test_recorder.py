@@ -14,6 +14,8 @@ import pytest
 from mcap.reader import make_reader
 from msgspec.structs import replace
 
+from companion.base.containment import Audience
+from companion.base.health import Health
 from companion.base.observer import Decision, ProcessedFrame
 from companion.facts.records import TruthRecord
 from companion.parts.recorder.recorder import Recorder, RecorderState
@@ -24,6 +26,7 @@ from companion.recording.mcap_file import About
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.load import camera_model
 from companion.settings.service import RecorderOptions
+from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import COMPONENTS
@@ -179,13 +182,8 @@ def test_what_a_killed_process_leaves_reads_up_to_its_last_flush(tmp_path: Path)
     path = tmp_path / "killed.mcap"
     program = f"""
         import time
-        from pathlib import Path
-        from tests.companion.test_recorder import ABOUT, CAMERA, numbered_imu
-        from companion.settings.service import RecorderOptions
-        from companion.parts.recorder.recorder import Recorder
-        from companion.parts.recorder.storage_policy import SingleFile
-        recorder = Recorder(SingleFile(Path({str(path)!r})), CAMERA, ABOUT, RecorderOptions(flush_s=0.1))
-        with recorder:
+        from tests.companion.test_recorder import ABOUT, CAMERA, Path, Recorder, RecorderOptions, SingleFile, numbered_imu
+        with Recorder(SingleFile(Path({str(path)!r})), CAMERA, ABOUT, RecorderOptions(flush_s=0.1)) as recorder:
             for i in range(100_000):
                 recorder.on_sample(numbered_imu(i * 0.005))
                 time.sleep(0.0005)
@@ -233,15 +231,17 @@ def test_files_follow_one_another_and_the_oldest_go(tmp_path: Path) -> None:
 
 def test_pause_ends_the_file_and_resume_begins_another(tmp_path: Path) -> None:
     with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, RecorderOptions(), lossless=True) as recorder:
+        audience = Audience([recorder], Health(SystemClock()))
         for i in range(30):
             if i == 10:
                 wait_until(lambda: recorder._queue.empty())
                 recorder.switch(False)
             if i == 20:
                 wait_until(lambda: recorder._queue.empty())
-                assert recorder.state is RecorderState.PAUSED
+                assert (recorder.state, audience.takes_fusion) == (RecorderState.PAUSED, False)
                 recorder.switch(True)
-            recorder.on_sample(numbered_imu(0.01 * i))
+                assert audience.takes_fusion
+            audience.on_samples([numbered_imu(0.01 * i)])
     assert len(samples_of(tmp_path / "a.mcap")) in (9, 10)
     assert len(samples_of(tmp_path / "a-2.mcap")) == 10
 
@@ -256,8 +256,8 @@ def test_link_bytes_are_kept_both_ways(tmp_path: Path) -> None:
     with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, RecorderOptions(), lossless=True) as recorder:
         recorder.on_link(MonoNs(5), "autopilot", "out", b"\xfd\x00\xff", "LANDING_TARGET")
         recorder.on_link(MonoNs(6), "autopilot", "in", bytes(range(256)))
-    with io.BytesIO((tmp_path / "a.mcap").read_bytes()) as stream:
-        found = [json.loads(m.data) for _, c, m in make_reader(stream).iter_messages() if c.topic == "/link"]
+    messages = make_reader(io.BytesIO((tmp_path / "a.mcap").read_bytes())).iter_messages(topics=["/link"])
+    found = [json.loads(m.data) for _, _, m in messages]
     assert [(f["direction"], f.get("name")) for f in found] == [("out", "LANDING_TARGET"), ("in", None)]
     events = list(open_recording([tmp_path / "a.mcap"]).events())
     assert [e.data for e in events if hasattr(e, "data")] == [b"\xfd\x00\xff", bytes(range(256))]
