@@ -40,7 +40,7 @@ from estimator.vision.detection import Detection
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.thesis.segmentation import COLOUR_SETS
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, prepare, track
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.tracker_config import FRAME_WORK
 
 U8 = NDArray[np.uint8]
@@ -161,9 +161,9 @@ def run(args: argparse.Namespace) -> int:
             for image in _images(file, models[file]):
                 attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg)) or image.attitude
                 frame = Frame(_STAMP, image.index, image.px, coded=image.coded)
-                if not frames:  # else the first look would set the pad up, which is no part of a look's time
+                if not frames:  # The first look sets the pad up, and all code that it runs is cold: neither is a look's time.
                     with named_wait(f"setting up the pad {pad.name}"):
-                        prepare(trackers[0], frame.px)
+                        _best(frame, attitude, trackers, memories)
                 began = time.perf_counter()
                 seen, colours, memories = _best(frame, attitude, trackers, memories)
                 elapsed_ms = (time.perf_counter() - began) * 1e3

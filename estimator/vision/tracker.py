@@ -29,13 +29,12 @@ from estimator.vision.by_paint import TrackerMemory as TrackerMemory
 from estimator.vision.by_paint import by_paint, by_thesis, read_deck
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import FRESH_SEARCH
-from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.template import paints_at
 from estimator.vision.detection import Detection
 from estimator.vision.expectation import ExpectedPlace, expected, in_camera, near_enough, sigma_of
 from estimator.vision.lamp import places_of
 from estimator.vision.lamp_sighting import by_lamps, is_dark
-from estimator.vision.native import tracker_of, work_done
+from estimator.vision.native import work_done
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings, confusable_turns
@@ -50,12 +49,6 @@ _AT = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
 _NO_STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
 _DECK, _H, _ORANGE, _DISC, _BLACK = (110, 105, 100), (235, 235, 235), (30, 120, 230), (60, 130, 50), (20, 20, 20)
 """Colours of deck and paints, BGR; fiducials are dark on light."""
-
-
-def prepare(tracker: TrackerConfig, px: NDArray[np.uint8]) -> None:
-    """Build what the first look at such an image would build, in colour or in grey: the drawing's maps, and the lens' rays."""
-    for pad in (FrameView(Pyramid(px), tracker.camera, tracker.pad).as_seen().pad, None):
-        tracker_of(tracker.camera, pad)
 
 
 def rehearse(tracker: TrackerConfig) -> Detection:
