@@ -19,7 +19,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from msgspec.structs import replace
-from msgspec.structs import replace as changed
 from numpy.typing import NDArray
 
 from benches.search import SIGMA_YAW_RAD
@@ -215,13 +214,13 @@ def with_bodies(runs: range, tracker: TrackerConfig) -> None:
         a, r = rng.uniform(0, math.tau), tracker.pad.disc_radius_m + float(rng.uniform(0.3, 0.7))
         x, y = r * math.cos(a), r * math.sin(a)
         stands = Bystander(at_s=0.0, forward_m=x, right_m=y)
-        walks = changed(stands, to_forward_m=-x, to_right_m=-y, speed_m_s=float(rng.uniform(0.6, 1.4)))
+        walks = replace(stands, to_forward_m=-x, to_right_m=-y, speed_m_s=float(rng.uniform(0.6, 1.4)))
         body = {
-            "crate": changed(stands, thing="box", width_m=float(rng.uniform(0.2, 0.6)), height_m=float(rng.uniform(0.3, 1.0))),
-            "stands": changed(stands, height_m=float(rng.uniform(0.8, 1.8))),
+            "crate": replace(stands, thing="box", width_m=float(rng.uniform(0.2, 0.6)), height_m=float(rng.uniform(0.3, 1.0))),
+            "stands": replace(stands, height_m=float(rng.uniform(0.8, 1.8))),
             "walks": walks,
-            "bird": changed(walks, thing="bird", height_m=1.2, speed_m_s=float(rng.uniform(0.5, 2.0))),
-            "drone": changed(walks, thing="drone", height_m=1.0, speed_m_s=float(rng.uniform(0.2, 0.8))),
+            "bird": replace(walks, thing="bird", height_m=1.2, speed_m_s=float(rng.uniform(0.5, 2.0))),
+            "drone": replace(walks, thing="drone", height_m=1.0, speed_m_s=float(rng.uniform(0.2, 0.8))),
         }[kind]
         of = approach(20_000 + seed, light, (), tracker, (body,))
         seen[kind].append(max(of.first_m, of.near_m) > 0.0)

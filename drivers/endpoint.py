@@ -7,8 +7,9 @@ serial:///dev/ttyAMA0:921600     a serial port and its speed
 """
 
 import re
-from dataclasses import dataclass
 from typing import Literal, get_args
+
+from msgspec import Struct
 
 from estimator.contracts.errors import BadInput
 
@@ -21,8 +22,7 @@ _SERIAL = re.compile(r"^(/[^:?#]+):(\d{1,8})$")
 _HOW = "udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT or serial:///dev/NAME:BAUD"
 
 
-@dataclass(frozen=True, slots=True)
-class Endpoint:
+class Endpoint(Struct, frozen=True):
     """One link's address."""
 
     scheme: Scheme

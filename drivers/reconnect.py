@@ -10,8 +10,9 @@ import logging
 import random
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
@@ -23,8 +24,7 @@ _REASONS_MAX = 4
 """The number of different reasons of one outage that are logged."""
 
 
-@dataclass(frozen=True, slots=True)
-class BackOff:
+class BackOff(Struct, frozen=True):
     """The waits between attempts: `first_s`, then `factor` times longer each time up to `cap_s`.
 
     Raises:

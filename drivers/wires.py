@@ -18,10 +18,10 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass, field
 from typing import Any, ClassVar, NoReturn
 
 import serial
+from msgspec import Struct, field
 
 from drivers.datagrams import WaitingDatagrams
 from drivers.endpoint import Address, Endpoint
@@ -113,8 +113,7 @@ _REFUSED_S = 2.0
 _WATCH_S = 0.5
 
 
-@dataclass(slots=True)
-class WireCounts:
+class WireCounts(Struct):
     """Message counts of one endpoint over all its openings, and the addresses that were tried in vain."""
 
     refused: int = 0

@@ -8,7 +8,6 @@ from typing import Protocol
 
 import numpy as np
 from msgspec import Struct, structs
-from msgspec.structs import replace
 
 from estimator import dead_reckoning
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
@@ -148,7 +147,7 @@ class MedianMean(Struct, frozen=True, eq=False):
             yaw_ambiguous=yaw is not None and not certain,
             samples=len(entries),
         )
-        return replace(self, entries=entries, heading_rad=yaw if yaw is not None and certain else heading), out
+        return structs.replace(self, entries=entries, heading_rad=yaw if yaw is not None and certain else heading), out
 
     def smooth(self, sighting: Sighting) -> tuple[MedianMean, Sighting | None]:
         """Run `step` on a whole sighting; the result is a sighting stamped with the instant at which it holds.

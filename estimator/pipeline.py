@@ -74,6 +74,7 @@ class RelativeEstimator:
         self._paths = [_path(name, self._options) for name in names]
         self._attitudes = AttitudeHistory(self._options.history_s)
         self._gimbal = GimbalHistory()
+        self._exposed: Attitude | None = None
         self._newest: MonoNs | None = None
         self.guard = integrity.IntegrityGuard(self._options.integrity)
 
@@ -207,7 +208,13 @@ class RelativeEstimator:
 
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
         """Return the attitude at the instant of an exposure, for `PadTracker.track`; None when no sample covers it."""
-        return self._attitudes.at(stamp.measured_at, stamp)
+        kept, samples, at = self._exposed, self._attitudes.samples, stamp.measured_at
+        if kept is not None and kept.stamp == stamp and samples[0].stamp.measured_at <= at:
+            return kept
+        found = self._attitudes.at(at, stamp)
+        # Between two samples no later one changes it: vision and fusion ask for the same exposure.
+        self._exposed = found if samples and at <= samples[-1].stamp.measured_at else None
+        return found
 
     def held_at(self, stamp: Stamp, attitude: Attitude) -> HeldCamera | None:
         """Return how the camera's gimbal held it at the instant of an exposure; None if no report of the gimbal covers it.

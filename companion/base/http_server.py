@@ -17,13 +17,13 @@ import ssl
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 from aiohttp.typedefs import Handler
+from msgspec import Struct, field
 
 from companion.base.health import Health
 from companion.settings import files
@@ -52,8 +52,7 @@ HEADERS: Mapping[str, str] = MappingProxyType(
 _BY_CLIENTS = (HttpProcessingError, ConnectionError)
 
 
-@dataclass(slots=True)
-class ConnectionLimits:
+class ConnectionLimits(Struct):
     """The bounds, and the number of times that each was reached."""
 
     connections: int = 16

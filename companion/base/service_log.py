@@ -18,7 +18,8 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from companion.base.signals import PROCESS
 
@@ -59,8 +60,7 @@ class OneLine(logging.Formatter):
         return super().formatMessage(record)
 
 
-@dataclass(slots=True)
-class _Kind:
+class _Kind(Struct):
     since_s: float
     written: int = 0
     held: int = 0

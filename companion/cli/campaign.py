@@ -10,8 +10,9 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing
-from dataclasses import replace
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from companion.base.signals import Stopped
 from companion.cli import perception_option

@@ -11,11 +11,11 @@ import sys
 import tempfile
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
+from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.base import event_loop
@@ -155,8 +155,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
     return 0 if ending.on_pad else 1
 
 
-@dataclass(slots=True)
-class _Child:
+class _Child(Struct):
     """The report of the simulated drone's process."""
 
     ports: dict[str, int]

@@ -13,12 +13,12 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.cli.options import file_errors, option
@@ -62,8 +62,7 @@ _INK = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Image:
+class _Image(Struct, frozen=True, eq=False):
     """One image to search."""
 
     source: str
@@ -76,8 +75,7 @@ class _Image:
     coded: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Model:
+class _Model(Struct, frozen=True, eq=False):
     """The camera that took a file's images, and the pad to look for in them."""
 
     camera: Camera

@@ -11,10 +11,11 @@ import termios
 import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from companion.base import event_loop
 from companion.base.orders import CENTRED, OperatorOrder, StickPositions
@@ -75,8 +76,7 @@ def keys_in(text: str) -> Iterator[str]:
             yield found[0]
 
 
-@dataclass(frozen=True, slots=True)
-class KeyMotion:
+class KeyMotion(Struct, frozen=True):
     """The keys as sticks: the direction of each stick and the time until which it holds."""
 
     fraction: float = 0.5

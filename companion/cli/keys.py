@@ -10,8 +10,9 @@ import secrets
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from companion.cli.options import option
 from companion.parts.page.access import make_token
@@ -176,8 +177,7 @@ _CHANGES_OVER_S = 3.0
 _NO_KEY = [0] * 32
 
 
-@dataclass(frozen=True, slots=True)
-class Met:
+class Met(Struct, frozen=True):
     """An autopilot from which a heartbeat was received."""
 
     system: int

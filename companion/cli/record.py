@@ -9,12 +9,11 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from companion.base import signals
 from companion.base.observer import ProcessedFrame
@@ -173,8 +172,7 @@ def _cut(args: argparse.Namespace) -> int:
     return 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Source:
+class _Source(Struct, frozen=True):
     path: Path
     offset_ns: int
 
@@ -234,7 +232,7 @@ def _import(args: argparse.Namespace) -> int:
     sources = [_source(text) for text in args.sources]
     # Instants before the common clock's zero would be negative: all are moved by the same amount.
     lead = max(0, -min(s.offset_ns for s in sources))
-    sources = [replace(s, offset_ns=s.offset_ns + lead) for s in sources]
+    sources = [structs.replace(s, offset_ns=s.offset_ns + lead) for s in sources]
     settings = load(args.config)
     n = _written(args.output, lambda: _import_into(args.output, sources, settings))
     sys.stdout.write(f"{args.output}: {n['samples']} samples, {n['frames']} frames\n")

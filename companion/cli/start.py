@@ -11,8 +11,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from companion.cli import config, doctor
 from companion.cli.keys import write_secret
@@ -41,8 +42,7 @@ _SPEEDS = (921600, 57600, 115200)
 _SERIAL = ("/dev/serial/by-id/*", "/dev/serial0", "/dev/ttyAMA0")
 
 
-@dataclass(frozen=True, slots=True)
-class Answers:
+class Answers(Struct, frozen=True):
     """Answers from which the settings file is made."""
 
     vehicle: str
@@ -145,8 +145,7 @@ def _ask(what: str, among: dict[str, str], usual: str) -> str:
         sys.stdout.write(f"  a number from 1 to {len(names)}, or a name\n")
 
 
-@dataclass(frozen=True, slots=True)
-class FoundVehicle:
+class FoundVehicle(Struct, frozen=True):
     """A vehicle that answers, and where."""
 
     name: str

@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from msgspec import Struct, field
-from msgspec.structs import replace
+from msgspec import Struct, field, structs
 
 from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, Event, State, StateChange
 from companion.base.reason import Reason, ReasonCause
@@ -279,9 +278,9 @@ class LandingGuidance:
                     self._flight.contact = felt
                     # By our own clock: a stamp that lies would put the contact before the commit.
                     if felt.newest is not None and felt.newest is not before.newest:
-                        self._flight.impact = replace(felt.newest, at=received_at)
+                        self._flight.impact = structs.replace(felt.newest, at=received_at)
                     if felt.touch is not None and felt.touch is not before.touch:
-                        self._flight.touch = replace(felt.touch, at=received_at)
+                        self._flight.touch = structs.replace(felt.touch, at=received_at)
             elif type(sample) is Attitude:
                 self._response.on_attitude(sample.stamp, reported_lean(sample.R_ned_body))
                 self._attitude = sample
@@ -388,7 +387,7 @@ class LandingGuidance:
             outrun_m=0.0 if climb_m_s is None else flight.swell.gained_m(climb_m_s),
             aim_level=(0.0, 0.0) if self._air is None else self._air.aim_level(self._guidance.cone.feet_below_m),
         )  # fmt: skip
-        return replace(known, at_contact=self._at_contact(known))
+        return structs.replace(known, at_contact=self._at_contact(known))
 
     def _at_contact(self, seen: Knowledge) -> AtContact | None:
         """Return what the contact will be like, by the law's memory of the cycle before."""
@@ -411,7 +410,7 @@ class LandingGuidance:
         now = knowledge.at
         self._now = max(self._now, now)
         self._flight.wind = watched_wind(self._flight.wind, knowledge)
-        tilt = self._tilt if knowledge.tilt_max_deg is None else replace(self._tilt, max_deg=knowledge.tilt_max_deg)
+        tilt = self._tilt if knowledge.tilt_max_deg is None else structs.replace(self._tilt, max_deg=knowledge.tilt_max_deg)
         body = knowledge.body
         self._air = None if body is None else wind_over_drone(self._flight.wind, tilt, body.heading_rad, self._view)
         place: VesselPosition | Reason | None = None
@@ -540,7 +539,7 @@ class LandingGuidance:
 def alerted(belief: RelativeState, alert: IntegrityAlert) -> RelativeState:
     """Return the estimate with an alert, which makes it inconsistent."""
     alerts = (*(other for other in belief.alerts if other is not alert), alert)
-    return replace(belief, consistent=False, alerts=alerts)
+    return structs.replace(belief, consistent=False, alerts=alerts)
 
 
 def of_ship(sample: Sample) -> bool:

@@ -6,9 +6,8 @@ mostly wanted in order, and then each is decoded once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from companion.recording.frame_encoder import VideoQuality, is_key_frame
@@ -29,8 +28,7 @@ _PIXELS_MAX = 1 << 24
 RECORDED = VideoQuality(_CRF, KEY_EACH)
 
 
-@dataclass(slots=True, eq=False)
-class _Group:
+class _Group(Struct, eq=False):
     """A key frame and what follows it up to the next."""
 
     packets: list[bytes] = field(default_factory=list)
@@ -49,8 +47,7 @@ class _Group:
         return self.last
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class VideoImage:
+class VideoImage(Struct, frozen=True, eq=False):
     """One recorded frame of a video, decoded when it is requested."""
 
     _group: _Group

@@ -4,13 +4,13 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, cast
 
 import msgspec
 import numpy as np
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from companion.base.observer import Decision, FrameTimes
@@ -36,8 +36,7 @@ _APART_NS = 24 * 3600 * NS_PER_S
 """The longest time between two consecutive events, ns: a single event that is further away has a damaged instant."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordedFrame:
+class RecordedFrame(Struct, frozen=True, eq=False):
     """One frame as it was recorded."""
 
     record: rec.DetectionRecord
@@ -138,8 +137,7 @@ class _Instants:
         return True
 
 
-@dataclass(slots=True, eq=False)
-class Recording:
+class Recording(Struct, eq=False):
     """One recording, in one file or in the several files that a long one was split into."""
 
     paths: tuple[Path, ...]

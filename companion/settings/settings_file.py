@@ -4,8 +4,9 @@ import hashlib
 import os
 import tempfile
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from companion.settings.load import SHIPPED, read_text
 from estimator.contracts.errors import BadInput, in_words
@@ -14,8 +15,7 @@ BEFORE = ".before"
 """Suffix of the backup of the previous settings file."""
 
 
-@dataclass(frozen=True, slots=True)
-class SettingsFile:
+class SettingsFile(Struct, frozen=True):
     """See the module's docstring. A link is followed: the file that it names is replaced."""
 
     path: Path

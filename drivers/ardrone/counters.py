@@ -1,8 +1,9 @@
 """The counters of everything that crossed an AR.Drone link."""
 
 from collections import Counter
-from dataclasses import dataclass, field
 from enum import Enum
+
+from msgspec import Struct, field
 
 
 class Refusal(Enum):
@@ -20,8 +21,7 @@ class Refusal(Enum):
     """A known command has too few, too many or unreadable arguments."""
 
 
-@dataclass(slots=True)
-class Counters:
+class Counters(Struct):
     """Running totals since the link was opened."""
 
     navdata_refused: Counter[str] = field(default_factory=Counter)

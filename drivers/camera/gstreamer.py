@@ -14,10 +14,10 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from drivers.camera import gstreamer_program as wire
@@ -40,8 +40,7 @@ _PREDICTING = re.compile(r"h26[345]|x26[45]|hevc|vp[89]|av1|mpeg[24]|decodebin")
 """Names of codec elements that predict frames from one another, or of any codec."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Image:
+class _Image(Struct, frozen=True, eq=False):
     px: NDArray[np.uint8]
     stamp_ns: int
     received_at: MonoNs

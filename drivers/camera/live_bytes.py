@@ -10,13 +10,13 @@ import os
 import re
 import select
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import av
 from av.container import InputContainer
 from av.packet import Packet as AnyPacket
 from av.stream import Stream
+from msgspec import Struct
 
 from drivers.camera.source import CameraLost
 from drivers.camera.videos import MOST_PACKET_BYTES
@@ -35,8 +35,7 @@ _ALONE = frozenset({0x01, *range(0xD0, 0xD8)})
 _Pieces: TypeAlias = "Iterator[AnyPacket[Stream]]"
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
+class Arrival(Struct, frozen=True):
     """The instant of a read, and the longest time that its bytes may have lain in the buffer."""
 
     received_at: MonoNs

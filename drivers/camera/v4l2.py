@@ -11,11 +11,11 @@ import errno
 import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from drivers.camera.exposure import ExposureDrive, ExposureSetting
@@ -35,8 +35,7 @@ BY_NAME = (Path("/dev/v4l/by-id"), Path("/dev/v4l/by-path"))
 SYSFS = Path("/sys/class/video4linux")
 
 
-@dataclass(frozen=True, slots=True)
-class CaptureDevice:
+class CaptureDevice(Struct, frozen=True):
     """A capture device of this machine."""
 
     path: Path

@@ -13,7 +13,8 @@ import math
 import mmap
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from drivers.camera import v4l2_kernel as kernel
 from drivers.camera.exposure import ExposureRange, ExposureSetting
@@ -130,8 +131,7 @@ _NUMBERS = {kernel.INTEGER, kernel.INTEGER64}
 _CHOICES = {kernel.BOOLEAN, kernel.MENU, kernel.INTEGER_MENU}
 
 
-@dataclass(frozen=True, slots=True)
-class Buffer:
+class Buffer(Struct, frozen=True):
     """A copy of one buffer of the kernel."""
 
     data: bytes

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from drivers.camera.images import ImageRefused, decode
@@ -16,8 +15,7 @@ from estimator.contracts.errors import BadInput
 U8 = NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True)
-class FrameLayout:
+class FrameLayout(Struct, frozen=True):
     """The format of the frames that the device agreed to send."""
 
     format: str

@@ -15,7 +15,6 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
@@ -25,6 +24,7 @@ from av.container import InputContainer
 from av.error import FFmpegError
 from av.packet import Packet as AnyPacket
 from av.video.stream import VideoStream
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from drivers.camera.images import ImageRefused, claimed_size, decode
@@ -54,8 +54,7 @@ _BUFFERED_MOST_S = 0.5
 """A frame without times that may have lain in the buffer for longer is not given out."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Image:
+class _Image(Struct, frozen=True, eq=False):
     px: NDArray[np.uint8]
     pts_s: float | None
     arrival: Arrival

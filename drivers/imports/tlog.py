@@ -5,8 +5,9 @@ Source: Mission Planner and MAVProxy write it; pymavlink's mavlogfile reads it.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from drivers.imports.log_history import AutopilotLog, LogHistory
 from drivers.imports.stamps import Tell, quiet, timeline
@@ -26,8 +27,7 @@ _HEADS = {0xFE: (8, 0), 0xFD: (12, 13)}
 _TEXTS_MAX = 1000
 
 
-@dataclass(frozen=True, slots=True)
-class _Received:
+class _Received(Struct, frozen=True):
     at_us: int
     message: Message
 

@@ -11,8 +11,9 @@ MAVLink's ids prove nothing, so an id counts only together with the link and the
 
 import logging
 from collections import Counter
-from dataclasses import dataclass, field
 from enum import IntEnum
+
+from msgspec import Struct, field
 
 from drivers.endpoint import Address
 from estimator.contracts.errors import BadInput
@@ -41,8 +42,7 @@ class AccessLevel(IntEnum):
     """It may command."""
 
 
-@dataclass(frozen=True, slots=True)
-class Named:
+class Named(Struct, frozen=True):
     """A system that may command, or one component of it."""
 
     system: int
@@ -68,8 +68,7 @@ def parse_operators(text: str) -> tuple[Named, ...]:
     return tuple(out)
 
 
-@dataclass(frozen=True, slots=True)
-class NamedSenders:
+class NamedSenders(Struct, frozen=True):
     """The senders that the settings name.
 
     Attributes:
@@ -85,14 +84,12 @@ class NamedSenders:
     silence_s: float = 30.0
 
 
-@dataclass(slots=True)
-class _UnknownSender:
+class _UnknownSender(Struct):
     since: MonoNs
     logged: bool = False
 
 
-@dataclass(slots=True)
-class Access:
+class Access(Struct):
     """The senders known so far. There is one instance for all links of a service."""
 
     options: NamedSenders

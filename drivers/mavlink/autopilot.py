@@ -4,9 +4,9 @@ import logging
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct, field
 
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
@@ -72,8 +72,7 @@ _BESIDE_S = 5.0
 """Time for which nothing is followed once two senders have used the autopilot's ids at the same time."""
 
 
-@dataclass(slots=True)
-class _Known:
+class _Known(Struct):
     """The state that belongs to the autopilot once it is found."""
 
     identity: Identity

@@ -7,7 +7,8 @@ import math
 import struct
 from collections import deque
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.vehicle import Stack
@@ -91,8 +92,7 @@ def request_message(target: tuple[int, int], number: int) -> Message:
     return mav.MAVLink_command_long_message(*target, mav.MAV_CMD_REQUEST_MESSAGE, 0, number, 0, 0, 0, 0, 0, 0)
 
 
-@dataclass(slots=True)
-class _Stream:
+class _Stream(Struct):
     interval_s: float
     tries: int = 0
     asked: MonoNs | None = None

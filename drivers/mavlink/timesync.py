@@ -8,8 +8,9 @@ Synchronization Protocol v2"; Mills, RFC 5905 section 10 (least delay wins).
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import NewType
+
+from msgspec import Struct
 
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.mavlink.dialect import Message, TimeSyncV2
@@ -21,8 +22,7 @@ _JUMPS_TO_BELIEVE = 3
 _SLACK_S = 0.002
 
 
-@dataclass(frozen=True, slots=True)
-class _Answer:
+class _Answer(Struct, frozen=True):
     received_at: MonoNs
     offset_ns: int
     round_trip_ns: int

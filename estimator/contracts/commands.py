@@ -3,8 +3,7 @@
 import math
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import force_setattr
+from msgspec import Struct, structs
 
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, own_array
@@ -26,7 +25,7 @@ class Velocity(Struct, frozen=True, eq=False):
         if v.shape != (3,) or not np.all(np.isfinite(v)) or not math.isfinite(self.yaw_rate_rad_s):
             raise ValueError(f"a velocity command needs finite numbers, got {self.v_level!r}, {self.yaw_rate_rad_s!r}")
         v.setflags(write=False)
-        force_setattr(self, "v_level", v)
+        structs.force_setattr(self, "v_level", v)
 
 
 class Lean(Struct, frozen=True, eq=False):
@@ -53,9 +52,9 @@ class Lean(Struct, frozen=True, eq=False):
                 "a lean command needs finite numbers of shapes (2,), (2,), (3,), (), "
                 f"got {self.a_level!r}, {self.trim_level!r}, {self.v_level!r}, {self.yaw_rate_rad_s!r}"
             )
-        force_setattr(self, "a_level", a)
-        force_setattr(self, "trim_level", trim)
-        force_setattr(self, "v_level", v)
+        structs.force_setattr(self, "a_level", a)
+        structs.force_setattr(self, "trim_level", trim)
+        structs.force_setattr(self, "v_level", v)
 
 
 class LandingPlace(Struct, frozen=True):

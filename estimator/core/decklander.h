@@ -403,8 +403,9 @@ typedef struct {
  * may run at once with those of another filter. */
 typedef struct dl_filter dl_filter;
 
-/* Return a filter that has received nothing; NULL if there is no memory. */
-dl_filter *dl_filter_new(const dl_filter_params *params);
+/* Return the filter that was saved in these bytes by a library for the same machine, which continues with these parameters; without bytes
+ * one that has received nothing. NULL if there is no memory, or if the bytes are not a filter. */
+dl_filter *dl_filter_new(const dl_filter_params *params, const uint8_t *saved, int64_t bytes);
 void dl_filter_free(dl_filter *f);
 /* Insert n events, in the order of their reception, each at the instant when it was measured: it and all later events are processed
  * again. The result is the one of events that were received in the order of their instants. Write the outcome of each. Return the
@@ -417,9 +418,55 @@ bool dl_filter_answer(dl_filter *f, int64_t t, dl_answer *out);
 bool dl_filter_forecast(dl_filter *f, int64_t t, int32_t n, const double *horizons_s, dl_deck_ahead *out);
 /* Write all that the filter keeps into `room` bytes, if there are enough; return how many it takes. */
 int64_t dl_filter_save(const dl_filter *f, uint8_t *out, int64_t room);
-/* Return the filter that was saved in these bytes by a library for the same machine; NULL if they are not one, or if there is no
- * memory. It continues with these parameters. */
-dl_filter *dl_filter_load(const dl_filter_params *params, const uint8_t *saved, int64_t bytes);
+
+/* ---- integrity/: checks of one witness by another ---- */
+
+enum {
+    /* The largest number of bearings that are compared: half a second at 128 frames a second. */
+    DL_VIEW_MAX = 64,
+    /* The number of delays for which view and rotation are compared. */
+    DL_VIEW_LAGS = 17,
+};
+
+/* A bearing of the pad. */
+typedef struct {
+    /* Instant of the exposure, ns. */
+    int64_t t;
+    /* Unit vector to the pad in level. */
+    double level[3];
+    /* Roll and pitch of the body, (3, 3). */
+    double R_level_body[9];
+} dl_bearing;
+
+/* The view of the pad against the body's turns. All zero but aside_at, it has seen nothing. */
+typedef struct {
+    /* Number of bearings. */
+    int64_t n;
+    /* The bearings of the last half second, oldest first. */
+    dl_bearing bearings[DL_VIEW_MAX];
+    /* Sum of the products of [expected forward, right, seen forward, right] in the body, (4, 4) rad^2, older ones less. */
+    double moments[16];
+    /* Sum of squares of the view, rad^2, older ones less. */
+    double seen;
+    /* The same of the rotation, for each delay. */
+    double turned[DL_VIEW_LAGS];
+    /* Sum of the products of both, for each delay. */
+    double together[DL_VIEW_LAGS];
+    /* Number of sightings in a row that show a delay. */
+    int64_t lags_shown;
+    /* Delay of the attitude against the image, s; 0 while nothing shows that it is. */
+    double late_s;
+    /* Instant of the newest way of the pad that is too fast to show a delay, ns; -1 if there was none. */
+    int64_t aside_at;
+    /* Whether the pad stands still in the image while the body turns. */
+    bool frozen;
+    /* Whether the pad moves in the image against the rotation of the body, along some axis. */
+    bool reversed;
+} dl_view;
+
+/* Process a sighting at instant t, ns, with the pad at d_level, (3,) m, from a body of this roll and pitch, rad. A view counts as frozen
+ * while the spread of its bearings is less than still_ratio of that of the rotations, if those have turned_min_rad. */
+void dl_view_watch(dl_view *view, int64_t t, const double *d_level, double roll, double pitch, double turned_min_rad, double still_ratio);
 
 /* ---- law/: the law that follows the deck ---- */
 

@@ -57,10 +57,8 @@ class Filter:
     def __init__(self, options: EkfOptions | None = None, saved: bytes | None = None) -> None:
         self.options = options or EkfOptions()
         self._params = FilterParams(self.options)
-        if saved is None:
-            made = CORE.lib.dl_filter_new(self._params.core)
-        else:
-            made = CORE.lib.dl_filter_load(self._params.core, CORE.ffi.from_buffer(saved), len(saved))
+        kept = CORE.ffi.NULL if saved is None else CORE.ffi.from_buffer(saved)
+        made = CORE.lib.dl_filter_new(self._params.core, kept, 0 if saved is None else len(saved))
         if made == CORE.ffi.NULL:
             raise MemoryError("the filter has no memory") if saved is None else ValueError("this is no saved filter")
         self._core = CORE.ffi.gc(made, CORE.lib.dl_filter_free)

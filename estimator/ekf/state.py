@@ -18,8 +18,6 @@ N = abi.DL_N
 
 ATT_ERR = _part("ATT_ERR")
 """Attitude error, rad, in `body`: `R_true = R @ exp(x[ATT_ERR])`. The nominal is `R`, so `x[ATT_ERR]` is always zero."""
-ATT_AXES = range(N)[ATT_ERR]
-"""Indices of the components of `ATT_ERR`."""
 POS_REL = _part("POS_REL")
 """d_body_pad_ned, m."""
 POS_NORTH, POS_EAST, POS_DOWN = POS_AXES = range(N)[POS_REL]

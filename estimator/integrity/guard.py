@@ -270,13 +270,12 @@ def _accused(guard: IntegrityGuard) -> list[tuple[IntegrityAlert, int]]:
     seen, frames, stamps = guard.view, guard.frames, guard.clock
     if frames.frozen:
         found.append((IntegrityAlert.CAMERA_FROZEN, frames.at))
-    if seen.bearings:
-        of_view = (
-            (seen.frozen, IntegrityAlert.VIEW_FROZEN),
-            (seen.reversed, IntegrityAlert.VIEW_REVERSED),
-            (seen.late_s != 0.0, IntegrityAlert.IMU_LATE),
-        )
-        found += [(alert, seen.bearings[-1][0]) for held, alert in of_view if held]
+    if seen.frozen:
+        found.append((IntegrityAlert.VIEW_FROZEN, seen.at))
+    if seen.reversed:
+        found.append((IntegrityAlert.VIEW_REVERSED, seen.at))
+    if seen.late_s != 0.0:
+        found.append((IntegrityAlert.IMU_LATE, seen.at))
     for kind, alert in ((Imu, IntegrityAlert.IMU_FROZEN), (Attitude, IntegrityAlert.ATTITUDE_FROZEN)):
         watched = guard.sensors.get(kind)
         if watched is not None and watched.frozen:

@@ -126,7 +126,8 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
     last = tracks.last
     if last is None:
         return Tracks(1, 0, seen), True
-    known = next((c for c in tracks.candidates if _joins(c, seen, o)), None)
+    alive = [c for c in tracks.candidates if abs(seen.t - c.last.t) <= _ALIVE_S * 1e9]
+    known = next((c for c in alive if _beside(c.last, seen, o)), None)
     # What motion did not explain at first it does not explain later, when the pad may have moved further.
     nearer = known is None or _apart(last, seen)[0] <= _apart(known.last, seen)[0]
     if nearer and tracks.assumed is None and abs(seen.t - last.t) <= _BESIDE_S * 1e9 and _beside(last, seen, o):
@@ -226,10 +227,6 @@ def _adopted(chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...], o: 
 
 def _alone(chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...]) -> bool:
     return all(c is chosen or c.n < _SEEN_AT_LEAST or chosen.last.t - c.last.t > _ALIVE_S * 1e9 for c in candidates)
-
-
-def _joins(c: TrackCandidate, seen: Place, o: IntegrityOptions) -> bool:
-    return abs(seen.t - c.last.t) <= _ALIVE_S * 1e9 and _beside(c.last, seen, o)
 
 
 def _with(

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
@@ -36,8 +36,7 @@ class EdgeKind(IntEnum):
     """The edge between lettering of a second paint and what it lies on, the other lettering or the disc."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class Edges(Struct, frozen=True, eq=False):
     """Points on the edges of a pad. Neighbours of a piece are in order, and the pieces of one kind are contiguous."""
 
     at_m: F64

@@ -7,7 +7,8 @@ is reported beside it (`Detection.elsewhere`), because a belief can be wrong, an
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
@@ -30,8 +31,7 @@ search.
 """
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ExpectedPlace:
+class ExpectedPlace(Struct, frozen=True, eq=False):
     """Expected and excluded places of the pad in the frame, by the filter's estimate."""
 
     state: RelativeState | None

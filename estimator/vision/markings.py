@@ -1,9 +1,9 @@
 """The sizes of the parts of a pad that detection knows by name: disc or panel, rim, ring, arrowhead, lettering."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from estimator.contracts.geometry import F64
 from estimator.vision.fiducial import PaintedFiducial
@@ -28,8 +28,7 @@ BARE: Rgb = (128, 128, 128)
 """Assumed colour of an unpainted deck, for comparison with a paint."""
 
 
-@dataclass(frozen=True, slots=True)
-class Colours:
+class Colours(Struct, frozen=True):
     """Nominal colours of the parts, sRGB 0..255; a bare deck's grey for those that the pad does not have.
 
     They are a starting point for rendered frames and colour limits. Detection never relies on them alone.
@@ -42,8 +41,7 @@ class Colours:
     upper: Rgb | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Markings:
+class Markings(Struct, frozen=True):
     """Sizes of a pad's parts, m; 0 for those of a part that it does not have."""
 
     outer_radius_m: float

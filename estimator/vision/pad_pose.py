@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PadPose:
+class PadPose(Struct, frozen=True, eq=False):
     """The pose of the pad in `cam`: `p_cam = R_cam_pad @ p_pad + t_cam_pad`.
 
     Raises:
@@ -29,7 +29,7 @@ class PadPose:
         if t.shape != (3,) or not all(map(math.isfinite, t.tolist())):
             raise ValueError(f"t_cam_pad needs a finite (3,) vector, got {self.t_cam_pad!r}")
         t.setflags(write=False)
-        object.__setattr__(self, "t_cam_pad", t)
+        force_setattr(self, "t_cam_pad", t)
 
     @property
     def range_m(self) -> float:

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, Method, Sighting
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
@@ -31,8 +32,7 @@ _MIN_DOWN = 0.2
 """Cosine of the flattest ray that is intersected with the deck: 78 degrees off the vertical."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Orientation:
+class Orientation(Struct, frozen=True, eq=False):
     """The orientations of camera and pad plane in `level`, and their uncertainty."""
 
     roll_rad: float
@@ -82,8 +82,7 @@ class OrientedCamera:
         return self.camera.project(_homogeneous(np.asarray(plane, dtype=float)) @ self.R_level_cam)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Marks:
+class Marks(Struct, frozen=True, eq=False):
     """Image points of known places on the pad, and the modes of their errors."""
 
     uv_px: F64
@@ -106,8 +105,7 @@ def point_modes(sigma_px: F64) -> F64:
     return modes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fix:
+class Fix(Struct, frozen=True, eq=False):
     """A pose and its covariance."""
 
     d_body_pad_level: F64

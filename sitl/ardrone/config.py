@@ -10,8 +10,7 @@ from collections.abc import Iterator, Mapping
 from enum import Enum
 from typing import Literal
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from drivers.ardrone import control
 
@@ -100,7 +99,7 @@ def _limits() -> Iterator[Key]:
 
 def tilting(keys: Mapping[str, Key], most_rad: float) -> Mapping[str, Key]:
     """Return the keys of a vehicle that takes tilts up to another one than the AR.Drone's firmware does."""
-    return {name: replace(key, high=most_rad) if name.endswith("euler_angle_max") else key for name, key in keys.items()}
+    return {name: structs.replace(key, high=most_rad) if name.endswith("euler_angle_max") else key for name, key in keys.items()}
 
 
 def _table() -> Iterator[Key]:

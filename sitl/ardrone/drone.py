@@ -10,8 +10,7 @@ from functools import cache
 from typing import assert_never
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from drivers.ardrone import control
 from drivers.ardrone.navdata import LAYOUTS, Navdata, clock_of_us, encode
@@ -327,7 +326,7 @@ class Drone:
     def _within_altitude(self, stick: Stick) -> Stick:
         """Limit the stick by control:altitude_max, above which the drone does not climb."""
         if stick.gaz > 0.0 and self._altitude_m >= 1e-3 * self.state.config.number("control:altitude_max"):
-            return replace(stick, gaz=0.0)
+            return structs.replace(stick, gaz=0.0)
         return stick
 
 

@@ -6,8 +6,7 @@ Source: a configuration that a 1.0 with firmware 1.7.4 sent; Parrot's developer 
 from collections.abc import Iterator, Mapping
 from typing import Literal
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
@@ -45,7 +44,7 @@ def _keys_of_the_first() -> Iterator[Key]:
             yield Key("video:camif_buffers", "2", writable=False)
             yield Key("video:num_trackers", "12", writable=False)
         else:
-            yield replace(key, default=_OF_THE_FIRST.get(name, key.default))
+            yield structs.replace(key, default=_OF_THE_FIRST.get(name, key.default))
 
 
 class Generation(Struct, frozen=True):

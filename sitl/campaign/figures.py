@@ -9,10 +9,10 @@ import re
 from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec import Struct, field
 
 from estimator.contracts.geometry import F64
 from sitl.campaign.overrides import Point
@@ -149,8 +149,7 @@ KINDS: Mapping[str, Callable[[Flight], Iterable[str]]] = {
 """Things that are counted by their words."""
 
 
-@dataclass(slots=True)
-class Tally:
+class Tally(Struct):
     """The figures of some flights. None depends on the order in which they come, and two tallies can be added."""
 
     counts: Counter[str] = field(default_factory=Counter)
@@ -391,8 +390,7 @@ def _label(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-@dataclass(frozen=True, slots=True)
-class PairedDifference:
+class PairedDifference(Struct, frozen=True):
     """The mean of a figure in both campaigns, over the flights that have it in both, and the interval of the difference."""
 
     name: str

@@ -4,12 +4,12 @@ import gc
 import os
 import resource
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
+from msgspec import Struct, to_builtins
 
 from companion.base import memory
 from estimator.contracts.errors import SetupImpossible
@@ -25,8 +25,7 @@ _READINGS_MIN = 8
 _PAGE = resource.getpagesize()
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(Struct, frozen=True):
     """The resources of this process at one instant."""
 
     at_s: float
@@ -79,8 +78,7 @@ def read(at_s: float, flights: int, tasks: int | None, before_mib: float | None 
     return Reading(at_s, flights, pages * _PAGE / 2**20, descriptors, threads, tasks, cpu_s, before_mib)
 
 
-@dataclass(frozen=True, slots=True)
-class Trend:
+class Trend(Struct, frozen=True):
     """One quantity after warm-up: the medians of the first and the last quarter of its readings."""
 
     first: float
@@ -95,8 +93,7 @@ class Trend:
         return self.last / self.first - 1.0 if self.first else 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Findings:
+class Findings(Struct, frozen=True):
     """Trends of the readings after warm-up."""
 
     duration_s: float
@@ -123,7 +120,7 @@ class Findings:
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values."""
-        values = asdict(self)
+        values: dict[str, Any] = to_builtins(self)
         return {**values, **values.pop("counted"), "memory_growth": self.memory_mib.growth, "faults": self.faults}
 
     def in_words(self, virtual: bool) -> list[str]:

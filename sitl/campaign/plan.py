@@ -9,7 +9,6 @@ import hashlib
 import json
 import platform
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Annotated, Any, Literal
 import cv2
 import msgspec
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
 from companion.settings.load import SHIPPED, read_toml, shipped
 from companion.settings.load import camera_model as camera_of_settings
@@ -170,8 +169,7 @@ FORMAT = 1
 """Version of the campaign folder."""
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
+class Job(Struct, frozen=True):
     """One flight of a campaign."""
 
     seed: int
@@ -185,8 +183,7 @@ class Job:
         return " ".join(filter(None, (self.scenario, f"{self.seed}", canonical(dict(self.point)) if self.point else "")))
 
 
-@dataclass(frozen=True, slots=True)
-class CampaignPlan:
+class CampaignPlan(Struct, frozen=True):
     """Common settings of all flights of a campaign, as plain values that can be sent to another machine and kept in a file."""
 
     name: str
@@ -227,8 +224,7 @@ class CampaignPlan:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class SetPlan:
+class SetPlan(Struct, frozen=True):
     """Plan of a campaign over a set of scenarios: one plan for each scenario, by its name."""
 
     name: str

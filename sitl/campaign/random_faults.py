@@ -5,9 +5,10 @@ A case is a scenario file with the fewest and weakest faults that were found to 
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from msgspec import Struct
 
 from companion.settings.model import Settings
 from sitl.campaign.figures import WORST, name_of
@@ -95,8 +96,7 @@ def _faults(flight: Flight) -> str:
     return ", ".join(f"{f['kind']} from {f['at_s']:.1f} s" for f in flight["faults"]) or "no fault began"
 
 
-@dataclass(frozen=True, slots=True)
-class Cases:
+class Cases(Struct, frozen=True):
     """Writes failing flights as scenario files.
 
     Args:

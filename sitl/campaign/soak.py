@@ -13,12 +13,12 @@ import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field
 from io import FileIO
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import msgspec
+from msgspec import Struct, field
 
 from companion.base import event_loop
 from companion.base.health import Health
@@ -50,8 +50,7 @@ _DECIDED_S = 2
 """Seconds in which the pilot learns that a flight has ended; the next flight begins later."""
 
 
-@dataclass(frozen=True, slots=True)
-class Flown:
+class Flown(Struct, frozen=True):
     """One flight."""
 
     at_s: float
@@ -137,8 +136,7 @@ class Records(Generic[T]):
         yield from self._rest
 
 
-@dataclass(frozen=True, slots=True)
-class SoakOptions:
+class SoakOptions(Struct, frozen=True):
     """Options of a soak: its flights, its length and its files."""
 
     seed: int
@@ -161,8 +159,7 @@ class SoakOptions:
     """Print one JSON object in place of words."""
 
 
-@dataclass(slots=True)
-class Tally:
+class Tally(Struct):
     """The flights and the resource readings so far."""
 
     flights: list[Flown] | Records[Flown] = field(default_factory=lambda: Records(Flown))
@@ -193,7 +190,7 @@ class Tally:
         self.readings.append(reading)
         if self.file is not None:
             try:
-                self.file.write(json.dumps(asdict(reading)).encode() + b"\n")
+                self.file.write(json.dumps(msgspec.structs.asdict(reading)).encode() + b"\n")
             except OSError as why:
                 sys.stderr.write(f"--readings: {self.file.name!s}: {why.strerror or why}; no more are written\n")
                 self.file = None
@@ -223,7 +220,7 @@ class Tally:
             "endings": dict(self.endings),
             "flown_s": self.flown_s,
             "classes": {worth.name.lower(): self.count(worth) for worth in Grade},
-            "outcomes": [{**asdict(flight), "worth": flight.worth.value} for flight in self.flights],
+            "outcomes": [{**msgspec.structs.asdict(flight), "worth": flight.worth.value} for flight in self.flights],
         }
 
     def in_words(self, scenario: str, options: Sequence[str] = ()) -> list[str]:

@@ -13,8 +13,7 @@ from functools import partial
 
 import cv2
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.health import Health
 from companion.base.mission import FLOWN
@@ -384,7 +383,7 @@ class Flight:
             received_at, exposed = packet
             image = exposed()
             self._frames += 1
-            self._views[self._frames] = replace(image, px=_NO_PIXELS)
+            self._views[self._frames] = structs.replace(image, px=_NO_PIXELS)
             arrived = self._arriving.frame(self._frames, image, received_at)
         if arrived is None:
             return
@@ -406,7 +405,7 @@ class Flight:
     def _conclude(self, processed: ProcessedFrame) -> None:
         if processed.detection is not None:
             verdict, results = self._pilot.on_detection(processed.detection)
-            processed = replace(processed, verdict=verdict, results=results)
+            processed = structs.replace(processed, verdict=verdict, results=results)
         self.health.frame(processed.verdict)
         self._pilot.landing.on_verdict(processed.verdict)
         self._judge(processed.frame.seq, processed.verdict)

@@ -105,7 +105,8 @@ class HandsWatch:
 
     def sent(self, wire: SentPacket) -> None:
         """Note a packet; call it in order of time."""
-        if wire.asks is Asks.ARM and not self._may_start and (self.act is None or self._is_late(wire.at)):
+        is_late = self.act is None or seconds_between(self._since, wire.at) > OBEYED_S
+        if wire.asks is Asks.ARM and not self._may_start and is_late:
             whose = "" if self.act is None else f" after a person's {self.act}"
             self.unordered.append(f"{wire.asks.value}{whose}")
         if self.act is None:
@@ -140,9 +141,6 @@ class HandsWatch:
         else:
             self._held_at_m = self._held_at_m or at_m
             self.sank_m = max(self.sank_m, descent_m(self._held_at_m, at_m))
-
-    def _is_late(self, at: MonoNs) -> bool:
-        return seconds_between(self._since, at) > OBEYED_S
 
     def _note(self, at: MonoNs, asks: str) -> None:
         late_s = seconds_between(self._since, at)

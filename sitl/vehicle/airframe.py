@@ -9,8 +9,7 @@ from typing import Annotated, ClassVar, Literal
 
 import msgspec
 import numpy as np
-from msgspec import Meta, Struct, field
-from msgspec.structs import replace
+from msgspec import Meta, Struct, field, structs
 
 from companion.settings.load import read_toml
 from companion.settings.schema import explain
@@ -337,7 +336,7 @@ class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):
         ix, iy, iz = base.inertia_kg_m2
         names = ("command_delay_s", "motor_lag_s", "landing_speed_m_s", "ground_effect")
         changed = {name: value for name in names if (value := getattr(self, name)) is not None}
-        return replace(base, mass_kg=mass, inertia_kg_m2=(k * ix, k * iy, k * iz), **changed)
+        return structs.replace(base, mass_kg=mass, inertia_kg_m2=(k * ix, k * iy, k * iz), **changed)
 
     def stick_limits(self, vehicle: VehicleFile) -> StickLimits:
         """Return what a full stick of a vehicle requests at first, with these changes."""

@@ -12,8 +12,7 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import numpy as np
-from msgspec import Meta, Struct
-from msgspec.structs import asdict, replace
+from msgspec import Meta, Struct, structs
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import number
@@ -195,18 +194,19 @@ class WrongModel(Struct, frozen=True, forbid_unknown_fields=True):
         if self.sigma == 0.0:
             return self
         rng = np.random.default_rng([seed, _WRONG_STREAM])
-        values = asdict(self)
+        values = structs.asdict(self)
         for name, spread in SPREADS.items():
             z = self.sigma * float(np.clip(rng.standard_normal(), -_FARTHEST, _FARTHEST))
             if name == "video_jitter_s":
                 z = abs(z)
-            values[name] = float(f"{values[name] * math.exp(spread * z) if _is_factor(name) else values[name] + spread * z:.5g}")
-        return replace(WrongModel(**values), sigma=0.0)
+            is_factor = not name.endswith(("_s", "_deg"))
+            values[name] = float(f"{values[name] * math.exp(spread * z) if is_factor else values[name] + spread * z:.5g}")
+        return structs.replace(WrongModel(**values), sigma=0.0)
 
     def as_json(self) -> dict[str, float]:
         """Return what differs."""
-        usual = asdict(WrongModel())
-        return {name: value for name, value in asdict(self).items() if value != usual[name]}
+        usual = structs.asdict(WrongModel())
+        return {name: value for name, value in structs.asdict(self).items() if value != usual[name]}
 
 
 SPREADS: dict[str, float] = {
@@ -227,7 +227,3 @@ SPREADS: dict[str, float] = {
     "mount_yaw_deg": 1.0,
 }
 """Standard deviations: of a factor's logarithm, or in the key's own unit."""
-
-
-def _is_factor(name: str) -> bool:
-    return not name.endswith(("_s", "_deg"))

@@ -8,11 +8,11 @@ import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec import Struct
 
 from companion.base.health import missing_inputs
 from companion.base.mission import State
@@ -78,8 +78,7 @@ def rmc(at_s: float, p_ned: F64 = SHIP_NED, speed_kn: float = 4.0) -> bytes:
     return sentence(f"GPRMC,0818{at_s % 60.0:05.2f},A,{place},{speed_kn:05.1f},090.0,130926,,")
 
 
-@dataclass(frozen=True)
-class Flying:
+class Flying(Struct, frozen=True):
     """The running service and its autopilot."""
 
     daemon: Daemon

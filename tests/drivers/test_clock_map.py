@@ -1,9 +1,8 @@
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from msgspec import Struct
 
 from drivers.clock_map import ClockMap, ClockMapOptions
 from estimator.contracts.time import MonoNs, Stamp
@@ -12,8 +11,7 @@ S = 1_000_000_000
 FLOOR_S = 0.002
 
 
-@dataclass
-class Received:
+class Received(Struct):
     """Simulated messages: when messages were stamped on our clock, the remote counter in them, when they were received."""
 
     true_ns: np.ndarray

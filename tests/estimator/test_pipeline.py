@@ -138,8 +138,8 @@ def test_a_pad_that_is_clearer_elsewhere_is_remembered_and_the_tracked_one_fused
         assert [r.verdict for r in results] == [Verdict.FUSED] * 2
     (candidate,) = memory.guard.tracks.candidates
     assert (candidate.n, candidate.n_alone) == (4, 1), "beside the tracked pad it is never alone, and not adopted"
-    assert len(memory.guard.view.bearings) > 4
-    assert all(np.frombuffer(row)[4] < 0.0 for _, row in memory.guard.view.bearings), "the view watch follows the tracked pad"
+    view = memory.guard.view.core
+    assert sum(view.bearings[i].level[1] < 0.0 for i in range(view.n)) == view.n > 4, "the view watch follows the tracked pad"
     estimate = memory.at(NOW)
     assert estimate is not None
     assert IntegrityAlert.ELSEWHERE in estimate.alerts

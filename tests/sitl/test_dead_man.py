@@ -1,11 +1,11 @@
 """The service falls silent at each phase of a flight, in virtual time: helm, sender's logic, drone, physics; no vision."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec import Struct
 
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
@@ -93,8 +93,7 @@ class Bench:
         return max((t - instant * 1e-9 for t, moves in self.moves if moves and t > instant * 1e-9), default=0.0)
 
 
-@dataclass(frozen=True)
-class Moment:
+class Moment(Struct, frozen=True):
     """A phase of the flight: from which height, what guidance says, for how long."""
 
     height_m: float

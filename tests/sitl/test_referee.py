@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import Struct, field
 from msgspec.structs import replace
 
 from companion.base.mission import FlightOutcome
@@ -46,8 +46,7 @@ FLIES, LANDS, LANDED, CUT = VehiclePhase.FLYING, VehiclePhase.LANDING, VehiclePh
 STARTS = VehiclePhase.TAKING_OFF
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(Struct, frozen=True):
     """One instant of a crafted flight: lengths in m, in the pad frame of a deck at rest unless it says otherwise."""
 
     at_s: float

@@ -8,11 +8,11 @@ the drone's velocities fit best, its roll and pitch are what the accelerometer m
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from msgspec import Struct
 
 from estimator import ekf
 from estimator.contracts.estimates import RelativeState, Sighting
@@ -32,8 +32,7 @@ FLYING_S = (15.0, 46.0)
 Event = Imu | Attitude | BodyVelocity | Range | Sighting
 
 
-@dataclass(frozen=True)
-class MocapRecording:
+class MocapRecording(Struct, frozen=True):
     """The flight. Times in s of its own clock; `ned` is the motion capture's floor, x as it has it, the pad's arrow along it."""
 
     samples: tuple[Event, ...]

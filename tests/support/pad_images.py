@@ -1,11 +1,11 @@
 """Exact images of the pad for tests: every sub-sample of every pixel is traced to the deck and requested its paint."""
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.estimates import Sighting
@@ -29,8 +29,7 @@ def sim_camera(p_body_cam_m: tuple[float, float, float] = (0.15, 0.0, 0.0), dist
     return Camera(640, 360, 374.67, 374.67, 319.5, 179.5, np.array(distortion), mount)
 
 
-@dataclass(frozen=True)
-class PadPlacement:
+class PadPlacement(Struct, frozen=True):
     """The pad's position relative to the body, and the tilt of the body."""
 
     d_body_pad_level: tuple[float, float, float]

@@ -299,7 +299,7 @@ class _Loop:
         var = max(1e-12, float((e * e).mean()))
         flat = J.reshape(J.shape[0], -1)
         each = J * e / var
-        k, starts = J.shape[0], self._starts()
+        k, starts = J.shape[0], np.flatnonzero(np.diff(self._block, prepend=-1))
         scores = np.add.reduceat(each, starts, axis=-1).reshape(k, -1).T
         products = np.add.reduceat(J[:, None] * J[None] / var, starts, axis=-1)
         informations = np.moveaxis(products.reshape(k, k, -1), -1, 0)
@@ -307,9 +307,6 @@ class _Loop:
         off = off - off.mean(axis=1, keepdims=True)
         near = float((off[:, 1:] * off[:, :-1]).sum() / max(1e-12, float((off * off).sum())))
         return _Whitened(flat @ flat.T / var, flat @ e.ravel() / var, scores, informations, min(0.999, max(0.0, near)))
-
-    def _starts(self) -> NDArray[np.intp]:
-        return np.flatnonzero(np.diff(self._block, prepend=-1))
 
     def output(self, x: F64) -> tuple[F64, F64, float]:
         """Return the model's course, the report's offset, and the standard deviation of what is left."""

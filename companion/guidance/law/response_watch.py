@@ -188,7 +188,9 @@ def _fitted(watch: ResponseWatch, course: FlightCourse, known_s: float) -> Respo
     late = delay_s - _SURELY * fit.delay_sigma_s > DELAY_MAX_S and explains and _alike(flown, fit)
     watch = structs.replace(watch, fit=fit, late_doubt=late, late_s=delay_s if late and watch.late_doubt else None)
     watch = _reshaped(watch, fit, known=explains and fit.delay_sigma_s <= known_s)
-    says = judged(watch.in_use, watch.given, fit, known_s) if _trusted(flown, course, fit) else watch.in_use
+    # It is good enough to fly by if it answers as what is flown by, only later.
+    trusted = 0.0 < delay_s <= DELAY_MAX_S and explains and _alike(flown, fit)
+    says = judged(watch.in_use, watch.given, fit, known_s) if trusted else watch.in_use
     if says is watch.in_use:
         return structs.replace(watch, doubt=None)
     agreed = watch.doubt is not None and watch.doubt.state is says.state
@@ -236,11 +238,6 @@ def judged(in_use: ResponseInUse, given: TiltResponse, fit: TiltFit, known_s: fl
         shortened = in_use.state is ResponseState.IDENTIFIED
         return ResponseInUse(ResponseState.ASSUMED, given.delay_s, given.delay_sigma_s) if shortened else in_use
     return ResponseInUse(ResponseState.IDENTIFIED, delay_s, sigma, delay_s - given.delay_s)
-
-
-def _trusted(flown: TiltResponse, course: FlightCourse, fit: TiltFit) -> bool:
-    """Return whether the fit's delay is good enough to fly by: it answers as what is flown by, only later."""
-    return 0.0 < fit.response.delay_s <= DELAY_MAX_S and _alike(flown, fit) and _explains(course, fit)
 
 
 def _alike(flown: TiltResponse, fit: TiltFit) -> bool:

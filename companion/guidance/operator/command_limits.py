@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from enum import Enum
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.settings.operator import LimitOptions
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
@@ -186,7 +185,7 @@ def limited(
     if not hit:
         return command, ()
     if isinstance(command, Lean) and not across:
-        return replace(command, v_level=v), tuple(hit)
+        return structs.replace(command, v_level=v), tuple(hit)
     return Velocity(v, command.yaw_rate_rad_s), tuple(hit)
 
 

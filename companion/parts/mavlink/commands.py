@@ -18,8 +18,9 @@ import logging
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
+
+from msgspec import Struct
 
 from companion.base.mission import FlightOutcome
 from companion.base.orders import OrderSender, OrderSource
@@ -55,8 +56,7 @@ _HEARTBEAT_BOUNDS_S = 0.2, 2.0
 Params = tuple[float, float, float, float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class LandingProgress:
+class LandingProgress(Struct, frozen=True):
     """The progress of the landing that was requested."""
 
     percent: int | None
@@ -167,15 +167,13 @@ class Offered:
         return out
 
 
-@dataclass(slots=True)
-class _Done:
+class _Done(Struct):
     params: Params
     result: int
     at: MonoNs
 
 
-@dataclass(slots=True)
-class _Running:
+class _Running(Struct):
     command: int
     sender: tuple[int, int]
     reported: MonoNs

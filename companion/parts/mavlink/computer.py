@@ -3,10 +3,11 @@
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
+
+from msgspec import Struct
 
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.time import MonoNs
@@ -18,8 +19,7 @@ _LONGEST = 1 << 20
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
-class Computer:
+class Computer(Struct, frozen=True):
     """One reading; a field is None if the host does not report it."""
 
     cores_percent: tuple[int, ...]

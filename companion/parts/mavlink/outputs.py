@@ -6,9 +6,9 @@ import math
 from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from companion.settings.links import OutputOptions
 from drivers.mavlink.autopilot import Autopilot
@@ -42,8 +42,7 @@ def effective_lag_s(plnd_lag_s: float) -> float:
     return (max(round(plnd_lag_s * LOOP_RATE_HZ), 1) - 1) / LOOP_RATE_HZ
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TargetSample:
+class TargetSample(Struct, frozen=True, eq=False):
     """The pad's state relative to the body at one instant."""
 
     at: MonoNs
@@ -59,8 +58,7 @@ class TargetSample:
     sigma_yaw_rad: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Knot:
+class _Knot(Struct, frozen=True, eq=False):
     at: MonoNs
     d_ned: F64
     v_ned: F64
@@ -292,8 +290,7 @@ _MAVLINK_RANGEFINDER = 10.0
 """The RNGFNDx_TYPE of a rangefinder that reads DISTANCE_SENSOR."""
 
 
-@dataclass(frozen=True, slots=True)
-class AutopilotView:
+class AutopilotView(Struct, frozen=True):
     """The part of the autopilot's state that `Outputs` reads."""
 
     stack: Stack

@@ -16,11 +16,11 @@ import ssl
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import aiomqtt
+from msgspec import Struct
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
@@ -81,8 +81,7 @@ def client_id(drone: str, system: Path = Path("/")) -> str:
     return f"decklander-{drone}-{digest.hexdigest()[:8]}"
 
 
-@dataclass(frozen=True, slots=True)
-class BrokerEndpoint:
+class BrokerEndpoint(Struct, frozen=True):
     """The broker's address, and the identity and secrets that we connect with."""
 
     host: str
@@ -113,8 +112,7 @@ class BrokerEndpoint:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Publication:
+class Publication(Struct, frozen=True):
     """A message from the broker."""
 
     topic: str

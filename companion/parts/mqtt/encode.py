@@ -1,7 +1,8 @@
 """Encode the service's state as the messages that it publishes, and find the changes that are worth an event. No I/O."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from companion.base.health import FusionState, HealthSnapshot
 from companion.base.mission import StateChange
@@ -25,8 +26,7 @@ LOST_AFTER_S = 1.0
 BATTERY_LOW = 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class PendingEvent:
+class PendingEvent(Struct, frozen=True):
     """An event that has no number yet."""
 
     at: MonoNs
@@ -61,8 +61,7 @@ def order_event(handled: HandledOrder) -> PendingEvent:
     return PendingEvent(handled.at, "command", str(handled), data)
 
 
-@dataclass(slots=True)
-class Changes:
+class Changes(Struct):
     """Keeps just enough of the previous state to detect a change."""
 
     _phase: str | None = None

@@ -7,7 +7,6 @@ have (`companion.facts`); unknown values are null or left out.
 
 import json
 import re
-from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
 import msgspec
@@ -24,8 +23,7 @@ EventData = dict[str, str | float | bool | None]
 CommandId = Annotated[str, Meta(min_length=1, max_length=64)]
 
 
-@dataclass(frozen=True, slots=True)
-class Topics:
+class Topics(Struct, frozen=True):
     """The subtree of one drone.
 
     Raises:

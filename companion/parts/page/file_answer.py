@@ -4,13 +4,13 @@ import asyncio
 import stat
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
 from typing import BinaryIO
 
 from aiohttp import web
+from msgspec import Struct
 
 from companion.base.worker import Worker
 from estimator.contracts.errors import unusable
@@ -26,8 +26,7 @@ _TYPES: Mapping[str, str] = MappingProxyType(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Asset:
+class Asset(Struct, frozen=True):
     """One file of the page."""
 
     body: bytes

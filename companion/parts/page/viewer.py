@@ -9,10 +9,10 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
 from aiohttp import WSMsgType, web
+from msgspec import Struct, field
 
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
@@ -148,8 +148,7 @@ async def refuse(socket: web.WebSocketResponse, code: int, why: str) -> None:
         pass
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PageService:
+class PageService(Struct, frozen=True, eq=False):
     """The running service as the page and its tools see it."""
 
     server: HttpServer

@@ -3,9 +3,10 @@
 import os
 import re
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+from msgspec import Struct
 
 MB = 1_000_000
 _NAME = re.compile(r"decklander-\d{8}T\d{6}Z-\d{4}\.mcap")
@@ -21,8 +22,7 @@ def digest_file(recording: Path) -> Path:
     return recording.with_name(f"{recording.name}.sha256")
 
 
-@dataclass(slots=True)
-class Folder:
+class Folder(Struct):
     """A folder of the numbered files of this and earlier starts of the service; the oldest are removed first.
 
     Only files named as this class names them are counted and taken away.
@@ -87,8 +87,7 @@ class Folder:
         return _lacking(self.path, max(least_mb, self.min_free_mb))
 
 
-@dataclass(slots=True)
-class SingleFile:
+class SingleFile(Struct):
     """One file of a given name, replaced if it exists, without bounds; after a pause or a full disk, NAME-2 continues it."""
 
     path: Path

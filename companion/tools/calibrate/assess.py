@@ -1,10 +1,10 @@
 """Assess how well a set of views determines the camera, and say what to add."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.tools.calibrate.board import BoardView
@@ -34,8 +34,7 @@ GRADES: tuple[Grade, ...] = ("good", "fair", "poor")
 """The grades, from the best to the worst."""
 
 
-@dataclass(frozen=True, slots=True)
-class Assessment:
+class Assessment(Struct, frozen=True):
     """The deficiencies of a solution.
 
     It is `poor` if its numbers are too uncertain or contradict the views. It is `fair` if the numbers hold where the board

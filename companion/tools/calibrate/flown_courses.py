@@ -3,9 +3,9 @@
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct, field
 
 from companion.base.mission import State
 from companion.base.observer import Decision
@@ -25,8 +25,7 @@ _ON_DECK = frozenset({State.PRESS.value, State.DOWN.value, State.LANDED.value, S
 """Phases in which the deck holds the vehicle."""
 
 
-@dataclass(frozen=True, slots=True)
-class FlownCourses:
+class FlownCourses(Struct, frozen=True):
     """The courses of a recording."""
 
     tilt: FlightCourse | None
@@ -39,8 +38,7 @@ class FlownCourses:
     """Number of commands that request a velocity over the ground."""
 
 
-@dataclass(slots=True)
-class _Flight:
+class _Flight(Struct):
     """One stretch of commands without a long pause."""
 
     asked: list[tuple[float, float, float]] = field(default_factory=list)

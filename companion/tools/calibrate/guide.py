@@ -2,10 +2,10 @@
 
 import asyncio
 from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.tools.calibrate.assess import CELLS, Grade, assess, coverage, missing_before
@@ -24,8 +24,7 @@ _GROWN = 1.1
 """A set of views is solved again when it has grown by this factor: solving costs more the more views there are."""
 
 
-@dataclass(frozen=True, slots=True)
-class GuideState:
+class GuideState(Struct, frozen=True):
     """Progress of a calibration."""
 
     images: int

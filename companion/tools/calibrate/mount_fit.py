@@ -9,10 +9,10 @@ pad's poses in place of splines.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.tools.calibrate.flight_views import FlightViews
@@ -267,8 +267,7 @@ _DELAY_MAX_S = 0.28
 """Least margin of the gyro's samples before and after the views, s."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MountFit:
+class MountFit(Struct, frozen=True, eq=False):
     """Camera mount that a flight yields."""
 
     values: F64

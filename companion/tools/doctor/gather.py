@@ -1,9 +1,8 @@
 """Take a snapshot of an autopilot over its links. It judges nothing and changes nothing."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
-from msgspec import structs
+from msgspec import Struct, field, structs
 
 from companion.tools.doctor.diagnose import PARAMETERS
 from companion.tools.doctor.firmware_parameters import defaults_of, differing, names_in
@@ -39,8 +38,7 @@ _FOUND_MAX = 256
 Say = Callable[[str], None]
 
 
-@dataclass(slots=True)
-class Notes:
+class Notes(Struct):
     """Messages on the links that `Autopilot` does not keep."""
 
     systems: dict[tuple[int, int], FoundSystem] = field(default_factory=dict)

@@ -7,7 +7,8 @@ docs/px4.md).
 
 import math
 import re
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from companion.tools.doctor.finding import Finding, ParameterChange, Row, Rule, Severity, warning
 from companion.tools.doctor.firmware_parameters import NamedValue, named_value
@@ -163,8 +164,7 @@ FAILSAFE_RULES: tuple[Rule, ...] = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class ValueRule:
+class ValueRule(Struct, frozen=True):
     """One parameter, what is wrong with a value outside its range, and a value that is not."""
 
     rule: str

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 
 import msgspec
 from msgspec import Struct
@@ -81,8 +80,7 @@ _TRIES = 3
 OnResult = Callable[["WriteResult"], None]
 
 
-@dataclass(frozen=True, slots=True)
-class WriteResult:
+class WriteResult(Struct, frozen=True):
     """Result of one planned write."""
 
     planned: PlannedWrite

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from itertools import count
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.tools.pads.clutter import HEIGHT, VIEWS, WIDTH, view
@@ -118,8 +119,7 @@ _TAKEN_PX = (24.0, 48.0)
 """Radii of other pads that the pad is looked for in."""
 
 
-@dataclass(frozen=True, slots=True)
-class Price:
+class Price(Struct, frozen=True):
     """Cost of a pad in clutter: how often a search finds it where it is not."""
 
     views: int
@@ -203,8 +203,7 @@ def _surest(views: Sequence[Sequence[_Find]], least_support: float) -> F64:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Tail:
+class _Tail(Struct, frozen=True):
     """Clutter whose edges and light alone would make it a pad: the number of views, and the average support."""
 
     share: float

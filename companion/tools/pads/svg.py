@@ -7,11 +7,11 @@ do.
 import io
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from xml.etree.ElementTree import ParseError
 
 import numpy as np
 import svgelements
+from msgspec import Struct
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
@@ -23,8 +23,7 @@ _CURVE = 24
 _PX_IN_INCH = 96.0
 
 
-@dataclass(frozen=True, slots=True)
-class PaintedLines:
+class PaintedLines(Struct, frozen=True):
     """Closed lines that are filled with a colour, or lines that are drawn with it."""
 
     lines: tuple[F64, ...]
@@ -35,8 +34,7 @@ class PaintedLines:
     closed: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class SvgDrawing:
+class SvgDrawing(Struct, frozen=True):
     """A drawing's sheet and what is painted on it."""
 
     width: float

@@ -6,12 +6,12 @@ where what lies below shows, of as few corners as the registration measures.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import cv2
 import msgspec
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.tools.pads.svg import SvgDrawing
@@ -42,8 +42,7 @@ _FIRST_OFF, _GROWS = 0.0012, 1.35
 """First deviation of a traced side over the pad's radius, and its growth until the sides are few enough."""
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
+class Picture(Struct, frozen=True):
     """A pad as pixels: which paint each shows."""
 
     paint: U8

@@ -2,12 +2,12 @@
 
 import math
 import zlib
-from dataclasses import dataclass
 from math import cos, pi, sin
 from typing import Literal
 from xml.sax.saxutils import escape
 
 import numpy as np
+from msgspec import Struct
 
 from companion.tools.calibrate.board import Board
 from estimator.contracts.errors import BadInput
@@ -27,16 +27,14 @@ _RING_POINTS = 720
 """Corners of a printed circle of a ring: at a radius of a metre they stand out by a hundredth of a millimetre."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Polygon:
+class Polygon(Struct, frozen=True, eq=False):
     """A filled polygon, (N, 2) mm."""
 
     points_mm: F64
     fill: Rgb
 
 
-@dataclass(frozen=True, slots=True)
-class Disc:
+class Disc(Struct, frozen=True):
     """A filled disc."""
 
     x_mm: float
@@ -48,8 +46,7 @@ class Disc:
 Shape = Polygon | Disc
 
 
-@dataclass(frozen=True, slots=True)
-class Drawing:
+class Drawing(Struct, frozen=True):
     """A drawing to print at 1:1."""
 
     name: str
@@ -121,8 +118,7 @@ PAPERS: dict[str, tuple[float, float]] = {"a4": (210.0, 297.0), "a3": (297.0, 42
 RULER_MM = 100.0
 
 
-@dataclass(frozen=True, slots=True)
-class MarkLine:
+class MarkLine(Struct, frozen=True):
     """A thin line, in mm from the sheet's top-left corner."""
 
     x0: float
@@ -131,8 +127,7 @@ class MarkLine:
     y1: float
 
 
-@dataclass(frozen=True, slots=True)
-class Label:
+class Label(Struct, frozen=True):
     """A line of text; x and y are its left end on the base line, mm."""
 
     x: float
@@ -141,8 +136,7 @@ class Label:
     height_mm: float = 2.6
 
 
-@dataclass(frozen=True, slots=True)
-class Sheet:
+class Sheet(Struct, frozen=True):
     """One page: the window of the drawing it shows, and its marks."""
 
     row: int

@@ -7,13 +7,13 @@ and a hash over them proves it.
 import hashlib
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import get_args
 
 import msgspec
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.base.mission import FLOWN, FlightOutcome, State
@@ -41,8 +41,7 @@ _FLOWN = tuple(state.value for state in State if state in FLOWN and state is not
 """The phases of a flight that an operator has begun."""
 
 
-@dataclass(slots=True)
-class Counts:
+class Counts(Struct):
     """The numbers of replayed events."""
 
     samples: int = 0

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.base.loop_lag import in_words
@@ -171,8 +171,7 @@ class BeliefLogObserver(LogObserver):
             self.log.frames[-1] = replace(self.log.frames[-1], image=image)
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
+class Difference(Struct, frozen=True):
     """The difference between two sets of beliefs of one path, at the instants that both have."""
 
     path: PathName

@@ -3,9 +3,9 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from companion.tools.report.flight_log import HORIZONS_KEPT_S, FlightLog, StageTime, TruthSample
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
@@ -14,8 +14,7 @@ from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
+class Series(Struct, frozen=True, eq=False):
     """Estimates of one method or path over time."""
 
     name: str
@@ -40,8 +39,7 @@ class Series:
         return np.asarray(np.hypot(self.error[:, 0], self.error[:, 1]))
 
 
-@dataclass(frozen=True, slots=True)
-class ErrorRow:
+class ErrorRow(Struct, frozen=True):
     """One line of the table of errors."""
 
     name: str
@@ -60,8 +58,7 @@ class ErrorRow:
     (Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 5.4.2); nan for a method."""
 
 
-@dataclass(frozen=True, slots=True)
-class DeckRow:
+class DeckRow(Struct, frozen=True):
     """One line of the table of the deck's forecast tilt against truth."""
 
     ahead_s: float
@@ -74,8 +71,7 @@ class DeckRow:
     """The mean of the squares of the errors of roll and pitch over their variances: 1 is right."""
 
 
-@dataclass(frozen=True, slots=True)
-class TimingRow:
+class TimingRow(Struct, frozen=True):
     """One line of the table of times."""
 
     name: str
@@ -232,8 +228,7 @@ def body_over_pad(d: F64, yaw_rad: F64) -> F64:
     return np.stack([-(c * d[:, 0] - s * d[:, 1]), -(s * d[:, 0] + c * d[:, 1]), d[:, 2]], axis=1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InnovationSeries:
+class InnovationSeries(Struct, frozen=True, eq=False):
     """The results of one source on one path over time."""
 
     path: PathName

@@ -5,8 +5,7 @@ from collections import Counter
 from pathlib import Path
 
 import cv2
-from msgspec import Struct, field
-from msgspec.structs import force_setattr
+from msgspec import Struct, field, structs
 
 from companion.base.mission import StateChange
 from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame, ThingReport, things_of
@@ -45,8 +44,8 @@ class TruthSample(Struct, frozen=True, eq=False):
     """The attitude of the pad."""
 
     def __post_init__(self) -> None:
-        force_setattr(self, "d_body_pad_level", checked_vector("TruthSample.d_body_pad_level", self.d_body_pad_level))
-        force_setattr(self, "v_pad_level", checked_vector("TruthSample.v_pad_level", self.v_pad_level))
+        structs.force_setattr(self, "d_body_pad_level", checked_vector("TruthSample.d_body_pad_level", self.d_body_pad_level))
+        structs.force_setattr(self, "v_pad_level", checked_vector("TruthSample.v_pad_level", self.v_pad_level))
         if not -math.pi <= self.yaw_rad <= math.pi:
             raise ValueError(f"TruthSample.yaw_rad must lie in (-pi, pi], got {self.yaw_rad}")
 

@@ -6,12 +6,11 @@ Two flights are compared by plots over the time since each landing began, and by
 import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from msgspec import structs
+from msgspec.structs import replace
 
 from companion.base.mission import ENDED, State
 from companion.recording.palette import FLIGHTS
@@ -177,7 +176,7 @@ def landing_began(log: FlightLog) -> MonoNs:
 
 def render_comparison(recorded: Sequence[FlightLog], films: Sequence[FilmFile | None]) -> str:
     """Return the page of two flights. The pad that is drawn is the first flight's."""
-    logs = [structs.replace(log, started=landing_began(log)) for log in recorded]
+    logs = [replace(log, started=landing_began(log)) for log in recorded]
     sections = _merged([_sections(log, k) for k, log in enumerate(logs)])
     flights, happened, ways, marked = [], [], list[PadTrack](), list[Mark]()
     for k, (log, film) in enumerate(zip(logs, films, strict=True)):

@@ -3,10 +3,10 @@
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from msgspec import Struct, field
 
 from companion.recording.palette import colour
 from companion.tools.report.figures import Series, body_over_pad
@@ -23,8 +23,7 @@ _NEAR_DRAWN_M = 0.3
 """Width at which a thing about the pad is drawn, whose own is not known."""
 
 
-@dataclass(frozen=True, slots=True)
-class FlightEvent:
+class FlightEvent(Struct, frozen=True):
     """One line of the list of events."""
 
     t_s: float
@@ -33,8 +32,7 @@ class FlightEvent:
     level: str = "info"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PadTrack:
+class PadTrack(Struct, frozen=True, eq=False):
     """A way over the pad."""
 
     name: str
@@ -45,8 +43,7 @@ class PadTrack:
     wide: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Mark:
+class Mark(Struct, frozen=True):
     """A contact to draw on the pad, or a thing."""
 
     label: str
@@ -57,8 +54,7 @@ class Mark:
     """Width of a thing; None for a contact."""
 
 
-@dataclass(slots=True)
-class PageFlight:
+class PageFlight(Struct):
     """One flight of a page."""
 
     label: str

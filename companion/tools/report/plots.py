@@ -3,10 +3,10 @@
 import base64
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from companion.recording.palette import FUSED, REFUSED, STAGES, THREE, colour
@@ -43,8 +43,7 @@ class Columns:
         return [base64.b64encode(data).decode() for data in self._numbers]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Layer:
+class Layer(Struct, frozen=True, eq=False):
     """One series in a plot."""
 
     name: str
@@ -81,8 +80,7 @@ class Layer:
         return out if self.upper is None else out | {"upper": columns.add(self.upper[kept])}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Plot:
+class Plot(Struct, frozen=True, eq=False):
     """One plot over time."""
 
     title: str
@@ -121,8 +119,7 @@ class Plot:
         }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Section:
+class Section(Struct, frozen=True):
     """Plots under one heading."""
 
     title: str

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
 import cv2
 import numpy as np
-from msgspec.structs import replace
+from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 from companion.recording.frame_encoder import CLOCK_HZ, TimedFrames, prepare
@@ -46,8 +45,7 @@ def unwatched(_done: int, _of: int) -> None:
     """Show nothing."""
 
 
-@dataclass(frozen=True, slots=True)
-class FilmFile:
+class FilmFile(Struct, frozen=True):
     """A whole video file, or one frame as JPEG in its place."""
 
     data: bytes
@@ -60,7 +58,7 @@ class FilmFile:
 def still_of(log: FlightLog) -> FilmFile | None:
     """Draw the middle one of the kept frames; None if none was kept or it cannot be decoded."""
     kept = [frame for frame in log.frames if frame.image is not None]
-    for image, at in drawn_frames(replace(log, frames=kept[len(kept) // 2 :][:1])):
+    for image, at in drawn_frames(structs.replace(log, frames=kept[len(kept) // 2 :][:1])):
         return FilmFile(cv2.imencode(".jpg", image)[1].tobytes(), at, 0)
     return None
 

@@ -290,16 +290,6 @@ bool dl_filter_forecast(dl_filter *f, int64_t t, int32_t n, const double *horizo
 
 /* A filter's life */
 
-dl_filter *dl_filter_new(const dl_filter_params *params)
-{
-    dl_filter *f = calloc(1, sizeof *f);
-    if (f != NULL) {
-        f->params = *params;
-        f->times.forgotten = f->times.received_at = -1;
-    }
-    return f;
-}
-
 void dl_filter_free(dl_filter *f)
 {
     if (f != NULL) {
@@ -393,12 +383,20 @@ static bool read_event(stream *s, dl_filter *f)
     return copy(s, &made->event, sizeof made->event) && copy_checkpoint(s, &made->after, checkpoint_before(f, f->n - 1));
 }
 
-dl_filter *dl_filter_load(const dl_filter_params *params, const uint8_t *saved, int64_t bytes)
+dl_filter *dl_filter_new(const dl_filter_params *params, const uint8_t *saved, int64_t bytes)
 {
     stream s = {NULL, saved, 0, bytes};
-    dl_filter *f = dl_filter_new(params);
+    dl_filter *f = calloc(1, sizeof *f);
     int64_t n = 0;
-    bool done = f != NULL && copy(&s, &n, sizeof n) && copy(&s, &f->times, sizeof f->times) && copy_checkpoint(&s, &f->base, NULL);
+    if (f == NULL) {
+        return NULL;
+    }
+    f->params = *params;
+    f->times.forgotten = f->times.received_at = -1;
+    if (saved == NULL) {
+        return f;
+    }
+    bool done = copy(&s, &n, sizeof n) && copy(&s, &f->times, sizeof f->times) && copy_checkpoint(&s, &f->base, NULL);
     for (int64_t i = 0; done && i < n; i++) {
         done = read_event(&s, f);
     }

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "base/rotation.h"
+#include "base/wide.h"
 
 /* Each direction of the deck has displacement, rate, force and its rate. */
 enum { PER_DIRECTION = 4, DISP = DL_WAVES, RATE = DL_WAVES + 1 };
@@ -40,6 +41,7 @@ static int columns_of(int m, const double *J, int columns[DL_N])
     return n;
 }
 
+WIDE
 void add_spread(int m, const double *J, const double *C, double *cov)
 {
     int columns[DL_N + 1];
@@ -49,15 +51,15 @@ void add_spread(int m, const double *J, const double *C, double *cov)
         for (int k = 0; k < n; k++) {
             const double factor = AT(J, i, columns[k]);
             if (factor != 0.0) {
-                for (int l = 0; l < n; l++) {
-                    JC[l] += factor * AT(C, columns[k], columns[l]);
+                for (int l = 0; l < DL_N; l++) {
+                    JC[l] += factor * AT(C, columns[k], l);
                 }
             }
         }
         for (int j = i; j < m; j++) {
             double sum = cov[i * m + j];
             for (int l = 0; l < n; l++) {
-                sum += JC[l] * AT(J, j, columns[l]);
+                sum += JC[columns[l]] * AT(J, j, columns[l]);
             }
             cov[i * m + j] = cov[j * m + i] = sum;
         }

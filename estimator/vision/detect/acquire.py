@@ -11,11 +11,11 @@ frame. The core counts work and not time (`native.work_done`), so that the same 
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+from msgspec import Struct, field
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
@@ -67,8 +67,7 @@ Place = tuple[float, float, float, float]
 """The pad's centre, px from the lens' axis, the logarithm of its distance, and the fraction of the variance that is explained."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PadCandidate:
+class PadCandidate(Struct, frozen=True, eq=False):
     """A hypothesis for the pad's pose, aligned and verified."""
 
     pose: PadPose
@@ -81,8 +80,7 @@ class PadCandidate:
     """The line beyond which something covers the pad, (3,); see `alignment.UNCUT`."""
 
 
-@dataclass(frozen=True, slots=True)
-class SearchMemory:
+class SearchMemory(Struct, frozen=True):
     """Memory of a search from frame to frame."""
 
     first: int = 0
@@ -149,8 +147,7 @@ def align_at(pose: PadPose, tilt_known: bool, view: FrameView) -> PadCandidate |
     return _Search(view).align_at(pose, tilt_known)
 
 
-@dataclass(slots=True, eq=False)
-class _Search:
+class _Search(Struct, eq=False):
     """A search in one frame: its inputs and its progress."""
 
     view: FrameView

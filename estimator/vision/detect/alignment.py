@@ -13,10 +13,10 @@ as a pad at the frame's edge has to.
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from estimator.contracts.geometry import F64
 from estimator.core.library import CORE
@@ -46,8 +46,7 @@ class ArrowPlace(NamedTuple):
     """Confidence, 0..1, that only disc, ring and perhaps an arrowhead are there."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AlignedTemplate:
+class AlignedTemplate(Struct, frozen=True, eq=False):
     """The drawing as aligned with one frame."""
 
     pose: PadPose

@@ -4,13 +4,13 @@ The detector's corners only start registration: its range bias does not reach th
 """
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
@@ -41,8 +41,7 @@ _MIRRORED = 6.0
 _UNIT = np.eye(3)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Read:
+class _Read(Struct, frozen=True, eq=False):
     """A fiducial as read in a frame."""
 
     p_pad: F64

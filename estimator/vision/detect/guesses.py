@@ -15,13 +15,13 @@ each half of it (`pose_about`). The native core computes all of this (`estimator
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
@@ -98,8 +98,7 @@ class Guess(NamedTuple):
         return self.flat.turned(self.turn_rad)
 
 
-@dataclass(frozen=True, slots=True)
-class Radii:
+class Radii(Struct, frozen=True):
     """Radii that are searched for at one size of the frame, px of that size for a pad that faces the camera."""
 
     least_px: float

@@ -5,9 +5,8 @@ fades while the pad is not found, and is ignored below a certain trust. Where th
 colour, a search begins with colour.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from estimator.contracts.geometry import F64
 from estimator.vision.detect.template import AROUND, DISC
@@ -23,8 +22,7 @@ _BROAD = 1.0
 """Variance, in natural logarithms squared, of a paint that nothing is known about: a factor e either way."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PaintMemory:
+class PaintMemory(Struct, frozen=True, eq=False):
     """Mean and variance of the logarithm of each paint's light, and their trust."""
 
     mean: F64

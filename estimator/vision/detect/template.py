@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
@@ -126,8 +126,7 @@ def polar_drawing(pad: Pad) -> Mapping[str, Any]:
     }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Template:
+class Template(Struct, frozen=True, eq=False):
     """The drawing as the native core takes it: coverage by each paint over the pad's plane, blurred, and its lengths.
 
     Maps are (`BLURS_M`, n, n, 4): row by x, column by y, the centre in the middle, full coverage is `DL_TEMPLATE_ONE`.

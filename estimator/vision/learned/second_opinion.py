@@ -10,11 +10,11 @@ of both: each channel minus its mean, over one standard deviation of all channel
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
@@ -50,8 +50,7 @@ _TONE = 2.2
 """Exponent of the tone curve of frames, by which the drawing's light is converted."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Patch:
+class Patch(Struct, frozen=True, eq=False):
     """A candidate's surroundings in the pad's plane: row by x from ahead to behind, column by y to starboard."""
 
     frame: U8

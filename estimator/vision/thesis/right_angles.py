@@ -19,11 +19,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.estimates import Feature
@@ -37,8 +37,7 @@ _MIN_RADIUS_PX = 1.6
 """Smallest radius of a circle, px; closer in, blur rounds the corner."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RightAngle:
+class RightAngle(Struct, frozen=True, eq=False):
     """A corner, in the coordinates of the channel it was found in."""
 
     uv_px: F64
@@ -205,8 +204,7 @@ _MAX_REACH_PX = 24.0
 Side = Literal["long", "short"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Cue:
+class Cue(Struct, frozen=True, eq=False):
     """The result of one method."""
 
     marks: Marks

@@ -8,11 +8,11 @@ and `orangeness` derive from it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
@@ -28,8 +28,7 @@ _SEEDS = 0.02
 _BLOBS = 6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Masks:
+class Masks(Struct, frozen=True, eq=False):
     """Masks (H, W) of 0 and 255 for each paint."""
 
     green: U8
@@ -37,8 +36,7 @@ class Masks:
     white: U8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DiscBlob:
+class DiscBlob(Struct, frozen=True, eq=False):
     """A possible disc, or the visible part of it."""
 
     hull: NDArray[np.int32]
@@ -137,8 +135,7 @@ _LINEAR = np.asarray(255.0 * LINEAR_LIGHT, np.float32)
 themselves, the edge between dark and bright paint is off by a fifth of a pixel. Source: IEC 61966-2-1."""
 
 
-@dataclass(frozen=True, slots=True)
-class HsvRange:
+class HsvRange(Struct, frozen=True):
     """One box of colours, both ends included, in OpenCV's 8-bit HSV."""
 
     low: Triple
@@ -174,8 +171,7 @@ class HsvRange:
         return HsvRange((h0, s0, v0 * 3 // 4), (h1, min(255, s1 + s1 // 2), v1))
 
 
-@dataclass(frozen=True, slots=True)
-class ColourSet:
+class ColourSet(Struct, frozen=True):
     """The limits of the pad's three paints under one kind of light."""
 
     name: str
@@ -205,8 +201,7 @@ OUTDOOR = ColourSet(
 COLOUR_SETS: Mapping[str, ColourSet] = MappingProxyType({s.name: s for s in (SIMULATOR, INDOOR, OUTDOOR)})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Segmentation:
+class Segmentation(Struct, frozen=True, eq=False):
     """The masks and light of one frame, cropped to the region of interest around the chosen disc.
 
     Masks are (h, w) of 0 and 255. Adding `origin_px` (u, v), their top-left pixel, gives coordinates in the whole frame.

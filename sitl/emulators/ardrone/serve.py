@@ -16,9 +16,10 @@ import signal
 import stat
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+from msgspec.structs import asdict
 
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, DecklanderError

@@ -8,10 +8,11 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import TracebackType
+
+from msgspec import Struct
 
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
@@ -42,8 +43,7 @@ _VIDEO_SEND_BUFFER = 1 << 16
 """Bytes the kernel may hold for the video client: about half a second, so that a slow client loses frames, not freshness."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ports:
+class Ports(Struct, frozen=True):
     """Ports on which the drone listens; 0 lets the system choose."""
 
     navdata: int = 5554
@@ -52,8 +52,7 @@ class Ports:
     control: int = 5559
 
 
-@dataclass(frozen=True, slots=True)
-class Habits:
+class Habits(Struct, frozen=True):
     """The properties that differ from drone to drone."""
 
     generation: Generation = SECOND

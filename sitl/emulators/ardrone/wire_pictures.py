@@ -5,11 +5,11 @@ horizon and water at sea, and never a pad.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from fractions import Fraction
 
 import cv2
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from drivers.ardrone import pave
@@ -24,8 +24,7 @@ IDR_EVERY = 15
 _NAL_IDR, _NAL_SEI, _NAL_SPS, _NAL_PPS = 5, 6, 7, 8
 
 
-@dataclass(frozen=True, slots=True)
-class AccessUnit:
+class AccessUnit(Struct, frozen=True):
     """One encoded frame as an Annex-B byte stream."""
 
     data: bytes
@@ -156,8 +155,7 @@ _BOTTOM_INSET = 88, 72
 _FRONT_INSET = 56, 42
 
 
-@dataclass(frozen=True, slots=True)
-class Shot:
+class Shot(Struct, frozen=True):
     """One picture to be sent."""
 
     px: U8
@@ -172,8 +170,7 @@ class Shot:
     """The values of the keys that the generation of the drone films by (`Generation.film_keys`)."""
 
 
-@dataclass(frozen=True, slots=True)
-class WirePicture:
+class WirePicture(Struct, frozen=True):
     """One picture as it is sent."""
 
     data: bytes

@@ -13,9 +13,10 @@ import json
 import struct
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from msgspec import Struct
 
 from drivers.mailbox import Latest
 from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
@@ -106,8 +107,7 @@ def argv(
     ]  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Servos:
+class Servos(Struct, frozen=True):
     """One packet from ArduPilot."""
 
     rate_hz: int

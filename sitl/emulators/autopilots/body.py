@@ -2,11 +2,10 @@
 
 import math
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
 
 import msgspec
 import numpy as np
-from msgspec.structs import replace
+from msgspec import Struct, field, structs
 from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
@@ -52,8 +51,7 @@ async def at_once() -> None:
     """Settle nothing."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BodyState:
+class BodyState(Struct, frozen=True, eq=False):
     """The true state that a physics backend sends to an autopilot."""
 
     t_s: float
@@ -237,7 +235,7 @@ class Body:
             self._renderer = film(self.scenario, renderer(self.scenario, self.waves, self.vessel, seed), seed)
         expose, shot = self._renderer.render, self.shot()
         light = math.prod(fault.fraction for fault, _ in self.faults.on(LightFalls))
-        taken = replace(Taken() if self.exposure is None else self.exposure.expose(), light_fraction=light)
+        taken = structs.replace(Taken() if self.exposure is None else self.exposure.expose(), light_fraction=light)
         if self.gimbal is not None:
             shot = self.gimbal.turned(shot, self.camera.T_body_cam.t)
         rng = np.random.default_rng([self._camera_seed, self._tick])
@@ -271,8 +269,7 @@ class Body:
 _STOPPED_M_S = 0.3
 
 
-@dataclass(slots=True, eq=False)
-class Silence:
+class Silence(Struct, eq=False):
     """One time without a service."""
 
     at_s: float

@@ -17,6 +17,7 @@ from typing import Literal
 
 import cv2
 import msgspec
+from msgspec import Struct
 
 from companion.base.health import Health
 from companion.base.mission import REFUSALS, FlightOutcome
@@ -74,8 +75,7 @@ _SILENT_S = 60.0
 """Wall time without a step of the physics after which the program counts as hung."""
 
 
-@dataclass(frozen=True, slots=True)
-class AutopilotProgram:
+class AutopilotProgram(Struct, frozen=True):
     """The autopilot program that is flown, and its settings."""
 
     name: Name
@@ -87,8 +87,7 @@ class AutopilotProgram:
     """True for the control flight: it lands by its own landing mode, and nothing of the daemon's reaches it."""
 
 
-@dataclass(frozen=True, slots=True)
-class FlightEnd:
+class FlightEnd(Struct, frozen=True):
     """The result of the flight."""
 
     outcome: FlightOutcome | None

@@ -9,10 +9,10 @@ import asyncio
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from msgspec import Struct
 
 from companion.base.health import Health
 from companion.base.mission import FlightOutcome
@@ -48,8 +48,7 @@ _MEAN_S = 3.0
 """Time over which the distance between truth and estimate is averaged."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AutopilotPose:
+class AutopilotPose(Struct, frozen=True, eq=False):
     """The body at one instant."""
 
     at: MonoNs
@@ -164,8 +163,7 @@ _CLEAR_M = 0.15
 """Height over the pad, m, above which the vehicle is not down yet: the last descent rate above it is that of the touchdown."""
 
 
-@dataclass(frozen=True, slots=True)
-class FollowEnd:
+class FollowEnd(Struct, frozen=True):
     """The result of the flight."""
 
     outcome: FlightOutcome | None

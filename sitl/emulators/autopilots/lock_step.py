@@ -12,8 +12,9 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Executor
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
@@ -68,8 +69,7 @@ _TURNS = 40
 """Turns of the event loop after which a service that has a frame and does not look at it waits for the time to go on."""
 
 
-@dataclass(frozen=True, slots=True)
-class CameraTiming:
+class CameraTiming(Struct, frozen=True):
     """Delays of frames in the flight's own time."""
 
     period_s: float = 1.0 / 30.0

@@ -14,10 +14,10 @@ import asyncio
 import math
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
@@ -56,8 +56,7 @@ _FIELD_NED_GAUSS = np.array([0.136, 0.008, 0.497])
 """The magnetic field at the world's origin, Trondheim, by the World Magnetic Model, rounded."""
 
 
-@dataclass(frozen=True, slots=True)
-class SensorNoise:
+class SensorNoise(Struct, frozen=True):
     """Standard deviation of each reading: PX4's filter takes a sensor without noise for a stuck one."""
 
     acc_m_s2: float = 0.02

@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
+from msgspec import Struct, field
 
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.setpoint import velocity_setpoint
@@ -56,8 +56,7 @@ _LIMITS: dict[Task, tuple[float, str]] = {
 """Longest duration of each task, s, and the failure after it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OperatorView:
+class OperatorView(Struct, frozen=True, eq=False):
     """The true state that the operator sees."""
 
     to_start_level: F64

@@ -1,12 +1,12 @@
 """The target as each autopilot understands it: every field, the receivers' own arithmetic, and what they drop."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import Struct
 
 from companion.parts.mavlink.outputs import (
     distance_sensor,
@@ -28,8 +28,7 @@ RADIUS_M = 0.39
 TIME_US = 1_234_567_890
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(Struct, frozen=True):
     """One vector."""
 
     stack: str

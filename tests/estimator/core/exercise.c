@@ -51,13 +51,10 @@ static void parameters(dl_filter_params *o, int surface)
     for (int i = 0; i < DL_ROWS_MAX; i++) {
         o->nis_max[i] = 15.0 + 2.0 * i;
     }
-    for (int i = 0; i < DL_N; i++) {
-        o->psd[i] = 1e-4;
-    }
     o->history_ns = 1000000000, o->max_ahead_ns = 50000000, o->leap_ns = 2000000000, o->leap_count = 5;
     o->velocity_scale = 1.0, o->sigma_initial_tilt_rad = 0.05, o->sigma_initial_heading_rad = 0.1, o->sigma_attitude_bias_rad = 0.02;
     for (int i = 0; i < DL_N; i++) {
-        o->initial_var[i] = 1e-3;
+        o->psd[i] = 1e-4, o->initial_var[i] = 1e-3;
     }
     o->reopen_count = 3, o->reopen_s = 0.1, o->sighting_has_attitude_error = 1;
     o->min_confidence = 0.05, o->heading_memory_s = 1.0, o->sigma_turn_rate_rad_s = 0.05;
@@ -148,11 +145,22 @@ static dl_filter *saved_and_loaded(dl_filter *f, const dl_filter_params *o)
     const int64_t bytes = dl_filter_save(f, NULL, 0);
     uint8_t *saved = malloc((size_t)bytes);
     dl_filter_save(f, saved, bytes);
-    dl_filter_free(dl_filter_load(o, saved, (int64_t)(draw() % (uint64_t)bytes)));
+    dl_filter_free(dl_filter_new(o, saved, (int64_t)(draw() % (uint64_t)bytes)));
     dl_filter_free(f);
-    f = dl_filter_load(o, saved, bytes);
+    f = dl_filter_new(o, saved, bytes);
     free(saved);
     return f;
+}
+
+static void views(void)
+{
+    dl_view *v = calloc(1, sizeof *v);
+    for (int64_t i = 0; i < 200; i++) {
+        const double d[3] = {0.1 * uniform(), 0.1 * uniform(), 3.0};
+        dl_view_watch(v, i * (5000000 + 10000000 * (i / 100)), d, 0.1 * uniform(), 0.1 * uniform(), 0.01, 0.3);
+    }
+    fold(v->moments, 16), fold(v->together, DL_VIEW_LAGS);
+    free(v);
 }
 
 static void fly(int surface, int rounds, double poison, int wild)
@@ -164,7 +172,7 @@ static void fly(int surface, int rounds, double poison, int wild)
     int64_t t = 0;
     parameters(o, surface);
     o->initial_var[DL_POS_REL] *= poison;
-    dl_filter *f = dl_filter_new(o);
+    dl_filter *f = dl_filter_new(o, NULL, 0);
     for (int round = 0; round < rounds && f != NULL; round++) {
         for (int i = 0; i < LENGTH; i++) {
             t += draw() % 10 == 0 ? 200000000 : draw() % 5000000;
@@ -273,7 +281,8 @@ int main(int count, char **files)
     for (int surface = DL_OVER_GROUND; surface <= DL_OVER_EITHER; surface++) {
         fly(surface, 5, 1.0, 0);
     }
-    report("dl_filter_new dl_filter_put dl_filter_answer dl_filter_forecast dl_filter_save dl_filter_load dl_filter_free");
+    report("dl_filter_new dl_filter_put dl_filter_answer dl_filter_forecast dl_filter_save dl_filter_free");
+    views(), report("dl_view_watch");
     scenes(24);
     report("dl_sim_render_deck dl_sim_render_fill dl_sim_render_smear dl_sim_render_average dl_sim_render_shadow dl_sim_render_sea dl_sim_render_swell "
            "dl_sim_render_water dl_sim_render_pad_kinds dl_sim_render_pad_shares dl_sim_render_pad_lens dl_sim_render_expose "

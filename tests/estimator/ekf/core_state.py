@@ -21,8 +21,8 @@ from estimator.ekf import Event, Filter
 from estimator.ekf.event import packed
 from estimator.ekf.params import FilterParams
 from estimator.ekf.state import (
-    ATT_AXES,
     ATT_BIAS,
+    ATT_ERR,
     BARO_OFFSET,
     DECK_DISP,
     DECK_RATE,
@@ -46,9 +46,9 @@ T = 500 * S
 TILTED = rpy_matrix(0.1, -0.15, 0.8)
 COLUMNS_MAX, EXCESS_NUMBERS, MEMBER_STATES, MEMBER_PAIRS = 12, 6, 7, 28
 SAMPLE_COLUMNS = (
-    [*ATT_AXES, *ATT_BIAS],
-    [*ATT_AXES, *VEL_AXES, *range(N)[VESSEL_VEL], *DECK_RATE[:3], VEL_SCALE],
-    [*ATT_AXES, *POS_AXES, DECK_DISP[3], DECK_TRIM[0], DECK_DISP[4], DECK_TRIM[1], PAD_YAW, RANGE_OFFSET],
+    [*range(N)[ATT_ERR], *ATT_BIAS],
+    [*range(N)[ATT_ERR], *VEL_AXES, *range(N)[VESSEL_VEL], *DECK_RATE[:3], VEL_SCALE],
+    [*range(N)[ATT_ERR], *POS_AXES, DECK_DISP[3], DECK_TRIM[0], DECK_DISP[4], DECK_TRIM[1], PAD_YAW, RANGE_OFFSET],
     [POS_DOWN, DECK_DISP[2], BARO_OFFSET],
 )
 """The states on which each kind of aiding depends, in the order of the core's Jacobians."""

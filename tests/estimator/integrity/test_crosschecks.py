@@ -219,13 +219,9 @@ def test_a_frozen_view_is_known_while_the_body_turns(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("sway_deg", [0.2, 1.0, 5.0])
-def test_a_true_view_is_not(seed: int, sway_deg: float) -> None:
-    assert frozen_shares(seed, frozen=False, sway_rad=math.radians(sway_deg)) == 0.0
-
-
-def test_a_still_body_reports_nothing() -> None:
-    assert frozen_shares(1, frozen=True, sway_rad=math.radians(0.2)) == 0.0
+@pytest.mark.parametrize(("frozen", "sway_deg"), [(False, 0.2), (False, 1.0), (False, 5.0), (True, 0.2)])
+def test_a_true_view_is_not_and_that_of_a_still_body_neither(seed: int, frozen: bool, sway_deg: float) -> None:
+    assert frozen_shares(seed, frozen=frozen, sway_rad=math.radians(sway_deg)) == 0.0
 
 
 @pytest.mark.hazard("H12")

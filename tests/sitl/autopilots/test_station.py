@@ -1,10 +1,10 @@
 """The person at the ground station: the way to the order, and every way in which it comes to nothing."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode

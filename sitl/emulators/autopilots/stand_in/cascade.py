@@ -1,9 +1,9 @@
 """The control loops of a stand-in: from a wanted acceleration, climb and turn rate down to four motors."""
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct, field
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
@@ -29,8 +29,7 @@ def command_of(fraction: float, curve: float) -> float:
     return (-b + math.sqrt(b * b + 4.0 * curve * s)) / (2.0 * curve)
 
 
-@dataclass(slots=True)
-class FirstOrder:
+class FirstOrder(Struct):
     """A vector behind a filter of the first order, and its rate."""
 
     value: F64
@@ -42,8 +41,7 @@ class FirstOrder:
         self.value = x - math.exp(-step_s / time_s) * (x - self.value)
 
 
-@dataclass(frozen=True, slots=True)
-class LoopGains:
+class LoopGains(Struct, frozen=True):
     """The gains of one stack's loops; each names the parameter that it stands for."""
 
     velocity_p: float
@@ -99,8 +97,7 @@ COPTER_GAINS = LoopGains(
 motor's range between MOT_SPIN_MIN and MOT_SPIN_MAX."""
 
 
-@dataclass(slots=True)
-class Cascade:
+class Cascade(Struct):
     """The loops of one flight, and what they have wound up."""
 
     gains: LoopGains
