@@ -3,7 +3,7 @@
 import asyncio
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -79,11 +79,17 @@ class Line(_Mailbox[T]):
 
     def offer(self, item: T) -> None:
         """Append an item (from the loop's thread only)."""
-        if len(self._items) >= self.capacity:
+        self.offer_all((item,))
+
+    def offer_all(self, items: Sequence[T]) -> None:
+        """Append items, the oldest first (from the loop's thread only)."""
+        if not items:
+            return
+        self._items.extend(items)
+        self.offered += len(items)
+        for _ in range(len(self._items) - self.capacity):
             self._items.popleft()
             self.dropped += 1
-        self._items.append(item)
-        self.offered += 1
         self._ready.set()
 
     def __len__(self) -> int:

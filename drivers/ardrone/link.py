@@ -285,7 +285,7 @@ class ArDrone:
         self._setup.on_state(navdata.state)
         for sample in samples:
             self._streamer.on_sample(sample)
-            self.samples.offer(sample)
+        self.samples.offer_all(samples)
 
     def _restarted(self) -> None:
         self._video.restarted()

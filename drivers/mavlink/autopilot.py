@@ -328,7 +328,7 @@ class Autopilot:
         known = self._known
         if known is None or received.system != known.identity.system or received.component != known.identity.component:
             if self._o.vessel_id == received.system and known is not None and received.access_level >= AccessLevel.REPORTER:
-                self._offer(known.sampler.vessel(message, received.received_at))
+                self.samples.offer_all(known.sampler.vessel(message, received.received_at))
             return
         if received.source != known.source:
             return  # the same message by another path, or another sender that uses its ids
@@ -370,7 +370,7 @@ class Autopilot:
         for sample in samples:
             if type(sample) is GeoFix:
                 known.streamer.on_place(sample.place, received_at)
-            self.samples.offer(sample)
+        self.samples.offer_all(samples)
         known.streamer.on_condition(known.sampler.condition, beat=name == "HEARTBEAT")
         self._tell_hand(known, received_at)
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:
@@ -391,7 +391,7 @@ class Autopilot:
         taken = self._taken(known, now)
         if (taken, streamer.motors_cut) != (sampler.taken, sampler.motors_cut):
             sampler.taken, sampler.motors_cut = taken, streamer.motors_cut
-            self._offer([sampler.status(now, link_ok=not known.lost)])
+            self.samples.offer(sampler.status(now, link_ok=not known.lost))
 
     def _taken(self, known: _Known, now: MonoNs) -> str | None:
         """Return who has taken the vehicle, with the autopilot's critical text about it; None while nobody has."""
@@ -418,10 +418,6 @@ class Autopilot:
         self._roster.note_uid(known.version.uid, self._clock.now())
         if known.version != before:
             _log.info("autopilot: system %d has %s", known.identity.system, known.version)
-
-    def _offer(self, samples: list[Sample]) -> None:
-        for sample in samples:
-            self.samples.offer(sample)
 
     def _on_heartbeat(self, received: ReceivedMessage) -> None:
         """Take its sender as the autopilot where it is the one that is meant, or where the autopilot comes from elsewhere now."""

@@ -169,6 +169,9 @@ class Link:
         self.counters = LinkCounters()
         self.down: str | None = "not opened yet"
         """Reason why it is not open; None while it is."""
+        self.signed = options.signing is not None
+        """True if nothing crosses it without a signature."""
+        self._asked_for = options.endpoint.scheme != "udpin"
         self._number = number
         self._o = options
         self._links = links
@@ -181,11 +184,6 @@ class Link:
     def local(self) -> Address | None:
         """The address bound on this side, None for TCP, serial and while closed."""
         return None if self._wire is None else self._wire.local
-
-    @property
-    def signed(self) -> bool:
-        """True if nothing crosses it without a signature."""
-        return self._o.signing is not None
 
     @property
     def peers(self) -> int:
@@ -277,10 +275,6 @@ class Link:
         except Exception as why:
             self._links.contained.hold("the MAVLink codec", f"{self.endpoint}", why)
 
-    @property
-    def _asked_for(self) -> bool:
-        return self._o.endpoint.scheme != "udpin"
-
     def _codec_for(self, peer: _Peer | None) -> Codec:
         """Return the peer's codec; unknown_senders share one, whose datagrams have nothing to do with each other."""
         if peer is not None:
@@ -309,7 +303,7 @@ class Link:
             if message.get_type() == "HEARTBEAT" and 2 * len(line) < line.capacity:
                 line.offer(received)
             return
-        if level >= AccessLevel.PEER:
+        if level >= AccessLevel.PEER and address not in self._peers:
             self.admit(address, received_at)
         self._links.notify_tap(received_at, self.endpoint, "in", message.get_msgbuf(), message)
         line.offer(received)

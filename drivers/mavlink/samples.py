@@ -288,8 +288,8 @@ class MavlinkSampler:
         if attitude is None or abs(seconds_between(attitude.stamp.measured_at, stamp.measured_at)) > self._o.attitude_gap_s:
             return []
         yaw_rad = attitude.R_ned_body.rpy_rad[2]
-        c, s, (north, east, down) = math.cos(yaw_rad), math.sin(yaw_rad), v_body_ned.tolist()
-        v_level = fixed_vector(c * north + s * east, c * east - s * north, down)
+        c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+        v_level = fixed_vector(c * m.vx + s * m.vy, c * m.vy - s * m.vx, m.vz)
         return [contract.known(BodyVelocity, stamp, v_level, self._cov_velocity)]
 
     def _global(self, m: Message, received_at: MonoNs) -> list[Sample]:
@@ -308,6 +308,8 @@ class MavlinkSampler:
         return [contract.known(Imu, self._inertial(self._clock.stamp(boot_us(m.time_usec), received_at)), w_body, f_body)]
 
     def _inertial(self, stamp: Stamp) -> Stamp:
+        if self.inertial_delay_s == 0.0:
+            return stamp
         earlier = MonoNs(stamp.measured_at - round(self.inertial_delay_s * NS_PER_S))
         return Stamp(earlier, stamp.received_at, stamp.sigma_s, stamp.source)
 

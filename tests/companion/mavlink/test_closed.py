@@ -116,7 +116,7 @@ async def test_the_ship_s_reports_come_from_one_port(stranger: socket.socket) ->
     async with bordered() as border:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ship:
             reports: list[object] = []
-            border.autopilot.samples.offer = reports.append  # type: ignore[method-assign, assignment]
+            border.autopilot.samples.offer_all = reports.extend  # type: ignore[method-assign, assignment]
             await border.send(report, wire=ship, source=(17, 1))
             await border.send(report, wire=stranger, source=(17, 1))
             assert [type(r).__name__ for r in reports] == ["VesselReport"]
