@@ -27,7 +27,6 @@ from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import VelocityLoop
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
-from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, after, seconds_between
 from estimator.contracts.total_table import next_states, total
 
@@ -314,6 +313,8 @@ class CommandStreamer:
         self._o = options
         self._custody = CustodyKeeper(options)
         self._loop = VelocityLoop(options)
+        self.on_sample = self._loop.on_sample
+        """Takes a sample of the drone."""
         self._motion: _Motion | None = None
         """The velocity or lean to fly; None to hover."""
         self._watchdog = False
@@ -329,10 +330,6 @@ class CommandStreamer:
         self._custody.on_report(navdata, now)
         if self._custody.state is Custody.STANDS:
             self._loop.reset()
-
-    def on_sample(self, sample: Sample) -> None:
-        """Take a sample of the drone."""
-        self._loop.on_sample(sample)
 
     def command(self, now: MonoNs) -> TimedCommand:
         """Return the command of this period, with the instant at which it expires."""

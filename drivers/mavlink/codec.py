@@ -2,7 +2,7 @@
 
 Framing is done here instead of by pymavlink's parser: after a damaged frame that one skips as many bytes as the damaged length
 field says, and so loses the intact frames behind it. Here the search goes on with the next byte. The dialect has the layout of
-each message and the checksum; its own decoder takes several times as long, hundreds of times a second.
+each message and the checksum; its own decoder takes half as long again, hundreds of times a second.
 """
 
 import hashlib
