@@ -39,6 +39,7 @@ from estimator.contracts.samples import (
     VesselReport,
 )
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, StampSource
+from estimator.core.library import CORE
 from estimator.vision.detection import Detection, PadCheck, PadThing
 
 Vector = Sequence[float] | F64
@@ -251,6 +252,8 @@ def same_bits(a: Any, b: Any) -> bool:
         return False
     if isinstance(a, Rotation):
         return same_bits(a.matrix, b.matrix)
+    if isinstance(a, CORE.ffi.CData):
+        return bytes(CORE.ffi.buffer(a)) == bytes(CORE.ffi.buffer(b))
     if isinstance(a, Mapping):
         return a.keys() == b.keys() and all(same_bits(a[key], b[key]) for key in a)
     if names := getattr(a, "__struct_fields__", None) or getattr(a, "__dataclass_fields__", None):

@@ -187,18 +187,18 @@ def test_a_ship_that_goes_on_leaves_a_vehicle_that_hovers_over_the_ground() -> N
     )
     hovers = [Step(0.0), Step(1.0, aside=-40.0, ship=10.0, phase=VehiclePhase.HOVERING)]
     assert judged(hovers).unsafe == (), "its own hover drifts with the wind, and nobody flies it there"
-    assert judged([hovers[0], replace_step(hovers[1], phase=FLIES)]).unsafe != ()
+    assert judged([hovers[0], replace(hovers[1], phase=FLIES)]).unsafe != ()
     rides = [Step(float(n), aside=-10.0, ship=90.0 * n, ship_m_s=90.0, v=(90.0, 0.0, 0.0)) for n in range(4)]
     behind = Step(4.0, aside=-100.0, ship=360.0, ship_m_s=90.0)
     assert judged([*rides, behind]).unsafe == (), "nor one that she has carried with her before"
-    assert judged([*rides, replace_step(behind, aside=-150.0)]).unsafe != ()
+    assert judged([*rides, replace(behind, aside=-150.0)]).unsafe != ()
     with_her = Step(1.0, ship=90.0, v=(90.0, 0.0, 0.0))
     assert judged([Step(0.0), with_her]).unsafe == (), "nor is one that goes with her fast"
 
 
 def test_a_contact_counts_once_and_nothing_before_the_first_step() -> None:
     once = contact(surface="deck", over_rim_m=0.2)
-    assert judged([*once, replace_step(once[0], at_s=0.1)]).counts["off_pad"].value == 1.0
+    assert judged([*once, replace(once[0], at_s=0.1)]).counts["off_pad"].value == 1.0
     assert judged(contact(motors=False, lateral_speed_m_s=2.0)).unsafe == (), "what slides on the deck without its motors"
     places: list[dict[str, Any]] = [{"clearance": 0.0}, {"clearance": 0.5, "aside": 1.0}, {"battery": 0.05}]
     for of in places:
@@ -209,11 +209,7 @@ def test_a_contact_counts_once_and_nothing_before_the_first_step() -> None:
 @pytest.mark.parametrize("whose", [{"reached": False}, {"served": False}, {"phase": LANDED}])
 def test_what_nobody_can_answer_is_not_charged(name: str, whose: dict[str, Any]) -> None:
     flight, _, outside = EDGES[name]
-    assert name not in judged([replace_step(step, **whose) for step in flight(outside)]).as_json()
-
-
-def replace_step(step: Step, **over: Any) -> Step:
-    return Step(**{**step.__dict__, **over})
+    assert name not in judged([replace(step, **whose) for step in flight(outside)]).as_json()
 
 
 NOBODYS = {"held_sank_m", "disobeyed_s", "unordered", "unreached_m", "tipped_deg", "bounces", "motors_off_m"}
@@ -275,14 +271,14 @@ def test_a_landing_goes_on_with_the_sticks_in_the_middle_once_it_was_sent() -> N
     """WHY: a person's landing that a dying service's sender left alone counted as disobeyed."""
     centred = Step(9.0, sent=(SentPacket(after(START, 9.0), Asks.CENTRED),))
     assert judged([*ordered("land", 0.1, Asks.LAND), centred]).unsafe == ()
-    hover = replace_step(centred, sent=(SentPacket(after(START, 9.0), Asks.HOVER),))
+    hover = replace(centred, sent=(SentPacket(after(START, 9.0), Asks.HOVER),))
     assert len(judged([*ordered("land", 0.1, Asks.LAND), hover]).unsafe) == 1, "which takes off again"
 
 
 def test_silence_is_no_obedience_unless_the_motors_stand_or_no_service_runs() -> None:
     order = Step(0.0, acts=(("hold", StickPositions()),))
     assert judged([order, Step(0.4)]).unsafe == ("a person ordered hold, and was sent: nothing that obeys, still 0.4 s later",)
-    assert judged([replace_step(order, clearance=0.0), Step(0.4, 0.0, phase=LANDED)]).unsafe == ()
+    assert judged([replace(order, clearance=0.0), Step(0.4, 0.0, phase=LANDED)]).unsafe == ()
     assert judged([order, Step(0.1, served=False), Step(0.5)]).unsafe == (), "a new service knows of no act"
 
 
@@ -306,7 +302,7 @@ def test_nothing_starts_that_nobody_ordered() -> None:
     begins = ERRAND._replace(takes_off=True)
     assert judged([down, up], begins).unsafe == ()
     assert judged([down, up, *again], begins).unsafe == ("nobody ordered it: the motors started",)
-    ask = replace_step(again[1], acts=(("takeoff", StickPositions()),))
+    ask = replace(again[1], acts=(("takeoff", StickPositions()),))
     assert judged([down, up, again[0], ask, again[2]], begins).unsafe == ()
     stopped = Step(0.5, 0.0, phase=LANDED, acts=(("emergency", StickPositions()),))
     assert judged([down, stopped, up], begins).unsafe == ("nobody ordered it: the motors started",), "a cut takes the start back"
@@ -475,7 +471,7 @@ flights = st.lists(st.tuples(st.integers(1, 18), steps), min_size=2, max_size=12
 def in_time(flight: list[tuple[int, Step]]) -> list[Step]:
     """Return the steps, each after a rest of some hundredths of a second."""
     at = np.cumsum([rest for rest, _ in flight]) * 0.05
-    return [replace_step(step, at_s=float(at_s)) for at_s, (_, step) in zip(at, flight, strict=True)]
+    return [replace(step, at_s=float(at_s)) for at_s, (_, step) in zip(at, flight, strict=True)]
 
 
 def numbers(referee: Referee) -> dict[str, float]:
@@ -497,7 +493,7 @@ def test_a_step_may_be_split_in_two(flight: list[tuple[int, Step]], share: float
     split = [whole[0]]
     for step in whole[1:]:
         last = split[-1]
-        split += [replace_step(last, at_s=last.at_s + share * (step.at_s - last.at_s)), step]
+        split += [replace(last, at_s=last.at_s + share * (step.at_s - last.at_s)), step]
     assert numbers(judged(split)) == pytest.approx(numbers(judged(whole)), abs=1e-6)
 
 

@@ -1,9 +1,8 @@
 """A real AR.Drone flight: sightings made from the motion capture, with a gap."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from tests.estimator.ekf.core_state import newest
 from tests.support import mocap_flight
