@@ -88,13 +88,8 @@ class CompressedImage(Struct, frozen=True):
     format: str
 
 
-class CompressedVideo(Struct, frozen=True):
+class CompressedVideo(CompressedImage, frozen=True):
     """The schema `foxglove.CompressedVideo`."""
-
-    timestamp: Time
-    frame_id: str
-    data: bytes
-    format: str
 
 
 class CameraCalibration(Struct, frozen=True):

@@ -9,91 +9,98 @@
 #include "filter/correction.h"
 #include "filter/run.h"
 
+/* Memory */
+
+static void *take(piece **spares, size_t bytes)
+{
+    piece *found = *spares;
+    if (found != NULL) {
+        *spares = found->next;
+    } else {
+        found = malloc(bytes);
+    }
+    if (found != NULL) {
+        found->owners = 1;
+    }
+    return found;
+}
+
+static void give(piece **spares, void *back)
+{
+    piece *one = back;
+    if (one != NULL && --one->owners == 0) {
+        one->next = *spares;
+        *spares = one;
+    }
+}
+
+static void *shared(void *with)
+{
+    ((piece *)with)->owners++;
+    return with;
+}
+
 /* Checkpoints */
 
-static void checkpoint_clear(checkpoint *c)
+static void checkpoint_clear(dl_filter *f, checkpoint *c)
 {
-    if (c->P != NULL && --c->P->owners == 0) {
-        free(c->P);
-    }
-    if (c->bank != NULL && --c->bank->owners == 0) {
-        free(c->bank);
-    }
+    give(&f->spares[COVARIANCES], c->P);
+    give(&f->spares[BANKS], c->bank);
     c->P = NULL;
     c->bank = NULL;
 }
 
-static void share_covariance(checkpoint *to, shared_covariance *P)
-{
-    to->P = P;
-    to->P->owners++;
-}
-
-static void share_bank(checkpoint *to, shared_bank *bank)
-{
-    to->bank = bank;
-    to->bank->owners++;
-}
-
 /* A covariance or a bank of its own for a checkpoint that has none; false if there is no memory. */
-static bool own_covariance(checkpoint *c)
+static bool own_covariance(dl_filter *f, checkpoint *c)
 {
-    c->P = malloc(sizeof *c->P);
-    if (c->P != NULL) {
-        c->P->owners = 1;
-    }
-    return c->P != NULL;
+    return (c->P = take(&f->spares[COVARIANCES], sizeof *c->P)) != NULL;
 }
 
-static bool own_bank(checkpoint *c)
+static bool own_bank(dl_filter *f, checkpoint *c)
 {
-    c->bank = malloc(sizeof *c->bank);
-    if (c->bank != NULL) {
-        c->bank->owners = 1;
-    }
-    return c->bank != NULL;
+    return (c->bank = take(&f->spares[BANKS], sizeof *c->bank)) != NULL;
 }
 
 /* Write the first belief; false if there is no memory. */
-static bool begin_checkpoint(const dl_filter_params *o, const dl_event *e, checkpoint *after, dl_outcome *out)
+static bool begin_checkpoint(dl_filter *f, const dl_event *e, checkpoint *after, dl_outcome *out)
 {
-    if (!own_covariance(after) || !own_bank(after)) {
-        checkpoint_clear(after);
+    if (!own_covariance(f, after) || !own_bank(f, after)) {
+        checkpoint_clear(f, after);
         return false;
     }
-    if (!begin_belief(o, e, &after->belief, after->P->P, &after->bank->bank, out)) {
-        checkpoint_clear(after);
+    if (!begin_belief(&f->params, e, &after->belief, after->P->P, &after->bank->bank, out)) {
+        checkpoint_clear(f, after);
     }
     return true;
 }
 
 /* Write the belief after an event into a checkpoint that has none; false if there is no memory. */
-static bool advance(const dl_filter_params *o, const checkpoint *before, const dl_event *e, checkpoint *after, dl_outcome *out)
+static bool advance(dl_filter *f, const checkpoint *before, const dl_event *e, checkpoint *after, dl_outcome *out)
 {
     if (before->P == NULL) {
-        return begin_checkpoint(o, e, after, out);
+        return begin_checkpoint(f, e, after, out);
     }
     double places[2][DL_N * DL_N];
     covariance c = {before->P->P, {places[0], places[1]}};
     sea_ref bank = {&before->bank->bank, NULL};
     if (e->kind == DL_SIGHTING) {
-        if (!own_bank(after)) {
+        if (!own_bank(f, after)) {
             return false;
         }
         bank.place = &after->bank->bank;
     }
     after->belief = before->belief;
-    process_event(o, &after->belief, &c, &bank, e, out);
+    process_event(&f->params, &after->belief, &c, &bank, e, out);
     if (bank.now != bank.place) {
-        checkpoint_clear(after);
-        share_bank(after, before->bank);
+        checkpoint_clear(f, after);
+        after->bank = shared(before->bank);
     }
     if (c.P == before->P->P) {
-        share_covariance(after, before->P);
+        after->P = shared(before->P);
         return true;
     }
-    if (!own_covariance(after)) {
-        checkpoint_clear(after);
+    if (!own_covariance(f, after)) {
+        checkpoint_clear(f, after);
         return false;
     }
     memcpy(after->P->P, c.P, sizeof places[0]);
@@ -131,10 +138,10 @@ static const checkpoint *checkpoint_before(const dl_filter *f, int64_t i)
 
 static void drop_first(dl_filter *f)
 {
-    checkpoint_clear(&f->base);
+    checkpoint_clear(f, &f->base);
     f->base = event_at(f, 0)->after;
     f->times.forgotten = event_at(f, 0)->event.t;
-    free(event_at(f, 0));
+    give(&f->spares[EVENTS], event_at(f, 0));
     f->first++;
     f->n--;
 }
@@ -153,7 +160,7 @@ static void forget_all(dl_filter *f)
     while (f->n > 0) {
         drop_first(f);
     }
-    checkpoint_clear(&f->base);
+    checkpoint_clear(f, &f->base);
     f->first = 0;
     f->times.forgotten = f->times.received_at = -1;
     f->times.leapt_n = 0;
@@ -213,7 +220,7 @@ static bool is_in_time(dl_filter *f, const dl_event *e, dl_outcome *out)
 /* Insert an event that is in time, and process it and the later ones; false if there is no memory. */
 static bool insert(dl_filter *f, const dl_event *e, dl_outcome *out)
 {
-    past_event *made = make_room(f) ? malloc(sizeof *made) : NULL;
+    past_event *made = make_room(f) ? take(&f->spares[EVENTS], sizeof *made) : NULL;
     dl_outcome again;
     if (made == NULL) {
         return false;
@@ -221,18 +228,17 @@ static bool insert(dl_filter *f, const dl_event *e, dl_outcome *out)
     int64_t at = f->n;
     while (at > 0 && is_later(&event_at(f, at - 1)->event, e)) {
         at--;
-        checkpoint_clear(&event_at(f, at)->after);
+        checkpoint_clear(f, &event_at(f, at)->after);
         f->past[f->first + at + 1] = event_at(f, at);
     }
     made->event = *e;
-    made->after.P = NULL;
-    made->after.bank = NULL;
+    made->after = (checkpoint){.P = NULL};
     f->past[f->first + at] = made;
     f->n++;
     bool done = true;
     for (int64_t i = at; i < f->n; i++) {
         past_event *one = event_at(f, i);
-        done &= advance(&f->params, checkpoint_before(f, i), &one->event, &one->after, i == at ? out : &again);
+        done &= advance(f, checkpoint_before(f, i), &one->event, &one->after, i == at ? out : &again);
     }
     drop_old(f);
     return done;
@@ -294,6 +300,11 @@ void dl_filter_free(dl_filter *f)
 {
     if (f != NULL) {
         forget_all(f);
+        for (int kind = 0; kind < KINDS; kind++) {
+            while (f->spares[kind] != NULL) {
+                free(take(&f->spares[kind], 0));
+            }
+        }
         free(f->past);
         free(f);
     }
@@ -328,7 +339,7 @@ static enum sharing sharing_of(const void *mine, const void *before)
 }
 
 /* Copy a checkpoint; one that is read has no belief yet. */
-static bool copy_checkpoint(stream *s, checkpoint *c, const checkpoint *before)
+static bool copy_checkpoint(stream *s, dl_filter *f, checkpoint *c, const checkpoint *before)
 {
     int64_t kinds[2] = {0, 0};
     if (s->in == NULL) {
@@ -339,17 +350,15 @@ static bool copy_checkpoint(stream *s, checkpoint *c, const checkpoint *before)
         return false;
     }
     if (s->in != NULL) {
-        if ((kinds[0] == SHARED && (before == NULL || before->P == NULL)) || (kinds[1] == SHARED && (before == NULL || before->P == NULL))) {
-            return false;
-        }
-        if ((kinds[0] == OWN && !own_covariance(c)) || (kinds[1] == OWN && !own_bank(c))) {
+        const bool lacks = (kinds[0] == SHARED || kinds[1] == SHARED) && (before == NULL || before->P == NULL);
+        if (lacks || (kinds[0] == OWN && !own_covariance(f, c)) || (kinds[1] == OWN && !own_bank(f, c))) {
             return false;
         }
         if (kinds[0] == SHARED) {
-            share_covariance(c, before->P);
+            c->P = shared(before->P);
         }
         if (kinds[1] == SHARED) {
-            share_bank(c, before->bank);
+            c->bank = shared(before->bank);
         }
     }
     return (kinds[0] != OWN || copy(s, c->P->P, sizeof c->P->P)) && (kinds[1] != OWN || copy(s, &c->bank->bank, sizeof c->bank->bank));
@@ -363,11 +372,11 @@ int64_t dl_filter_save(const dl_filter *f, uint8_t *out, int64_t room)
     checkpoint base = f->base;
     copy(&s, &n, sizeof n);
     copy(&s, &times, sizeof times);
-    copy_checkpoint(&s, &base, NULL);
+    copy_checkpoint(&s, NULL, &base, NULL);
     for (int64_t i = 0; i < n; i++) {
         past_event *one = event_at(f, i);
         copy(&s, &one->event, sizeof one->event);
-        copy_checkpoint(&s, &one->after, checkpoint_before(f, i));
+        copy_checkpoint(&s, NULL, &one->after, checkpoint_before(f, i));
     }
     return s.at;
 }
@@ -375,12 +384,13 @@ int64_t dl_filter_save(const dl_filter *f, uint8_t *out, int64_t room)
 /* Read one more event with its checkpoint. */
 static bool read_event(stream *s, dl_filter *f)
 {
-    past_event *made = make_room(f) ? calloc(1, sizeof *made) : NULL;
+    past_event *made = make_room(f) ? take(&f->spares[EVENTS], sizeof *made) : NULL;
     if (made == NULL) {
         return false;
     }
+    made->after = (checkpoint){.P = NULL};
     f->past[f->first + f->n++] = made;
-    return copy(s, &made->event, sizeof made->event) && copy_checkpoint(s, &made->after, checkpoint_before(f, f->n - 1));
+    return copy(s, &made->event, sizeof made->event) && copy_checkpoint(s, f, &made->after, checkpoint_before(f, f->n - 1));
 }
 
 dl_filter *dl_filter_new(const dl_filter_params *params, const uint8_t *saved, int64_t bytes)
@@ -396,7 +406,7 @@ dl_filter *dl_filter_new(const dl_filter_params *params, const uint8_t *saved, i
     if (saved == NULL) {
         return f;
     }
-    bool done = copy(&s, &n, sizeof n) && copy(&s, &f->times, sizeof f->times) && copy_checkpoint(&s, &f->base, NULL);
+    bool done = copy(&s, &n, sizeof n) && copy(&s, &f->times, sizeof f->times) && copy_checkpoint(&s, f, &f->base, NULL);
     for (int64_t i = 0; done && i < n; i++) {
         done = read_event(&s, f);
     }

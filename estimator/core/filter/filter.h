@@ -5,14 +5,22 @@
 
 #include "filter/answer.h"
 
+/* The kinds of what the filter takes memory for. What nobody owns is spare, and used again: after the first seconds it asks for none. */
+enum { EVENTS, COVARIANCES, BANKS, KINDS };
+
+typedef struct piece {
+    struct piece *next;
+    int64_t owners;
+} piece;
+
 /* A covariance or a bank that checkpoints share until an event changes it. */
 typedef struct {
-    int64_t owners;
+    piece memory;
     double P[DL_N * DL_N];
 } shared_covariance;
 
 typedef struct {
-    int64_t owners;
+    piece memory;
     dl_bank bank;
 } shared_bank;
 
@@ -24,6 +32,7 @@ typedef struct {
 } checkpoint;
 
 typedef struct {
+    piece memory;
     dl_event event;
     checkpoint after;
 } past_event;
@@ -44,6 +53,7 @@ struct dl_filter {
     /* The events in the order of their instants, and room for more. */
     past_event **past;
     int64_t first, n, room;
+    piece *spares[KINDS];
     reach_table reaches;
 };
 
