@@ -156,8 +156,9 @@ static void views(void)
 {
     dl_view *v = calloc(1, sizeof *v);
     for (int64_t i = 0; i < 200; i++) {
-        const double d[3] = {0.1 * uniform(), 0.1 * uniform(), 3.0};
-        dl_view_watch(v, i * (5000000 + 10000000 * (i / 100)), d, 0.1 * uniform(), 0.1 * uniform(), 0.01, 0.3);
+        /* Arguments are evaluated in any order. */
+        const double roll = 0.1 * uniform(), pitch = 0.1 * uniform(), x = 0.1 * uniform(), y = 0.1 * uniform();
+        dl_view_watch(v, i * (5000000 + 10000000 * (i / 100)), (double[3]){x, y, 3.0}, roll, pitch, 0.01, 0.3);
     }
     fold(v->moments, 16), fold(v->together, DL_VIEW_LAGS);
     free(v);
