@@ -160,10 +160,8 @@ def _check(args: argparse.Namespace) -> int:
     pad, camera = pad_of_file(file), read_camera(camera_file)
     if args.views is not None and not (args.views == 0 or 50 <= args.views <= 100_000):
         raise BadInput(f"--views must be 50 to 100000, or 0 for none, got {args.views}")
-    views, found_in = (
-        args.views if args.views is not None else 0 if pad.is_calibrated or SHIPPED in file.parents else VIEWS,
-        None,
-    )
+    needed = 0 if pad.is_calibrated or SHIPPED in file.parents else VIEWS
+    views, found_in = needed if args.views is None else args.views, None
     if views:
         pad, found_in = _priced(pad, file, views)
     deck = linear_light(_DECKS["grey steel"])

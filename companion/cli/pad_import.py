@@ -31,9 +31,8 @@ def add_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "import",
         help="make a pad file of an SVG drawing or a photograph",
         description="Make a pad file of an SVG drawing, or of a photograph of a painted or printed pad. Up in the picture is "
-        "along "
-        "the arrow. The colour at the sheet's edge is that of the sheet or deck around. Look at the result with pad print, and "
-        "judge it with pad check.",
+        "along the arrow. The colour at the sheet's edge is that of the sheet or deck around. Look at the result with pad print, "
+        "and judge it with pad check.",
     )
     option(p, "drawing FILE", ".svg, or a photograph (.jpg, .png)")
     option(p, "--out FILE", "pad file to write (.toml)", required=True)
@@ -166,8 +165,8 @@ def corners_of(body: bytes) -> F64:
     """
     try:
         at = np.array(json.loads(body), float)
-    except (TypeError, ValueError, RecursionError) as why:
-        raise ValueError("four pairs of numbers are wanted") from why
+    except (TypeError, ValueError, RecursionError):
+        at = np.empty(0)
     if at.shape != (4, 2) or not np.isfinite(at).all():
         raise ValueError("four pairs of numbers are wanted")
     fault = fault_of(at)

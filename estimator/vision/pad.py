@@ -198,27 +198,28 @@ def _check_shape(region: Region, where: str) -> None:
                 f"{region.inscribed_m():.3g} m from the centre"
             )
         case PaintedStroke():
-            if not _length(np.array([region.from_m, region.to_m], dtype=float))[0] >= SMALLEST_M:
+            if not math.dist(region.from_m, region.to_m) >= SMALLEST_M:
                 raise BadInput(f"{where}: from_m and to_m must differ, got {region.from_m} and {region.to_m}")
         case PaintedPolygon():
-            points = np.array(region.points_m, dtype=float).reshape(-1, 2)
-            if not (3 <= len(points) <= 60 and _is_simple(points)):
-                raise BadInput(
-                    f"{where}.points_m must be 3 to 60 corners of a line that does not touch itself, with sides of "
-                    f"{SMALLEST_M:g} m at least"
-                )
-            _check_holes(region, where)
-        case _:
-            pass
+            check_polygon(region, where)
 
 
-def _check_holes(region: PaintedPolygon, where: str) -> None:
+def check_polygon(region: PaintedPolygon, where: str) -> None:
+    """Check a polygon's lines.
+
+    Raises:
+        BadInput: a line touches itself or another one, or has too short a side.
+    """
+    line = np.array(region.points_m, dtype=float).reshape(-1, 2)
+    if not (3 <= len(line) <= 60 and is_simple(line)):
+        raise BadInput(
+            f"{where}.points_m must be 3 to 60 corners of a line that does not touch itself, sides of {SMALLEST_M} m at least"
+        )
     for i, hole in enumerate(region.holes_m):
         points = np.array(hole, dtype=float).reshape(-1, 2)
-        fits = 3 <= len(points) <= 60 and _is_simple(points)
         rest = msgspec.structs.replace(region, holes_m=region.holes_m[:i])
         if (
-            not fits
+            not (3 <= len(points) <= 60 and is_simple(points))
             or depth_in(rest, points).min() <= _TOUCH_M
             or np.any(depth_in(PaintedPolygon("", hole), rest.corners()) > 0.0)
         ):
@@ -228,18 +229,13 @@ def _check_holes(region: PaintedPolygon, where: str) -> None:
             )
 
 
-def _length(points: F64) -> F64:
-    """Return the lengths of the sides of a line, (N - 1,) m."""
-    return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=1))
-
-
-def _is_simple(points: F64) -> bool:
+def is_simple(points: F64) -> bool:
     """Return whether a closed line turns at each corner, and its sides meet their neighbours alone."""
     way = np.roll(points, -1, axis=0) - points
     before = np.roll(way, 1, axis=0)
-    turns = np.abs(before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0]) > _TOUCH_M * np.linalg.norm(way, axis=1)
-    long = _length(np.vstack([points, points[:1]])) >= SMALLEST_M
-    return bool(np.all(long) and np.all(turns)) and not sides_meet(points)
+    length = np.linalg.norm(way, axis=1)
+    turns = np.abs(before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0]) > _TOUCH_M * length
+    return bool(np.all(length >= SMALLEST_M) and np.all(turns)) and not sides_meet(points)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ do.
 import io
 import re
 from collections.abc import Iterator
-from xml.etree.ElementTree import ParseError
+from xml.etree.ElementTree import ParseError, fromstring, tostring
 
 import numpy as np
 import svgelements
@@ -21,6 +21,7 @@ _LARGEST_BYTES = 2_000_000
 _CURVE = 24
 """Straight pieces of a curve, or of a quarter of a circle."""
 _PX_IN_INCH = 96.0
+_SIZES = {"rect": ("x", "y", "width", "height"), "circle": ("cx", "cy", "r"), "ellipse": ("cx", "cy", "rx", "ry")}
 
 
 class PaintedLines(Struct, frozen=True):
@@ -54,7 +55,7 @@ def read_svg(text: str, where: str) -> SvgDrawing:
     if len(text) > _LARGEST_BYTES or "<!ENTITY" in text:
         raise BadInput(f"{where}: a drawing has at most {_LARGEST_BYTES} bytes and no entities: save it as plain SVG")
     try:
-        drawing = svgelements.SVG.parse(io.StringIO(text), reify=False, ppi=_PX_IN_INCH)
+        drawing = svgelements.SVG.parse(io.StringIO(_explicit(text)), reify=False, ppi=_PX_IN_INCH)
     except (ParseError, ValueError, KeyError, TypeError, AttributeError, IndexError, ZeroDivisionError, OverflowError) as why:
         raise BadInput(f"{where}: no SVG drawing: {why}") from why
     if not isinstance(drawing, svgelements.SVG) or drawing.values.get("tag") != "svg":
@@ -67,6 +68,25 @@ def read_svg(text: str, where: str) -> SvgDrawing:
         raise BadInput(f"{where}: the drawing paints nothing")
     sized = re.search(r"(mm|cm|in|pt|pc|m)\s*$", f"{drawing.values.get('width', '')}")
     return SvgDrawing(width, height, 25.4 / _PX_IN_INCH if sized else None, painted)
+
+
+def _explicit(text: str) -> str:
+    """Return a drawing whose shapes say all their sizes: svgelements takes those left out from a group around, or as 1."""
+    root = fromstring(text)
+    for of, other, i in (("width", "height", 2), ("height", "width", 3)):
+        said = re.fullmatch(r"\s*([\d.]+)\s*([a-z]*)\s*", root.get(of, ""))
+        if said is not None and "viewBox" in root.attrib and root.get(other, "auto") == "auto":
+            box = [float(v) for v in re.split(r"[\s,]+", root.attrib["viewBox"].strip())]
+            root.set(other, f"{float(said[1]) * box[5 - i] / box[i]}{said[2]}")
+    for element in root.iter():
+        space, _, tag = str(element.tag).rpartition("}")
+        if tag in ("mask", "marker"):
+            element.tag = f"{space}{_}defs"
+        if sizes := _SIZES.get(tag):
+            own = {key: v for key, v in element.items() if v != "auto" and (key != "r" or tag == "circle")}
+            round_as = {a: own[b] for a, b in (("rx", "ry"), ("ry", "rx")) if b in own}
+            element.attrib = dict.fromkeys(sizes, "0") | round_as | own
+    return tostring(root, encoding="unicode")
 
 
 def _painted(element: svgelements.SVGElement, where: str) -> Iterator[PaintedLines]:

@@ -18,7 +18,9 @@ from companion.tools.pads.svg import SvgDrawing
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.vision.markings import Rgb
+from estimator.vision.pad import SMALLEST_M, check_polygon, is_simple
 from estimator.vision.pad_rules import SIDES_MOST
+from estimator.vision.regions import PaintedPolygon
 
 U8 = NDArray[np.uint8]
 ACROSS_PX = 3000
@@ -30,6 +32,8 @@ _THINNEST = 0.45
 _LEAST_AREA = 4e-4
 """Least area of a part over that of all that is painted: less is a speck."""
 _CORNERS_MOST = 60
+_CHANGE_MOST = 0.02
+"""Greatest change of a part's area by leaving out corners, over the area."""
 _PHOTO_PX = 700.0
 """Larger side of a rectified photograph, px."""
 _SPECK_PX = 9
@@ -95,13 +99,12 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str) -> Picture:
             cv2.fillPoly(image, moved, paints.index(one.rgb), cv2.LINE_8, 4)
     ground = _border(image[margin : size[0] - margin, margin : size[1] - margin])
     image[:margin], image[-margin:], image[:, :margin], image[:, -margin:] = ground, ground, ground, ground
-    if size_m is None and drawing.px_mm is None:
+    if size_m is not None:
+        rows, columns = np.nonzero(image != ground)
+        return Picture(image, tuple(paints), float(max(np.ptp(rows), np.ptp(columns)) + 1) / size_m, ground)
+    if drawing.px_mm is None:
         raise BadInput(f"{where}: the drawing has no size in mm or cm: give it with --size-mm, across all that it paints")
-    if size_m is None:
-        assert drawing.px_mm is not None
-        return Picture(image, tuple(paints), 1000.0 * scale / drawing.px_mm, ground)
-    rows, columns = np.nonzero(image != ground)
-    return Picture(image, tuple(paints), float(max(np.ptp(rows), np.ptp(columns)) + 1) / size_m, ground)
+    return Picture(image, tuple(paints), 1000.0 * scale / drawing.px_mm, ground)
 
 
 def fault_of(corners_px: F64) -> str | None:
@@ -149,14 +152,8 @@ def photographed(
     colours = smooth.reshape(-1, 3).astype(np.float32)
     cv2.setRNGSeed(47)
     some = colours[:: max(1, len(colours) // 40_000)]
-    _, _, means = cv2.kmeans(
-        some,
-        paints,
-        np.zeros((len(some), 1), np.int32),
-        (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 0.2),
-        6,
-        cv2.KMEANS_PP_CENTERS,
-    )
+    until = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 0.2
+    _, _, means = cv2.kmeans(some, paints, np.zeros((len(some), 1), np.int32), until, 6, cv2.KMEANS_PP_CENTERS)
     nearest = np.linalg.norm(colours[:, None] - means[None], axis=2).argmin(axis=1).astype(np.uint8).reshape(px.shape[:2])
     image = np.asarray(cv2.medianBlur(nearest, _SPECK_PX), np.uint8)
     rgb: list[Rgb] = [(round(r), round(g), round(b)) for b, g, r in means.tolist()]
@@ -194,16 +191,16 @@ def traced(picture: Picture, name: str, where: str) -> dict[str, Any]:
     inside = [
         p for p in parts[1:] if cv2.pointPolygonTest(base.outline.astype(np.float32), tuple(p.outline[0].tolist()), False) >= 0
     ]
-    round_base = circle is not None and len(inside) == len(parts) - 1
-    if circle is not None and round_base:
+    if circle is not None and len(inside) == len(parts) - 1:
         centre = circle.centre
     else:
+        circle = None
         low, high = (f(np.concatenate([p.outline for p in parts]), axis=0) for f in (np.min, np.max))
         centre = 0.5 * (low + high)
     m = 1.0 / picture.px_per_m
     radius_px = max(float(np.hypot(*(p.outline - centre).T).max()) for p in parts)
     regions, below, rest = list[dict[str, Any]](), picture.ground, parts
-    if circle is not None and round_base:
+    if circle is not None:
         hole = next((c for line in base.holes if (c := _circle(line, -0.5)) and _within(c, circle)), None)
         rest = parts[1:]
         if hole is None:
@@ -231,17 +228,12 @@ def traced(picture: Picture, name: str, where: str) -> dict[str, Any]:
     regions += _lettering(rest, below, centre, m, radius_px, where)
     used = list(dict.fromkeys([region["paint"] for region in regions] + [picture.ground]))
     names = dict(zip(used, _names([picture.paints[i] for i in used]), strict=True))
-    rounded = [{key: _rounded(value) for key, value in region.items()} | {"paint": names[region["paint"]]} for region in regions]
+    for region in regions:
+        region |= {key: round(v, 5) for key, v in region.items() if isinstance(v, float)} | {"paint": names[region["paint"]]}
     return {
         "name": name, "ground": names[picture.ground], "paints": {names[i]: list(picture.paints[i]) for i in used},
-        "regions": rounded,
+        "regions": regions,
     }  # fmt: skip
-
-
-def _rounded(value: Any) -> Any:
-    if isinstance(value, float):
-        return round(float(value), 5)
-    return [_rounded(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 def _names(colours: Sequence[Rgb]) -> list[str]:
@@ -253,19 +245,8 @@ def _names(colours: Sequence[Rgb]) -> list[str]:
             name = "black" if high < 85 else "white" if low > 170 else "grey"
         else:
             hue = cv2.cvtColor(np.array([[[b, g, r]]], np.uint8), cv2.COLOR_BGR2HSV)[0, 0, 0]
-            name = next(
-                n
-                for limit, n in (
-                    (8, "red"),
-                    (22, "orange"),
-                    (35, "yellow"),
-                    (85, "green"),
-                    (130, "blue"),
-                    (170, "violet"),
-                    (181, "red"),
-                )
-                if hue < limit
-            )
+            limits = {8: "red", 22: "orange", 35: "yellow", 85: "green", 130: "blue", 170: "violet", 181: "red"}
+            name = next(n for limit, n in limits.items() if hue < limit)
         out.append(name if name not in out else f"{name}_{len(out)}")
     return out
 
@@ -327,10 +308,7 @@ def _lettering(
 ) -> Iterator[dict[str, Any]]:
     """Yield the parts beside disc and rings as polygons: those of the paint with the largest area, then those of a second."""
     parts = [p for p in parts if p.paint != below]
-    areas: dict[int, float] = {}
-    for part in parts:
-        areas[part.paint] = areas.get(part.paint, 0.0) + part.area
-    layers = sorted(areas, key=lambda paint: -areas[paint])
+    layers = sorted({p.paint for p in parts}, key=lambda paint: -sum(p.area for p in parts if p.paint == paint))
     if len(layers) > 2:
         raise BadInput(f"{where}: {len(layers)} paints lie on the ground or the disc, and at most two are measured: use fewer")
     for layer in layers:
@@ -345,14 +323,14 @@ def _lettering(
                 break
             off *= _GROWS
             if off > 0.2 * radius_px:
-                raise BadInput(
-                    f"{where}: the lettering has too many parts to be measured ({len(own)}): draw fewer or simpler ones"
-                )
+                raise BadInput(f"{where}: the lettering has too many parts ({len(own)}): draw fewer or simpler ones")
         for line, holes in made:
-            region: dict[str, Any] = {"shape": "polygon", "paint": layer, "points_m": _on_pad(line, centre, m)}
-            if holes:
-                region["holes_m"] = [_on_pad(hole, centre, m) for hole in holes]
-            yield region
+            outline_m, *holes_m = (_on_pad(of, centre, m) for of in (line, *holes))
+            fore, right = 1000.0 * np.mean(outline_m, axis=0)
+            cure = f"draw the part {fore:.0f} mm fore and {right:.0f} mm right of the centre without what is finer than 1 mm"
+            check_polygon(PaintedPolygon("", outline_m, tuple(holes_m)), f"{where}: {cure}: its region")
+            region: dict[str, Any] = {"shape": "polygon", "paint": layer, "points_m": outline_m}
+            yield region | ({"holes_m": holes_m} if holes else {})
 
 
 def _is_filled(hole: F64, others: Sequence[_Part]) -> bool:
@@ -381,10 +359,18 @@ def _corners(line: F64, off_px: float) -> F64:
     return corners
 
 
-def _on_pad(line: F64, centre: F64, m: float) -> list[list[float]]:
-    """Return px as places on the pad: up in the picture is along the arrow, right is to starboard."""
-    column, row = centre.tolist()
-    return [[(row - y) * m, (x - column) * m] for x, y in line.tolist()]
+def _on_pad(line: F64, centre: F64, m: float) -> tuple[tuple[float, float], ...]:
+    """Return px as places on the pad, up in the picture along the arrow, without corners that make the line touch itself."""
+    drawn_at = at = np.round((centre - line)[:, ::-1] * (m, -m), 5) + 0.0
+    while len(at) > 3 and not is_simple(at):
+        side = np.roll(at, -1, axis=0) - at
+        before = np.roll(side, 1, axis=0)
+        changes = np.abs(before[:, 0] * side[:, 1] - before[:, 1] * side[:, 0])
+        short = np.hypot(*side.T) < SMALLEST_M
+        order = np.argsort(np.where(short | np.roll(short, 1) | ~short.any(), changes, np.inf)).tolist()
+        at = np.delete(at, next((i for i in order if is_simple(np.delete(at, i, 0))), order[0]), 0)
+    area, kept = (cv2.contourArea(of.astype(np.float32)) for of in (drawn_at, at))
+    return tuple((x, y) for x, y in (at if abs(kept - area) <= _CHANGE_MOST * area else drawn_at).tolist())
 
 
 def file_text(keys: dict[str, Any], comment: str) -> str:
