@@ -88,8 +88,13 @@ class CompressedImage(Struct, frozen=True):
     format: str
 
 
-class CompressedVideo(CompressedImage, frozen=True):
-    """The schema `foxglove.CompressedVideo`."""
+class CompressedVideo(Struct, frozen=True):
+    """The schema `foxglove.CompressedVideo`: one access unit."""
+
+    timestamp: Time
+    frame_id: str
+    data: bytes
+    format: str
 
 
 class CameraCalibration(Struct, frozen=True):
@@ -207,11 +212,6 @@ def quaternion(R: Rotation) -> Quaternion:
 def compressed_image(at_ns: int, data: bytes, form: str) -> CompressedImage:
     """Return the message of an encoded image; `form` is "jpeg" or "png"."""
     return CompressedImage(time_of(at_ns), "cam", data, form)
-
-
-def compressed_video(at_ns: int, data: bytes) -> CompressedVideo:
-    """Return the message of one H.264 access unit."""
-    return CompressedVideo(time_of(at_ns), "cam", data, "h264")
 
 
 def calibration(at_ns: int, camera: Camera) -> CameraCalibration:

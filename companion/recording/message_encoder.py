@@ -116,7 +116,8 @@ class MessageEncoder:
     ) -> Iterator[Message]:
         exposed_at = self._time(MonoNs(record.stamp.measured_at_ns))
         if processed is not None and self._frames == "h264":
-            yield channels.VIDEO, t, fox.compressed_video(exposed_at, self._video.encoded(processed.frame.px))
+            data = self._video.encoded(processed.frame.px)
+            yield channels.VIDEO, t, fox.CompressedVideo(fox.time_of(exposed_at), "cam", data, "h264")
         elif processed is not None and self._frames != "none":
             data = packed(processed.frame.px, self._frames, self._quality)
             yield channels.IMAGE, t, fox.compressed_image(exposed_at, data, self._frames)

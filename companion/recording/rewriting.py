@@ -167,7 +167,7 @@ def _copy(recording: Recording, file: McapFile, message_encoder: MessageEncoder,
                 # A part of a video may not begin where a key frame stands, so that it is encoded again.
                 px = image.px()
                 if px is not None:
-                    file.add(channels.VIDEO, t, fox.compressed_video(exposed_at, video.encoded(px)))
+                    file.add(channels.VIDEO, t, fox.CompressedVideo(fox.time_of(exposed_at), "cam", video.encoded(px), "h264"))
             elif image is not None:
                 form = "png" if image.startswith(b"\x89PNG") else "jpeg"
                 file.add(channels.IMAGE, t, fox.compressed_image(exposed_at, image, form))
