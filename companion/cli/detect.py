@@ -27,11 +27,12 @@ from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.load import find_file, pad_of_file, read_camera
 from companion.settings.referenced_files import second_opinion
 from companion.tools.calibrate.guide import files_of
+from companion.tools.report.overlay import Overlay, annotate
 from drivers.camera import images
 from drivers.camera.videos import open_video, predicts_frames, video_of
 from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import Method, Sighting
+from estimator.contracts.estimates import CENTRE, Method, Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
@@ -53,13 +54,6 @@ _SURE = 0.5
 _MIRROR_TRIES = 8
 """Number of frames without a sure pad after which a mirrored one is searched: a camera that mirrors does so in all of them."""
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
-_INK = {
-    "ellipse": (255, 200, 0),
-    "arrow": (0, 0, 255),
-    "corners": (255, 0, 255),
-    "registration": (0, 255, 255),
-    "lamps": (0, 200, 255),
-}
 
 
 class _Image(Struct, frozen=True, eq=False):
@@ -131,7 +125,12 @@ def add_arguments(p: argparse.ArgumentParser) -> None:
         nargs="?",
         const="",
     )
-    option(p, "--annotate DIR", "write each frame with its detections drawn in as PNG into this folder")
+    option(
+        p,
+        "--draw PATH",
+        "draw what was found: into this image file (.png, .jpg) for one image, else each frame as a PNG into this folder",
+        type=Path,
+    )
     option(p, "--json", "print JSON Lines, one object per frame")
 
 
@@ -146,7 +145,8 @@ def run(args: argparse.Namespace) -> int:
     tilts = _attitudes(Path(args.attitude), files) if args.attitude is not None else {}
     options = _options(args.method, args.colours)
     asked = None if args.second_opinion is None else second_opinion(args.second_opinion, "--second-opinion")
-    album = _album(args.annotate)
+    if args.draw is not None:
+        _check_drawing(args.draw, files)
     frames = found = sure = unreadable = mirrored = 0
     untried = _MIRROR_TRIES
     if not args.json:
@@ -176,9 +176,8 @@ def run(args: argparse.Namespace) -> int:
                 record = _record(image, seen, colours, elapsed_ms)
                 line = f"{_line(image, seen)} {elapsed_ms:6.1f}{_opinions(seen)}"
                 sys.stdout.write((json.dumps(record) if args.json else line) + "\n")
-                drawn = None if album is None else album / f"{file.stem}_{image.index:05d}.png"
-                if drawn is not None and not cv2.imwrite(str(drawn), _annotated(image, seen, camera)):
-                    raise BadInput(f"--annotate: cannot write {drawn}")
+                if args.draw is not None:
+                    _draw(args.draw, image, seen, models[file])
         except _NoImageError as why:
             unreadable += 1
             sys.stdout.flush()
@@ -221,13 +220,17 @@ class _NoImageError(Exception):
 
 
 def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = _number(text)
     if not 0.0 < value <= 45.0:
         raise argparse.ArgumentTypeError(f"must be a number of degrees over 0 and up to 45, got {text!r}")
     return value
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def _images(file: Path, model: _Model) -> Iterator[_Image]:
@@ -326,10 +329,7 @@ def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, Rotation]:
 
 
 def _degrees(cell: str, name: str, where: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
+    value = _number(cell)
     if not abs(value) < 89.0:
         raise BadInput(f"{where}: {name} must be a number of degrees within +-89, got {cell.strip()!r}")
     return value
@@ -372,6 +372,7 @@ def _record(image: _Image, seen: Detection, colours: str | None, elapsed_ms: flo
         "index": image.index,
         "found": seen.selected is not None,
         **_numbers(seen.selected),
+        "outline_px": None if seen.selected is None else _outlines(seen.selected, image),
         "method": seen.chosen,
         "methods": {
             name: None if (s := seen.methods.get(name)) is None else {"found": True, **_numbers(s), "method": name}
@@ -385,14 +386,28 @@ def _record(image: _Image, seen: Detection, colours: str | None, elapsed_ms: flo
 
 def _numbers(s: Sighting | None) -> dict[str, object]:
     if s is None:
-        return {"confidence": 0.0, "d_body_pad_level_m": None, "yaw_deg": None, "yaw_ambiguous": None, "cov": None}
+        names = "d_body_pad_level_m", "yaw_deg", "yaw_ambiguous", "cov", "centre_px"
+        return {"confidence": 0.0, **dict.fromkeys(names)}
+    centre = next((feature.uv_px[0] for feature in s.features if feature.label == CENTRE), None)
     return {
         "confidence": round(s.confidence, 4),
         "d_body_pad_level_m": [round(v, 6) for v in s.d_body_pad_level.tolist()],
         "yaw_deg": None if s.yaw_rad is None else round(math.degrees(s.yaw_rad), 5),
         "yaw_ambiguous": s.yaw_ambiguous,
         "cov": s.cov.ravel().tolist(),
+        "centre_px": None if centre is None or not np.isfinite(centre).all() else np.round(centre, 2).tolist(),
     }
+
+
+def _outlines(s: Sighting, image: _Image) -> list[dict[str, object]]:
+    """Return the label and the points, as far as the lens projects them, of each part that has one in the frame."""
+    parts: list[dict[str, object]] = []
+    size = image.px.shape[1::-1]
+    for feature in s.features:
+        uv = feature.uv_px[np.isfinite(feature.uv_px).all(axis=1)]
+        if feature.label != CENTRE and np.any(np.all((uv >= -0.5) & (uv < np.subtract(size, 0.5)), axis=1)):
+            parts.append({"label": feature.label, "uv_px": np.round(uv, 2).tolist()})
+    return parts
 
 
 _HEADER = (
@@ -418,40 +433,39 @@ def _opinions(seen: Detection) -> str:
     return "" if o is None else f"  verified {o.verified:.2f}, learned {o.learned:.2f}"
 
 
-def _album(folder: str | None) -> Path | None:
-    if folder is None:
-        return None
-    path = Path(folder)
-    with file_errors(f"--annotate {folder}"):
-        path.mkdir(parents=True, exist_ok=True)
-    return path
+def _is_image(path: Path) -> bool:
+    return path.suffix.lower() in images.PICTURES
 
 
-def _annotated(image: _Image, seen: Detection, camera: Camera) -> U8:
-    """Return the image at twice its size, with the features of every method drawn in and their figures below."""
-    scale = 2 if camera.width <= 1000 else 1
-    h, w = camera.height * scale, camera.width * scale
-    canvas = np.zeros((h + 44, w, 3), np.uint8)
-    canvas[:h] = cv2.resize(image.px, (w, h), interpolation=cv2.INTER_NEAREST)
-    below = [_line(image, seen).rstrip()]
-    shift = 4
-    for name, s in seen.methods.items():
-        if s is None:
-            continue
-        ink = _INK.get(name, (255, 255, 255))
-        for feature in s.features:
-            # Pixel centres stay pixel centres when the image grows.
-            uv = np.nan_to_num((feature.uv_px + 0.5) * scale - 0.5, nan=-1e4).clip(-1e4, 1e4)
-            fixed = np.rint(uv * (1 << shift)).astype(np.int32)
-            if feature.kind == "point":
-                for u, v in fixed.tolist():
-                    arm = 5 << shift
-                    cv2.line(canvas[:h], (u - arm, v), (u + arm, v), ink, 1, cv2.LINE_AA, shift)
-                    cv2.line(canvas[:h], (u, v - arm), (u, v + arm), ink, 1, cv2.LINE_AA, shift)
-            else:
-                cv2.polylines(canvas[:h], [fixed[:, None]], feature.kind != "line", ink, 1, cv2.LINE_AA, shift)
-        d = np.round(s.d_body_pad_level, 3).tolist()
-        below.append(f"{name} {d} {s.confidence:.2f}")
-    cv2.putText(canvas, below[0], (6, h + 16), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
-    cv2.putText(canvas, "   ".join(below[1:]), (6, h + 36), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (200, 200, 200), 1, cv2.LINE_AA)
-    return canvas
+def _check_drawing(path: Path, files: Sequence[Path]) -> None:
+    """Check where frames are drawn, and make the folder.
+
+    Raises:
+        BadInput: several frames would be drawn into one file, or into files of one name, or an input would be overwritten.
+    """
+    if _is_image(path) and not (len(files) == 1 and _is_image(files[0])):
+        raise BadInput(f"--draw {path}: an image file takes one image only: name a folder, each frame is drawn into a file there")
+    taken = files if _is_image(path) else [file.parent for file in files]
+    if path.resolve() in [one.resolve() for one in taken]:
+        raise BadInput(f"--draw {path}: the images to search are there: name another place, none of them is overwritten")
+    if not _is_image(path) and len({file.stem for file in files}) < len(files):
+        raise BadInput(f"--draw {path}: two files to search differ in their folder or ending only: draw them in separate runs")
+    with file_errors(f"--draw {path}"):
+        (path.parent if _is_image(path) else path).mkdir(parents=True, exist_ok=True)
+
+
+def _draw(path: Path, image: _Image, seen: Detection, model: _Model) -> None:
+    """Write the image at twice its size, with the features of every method drawn in and their figures below.
+
+    Raises:
+        BadInput: the file cannot be written.
+    """
+    camera, sightings = model.camera, [s for s in seen.methods.values() if s is not None]
+    drawn = annotate(image.px, Overlay(tuple(sightings)), camera, model.pad, 2.0 if camera.width <= 1000 else 1.0)
+    canvas = cv2.copyMakeBorder(drawn, 0, 44, 0, 0, cv2.BORDER_CONSTANT)
+    figures = [f"{s.method} {np.round(s.d_body_pad_level, 3).tolist()} {s.confidence:.2f}" for s in sightings]
+    for y, text, grey in ((16, _line(image, seen).rstrip(), 255), (36, "   ".join(figures), 200)):
+        cv2.putText(canvas, text, (6, len(drawn) + y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (grey,) * 3, 1, cv2.LINE_AA)
+    target = path if _is_image(path) else path / f"{Path(image.source).stem}_{image.index:05d}.png"
+    if not cv2.imwrite(str(target), canvas):
+        raise BadInput(f"--draw: cannot write {target}")

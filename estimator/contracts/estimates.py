@@ -81,6 +81,10 @@ class IntegrityAlert(Enum):
     DECK = "the deck is believed to move as no deck does"
 
 
+CENTRE = "centre"
+"""The label of the feature that is the pad's centre."""
+
+
 class Feature(Struct, frozen=True, eq=False):
     """A feature that a method detected, in pixels, for display and recording; no estimate is computed from it."""
 

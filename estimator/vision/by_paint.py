@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.contracts.estimates import Feature, Method, RelativeState, Sighting
+from estimator.contracts.estimates import CENTRE, Feature, Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs
@@ -235,17 +235,16 @@ def read_deck(seen: Detection, memory: TrackerMemory) -> tuple[Detection, Tracke
 
 
 def _add_outlines(best: _Registered, check: PadCheck | None, camera: Camera) -> Sighting:
-    """Return a registration's sighting, with the outlines of what lies on the pad and of what is about it among its features."""
-    sighting = best.sighting
+    """Return a registration's sighting with the pad's centre, what lies on the pad and what is about it among its features."""
+    features = [*best.sighting.features, Feature("point", CENTRE, camera.project(best.found.pose.t_cam_pad[None]))]
     thing, near = (None, None) if check is None else (check.thing, check.near)
     places = [] if thing is None else [(thing.width_m, thing.forward_m, thing.right_m)]
     places += [] if near is None else [(_NEAR_DRAWN_M, near.forward_m, near.right_m)]
     for width_m, forward_m, right_m in places:
         points = best.found.pose.points(width_m * _SQUARE + np.array([forward_m, right_m, 0.0]))
         if points[:, 2].min() > 0.05:
-            outline = Feature("outline", "thing", camera.project(points))
-            sighting = replace(sighting, features=(*sighting.features, outline))
-    return sighting
+            features.append(Feature("outline", "thing", camera.project(points)))
+    return replace(best.sighting, features=tuple(features))
 
 
 def _watch_deck(now: _Now, memory: DeckMemory, best: _Registered | None, belief: RelativeState | None) -> DeckMemory:

@@ -151,11 +151,8 @@ def _letter_sides(kind: EdgeKind, letters: Sequence[Lettering]) -> list[_Piece]:
             for other in letters:
                 if other is not letter:
                     free &= depth_in(other, at) < 1e-9
-            if free.all():
-                pieces.append((kind, at, normal))
-            else:
-                borders = np.flatnonzero(np.diff(np.r_[False, free, False]))
-                pieces += [(kind, at[i:j], normal[i:j]) for i, j in borders.reshape(-1, 2).tolist()]
+            borders = np.flatnonzero(np.diff(np.r_[False, free, False]))
+            pieces += [(kind, at[i:j], normal[i:j]) for i, j in borders.reshape(-1, 2).tolist()]
     return pieces
 
 

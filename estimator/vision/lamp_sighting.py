@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.contracts.estimates import Feature, RelativeState, Sighting
+from estimator.contracts.estimates import CENTRE, Feature, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.core.abi import DL_LAMP_PAIRS_MAX
@@ -68,11 +68,12 @@ def detect_lamps(
         at,
         CORE.array("dl_found_lamps", out),
     )
-    return _sighting(frame, out) if checked(found) == _SEEN else None
+    return _sighting(frame, out, camera) if checked(found) == _SEEN else None
 
 
-def _sighting(frame: Frame, seen: NDArray[Any]) -> Sighting:
-    features = (Feature("point", "lamp", seen["uv_px"][: 2 * int(seen["lit"])].reshape(-1, 2)),)
+def _sighting(frame: Frame, seen: NDArray[Any], camera: Camera) -> Sighting:
+    lit, centre = seen["uv_px"][: 2 * int(seen["lit"])].reshape(-1, 2), camera.project(seen["pose"]["t"][None])
+    features = Feature("point", "lamp", lit), Feature("point", CENTRE, centre)
     return sighting_in_level(frame, seen["seen"], False, float(seen["confidence"]), features, "lamps")
 
 

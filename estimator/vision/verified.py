@@ -233,7 +233,7 @@ class _Seen:
 
         A start that was aligned with the frame counts with its place, too.
         """
-        disc_radius_m, range_m, start_m = self.view.pad.disc_radius_m, found.range_m, start.range_m
+        disc_radius_m, range_m, start_m = self.view.pad.disc_radius_m, found.pose.range_m, start.range_m
         most = _STRAYS + _STRAYS_PX / (self.view.camera.fx * disc_radius_m / start_m)
         if not self.searched or abs(range_m / start_m - 1.0) > most:
             return abs(range_m / start_m - 1.0) > most

@@ -380,12 +380,10 @@ def test_the_pad_is_drawn_where_the_estimate_has_it(rpy, expected):
 
 def test_features_are_drawn_in_their_methods_colour_and_far_points_do_no_harm():
     wild = Feature("line", "edge", np.array([[math.nan, 1.0], [1e9, -1e9], [50.0, 40.0], [90.0, 40.0]]))
-    point = Feature("point", "tip", np.array([[200.0, 100.0]]))
     stamp = Stamp(ns(1), ns(1), 0.001, "sim")
-    sighting = Sighting(stamp, 0, "arrow", np.array([0, 0, 2.0]), 0.0, False, np.eye(4), 0.5, features=(wild, point))
+    sighting = Sighting(stamp, 0, "arrow", np.array([0, 0, 2.0]), 0.0, False, np.eye(4), 0.5, features=(wild,))
     canvas = annotate(np.full((180, 320, 3), 60, np.uint8), Overlay((sighting,)), CAMERA, PAD)
     assert near_ink(canvas, (70, 40), bgr(colour("arrow")))
-    assert near_ink(canvas, (200, 100), bgr(colour("arrow")))
 
 
 def test_an_estimate_behind_or_beside_the_lens_draws_nothing():

@@ -215,7 +215,7 @@ def test_the_first_hour_s_commands_run(reader: Path) -> None:
     for words in commands_of("first-hour"):
         line = " ".join(words)
         later = any(" ".join(more).startswith(f"{line} ") for more in commands_of("first-hour"))
-        if elsewhere(words) or later or words[0] == "fly" or "wrong.toml" in words or "--annotate" in words:
+        if elsewhere(words) or later or words[0] == "fly" or "wrong.toml" in words or "--draw" in words:
             continue
         flight = ["--perception", "model"] if words[0] == "simulate" else []
         assert main([*words, *flight]) == 0, line

@@ -1,7 +1,7 @@
 """State of the flight that the page shows: faults, the live picture. Values in, values out."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ from companion.base.observer import Decision, ProcessedFrame
 from companion.parts.page.messages import HealthCause, Level, PageHealth, PictureLine
 from companion.recording.frame_encoder import VideoQuality
 from companion.settings.links import HttpSettings
-from companion.tools.report.overlay import pad_lines
+from companion.tools.report.overlay import pad_lines, runs_of
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import F64, Rotation
 from estimator.ekf import Forecast
@@ -98,17 +98,8 @@ def _ellipse(cov: F64) -> F64:
 
 def _pieces(uv_px: F64, *, closed: bool) -> Iterator[tuple[float, ...]]:
     """Yield a line of (n, 2) points in pieces, without the points that are nan or far off."""
-    ring = np.concatenate([uv_px, uv_px[:1]]) if closed and len(uv_px) else uv_px
-    with np.errstate(invalid="ignore"):
-        good = np.all(np.abs(ring) < _FAR_PX, axis=1)
-    if good.all():
-        runs: Sequence[F64] = [ring]
-    else:
-        edges = np.flatnonzero(np.diff(good)) + 1
-        runs = [run for run, ok in zip(np.split(ring, edges), good[np.concatenate([[0], edges])], strict=True) if ok]
-    for run in runs:
-        if len(run) > 1:
-            yield tuple(np.round(run, 1).ravel().tolist())
+    for run in runs_of(uv_px, _FAR_PX, closed=closed):
+        yield tuple(np.round(run, 1).ravel().tolist())
 
 
 HORIZONS_S = tuple(0.25 * k for k in range(13))

@@ -11,7 +11,7 @@ from companion.base.mission import StateChange
 from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame, ThingReport, things_of
 from companion.base.orders import HandledOrder
 from companion.recording.frame_video import VideoImage
-from companion.tools.report.overlay import expected_in_body, held_rotation
+from companion.tools.report.overlay import expected_in_body
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
@@ -195,7 +195,7 @@ class FlightLog(Struct, eq=False):
         level = None if processed.attitude is None else processed.attitude.R_ned_body.without_heading()
         expected = expected_in_body(processed, self.steering)
         place = None if level is None or expected is None else level @ expected
-        at, held = processed.frame.stamp.measured_at, held_rotation(processed)
+        at, held = processed.frame.stamp.measured_at, None if processed.camera is None else processed.camera.T_body_cam.R
         self.frames.append(FrameRecord(at, processed.frame.seq, processed.verdict, level, place, held, image))
         if processed.detection is not None:
             self.add_detection(processed.detection, at)

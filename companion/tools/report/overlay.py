@@ -1,6 +1,7 @@
 """Draw over a frame: features and the estimated pad, and where the filter expected it by the errors that it knows."""
 
 import math
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -81,32 +82,27 @@ class _Pen:
 
     def polyline(self, uv_px: F64, ink: tuple[int, int, int], closed: bool) -> None:
         """Draw a line through (n, 2) points; points that are nan or far off break it."""
-        good = np.all(np.isfinite(uv_px), axis=1) & np.all(np.abs(np.nan_to_num(uv_px)) < _FAR_PX, axis=1)
-        if len(uv_px) < 2 or not good.any():
-            return
-        if good.all():
-            pieces = [(uv_px, closed)]
-        else:
-            ring = np.concatenate([uv_px, uv_px[:1]]) if closed else uv_px
-            ok = np.concatenate([good, good[:1]]) if closed else good
-            pieces = [(ring[i : i + 2], False) for i in range(len(ring) - 1) if ok[i] and ok[i + 1]]
-        lines = [(self._fixed(p), c) for p, c in pieces]
+        runs = [self._fixed(run) for run in runs_of(uv_px, _FAR_PX, closed=closed)]
         for width, shade in ((self._line + 1, (0, 0, 0)), (self._line, ink)):
-            for points, ends_meet in lines:
-                cv2.polylines(self._view, [points], ends_meet, shade, width, cv2.LINE_AA, _SHIFT)
+            cv2.polylines(self._view, runs, False, shade, width, cv2.LINE_AA, _SHIFT)
 
     def feature(self, feature: Feature, ink: tuple[int, int, int]) -> None:
         uv = np.asarray(feature.uv_px, dtype=float).reshape(-1, 2)
-        match feature.kind:
-            case "point":
-                arm = 4.0
-                for u, v in uv:
-                    self.polyline(np.array([[u - arm, v], [u + arm, v]]), ink, closed=False)
-                    self.polyline(np.array([[u, v - arm], [u, v + arm]]), ink, closed=False)
-            case "line":
-                self.polyline(uv, ink, closed=False)
-            case _:
-                self.polyline(uv, ink, closed=True)
+        if feature.kind != "point":
+            self.polyline(uv, ink, closed=feature.kind != "line")
+            return
+        for at in uv:
+            for arm in ((4.0, 0.0), (0.0, 4.0)):
+                self.polyline(np.array([at - arm, at + arm]), ink, closed=False)
+
+
+def runs_of(uv_px: F64, far_px: float, *, closed: bool) -> list[F64]:
+    """Return a line of (n, 2) points in runs of two points and more, without those that are nan or far off."""
+    ring = np.concatenate([uv_px, uv_px[:1]]) if closed else uv_px
+    with np.errstate(invalid="ignore"):
+        good = np.all(np.abs(ring) < far_px, axis=1)
+    edges = [0, *np.flatnonzero(np.diff(good)) + 1, len(ring)]
+    return [ring[a:b] for a, b in pairwise(edges) if b - a > 1 and good[a]]
 
 
 def pad_lines(estimate: RelativeState, R_level_body: Rotation, camera: Camera, pad: Pad) -> list[F64]:
@@ -117,11 +113,6 @@ def pad_lines(estimate: RelativeState, R_level_body: Rotation, camera: Camera, p
     R_level_pad = Rotation.from_rpy(0.0, 0.0, -(estimate.yaw_rad or 0.0))
     R_body_level, T_cam_body = R_level_body.inv, camera.T_body_cam.inv
     return [camera.project(T_cam_body @ (R_body_level @ (R_level_pad @ p + estimate.d_body_pad_level))) for p in shapes]
-
-
-def held_rotation(processed: ProcessedFrame) -> Rotation | None:
-    """Return the rotation of the camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
-    return None if processed.camera is None else processed.camera.T_body_cam.R
 
 
 def expected_in_body(processed: ProcessedFrame, path: PathName | None) -> F64 | None:

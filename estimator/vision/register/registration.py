@@ -112,11 +112,6 @@ class Registration:
         return math.sqrt(max(0.0, 0.5 * float(self.blur_px2[0] + self.blur_px2[2])))
 
     @property
-    def range_m(self) -> float:
-        """Distance from the lens to the pad's centre, m."""
-        return math.hypot(*self.pose.t_cam_pad.tolist())
-
-    @property
     def log_odds(self) -> float:
         """Log-odds that this is the pad, from the frame alone."""
         return float(self.record["log_odds"])

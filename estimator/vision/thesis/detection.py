@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.contracts.estimates import Feature, Method, Sighting
+from estimator.contracts.estimates import CENTRE, Feature, Method, Sighting
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
@@ -310,10 +310,13 @@ def detect(
         "corners": find_corners(seg, view, pad),
     }
     methods: dict[Method, Sighting | None] = dict.fromkeys(cues)
+    R_body_level = view.orientation.R_level_body.inv
     for method, cue in cues.items():
         fix = None if cue is None else solve(cue.marks, view)
         if cue is not None and fix is not None:
-            methods[method] = sighting(frame, method, cue.marks, fix, cue.confidence, cue.features)
+            centre = camera.project((camera.T_body_cam.inv @ (R_body_level @ fix.d_body_pad_level))[None])
+            features = *cue.features, Feature("point", CENTRE, centre)
+            methods[method] = sighting(frame, method, cue.marks, fix, cue.confidence, features)
     chosen = choose(methods, seg.touches_border)
     best = methods[chosen] if chosen is not None else None
     if best is not None:
