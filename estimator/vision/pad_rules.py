@@ -146,7 +146,8 @@ def _check_parts(regions: Sequence[Region], letters: Sequence[Lettering], where:
         raise BadInput(f"{where}: the rim's inner_m {rim.inner_m:g} must be the disc's radius_m: a rim lies around a disc")
     if "panel" in by and (other := next((part for part in ("disc", "ring", "arrow") if part in by), None)):
         raise BadInput(
-            f"{where}: a panel and a {other} are in regions: a panel carries fiducials and lettering alone; take one out"
+            f"{where}: a panel and a {other} are in regions: a panel carries fiducials and lettering alone; take the panel out, "
+            f'and if it is the sheet or deck around, write ground = "{by["panel"].paint}" above [paints]'
         )
     triangle = by.get("triangle")
     if isinstance(triangle, PaintedTriangle):
@@ -162,7 +163,10 @@ def _check_parts(regions: Sequence[Region], letters: Sequence[Lettering], where:
             f"{reach_of(triangle)[1]:.3g} m from the centre"
         )
     if any(reach_of(letter)[1] >= ring.inner_m for letter in letters):
-        raise BadInput(f"{where}: the lettering must fit inside of the ring, whose inner_m is {ring.inner_m:g}")
+        raise BadInput(
+            f"{where}: the lettering must fit inside of the ring, whose inner_m is {ring.inner_m:g}; a sheet or deck around "
+            'it is no region: write its paint above [paints], as ground = "white"'
+        )
     if isinstance(arrow, PaintedArrowhead) and (arrow.tip_m <= ring.outer_m or arrow.paint != ring.paint):
         raise BadInput(
             f"{where}: the arrowhead must have the ring's paint and point beyond it: its tip_m is {arrow.tip_m:g}, the ring's "
@@ -207,14 +211,12 @@ def _samples(region: Region) -> F64:
 def _inner(region: Region) -> F64:
     """Return points in the middle of a region, (N, 2) m."""
     match region:
-        case PaintedDisc():
+        case PaintedDisc() | PaintedPanel():
             return np.zeros((1, 2))
         case PaintedRing():
             return circle(0.5 * (region.inner_m + region.outer_m), 4)
         case PaintedArrowhead():
             return np.asarray(region.corners().mean(axis=0, keepdims=True))
-        case PaintedPanel():
-            return np.zeros((1, 2))
         case _ if is_slanted(region):
             return np.array([piece.mean(axis=0) for piece in convex_pieces_of(region)])
         case PaintedTriangle():

@@ -19,6 +19,8 @@ U8 = NDArray[np.uint8]
 
 _SHIFT = 4
 _FAR_PX = 20_000.0
+_DOTS_FROM = 32
+"""Number of points of one feature from which each is drawn as a dot: crosses would hide what lies below them."""
 
 
 class Overlay(Struct, frozen=True, eq=False):
@@ -91,8 +93,9 @@ class _Pen:
         if feature.kind != "point":
             self.polyline(uv, ink, closed=feature.kind != "line")
             return
+        arm_px = 4.0 if len(uv) < _DOTS_FROM else 0.5
         for at in uv:
-            for arm in ((4.0, 0.0), (0.0, 4.0)):
+            for arm in ((arm_px, 0.0), (0.0, arm_px)):
                 self.polyline(np.array([at - arm, at + arm]), ink, closed=False)
 
 

@@ -61,7 +61,7 @@ def beside(**region: Any) -> dict[str, Any]:
         (beside(id=0, size_m=0.04, at_m=[-0.2, 0.0], dictionary="DICT_5X5_50"), "regions[3]"),
         ({**NEST, "paints": NEST["paints"] | {"black": [240, 240, 240]}}, "of luminance darker than 'white' below it"),
         ({**NEST, "regions": NEST["regions"][1:]}, "regions[0] (fiducial) lies on the bare deck"),
-        ({**NEST, "regions": [*NEST["regions"], {"shape": "disc", "paint": "white", "radius_m": 0.6}]}, "a panel and a disc"),
+        ({**NEST, "regions": [*NEST["regions"], {"shape": "disc", "paint": "white", "radius_m": 0.6}]}, 'write ground = "white"'),
         (alter(0, length_m=900), "regions[0].length_m must be 0.001 to 20 m, got 900.0: is it in millimetres?"),
     ],
 )  # fmt: skip

@@ -76,7 +76,7 @@ def triangle(**keys: Any) -> dict[str, Any]:
         (alter(1, inner_m=0.3), "regions[1]: inner_m must be less than outer_m, got 0.3 and 0.261"),
         (alter(3, paint="pink"), "regions[3].paint 'pink' is not in [paints], which has 'green, orange, white'"),
         (alter(3, paint="green"), "regions[3] lies in regions[0], which has the same paint 'green': it cannot be seen"),
-        (alter(3, length_m=0.6), "lettering must fit inside of the ring, whose inner_m is 0.243"),
+        (alter(3, length_m=0.6), "inside of the ring, whose inner_m is 0.243; a sheet or deck around"),
         (alter(3, stroke_m=0.11), "regions[3]: stroke_m 0.11 or bar_m 0.11 leaves no room"),
         (alter(2, tip_m=0.41), r"regions[2] (arrow) crosses the border of regions[0] (disc)"),
         (alter(2, tip_m=0.25), "must have the ring's paint and point beyond it: its tip_m is 0.25"),
