@@ -170,6 +170,7 @@ pins:
 	$(PIN) --constraint requirements/lab.txt --extra ros2 -o requirements/ros2.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra compare -o requirements/compare.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra rl -o requirements/rl.txt pyproject.toml
+	$(PIN) --constraint requirements/lab.txt --extra witness -o requirements/witness.txt pyproject.toml
 	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --constraint requirements/fleet.txt --constraint requirements/video.txt --extra video --extra report --extra lab --extra ros2 --extra compare --extra rl --extra fleet --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in

@@ -1,8 +1,7 @@
-"""Measure the filter over seeded flights beside the two other paths, in rough seas, and on a real flight.
+"""Measure the filter over seeded flights beside the two other paths, and in rough seas.
 
     python -m benches.estimator flights [--runs 200] [--workers 2]
     python -m benches.estimator rough [--runs 6] [--first 0] [--sea NAME] [--ideal]
-    python -m benches.estimator real [--folder FOLDER]
 
 `flights` alternate between sea states 0, 2 and 4, and between sightings at 10 and 30 Hz. Every flight has its own camera delay,
 mount error, velocity scale and biases, 2 % wrong sightings, and a velocity sensor that measures relative to the ground or (every
@@ -15,12 +14,6 @@ ship, and every sensor error at once. Each row is the mean of its flights: posit
 fraction of it inside the central 95 % of chi-square, the fraction of true values inside the 68 / 95 % bands of the forecast
 position and vertical speed, and the rms error of the forecast vertical speed over the rms of the true one (a forecast of zero
 would give 1). The delay's columns are the rms error (estimated minus true) and the same in estimated sigmas.
-
-`real` is an AR.Drone 2.0 flight with motion capture: drift without sightings and the cost of gaps in them. Sightings of a pad on
-the floor are synthesised as a camera on the body would make them: the pad's position in the body's axes by motion capture, plus
-noise, levelled with the drone's own attitude at that instant. All other data are the drone's own telemetry. The rotation from the
-captured body to the drone's axes is not documented: the heading is the one that fits the drone's velocities best, roll and pitch
-are those that fit the accelerometer in undisturbed flight.
 """
 
 import argparse
@@ -30,9 +23,8 @@ import os
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -40,16 +32,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import ekf
-from estimator.contracts.estimates import RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
-from estimator.contracts.time import MonoNs
 from estimator.options import DeadReckoningOptions
 from estimator.paths import DeadReckoningPath, MedianMeanPath
 from tests.support import voyage_truth
 from tests.support.estimator_truth import DURATION_S, OPTIONS, TruthFlight, events, ns, setting
-from tests.support.mocap_flight import DELAY_S, FOLDER, Event, MocapFilter, MocapRecording, load, run, sightings
-from tests.support.voyage_score import Score
-from tests.support.voyage_score import fly_voyage as fly_voyage
+from tests.support.voyage_score import Score, fly_voyage
 from tests.support.voyage_truth import SEAS, VoyageScene
 
 HOLD_S = (12.0, 26.0)
@@ -267,42 +256,6 @@ def row(name: str, scores: Sequence[Score]) -> str:
     return " | ".join(cells)
 
 
-class OtherPath:
-    """One of the thesis' paths, with the same interface."""
-
-    def __init__(self, path: MedianMeanPath | DeadReckoningPath) -> None:
-        self.path = path
-
-    def step(self, event: Event) -> None:
-        self.path.sight(event) if isinstance(event, Sighting) else self.path.put([event])
-
-    def at(self, now: MonoNs) -> RelativeState | None:
-        return self.path.at(now)
-
-
-PATHS: dict[str, Callable[[], MocapFilter | OtherPath]] = {
-    "ekf": MocapFilter,
-    "dead_reckoning": lambda: OtherPath(DeadReckoningPath(0.5, DeadReckoningOptions())),
-    "median_mean": lambda: OtherPath(MedianMeanPath(0.5)),
-}
-
-
-def gaps(flight: MocapRecording, name: str, begin_s: Sequence[float], lengths_s: Sequence[float], rate_hz: float = 10.0) -> F64:
-    """Return the error at the end of a gap, horizontal and vertical, and horizontal 0.5 s later, rms, (lengths, 3) m."""
-    rows = []
-    for length in lengths_s:
-        squares = []
-        for begin in begin_s:
-            end = begin + length
-            seen = sightings(flight, rate_hz, [(begin, end)], seed=round(begin))
-            t, e, _ = run(flight, PATHS[name](), seen, end + 1.0)
-            last = int(np.searchsorted(t, end))
-            after = int(np.searchsorted(t, end + DELAY_S + 0.5))
-            squares.append([np.sum(e[last, :2] ** 2), e[last, 2] ** 2, np.sum(e[min(after, len(e) - 1), :2] ** 2)])
-        rows.append(np.sqrt(np.mean(squares, axis=0)))
-    return np.array(rows)
-
-
 def fly_rough(args: argparse.Namespace) -> None:
     """Print a row for each sea."""
     print("sea | position rms | NEES/7 | inside 95 % | position bands 1, 2, 3 s 68/95 | rise bands | rise error over truth")
@@ -312,19 +265,6 @@ def fly_rough(args: argparse.Namespace) -> None:
             scene = VoyageScene(seed=seed, sea=sea, hidden_delay_s=0.03 if seed % 4 < 2 else -0.03)
             scores.append(fly_voyage(voyage_truth.without_errors(scene) if args.ideal else scene))
         print(row(sea, scores), flush=True)
-
-
-def fly_real(args: argparse.Namespace) -> None:
-    """Print what gaps in the sightings of a real flight cost, by path."""
-    flight, lengths = load(args.folder), (1.0, 3.0, 5.0)
-    print("real flight: horizontal / vertical error at the end of a gap without sightings, horizontal 0.5 s later; cm, rms of 6")
-    for title, begin in (("undisturbed", (17.0, 19.0, 21.0, 23.0, 25.0, 27.0)), ("pulled", (34.0, 35.0, 36.0, 37.0, 38.0, 39.0))):
-        print(f"{title}, gaps from {begin[0]:.0f}-{begin[-1]:.0f} s on")
-        for name in PATHS:
-            table = gaps(flight, name, begin, lengths) * 100
-            drift = float(np.sum(table[:, 0] * lengths) / np.sum(np.square(lengths)))
-            cells = "   ".join(f"{n:.0f} s: {r[0]:5.1f} / {r[1]:4.1f} / {r[2]:4.1f}" for n, r in zip(lengths, table, strict=True))
-            print(f"  {name:15s} {cells}   drift {drift:.1f} cm/s", flush=True)
 
 
 def fly_flights(args: argparse.Namespace) -> None:
@@ -339,7 +279,7 @@ def fly_flights(args: argparse.Namespace) -> None:
     report(results)
 
 
-ONLY = {"flights": fly_flights, "rough": fly_rough, "real": fly_real}
+ONLY = {"flights": fly_flights, "rough": fly_rough}
 
 
 def main() -> None:
@@ -350,7 +290,6 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed in rough seas")
     parser.add_argument("--sea", choices=sorted(SEAS), action="append")
     parser.add_argument("--ideal", action="store_true", help="white sensor noise alone")
-    parser.add_argument("--folder", type=Path, default=FOLDER, help="the real flight's recordings")
     args = parser.parse_args()
     ONLY[args.only](args)
 

@@ -11,6 +11,7 @@ import argparse
 import csv
 import itertools
 import math
+import re
 import tempfile
 import tomllib
 from collections.abc import Callable
@@ -444,6 +445,15 @@ def table(rows: list[Row]) -> list[str]:
     return [*lines, *("| " + " | ".join(row.cells()) + " |" for row in rows)]
 
 
+def write_part(page: Path, text: str) -> None:
+    """Put a text in the place of a page's part with its heading (the first part has any), or at the end."""
+    first, *rest = re.split(r"^(?=##+ )", page.read_text(encoding="utf-8") if page.exists() else "", flags=re.MULTILINE)
+    parts = {part.partition("\n")[0]: part for part in (first, *rest)}
+    heading = text.partition("\n")[0]
+    parts[heading if heading.startswith("## ") else next(iter(parts))] = text
+    page.write_text("\n\n".join(part.strip() for part in parts.values()) + "\n", encoding="utf-8")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--part", action="append", choices=PARTS, help="only this one; may be repeated")
@@ -475,7 +485,7 @@ def main() -> None:
             "The same on rendered frames, by height: [benchmarks.md](benchmarks.md); limits: [limits.md](limits.md).", "",
         ]  # fmt: skip
         args.write.mkdir(parents=True, exist_ok=True)
-        (args.write / "evidence.md").write_text("\n".join(lines), encoding="utf-8")
+        write_part(args.write / "evidence.md", "\n".join(lines))
 
 
 if __name__ == "__main__":

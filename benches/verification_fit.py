@@ -5,8 +5,7 @@ every stage is an example; it is right if its pose keeps the verification's clai
 ridge; false candidates with a high score count several times, since a false pad costs more than a missed one. The output is the
 coefficients in the form of estimator/vision/detect/verification.py, and the result on frames that were not used for the fit. With
 `--registered` the examples are the registrations of the best candidates, on other frames, and the coefficients belong to
-estimator/vision/detect/verification.py. `--ablate` fits nothing: it prints what is lost without each input whose weight is
-set by hand, on frames of pads and of green discs with a ring in glare, and how right each confidence is.
+estimator/vision/detect/verification.py.
 """
 
 import argparse
@@ -22,17 +21,13 @@ from numpy.typing import NDArray
 
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.by_paint import WORTH_A_TRY
-from estimator.vision.detect.acquire import search
 from estimator.vision.detect.pyramid import FrameView, Pyramid
-from estimator.vision.detect.verification import FEATURES, FITTED, HAND_SET, SEARCHED, support_log_odds
+from estimator.vision.detect.verification import FEATURES, FITTED
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
 from estimator.vision.register.registration import RegistrationOptions, look
-from estimator.vision.tracker_config import FRAME_WORK
-from estimator.vision.verified import verify
 from tests.support.deck_images import keeps_claim
-from tests.support.pad_scenes import CONDITIONS, PadScene, acquire, empty_scene, load_camera, load_pad, pad_scene, ring_scene
+from tests.support.pad_scenes import CONDITIONS, PadScene, acquire, empty_scene, load_camera, load_pad, pad_scene
 
 F64 = NDArray[np.float64]
 _CHUNK = 50
@@ -44,19 +39,9 @@ _FALSE_FROM_REGISTERED, _FALSE_WEIGHT_REGISTERED = 0.02, 50.0
 """Probability from which a false candidate counts more, and its weight. For registrations a weight of fifty puts one right one in
 seventy below 0.5, and a green disc with a ring and no H is not called a pad."""
 _ONE_WAY = (
-    "white",
-    "disc_place",
-    "template_score",
-    "inliers",
-    "disc_off",
-    "ring_off",
-    "h_off",
-    "ring_unseen",
-    "h_unseen",
-    "rms",
-    "dense_disc",
-    "dense_orange",
-)
+    "white", "disc_place", "template_score", "inliers", "disc_off", "ring_off", "h_off", "ring_unseen", "h_unseen", "rms",
+    "dense_disc", "dense_orange",
+)  # fmt: skip
 """Features whose sign a fit must not reverse."""
 
 
@@ -95,51 +80,6 @@ def registered_examples(seed: int) -> F64:
             right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
             rows.append([frame, float(right), float(with_pad), *found.evidence[: len(FITTED)]])
     return np.array(rows).reshape(-1, 3 + len(FITTED))
-
-
-def finds(chunk: int) -> list[F64]:
-    """Return right (1 or 0), the log-odds of the evidence, their bound, what is added to them, and the inputs set by hand."""
-    cv2.setNumThreads(1)
-    camera, rows = load_camera("sim"), []
-    for i in range(_CHUNK):
-        rng = np.random.default_rng([0xAB1A, chunk, i])
-        pad, shows = load_pad(("thesis", "printed")[i // 3 % 2]), i % 3 != 0
-        height = float(np.exp(rng.uniform(math.log(0.2 if shows else 1.0), math.log(25.0))))
-        scene = pad_scene(rng, camera, pad, height, str(rng.choice(CONDITIONS))) if shows else ring_scene(rng, camera, height)
-        view = FrameView(Pyramid(scene.px), camera, pad)
-        orientation = Orientation.of(_attitude(scene), math.radians(2.0))
-        for c in search(view, scene.R_level_body, budget=FRAME_WORK).candidates[:2]:
-            found = verify(view, c.pose, orientation, cut=c.cut) if c.score >= WORTH_A_TRY else None
-            if found is None:
-                continue
-            of, support = found.found, found.found.record["aligned"]["support"]
-            right = scene.truth is not None and keeps_claim(of.pose, scene.truth, camera, pad, of.yaw_ambiguous)
-            most = support_log_odds(float(support["support"]) * float(support["share"]) / pad.least_support)
-            said = min(max(found.confidence, 1e-13), 1.0 - 1e-13)
-            added = math.log(said / (1.0 - said)) - min(of.log_odds, most)
-            rows.append(np.array([right, of.log_odds, most, added, *of.evidence[len(FITTED) :]], float))
-    return rows
-
-
-def ablate(chunks: range, workers: int) -> None:
-    """Print right finds below 0.5 and false ones from 0.5 and 0.2 up: as it is, and without each input set by hand."""
-    with multiprocessing.Pool(workers) as pool:
-        data = np.array([row for part in pool.imap(finds, chunks) for row in part])
-    right, odds, most, added, hand = data[:, 0] > 0.0, data[:, 1], data[:, 2], data[:, 3], data[:, 4:]
-    print(f"{len(chunks) * _CHUNK} frames from chunk {chunks.start}: {right.sum()} right finds, {(~right).sum()} false")
-    print("without         right below .5   false from .5   from .2")
-    for name in ("", *HAND_SET):
-        less = hand[:, HAND_SET.index(name)] * SEARCHED[len(FITTED) + HAND_SET.index(name)] if name else 0.0
-        said = 1.0 / (1.0 + np.exp(-np.clip(np.minimum(odds - less, most) + added, -30.0, 30.0)))
-        missed, false = (right & (said < 0.5)).sum(), [(~right & (said >= level)).sum() for level in (0.5, 0.2)]
-        print(f"{name or '-':16s} {missed:12d} {false[0]:15d} {false[1]:9d}")
-        if not name:
-            called = said
-    print("called      n   right")
-    for low, high in ((0.0, 0.1), (0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 1.001)):
-        k = (called >= low) & (called < high)
-        if k.any():
-            print(f"{low:.1f}-{min(high, 1):.1f} {int(k.sum()):6d}  {right[k].mean():.3f}   (mean called {called[k].mean():.3f})")
 
 
 def _attitude(scene: PadScene) -> Attitude | None:
@@ -184,13 +124,8 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=6000)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--registered", action="store_true")
-    parser.add_argument("--ablate", action="store_true", help="print what each input set by hand is worth")
-    parser.add_argument("--first", type=int, default=0, help="chunk of 50 frames to begin with, of --ablate")
     parser.add_argument("--keep", type=Path, help="write the examples here, or read them if the file is there")
     args = parser.parse_args()
-    if args.ablate:
-        ablate(range(args.first, args.first + max(1, args.frames // _CHUNK)), args.workers)
-        return
     names, work, first = (FITTED, registered_examples, _REGISTERED_FROM) if args.registered else (FEATURES, examples, 0)
     if args.keep is not None and args.keep.exists():
         data = np.load(args.keep)
