@@ -18,7 +18,7 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
-from estimator.vision.lamp import points_of
+from estimator.vision.lamp import places_of
 from estimator.vision.lamp_sighting import detect_lamps
 from estimator.vision.options import TrackerMethod
 from estimator.vision.pad import Pad
@@ -125,7 +125,7 @@ def run_lamps(data: bytes) -> None:
     reach_px = choices.number(1) * 0.5
     px = np.full((HEIGHT, WIDTH, 3), choices.number(1) if how & 8 else 0, np.uint8)
     if how & 16 and expected is not None:
-        _light(px, _camera().project(expected.points(points_of(_lit().lamps))), 255)
+        _light(px, _camera().project(expected.points(np.pad(places_of(_lit().lamps), ((0, 0), (0, 1))))), 255)
     while choices:
         _light(px, np.array([[choices.number(1) % WIDTH, choices.number(1) % HEIGHT]]), choices.number(1))
     seen = detect_lamps(Frame(_AT, 1, px), _camera(), _lit(), tilt, expected, reach_px)

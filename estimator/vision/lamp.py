@@ -35,11 +35,6 @@ def places_of(lamps: Sequence[Lamp]) -> F64:
     return np.array([lamp.at_m for lamp in lamps], dtype=float).reshape(-1, 2)
 
 
-def points_of(lamps: Sequence[Lamp]) -> F64:
-    """Return the places of lamps as points of the pad's plane, (N, 3) m."""
-    return np.pad(places_of(lamps), ((0, 0), (0, 1)))
-
-
 def check_lamps(lamps: Sequence[Lamp], where: str) -> None:
     """Check that lamps make a pattern that can be distinguished from any other heading of it.
 

@@ -32,6 +32,7 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.regions import PaintedPolygon, PaintedRing, convex_pieces_of, covers, depth_in
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 
+ODD_VIEWS = [("octagon", 0.6, 0.3, 60.0, -1.6), ("octagon", 0.1, 0.0, 80.0, 0.2), ("ring_and_panels", 1.1, 0.0, 60.0, -1.6)]
 USERS = sorted((Path(__file__).parents[1] / "pads_of_users").glob("*.toml"))
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
 SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="400mm" height="500mm" viewBox="0 0 400 500">
@@ -129,14 +130,12 @@ def test_a_photograph_is_rectified_by_four_corners_traced_and_found_again(tmp_pa
     assert trust(traced_pad, px, pose, camera) >= 0.5
 
 
-@pytest.mark.parametrize(
-    ("rpy_rad", "radius_px", "beyond"), [((0.6, 0.3, 0.3), 60.0, -1.6), ((0.1, 0.0, 0.3), 80.0, 0.2)], ids=["aslant", "cut"]
-)
-def test_an_octagon_aslant_or_cut_by_the_frame_is_found_without_an_attitude(rpy_rad, radius_px, beyond):
-    pad = user_s("octagon")
+@pytest.mark.parametrize(("name", "roll_rad", "pitch_rad", "radius_px", "beyond"), ODD_VIEWS, ids=["aslant", "cut", "ring"])
+def test_a_pad_aslant_or_cut_by_the_frame_is_found_without_an_attitude(name, roll_rad, pitch_rad, radius_px, beyond):
+    pad = user_s(name)
     depth_m = CAMERA.fx * pad.disc_radius_m / radius_px
     at = np.array([0.5 * CAMERA.width / radius_px - (1.0 - beyond), 0.0, CAMERA.fx / radius_px])
-    pose = PadPose(Rotation.from_rpy(*rpy_rad), at * depth_m / at[2])
+    pose = PadPose(Rotation.from_rpy(roll_rad, pitch_rad, 0.3), at * depth_m / at[2])
     px = planted(view(6), CAMERA, pad, pose, np.random.default_rng(1))
     assert trust(pad, px, pose) >= 0.5
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
-from estimator.vision.lamp import points_of
+from estimator.vision.lamp import places_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -94,7 +94,7 @@ def _broken(rng: np.random.Generator, pad: Pad) -> Pad:
 
 
 def _in_view(truth: PadPose, camera: Camera, pad: Pad) -> float:
-    uv = camera.project(truth.points(points_of(pad.lamps)))
+    uv = camera.project(truth.points(np.pad(places_of(pad.lamps), ((0, 0), (0, 1)))))
     return float(np.mean(np.all((uv > 0) & (uv < [camera.width, camera.height]), axis=1)))
 
 

@@ -71,9 +71,9 @@ A pad that is cut by the frame's edge has no whole outline there, but often a wh
 _SMALL_PART, _LEAST_IN_VIEW = 0.25, 0.35
 """Area of an outline, as a share of the largest, below which this share of the pad has to be in view: another's disc is as round
 as the dot in a triangle."""
-_AS_WIDE, _LEAST_SHORT, _LEAST_TILT = 0.85, 0.55, 0.2
-"""Ratio of second moments from which a shape is as wide in all directions; least foreshortening, and least sine of a tilt that is
-tried beside none, where the tilt is not known."""
+_AS_WIDE, _LEAST_SHORT, _LEAST_SHORT_CIRCLE, _LEAST_TILT, _CIRCLE = 0.85, 0.55, 0.36, 0.2, 0.081
+"""Ratio of second moments from which a shape is as wide in all directions; least foreshortening, and that of a circle, which less
+resembles; least sine of a tilt that is tried beside none, where the tilt is not known; spread below which a shape is a circle."""
 Contour = NDArray[np.int32]
 
 
@@ -109,7 +109,7 @@ class _Component(NamedTuple):
 
 
 def lettering_blobs(view: FrameView, plane: Plane) -> list[Guess]:
-    """Return guesses from components of a frame that resemble those of a pad that has neither disc nor ring."""
+    """Return guesses from components of a frame that resemble those of a pad: lettering, or a circle that is seen aslant."""
     found = [c for level in _LEVELS for c in _components(view.pyramid[level], 1 << level, view.pad)]
     tried = _TRIED if view.pad.markings.is_letter_alone else 2 * _TRIED
     return [guess for component in sorted(found, key=lambda c: c.off)[:tried] for guess in _guesses(component, view, plane)]
@@ -120,12 +120,14 @@ def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
     grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
     mean = cv2.blur(grey, (_WINDOW_PX, _WINDOW_PX))
     off, either = grey.astype(np.int16) - mean, not (pad.ground or pad.markings.is_letter_alone)
+    # A sheet's border may lie about a ring.
+    nested = cv2.RETR_LIST if pad.markings.field_radius_m or pad.markings.ring_outer_m else cv2.RETR_EXTERNAL
     for sign in (1, -1):
         of = tuple(each for each in _silhouettes(pad) if either or each.bright == (sign > 0))
         if not of:
             continue
         mask = np.asarray(sign * off > _STANDS_OUT, np.uint8)
-        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        contours, _ = cv2.findContours(mask, nested, cv2.CHAIN_APPROX_NONE)
         for contour in contours:
             if len(contour) >= 30:
                 yield from _alike(np.asarray(contour, np.int32), step, grey.shape, of)
@@ -203,7 +205,7 @@ def _tilted(facing: Plane, seen: F64, of: _Silhouette, turn: float | None, way: 
     root = _root(R @ of.moments_m2 @ R.T)
     inverse = np.linalg.inv(root)
     (short, long), axes = np.linalg.eigh(inverse @ _root(root @ seen @ root) @ inverse)
-    if short < _LEAST_SHORT * long:
+    if short < (_LEAST_SHORT_CIRCLE if of.spread < _CIRCLE else _LEAST_SHORT) * long:
         return None
     sine = math.sqrt(max(0.0, 1.0 - (short / long) ** 2))
     if sine < _LEAST_TILT:
@@ -405,9 +407,9 @@ def kinds(view: FrameView, plane: Plane, paint: PaintMemory) -> list[Kind]:
 
     any_strokes = Kind(_WORK_STROKES, frame.strokes, covered=True)
     strokes = any_strokes.clear(_CLEAR_STROKES)._replace(covered=False)
+    components = Kind(_WORK_LETTERING * size, lambda: lettering_blobs(view, plane), exact=True)
     if not pad.markings.field_radius_m and not pad.markings.ring_outer_m:
-        alone = [Kind(_WORK_LETTERING * size, lambda: lettering_blobs(view, plane), exact=True)]
-        return [*alone, strokes] if pad.markings.is_h else alone
+        return [components, strokes] if pad.markings.is_h else [components]
     coarse = Kind(WORK_COARSE * size, lambda: frame.guesses_by_edges(luminance, _COARSE_LEVELS, _PLAIN_DRAWING))
     larger = Kind(_WORK_LARGER * size, lambda: frame.guesses_by_edges(luminance, _REDUCED_LEVELS))
     blobs = Kind(_WORK_OUTLINES * size, frame.blobs, exact=True, least_round=_LEAST_ROUND)
@@ -427,6 +429,9 @@ def kinds(view: FrameView, plane: Plane, paint: PaintMemory) -> list[Kind]:
             small_green, green, larger, blobs, in_ring, half, more,
             Kind(_WORK_STROKES, frame.beside_strokes, covered=True),
         ]  # fmt: skip
+    if not plane.known:
+        # A circle that is seen aslant is none to the votes, and what they take for one would end the search.
+        out.insert(0, components.clear(_CLEAR_AREA))
     if not disc_has_colour(pad):
         return [kind for kind in out if not kind.by_colour]
     if paint.dominance(pad) is None:
