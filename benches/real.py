@@ -10,6 +10,7 @@ the same ranges by the same camera, in drawn light. `--every 4` takes every four
 import argparse
 import csv
 import itertools
+import json
 import math
 import re
 import tempfile
@@ -51,7 +52,9 @@ LETTERED = 0.005
 """Share of an octagon that is light. A chair's caster of 11 px has none, and was once the only one beside a pad that is cut."""
 OCTAGON = Camera(640, 480, 597.05, 596.62, 306.02, 221.99, np.array([0.107, 0.0548, -0.00735, 0.00446, 1.309]), DOWN)
 AGH = Camera(1280, 720, 900.0, 900.0, 639.5, 359.5, np.zeros(5), DOWN)
-"""Nobody calibrated this one: its focal length is a guess, and ranges are judged by the ring's size in the image."""
+MBZIRC = Camera(640, 360, 560.0, 560.0, 319.5, 179.5, np.zeros(5), DOWN)
+"""Nobody calibrated these two: their focal lengths are guesses, and ranges are judged by the ring's size in the image."""
+CYCLES = Camera(640, 360, 374.67, 374.67, 319.5, 179.5, np.zeros(5), DOWN)
 
 
 @dataclass(frozen=True)
@@ -390,6 +393,51 @@ def aruco(every: int) -> list[Row]:
     ]  # fmt: skip
 
 
+def mbzirc(every: int) -> list[Row]:
+    """Show another user's ring with an X to a search without attitude, by how aslant the labelled ellipse is.
+
+    Frames whose label is left open do not count, nor do rings that the frame's edge cuts.
+    """
+    folder = needed("real_pads", "mbzirc")
+    pad = Pad.from_mapping(tomllib.loads((folder / "pad.toml").read_text()), "mbzirc")
+    aslant, empty = {most: Looks(real=True) for most in (30, 50, 90)}, Looks(real=True)
+    lines = [(file.parent, line.split("\t")) for file in sorted(folder.glob("*/ground_truth.txt")) for line in file.open()]
+    for path, numbers in [(at / words[0], words[1:]) for at, words in lines if (at / words[0]).exists()][::every]:
+        has, u, v, wide, high, _ = map(float, numbers)
+        whole = 0.5 * high < u < MBZIRC.width - 0.5 * high and 0.5 * high < v < MBZIRC.height - 0.5 * high
+        if has == 0.0:
+            empty.add(seen(image(path), MBZIRC, pad), lambda found: False)
+        elif has > 0.0 and u > 0.0 and whole:
+            tilt_deg = math.degrees(math.acos(min(wide, high) / max(wide, high)))
+            is_right = partial(lies_at, centre=np.array([u, v]), radius=0.5 * math.sqrt(wide * high))
+            aslant[next(most for most in aslant if tilt_deg < most)].add(seen(image(path), MBZIRC, pad), is_right)
+    said = [f"below {most} deg {looks.right} of {looks.frames}, {looks.wrong} wrong" for most, looks in aslant.items()]
+    said.append(f"without a pad {empty.wrong} sure of {empty.frames}")
+    shown = str(sum(looks.frames for looks in (*aslant.values(), empty)))
+    return [Row("another user's ring with an X (MBZIRC), aslant", shown, "; ".join(said))]
+
+
+def cycles(every: int) -> list[Row]:
+    """Show path-traced decks, wet, worn, in low sun, with attitude; the truth is exact, and so the covariance can be judged."""
+    folder, out = needed("cycles"), []
+    for name, pad in (("thesis", load_pad("thesis")), ("logo", imported(folder / "logo" / "logo.svg"))):
+        looks, off, nees = Looks(real=True), [], []
+        for line in (folder / name / "truth.jsonl").read_text().splitlines()[::every]:
+            true = json.loads(line)
+            d, tilts = np.array(true["d"]), (math.radians(true["roll_deg"]), math.radians(true["pitch_deg"]))
+            at = Attitude(STAMP, Rotation.from_rpy(*tilts, 0.0), np.eye(3) * math.radians(0.3) ** 2)
+            found = None if pad is None else seen(image(folder / name / true["source"]), CYCLES, pad, at)
+            if looks.add(found, partial(has_range, range_m=float(np.linalg.norm(d)))) and found is not None:
+                off.append(percent(found, float(np.linalg.norm(d))))
+                e = found.d_body_pad_level - d
+                nees.append(float(e @ np.linalg.solve(found.cov[:3, :3], e)))
+        judged = (
+            f"{share(looks.right, looks.frames)} right, {looks.wrong} wrong; {spread(off)}; NEES {np.mean(nees):.1f} (3 is right)"
+        )
+        out.append(Row(f"path-traced decks (Cycles), pad {name}", str(looks.frames), judged))
+    return out
+
+
 def boats(every: int) -> list[Row]:
     """Boats at sea by RTK: what the service's own reader makes of their sentences, and how they heave."""
     files = sorted(needed("sea_motion").glob("2*.txt"))[::every]
@@ -430,7 +478,7 @@ def mocap(_: int) -> list[Row]:
 
 PARTS: dict[str, Callable[[int], list[Row]]] = {
     "photographs": photographs, "agh": agh, "octagon": octagon, "strange": strange,
-    "aruco": aruco, "boats": boats, "mocap": mocap,
+    "aruco": aruco, "mbzirc": mbzirc, "cycles": cycles, "boats": boats, "mocap": mocap,
 }  # fmt: skip
 HEADER = Row("data", "frames", "ours", "OpenCV's own", "the simulator's")
 NOT_AVAILABLE = (
