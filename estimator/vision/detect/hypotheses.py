@@ -110,27 +110,28 @@ class _Component(NamedTuple):
 
 def lettering_blobs(view: FrameView, plane: Plane) -> list[Guess]:
     """Return guesses from components of a frame that resemble those of a pad: lettering, or a circle that is seen aslant."""
-    found = [c for level in _LEVELS for c in _components(view.pyramid[level], 1 << level, view.pad)]
+    levels = (1,) if (has_circle := bool(view.pad.markings.field_radius_m or view.pad.markings.ring_outer_m)) else _LEVELS
+    found = [c for level in levels for c in _components(view.pyramid[level], 1 << level, view.pad, has_circle)]
     tried = _TRIED if view.pad.markings.is_letter_alone else 2 * _TRIED
     return [guess for component in sorted(found, key=lambda c: c.off)[:tried] for guess in _guesses(component, view, plane)]
 
 
-def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
+def _components(px: U8, step: int, pad: Pad, has_circle: bool) -> Iterator[_Component]:
     """Yield the components that resemble those of the drawing and lie within the frame."""
     grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
     mean = cv2.blur(grey, (_WINDOW_PX, _WINDOW_PX))
     off, either = grey.astype(np.int16) - mean, not (pad.ground or pad.markings.is_letter_alone)
-    # A sheet's border may lie about a ring.
-    nested = cv2.RETR_LIST if pad.markings.field_radius_m or pad.markings.ring_outer_m else cv2.RETR_EXTERNAL
+    # A sheet's border may lie about a ring. Of all that lies in something, nearly nothing is as exact an ellipse.
+    which, points, most_off = (cv2.RETR_LIST, 70, 0.05) if has_circle else (cv2.RETR_EXTERNAL, 30, math.inf)
     for sign in (1, -1):
         of = tuple(each for each in _silhouettes(pad) if either or each.bright == (sign > 0))
         if not of:
             continue
         mask = np.asarray(sign * off > _STANDS_OUT, np.uint8)
-        contours, _ = cv2.findContours(mask, nested, cv2.CHAIN_APPROX_NONE)
+        contours, _ = cv2.findContours(mask, which, cv2.CHAIN_APPROX_NONE)
         for contour in contours:
-            if len(contour) >= 30:
-                yield from _alike(np.asarray(contour, np.int32), step, grey.shape, of)
+            if len(contour) >= points:
+                yield from (c for c in _alike(np.asarray(contour, np.int32), step, grey.shape, of) if c.off < most_off)
 
 
 def _alike(contour: Contour, step: int, size: tuple[int, ...], drawn: tuple[_Silhouette, ...]) -> Iterator[_Component]:
