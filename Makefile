@@ -171,6 +171,8 @@ pins:
 	$(PIN) --constraint requirements/lab.txt --extra compare -o requirements/compare.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra rl -o requirements/rl.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra witness -o requirements/witness.txt pyproject.toml
+	awk 'NR == FNR { of_lab[$$1] = 1; next } /^[^ ]/ { added = !($$1 in of_lab) } added' requirements/lab.txt requirements/witness.txt > requirements/witness.new
+	mv requirements/witness.new requirements/witness.txt
 	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --constraint requirements/fleet.txt --constraint requirements/video.txt --extra video --extra report --extra lab --extra ros2 --extra compare --extra rl --extra fleet --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
