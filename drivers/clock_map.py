@@ -137,10 +137,12 @@ class ClockMap:
         remote = self._unwrap(remote_ns, now)
         difference = now - remote
         known = self._newest_remote
-        odd = known is not None and (self._back is not None or remote < known or self._is_ahead(difference, now))
-        if odd and (self._reset_if_restarted(remote, now) or self._set_back(remote, now)):
-            self.restarts += 1
-            self.reset()
+        if known is not None:
+            restarted = remote < known - self._jump_ns or difference < self._least.at(now) - self._jump_ns
+            may_be_set_back = remote < known or self._back is not None
+            if restarted or (may_be_set_back and self._set_back(remote, now)):
+                self.restarts += 1
+                self.reset()
         self._before = remote, difference
         before, offset = self._least.enter(difference, now)
         # A slow clock, or a queue before the line: all of the last messages were late by this.
@@ -187,13 +189,6 @@ class ClockMap:
             return remote_ns
         expected = self._newest_remote + now - self._least.newest
         return expected + (remote_ns - expected + wrap // 2) % wrap - wrap // 2
-
-    def _reset_if_restarted(self, remote: int, now: int) -> bool:
-        assert self._newest_remote is not None
-        return remote < self._newest_remote - self._jump_ns or self._is_ahead(now - remote, now)
-
-    def _is_ahead(self, difference: int, now: int) -> bool:
-        return difference < self._least.at(now) - self._jump_ns
 
     def _set_back(self, remote: int, now: int) -> bool:
         """Return whether the stamps went back a while ago, and none of those since fits the clock before."""
