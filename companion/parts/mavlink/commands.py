@@ -33,6 +33,7 @@ from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
+COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 PATHS: tuple[PathName, ...] = ("median_mean", "dead_reckoning", "ekf", "constant_velocity")
 """Estimator paths by the number that a command carries."""
 ACCEPTED, DENIED, UNSUPPORTED = int(mav.MAV_RESULT_ACCEPTED), int(mav.MAV_RESULT_DENIED), int(mav.MAV_RESULT_UNSUPPORTED)
@@ -195,7 +196,7 @@ class CommandServer:
     def on_message(self, message: Message, sender: tuple[int, int], us: tuple[int, int], now: MonoNs) -> list[Message]:
         """Return the answer, followed by the messages that the command requested."""
         kind = message.get_type()
-        if kind not in ("COMMAND_LONG", "COMMAND_INT") or (message.target_system, message.target_component) != us:
+        if kind not in COMMANDS or (message.target_system, message.target_component) != us:
             return []
         last = (message.param5, message.param6, message.param7) if kind == "COMMAND_LONG" else (message.x, message.y, message.z)
         params: Params = (message.param1, message.param2, message.param3, message.param4, *last)
@@ -294,7 +295,6 @@ class CommandServer:
 _log = logging.getLogger(__name__)
 
 _REPORTED_MAX = 32
-_COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 
 
 class Refusals:
@@ -313,7 +313,7 @@ class Refusals:
     def refuses(self, received: ReceivedMessage, us: tuple[int, int]) -> bool:
         """Return whether this message requests something of us (system, component) that its sender is not allowed."""
         message, name = received.message, received.message.get_type()
-        if received.access_level >= AccessLevel.OPERATOR or name not in (*_COMMANDS, "PARAM_SET"):
+        if received.access_level >= AccessLevel.OPERATOR or name not in (*COMMANDS, "PARAM_SET"):
             return False
         if (message.target_system, message.target_component) != us:
             return False
@@ -322,7 +322,7 @@ class Refusals:
 
     def answer(self, received: ReceivedMessage) -> list[Message]:
         """Return the answer to a refused command; a refused parameter is answered elsewhere, with its value in force."""
-        if received.access_level < AccessLevel.PEER or received.message.get_type() not in _COMMANDS:
+        if received.access_level < AccessLevel.PEER or received.message.get_type() not in COMMANDS:
             return []
         return [mav.MAVLink_command_ack_message(received.message.command, DENIED, 0, 0, received.system, received.component)]
 

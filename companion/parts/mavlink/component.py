@@ -22,10 +22,10 @@ from companion.base.health import Health
 from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.version import version
-from companion.parts.mavlink.commands import CommandServer, Offered, Operator, Refusals
+from companion.parts.mavlink.commands import COMMANDS, CommandServer, Offered, Operator, Refusals
 from companion.parts.mavlink.computer import ComputerReader, computer_status
 from companion.parts.mavlink.outputs import AutopilotView, Outputs
-from companion.parts.mavlink.parameters import ParameterServer, Tunables
+from companion.parts.mavlink.parameters import PARAMETER_REQUESTS, ParameterServer, Tunables
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
@@ -42,7 +42,7 @@ TYPE_ONBOARD, NO_AUTOPILOT = int(mav.MAV_TYPE_ONBOARD_CONTROLLER), int(mav.MAV_A
 _CAPABILITIES = int(mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2)
 _REPEAT_S = 60.0
 """The shortest time between two texts about the same part, which may fail and recover many times a minute, s."""
-_REQUESTS = frozenset({"COMMAND_LONG", "COMMAND_INT", "PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
+_REQUESTS = frozenset((*COMMANDS, *PARAMETER_REQUESTS))
 _CHUNK = 50
 _SAID_MAX = 64
 BURST, WAITING = 5, 10
@@ -249,7 +249,7 @@ class Component(NullObserver):
                 self.texts.say(MavSeverity.WARNING, f"Decklander: {text}", now)
             return
         self._answer(received, self._commands.on_message(received.message, (received.system, received.component), us, now))
-        if received.message.get_type() in ("COMMAND_LONG", "COMMAND_INT") and self._commands.refusal is not None:
+        if received.message.get_type() in COMMANDS and self._commands.refusal is not None:
             self.texts.say(MavSeverity.WARNING, f"Decklander: {self._commands.refusal}", now)
             self._commands.refusal = None
         if self._parameters is not None and received.access_level >= AccessLevel.PEER:

@@ -19,6 +19,7 @@ from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput
 
 _REAL32 = int(mav.MAV_PARAM_TYPE_REAL32)
+PARAMETER_REQUESTS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 _AT_ONCE = 4
 """The number of values of a list that one call of `ParameterServer.due` returns."""
 
@@ -115,7 +116,7 @@ class ParameterServer:
     def on_message(self, message: Message, us: tuple[int, int]) -> list[Message]:
         """Return the values to broadcast in answer."""
         kind = message.get_type()
-        if not kind.startswith("PARAM_") or not hasattr(message, "target_system"):
+        if kind not in PARAMETER_REQUESTS:
             return []
         if message.target_system not in (0, us[0]) or message.target_component not in (0, us[1]):
             return []
