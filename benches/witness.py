@@ -97,10 +97,8 @@ class Ours:
     step_s = STEP_S
 
     def __init__(self, f: Airframe, case: Case, cushion: bool = False) -> None:
-        self.case, self.vehicle = (
-            case,
-            Vehicle(f, DeckShape(9, 9, 9, 9), STEP_S, np.random.SeedSequence(1), Wind((case.wind, 0, 0))),
-        )
+        self.case = case
+        self.vehicle = Vehicle(f, DeckShape(9, 9, 9, 9), STEP_S, np.random.SeedSequence(1), Wind((case.wind, 0, 0)))
         p, v, R, w = case.start(f)
         self.vehicle.place(p, v, 0.0)
         self.vehicle.q, self.vehicle.w = Rotation(R).quat_wxyz.tolist(), tuple(w)

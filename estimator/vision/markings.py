@@ -94,6 +94,10 @@ class Markings(Struct, frozen=True):
         return bool(self.field_radius_m and self.ring_outer_m and self.letters)
 
     @property
+    def has_circle(self) -> bool:
+        return bool(self.field_radius_m or self.ring_outer_m)
+
+    @property
     def is_letter_alone(self) -> bool:
         """True if there is nothing but one H or X on the bare deck."""
         others = self.arrow is not None or self.triangle is not None or bool(self.upper)

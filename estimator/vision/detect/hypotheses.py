@@ -110,19 +110,19 @@ class _Component(NamedTuple):
 
 def lettering_blobs(view: FrameView, plane: Plane) -> list[Guess]:
     """Return guesses from components of a frame that resemble those of a pad: lettering, or a circle that is seen aslant."""
-    levels = (1,) if (has_circle := bool(view.pad.markings.field_radius_m or view.pad.markings.ring_outer_m)) else _LEVELS
-    found = [c for level in levels for c in _components(view.pyramid[level], 1 << level, view.pad, has_circle)]
+    levels = (1,) if view.pad.markings.has_circle else _LEVELS
+    found = [c for level in levels for c in _components(view.pyramid[level], 1 << level, view.pad)]
     tried = _TRIED if view.pad.markings.is_letter_alone else 2 * _TRIED
     return [guess for component in sorted(found, key=lambda c: c.off)[:tried] for guess in _guesses(component, view, plane)]
 
 
-def _components(px: U8, step: int, pad: Pad, has_circle: bool) -> Iterator[_Component]:
+def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
     """Yield the components that resemble those of the drawing and lie within the frame."""
     grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
     mean = cv2.blur(grey, (_WINDOW_PX, _WINDOW_PX))
     off, either = grey.astype(np.int16) - mean, not (pad.ground or pad.markings.is_letter_alone)
     # A sheet's border may lie about a ring. Of all that lies in something, nearly nothing is as exact an ellipse.
-    which, points, most_off = (cv2.RETR_LIST, 70, 0.05) if has_circle else (cv2.RETR_EXTERNAL, 30, math.inf)
+    which, points, most_off = (cv2.RETR_LIST, 70, 0.05) if pad.markings.has_circle else (cv2.RETR_EXTERNAL, 30, math.inf)
     for sign in (1, -1):
         of = tuple(each for each in _silhouettes(pad) if either or each.bright == (sign > 0))
         if not of:
@@ -409,7 +409,7 @@ def kinds(view: FrameView, plane: Plane, paint: PaintMemory) -> list[Kind]:
     any_strokes = Kind(_WORK_STROKES, frame.strokes, covered=True)
     strokes = any_strokes.clear(_CLEAR_STROKES)._replace(covered=False)
     components = Kind(_WORK_LETTERING * size, lambda: lettering_blobs(view, plane), exact=True)
-    if not pad.markings.field_radius_m and not pad.markings.ring_outer_m:
+    if not pad.markings.has_circle:
         return [components, strokes] if pad.markings.is_h else [components]
     coarse = Kind(WORK_COARSE * size, lambda: frame.guesses_by_edges(luminance, _COARSE_LEVELS, _PLAIN_DRAWING))
     larger = Kind(_WORK_LARGER * size, lambda: frame.guesses_by_edges(luminance, _REDUCED_LEVELS))
