@@ -1,15 +1,14 @@
 """Bytes to messages and back, for one stream. No I/O; nothing on the wire raises.
 
 Framing is done here instead of by pymavlink's parser: after a damaged frame that one skips as many bytes as the damaged length
-field says, and so loses the intact frames behind it. Here the search goes on with the next byte. The dialect has the layout of
-each message and the checksum; its own decoder takes half as long again, hundreds of times a second.
+field says, and so loses the intact frames behind it. Here the search goes on with the next byte. Decoding, checksums and
+signatures are the dialect's.
 """
 
 import hashlib
 import re
 import struct
 from dataclasses import dataclass
-from typing import Any
 
 from drivers.mavlink.dialect import Message, mav, unfit_field
 from drivers.mavlink.signing import TICKS_PER_S, Signing
@@ -18,8 +17,6 @@ _V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
 _MARKER = re.compile(rb"[\xfd\xfe]")
 _SIGNED = mav.MAVLINK_IFLAG_SIGNED
 _SIGNATURE = mav.MAVLINK_SIGNATURE_BLOCK_LEN
-_NEW_STREAM_TICKS = 60 * TICKS_PER_S
-"""Time by which a stream may be behind ours when it begins, as the protocol says."""
 _SENDERS_MAX = 64
 """Senders of one stream whose losses are counted; a router in front of more of them starts again."""
 
@@ -87,6 +84,7 @@ class Codec:
             self._mav.signing.secret_key = signing.key.secret
             self._mav.signing.link_id = signing.link_id
             self._mav.signing.sign_outgoing = True
+            self._mav.signing.stream_timestamps = signing.times.streams
             self._mav.signing.timestamp = signing.times.next()
 
     def restart(self) -> None:
@@ -153,50 +151,57 @@ class Codec:
 
     def _decode(self, frame: bytearray, ends_well: bool) -> tuple[bool, Message | None]:
         """Return whether the bytes were a frame, and the message that it held."""
-        if frame[0] == _V1:
-            flags, (sequence, system, component, number), begin = 0, frame[2:6], 6
-        else:
-            flags, (sequence, system, component), number, begin = frame[2], frame[4:7], int.from_bytes(frame[7:10], "little"), 10
-        kind, end = mav.mavlink_map.get(number), len(frame) - 2 - (_SIGNATURE if flags else 0)
-        # The checksum of an unknown message cannot be verified, so it is accepted only if another frame, or nothing, follows.
-        intact = ends_well if kind is None else _checksum(frame[1:end], kind) == int.from_bytes(frame[end : end + 2], "little")
-        if flags & ~_SIGNED or not intact:
+        if frame[0] == _V2 and frame[2] & ~_SIGNED:
             self.counters.damaged += 1
             return False, None
-        if kind is None:
+        signing = self._mav.signing
+        if self._signing is not None:
+            signing.timestamp = self._signing.times.now
+        stream, newest = self._stream_time(frame)
+        refused_before = signing.badsig_count + signing.reject_count
+        try:
+            message = self._mav.decode(frame)
+        except mav.MAVError as why:
+            if stream is not None and signing.secret_key is not None:
+                # A forged time must not shut the true sender out: the dialect notes it before it checks the signature.
+                if newest is None:
+                    signing.stream_timestamps.pop(stream, None)
+                else:
+                    signing.stream_timestamps[stream] = newest
+            if signing.badsig_count + signing.reject_count > refused_before or "signature" in str(why).lower():
+                self.counters.refused_signature += 1
+                self._note_refused_time(frame)
+                self.counters.old_version += frame[0] == _V1
+                return True, None
+            self.counters.damaged += 1
+            return False, None
+        if message.get_type().startswith("UNKNOWN_"):
+            # Its checksum cannot be verified, so it is accepted only if another frame, or nothing, follows.
+            if not ends_well:
+                self.counters.damaged += 1
+                return False, None
             self.counters.unknown += 1
             return True, None
-        if self._signing is not None and not self._is_admitted(self._signing, frame):
-            self.counters.refused_signature += 1
-            self.counters.old_version += frame[0] == _V1
-            return True, None
-        message = kind(*_values(kind, frame[begin:end]))
-        message._signed = self._signing is not None
-        message._msgbuf, message._crc = frame, int.from_bytes(frame[end : end + 2], "little")
-        header = message._header
-        header.incompat_flags, header.mlen = flags, frame[1]
-        header.seq, header.srcSystem, header.srcComponent = sequence, system, component
-        self._count((system, component), sequence, frame[0])
+        if self._signing is not None:
+            self._signing.times.note_received(signing.timestamp)
+            self._signing.times.bound()
+        self._count(message, frame[0])
         return True, message
 
-    def _is_admitted(self, signing: Signing, frame: bytearray) -> bool:
-        """Return whether a frame has our key's signature and a time that its stream has not passed."""
-        times, now = signing.times, signing.times.now
-        if frame[0] == _V1 or not frame[2] or hashlib.sha256(signing.key.secret + frame[:-6]).digest()[:6] != frame[-6:]:
-            return False
-        stream, time = (frame[-_SIGNATURE], frame[5], frame[6]), int.from_bytes(frame[-12:-6], "little")
-        if time <= times.streams.get(stream, now - _NEW_STREAM_TICKS - 1):
-            self.counters.refused_time += 1
-            self.counters.behind_s = (now - time) / TICKS_PER_S
-            return False
-        times.streams[stream] = time
-        times.note_received(max(now, time))
-        times.bound()
-        return True
+    def _note_refused_time(self, frame: bytearray) -> None:
+        """Count a refused message that has the right signature: then its time is what was refused."""
+        if self._signing is None or frame[0] != _V2 or not frame[2] & _SIGNED:
+            return
+        if hashlib.sha256(self._signing.key.secret + frame[:-6]).digest()[:6] != frame[-6:]:
+            return
+        self.counters.refused_time += 1
+        self.counters.behind_s = (self._signing.times.now - int.from_bytes(frame[-12:-6], "little")) / TICKS_PER_S
 
-    def _count(self, source: tuple[int, int], sequence: int, marker: int) -> None:
+    def _count(self, message: Message, marker: int) -> None:
         self.counters.messages += 1
         self.counters.old_version += marker == _V1
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        sequence = message.get_seq()
         last = self._sequences.get(source)
         if last is not None:
             gap = (sequence - last - 1) % 256
@@ -206,23 +211,11 @@ class Codec:
             self._sequences.clear()
         self._sequences[source] = sequence
 
-
-def _checksum(frame: bytearray, kind: Any) -> int:
-    """Return the checksum of a frame without its marker; the seed of its message's kind is its last byte."""
-    frame.append(kind.crc_extra)
-    return int(mav.x25crc(frame).crc)
-
-
-def _values(kind: Any, payload: bytearray) -> list[Any]:
-    """Return the values of a message's fields in the order of its definition; a sender leaves out zeros at the end."""
-    flat, lengths = kind.unpacker.unpack_from(payload.ljust(kind.unpacker.size, b"\0")), kind.lengths
-    if len(flat) > len(lengths):
-        values, at = [], 0
-        for length in lengths:
-            values.append(flat[at] if length == 1 else list(flat[at : at + length]))
-            at += length
-        flat = values
-    return [value.rstrip(b"\0") if type(value) is bytes else value for value in [flat[i] for i in kind.orders]]
+    def _stream_time(self, frame: bytearray) -> tuple[tuple[int, int, int] | None, int | None]:
+        if frame[0] != _V2 or not frame[2] & _SIGNED:
+            return None, None
+        stream = (frame[-_SIGNATURE], frame[5], frame[6])
+        return stream, self._mav.signing.stream_timestamps.get(stream)
 
 
 def _frame_length(buffer: bytearray, start: int) -> int | None:
