@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 # tests/conftest.py says how many workers a machine's cores get, and which tests stay together.
 WORKERS := -n logical --maxprocesses 8
-BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
+BENCHES := $(patsubst %/__main__,%,$(basename $(shell grep -ls __main__ benches/*.py benches/*/__main__.py)))
 
 INSTALL := @sh supply/install.sh $(BIN)/python
 

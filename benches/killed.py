@@ -1,20 +1,18 @@
 """Kill the daemon beside an autopilot at each of five phases, and see what the autopilot does and whether a new daemon lands it.
 
-python -m benches.killed --autopilot {px4,arducopter} [--binary PATH] [--scenario NAME] [--phase NAME ...] [--first SEED]
+python -m benches.killed [--autopilot {px4,arducopter}] [--binary PATH] [--scenario NAME] [--phase NAME ...] [--first SEED]
     [--seeds N] [--perception truth|model|pixels] [--for SECONDS]
 
-Every flight is one of `decklander simulate --autopilot` with the fault `service_killed`, in lock step, one after the other; each
-is a line of JSON on standard error.
+Every flight is one of `decklander simulate --autopilot` with the fault `service_killed`, in lock step, one after the other, and
+has a line on standard error.
 """
 
 import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 import msgspec
 
@@ -47,36 +45,23 @@ def scenario_of(name: str, phase: str, for_s: float) -> Scenario:
     return msgspec.structs.replace(scenario, faults=(fault,), start=start, unreached_contacts=True)
 
 
-def fly(args: argparse.Namespace, phase: str, seed: int) -> dict[str, Any]:
-    """Fly once, and return the result."""
+def fly(args: argparse.Namespace, phase: str, seed: int) -> FlightEnd:
+    """Fly once."""
     scenario = scenario_of(args.scenario, phase, args.for_s)
     settings = settings_for(scenario, None, by_autopilot=True)
     binary = None if args.binary == "stand-in" else executable(args.binary, args.autopilot)
     program = AutopilotProgram(args.autopilot, binary)
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         flight = AutopilotFlight(scenario, seed, settings, program, Path(folder), perception=perceive(args.perception))
-        end = event_loop.run(flight.fly())
-    return {"phase": phase, "seed": seed, **_told(end)}
+        return event_loop.run(flight.fly())
 
 
-def _told(end: FlightEnd) -> dict[str, Any]:
-    silence = end.silences[0].as_json() if end.silences else None
-    contact = end.contacts[-1] if end.contacts else None
-    landed = end.outcome is FlightOutcome.LANDED and contact is not None
-    return {
-        "outcome": end.failure or (end.without_outcome if end.outcome is None else end.outcome.value),
-        "upright": end.upright,
-        "on_pad": landed and contact is not None and contact.on_pad,
-        "lateral_m": None if contact is None or not landed else round(contact.lateral_m, 4),
-        "into_m_s": None if contact is None or not landed else round(contact.vertical_speed_m_s, 3),
-        "along_m_s": None if contact is None or not landed else round(contact.lateral_speed_m_s, 3),
-        "contacts": len(end.contacts),
-        "silence": silence,
-        "failsafes": list(end.failsafes),
-    }
+def on_pad(end: FlightEnd) -> bool:
+    """Return whether the flight ended on the pad."""
+    return end.outcome is FlightOutcome.LANDED and bool(end.contacts) and end.contacts[-1].on_pad
 
 
-def table(flights: Sequence[dict[str, Any]]) -> str:
+def table(flights: Sequence[tuple[str, FlightEnd]]) -> str:
     """Return a table with a row for each phase; ranges are from the least to the largest."""
     head = (
         "phase", "landed on the pad", "height at the kill, m", "lowest over the deck, m", "touched it", "sank, m",
@@ -84,18 +69,17 @@ def table(flights: Sequence[dict[str, Any]]) -> str:
     )  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for phase in CASES:
-        flown = [f for f in flights if f["phase"] == phase]
-        killed = [f for f in flown if f["silence"] is not None]
+        killed = [end for flown, end in flights if flown == phase and end.silences]
         if not killed:
             continue
-        quiet, down = [f["silence"] for f in killed], [f for f in killed if f["on_pad"]]
+        quiet, down = [end.silences[0] for end in killed], [end.contacts[-1] for end in killed if on_pad(end)]
         cells = (
-            phase, f"{len(down)} of {len(killed)}", _range([q["height_m"] for q in quiet], 2),
-            _range([q["lowest_m"] for q in quiet], 2), f"{sum(q['touched'] for q in quiet)}",
-            _range([q["sank_m"] for q in quiet], 2), _range([q["moved_m"] for q in quiet], 1),
-            _range([q["stopped_s"] for q in quiet if q["stopped_s"] is not None], 1),
-            ", ".join(sorted({" to ".join(q["modes"]) for q in quiet})),
-            _median([100.0 * f["lateral_m"] for f in down], 1), _median([f["into_m_s"] for f in down], 2),
+            phase, f"{len(down)} of {len(killed)}", _range([q.height_m for q in quiet], 2),
+            _range([q.lowest_m for q in quiet], 2), f"{sum(q.touched for q in quiet)}",
+            _range([q.sank_m for q in quiet], 2), _range([q.moved_m for q in quiet], 1),
+            _range([q.stopped_s for q in quiet if q.stopped_s is not None], 1),
+            ", ".join(sorted({" to ".join(q.modes) for q in quiet})),
+            _median([100.0 * each.lateral_m for each in down], 1), _median([each.vertical_speed_m_s for each in down], 2),
         )  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
@@ -112,7 +96,7 @@ def _median(values: Sequence[float], digits: int) -> str:
 def main() -> int:
     """Fly and print; return 0 if every flight in which the daemon was killed ended on the pad."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--autopilot", choices=("px4", "arducopter"), required=True)
+    parser.add_argument("--autopilot", choices=("px4", "arducopter"), default="arducopter")
     parser.add_argument("--binary", default="stand-in")
     parser.add_argument("--scenario", default="sea_state_4")
     parser.add_argument("--phase", nargs="+", choices=tuple(CASES), default=tuple(CASES))
@@ -121,13 +105,15 @@ def main() -> int:
     parser.add_argument("--perception", type=perception_level, default="pixels")
     parser.add_argument("--for", dest="for_s", type=float, default=5.0)
     args = parser.parse_args()
-    flights: list[dict[str, Any]] = []
+    flights = list[tuple[str, FlightEnd]]()
     for seed in range(args.first, args.first + args.seeds):
         for phase in args.phase:
-            flights.append(fly(args, phase, seed))
-            sys.stderr.write(json.dumps(flights[-1]) + "\n")
+            end = fly(args, phase, seed)
+            flights.append((phase, end))
+            outcome = end.failure or (end.without_outcome if end.outcome is None else end.outcome.value)
+            sys.stderr.write(f"{phase} {seed}: {outcome}, {len(end.contacts)} contacts, failsafes {end.failsafes}\n")
     sys.stdout.write(table(flights) + "\n")
-    return 0 if all(f["on_pad"] for f in flights if f["silence"] is not None) else 1
+    return 0 if all(on_pad(end) for _, end in flights if end.silences) else 1
 
 
 if __name__ == "__main__":

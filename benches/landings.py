@@ -155,7 +155,7 @@ def main() -> int:
     controllers.add_argument("--weathers", default="2,3,4,5,6")
     controllers.add_argument("--controllers", default=",".join(CONTROLLERS))
     controllers.add_argument("--write", type=Path)
-    args = parser.parse_args()
+    args = parser.parse_args(sys.argv[1:] or ["fly"])
     return {"fly": fly_all, "controllers": fly_controllers}[args.action](args)
 
 

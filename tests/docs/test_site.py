@@ -275,7 +275,7 @@ def flat(table: dict[str, object], path: str) -> Iterator[str]:
 
 
 def test_commands_and_options_in_the_text_exist() -> None:
-    of_tools = re.findall(r'"(--[a-z][a-z-]*)"', source("benches/*.py", "supply/*.py", "fuzz/*.py", "mutants/*.py"))
+    of_tools = re.findall(r'"(--[a-z][a-z-]*)"', source("benches/**/*.py", "supply/*.py", "fuzz/*.py", "mutants/*.py"))
     everywhere = frozenset[str]().union(*options().values(), of_tools, FOREIGN_OPTIONS, {"--help", "--version"})
     wrong = []
     for page, text in in_backticks():

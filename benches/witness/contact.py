@@ -1,13 +1,12 @@
-"""Set the simulator's physics beside another's: `python -m benches.witness --contact [--friction MU ...] [--write DIR]`.
+"""Land the vehicle in MuJoCo and in our physics.
 
-`--contact` lands the vehicle of configs/vehicles/quad_1_5kg.toml in MuJoCo (the extra `witness`) and in our physics, by the same
-commands on the same moving deck: mass, inertia, legs, feet, motors' lag, drag. MuJoCo's contact is set to be the spring and
-damper of the vehicle's file with Coulomb's friction, and steps five times for each of our steps. The motors stop .3 s after the
-first contact, or at once where a row says so. The slide is from the first contact to rest, in the deck's plane; the bounce is the
-rise over the height of the first contact. MuJoCo knows no ground effect, so ours is off but for the column that says so.
+The vehicle is that of configs/vehicles/quad_1_5kg.toml (mass, inertia, legs, feet, motors' lag, drag), flown by the same
+commands on the same moving deck. MuJoCo's contact is set to be the spring and damper of the vehicle's file with Coulomb's
+friction, and steps five times for each of our steps. The motors stop .3 s after the first contact, or at once in some rows.
+The slide is from the first contact to rest, in the deck's plane; the bounce is the rise over the height of the first contact.
+MuJoCo knows no ground effect, so ours is off but for the column that says so.
 """
 
-import argparse
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,7 +16,6 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
-from benches.real import write_part
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
 from sitl.vehicle.airframe import Airframe, load
@@ -25,7 +23,8 @@ from sitl.vehicle.disturbances import Wind
 from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.contact import DeckShape, Ground
 
-VEHICLE = Path(__file__).parents[1] / "configs/vehicles/quad_1_5kg.toml"
+TITLE = "Contact: MuJoCo"
+VEHICLE = Path(__file__).parents[2] / "configs/vehicles/quad_1_5kg.toml"
 STEP_S, FINER = 0.0025, 5
 LASTS_S, MOTORS_OFF_S = 2.0, 0.3
 PERIOD_S, PHASES = 9.0, np.array([2.5, 1.7, 0.4])
@@ -182,7 +181,7 @@ def landing(body: Ours | Theirs) -> Landing:
     )
 
 
-def contact(frictions: list[float]) -> Iterator[str]:
+def table(frictions: tuple[float, ...] = (0.2, 0.4, 0.6, 0.9)) -> Iterator[str]:
     """Yield the lines of the table, and how many rows agree."""
     quad, alike, rows = load(VEHICLE).airframe(), 0, 0
     yield "| case | friction | slide, cm: ours, MuJoCo | off | with ground effect | bounce, cm | most tilt, deg | stands |"
@@ -201,26 +200,3 @@ def contact(frictions: list[float]) -> Iterator[str]:
             )
     within = f"slide within {100 * ALIKE:.0f} % or {ALIKE_CM:g} cm, tilt within {ALIKE_DEG:g} degrees, standing"
     yield f"\n{alike} of {rows} rows agree ({within}); **!** marks the others."
-
-
-def main() -> None:
-    """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--contact", action="store_true", required=True, help="land beside MuJoCo")
-    parser.add_argument("--friction", type=float, nargs="+", default=[0.2, 0.4, 0.6, 0.9])
-    parser.add_argument("--write", type=Path, metavar="DIR", help="write the section of evidence.md there")
-    args = parser.parse_args()
-    lines = ["## Contact: MuJoCo", "", "Made by `python -m benches.witness --contact --write docs`.", ""]
-    lines += [*(__doc__ or "").strip().splitlines()[2:], ""]
-    try:
-        for line in contact(args.friction):
-            print(line, flush=True)
-            lines.append(line)
-    except ModuleNotFoundError as why:
-        parser.error(f"{why}: install requirements/witness.txt, or the extra decklander[witness]")
-    if args.write is not None:
-        write_part(args.write / "evidence.md", "\n".join(lines))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,1 @@
+"""The simulator beside physics and seas of others."""

@@ -1,0 +1,38 @@
+"""Set the simulator beside physics and seas of others: `python -m benches.witness [--contact] [--write DIR]`.
+
+Without a name all witnesses are asked, one table each; `--write` puts the tables into evidence.md.
+"""
+
+import argparse
+from pathlib import Path
+
+from benches.real import write_part
+from benches.witness import contact
+
+WITNESSES = {"--contact": contact}
+
+
+def main() -> None:
+    """Run the command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for option, module in WITNESSES.items():
+        parser.add_argument(option, action="append_const", dest="options", const=option, help=module.TITLE)
+    parser.add_argument("--write", type=Path, metavar="DIR", help="write the sections of evidence.md there")
+    args = parser.parse_args()
+    for option in args.options or WITNESSES:
+        module = WITNESSES[option]
+        lines = [f"## {module.TITLE}", "", f"Made by `python -m benches.witness {option} --write docs`.", ""]
+        lines += [*(module.__doc__ or "").strip().splitlines()[2:], ""]
+        try:
+            for line in module.table():
+                print(line, flush=True)
+                lines.append(line)
+        except ModuleNotFoundError as why:
+            print(f"{module.TITLE}: {why}; install requirements/witness.txt, or the extra decklander[witness]")
+            continue
+        if args.write is not None:
+            write_part(args.write / "evidence.md", "\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()
