@@ -9,8 +9,7 @@ from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 from estimator.contracts.errors import Recoverable
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import NS_PER_S, MonoNs
+from estimator.contracts.time import NS_PER_S, Clock, MonoNs
 
 Taken = Callable[[bytes, MonoNs, Any], None]
 """A function that takes a datagram, the instant of its reception and its sender's address."""

@@ -15,8 +15,7 @@ from typing import Any
 from msgspec import Struct
 
 from estimator.contracts.errors import Recoverable, in_words
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import seconds_between
+from estimator.contracts.time import Clock, seconds_between
 
 _log = logging.getLogger(__name__)
 

@@ -27,8 +27,7 @@ from drivers.datagrams import WaitingDatagrams
 from drivers.endpoint import Address, Endpoint
 from drivers.reconnect import running_beside
 from estimator.contracts.errors import Recoverable
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 AddressInfo = tuple[Any, Any, int, str, Any]
 """The family, kind, protocol, canonical name and address that `socket.getaddrinfo` returns."""

@@ -20,8 +20,7 @@ from filterpy.kalman import KalmanFilter
 from msgspec import structs
 
 from estimator.attitude_history import AttitudeHistory
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
-from estimator.contracts.fusion import FusionResult, components_of
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, FusionResult, PathName, RelativeState, Sighting, Verdict, components_of
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import MonoNs, seconds_between

@@ -10,8 +10,7 @@ import numpy as np
 from msgspec import Struct, structs
 
 from estimator import dead_reckoning
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
-from estimator.contracts.fusion import FusionResult, uncompared
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, FusionResult, PathName, RelativeState, Sighting, Verdict, uncompared
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import GeoFix, GimbalAttitude, Sample, VehicleStatus

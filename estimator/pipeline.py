@@ -17,8 +17,7 @@ from msgspec import structs
 
 from estimator.attitude_history import AttitudeHistory, GimbalHistory, HeldCamera
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import Details, PathName, RelativeState, Sighting, Verdict
-from estimator.contracts.fusion import FusionResult, uncompared
+from estimator.contracts.estimates import Details, FusionResult, PathName, RelativeState, Sighting, Verdict, uncompared
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import (

@@ -63,7 +63,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/ekf/event.py": (_NUMBERS, _ORACLE),
     "estimator/ekf/params.py": (_NUMBERS, _ORACLE),
     "estimator/ekf/forecast.py": (_NUMBERS, _HISTORY),
-    "estimator/ekf/deck_motion_bank.py": (_NUMBERS, _ORACLE),
     "estimator/pipeline.py": ("tests/estimator/test_public_api.py", *_PIPELINE),
     "estimator/integrity/guard.py": (f"{_INTEGRITY}/test_guard.py",),
     "estimator/integrity/crosschecks.py": (f"{_INTEGRITY}/test_crosschecks.py",),

@@ -28,8 +28,7 @@ from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.settings.load import Settings, load
 from companion.settings.model import CameraSettings, PadSettings
-from estimator.contracts.estimates import PathName
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, PathName
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
 from sitl.flight.ending import Ending

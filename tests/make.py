@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from companion.base.observer import ProcessedFrame
-from companion.guidance.mission.cycle import VesselPosition
+from companion.guidance.mission.progress import VesselPosition
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Method, PathName, Pose6, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion

@@ -15,11 +15,9 @@ from companion.base.mission import ENDED
 from companion.base.observer import Decision
 from companion.base.response_in_use import ResponseInUse
 from estimator.contracts.errors import in_words
-from estimator.contracts.estimates import PathName, Verdict
-from estimator.contracts.fusion import FusionResult, Source
-from estimator.contracts.ports import Clock
+from estimator.contracts.estimates import FusionResult, PathName, Source, Verdict
 from estimator.contracts.samples import Sample, VehicleStatus
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 FARTHEST_NS = 1 << 62
 """Half the range of 64 bits, ns, so that the sum or difference of two instants fits as well."""

@@ -19,8 +19,7 @@ from companion.base.health import Health, HealthSnapshot, missing_inputs
 from companion.base.observer import Decision, NullObserver
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 SAMPLE_KINDS = ("Attitude", "Imu", "BodyVelocity", "VehicleStatus")
 """Flows that keep arriving while the vehicle is in reach."""

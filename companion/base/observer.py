@@ -13,8 +13,7 @@ from companion.base.mission import StateChange
 from companion.base.orders import HandledOrder
 from companion.base.response_in_use import ResponseInUse
 from estimator.contracts.commands import Command
-from estimator.contracts.estimates import RelativeState, Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Forecast

@@ -15,8 +15,7 @@ from companion.base.health import Health
 from companion.settings.service import RestartOptions
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import seconds_between
+from estimator.contracts.time import Clock, seconds_between
 
 log = logging.getLogger(__name__)
 

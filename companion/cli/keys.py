@@ -25,8 +25,7 @@ from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing, SigningKey, SigningTimes, load_key
 from drivers.mavlink.vehicle import ARMED, is_autopilot, stack_of
 from estimator.contracts.errors import BadInput, Recoverable
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 DESCRIPTION = (
     "Make, show, install and remove MAVLink signing keys (docs/mavlink.md). Exit code 0 if the autopilot "

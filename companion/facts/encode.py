@@ -14,8 +14,7 @@ from companion.base.orders import HandledOrder
 from companion.base.response_in_use import ResponseInUse
 from companion.facts import records as rec
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
-from estimator.contracts.estimates import Pose6, RelativeState, Sighting
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, Pose6, RelativeState, Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, GeoFix, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp

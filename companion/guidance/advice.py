@@ -1,7 +1,6 @@
 """Advice for each cause that interrupts or ends a landing: one sentence each, for the page and docs/mission.md."""
 
-from companion.base.mission import State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Reason, ReasonCause, State
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 
 _C, _A, _V = ReasonCause, IntegrityAlert, Verdict

@@ -12,9 +12,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.base.mission import FLOWN, GROUND, Event, State
-from companion.guidance.mission.cycle import GuidanceCycle
 from companion.guidance.mission.out_of_reach import height_m
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress
 from estimator.contracts.time import MonoNs, seconds_between
 
 OLD_S = 30.0

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from msgspec import Struct, field, structs
 
-from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, Event, State, StateChange
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, Event, Reason, ReasonCause, State, StateChange
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, FieldOfView, Impact, Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
@@ -20,14 +19,13 @@ from companion.guidance.law.response_watch import ResponseIdentifier
 from companion.guidance.mission import limits
 from companion.guidance.mission.clearance import SwellWatch, watched_swell
 from companion.guidance.mission.contact import ContactWatch, HeldUp, watched
-from companion.guidance.mission.cycle import GuidanceCycle, InputQuality, VehicleHold, VesselPosition, unfit
 from companion.guidance.mission.gate import gate_of
 from companion.guidance.mission.held_course import OFF_M, ClimbWatch
 from companion.guidance.mission.hold_blind import keep_up
 from companion.guidance.mission.limits import ChargeWatch, battery_ends
 from companion.guidance.mission.machine import allowed, mission_step, take, take_order, take_status
 from companion.guidance.mission.out_of_reach import flown_by_others
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, InputQuality, Progress, VehicleHold, VesselPosition, unfit
 from companion.guidance.mission.vessel_track import VesselTrack
 from companion.guidance.mission.waiting import ends_here
 from companion.guidance.mission.wind import WindOverDrone, WindWatch, trim_level, wind_over_drone
@@ -39,8 +37,7 @@ from companion.settings.operator import LimitOptions, ManualOptions
 from companion.settings.response import ClimbResponse, TiltResponse
 from companion.settings.vessel import ReportLimits
 from estimator.contracts.commands import Command, Lean
-from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import (
     Attitude,

@@ -15,8 +15,7 @@ from companion.guidance.pad_search import Look, PadSearch
 from companion.settings.guidance import GuidanceOptions
 from estimator.attitude_history import HeldCamera
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions

@@ -9,9 +9,8 @@ from companion.facts.wire import FlightState, OrderAnswer, OrderRequest
 from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.guidance.pilot import Pilot
 from estimator.contracts.estimates import PathName
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Range, Sample
-from estimator.contracts.time import seconds_between
+from estimator.contracts.time import Clock, seconds_between
 
 _RANGE_S = 1.0
 """Age up to which a range stands for a height that is not seen, s."""

@@ -13,8 +13,7 @@ from msgspec import inspect
 from companion.facts import records as rec
 from companion.recording import foxglove as fox
 from companion.recording.scene import SceneUpdate
-from estimator.contracts.estimates import PathName
-from estimator.contracts.fusion import Source
+from estimator.contracts.estimates import PathName, Source
 from estimator.contracts.samples import Sample
 
 SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"

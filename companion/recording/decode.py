@@ -6,16 +6,24 @@ from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
-from companion.base.mission import Event, State, StateChange
+from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
 from companion.base.observer import DeckOutlook, FrameTimes
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
-from companion.base.reason import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
 from companion.facts import records as rec
 from companion.facts.encode import COMMANDS
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
-from estimator.contracts.estimates import IntegrityAlert, Method, PathName, Pose6, RelativeState, Sighting, Verdict
-from estimator.contracts.fusion import FusionResult, Source
+from estimator.contracts.estimates import (
+    FusionResult,
+    IntegrityAlert,
+    Method,
+    PathName,
+    Pose6,
+    RelativeState,
+    Sighting,
+    Source,
+    Verdict,
+)
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, GeoFix, Sample
@@ -32,7 +40,7 @@ def sample(of: rec.SampleRecord) -> Sample:
     if isinstance(of, rec.FixRecord):
         place = GeoPoint.of_degrees(of.latitude_deg, of.longitude_deg, of.height_m)
         v = None if of.v_ned is None else _vector(of.v_ned)
-        return GeoFix(stamp(of.stamp), cast(Literal["vehicle", "vessel"], of.whose), place, of.sigma_m, v)
+        return GeoFix(stamp(of.stamp), cast("Literal['vehicle', 'vessel']", of.whose), place, of.sigma_m, v)
     return _SAMPLES[type(of)](**{name: _value(name, getattr(of, name)) for name in of.__struct_fields__})
 
 
@@ -55,7 +63,7 @@ def stamp(of: rec.StampRecord) -> Stamp:
     """
     if of.source not in get_args(StampSource):
         raise ValueError(f"no such source of a stamp: {of.source!r}")
-    return Stamp(MonoNs(of.measured_at_ns), MonoNs(of.received_at_ns), of.sigma_s, cast(StampSource, of.source))
+    return Stamp(MonoNs(of.measured_at_ns), MonoNs(of.received_at_ns), of.sigma_s, cast("StampSource", of.source))
 
 
 def attitude(of: rec.AttitudeRecord) -> Attitude:
@@ -104,7 +112,7 @@ def frame_times(of: rec.DetectionRecord) -> FrameTimes | None:
 def _method(name: str) -> Method:
     if name not in get_args(Method):
         raise ValueError(f"no such method of vision: {name!r}")
-    return cast(Method, name)
+    return cast("Method", name)
 
 
 def sighting(of: rec.SightingRecord, t: Stamp, seq: int) -> Sighting:
@@ -131,7 +139,7 @@ def belief(of: rec.BeliefRecord) -> RelativeState:
         raise ValueError(f"no such estimator path: {of.path!r}")
     return RelativeState(
         MonoNs(of.at_ns),
-        cast(PathName, of.path),
+        cast("PathName", of.path),
         _vector(of.d_body_pad_level),
         _vector(of.v_pad_level),
         of.yaw_rad,
@@ -163,8 +171,8 @@ def fusion(of: rec.FusionRecord) -> FusionResult:
     if of.innovation is not None and len(of.innovation) != m:
         raise ValueError(f"an innovation of {m} components has {m} numbers, got {len(of.innovation)}")
     return FusionResult(
-        cast(PathName, of.path),
-        cast(Source, of.source),
+        cast("PathName", of.path),
+        cast("Source", of.source),
         Verdict(of.verdict),
         MonoNs(of.measured_at_ns),
         MonoNs(of.received_at_ns),

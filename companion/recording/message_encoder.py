@@ -17,8 +17,7 @@ from companion.recording.frame_encoder import FrameEncoder
 from companion.recording.frame_video import RECORDED
 from companion.recording.scene import error_ellipsoid, fixed_scene
 from companion.settings.service import FrameForm
-from estimator.contracts.estimates import RelativeState
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, RelativeState
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera

@@ -43,9 +43,8 @@ from drivers.mailbox import Line
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import modes_left
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, in_words
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 # Treat settings that have worked since this computer was switched on as right, whatever fails later.
 #

@@ -33,11 +33,9 @@ from drivers.mailbox import Latest, Line
 from estimator.attitude_history import HeldCamera
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable
-from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import FusionResult
-from estimator.contracts.ports import Clock
+from estimator.contracts.estimates import FusionResult, Verdict
 from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
-from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 

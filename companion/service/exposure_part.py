@@ -12,7 +12,7 @@ from companion.base.observer import NullObserver, ProcessedFrame
 from companion.guidance.pilot import Pilot
 from drivers.camera.exposure import ExposureDrive
 from drivers.camera.exposure_governor import ExposureGovernor
-from drivers.camera.exposure_options import ExposureOptions
+from drivers.camera.options import ExposureOptions
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Imu, Sample

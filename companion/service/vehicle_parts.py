@@ -28,9 +28,8 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.nmea.sentences import REFUSED_FOR, NmeaReader, SentenceSource, sentences_from
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import BadInput
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame, Sample
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import Clock, MonoNs
 from estimator.uvlc import UvlcDecoder
 
 if TYPE_CHECKING:

@@ -23,13 +23,11 @@ from companion.settings.operator import LimitOptions, OperatorOptions
 from companion.settings.service import RecorderOptions, RestartOptions
 from companion.settings.vessel import VesselOptions
 from drivers.ardrone.options import ArDroneOptions
-from drivers.camera.exposure_options import DRIVEN_SOURCES
-from drivers.camera.options import CameraOptions
-from drivers.mavlink.gimbal_options import GimbalOptions
-from drivers.mavlink.options import AutopilotOptions
+from drivers.camera.options import DRIVEN_SOURCES, CameraOptions
+from drivers.mavlink.options import AutopilotOptions, GimbalOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import PUBLIC, choice, number, text
-from estimator.contracts.ports import SAMPLE_QUEUE_ITEMS
+from estimator.contracts.samples import SAMPLE_QUEUE_ITEMS
 from estimator.options import EstimatorOptions
 from estimator.vision.options import TrackerOptions
 

@@ -25,8 +25,7 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.sender_lock import mark
 from drivers.ardrone.sender_wire import BUSY, LINE_MAX, SenderOptions, SenderOrder, as_text, pack
 from estimator.contracts.errors import Recoverable
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, after, seconds_between
+from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 
 _COMMANDS_S = 0.5
 """Further commands, those passed to `SenderClient.send`, are dropped when they have waited this long."""

@@ -27,9 +27,8 @@ from drivers.reconnect import BackOff, reconnect, running_beside
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.pictures import CodedPicture, PictureDecoder, PictureRefusal
-from estimator.contracts.ports import SAMPLE_QUEUE_ITEMS, Clock
-from estimator.contracts.samples import Frame, Sample
-from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.contracts.samples import SAMPLE_QUEUE_ITEMS, Frame, Sample
+from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
 
 _READ = 1 << 16
 _MS = 1_000_000

@@ -10,9 +10,8 @@ from drivers.ardrone.samples import NavdataSampler
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.datagrams import WaitingDatagrams, open_waiting
 from estimator.contracts.errors import Recoverable
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
-from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
 
 _REORDER = 64
 """A datagram this far behind the newest was not overtaken on its way: the drone has restarted."""

@@ -15,8 +15,7 @@ from drivers.ardrone.navdata import NavdataState
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import Recoverable
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 _log = logging.getLogger(__name__)
 _AGAIN_S = 0.1

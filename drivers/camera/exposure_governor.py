@@ -13,7 +13,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from drivers.camera.exposure import TARGET, ExposureDrive, ExposureRange, ExposureSetting, LawMemory, Metered, limit_of, step
-from drivers.camera.exposure_options import ExposureOptions
+from drivers.camera.options import ExposureOptions
 from estimator.contracts.samples import Frame
 
 _PIXELS = 10_000

@@ -24,9 +24,8 @@ from drivers.camera import gstreamer_program as wire
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraCounters, CameraLost, VideoSource, stamp_of
 from estimator.contracts.errors import BadInput, SetupImpossible
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import Clock, MonoNs
 
 PYTHONS = (sys.executable, "/usr/bin/python3")
 """The Pythons that may have GStreamer's bindings, the first that has them is used."""

@@ -20,8 +20,7 @@ from msgspec import Struct
 
 from drivers.camera.source import CameraLost
 from drivers.camera.videos import MOST_PACKET_BYTES
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 _AT_ONCE = 1 << 16
 _HEAD_MOST = 1024

@@ -16,7 +16,7 @@ from drivers.camera.source import CameraLost, VideoSource
 from drivers.pyav import require_pyav
 from drivers.reconnect import BackOff, reconnect, running_beside
 from estimator.contracts.errors import Recoverable, in_words
-from estimator.contracts.ports import Clock
+from estimator.contracts.time import Clock
 
 
 @asynccontextmanager

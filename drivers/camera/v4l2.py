@@ -25,9 +25,8 @@ from drivers.camera.source import CameraLost, VideoSource, stamp_of
 from drivers.camera.v4l2_device import Buffer, KernelDevice
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from estimator.contracts.errors import BadInput
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.time import Clock, MonoNs, Stamp
 
 log = logging.getLogger(__name__)
 

@@ -18,8 +18,7 @@ from msgspec import Struct
 
 from drivers.camera import v4l2_kernel as kernel
 from drivers.camera.exposure import ExposureRange, ExposureSetting
-from drivers.camera.exposure_options import ExposureOptions
-from drivers.camera.options import FORMATS, CameraOptions, Size
+from drivers.camera.options import FORMATS, CameraOptions, ExposureOptions, Size
 from drivers.camera.v4l2_formats import FrameLayout, line_length
 from drivers.pyav import has_pyav
 from estimator.contracts.errors import BadInput, SetupImpossible

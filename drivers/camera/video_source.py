@@ -34,9 +34,8 @@ from drivers.camera.source import CameraCounters, CameraLost, VideoSource
 from drivers.camera.videos import MOST_PACKET_BYTES, has_times, most_pixels, open_video, packets_held, predicts_frames, video_of
 from drivers.clock_map import ClockMap, ClockMapOptions
 from estimator.contracts.errors import BadInput
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
-from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
 
 Packet: TypeAlias = "AnyPacket[VideoStream]"
 

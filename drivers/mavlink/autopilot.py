@@ -42,9 +42,8 @@ from drivers.reconnect import running_beside
 from estimator.contracts.commands import Command, CutMotors, Hover, Lean, LeaveEmergency, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.ports import SAMPLE_QUEUE_ITEMS, Clock
-from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.samples import SAMPLE_QUEUE_ITEMS, Attitude, Frame, GeoFix, Sample
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 _log = logging.getLogger(__name__)
 

@@ -27,15 +27,14 @@ from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.mavlink.access import AccessLevel, Source
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.gimbal_options import GimbalOptions
 from drivers.mavlink.links import ReceivedMessage
+from drivers.mavlink.options import GimbalOptions
 from drivers.mavlink.requests import Streams
 from drivers.mavlink.timesync import MS_WRAP_NS, BootClock, boot_ms
 from drivers.reconnect import running_beside
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import GimbalAttitude, GimbalFrame
-from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, after, seconds_between
+from estimator.contracts.time import NS_PER_S, Clock, MonoNs, Stamp, after, seconds_between
 
 DEVICE_STATUS, MOUNT_ORIENTATION, MOUNT_STATUS = "GIMBAL_DEVICE_ATTITUDE_STATUS", "MOUNT_ORIENTATION", "MOUNT_STATUS"
 _VEHICLE_YAW, _EARTH_YAW = int(mav.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME), int(mav.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME)

@@ -30,8 +30,7 @@ from drivers.mavlink.signing import Signing
 from drivers.reconnect import BackOff, reconnect, running_beside
 from drivers.wires import SILENT_S, Datagrams, Wire, WireCounts, open_wire
 from estimator.contracts.errors import Recoverable, in_words
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 _log = logging.getLogger(__name__)
 _Result = TypeVar("_Result")

@@ -29,9 +29,8 @@ from drivers.endpoint import Address, Endpoint
 from drivers.wires import Wire, open_wire
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselReport
-from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
+from estimator.contracts.time import NS_PER_S, Clock, MonoNs, Stamp, seconds_between
 
 KNOT_M_S = 1852.0 / 3600.0
 DATAGRAM_MAX = 65_535

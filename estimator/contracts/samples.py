@@ -13,6 +13,8 @@ from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import DOUBLE, F64, Rotation, own_array
 from estimator.contracts.time import MonoNs, Stamp
 
+SAMPLE_QUEUE_ITEMS = 4096
+"""Samples that wait for the reader of a link unless a setting names another number; the oldest is dropped and counted."""
 UNKNOWN_VAR = 1e6
 """Variance (SI units squared) of a direction that was not measured."""
 

@@ -1,9 +1,9 @@
-"""Instants of this host's monotonic clock, and how well a sample's instant is known."""
+"""Instants of this host's monotonic clock, how well a sample's instant is known, and the clock."""
 
 from __future__ import annotations
 
 import math
-from typing import Literal, NewType
+from typing import Literal, NewType, Protocol
 
 from msgspec import Struct
 
@@ -65,3 +65,11 @@ class Stamp(Struct, frozen=True):
     def delay_s(self) -> float:
         """Time from measurement to reception, s."""
         return seconds_between(self.measured_at, self.received_at)
+
+
+class Clock(Protocol):
+    """The only source of time in the service; replay and simulation pass another one."""
+
+    def now(self) -> MonoNs: ...
+
+    async def sleep(self, seconds: float) -> None: ...

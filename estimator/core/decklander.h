@@ -50,7 +50,7 @@ enum dl_uvlc_result dl_uvlc_decode(const uint8_t *data, int32_t bytes, const dl_
 
 /* ---- filter/: the error-state filter ---- */
 
-/* The parts of the filter's state by their first index, and its size. estimator.ekf.state describes them. */
+/* The parts of the filter's state by their first index, and its size. estimator.ekf.params describes them. */
 enum dl_filter_state {
     DL_ATT_ERR = 0, DL_POS_REL = 3, DL_VEL = 6, DL_GYRO_BIAS = 9, DL_ACCEL_BIAS = 12, DL_VEL_SCALE = 15, DL_VESSEL_VEL = 16,
     DL_WAVES = 18, DL_PAD_YAW = 38, DL_YAW_RATE = 39, DL_DECK_TRIM = 40, DL_CAMERA_DELAY = 42, DL_CAMERA_MOUNT = 43,

@@ -14,8 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState, Verdict
-from estimator.contracts.fusion import COMPONENTS, FusionResult, Source, components_of, source_of, uncompared
+from estimator.contracts.estimates import (
+    COMPONENTS,
+    UNKNOWN_YAW_VAR,
+    Details,
+    FusionResult,
+    RelativeState,
+    Source,
+    Verdict,
+    components_of,
+    source_of,
+    uncompared,
+)
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
@@ -23,8 +33,7 @@ from estimator.core.library import CORE
 from estimator.ekf.event import Event, packed
 from estimator.ekf.forecast import Forecast, log_evidence_of_rest, probability_of_motion
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.params import FilterParams
-from estimator.ekf.state import (
+from estimator.ekf.params import (
     ACCEL_BIAS,
     BARO_OFFSET,
     CAMERA_DELAY,
@@ -34,6 +43,7 @@ from estimator.ekf.state import (
     TURN_RATE,
     VEL_SCALE,
     VESSEL_VEL,
+    FilterParams,
 )
 
 _CONSISTENT_NIS = 2.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.ekf.deck_motion_bank import REST_ODDS
+from estimator.ekf.params import REST_ODDS
 
 _SCALARS = ("height", "sigma_height", "rise", "sigma_rise", "roll", "sigma_roll", "pitch", "sigma_pitch")
 _Z = {0.5: 0.6745, 0.68: 0.9945, 0.8: 1.2816, 0.9: 1.6449, 0.95: 1.9600, 0.99: 2.5758}

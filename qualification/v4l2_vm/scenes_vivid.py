@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from drivers.camera import v4l2_kernel as kernel
-from drivers.camera.exposure_options import ExposureOptions
 from drivers.camera.open_camera import open_camera
-from drivers.camera.options import CameraOptions, Size
+from drivers.camera.options import CameraOptions, ExposureOptions, Size
 from drivers.camera.v4l2 import cameras
 from drivers.camera.v4l2_device import KernelDevice
 from drivers.clock import SystemClock

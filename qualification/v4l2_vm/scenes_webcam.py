@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from drivers.camera.exposure import TARGET
 from drivers.camera.exposure_governor import ExposureGovernor, meter_inside
-from drivers.camera.exposure_options import ExposureOptions
 from drivers.camera.open_camera import open_camera
-from drivers.camera.options import CameraOptions, Size
+from drivers.camera.options import CameraOptions, ExposureOptions, Size
 from drivers.camera.v4l2 import cameras
 from drivers.clock import SystemClock
 from qualification.v4l2_vm.capture import check_bars, check_stamps, controls_text, refusal, settled, take, until

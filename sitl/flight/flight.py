@@ -30,8 +30,7 @@ from drivers.ardrone.navdata_channel import NavdataOrder, SequencePlace
 from drivers.ardrone.samples import NavdataSampler
 from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
-from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, Verdict
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone, DroneClock

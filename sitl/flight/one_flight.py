@@ -17,7 +17,7 @@ from companion.base.observer import Observer
 from companion.settings.load import load
 from companion.settings.model import CameraSettings, PadSettings, Settings
 from drivers.ardrone.options import ArDroneOptions
-from drivers.mavlink.gimbal_options import GimbalOptions
+from drivers.mavlink.options import GimbalOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from sitl.camera.render_worker import render_worker

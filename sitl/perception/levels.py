@@ -20,8 +20,7 @@ from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, known_rotation, rpy_matrix, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude, Frame, known

@@ -2,9 +2,8 @@
 
 import pytest
 
-from companion.base.mission import Event, State, StateChange
+from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
 from companion.base.observer import Decision
-from companion.base.reason import Reason, ReasonCause
 from companion.facts import encode
 from companion.guidance.advice import advice
 from companion.parts.mqtt.encode import Changes

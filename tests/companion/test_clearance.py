@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import Event, State
-from companion.base.reason import ReasonCause
+from companion.base.mission import Event, ReasonCause, State
 from companion.guidance.controller import HORIZONS_S, Knowledge, Target
 from companion.guidance.mission.clearance import SwellWatch, rise_beyond_climb_m, watched_swell
-from companion.guidance.mission.cycle import GuidanceCycle, InputQuality
 from companion.guidance.mission.descend import descent_rate_m_s
 from companion.guidance.mission.limits import gate
 from companion.guidance.mission.machine import PHASES, aim
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, InputQuality, Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import F64
 from estimator.ekf import Forecast

@@ -8,7 +8,7 @@ import pytest
 from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.mission.contact import ENOUGH, HELD_S, ContactWatch, HeldUp, votes, watched
 from companion.guidance.mission.contact import way_s as contact_way_s
-from companion.guidance.mission.cycle import GuidanceCycle
+from companion.guidance.mission.progress import GuidanceCycle
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import F64

@@ -22,8 +22,7 @@ from companion.settings.service import RestartOptions
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Hover
 from estimator.contracts.errors import Recoverable
-from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, Verdict
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, after, seconds_between
 from estimator.options import EstimatorOptions

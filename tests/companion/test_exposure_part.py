@@ -15,7 +15,7 @@ from companion.service.vehicle_parts import vehicle_parts
 from companion.settings.load import from_mapping
 from companion.settings.model import CameraSettings
 from drivers.camera.exposure import TARGET, ExposureDrive, ExposureRange, ExposureSetting
-from drivers.camera.exposure_options import ExposureOptions
+from drivers.camera.options import ExposureOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import Frame
@@ -59,7 +59,7 @@ class Scene:
         self.white_per_ms, self.number = white_per_ms, 0
         self.drive = ExposureDrive(settle_frames=1)
         self.drive.opened(ExposureRange(1e-4, 0.026, 8.0), ExposureSetting(0.008, 1.0))
-        self.part = ExposurePart(ExposureOptions(mode="pad"), cast(Pilot, BelievingPilot(tracked)))
+        self.part = ExposurePart(ExposureOptions(mode="pad"), cast("Pilot", BelievingPilot(tracked)))
         self.part.attach(self.drive)
         camera = PILOT.camera
         v, u = np.mgrid[: camera.height, : camera.width]

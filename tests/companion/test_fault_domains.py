@@ -29,7 +29,7 @@ from companion.settings.load import load
 from companion.settings.model import Settings
 from companion.settings.service import RestartOptions
 from estimator.contracts.errors import BadInput, Recoverable
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
 from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock, fly

@@ -30,8 +30,7 @@ from companion.tools.replay.engine import Replay, pilot_of
 from companion.tools.report.figures import innovation_series
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.page import render
-from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import COMPONENTS, FusionResult
+from estimator.contracts.estimates import COMPONENTS, FusionResult, Verdict
 from estimator.contracts.time import MonoNs
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario

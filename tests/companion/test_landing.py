@@ -9,19 +9,17 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Knowledge
 from companion.guidance.landing import LandingGuidance, PilotOptions
-from companion.guidance.mission.cycle import VesselPosition
 from companion.guidance.mission.gate import Gate
 from companion.guidance.mission.limits import DWELL_S
 from companion.guidance.mission.machine import mission_step
+from companion.guidance.mission.progress import VesselPosition
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.response import ClimbResponse
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
-from estimator.contracts.estimates import IntegrityAlert, Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, IntegrityAlert, Verdict
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2, DeckMotion

@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Reason, ReasonCause
 from companion.base.response_in_use import ResponseInUse, ResponseState
 from companion.guidance.controller import HORIZONS_S, AtContact, Knowledge
-from companion.guidance.mission.cycle import InputQuality
 from companion.guidance.mission.limits import (
     LEANS_MORE_M_S2,
     commit,
@@ -24,6 +23,7 @@ from companion.guidance.mission.limits import (
     sigma_m,
     to_contact_s,
 )
+from companion.guidance.mission.progress import InputQuality
 from companion.settings.mission import ConeOptions, LandingLimits
 from companion.settings.response import ClimbResponse
 from estimator.contracts.geometry import Rotation

@@ -15,15 +15,13 @@ from hypothesis import strategies as st
 from msgspec import structs
 from msgspec.structs import replace
 
-from companion.base.mission import DESCENDS, ENDED, Event, State, StateChange
-from companion.base.reason import ReasonCause
+from companion.base.mission import DESCENDS, ENDED, Event, ReasonCause, State, StateChange
 from companion.base.response_in_use import ResponseInUse
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold, unfit
 from companion.guidance.mission.limits import DWELL_S, ChargeWatch, last_landing, of_try
 from companion.guidance.mission.machine import mission_step, take_order, take_status
 from companion.guidance.mission.phase import Aim
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, VehicleHold, unfit
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState

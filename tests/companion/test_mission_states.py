@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import ENDED, FLOWN, Event, State, StateChange
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import ENDED, FLOWN, Event, Reason, ReasonCause, State, StateChange
 from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.mission.another_pad import OtherPad
 from companion.guidance.mission.commit import Commit
-from companion.guidance.mission.cycle import GuidanceCycle, InputQuality
 from companion.guidance.mission.gate import Gate, gate_of
 from companion.guidance.mission.machine import PHASES, TABLES, account
-from companion.guidance.mission.progress import Attempt, Progress, arrow_turned, entered
+from companion.guidance.mission.progress import Attempt, GuidanceCycle, InputQuality, Progress, arrow_turned, entered
 from companion.guidance.mission.search import Search
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions

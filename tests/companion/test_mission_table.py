@@ -6,14 +6,12 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import DESCENDS, ENDED, FAULTS, FLOWN, GROUND, Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import DESCENDS, ENDED, FAULTS, FLOWN, GROUND, Event, Reason, ReasonCause, State
 from companion.cli.config import mission_page
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission import machine
-from companion.guidance.mission.cycle import GuidanceCycle
 from companion.guidance.mission.machine import TABLES, Transitions, mission_step, take_order, take_status
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover
 from estimator.contracts.total_table import total

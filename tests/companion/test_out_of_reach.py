@@ -11,9 +11,8 @@ from msgspec.structs import replace
 
 from companion.base.mission import ENDED, FLOWN, GROUND, State
 from companion.guidance.controller import Knowledge
-from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold
 from companion.guidance.mission.machine import mission_step
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, VehicleHold
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Velocity

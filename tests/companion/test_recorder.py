@@ -28,8 +28,7 @@ from companion.settings.load import camera_model
 from companion.settings.service import RecorderOptions
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import COMPONENTS
+from estimator.contracts.estimates import COMPONENTS, Verdict
 from estimator.contracts.samples import Imu, Sample
 from estimator.contracts.time import MonoNs, Stamp
 from tests.fly import ObservedCalls, record_to, sim_settings

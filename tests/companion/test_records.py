@@ -17,8 +17,7 @@ from companion.recording.message_encoder import MessageEncoder
 from companion.recording.rewriting import _without_methods
 from estimator.attitude_history import DOWN
 from estimator.contracts.commands import Command, Hover, Land, Lean, TakeOff, Velocity
-from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import COMPONENTS, FusionResult, Source
+from estimator.contracts.estimates import COMPONENTS, FusionResult, Source, Verdict
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs

@@ -8,13 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.base.mission import State, StateChange
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Reason, ReasonCause, State, StateChange
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission import search
-from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold, VesselPosition
 from companion.guidance.mission.machine import mission_step, take_status
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, VehicleHold, VesselPosition
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.vessel import RendezvousOptions
 from estimator.contracts.commands import Velocity

@@ -19,8 +19,7 @@ from mcap.reader import make_reader
 from msgspec import structs
 from msgspec.structs import replace
 
-from companion.base.mission import Event, State, StateChange
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
 from companion.cli import main as cli
 from companion.recording.palette import OUTLINE, bgr, colour
 from companion.recording.reading import open_recording

@@ -15,7 +15,7 @@ from msgspec import structs
 from companion.base.observer import Decision
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.guidance.landing import PilotOptions
-from companion.guidance.mission.cycle import fit_to_steer
+from companion.guidance.mission.progress import fit_to_steer
 from companion.guidance.pilot import Pilot
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, load, pad_model

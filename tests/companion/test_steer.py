@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.base.mission import Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.mission.cycle import GuidanceCycle, InputQuality, VehicleHold
 from companion.guidance.mission.hold_blind import keep_up
 from companion.guidance.mission.machine import PHASES, TABLES, account, aim, allowed
 from companion.guidance.mission.phase import Aim, never_lower, usable
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, InputQuality, Progress, VehicleHold
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import ElsewhereOptions, GuidanceOptions
 from companion.settings.response import ClimbResponse

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.base.reason import Reason, ReasonCause
-from companion.guidance.mission.cycle import VesselPosition
+from companion.base.mission import Reason, ReasonCause
+from companion.guidance.mission.progress import VesselPosition
 from companion.guidance.mission.vessel_track import VesselTrack
 from companion.settings.vessel import ReportLimits
 from estimator.contracts.geodesy import GeoPoint, moved

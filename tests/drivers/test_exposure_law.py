@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from drivers.camera.exposure import TARGET, ExposureDrive, ExposureRange, ExposureSetting, LawMemory, Metered, step
 from drivers.camera.exposure_governor import ExposureGovernor, meter_inside, meter_whole
-from drivers.camera.exposure_options import ExposureOptions
+from drivers.camera.options import ExposureOptions
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp

@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from drivers.camera import v4l2_kernel
 from drivers.camera import v4l2_kernel as kernel
 from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
-from drivers.camera.exposure_options import ExposureOptions
-from drivers.camera.options import CameraOptions, Size
+from drivers.camera.options import CameraOptions, ExposureOptions, Size
 from drivers.camera.source import CameraCounters, CameraLost, VideoSource
 from drivers.camera.v4l2 import CaptureDevice, V4l2Channel, cameras, find, kernel_stamp
 from drivers.camera.v4l2_device import Buffer, KernelExposure
@@ -133,7 +132,7 @@ def buffer(sequence: int, data: bytes | None = None, error: bool = False, age_s:
 
 async def run_channel(camera: VideoSource, device: FakeDevice, story: Any, **more: Any) -> str:
     """Run the channel beside `story` until it is lost; the reason."""
-    channel = V4l2Channel(camera_options(**more), (W, H), CLOCK, camera, lambda path, o, size: cast(Any, device))
+    channel = V4l2Channel(camera_options(**more), (W, H), CLOCK, camera, lambda path, o, size: cast("Any", device))
     async with asyncio.timeout(60), asyncio.TaskGroup() as group:
         group.create_task(story())
         try:

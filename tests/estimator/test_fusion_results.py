@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.contracts.estimates import PathName, Pose6, Sighting, Verdict
-from estimator.contracts.fusion import COMPONENTS, POSE_COMPONENTS, FusionResult, source_of
+from estimator.contracts.estimates import COMPONENTS, POSE_COMPONENTS, FusionResult, PathName, Pose6, Sighting, Verdict, source_of
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, Sample

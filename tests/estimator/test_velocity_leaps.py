@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.ekf import EkfOptions, Filter
-from estimator.ekf.state import ACCEL_BIAS, VEL, VESSEL_VEL
+from estimator.ekf.params import ACCEL_BIAS, VEL, VESSEL_VEL
 from tests.estimator.ekf.core_state import newest
 from tests.make import attitude, imu, sighting, stamp, velocity
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from drivers.camera.exposure import TARGET, ExposureDrive, ExposureSetting, Metered
 from drivers.camera.exposure_governor import ExposureGovernor, meter_inside
-from drivers.camera.exposure_options import ExposureOptions
+from drivers.camera.options import ExposureOptions
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp

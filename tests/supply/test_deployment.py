@@ -18,8 +18,7 @@ from companion.settings.links import HttpSettings
 from companion.settings.load import load
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
-from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import Source
+from estimator.contracts.estimates import Source, Verdict
 from qualification.packaging.image import stages
 
 ROOT = Path(__file__).parents[2]

@@ -9,12 +9,10 @@ from collections.abc import Iterator
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.base.mission import Event, State
-from companion.base.reason import Reason, ReasonCause
-from companion.guidance.mission.cycle import GuidanceCycle, unfit
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
 from companion.guidance.mission.phase import LANDING, Phase
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.time import MonoNs, seconds_between

@@ -13,13 +13,11 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.base.mission import Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, rules
-from companion.guidance.mission.cycle import GuidanceCycle, unfit
 from companion.guidance.mission.phase import AROUND, LANDING, Aimed, Phase, not_lower, still, turn_rad
-from companion.guidance.mission.progress import BOUNCES_MOST, Progress
+from companion.guidance.mission.progress import BOUNCES_MOST, GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command

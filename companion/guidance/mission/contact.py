@@ -26,12 +26,10 @@ from collections.abc import Iterator
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.base.mission import Event
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause
 from companion.guidance.controller import Impact
 from companion.guidance.mission import limits
-from companion.guidance.mission.cycle import GuidanceCycle
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions
 from estimator.contracts.samples import Imu

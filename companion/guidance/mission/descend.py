@@ -10,13 +10,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from companion.base.mission import Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import limits, rules, thesis
-from companion.guidance.mission.cycle import GuidanceCycle, unfit
 from companion.guidance.mission.phase import TRY, Aimed, Phase, not_lower, still, turn_rad, waits_m
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions

@@ -12,13 +12,11 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.base.mission import Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, rules, thesis
-from companion.guidance.mission.cycle import GuidanceCycle, unfit
 from companion.guidance.mission.phase import TRY, Aimed, Phase, agreed, not_lower, still, turn_rad, waits_m
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command

@@ -13,14 +13,12 @@ from collections.abc import Iterator
 import numpy as np
 from msgspec.structs import replace
 
-from companion.base.mission import Event, State
-from companion.base.reason import CONDITIONS, Reason, ReasonCause
+from companion.base.mission import CONDITIONS, Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, out_of_reach, rules
-from companion.guidance.mission.cycle import GuidanceCycle, of_frames, with_deck_m_s
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
 from companion.guidance.mission.phase import LANDING, Aimed, Phase, climbs, descending, not_lower, usable
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, of_frames, with_deck_m_s
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Lean, Velocity

@@ -9,13 +9,11 @@ is over the drone gives up.
 import math
 from collections.abc import Iterator
 
-from companion.base.mission import Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.mission import contact, out_of_reach, rules
-from companion.guidance.mission.cycle import GuidanceCycle, of_frames
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
 from companion.guidance.mission.phase import LANDING, Aimed, Phase, descending, looks_upwind, still
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, of_frames
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Lean, Velocity

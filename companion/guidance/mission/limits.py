@@ -11,10 +11,10 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Reason, ReasonCause
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission.clearance import rise_beyond_climb_m
-from companion.guidance.mission.cycle import InputQuality
+from companion.guidance.mission.progress import InputQuality
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions, LandingLimits
 from estimator.contracts.estimates import RelativeState

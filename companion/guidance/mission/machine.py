@@ -40,8 +40,7 @@ from types import MappingProxyType
 
 from msgspec.structs import replace
 
-from companion.base.mission import ENDED, FLOWN, GROUND, Event, State, StateChange
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import ENDED, FLOWN, GROUND, Event, Reason, ReasonCause, State, StateChange
 from companion.guidance.controller import Target
 from companion.guidance.mission import (
     another_pad,
@@ -56,12 +55,11 @@ from companion.guidance.mission import (
     thesis,
     waiting,
 )
-from companion.guidance.mission.cycle import GuidanceCycle, unfit
 from companion.guidance.mission.held_course import HeldCourse
 from companion.guidance.mission.limits import battery_ends, last_landing
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
 from companion.guidance.mission.phase import Aim, Aimed, Phase
-from companion.guidance.mission.progress import Progress, arrow_turned, entered
+from companion.guidance.mission.progress import GuidanceCycle, Progress, arrow_turned, entered, unfit
 from companion.guidance.mission.rules import Row
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover

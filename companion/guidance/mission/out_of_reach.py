@@ -14,8 +14,7 @@ from collections.abc import Mapping
 from msgspec.structs import replace
 
 from companion.base.mission import FLOWN, State
-from companion.guidance.mission.cycle import GuidanceCycle, fit_to_steer
-from companion.guidance.mission.progress import STARVED_S, Progress
+from companion.guidance.mission.progress import STARVED_S, GuidanceCycle, Progress, fit_to_steer
 from companion.settings.guidance import GuidanceOptions
 
 NEAR_SAFE_M = 0.25

@@ -14,8 +14,7 @@ from companion.base.mission import Event, State
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.mission import limits, out_of_reach
 from companion.guidance.mission.clearance import WAITING_SIGMAS, rise_beyond_climb_m
-from companion.guidance.mission.cycle import GuidanceCycle, fit_to_steer, with_deck_m_s
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, fit_to_steer, with_deck_m_s
 from companion.guidance.mission.rules import Events, EventWithReason, Row
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover, Lean, Velocity

@@ -5,14 +5,12 @@ from collections.abc import Callable, Iterator, Mapping
 
 from msgspec.structs import replace
 
-from companion.base.mission import Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.law.response_watch import DELAY_MAX_S
 from companion.guidance.mission.clearance import SWELL_MEAN_S
-from companion.guidance.mission.cycle import GuidanceCycle, unfit
 from companion.guidance.mission.held_course import LASTS_S
 from companion.guidance.mission.limits import battery_ends
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import IntegrityAlert, RelativeState
 from estimator.contracts.time import seconds_between

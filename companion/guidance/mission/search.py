@@ -16,13 +16,11 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.base.mission import Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.mission import out_of_reach, rules
-from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold, VesselPosition, of_frames
 from companion.guidance.mission.limits import battery_ends
 from companion.guidance.mission.phase import LANDING, Aimed, Phase, climbs, looks_upwind, still
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, VehicleHold, VesselPosition, of_frames
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.vessel import RendezvousOptions

@@ -9,12 +9,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from companion.base.mission import Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import limits
-from companion.guidance.mission.cycle import GuidanceCycle, unfit
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason, Row
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ThesisOptions

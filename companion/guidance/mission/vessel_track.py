@@ -16,8 +16,8 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from companion.base.reason import Reason, ReasonCause
-from companion.guidance.mission.cycle import VesselPosition
+from companion.base.mission import Reason, ReasonCause
+from companion.guidance.mission.progress import VesselPosition
 from companion.settings.vessel import ReportLimits
 from estimator.contracts.geodesy import ned_between
 from estimator.contracts.geometry import F64

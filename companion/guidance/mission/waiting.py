@@ -8,12 +8,10 @@ more. With the last charge it comes down where it is.
 
 from collections.abc import Iterator
 
-from companion.base.mission import Event, State
-from companion.base.reason import Reason, ReasonCause
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.mission import out_of_reach
-from companion.guidance.mission.cycle import GuidanceCycle, VehicleHold
 from companion.guidance.mission.phase import FLIGHT, HELD, Aimed, Phase, still_as_ordered
-from companion.guidance.mission.progress import Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, VehicleHold
 from companion.guidance.mission.rules import EventWithReason, Row, unfit_here
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover, Land

@@ -28,11 +28,9 @@ from companion.recording.foxglove_protocol import CHANNELS, Subscribe, Unsubscri
 from companion.recording.message_encoder import MessageEncoder
 from companion.settings.links import HttpSettings
 from drivers.mailbox import Line
-from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import FusionResult
-from estimator.contracts.ports import Clock
+from estimator.contracts.estimates import FusionResult, Verdict
 from estimator.contracts.samples import Attitude, Sample
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 

@@ -25,9 +25,8 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, Tap, open_links
 from drivers.mavlink.vehicle import ARMED
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, Sample, VehicleStatus
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 COMPONENT = int(mav.MAV_COMP_ID_AUTOPILOT1)
 _LANDED_STATES = {"landed": 1, "taking_off": 3, "landing": 4}

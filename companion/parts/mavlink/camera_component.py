@@ -23,8 +23,7 @@ from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
 from drivers.reconnect import running_beside
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import Clock, MonoNs
 from estimator.vision.camera import Camera
 
 COMPONENT = int(mav.MAV_COMP_ID_CAMERA)

@@ -30,8 +30,7 @@ from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import Links, ReceivedMessage
 from estimator.contracts.estimates import PathName, RelativeState
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 PATHS: tuple[PathName, ...] = ("median_mean", "dead_reckoning", "ekf", "constant_velocity")

@@ -32,9 +32,8 @@ from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
 from drivers.mavlink.links import Links, ReceivedMessage
 from drivers.reconnect import running_beside
 from estimator.contracts.estimates import RelativeState, Verdict
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Sample
-from estimator.contracts.time import MonoNs, after, seconds_between
+from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 
 log = logging.getLogger(__name__)
 

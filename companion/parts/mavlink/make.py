@@ -36,9 +36,8 @@ from drivers.reconnect import running_beside
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 # Estimate the pad's velocity over the ground, so that a vehicle with ground-referenced velocities can fly relative to the pad.
 #

@@ -38,9 +38,8 @@ from companion.settings.links import MqttSettings
 from drivers.mailbox import Line
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample, VehicleStatus
-from estimator.contracts.time import MonoNs, after, seconds_between
+from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 
 log = logging.getLogger(__name__)
 

@@ -14,7 +14,7 @@ from companion.guidance.pilot_operator import PilotOperator
 from drivers.gamepad.device import AXES, AxisRange, EventDevice, events_in, gamepads
 from drivers.gamepad.mapping import STICKS, GamepadMapping, GamepadMemory, gamepad_step, positions, start
 from estimator.contracts.errors import SetupImpossible
-from estimator.contracts.ports import Clock
+from estimator.contracts.time import Clock
 
 log = logging.getLogger(__name__)
 

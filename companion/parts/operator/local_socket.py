@@ -30,8 +30,8 @@ from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from companion.parts.operator.client import answers
 from estimator.contracts.errors import Recoverable, unusable
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
+from estimator.contracts.time import Clock
 
 log = logging.getLogger(__name__)
 

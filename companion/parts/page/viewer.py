@@ -25,8 +25,7 @@ from companion.recording.frame_encoder import FrameEncoder
 from companion.settings.model import Settings
 from companion.settings.settings_file import SettingsFile
 from drivers.mailbox import Latest, Line
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 if TYPE_CHECKING:
     from drivers.mavlink.autopilot import Autopilot

@@ -27,8 +27,7 @@ from companion.recording.mcap_file import About, McapFile
 from companion.recording.message_encoder import MessageEncoder
 from companion.settings.service import RecorderOptions
 from estimator.contracts.errors import Recoverable
-from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, Verdict
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera

@@ -21,8 +21,7 @@ from drivers.mailbox import Latest
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 

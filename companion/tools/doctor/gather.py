@@ -18,13 +18,11 @@ from companion.tools.doctor.snapshot import (
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.gimbal import Gimbal, tending
-from drivers.mavlink.gimbal_options import GimbalOptions
 from drivers.mavlink.links import Link, LinkOptions, ReceivedMessage
-from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.options import AutopilotOptions, GimbalOptions
 from drivers.mavlink.requests import RATES_HZ
 from drivers.mavlink.vehicle import is_autopilot, stack_of
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 _PRECLAND_BIT = int(mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION)
 """The SYS_STATUS bit in which ArduCopter reports precision landing."""

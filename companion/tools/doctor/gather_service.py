@@ -20,8 +20,7 @@ from companion.tools.doctor.snapshot import GimbalSnapshot, ServiceSnapshot
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.open_camera import open_camera
 from estimator.contracts.errors import BadInput, DecklanderError
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import seconds_between
+from estimator.contracts.time import Clock, seconds_between
 
 _FIRST_FRAME_S = 5.0
 """Longest time until a camera's first frame, seconds."""

@@ -14,7 +14,7 @@ from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.requests import wire_value
 from estimator.contracts.errors import BadInput
-from estimator.contracts.ports import Clock
+from estimator.contracts.time import Clock
 
 
 class PlannedWrite(Struct, frozen=True, forbid_unknown_fields=True):

@@ -29,8 +29,7 @@ from companion.recording.reading import Event, RecordedFrame, Recording, instant
 from companion.settings.load import Settings, load
 from companion.settings.model import CameraSettings, PadSettings
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import PathName, Sighting, Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, PathName, Sighting, Verdict
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.vision.detection import Detection

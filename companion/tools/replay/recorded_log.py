@@ -26,8 +26,7 @@ from companion.tools.report.flight_log import (
 )
 from companion.tools.report.overlay import less_innovation
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import PathName, RelativeState, Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, PathName, RelativeState, Verdict
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between

@@ -8,8 +8,16 @@ import numpy as np
 from msgspec import Struct
 
 from companion.tools.report.flight_log import HORIZONS_KEPT_S, FlightLog, StageTime, TruthSample
-from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
-from estimator.contracts.fusion import COMPONENTS, POSE_COMPONENTS, FusionResult, Source
+from estimator.contracts.estimates import (
+    COMPONENTS,
+    POSE_COMPONENTS,
+    FusionResult,
+    PathName,
+    RelativeState,
+    Sighting,
+    Source,
+    Verdict,
+)
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
 

@@ -13,8 +13,7 @@ from companion.base.orders import HandledOrder
 from companion.recording.frame_video import VideoImage
 from companion.tools.report.overlay import expected_in_body
 from estimator.contracts.commands import Command
-from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import checked_vector
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between

@@ -1,4 +1,4 @@
-/* Forecast skill: past forecasts of the waves compared with what happened. `Skill` in estimator/ekf/deck_motion_bank.py explains it. */
+/* Forecast skill: past forecasts of the waves compared with what happened. `Skill` in estimator/ekf/params.py explains it. */
 #ifndef DECKLANDER_SKILL_H
 #define DECKLANDER_SKILL_H
 

@@ -23,8 +23,7 @@ from msgspec.structs import asdict
 
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, DecklanderError
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import seconds_between
+from estimator.contracts.time import Clock, seconds_between
 from sitl.ardrone.generations import GENERATIONS
 from sitl.ardrone.state import AIRBORNE
 from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports

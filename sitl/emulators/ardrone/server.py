@@ -17,8 +17,7 @@ from msgspec import Struct
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, after, seconds_between
+from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone, DroneClock, SentFrame
 from sitl.ardrone.generations import FIRST, SECOND, Generation
 from sitl.emulators.ardrone.sockets import Address, DatagramPort, StreamPort

@@ -17,8 +17,8 @@ from companion.settings.model import CameraSettings, Settings
 from drivers.camera.exposure import ExposureDrive
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame, GeoFix, VesselReport
+from estimator.contracts.time import Clock
 
 
 class FlightDaemon:

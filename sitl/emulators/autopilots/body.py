@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import G_M_S2
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import NS_PER_S, MonoNs
+from estimator.contracts.time import NS_PER_S, Clock, MonoNs
 from sitl.camera.camera import Exposure
 from sitl.camera.film import Film, SimulatedExposure, Taken
 from sitl.camera.gimbal import SimulatedGimbal

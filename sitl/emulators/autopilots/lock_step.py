@@ -16,9 +16,8 @@ from typing import Any
 
 from msgspec import Struct
 
-from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
-from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.contracts.time import Clock, MonoNs, Stamp, after
 from sitl.emulators.autopilots.body import Body
 from sitl.faults.faulty_streams import FaultyStream, InTransit, VehicleStreams
 from sitl.world.truth import RenderedFrame

@@ -11,8 +11,7 @@ from companion.settings.model import Settings
 from drivers.mavlink import vehicle as mavlink
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from estimator.contracts.ports import Clock
-from estimator.contracts.time import MonoNs, after, seconds_between
+from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 from sitl.emulators.autopilots.body import Body
 from sitl.faults.corrupted import Corruptions
 from sitl.faults.faulty_streams import VehicleStreams

@@ -14,7 +14,7 @@ from companion.tools.doctor.firmware_parameters import RENAMED, defaults_of, dif
 from companion.tools.doctor.gather_log import examine_log
 from companion.tools.doctor.rules_values import RULES, ValueRule
 from companion.tools.doctor.snapshot import Snapshot
-from estimator.contracts.ports import Clock
+from estimator.contracts.time import Clock
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn

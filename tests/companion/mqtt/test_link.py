@@ -13,8 +13,7 @@ import pytest
 
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection
 from companion.parts.mqtt.messages import CommandReply, FusionMessage, HealthMessage, StateMessage, StatusMessage, decode
-from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, Verdict
 from tests.support.mosquitto import Broker, on_message
 from tests.support.mqtt_service import RUN, decision, running, vehicle_status
 from tests.support.waiting import until

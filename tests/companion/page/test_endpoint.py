@@ -17,9 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.base.http_server import ConnectionLimits
-from companion.base.mission import Event, State, StateChange
+from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
 from companion.base.observer import Decision
-from companion.base.reason import Reason, ReasonCause
 from companion.parts.page import endpoint, viewer
 from companion.parts.page.messages import request_in
 from companion.parts.page.recordings import recordings_in

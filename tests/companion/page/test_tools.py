@@ -33,8 +33,7 @@ from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Condition, Stack
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import RelativeState, Verdict
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import FusionResult, RelativeState, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs

@@ -14,9 +14,8 @@ from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, MountStatus, mav
 from drivers.mavlink.gimbal import Gimbal, GimbalPointer, GimbalSampler, Step
-from drivers.mavlink.gimbal_options import GimbalOptions, GimbalReport
 from drivers.mavlink.links import ReceivedMessage
-from drivers.mavlink.options import TimeSyncOptions
+from drivers.mavlink.options import GimbalOptions, GimbalReport, TimeSyncOptions
 from drivers.mavlink.timesync import BootClock, TimeSync
 from drivers.mavlink.vehicle import Identity, Stack
 from estimator.contracts.geometry import Rotation
@@ -215,7 +214,7 @@ def received(
 
 
 def is_taken(gimbal: Gimbal, *args: Any, **more: Any) -> bool:
-    return gimbal.on_message(cast(Autopilot, autopilot()), received(*args, **more)) is not None
+    return gimbal.on_message(cast("Autopilot", autopilot()), received(*args, **more)) is not None
 
 
 def test_only_reports_of_the_vehicle_s_own_gimbal_from_one_place_count() -> None:
@@ -239,8 +238,8 @@ def test_only_reports_of_the_vehicle_s_own_gimbal_from_one_place_count() -> None
 def test_the_autopilot_is_queried_when_its_other_streams_are_settled_and_a_gimbal_at_once() -> None:
     now = MonoNs(100 * NS_PER_S)
     for device, target in ((1, (1, 1)), (154, (1, 154))):
-        busy = Gimbal(GimbalOptions(device), SystemClock()).due(cast(Autopilot, autopilot(settled=False)), now)
-        free = Gimbal(GimbalOptions(device), SystemClock()).due(cast(Autopilot, autopilot()), now)
+        busy = Gimbal(GimbalOptions(device), SystemClock()).due(cast("Autopilot", autopilot(settled=False)), now)
+        free = Gimbal(GimbalOptions(device), SystemClock()).due(cast("Autopilot", autopilot()), now)
         assert [(m.target_system, m.target_component, m.command, m.param1, m.param2) for m in free] == [
             (*target, INTERVAL, 285, 20000)
         ]
@@ -248,7 +247,7 @@ def test_the_autopilot_is_queried_when_its_other_streams_are_settled_and_a_gimba
 
 
 def test_a_manager_that_reports_of_itself_is_the_one_that_is_commanded_and_answers() -> None:
-    gimbal, to = Gimbal(GimbalOptions(154, point_down=True), SystemClock()), cast(Autopilot, autopilot())
+    gimbal, to = Gimbal(GimbalOptions(154, point_down=True), SystemClock()), cast("Autopilot", autopilot())
     gimbal.on_message(to, received(mav.MAVLink_gimbal_manager_status_message(0, 0, 171, 0, 0, 0, 0), 171, 0.0))
     gimbal.on_message(to, received(mav.MAVLink_gimbal_manager_status_message(0, 0, 154, 0, 0, 0, 0), 154, 0.0))
     asked = [m for m in gimbal.due(to, MonoNs(100 * NS_PER_S)) if m.command == CONFIGURE]

@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Pose6, Sighting
-from estimator.contracts.fusion import FusionResult
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, FusionResult, Pose6, Sighting
 from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.contracts.samples import Attitude
 from estimator.core.abi import DL_DIRECTIONS, DL_MEMBERS
 from estimator.core.library import CORE
 from estimator.ekf import Event, Filter
 from estimator.ekf.event import packed
-from estimator.ekf.params import FilterParams
-from estimator.ekf.state import (
+from estimator.ekf.params import (
     ATT_BIAS,
     ATT_ERR,
     BARO_OFFSET,
@@ -35,6 +33,7 @@ from estimator.ekf.state import (
     VEL_AXES,
     VEL_SCALE,
     VESSEL_VEL,
+    FilterParams,
     N,
 )
 from tests.make import attitude, stamp_at

@@ -23,25 +23,28 @@ from estimator.contracts.geometry import F64, orthonormalised, rpy_matrix, skew,
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf import Event
-from estimator.ekf.deck_motion_bank import CARRIED, LOG_PRIOR, REST_ODDS, SIGMA, ZETA, W
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.params import NOT_MEASURED_VAR, FilterParams, nis_max
-from estimator.ekf.state import (
+from estimator.ekf.params import (
     ACCEL_BIAS,
     ATT_BIAS,
     ATT_ERR,
     BARO_OFFSET,
     CAMERA_DELAY,
     CAMERA_MOUNT,
+    CARRIED,
     DECK_DISP,
     DECK_RATE,
     DECK_TRIM,
     GYRO_BIAS,
+    LOG_PRIOR,
+    NOT_MEASURED_VAR,
     PAD_YAW,
     POS_DOWN,
     POS_HORIZONTAL,
     POS_REL,
     RANGE_OFFSET,
+    REST_ODDS,
+    SIGMA,
     TURN_RATE,
     VEL,
     VEL_DOWN,
@@ -50,7 +53,11 @@ from estimator.ekf.state import (
     WAVE_YAW,
     WAVES,
     YAW_RATE,
+    ZETA,
+    FilterParams,
     N,
+    W,
+    nis_max,
 )
 from tests.estimator.ekf.core_state import State, heading
 
@@ -169,7 +176,7 @@ def exponential(M: F64) -> F64:
 
 
 def oscillators(w: F64, zeta: F64) -> tuple[F64, F64]:
-    """Return the generators of [x, x', f, f'] (deck_motion_bank) and the stationary covariances for sigma = 1, (G, 4, 4)."""
+    """Return the generators of [x, x', f, f'] (estimator.ekf.params) and the stationary covariances for sigma = 1, (G, 4, 4)."""
     J, eye = np.zeros((w.size, 4, 4)), np.eye(4)
     J[:, [0, 1, 2], [1, 3, 3]] = 1.0
     J[:, [1, 3], [0, 2]], J[:, [1, 3], [1, 3]] = -(w**2)[:, None], -(2.0 * zeta * w)[:, None]

@@ -11,8 +11,7 @@ from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import Attitude
 from estimator.core.abi import DL_ROWS_MAX
 from estimator.ekf import EkfOptions, Event
-from estimator.ekf.params import FilterParams
-from estimator.ekf.state import CAMERA_MOUNT, POS_REL, N
+from estimator.ekf.params import CAMERA_MOUNT, POS_REL, FilterParams, N
 from tests.estimator.ekf import oracle
 from tests.estimator.ekf.core_state import TILTED, State, T, drawn_x, holding, known, newest, put, seen
 from tests.make import stamp_at

@@ -9,8 +9,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix, wrap_pi
 from estimator.contracts.samples import Attitude
 from estimator.ekf import EkfOptions, Event, Filter
-from estimator.ekf.params import FilterParams
-from estimator.ekf.state import ATT_BIAS, ATT_ERR, PAD_YAW, POS_REL, N
+from estimator.ekf.params import ATT_BIAS, ATT_ERR, PAD_YAW, POS_REL, FilterParams, N
 from tests.estimator.ekf import oracle
 from tests.estimator.ekf.core_state import TILTED, State, copied, correlated, heading, holding, known, newest, put
 from tests.make import attitude, baro, imu, ns, range_down, sighting

@@ -11,7 +11,7 @@ from msgspec import structs
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import UNKNOWN_VAR, Range
 from estimator.ekf import EkfOptions, Event, Filter
-from estimator.ekf.state import BARO_OFFSET, POS_REL, VEL, VEL_SCALE, VESSEL_VEL
+from estimator.ekf.params import BARO_OFFSET, POS_REL, VEL, VEL_SCALE, VESSEL_VEL
 from tests.estimator.ekf.core_state import newest
 from tests.make import attitude, baro, imu, sighting, velocity
 from tests.make import ns as instant

@@ -13,8 +13,7 @@ from estimator.contracts.estimates import Pose6
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import BodyVelocity
 from estimator.ekf import EkfOptions
-from estimator.ekf.params import FilterParams
-from estimator.ekf.state import (
+from estimator.ekf.params import (
     ATT_ERR,
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -24,6 +23,7 @@ from estimator.ekf.state import (
     RANGE_OFFSET,
     VEL,
     VESSEL_VEL,
+    FilterParams,
     N,
 )
 from tests.estimator.ekf import oracle

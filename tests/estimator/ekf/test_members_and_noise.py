@@ -9,16 +9,15 @@ from scipy.special import chdtri, ndtri
 
 from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.core.library import CORE
-from estimator.ekf import EkfOptions, Event, Forecast, deck_motion_bank, state
-from estimator.ekf.deck_motion_bank import carrying
+from estimator.ekf import EkfOptions, Event, Forecast, params
 from estimator.ekf.event import packed
 from estimator.ekf.forecast import log_evidence_of_rest, probability_of_motion
-from estimator.ekf.params import FilterParams, nis_max
+from estimator.ekf.params import FilterParams, carrying, nis_max
 from tests.make import attitude, baro, imu, ns, range_down, sighting, velocity, vessel
 
 
 def test_the_members_are_every_period_damping_and_size_and_a_deck_at_rest() -> None:
-    w, zeta, sigma, log_prior = deck_motion_bank._grid()
+    w, zeta, sigma, log_prior = params._grid()
     assert w.shape == zeta.shape == log_prior.shape == (1 + 9 * 3 * 5,)
     assert (w[0], zeta[0], sigma[:, 0].tolist()) == (1.0, 0.5, [1e-7] * 5)
     assert np.exp(log_prior[:2]) == pytest.approx([0.5, 0.5 / 135])
@@ -35,16 +34,16 @@ def test_the_members_are_every_period_damping_and_size_and_a_deck_at_rest() -> N
 
 def test_every_state_s_noise_is_its_option_squared() -> None:
     given: dict[str, tuple[Any, float]] = {
-        "asd_gyro_rad_s": (state.ATT_ERR, 0.011), "asd_gyro_bias_rad_s2": (state.GYRO_BIAS, 0.0012),
-        "asd_accel_bias_m_s3": (state.ACCEL_BIAS, 0.0013), "asd_velocity_scale": (state.VEL_SCALE, 0.0014),
-        "asd_vessel_velocity_m_s2": (state.VESSEL_VEL, 0.15), "asd_turn_rate_rad_s2": (state.TURN_RATE, 0.016),
-        "delay_drift_s_sqrt_s": (state.CAMERA_DELAY, 0.00018),
-        "mount_drift_rad_sqrt_s": (state.CAMERA_MOUNT, 0.00019), "asd_baro_offset_m": (state.BARO_OFFSET, 0.021),
-        "asd_range_offset_m": (state.RANGE_OFFSET, 0.022), "asd_attitude_bias_rad_s": (state.ATT_BIAS, 0.0023),
+        "asd_gyro_rad_s": (params.ATT_ERR, 0.011), "asd_gyro_bias_rad_s2": (params.GYRO_BIAS, 0.0012),
+        "asd_accel_bias_m_s3": (params.ACCEL_BIAS, 0.0013), "asd_velocity_scale": (params.VEL_SCALE, 0.0014),
+        "asd_vessel_velocity_m_s2": (params.VESSEL_VEL, 0.15), "asd_turn_rate_rad_s2": (params.TURN_RATE, 0.016),
+        "delay_drift_s_sqrt_s": (params.CAMERA_DELAY, 0.00018),
+        "mount_drift_rad_sqrt_s": (params.CAMERA_MOUNT, 0.00019), "asd_baro_offset_m": (params.BARO_OFFSET, 0.021),
+        "asd_range_offset_m": (params.RANGE_OFFSET, 0.022), "asd_attitude_bias_rad_s": (params.ATT_BIAS, 0.0023),
     }  # fmt: skip
     changed: dict[str, Any] = {name: value for name, (_, value) in given.items()}
     noise = FilterParams(EkfOptions(**changed, asd_accel_m_s2=0.31, asd_coast_m_s2=0.32, asd_coast_rad_s=0.33))
-    expected = np.zeros(state.N)
+    expected = np.zeros(params.N)
     for place, value in given.values():
         expected[place] = value**2
     np.testing.assert_allclose(noise.psd, expected, rtol=1e-14)

@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from estimator.contracts.estimates import Pose6, Sighting, Verdict
-from estimator.contracts.fusion import COMPONENTS, FusionResult, components_of, source_of
+from estimator.contracts.estimates import COMPONENTS, FusionResult, Pose6, Sighting, Verdict, components_of, source_of
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.core.library import CORE
 from estimator.ekf import EkfOptions, Event, Filter
-from estimator.ekf.params import FilterParams
-from estimator.ekf.state import ACCEL_BIAS, CAMERA_MOUNT, GYRO_BIAS, POS_REL, VEL_SCALE, N
+from estimator.ekf.params import ACCEL_BIAS, CAMERA_MOUNT, GYRO_BIAS, POS_REL, VEL_SCALE, FilterParams, N
 from tests.estimator.ekf import oracle
 from tests.estimator.ekf.core_state import (
     MS,

@@ -14,7 +14,7 @@ from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Filter
-from estimator.ekf.state import TURN_RATE
+from estimator.ekf.params import TURN_RATE
 from tests.estimator.ekf.core_state import copied, newest
 from tests.support import voyage_truth
 from tests.support.voyage_score import Score, fly_voyage

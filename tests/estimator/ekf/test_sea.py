@@ -8,7 +8,7 @@ import pytest
 from msgspec import structs
 
 from estimator.contracts.estimates import Sighting
-from estimator.ekf import EkfOptions, Filter, deck_motion_bank
+from estimator.ekf import EkfOptions, Filter, params
 from estimator.ekf.params import FilterParams
 from tests.estimator.ekf import oracle
 from tests.estimator.ekf.core_state import newest, observe
@@ -32,7 +32,7 @@ def test_the_bank_learns_an_oscillation_and_its_size() -> None:
     assert 0.65 < bank.w_rad_s[2] < 1.25
     assert 0.2 < bank.sigma[2] < 0.8
     assert bank.weight[:, 0].max() < 1e-3, "a vessel that heaves is not at rest sideways"
-    np.testing.assert_allclose(bank.weight[0, 1:], 1.0 / (len(deck_motion_bank.W) - 1), rtol=1e-3)
+    np.testing.assert_allclose(bank.weight[0, 1:], 1.0 / (len(params.W) - 1), rtol=1e-3)
 
 
 def test_a_deck_at_rest_is_found_to_be_at_rest() -> None:

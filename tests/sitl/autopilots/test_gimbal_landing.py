@@ -9,7 +9,7 @@ import pytest
 from companion.base.mission import FlightOutcome
 from companion.cli.main import main
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.gimbal_options import GimbalOptions
+from drivers.mavlink.options import GimbalOptions
 from estimator.contracts.estimates import Verdict
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
 from sitl.flight.one_flight import settings_for

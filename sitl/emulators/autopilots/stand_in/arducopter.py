@@ -14,7 +14,7 @@ from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
-from estimator.contracts.ports import Clock
+from estimator.contracts.time import Clock
 from sitl.emulators.autopilots import arducopter
 from sitl.emulators.autopilots.arducopter import CURVE
 from sitl.emulators.autopilots.body import BodyState

@@ -30,7 +30,7 @@ from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode, mode_name
 from estimator.contracts.geodesy import GeoPoint, moved, ned_between
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.ports import Clock
+from estimator.contracts.time import Clock
 from sitl.emulators.autopilots.body import Body, BodyState
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.emulators.autopilots.motors import Motors

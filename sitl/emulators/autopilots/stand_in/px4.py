@@ -15,7 +15,7 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geodesy import GeoPoint, ned_between
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
-from estimator.contracts.ports import Clock
+from estimator.contracts.time import Clock
 from sitl.emulators.autopilots import px4
 from sitl.emulators.autopilots.body import BodyState
 from sitl.emulators.autopilots.motors import Motors
