@@ -1,13 +1,8 @@
-"""Landings a minute at each level of perception, and every controller in every weather.
+"""Fly every controller in every weather: `python -m benches.landings [--flights 2] [--weathers 2,3] [--controllers pid,policy]`.
 
-    python -m benches.landings fly --perception model --scenario sea_state_4 --first 501 --flights 12 --workers 2
-    python -m benches.landings controllers [--flights 12] [--first 5000] [--weathers 2,3,4,5,6] [--controllers pid,policy]
-
-`fly` prints the rate by the wall clock and the CPU time of a flight, with one thread for algebra as in a campaign.
-
-`controllers` prints the table of docs/training.md. Each flight is a whole mission by modelled perception, with the wrong model of
-its seed; every controller flies the same seeds. With `--write` flights that the file has are not flown again: remove a file of
-other code or of another policy first.
+Prints the table of docs/training.md. Each flight is a whole mission by modelled perception, with the wrong model of its seed;
+every controller flies the same seeds. With `--write` flights that the file has are not flown again: remove a file of other code
+or of another policy first.
 """
 
 import argparse
@@ -15,11 +10,7 @@ import json
 import os
 import statistics
 import sys
-import time
-from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -29,50 +20,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from msgspec.structs import replace
 
 import examples.known_controllers  # noqa: F401 - offers lqr and mpc
-from companion.settings.model import Settings
-from sitl.flight.one_flight import PERCEPTIONS, FlyOptions, fly, perception_level, settings_for
-from sitl.scenario.scenario import Scenario, load
-
-
-def one(scenario: str, level: str, method: str, model: str | None, seed: int) -> dict[str, Any]:
-    """Fly once and return the ending as plain values."""
-    loaded, settings = _loaded(scenario, method)
-    return fly(scenario, loaded, seed, settings, perception_level(level), options=FlyOptions(model)).as_json()
-
-
-@cache
-def _loaded(name: str, method: str) -> tuple[Scenario, Settings]:
-    """Return a scenario and the settings to fly it with, read once in a process as in a campaign."""
-    scenario = load(name)
-    settings = settings_for(scenario, None)
-    return scenario, replace(settings, vision=replace(settings.vision, method=method))
-
-
-def fly_all(args: argparse.Namespace) -> int:
-    """Fly the seeds and print the rate."""
-    seeds = range(args.first, args.first + args.flights)
-    call = partial(one, args.scenario, args.perception, args.method, args.perception_model)
-    began = time.monotonic()
-    done: list[dict[str, Any]] = []
-    with ProcessPoolExecutor(args.workers) as pool:
-        for flight in pool.map(call, seeds):
-            done.append(flight)
-            sys.stderr.write(f"\r{len(done)} of {args.flights}")
-    wall_s = time.monotonic() - began
-    sys.stderr.write("\n")
-    cpu_s = [flight["cpu_s"] for flight in done]
-    flown_s = sum(flight["duration_s"] for flight in done)
-    load_1, _, _ = os.getloadavg()
-    grades = Counter(flight["grade"] for flight in done).most_common()
-    sys.stdout.write(
-        f"{args.scenario}, {args.perception}, vision.method {args.method}, seeds {seeds[0]} to {seeds[-1]}, "
-        f"{args.workers} processes, load {load_1:.0f}\n"
-        f"{60 * len(done) / wall_s:.1f} flights a minute by the wall clock; {statistics.mean(cpu_s):.2f} s of CPU a flight "
-        f"({60 / statistics.mean(cpu_s):.1f} a minute of CPU), {flown_s / sum(cpu_s):.1f} flown seconds a second of CPU\n"
-        f"outcomes: {', '.join(f'{n} {word}' for word, n in grades)}\n"
-    )
-    return 0
-
+from sitl.flight.one_flight import fly, settings_for
+from sitl.scenario.scenario import load
 
 CONTROLLERS = {
     "thesis": "PID and way points of the thesis", "pid": "PID of the thesis, mission `cone`", "lqr": "LQR with an integral",
@@ -140,23 +89,12 @@ def fly_controllers(args: argparse.Namespace) -> int:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    actions = parser.add_subparsers(dest="action", required=True)
-    flying = actions.add_parser("fly")
-    flying.add_argument("--scenario", default="moderate")
-    flying.add_argument("--perception", default="model", choices=PERCEPTIONS)
-    flying.add_argument("--perception-model")
-    flying.add_argument("--method", default="registration", choices=("fused", "registration", "thesis"))
-    flying.add_argument("--first", type=int, default=501, help="first seed; the models were fitted on 301 to 312")
-    flying.add_argument("--flights", type=int, default=4)
-    flying.add_argument("--workers", type=int, default=1)
-    controllers = actions.add_parser("controllers")
-    controllers.add_argument("--flights", type=int, default=12)
-    controllers.add_argument("--first", type=int, default=5000)
-    controllers.add_argument("--weathers", default="2,3,4,5,6")
-    controllers.add_argument("--controllers", default=",".join(CONTROLLERS))
-    controllers.add_argument("--write", type=Path)
-    args = parser.parse_args(sys.argv[1:] or ["fly"])
-    return {"fly": fly_all, "controllers": fly_controllers}[args.action](args)
+    parser.add_argument("--flights", type=int, default=2)
+    parser.add_argument("--first", type=int, default=5000)
+    parser.add_argument("--weathers", default="2,3,4,5,6")
+    parser.add_argument("--controllers", default=",".join(CONTROLLERS))
+    parser.add_argument("--write", type=Path)
+    return fly_controllers(parser.parse_args())
 
 
 if __name__ == "__main__":

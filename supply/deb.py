@@ -46,31 +46,6 @@ DESCRIPTION = "land a quadcopter on a small helipad on a moving ship"
 _DOC = "usr/share/doc/decklander"
 
 MAINTAINER = "Decklander developers <decklander@users.noreply.github.com>"
-CHANGELOG = """decklander ({version}) bookworm; urgency=medium
-
-  * What changed for the person who operates the drone: CHANGELOG.md.gz.
-
- -- {maintainer}  {date}
-"""
-CONTROL = """Package: decklander
-Version: {version}
-Section: science
-Priority: optional
-Architecture: {architecture}
-Maintainer: {maintainer}
-Installed-Size: {size_kb}
-Depends: python3 (>= {python}~), python3 (<< {next_python}~), python3-venv, systemd
-Recommends: udev
-Suggests: mosquitto
-Description: landing service for a drone on a moving ship
- Lands a quadcopter on a small helipad on a moving ship with one downward
- camera, beside ArduPilot or PX4, or with a Parrot AR.Drone.
- .
- The package carries the wheels that the service needs and makes an
- environment of them in /opt/decklander; nothing is fetched. The settings
- are in /etc/decklander/rig.toml. An update is checked with them, and taken
- back if the service does not come up; nothing is touched in flight.
-"""
 PREFIX = "/opt/decklander"
 """Holds a folder for each version, and the link `current` to the one that runs."""
 SETTINGS = "/etc/decklander/rig.toml"
@@ -79,90 +54,6 @@ PURGED = (
     " /var/lib/decklander /var/lib/private/decklander /var/cache/decklander /var/cache/private/decklander"
 )
 """Settings, secrets, recordings and caches; systemd keeps the state of the service below `private`, with a link beside it."""
-_STATE = """#!/bin/sh
-set -e
-state() {{
-    systemctl show --property=ActiveState --value decklander 2>/dev/null || true
-}}
-refuse_in_flight() {{
-    case "$(state)" in active|activating|reloading|deactivating) ;; *) return 0;; esac
-    {prefix}/current/bin/decklander fly status --json | grep -q '"flying": *false' && return 0
-    echo "decklander: the drone flies, or the service cannot say that it does not: land it, or stop the service first" \
-        "(systemctl stop decklander); nothing was changed" >&2
-    exit 1
-}}
-"""
-POSTINST = (
-    _STATE
-    + """
-# Where this refuses or fails, the version that runs stays; dpkg --configure decklander goes on.
-[ "$1" = configure ] || exit 0
-refuse_in_flight
-turn() {{
-    ln -sfn "$1" {prefix}/.turning
-    mv -T {prefix}/.turning {prefix}/current
-    sync
-}}
-old=$(readlink {prefix}/current || true)
-if [ ! -e {prefix}/{name}/complete ]; then
-    rm -rf {prefix}/{name}
-    python3 -m venv {prefix}/{name}
-    {prefix}/{name}/bin/python -m pip --quiet --disable-pip-version-check install --no-cache-dir --no-index --no-deps \
-        /{carried}/*.whl
-    sh /{slim} {prefix}/{name}
-    sync
-    touch {prefix}/{name}/complete
-fi
-if [ -e {settings} ]; then
-    {prefix}/{name}/bin/decklander config check {settings}
-fi
-for secret in /etc/credstore/decklander.*; do
-    [ ! -e "$secret" ] || chmod 600 "$secret"
-done
-refuse_in_flight
-before=$(state)
-turn {name}
-systemd-sysusers
-if [ -d /run/systemd/system ]; then
-    systemctl daemon-reload
-fi
-if [ -e /run/udev/control ]; then
-    udevadm control --reload
-    udevadm trigger --subsystem-match=video4linux --subsystem-match=tty --action=change
-fi
-if [ -z "$old" ]; then
-    systemctl --quiet enable decklander
-    [ -e {settings} ] || echo "next: decklander start --out {settings}, then: systemctl start decklander"
-fi
-if [ "$before" = active ] || [ "$before" = activating ] || [ "$before" = failed ]; then
-    if ! systemctl restart decklander; then
-        [ "$old" = {name} ] || turn "$old"
-        systemctl restart decklander || true
-        echo "decklander: version {name} does not come up (journalctl -u decklander); $old is current again" >&2
-        exit 1
-    fi
-fi
-find {prefix} -mindepth 1 -maxdepth 1 ! -name current ! -name {name} -exec rm -rf {{}} +
-"""
-)
-PRERM = (
-    _STATE
-    + """
-[ "$1" = remove ] || exit 0
-refuse_in_flight
-systemctl --quiet disable --now decklander || true
-rm -rf {prefix}
-"""
-)
-POSTRM = """#!/bin/sh
-set -e
-if [ "$1" = purge ]; then
-    rm -rf {purged}
-fi
-if [ -d /run/systemd/system ]; then
-    systemctl daemon-reload || true
-fi
-"""
 
 
 class PackageError(Exception):
@@ -226,9 +117,8 @@ def stage(folder: Path, architecture: str, carried: Path, bill: bytes) -> None:
     _put(folder / SLIM, (ROOT / "requirements/slim.sh").read_bytes())
     _put(folder / _DOC / "copyright", copyright_file((ROOT / "docs/licences.md").read_text()).encode())
     _put(folder / _DOC / "CHANGELOG.md.gz", _gzipped((ROOT / "CHANGELOG.md").read_bytes()))
-    _put(
-        folder / _DOC / "changelog.gz", _gzipped(CHANGELOG.format(version=version, maintainer=MAINTAINER, date=_date()).encode())
-    )
+    dated = {"version": version, "maintainer": MAINTAINER, "date": _date()}
+    _put(folder / _DOC / "changelog.gz", _gzipped(filled("changelog", dated)))
     _put(folder / "usr/share/man/man1/decklander.1.gz", _gzipped(manual(version).encode()))
     _put(folder / _DOC / "sbom.cdx.json.gz", _gzipped(bill))
     # A version may be built twice: the digest keeps the two apart.
@@ -236,19 +126,25 @@ def stage(folder: Path, architecture: str, carried: Path, bill: bytes) -> None:
         "prefix": PREFIX, "name": f"{version}-{hashlib.sha256(own[0].read_bytes()).hexdigest()[:8]}", "carried": CARRIED,
         "slim": SLIM, "settings": SETTINGS, "purged": PURGED,
     }  # fmt: skip
-    for name, text in (("postinst", POSTINST), ("prerm", PRERM), ("postrm", POSTRM)):
-        _put(folder / "DEBIAN" / name, text.format(**words).encode(), 0o755)
+    for name in ("postinst", "prerm", "postrm"):
+        _put(folder / "DEBIAN" / name, filled(name, words), 0o755)
     size_kb = sum(-(-path.stat().st_size // 1024) for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
-    control = CONTROL.format(
-        version=version, maintainer=MAINTAINER, architecture=ARCHITECTURES[architecture], size_kb=size_kb,
-        python=f"{PYTHON[0]}.{PYTHON[1]}", next_python=f"{PYTHON[0]}.{PYTHON[1] + 1}",
-    )  # fmt: skip
-    _put(folder / "DEBIAN/control", control.encode())
+    words |= {
+        "version": version, "maintainer": MAINTAINER, "architecture": ARCHITECTURES[architecture], "size_kb": f"{size_kb}",
+        "python": f"{PYTHON[0]}.{PYTHON[1]}", "next_python": f"{PYTHON[0]}.{PYTHON[1] + 1}",
+    }  # fmt: skip
+    _put(folder / "DEBIAN/control", filled("control", words))
     sums = subprocess.run(
         ["sh", "-c", "find * -path DEBIAN -prune -o -type f -print0 | LC_ALL=C sort -z | xargs -0 md5sum"],
         cwd=folder, capture_output=True, check=True,
     ).stdout  # fmt: skip
     _put(folder / "DEBIAN/md5sums", sums)
+
+
+def filled(name: str, words: dict[str, str]) -> bytes:
+    """Return a file of supply/debian with its @words@ filled in."""
+    text = (ROOT / "supply/debian" / name).read_text(encoding="utf-8")
+    return re.sub("@([a-z_]+)@", lambda word: words[word[1]], text).encode()
 
 
 def copyright_file(licences: str) -> str:

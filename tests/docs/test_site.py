@@ -111,8 +111,8 @@ def test_every_test_that_the_page_names_is_there() -> None:
 
 
 def test_every_hazard_has_a_test_and_every_mark_a_hazard() -> None:
-    assert sorted(safety.marked_tests()) == sorted(safety.HAZARDS)
-    assert {loss for hazard in safety.HAZARDS.values() for loss in hazard.losses.split()} == set(safety.LOSSES)
+    assert sorted(safety.marked_tests()) == sorted(safety.SAID["hazards"])
+    assert {loss for hazard in safety.SAID["hazards"].values() for loss in hazard["losses"].split()} == set(safety.SAID["losses"])
 
 
 def test_the_safety_case_is_that_of_the_marks() -> None:
