@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.base.observer import Decision, NullObserver
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.service.assemble import live, make_daemon
 from companion.settings.load import load
 from drivers.ardrone import at

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 
 from companion.base.observer import NullObserver, ProcessedFrame
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.settings.load import load
 from estimator import Attitude, Imu, Sighting
 from estimator.contracts.samples import Sample

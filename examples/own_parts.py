@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.base.observer import Decision, NullObserver
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.service.vehicle_parts import LinkWithCamera
 from companion.settings.load import camera_model, from_mapping, pad_model

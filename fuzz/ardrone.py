@@ -8,15 +8,14 @@ from unittest.mock import patch
 import av
 import numpy as np
 
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.settings.load import load
 from companion.settings.model import Settings
 from drivers.ardrone import at, control, navdata
 from drivers.ardrone.counters import Counters, Refusal
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.pave import FrameType, PaveHeader, PaveParser
-from drivers.ardrone.video import VideoDecoder
+from drivers.ardrone.pave import FrameType, PaveHeader, PaveParser, VideoDecoder
 from estimator.contracts.pictures import PictureRefusal
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
@@ -94,7 +93,7 @@ def run_pave(data: bytes) -> None:
     """Parse a stream in pieces: no error, a bounded buffer, and any result of the decoder for each frame."""
     choices = Choices(data)
     parser, decoder = PaveParser(), VideoDecoder()
-    with patch("drivers.ardrone.video.unit_decoder", lambda: _AnyCodec(choices)):
+    with patch("drivers.ardrone.pave.unit_decoder", lambda: _AnyCodec(choices)):
         fed = 0
         while choices:
             piece = choices.block()

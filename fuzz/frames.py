@@ -9,7 +9,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from companion.guidance.make_pilot import tracker
+from companion.guidance.pilot import tracker
 from companion.settings.load import SHIPPED, load, read_toml
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from estimator.contracts.estimates import RelativeState, Sighting

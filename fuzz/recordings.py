@@ -9,7 +9,7 @@ from pathlib import Path
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.recording import channels
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.load import load

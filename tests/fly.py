@@ -22,8 +22,7 @@ from companion.base.observer import Decision, NullObserver, Observer, ProcessedF
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.cli.main import main
 from companion.facts.records import TruthRecord
-from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Pilot, make_pilot
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.settings.load import Settings, load

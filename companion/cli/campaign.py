@@ -16,8 +16,7 @@ from msgspec.structs import replace
 
 from companion.base.signals import Stopped
 from companion.cli import perception_option
-from companion.cli.options import file_errors, option, require_drawing
-from companion.cli.progress import WorkProgress
+from companion.cli.options import WorkProgress, file_errors, option, require_drawing
 from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput
 from estimator.pipeline import RelativeEstimator

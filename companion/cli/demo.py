@@ -24,9 +24,8 @@ from companion.base.mission import FlightOutcome
 from companion.base.signals import check, ending_signal
 from companion.cli import kept_flight
 from companion.cli.kept_flight import compared_paths
-from companion.cli.options import check_seed, option, prepare_folder, print_result
-from companion.cli.progress import named_wait, shown
-from companion.guidance.make_pilot import make_pilot
+from companion.cli.options import check_seed, named_wait, option, prepare_folder, print_result, shown
+from companion.guidance.pilot import make_pilot
 from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon
 from companion.settings.links import HttpSettings, VideoStreamOptions

@@ -21,8 +21,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from companion.cli.options import file_errors, option
-from companion.cli.progress import named_wait
+from companion.cli.options import file_errors, named_wait, option
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.load import find_file, pad_of_file, read_camera
 from companion.settings.referenced_files import second_opinion

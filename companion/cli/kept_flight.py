@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from companion.base.health import Health
 from companion.base.observer import Observer, Relay
 from companion.base.version import version
-from companion.cli.options import file_errors, option, prepare_folder, written
-from companion.cli.progress import video_progress
+from companion.cli.options import file_errors, option, prepare_folder, video_progress, written
 from companion.facts.records import ContactRecord, TruthRecord
 from companion.settings.load import body_camera, camera_model, pad_model
 from companion.settings.model import Settings

@@ -1,18 +1,27 @@
-"""Declare the options of commands, and do what several commands do alike: check folders, write files, print results."""
+"""Declare the options of commands, and do what several commands do alike: check folders, write files, print results.
+
+The progress of flights and campaigns is a line or bar that is redrawn on a terminal, lines now and then elsewhere.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import tempfile
-from collections.abc import Iterator
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from estimator.contracts.errors import BadInput, fault_of, unusable
+from estimator.contracts.time import MonoNs, seconds_between
 
 
 def option(parser: argparse._ActionsContainer, spec: str, meaning: str, **more: Any) -> None:
@@ -113,3 +122,144 @@ def require_drawing(option: str, instead: str = "") -> None:
             f"{option} draws with matplotlib, which is not installed: install requirements/report.txt, "
             f"or the extra decklander[report]{instead}"
         )
+
+
+_WIDE = 100
+"""Columns that the whole line takes; below it has time, phase and place alone."""
+
+
+class ProgressObserver(NullObserver):
+    """An observer that shows the service's estimate of height and lateral distance, its phase, frame rate and delay.
+
+    Where the vehicle is not on its way down, the reason stands in place of rate and delay.
+    """
+
+    def __init__(self) -> None:
+        self._out = sys.stderr
+        self._live = self._out.isatty()
+        self._period_s = 0.1 if self._live else 1.0
+        self._began: MonoNs | None = None
+        self._said: MonoNs | None = None
+        self._phase = ""
+        self._frames: deque[MonoNs] = deque(maxlen=31)
+        self._delay_s: float | None = None
+        self._verdict = ""
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self._frames.append(processed.frame.stamp.measured_at)
+        self._delay_s = seconds_between(processed.frame.stamp.measured_at, processed.done)
+        self._verdict = processed.verdict.value.replace("_", " ")
+
+    def on_decision(self, decision: Decision) -> None:
+        self._began = decision.at if self._began is None else self._began
+        new_phase = decision.phase != self._phase
+        if self._said is not None and not new_phase and seconds_between(self._said, decision.at) < self._period_s:
+            return
+        if new_phase and self._phase:
+            self.close()
+        self._said, self._phase = decision.at, decision.phase
+        columns = self._columns()
+        line = self._line(decision) if columns >= _WIDE else self._short_line(decision)
+        line = line[: columns - 1] if self._live else line
+        self._out.write(f"\r\x1b[2K{line}" if self._live else f"{line}\n")
+        self._out.flush()
+
+    def close(self) -> None:
+        """End the current line of the terminal."""
+        if self._live:
+            self._out.write("\n")
+            self._out.flush()
+
+    def _columns(self) -> int:
+        """Return the width of the terminal; a line that is longer would leave its beginning behind at each redrawing."""
+        try:
+            return (os.get_terminal_size(self._out.fileno()).columns or 80) if self._live else _WIDE
+        except (OSError, ValueError):
+            return 80
+
+    def _short_line(self, decision: Decision) -> str:
+        assert self._began is not None
+        belief, time_s = decision.belief, seconds_between(self._began, decision.at)
+        where = "no pad yet" if belief is None else f"{belief.height_m:4.1f} up {belief.lateral_m:4.1f} m off"
+        return f"{time_s:5.1f} s {decision.phase} {where}"
+
+    def _line(self, decision: Decision) -> str:
+        assert self._began is not None
+        belief = decision.belief
+        where = "pad not seen yet"
+        if belief is not None:
+            seen_s = belief.age_s(decision.at)
+            where = f"height {belief.height_m:5.2f} m   beside {belief.lateral_m:5.2f} m   seen {seen_s:4.1f} s ago"
+        time_s = seconds_between(self._began, decision.at)
+        if decision.reason:
+            return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {decision.reason}"
+        rate = "--"
+        if len(self._frames) > 1:
+            rate = f"{(len(self._frames) - 1) / max(1e-9, seconds_between(self._frames[0], self._frames[-1])):.0f}"
+        delay = "--" if self._delay_s is None else f"{1e3 * self._delay_s:.0f}"
+        return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {rate:>2} frames/s  {delay:>3} ms  {self._verdict}"
+
+
+@contextmanager
+def shown(*, quiet: bool) -> Iterator[list[Observer]]:
+    """Yield the observer that shows the progress of a flight; none if nothing but the result is printed."""
+    progress = None if quiet else ProgressObserver()
+    yield [] if progress is None else [progress]
+    if progress is not None:
+        progress.close()
+
+
+_SAY_EACH_S = 30.0
+_REDRAW_S = 0.2
+_SILENT_S = 2.0
+"""Work that takes less is not shown."""
+_LEAST_SHARE = 0.05
+"""The share of the work after which the time left is worth printing."""
+
+
+class WorkProgress:
+    """Progress of long work on standard error: one line that is redrawn on a terminal, else a line now and then.
+
+    Args:
+        title: the work.
+        items: what is counted.
+    """
+
+    def __init__(self, title: str, items: str) -> None:
+        self._title, self._items = title, items
+        self._began_s = time.monotonic()
+        self._due_s = self._began_s + _SILENT_S
+        self._shown, self._done = False, 0
+        self._live = sys.stderr.isatty()
+
+    def take(self, done: int, of: int, more: str = "") -> None:
+        """Print how much is done: at once if that is nothing yet, else when the work has taken two seconds."""
+        now_s = time.monotonic()
+        if done < self._done or done == 0:  # it begins again
+            self._began_s, self._due_s, self._shown = now_s, now_s + _SILENT_S, False
+        self._done = done
+        if now_s < self._due_s and done > 0 and (done < of or not self._shown):
+            return
+        self._shown, self._due_s = True, now_s + (_REDRAW_S if self._live else _SAY_EACH_S)
+        left_s = (now_s - self._began_s) * (of / max(1, done) - 1.0)
+        left = f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min"
+        text = f"{self._title}: {done} of {of} {self._items}" + (f", {left} left" if _LEAST_SHARE * of <= done < of else "")
+        text += more
+        sys.stderr.write(f"\r{text}\x1b[K" + ("\n" if done == of else "") if self._live else f"{text}\n")
+        sys.stderr.flush()
+
+
+def video_progress(page: Path, *, quiet: bool) -> Callable[[int, int], None]:
+    """Return what shows that a report can be opened, and the encoding of its video."""
+    return (lambda _done, _of: None) if quiet else WorkProgress(f"{page} can be opened; encoding its video", "frames").take
+
+
+@contextmanager
+def named_wait(title: str) -> Iterator[None]:
+    """Print the title of a step whose length is unknown when it has taken two seconds."""
+    timer = threading.Timer(_SILENT_S, lambda: sys.stderr.write(f"{title} ...\n"))
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from companion.cli import board_option, pad_import
-from companion.cli.options import file_errors, option
-from companion.cli.progress import WorkProgress
+from companion.cli.options import WorkProgress, file_errors, option
 from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, shipped
 from companion.tools.calibrate.board import BOARDS
 from companion.tools.pads.clutter import VIEWS

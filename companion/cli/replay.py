@@ -18,8 +18,16 @@ from msgspec.structs import asdict
 from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, Observer
-from companion.cli.options import option, prepare_folder, print_result, recording_argument, written
-from companion.cli.progress import WorkProgress, shown, video_progress
+from companion.cli.options import (
+    WorkProgress,
+    option,
+    prepare_folder,
+    print_result,
+    recording_argument,
+    shown,
+    video_progress,
+    written,
+)
 from companion.facts.records import TruthRecord
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.commands import LandingProgress
@@ -27,7 +35,7 @@ from companion.parts.mavlink.component import Component, speaking
 from companion.parts.mavlink.outputs import Outputs
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
-from companion.recording.frame_video import VideoImage
+from companion.recording.frame_encoder import VideoImage
 from companion.recording.reading import RecordedFrame, Recording, open_recording
 from companion.settings.load import Settings
 from companion.settings.overrides import with_overrides

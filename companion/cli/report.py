@@ -6,8 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from companion.cli.options import option, written
-from companion.cli.progress import WorkProgress, video_progress
+from companion.cli.options import WorkProgress, option, video_progress, written
 from companion.recording.reading import open_recording
 from companion.tools.replay.recorded_log import log_of
 from companion.tools.report.page import write_flights

@@ -12,9 +12,8 @@ import msgspec
 from companion.base import event_loop, memory
 from companion.base.mission import FlightOutcome
 from companion.base.service_log import logging_to_stderr
-from companion.cli.options import option
-from companion.cli.progress import WorkProgress
-from companion.guidance.make_pilot import make_pilot
+from companion.cli.options import WorkProgress, option
+from companion.guidance.pilot import make_pilot
 from companion.service.assemble import Proven, live, make_daemon
 from companion.settings.links import BridgeOptions
 from companion.settings.load import Settings, calibration_file, find_file, load, pad_of_file, shipped, with_known_calibration

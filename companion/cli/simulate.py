@@ -17,8 +17,7 @@ from msgspec.structs import replace
 
 from companion.cli import kept_flight, perception_option
 from companion.cli.kept_flight import keeping
-from companion.cli.options import check_seed, option, print_result
-from companion.cli.progress import shown
+from companion.cli.options import check_seed, option, print_result, shown
 from companion.settings.load import find_file, shipped
 from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput

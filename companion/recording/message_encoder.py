@@ -13,8 +13,7 @@ from companion.facts import encode
 from companion.facts import records as rec
 from companion.recording import channels, decode
 from companion.recording import foxglove as fox
-from companion.recording.frame_encoder import FrameEncoder
-from companion.recording.frame_video import RECORDED
+from companion.recording.frame_encoder import RECORDED, FrameEncoder
 from companion.recording.scene import error_ellipsoid, fixed_scene
 from companion.settings.service import FrameForm
 from estimator.contracts.estimates import FusionResult, RelativeState

@@ -18,7 +18,7 @@ from companion.facts import records as rec
 from companion.recording import channels, decode
 from companion.recording import foxglove as fox
 from companion.recording.container import records
-from companion.recording.frame_video import FrameSequence, VideoImage
+from companion.recording.frame_encoder import FrameSequence, VideoImage
 from companion.settings.load import Settings, from_mapping
 from drivers.camera import images
 from estimator.contracts.errors import BadInput

@@ -17,8 +17,7 @@ from companion.facts.records import DetectionRecord, FusionRecord, HealthRecord,
 from companion.recording import channels
 from companion.recording import foxglove as fox
 from companion.recording.container import records
-from companion.recording.frame_encoder import FrameEncoder
-from companion.recording.frame_video import RECORDED, VideoImage
+from companion.recording.frame_encoder import RECORDED, FrameEncoder, VideoImage
 from companion.recording.mcap_file import About, Attachment, McapFile
 from companion.recording.message_encoder import MessageEncoder
 from companion.recording.reading import Event, RecordedFrame, Recording, instant

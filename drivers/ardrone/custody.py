@@ -20,9 +20,8 @@ from types import MappingProxyType
 
 from msgspec import Struct
 
-from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
+from drivers.ardrone.arbiter import FRESH_S, HOVER, ORDERED_ABOVE_M, SILENT_ABOVE_M, STAY_UP, Cause, LandingWatch, TimedCommand
 from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, Pcmd
-from drivers.ardrone.landing_watch import FRESH_S, ORDERED_ABOVE_M, SILENT_ABOVE_M, Cause, LandingWatch
 from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import VelocityLoop

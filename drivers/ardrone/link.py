@@ -17,9 +17,8 @@ from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.pave import PaveFrame, PaveParser
+from drivers.ardrone.pave import PaveFrame, PaveParser, VideoDecoder, unit_decoder
 from drivers.ardrone.setup import ControlChannel, Setup
-from drivers.ardrone.video import VideoDecoder, unit_decoder
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.datagrams import open_waiting
 from drivers.mailbox import Latest, Line

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from drivers.ardrone.counters import Refusal
 from drivers.ardrone.navdata import Navdata, decode
-from drivers.ardrone.pave import PaveParser
+from drivers.ardrone.pave import PaveParser, VideoDecoder
 from drivers.ardrone.samples import AS_REPORTED, NavdataSampler
-from drivers.ardrone.video import VideoDecoder
 from drivers.imports.stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame, Sample

@@ -6,8 +6,7 @@ answer = filter.answer(now)
 """
 
 from estimator.ekf.event import Event
-from estimator.ekf.filter import Filter, FilterAnswer
-from estimator.ekf.forecast import Forecast
+from estimator.ekf.filter import Filter, FilterAnswer, Forecast
 from estimator.ekf.options import EkfOptions
 
 __all__ = ["EkfOptions", "Event", "Filter", "FilterAnswer", "Forecast"]

@@ -44,9 +44,9 @@ from estimator.vision.register.registration import (
     RegistrationOptions,
     ToneMemory,
     learn_tone,
+    sighting_of_look,
     with_tone,
 )
-from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker_config import TrackerConfig

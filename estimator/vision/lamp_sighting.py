@@ -24,7 +24,7 @@ from estimator.vision.native import checked, image_of, native_prior, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.sighting import sighting_in_level
+from estimator.vision.register.registration import sighting_in_level
 from estimator.vision.tracker_config import TrackerConfig
 
 _SEEN = 1

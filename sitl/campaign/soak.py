@@ -24,8 +24,7 @@ from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.mission import REFUSALS, FlightOutcome
 from companion.base.signals import Stopped
-from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Pilot, make_pilot
 from companion.service.assemble import make_daemon
 from companion.settings.model import Settings
 from drivers.clock import SystemClock

@@ -8,8 +8,7 @@ import msgspec
 import numpy as np
 
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
-from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Pilot, make_pilot
 from companion.settings.model import Settings
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64

@@ -20,7 +20,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.sighting import sighting_of
+from estimator.vision.register.registration import sighting_of
 
 GYRO_HZ, VIEW_HZ = 100.0, 10.0
 LEVEL_SIGMA_RAD = math.radians(0.5)

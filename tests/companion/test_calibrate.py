@@ -14,7 +14,7 @@ import pytest
 
 from companion.cli.calibrate_flight import with_values
 from companion.cli.main import main
-from companion.guidance.make_pilot import estimator_options, with_mount
+from companion.guidance.pilot import estimator_options, with_mount
 from companion.settings.load import SHIPPED, load
 from companion.settings.model import CameraSettings, Settings
 from companion.tools.calibrate import assess

@@ -24,7 +24,7 @@ import pytest
 
 from companion.cli import main as cli
 from companion.cli import run as run_command
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.service import assemble as service
 from companion.service.assemble import Proven
 from companion.settings.load import load

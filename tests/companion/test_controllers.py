@@ -12,7 +12,7 @@ from companion.guidance.landing import LandingGuidance
 from companion.guidance.law.follow_deck import FollowDeck
 from companion.guidance.law.pid import PidController
 from companion.guidance.law.policy import PolicyController
-from companion.guidance.make_pilot import field_of_view, law_of, make_pilot
+from companion.guidance.pilot import field_of_view, law_of, make_pilot
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import SHIPPED, camera_model, from_mapping, load, read_toml, response_model
 from companion.settings.response import response_from_mapping

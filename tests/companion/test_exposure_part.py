@@ -8,8 +8,7 @@ import pytest
 from msgspec import structs
 
 from companion.base.health import Health
-from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Pilot, make_pilot
 from companion.service.exposure_part import ExposurePart
 from companion.service.vehicle_parts import vehicle_parts
 from companion.settings.load import from_mapping

@@ -13,7 +13,7 @@ import pytest
 
 from companion.cli import start
 from companion.cli.main import COMMANDS, main, pointed
-from companion.cli.progress import ProgressObserver, WorkProgress
+from companion.cli.options import ProgressObserver, WorkProgress
 from companion.settings.load import load
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav

@@ -10,8 +10,7 @@ import pytest
 from mcap.reader import make_reader
 
 from companion.cli import main as cli
-from companion.recording.frame_encoder import FrameEncoder, is_key_frame
-from companion.recording.frame_video import KEY_EACH, RECORDED, FrameSequence
+from companion.recording.frame_encoder import KEY_EACH, RECORDED, FrameEncoder, FrameSequence, is_key_frame
 from companion.recording.reading import RecordedFrame, Recording, open_recording
 from tests.fly import record_to
 

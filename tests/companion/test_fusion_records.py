@@ -14,7 +14,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from companion.base.health import NIS_WINDOW, Health
 from companion.facts.records import FusionRecord
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.parts.metrics.endpoint import text
 from companion.parts.mqtt import encode as mqtt_encode
 from companion.parts.mqtt import messages

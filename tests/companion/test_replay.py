@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about
 from companion.parts.recorder.storage_policy import SingleFile

@@ -31,7 +31,7 @@ from companion.guidance.law.response_watch import (
     reported,
     shaped,
 )
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.settings.guidance import FollowDeckOptions, GuidanceOptions
 from companion.settings.load import load, shipped, shipped_response
 from companion.settings.response import TiltResponse

@@ -16,8 +16,7 @@ from msgspec import Struct
 
 from companion.base.health import missing_inputs
 from companion.base.mission import State
-from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Pilot, make_pilot
 from companion.parts.metrics import endpoint
 from companion.service.assemble import make_daemon
 from companion.service.daemon import Daemon

@@ -7,8 +7,7 @@ from msgspec.structs import replace
 
 from drivers.ardrone import at
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.arbiter import CLEAR_M, HOVER, CommandArbiter, TimedCommand
-from drivers.ardrone.landing_watch import Cause, LandingWatch
+from drivers.ardrone.arbiter import CLEAR_M, HOVER, Cause, CommandArbiter, LandingWatch, TimedCommand
 from estimator.contracts.time import MonoNs
 
 AHEAD = at.Pcmd(at.PCMD_PROGRESSIVE, 0.0, -0.5, 0.0, 0.0)

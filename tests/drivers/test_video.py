@@ -12,8 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.ardrone.pave import CONTROL_ADVERTISEMENT, FrameType, PaveFrame, PaveHeader, PaveParser
-from drivers.ardrone.video import VideoDecoder
+from drivers.ardrone.pave import CONTROL_ADVERTISEMENT, FrameType, PaveFrame, PaveHeader, PaveParser, VideoDecoder
 from tests.drivers.captures import CAPTURES, frames_of, needs_captures
 
 GOP = 5

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from companion.base.mission import State
 from companion.base.observer import Decision
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.settings.load import load as load_settings
 from drivers.ardrone.navdata_channel import NavdataOrder
 from drivers.ardrone.navdata_channel import SequencePlace as P

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.settings.load import load
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation

@@ -11,7 +11,7 @@ from drivers.ardrone import navdata as nd
 from drivers.ardrone.counters import Refusal
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
-from sitl.emulators.ardrone.sockets import DatagramPort, StreamPort
+from sitl.emulators.ardrone.server import DatagramPort, StreamPort
 
 HOST = "127.0.0.1"
 

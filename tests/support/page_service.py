@@ -16,8 +16,7 @@ from companion.base.health import Health
 from companion.base.http_server import ConnectionLimits, HttpServer
 from companion.base.observer import ProcessedFrame
 from companion.base.orders import HandledOrder
-from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Pilot, make_pilot
 from companion.parts.page import endpoint, recordings, viewer
 from companion.parts.page.make import make_page
 from companion.settings.links import HttpSettings

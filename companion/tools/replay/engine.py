@@ -21,8 +21,7 @@ from companion.base.observer import Decision, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder
 from companion.facts import encode
 from companion.facts.records import FusionRecord, HealthRecord, LinkRecord, OrderRecord, TruthRecord
-from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Pilot, make_pilot
 from companion.recording import decode
 from companion.recording.channels import CAMERA, PAD
 from companion.recording.reading import Event, RecordedFrame, Recording, instant

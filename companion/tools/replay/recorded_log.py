@@ -13,7 +13,7 @@ from companion.base.observer import Decision, ProcessedFrame
 from companion.facts.records import ContactRecord, FusionRecord, HealthRecord, OrderRecord, TruthRecord
 from companion.recording import decode
 from companion.recording.channels import SETTINGS
-from companion.recording.frame_video import VideoImage
+from companion.recording.frame_encoder import VideoImage
 from companion.recording.reading import RecordedFrame, Recording, instant
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import (

@@ -10,7 +10,7 @@ from msgspec import Struct, field, structs
 from companion.base.mission import StateChange
 from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame, ThingReport, things_of
 from companion.base.orders import HandledOrder
-from companion.recording.frame_video import VideoImage
+from companion.recording.frame_encoder import VideoImage
 from companion.tools.report.overlay import expected_in_body
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import FusionResult, PathName, RelativeState, Sighting, Verdict

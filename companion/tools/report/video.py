@@ -13,8 +13,7 @@ import numpy as np
 from msgspec import Struct, structs
 from numpy.typing import NDArray
 
-from companion.recording.frame_encoder import CLOCK_HZ, TimedFrames, prepare
-from companion.recording.frame_video import VideoImage
+from companion.recording.frame_encoder import CLOCK_HZ, TimedFrames, VideoImage, prepare
 from companion.recording.palette import OUTLINE, THREE, bgr
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import FlightLog, FrameRecord

@@ -17,7 +17,7 @@ from msgspec import Struct
 from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Observer
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.settings.model import Settings
 from drivers.clock import SystemClock
 from drivers.mavlink.dialect import Message, mav

@@ -23,7 +23,7 @@ from companion.base.health import Health
 from companion.base.http_server import HttpServer
 from companion.base.observer import Observer
 from companion.base.worker import Worker
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.parts.live import part
 from companion.parts.live.part import FoxgloveEndpoint
 from companion.parts.recorder.recorder import Recorder

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from companion.base.orders import HandledOrder, OperatorOrder
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.parts.operator.gamepad_part import GamepadPart
 from companion.settings.load import load
 from companion.settings.referenced_files import mapping_of

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.controller import Knowledge
-from companion.guidance.make_pilot import make_pilot
 from companion.guidance.operator.command_limits import (
     Limit,
     PlaceMemory,
@@ -21,6 +20,7 @@ from companion.guidance.operator.command_limits import (
     within,
     without_velocity,
 )
+from companion.guidance.pilot import make_pilot
 from companion.settings.load import load
 from companion.settings.operator import LimitOptions
 from estimator.contracts.commands import Hover, Lean, Velocity

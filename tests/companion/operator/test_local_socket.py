@@ -21,8 +21,7 @@ from companion.base.orders import HandledOrder, OperatorOrder, StickPositions
 from companion.cli.fly import KEY_S, KeyMotion, keys_in
 from companion.cli.main import main
 from companion.facts.wire import FlightState, answer_of, request_of
-from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Pilot, make_pilot
 from companion.parts.operator.client import answers, connected, running, socket_path
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.settings.load import load

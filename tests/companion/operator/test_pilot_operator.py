@@ -6,8 +6,7 @@ import pytest
 
 from companion.base.mission import FlightOutcome
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
-from companion.guidance.make_pilot import make_pilot
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Pilot, make_pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.settings.load import load
 from estimator.contracts.commands import Hover

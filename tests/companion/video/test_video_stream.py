@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from companion.base.observer import ProcessedFrame
-from companion.guidance.make_pilot import make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.parts.video.part import RtpStream, VideoStreamPart
 from companion.settings.links import VideoStreamOptions
 from companion.settings.load import load

@@ -11,7 +11,7 @@ from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.core.library import CORE
 from estimator.ekf import EkfOptions, Event, Forecast, params
 from estimator.ekf.event import packed
-from estimator.ekf.forecast import log_evidence_of_rest, probability_of_motion
+from estimator.ekf.filter import log_evidence_of_rest, probability_of_motion
 from estimator.ekf.params import FilterParams, carrying, nis_max
 from tests.make import attitude, baro, imu, ns, range_down, sighting, velocity, vessel
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from drivers.ardrone.video import unit_decoder
+from drivers.ardrone.pave import unit_decoder
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
@@ -18,8 +18,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.register.registration import Registration, RegistrationOptions, register
-from estimator.vision.register.sighting import sighting_of
+from estimator.vision.register.registration import Registration, RegistrationOptions, register, sighting_of
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.verified import CODED_PX
 from sitl.camera.light import Light, Sensor

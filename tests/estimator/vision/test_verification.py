@@ -21,8 +21,14 @@ from estimator.vision.detect.verification import SEARCHED, calibrate, confidence
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.registration import Registration, RegistrationOptions, look, register
-from estimator.vision.register.sighting import sighting_of, sighting_of_look
+from estimator.vision.register.registration import (
+    Registration,
+    RegistrationOptions,
+    look,
+    register,
+    sighting_of,
+    sighting_of_look,
+)
 from sitl.camera.light import Light
 from tests.support.deck_images import covered, disc_of, keeps_claim, shown
 from tests.support.pad_images import STAMP
