@@ -15,7 +15,7 @@ _MISSION = (
     "tests/companion/test_mission_flights.py",
     "tests/companion/test_rendezvous.py",
 )
-_AIM = ("tests/companion/test_steer.py", "tests/companion/test_clearance.py")
+_AIM = ("tests/companion/test_steer.py", "tests/companion/test_limits.py")
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py")
 _WATCH = "tests/companion/test_response_watch.py"
 _FLOWN = ("tests/companion/test_follow_deck.py", "tests/companion/test_law.py")
@@ -24,7 +24,7 @@ _VISION = "tests/estimator/vision"
 _KEPT = f"{_VISION}/test_unchanged_frames.py"
 _SEEN = (_KEPT, f"{_VISION}/test_equivariance.py", f"{_VISION}/test_verification.py")
 _ROOMS = {
-    "align": (f"{_VISION}/test_detect.py", *_SEEN, f"{_VISION}/test_covered.py"),
+    "align": (f"{_VISION}/test_detect.py", *_SEEN, f"{_VISION}/test_hard_light.py"),
     "lamps": (_KEPT, f"{_VISION}/test_lamps.py"),
     "look": (*_SEEN, f"{_VISION}/test_thesis.py"),
     "register": (f"{_VISION}/test_registration.py", *_SEEN),
@@ -86,9 +86,9 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/mission/thesis.py": _MISSION,
     "companion/guidance/mission/waiting.py": (*_MISSION, *_AIM),
     "companion/guidance/mission/phase.py": (*_AIM, *_MISSION),
-    "companion/guidance/mission/limits.py": ("tests/companion/test_limits.py", *_MISSION, "tests/companion/test_clearance.py"),
+    "companion/guidance/mission/limits.py": ("tests/companion/test_limits.py", *_MISSION),
     "companion/guidance/mission/contact.py": ("tests/companion/test_contact.py", _MISSION[0], *_AIM),
-    "companion/guidance/mission/clearance.py": ("tests/companion/test_clearance.py",),
+    "companion/guidance/mission/clearance.py": ("tests/companion/test_limits.py",),
     "companion/guidance/mission/search.py": ("tests/companion/test_rendezvous.py",),
     "companion/guidance/mission/vessel_track.py": ("tests/companion/test_vessel_track.py", "tests/companion/test_rendezvous.py"),
     "companion/guidance/law/follow_deck.py": (

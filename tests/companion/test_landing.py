@@ -25,7 +25,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2, DeckMotion
 from estimator.contracts.samples import GeoFix
 from estimator.vision.detection import NearThing, PadCheck, PadThing
-from tests.companion.test_clearance import forecast, swell
+from tests.companion.test_limits import forecast, swell
 from tests.companion.test_mission_flights import guided
 from tests.make import attitude, baro, body, deck, estimate, gimbal, imu, ns, range_down, stamp, status, velocity, vessel
 

@@ -2,8 +2,11 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from estimator.contracts.commands import Velocity
+from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, SetupImpossible
 from estimator.contracts.estimates import Pose6, RelativeState, Sighting
 from estimator.contracts.geometry import Rotation, fixed_matrix, fixed_vector
 from estimator.contracts.samples import (
@@ -16,7 +19,7 @@ from estimator.contracts.samples import (
     VesselReport,
     known,
 )
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
 OTHER = Stamp(MonoNs(5), MonoNs(6), 0.001, "hw")
@@ -124,3 +127,43 @@ def test_what_the_caller_has_checked_makes_the_same_samples():
         assert all(getattr(made, name) is getattr(checked, name) for name in cls.__struct_fields__)
         assert known(cls, OTHER, *values).stamp is OTHER
         assert made.stamp is STAMP, "one sample does not change with the next"
+
+
+instants = st.integers(0, 10**15).map(MonoNs)
+
+
+@given(instants, st.integers(-(10**6), 10**6))
+def test_after_and_between_are_inverse(t, ms):
+    later = after(t, ms / 1e3)
+    assert later == t + ms * 1_000_000
+    assert seconds_between(t, later) == ms / 1e3
+    assert seconds_between(later, t) == -ms / 1e3
+
+
+@given(instants, st.integers(0, 10**9))
+def test_a_stamp_knows_its_delay(t, delay_ns):
+    assert Stamp(t, MonoNs(t + delay_ns), 0.0, "hw").delay_s == pytest.approx(delay_ns * 1e-9)
+
+
+@pytest.mark.parametrize("sigma", [-1e-9, 1.0, 2.0, float("nan"), float("inf")])
+def test_an_absurd_uncertainty_is_refused(sigma):
+    with pytest.raises(ValueError, match="sigma"):
+        Stamp(MonoNs(0), MonoNs(0), sigma, "hw")
+
+
+def test_a_sample_may_be_early_within_five_sigma_and_no_more():
+    assert Stamp(MonoNs(5_000_000), MonoNs(0), 0.001, "synced").delay_s == -0.005
+    with pytest.raises(ValueError, match="arrive before"):
+        Stamp(MonoNs(5_000_001), MonoNs(0), 0.001, "synced")
+
+
+@pytest.mark.parametrize("kind", [BadInput, Recoverable, SetupImpossible])
+@given(text=st.text())
+def test_a_text_is_one_printable_line(kind: type[DecklanderError], text: str) -> None:
+    output = str(kind(text))
+    assert output.isprintable()
+    assert output == text or not text.isprintable()
+
+
+def test_a_line_break_becomes_a_space_and_an_escape_sequence_is_shown() -> None:
+    assert str(BadInput("log.bin: format '\n' of \x1b[31mIMU, 3 µs, 0.5°")) == r"log.bin: format ' ' of \x1b[31mIMU, 3 µs, 0.5°"

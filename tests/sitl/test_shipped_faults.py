@@ -20,7 +20,7 @@ from tests.sitl.test_faults import CALM
 BEGINS_S, BEFORE, LATER = 0.5, 20, 100
 """Beginning of a fault, and numbers of looks before it and in all."""
 ELSEWHERE = (ServiceKilled, OperatorActs, PictureFault, VesselReports)
-"""Faults that a camera without images does not show: test_picture_faults.py and test_ship_faults.py test them."""
+"""Faults that a camera without images does not show: test_faults.py and test_ship_faults.py test them."""
 SHIPPED = [name for name in shipped_scenarios() if name.startswith(f"{FAULTS}/")]
 
 
