@@ -159,7 +159,6 @@ typedef struct {
     double flow_scale, flow_lag;                                     /* Scale of the optical flow, and its share in a step. */
     double foot_m, feet_below_m, hull_top_m;                         /* Half of the feet's base, their depth, hull's top, m. */
     double foot_n_m, foot_n_s_m;                                     /* Stiffness of a foot, N/m, and its damping, N s/m. */
-    double foot_stop_kg_s;                                           /* Largest friction by sliding speed, kg/s. */
     double friction;                                                 /* Coefficient of friction. */
     double deck_fore_m, deck_aft_m;                                  /* The deck's ends before and behind the pad, m. */
     double deck_middle_m, deck_half_m;                               /* Its middle line from the pad, half its width, m. */

@@ -9,6 +9,9 @@
 static const double AFLOAT_M = 0.06;
 /* Below this cosine of the tilt the upper corners may touch too. */
 static const double ON_ITS_SIDE = 0.7;
+/* The share of a foot's slip that friction, within its limit, stops in a step. */
+static const double STOPS = 0.3;
+static const double UP[3] = {0.0, 0.0, -1.0};
 
 void relative_to_deck(const dl_sim_deck *g, const double p[3], const double v[3], const double R[9], const double w[3], relative *r)
 {
@@ -59,18 +62,35 @@ double deck_coverage(const dl_sim_vehicle_params *o, double x, double y, double 
     return share;
 }
 
-/* The height of the thing that lies on the deck under a point. */
-static double thing_under(const dl_sim_vehicle_params *o, double x, double y)
+/* Press a point that moves at v out of a surface into which it is `deep`, m, along the surface's normal: a spring, a damper, and
+ * friction along the surface. The friction would stop the point within a few steps of dt, but is at most the coefficient times the
+ * normal force: it neither chatters nor depends on a made-up slip speed. It cannot hold a body still on a slope for ever, so the
+ * vehicle ties a resting body to the deck. */
+static void press(const dl_sim_vehicle_params *o, double dt, double deep, const double normal[3], const double v[3], double pushed[3])
 {
-    const double *thing = o->effects.thing, ahead = x - thing[0], aside = y - thing[1];
-    return thing[3] > 0.0 && ahead * ahead + aside * aside < thing[2] * thing[2] ? thing[3] : 0.0;
+    const double away = dot(v, normal), slip[3] = {v[0] - away * normal[0], v[1] - away * normal[1], v[2] - away * normal[2]};
+    const double size = clip(o->foot_n_m * deep - o->foot_n_s_m * away, 0.0, 1e6), speed = sqrt(dot(slip, slip));
+    const double grip = clip(STOPS * o->mass_kg / (4.0 * dt) * speed, 0.0, o->friction * size) / clip(speed, 1e-9, 1e9);
+    for (int i = 0; i < 3; i++) {
+        pushed[i] += size * normal[i] - grip * slip[i];
+    }
 }
 
-/* A spring and a damper act normal to the deck under each foot (and each upper corner of a body on its side), and friction acts
- * along the deck. The friction would stop the foot within a few steps, but is at most the coefficient times the normal force: it
- * neither chatters nor depends on a made-up slip speed. It cannot hold a body still on a slope for ever, so the vehicle ties a
- * resting body to the deck. */
-int contact_force(const dl_sim_vehicle_params *o, const relative *r, double force[3], double torque[3])
+/* The thing that lies on the deck presses a point out of its top or its side, whichever is nearer. */
+static int press_from_thing(const dl_sim_vehicle_params *o, double dt, const double at[3], const double v[3], double pushed[3])
+{
+    const double *thing = o->effects.thing, out[3] = {at[0] - thing[0], at[1] - thing[1], 0.0}, far = sqrt(dot(out, out));
+    const double below_top = at[2] + thing[3], inside = thing[2] - far;
+    if (!(thing[3] > 0.0 && below_top > 0.0 && inside > 0.0)) {
+        return 0;
+    }
+    const int by_side = inside < below_top && far > 0.0;
+    const double side[3] = {out[0] / far, out[1] / far, 0.0};
+    press(o, dt, by_side ? inside : below_top, by_side ? side : UP, v, pushed);
+    return 1;
+}
+
+int contact_force(const dl_sim_vehicle_params *o, double dt, const relative *r, double force[3], double torque[3])
 {
     const int corners = r->R[8] < ON_ITS_SIDE ? 8 : 4;
     int touching = 0;
@@ -79,24 +99,27 @@ int contact_force(const dl_sim_vehicle_params *o, const relative *r, double forc
     }
     for (int i = 0; i < corners; i++) {
         const double corner[3] = {i & 2 ? -o->foot_m : o->foot_m, i & 1 ? -o->foot_m : o->foot_m, i < 4 ? o->feet_below_m : -o->hull_top_m};
-        double arm[3], slip[3], moment[3];
+        double at[3], v[3], arm[3], moment[3], pushed[3] = {0.0, 0.0, 0.0};
         rotated(r->R, corner, arm);
-        const double deep = r->d[2] + arm[2] + thing_under(o, r->d[0] + arm[0], r->d[1] + arm[1]);
-        if (!(deep > 0.0 && deep < DEEPEST_M && deck_holds(o, r->d[0] + arm[0], r->d[1] + arm[1]))) {
+        cross(r->w, arm, v);
+        for (int k = 0; k < 3; k++) {
+            at[k] = r->d[k] + arm[k];
+            v[k] += r->v[k];
+        }
+        if (!(at[2] < DEEPEST_M && deck_holds(o, at[0], at[1]))) {
             continue;
         }
-        cross(r->w, arm, slip);
-        const double vx = r->v[0] + slip[0], vy = r->v[1] + slip[1], vz = r->v[2] + slip[2];
-        const double normal = clip(o->foot_n_m * deep + o->foot_n_s_m * vz, 0.0, 1e6);
-        const double speed = sqrt(vx * vx + vy * vy);
-        const double grip = clip(o->foot_stop_kg_s * speed, 0.0, o->friction * normal) / clip(speed, 1e-9, 1e9);
-        const double pushed[3] = {-grip * vx, -grip * vy, -normal};
+        int touches = press_from_thing(o, dt, at, v, pushed);
+        if (at[2] > 0.0) {
+            press(o, dt, at[2], UP, v, pushed);
+            touches = 1;
+        }
         cross(arm, pushed, moment);
         for (int k = 0; k < 3; k++) {
             force[k] += pushed[k];
             torque[k] += moment[k];
         }
-        touching++;
+        touching += touches;
     }
     return touching;
 }

@@ -30,8 +30,9 @@ int deck_holds(const dl_sim_vehicle_params *o, double x, double y);
 /* The share of a disc about a point of the pad's plane that lies over the deck: exact along a straight edge; at a corner the
  * shares of the two edges are multiplied. */
 double deck_coverage(const dl_sim_vehicle_params *o, double x, double y, double radius);
-/* The force and the torque about the body's origin of the deck on the body, in the pad frame; returns the feet in contact. */
-int contact_force(const dl_sim_vehicle_params *o, const relative *r, double force[3], double torque[3]);
+/* The force and the torque about the body's origin of the deck on the body over a step of dt, s, in the pad frame; returns the feet
+ * in contact. */
+int contact_force(const dl_sim_vehicle_params *o, double dt, const relative *r, double force[3], double torque[3]);
 /* The acceleration in ned and the torque in body of a vehicle that lies `depth` deep in the water. */
 void buoyancy(const dl_sim_vehicle_params *o, double depth, const double v[3], const double w[3], double sea_vz, double a[3],
               double torque[3]);

@@ -17,6 +17,7 @@ static const double STOP_S = 0.3;
 static const double AIRBORNE_S = 0.3;
 /* Below this height over the deck a foot may touch it, m. */
 static const double CONTACT_M = 0.4;
+enum { CONTACT_PARTS = 5 };
 
 /* What one step works with besides parameters and state. */
 typedef struct {
@@ -333,20 +334,11 @@ static void accelerate(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, 
     a[2] += GRAVITY_M_S2;
 }
 
-/* What deck and water add to acceleration and torque. */
-static void touch(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, step *s, double a[3], double turn[3])
+/* What the water adds to acceleration and torque. */
+static void swim(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, step *s, double a[3], double turn[3])
 {
-    double force[3], torque[3], push[3], moment[3];
-    if (s->over && s->height < CONTACT_M) {
-        s->touching = contact_force(o, &s->r, force, torque);
-        rotated(s->g->R, force, push);
-        rotated_back(s->r.R, torque, moment);
-        for (int i = 0; i < 3; i++) {
-            a[i] += push[i] / o->mass_kg;
-            turn[i] += moment[i];
-        }
-    }
     const double depth = s->ahead[2] + o->feet_below_m - s->sea_z;
+    double push[3], moment[3];
     s->wet = !s->over && depth > 0.0;
     if (s->wet) {
         buoyancy(o, depth, v->v, v->w, s->sea_vz, push, moment);
@@ -357,10 +349,10 @@ static void touch(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v, step 
     }
 }
 
-/* Newton and Euler over one step. */
-static void integrate(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const double a[3], const double turn[3])
+/* Newton and Euler over a time of dt, s. */
+static void integrate(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, double dt, const double a[3], const double turn[3])
 {
-    const double dt = o->step_s, h = 0.5 * dt, *I = o->inertia_kg_m2, *w = v->w;
+    const double h = 0.5 * dt, *I = o->inertia_kg_m2, *w = v->w;
     const double rate[3] = {
         w[0] + dt / I[0] * (turn[0] - (I[2] - I[1]) * w[1] * w[2]),
         w[1] + dt / I[1] * (turn[1] - (I[0] - I[2]) * w[2] * w[0]),
@@ -380,7 +372,35 @@ static void integrate(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, const d
     for (int i = 0; i < 4; i++) {
         v->q[i] = q[i] * unit;
     }
+    rotation_of(v->q, v->R);
 }
+
+/* Move the body. Feet are stiff: near the deck it moves in CONTACT_PARTS of a step, over which all forces but theirs are the same. */
+static void move(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, step *s, const double a[3], const double turn[3])
+{
+    const int near = s->over && s->height < CONTACT_M, parts = near ? CONTACT_PARTS : 1;
+    const double dt = o->step_s / parts;
+    for (int left = parts - 1; left >= 0; left--) {
+        double force[3], torque[3], push[3] = {0.0, 0.0, 0.0}, moment[3] = {0.0, 0.0, 0.0}, ahead[3];
+        if (near) {
+            relative r;
+            for (int i = 0; i < 3; i++) {
+                ahead[i] = v->p[i] + dt * v->v[i] + left * dt * s->g->v[i];
+            }
+            relative_to_deck(s->g, ahead, v->v, v->R, v->w, &r);
+            const int touching = contact_force(o, dt, &r, force, torque);
+            s->touching = touching > s->touching ? touching : s->touching;
+            rotated(s->g->R, force, push);
+            rotated_back(r.R, torque, moment);
+        }
+        for (int i = 0; i < 3; i++) {
+            push[i] = a[i] + push[i] / o->mass_kg;
+            moment[i] += turn[i];
+        }
+        integrate(o, v, dt, push, moment);
+    }
+}
+
 
 void dl_sim_vehicle_carry(dl_sim_vehicle *v, const dl_sim_deck *g)
 {
@@ -498,13 +518,12 @@ void dl_sim_vehicle_step(const dl_sim_vehicle_params *o, dl_sim_vehicle *v, cons
     if (o->effects.on) {
         stir(o, v, &s, a);
     }
-    touch(o, v, &s, a, turn);
+    swim(o, v, &s, a, turn);
     memcpy(before, v->v, sizeof before);
     if (v->tied) {
         dl_sim_vehicle_carry(v, g);
     } else {
-        integrate(o, v, a, turn);
-        rotation_of(v->q, v->R);
+        move(o, v, &s, a, turn);
     }
     for (int i = 0; i < 3; i++) {
         v->a[i] = 1.0 / o->step_s * (v->v[i] - before[i]);
