@@ -19,12 +19,11 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.lamp import places_of
-from estimator.vision.lamp_sighting import detect_lamps
 from estimator.vision.options import TrackerMethod
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, detect_lamps, track
 from fuzz.target import Choices, Target, block
 from sitl.emulators.ardrone.wire_pictures import Encoder
 from sitl.scenario.scenario import load as load_scenario

@@ -35,7 +35,7 @@ from drivers.clock import SystemClock
 from drivers.pyav import has_pyav
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.ardrone.generations import GENERATIONS
+from sitl.ardrone.state import GENERATIONS
 from sitl.emulators.ardrone.truth_log import contact_of
 from sitl.emulators.ardrone.truth_log import read as read_truth
 from sitl.flight.ending import Ending, Load

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from companion.cli.options import file_errors, option, print_result
 from estimator.contracts.errors import BadInput
-from sitl.perception.draw import symmetric
+from sitl.perception.model import symmetric
 from sitl.perception.parameters import PerceptionModel, dump
 from study.perception.fit import fit
 from study.perception.recorded import read

@@ -14,8 +14,7 @@ from companion.guidance.controller import HORIZONS_S, AtContact, Controller, Fie
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.flight_memory import FlightMemory, carried_on, memory_of, resumed_by
 from companion.guidance.law.margins import expected_error_m
-from companion.guidance.law.response_course import reported_lean
-from companion.guidance.law.response_watch import ResponseIdentifier
+from companion.guidance.law.response_watch import ResponseIdentifier, reported_lean
 from companion.guidance.mission import limits
 from companion.guidance.mission.clearance import SwellWatch, watched_swell
 from companion.guidance.mission.contact import ContactWatch, HeldUp, watched

@@ -10,8 +10,7 @@ import numpy as np
 
 from companion.base.observer import NullObserver, ProcessedFrame
 from companion.guidance.pilot import Pilot
-from drivers.camera.exposure import ExposureDrive
-from drivers.camera.exposure_governor import ExposureGovernor
+from drivers.camera.exposure import ExposureDrive, ExposureGovernor
 from drivers.camera.options import ExposureOptions
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64

@@ -1,7 +1,8 @@
 """Track the pad in the frames of a flight, by its paint or by its lamps.
 
 A pad with lamps is seen by them where its paint is not: the lamps come first in a dark frame, and as long as they are what shows.
-A belief excludes places for both.
+A belief excludes places for both. Lamps are found and measured where the filter expects them, else anywhere in the frame; the
+native core does all of it in one call (`estimator/core/vision/lamps/lamps.c`).
 
 The first look builds the drawing's maps, the camera's rays and the tables of light: ten times as much work as any later look. A
 rehearsal looks at drawn frames before the first real one; for a pad with lamps, one is drawn by day and one by night.
@@ -12,6 +13,9 @@ A pad that is followed without an attitude may leave the picture. It is known ag
 
 import dataclasses
 import math
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import combinations
 from types import MappingProxyType
 from typing import Any
 
@@ -20,28 +24,124 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from estimator.contracts.estimates import Method, RelativeState, Sighting
+from estimator.contracts.estimates import CENTRE, Feature, Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.core.abi import DL_LAMP_PAIRS_MAX
+from estimator.core.library import CORE
 from estimator.vision.about_pad import DeckMemory
-from estimator.vision.by_paint import TrackerMemory as TrackerMemory
-from estimator.vision.by_paint import by_paint, by_thesis, read_deck
+from estimator.vision.by_paint import TrackerMemory, by_paint, by_thesis, read_deck
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import FRESH_SEARCH
 from estimator.vision.detect.template import paints_at
 from estimator.vision.detection import Detection
 from estimator.vision.expectation import ExpectedPlace, expected, in_camera, near_enough, sigma_of
-from estimator.vision.lamp import places_of
-from estimator.vision.lamp_sighting import by_lamps, is_dark
-from estimator.vision.native import work_done
+from estimator.vision.lamp import Lamp, places_of
+from estimator.vision.native import checked, image_of, native_prior, tracker_of, work_done
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings, confusable_turns
-from estimator.vision.pose import SIGMA_DECK_RAD
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import SIGMA_DECK_RAD, Orientation
+from estimator.vision.register.registration import sighting_in_level
 from estimator.vision.rolling import at_one_instant
-from estimator.vision.tracker_config import TrackerConfig as TrackerConfig
+from estimator.vision.tracker_config import TrackerConfig
 from estimator.vision.verified import SURE
+
+_SEEN = 1
+_EXPECTED_SIGMAS = 3.0
+"""Standard deviations of the expected position within which the pad is expected."""
+REACH_PX = 40.0
+"""Largest reach about the expected position in which lamps are assigned to spots; beyond it the frame is searched for them."""
+_EVERY_PX = 16
+"""Sampling step of columns and rows for the test whether a frame is dark."""
+_DARK = 25
+"""Value of the brightest channel below which half of a dark frame's pixels lie: 0.9 % of the light that saturates the camera, in
+which a paint's contrast is a few values. Of night frames from 1 m or more nearly all are, and no frame by day."""
+
+
+def detect_lamps(
+    frame: Frame, camera: Camera, pad: Pad, orientation: Orientation, expected: PadPose | None = None, reach_px: float = 0.0
+) -> Sighting | None:
+    """Return the sighting of a pad by its lamps, of method "lamps"; None if its lamps are not seen.
+
+    Args:
+        orientation: the attitude at the exposure.
+        expected: where the pad is expected; if it is not seen there, or with None, the whole frame is searched.
+        reach_px: how far the pad may be from there in the frame.
+
+    Raises:
+        ValueError: the frame is not of the camera's size.
+    """
+    px = np.ascontiguousarray(frame.px, np.uint8)
+    if px.shape != (camera.height, camera.width, 3):
+        raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {px.shape}")
+    out, at = CORE.record("dl_found_lamps"), CORE.ffi.NULL
+    if expected is not None:
+        pose = (expected.R_cam_pad.matrix.ravel().tolist(), expected.t_cam_pad.tolist())
+        at = CORE.ffi.new("dl_expected_lamps *", (pose, reach_px))
+    prior = CORE.ffi.new("dl_tilt_prior *", native_prior(orientation))
+    found = CORE.lib.dl_find_lamps(
+        tracker_of(camera),
+        image_of(px),
+        CORE.array("dl_lamp_pattern", pattern_of(pad)),
+        prior,
+        at,
+        CORE.array("dl_found_lamps", out),
+    )
+    return _sighting(frame, out, camera) if checked(found) == _SEEN else None
+
+
+def _sighting(frame: Frame, seen: NDArray[Any], camera: Camera) -> Sighting:
+    lit, centre = seen["uv_px"][: 2 * int(seen["lit"])].reshape(-1, 2), camera.project(seen["pose"]["t"][None])
+    features = Feature("point", "lamp", lit), Feature("point", CENTRE, centre)
+    return sighting_in_level(frame, seen["seen"], False, float(seen["confidence"]), features, "lamps")
+
+
+@lru_cache(maxsize=8)
+def pattern_of(pad: Pad) -> NDArray[Any]:
+    """Return the core's `dl_lamp_pattern`."""
+    places, pairs = places_of(pad.lamps), tried_pairs(pad.lamps)
+    return CORE.record(
+        "dl_lamp_pattern", lamps=len(pad.lamps), pairs=len(pairs), pair=pairs, x_m=places[:, 0], y_m=places[:, 1],
+        radius_m=[lamp.radius_m for lamp in pad.lamps], size_sigma_m=pad.size_sigma_m,
+    )  # fmt: skip
+
+
+def tried_pairs(lamps: Sequence[Lamp]) -> NDArray[np.int64]:
+    """Return the pairs of lamps that a search tries, (P, 2): near the pad only the inner lamps are in view.
+
+    They are those that are the farthest apart among all lamps, and as many among the inner half.
+    """
+    places = places_of(lamps)
+    order = np.argsort(np.linalg.norm(places - np.median(places, axis=0), axis=1))
+    inner = order[: max(3, len(places) // 2)]
+    return np.array([*_farthest(places, range(len(places))), *_farthest(places, inner.tolist())])
+
+
+def _farthest(places: F64, among: Sequence[int]) -> list[tuple[int, int]]:
+    pairs = sorted(combinations(among, 2), key=lambda pair: -float(np.linalg.norm(places[pair[0]] - places[pair[1]])))
+    return pairs[: DL_LAMP_PAIRS_MAX // 2]
+
+
+def is_dark(frame: Frame) -> bool:
+    """Return whether most of a frame is so dark that lamps show rather than paint."""
+    return bool(np.median(frame.px[::_EVERY_PX, ::_EVERY_PX].max(axis=2)) < _DARK)
+
+
+def by_lamps(
+    tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
+) -> Sighting | None:
+    """Return the sighting of a pad by its lamps; None if they are not seen."""
+    orientation, start, reach_px = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad), None, 0.0
+    if belief is not None and attitude is not None:
+        start = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
+        if start is not None and start.t_cam_pad[2] > 0.05:
+            reach_px = _EXPECTED_SIGMAS * sigma_of(belief) * tracker.camera.fx / float(start.t_cam_pad[2])
+    near = start is not None and 0.0 < reach_px < REACH_PX
+    return detect_lamps(frame, tracker.camera, tracker.pad, orientation, start if near else None, reach_px)
+
 
 _RADII = 5.0
 """Height of the drawn view in radii of the pad's disc: all of the pad fits into any camera's frame."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import COVERED_LOG_ODDS, SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT, align_uncovered
+from estimator.vision.detect.acquire import COVERED_LOG_ODDS, SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT, align_uncovered
 from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.pyramid import U8, FrameView
 from estimator.vision.detect.template import BLURS_M, F32, STEP_M, template

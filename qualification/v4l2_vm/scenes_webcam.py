@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.exposure import TARGET
-from drivers.camera.exposure_governor import ExposureGovernor, meter_inside
+from drivers.camera.exposure import TARGET, ExposureGovernor, meter_inside
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions, ExposureOptions, Size
 from drivers.camera.v4l2 import cameras

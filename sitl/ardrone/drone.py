@@ -17,8 +17,7 @@ from drivers.ardrone.navdata import LAYOUTS, Navdata, clock_of_us, encode
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after
 from sitl.ardrone.config import Configuration, tilting
-from sitl.ardrone.generations import SECOND, Generation
-from sitl.ardrone.state import HOVER, DroneState, RefAction
+from sitl.ardrone.state import HOVER, SECOND, DroneState, Generation, RefAction
 from sitl.sensors.sensors import GnssErrors
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import Stick, World

@@ -14,7 +14,7 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.uvlc import UvlcDecoder
 from sitl.ardrone import uvlc as uvlc_encoder
-from sitl.ardrone.generations import FIRST, Generation
+from sitl.ardrone.state import FIRST, Generation
 from sitl.core.library import SIM
 from sitl.world.truth import RenderedFrame
 

@@ -13,8 +13,7 @@ import numpy as np
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.keys import choice, number
 from estimator.contracts.time import MonoNs, after
-from sitl.faults.fault import Fault
-from sitl.faults.timer import FaultTimer
+from sitl.faults.fault import Fault, FaultTimer
 
 Signal = Literal[
     "accelerometer", "gyro", "attitude", "heading", "velocity", "range", "barometer", "gnss", "samples", "sample_stamps",

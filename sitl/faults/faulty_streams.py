@@ -12,8 +12,8 @@ import numpy as np
 
 from estimator.contracts.time import MonoNs, after
 from sitl.faults.corrupted import Corrupted, Signal
+from sitl.faults.fault import FaultTimer
 from sitl.faults.kinds import KIND_OF_STREAM, STREAMS, Stream
-from sitl.faults.timer import FaultTimer
 
 _T = TypeVar("_T")
 LAG_S = 0.015

@@ -34,8 +34,7 @@ from estimator.contracts.estimates import FusionResult, Verdict
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone, DroneClock
-from sitl.ardrone.generations import GENERATIONS
-from sitl.ardrone.state import refusal
+from sitl.ardrone.state import GENERATIONS, refusal
 from sitl.ardrone.uvlc import ArrivingFrames, synced
 from sitl.camera.render_worker import RenderWorker
 from sitl.faults.faulty_streams import InTransit

@@ -16,8 +16,8 @@ from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.picture_effects import Solid
 from sitl.faults.corrupted import Corruptions
+from sitl.faults.fault import FaultTimer
 from sitl.faults.kinds import Bystander, ObjectOnPad
-from sitl.faults.timer import FaultTimer
 from sitl.flight.ending import AtEnd, Ending, FlightGrade, grade, on_pad_m, outside_commit
 from sitl.flight.hands import of_at
 from sitl.flight.referee import Errand, Referee

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from companion.base.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.operator.arbiter import OperatorArbiter
 from estimator.contracts.time import MonoNs
+from sitl.faults.fault import FaultTimer
 from sitl.faults.kinds import OperatorActs
-from sitl.faults.timer import FaultTimer
 from sitl.flight.hands import BY_REMOTE
 
 _SENDER = OrderSender(OrderSource.GAMEPAD, "simulated")

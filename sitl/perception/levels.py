@@ -30,8 +30,7 @@ from estimator.pipeline import RelativeEstimator
 from estimator.vision.detection import Detection
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import FrameStream, VesselReports
-from sitl.perception.draw import detection_table, root_of, symmetric
-from sitl.perception.model import DrawingPilot, Model, model_for
+from sitl.perception.model import DrawingPilot, Model, detection_table, model_for, root_of, symmetric
 from sitl.perception.parameters import EstimateModel, PerceptionModel
 from sitl.perception.port import LEVELS, Level, PerceivedWorld, Perception
 

@@ -23,13 +23,13 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.core.abi import DL_ECHOES_MAX, DL_SENSOR_NOISE
 from sitl.core.library import SIM
 from sitl.faults.corrupted import Corruptions, Signal
-from sitl.faults.fault import Fault
-from sitl.faults.kinds import LowBattery, NavdataMisstamped
-from sitl.faults.sensors import (
+from sitl.faults.fault import (
     MOST_DELAY_S,
     Accelerometer,
     AttitudeReading,
     Barometer,
+    Fault,
+    FaultTimer,
     Gyro,
     HeadingReading,
     Magnetometer,
@@ -37,7 +37,7 @@ from sitl.faults.sensors import (
     Ultrasound,
     VelocityReading,
 )
-from sitl.faults.timer import FaultTimer
+from sitl.faults.kinds import LowBattery, NavdataMisstamped
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import rotors
 from sitl.vehicle.disturbances import BLOCK, NoiseRows, keep_and_fresh

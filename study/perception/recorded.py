@@ -23,7 +23,7 @@ from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
-from sitl.perception.draw import View, Viewer
+from sitl.perception.model import View, Viewer
 from sitl.scenario.scenario import Scenario, load
 
 

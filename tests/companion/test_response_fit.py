@@ -7,7 +7,6 @@ import pytest
 from msgspec import structs
 
 from companion.guidance.law.gains import tilt_model
-from companion.guidance.law.response_course import Track, asked_descent, asked_lean, course_of, joined, reported_lean
 from companion.guidance.law.response_fit import (
     STEP_S,
     FlightCourse,
@@ -15,6 +14,7 @@ from companion.guidance.law.response_fit import (
     fit_climb,
     fit_tilt,
 )
+from companion.guidance.law.response_watch import Track, asked_descent, asked_lean, course_of, joined, reported_lean
 from companion.settings.load import shipped_response
 from companion.settings.response import TiltResponse
 from estimator.contracts.commands import Hover, Lean, Velocity

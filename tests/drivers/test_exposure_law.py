@@ -10,8 +10,18 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.camera.exposure import TARGET, ExposureDrive, ExposureRange, ExposureSetting, LawMemory, Metered, step
-from drivers.camera.exposure_governor import ExposureGovernor, meter_inside, meter_whole
+from drivers.camera.exposure import (
+    TARGET,
+    ExposureDrive,
+    ExposureGovernor,
+    ExposureRange,
+    ExposureSetting,
+    LawMemory,
+    Metered,
+    meter_inside,
+    meter_whole,
+    step,
+)
 from drivers.camera.options import ExposureOptions
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame

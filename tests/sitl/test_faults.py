@@ -22,7 +22,18 @@ from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, after
-from sitl.faults.fault import Fault
+from sitl.faults.fault import (
+    Accelerometer,
+    AttitudeReading,
+    Barometer,
+    Fault,
+    FaultTimer,
+    Gyro,
+    HeadingReading,
+    Magnetometer,
+    Ultrasound,
+    VelocityReading,
+)
 from sitl.faults.faulty_streams import FaultyStream, InTransit
 from sitl.faults.kinds import (
     KIND_OF_STREAM,
@@ -48,17 +59,6 @@ from sitl.faults.kinds import (
     StreamFault,
     WetLens,
 )
-from sitl.faults.sensors import (
-    Accelerometer,
-    AttitudeReading,
-    Barometer,
-    Gyro,
-    HeadingReading,
-    Magnetometer,
-    Ultrasound,
-    VelocityReading,
-)
-from sitl.faults.timer import FaultTimer
 from sitl.flight.flight import Flight
 from sitl.perception.levels import perceive
 from sitl.perception.model import MODELLED

@@ -21,9 +21,8 @@ from estimator.vision.register.registration import sighting_of
 from sitl.faults.kinds import KINDS
 from sitl.flight.one_flight import settings_for
 from sitl.perception import parameters
-from sitl.perception.draw import Chance, DetectionTable, View, Viewer, symmetric
 from sitl.perception.levels import REPRESENTED, TrueMotion, perceive, represents
-from sitl.perception.model import _turned
+from sitl.perception.model import Chance, DetectionTable, View, Viewer, _turned, symmetric
 from sitl.perception.port import LEVELS, Level
 from sitl.scenario.scenario import load as load_scenario
 from sitl.world.world import World

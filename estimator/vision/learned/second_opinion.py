@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import UNCUT
+from estimator.vision.detect.acquire import UNCUT
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.template import BLURS_M, REACH
 from estimator.vision.pad import Pad

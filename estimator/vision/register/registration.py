@@ -30,7 +30,7 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT
+from estimator.vision.detect.acquire import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT
 from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
 from estimator.vision.drawing import EdgeKind

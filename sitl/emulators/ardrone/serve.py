@@ -24,8 +24,7 @@ from msgspec.structs import asdict
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.time import Clock, seconds_between
-from sitl.ardrone.generations import GENERATIONS
-from sitl.ardrone.state import AIRBORNE
+from sitl.ardrone.state import AIRBORNE, GENERATIONS
 from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports
 from sitl.flight.referee import unsafe_contacts
 from sitl.scenario.scenario import Scenario, camera_model, load, vehicle_model, with_ardrone1

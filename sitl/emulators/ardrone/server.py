@@ -24,7 +24,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone, DroneClock, SentFrame
-from sitl.ardrone.generations import FIRST, SECOND, Generation
+from sitl.ardrone.state import FIRST, SECOND, Generation
 from sitl.emulators.ardrone.truth_log import TruthLog
 from sitl.emulators.ardrone.wire_pictures import PavePictures, Shot, UvlcPictures, WirePicture
 from sitl.faults.faulty_streams import LAG_S, Fate, InTransit

@@ -16,7 +16,7 @@ from drivers.ardrone import pave
 from drivers.pyav import require_pyav
 from estimator.contracts.geometry import F64, Rotation
 from sitl.ardrone import uvlc as uvlc_encoder
-from sitl.ardrone.generations import P264
+from sitl.ardrone.state import P264
 
 IDR_EVERY = 15
 """Number of frames from one IDR to the next, as in captures of the real drone."""

@@ -19,8 +19,8 @@ from sitl.camera.render_worker import RenderWorker
 from sitl.emulators.autopilots.motors import Motors, MotorVehicle
 from sitl.emulators.autopilots.station import OperatorView
 from sitl.faults.corrupted import Corruptions
+from sitl.faults.fault import FaultTimer
 from sitl.faults.kinds import LightFalls
-from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import Scenario, pad_model
 from sitl.vehicle.vehicle import DECK, SEA, VehiclePhase
 from sitl.vessel.contact import Ground

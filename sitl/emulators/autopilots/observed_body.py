@@ -14,9 +14,9 @@ from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 from sitl.emulators.autopilots.body import Body
 from sitl.faults.corrupted import Corruptions
+from sitl.faults.fault import FaultTimer
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import OperatorActs
-from sitl.faults.timer import FaultTimer
 from sitl.flight.ending import Ending
 from sitl.flight.grader import FlightGrader
 from sitl.flight.hands import STOPS, Asks, SentPacket

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
+from estimator.vision.detect.acquire import SIGMA_TILT_RAD, align
 from estimator.vision.detect.guesses import Circle, Outline, Radii, blob_circles, edge_circles, guesses_from, pose_about
 from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import FrameView, Pyramid

@@ -14,8 +14,17 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import SearchMemory, align_at, search
-from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, align_uncovered, cut_at, turned_uncovered
+from estimator.vision.detect.acquire import (
+    SIGMA_TILT_RAD,
+    UNCUT,
+    SearchMemory,
+    align,
+    align_at,
+    align_uncovered,
+    cut_at,
+    search,
+    turned_uncovered,
+)
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import FEATURES
 from estimator.vision.options import TrackerOptions

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.faults.fault import Fault
+from sitl.faults.fault import Fault, FaultTimer
 from sitl.faults.faulty_streams import VehicleStreams
-from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import Scenario
 from sitl.sensors.sensors import Readings
 from sitl.vehicle.airframe import StickLimits

@@ -28,7 +28,7 @@ from estimator.contracts.pictures import CodedPicture
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 from estimator.uvlc import UvlcDecoder
-from sitl.ardrone.generations import FIRST
+from sitl.ardrone.state import FIRST
 from sitl.ardrone.uvlc import ArrivingFrames
 from sitl.emulators.ardrone import serve, truth_log
 from sitl.emulators.ardrone.serve import fly_repeatedly

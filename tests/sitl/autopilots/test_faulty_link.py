@@ -18,9 +18,9 @@ from estimator.contracts.commands import Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from sitl.emulators.autopilots.lock_step import FaultyLink
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
+from sitl.faults.fault import FaultTimer
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import LinkLost, NavdataStream, StreamFault
-from sitl.faults.timer import FaultTimer
 from tests.support.clocks import PatientClock
 from tests.support.waiting import free_port, until
 

@@ -14,8 +14,8 @@ from estimator.contracts.time import seconds_between
 from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.lock_step import CameraTiming, LockStepCamera, LockStepClock
 from sitl.emulators.autopilots.program import reserved_port, running
+from sitl.faults.fault import FaultTimer
 from sitl.faults.faulty_streams import VehicleStreams
-from sitl.faults.timer import FaultTimer
 from sitl.scenario.scenario import load
 from tests.support.processes import alive
 from tests.support.waiting import until
