@@ -154,10 +154,6 @@ def daylight(stops: float) -> Condition:
     return Condition(light=Light(daylight_ev=stops, exposure_ev=-stops - 0.5))
 
 
-def said_of(name: str) -> Condition:
-    return Condition("light", pad=load_pad(name))
-
-
 OTHER_F = replace(SIM, fx=1.02 * SIM.fx, fy=1.02 * SIM.fy)
 FISHEYE = replace(SIM, fx=0.8 * SIM.fx, fy=0.8 * SIM.fy, distortion=np.array([0.01, -0.004, 0.001, 0.0]), lens="fisheye")
 CONDITIONS: Mapping[str, Condition] = {
@@ -181,7 +177,7 @@ CONDITIONS: Mapping[str, Condition] = {
     "focal 2 % wrong": Condition(told=OTHER_F), "red pad": Condition(pad=painted(green=(150, 20, 20))),
     "blue on yellow": Condition(pad=painted(green=(240, 200, 20), white=(10, 40, 150))),
     "H on grey deck": Condition(pad=painted(green=(112, 118, 122))),
-    **{name: said_of(name) for name in SHIPPED if name != "thesis"},
+    **{name: Condition("light", pad=load_pad(name)) for name in SHIPPED if name != "thesis"},
     **{name: Condition() for name in EMPTY},
 }  # fmt: skip
 
@@ -189,7 +185,8 @@ CONDITIONS: Mapping[str, Condition] = {
 def scene_of(name: str, of: Condition, height_m: float, rng: np.random.Generator) -> PadScene:
     """Return a random frame in a condition; where there is a pad the vehicle sends its attitude."""
     if name == "clutter":
-        seen = replace_size(view(int(rng.integers(10**6, 10**7))), of.camera)
+        size = of.camera.width, of.camera.height
+        seen = np.asarray(cv2.resize(view(int(rng.integers(10**6, 10**7))), size, interpolation=cv2.INTER_CUBIC), np.uint8)
         return PadScene(seen, None, Rotation.identity(), height_m, 0.0, name)
     if name in EMPTY:
         return (empty_scene if name == "empty" else ring_scene)(rng, of.camera, height_m)
@@ -199,10 +196,6 @@ def scene_of(name: str, of: Condition, height_m: float, rng: np.random.Generator
         )
         if made.R_level_body is not None:
             return replace(made, px=of.change(made.px, rng))
-
-
-def replace_size(px: U8, camera: Camera) -> U8:
-    return np.asarray(cv2.resize(px, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC), np.uint8)
 
 
 def range_error(found: Sighting, truth: PadPose, camera: Camera) -> float:

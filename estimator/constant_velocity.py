@@ -114,7 +114,9 @@ class ConstantVelocityPath(Path):
         if belief is None:
             return None
         kalman = self._predicted(belief, seconds_between(belief.at, now))
-        heading_rad = self._heading_rad(now)
+        # The vehicle's heading now; the newest one if no attitude covers it.
+        newest = self._attitudes.samples[-1]
+        heading_rad = (self._attitudes.at(now, newest.stamp) or newest).R_ned_body.rpy_rad[2]
         R_level_ned = Rotation.from_rpy(0.0, 0.0, -heading_rad).matrix
         turn, cov = np.kron(np.eye(2), R_level_ned), np.zeros((7, 7))
         d, v = (turn @ kalman.x).reshape(2, 3)
@@ -140,8 +142,3 @@ class ConstantVelocityPath(Path):
         kalman.Q = Q_continuous_white_noise(2, abs(elapsed_s), _ACCELERATION_DENSITY_M2_S3, 3, order_by_dim=False)
         kalman.predict()
         return kalman
-
-    def _heading_rad(self, now: MonoNs) -> float:
-        """Return the vehicle's heading at an instant; the newest one if no attitude covers it."""
-        newest = self._attitudes.samples[-1]
-        return (self._attitudes.at(now, newest.stamp) or newest).R_ned_body.rpy_rad[2]

@@ -47,16 +47,12 @@ def stuck(health: HealthSnapshot, flying: bool) -> str | None:
         done = sum(n for verdict, n in health.frames.items() if verdict != Verdict.REPLACED.value)
         if frames.count > done:
             return f"vision has not been done with a frame for {frames.age_s:.1f} s"
-    silence_s = _youngest_s(health)
+    flows: Mapping[str, float | None] = {kind: health.flows[kind].age_s for kind in SAMPLE_KINDS if kind in health.flows}
+    ages = [age for age in flows.values() if age is not None]
+    silence_s = min(ages) if ages else None
     if flying and silence_s is not None and silence_s > SAMPLES_S:
         return f"no sample of the flying vehicle for {silence_s:.1f} s"
     return None
-
-
-def _youngest_s(health: HealthSnapshot) -> float | None:
-    flows: Mapping[str, float | None] = {kind: health.flows[kind].age_s for kind in SAMPLE_KINDS if kind in health.flows}
-    ages = [age for age in flows.values() if age is not None]
-    return min(ages) if ages else None
 
 
 log = logging.getLogger(__name__)

@@ -143,7 +143,7 @@ def leave(code: int) -> int:
     left = _holding()
     if left and PROCESS.number is None:
         _end(code, f"threads that did not end: {', '.join(thread.name for thread in left)}; going without")
-    if PROCESS.number is not None or _daemons():
+    if PROCESS.number is not None or any(t.daemon and t.name != _WATCHER for t in threading.enumerate()):
         _end(code, "")
     return code
 
@@ -211,23 +211,15 @@ def _holding() -> list[threading.Thread]:
     return [thread for thread in threading.enumerate() if thread is not main and not thread.daemon]
 
 
-def _daemons() -> list[threading.Thread]:
-    return [thread for thread in threading.enumerate() if thread.daemon and thread.name != _WATCHER]
-
-
-def _release_semaphores() -> None:
-    """Unlink the semaphores of multiprocessing, as the interpreter's shutdown would: else Python warns that they have leaked."""
-    util = sys.modules.get("multiprocessing.util")
-    if util is not None:
-        util._run_finalizers(0)
-
-
 def _end(code: int, words: str) -> NoReturn:
     """End the process without the interpreter's shutdown, which may wait."""
 
     def say() -> None:
         with suppress(Exception):
-            _release_semaphores()
+            # Unlink the semaphores of multiprocessing, as the interpreter's shutdown would: else Python warns of a leak.
+            util = sys.modules.get("multiprocessing.util")
+            if util is not None:
+                util._run_finalizers(0)
         with suppress(Exception):
             sys.stdout.flush()
         with suppress(Exception):

@@ -10,8 +10,6 @@ from typing import Any
 
 from companion.cli.options import check_seed, file_errors, option, print_result, require_drawing
 from companion.settings.load import SHIPPED, load, pad_of_file, read_camera
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
 from study.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, hover_table, lags
 from study.experiments.photographs import read_photographs
 
@@ -45,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
     photographs = None
     if args.photos is not None:
         _say(args, "5.2 the photographs of the real pad")
-        photographs = read_photographs(args.photos, *_shipped())
+        camera, pad = read_camera(SHIPPED / "cameras" / "photos.toml"), pad_of_file(SHIPPED / "pads" / "printed.toml")
+        photographs = read_photographs(args.photos, camera, pad)
     chapter = fly_chapter(settings, args.seed, lambda title: _say(args, title))
     words = ["decklander", "experiments", *(["--seed", str(args.seed)] if args.seed != 1 else [])]
     words += ["--photos", "DIR"] if args.photos is not None else []
@@ -60,11 +59,6 @@ def run(args: argparse.Namespace) -> int:
 def _say(args: argparse.Namespace, title: str) -> None:
     if not args.json:
         sys.stderr.write(f"{title} ...\n")
-
-
-def _shipped() -> tuple[Camera, Pad]:
-    """Return the camera of the photographs and the printed pad."""
-    return read_camera(SHIPPED / "cameras" / "photos.toml"), pad_of_file(SHIPPED / "pads" / "printed.toml")
 
 
 def _tables(chapter: Chapter5) -> dict[str, Any]:

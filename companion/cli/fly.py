@@ -157,7 +157,10 @@ class _Keyboard:
                 elif key in MOTIONS:
                     self.say("press m to take the hand")
             elif key == "m":
-                await self._toggle_hand(client)
+                wanted = not self._hand
+                if await self._give(client, OperatorOrder.MANUAL if wanted else OperatorOrder.RELEASE):
+                    self._hand = wanted
+                    self._motion = replace(self._motion, until_s={})
             elif key == "E":
                 await self._emergency(client)
             elif key in KEYS:
@@ -168,12 +171,6 @@ class _Keyboard:
         if self._hand:
             client.move(CENTRED)
             await client.order(OperatorOrder.RELEASE)
-
-    async def _toggle_hand(self, client: OperatorClient) -> None:
-        wanted = not self._hand
-        if await self._give(client, OperatorOrder.MANUAL if wanted else OperatorOrder.RELEASE):
-            self._hand = wanted
-            self._motion = replace(self._motion, until_s={})
 
     async def _emergency(self, client: OperatorClient) -> None:
         now_s, before_s = self._loop.time(), self._cut_s

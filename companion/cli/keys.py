@@ -213,7 +213,7 @@ async def meet(endpoint: Endpoint, current: SigningKey | None, system: int | Non
                         armed = bool(message.base_mode & ARMED)
                         met = Met(
                             received.system, received.component, stack_of(message).value, armed, _is_signed(received),
-                            _is_old_version(received),
+                            bool(received.message.get_msgbuf()[0] == mav.PROTOCOL_MARKER_V1),
                         )  # fmt: skip
                         first = clock.now() if first is None else first
                         if not met.old_version or seconds_between(first, clock.now()) > _CHANGES_OVER_S:
@@ -275,10 +275,6 @@ def _is_signed(received: ReceivedMessage) -> bool:
     """Return whether the frame's flags mark it as signed; no key is needed to read them."""
     frame = received.message.get_msgbuf()
     return frame[0] == mav.PROTOCOL_MARKER_V2 and bool(frame[2] & mav.MAVLINK_IFLAG_SIGNED)
-
-
-def _is_old_version(received: ReceivedMessage) -> bool:
-    return bool(received.message.get_msgbuf()[0] == mav.PROTOCOL_MARKER_V1)
 
 
 def _silence(links: Links, endpoint: Endpoint, current: SigningKey | None) -> str:

@@ -109,7 +109,8 @@ def _answers(args: argparse.Namespace) -> Answers:
     flies_itself = vehicle in _OWN_LINK
     link = args.link or next((one.link for one in received if one.name == vehicle), "")
     if not link:
-        link = _usual_link(vehicle)
+        own = {"sim": "127.0.0.1", "ardrone1": _ARDRONE[0], "ardrone2": _ARDRONE[0]}
+        link = own.get(vehicle, "serial:///dev/ttyAMA0:921600")
         if not flies_itself:
             sys.stdout.write(f"no autopilot answers: the file names {link}; --link names another\n")
     there = [] if flies_itself else [one for one in cameras() if one.index == 0]
@@ -205,10 +206,6 @@ def _stack(messages: Sequence[Message]) -> str:
     """Return the name of the autopilot that one of the messages is a HEARTBEAT of; empty if none is."""
     stacks = {mav.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot", mav.MAV_AUTOPILOT_PX4: "px4"}
     return next((stacks[m.autopilot] for m in messages if m.get_type() == "HEARTBEAT" and m.autopilot in stacks), "")
-
-
-def _usual_link(vehicle: str) -> str:
-    return {"sim": "127.0.0.1", "ardrone1": _ARDRONE[0], "ardrone2": _ARDRONE[0]}.get(vehicle, "serial:///dev/ttyAMA0:921600")
 
 
 def _page_addresses() -> dict[str, str]:

@@ -275,7 +275,8 @@ def image_annotations(at_ns: int, features: Iterable[tuple[str, Feature]], capti
     t = time_of(at_ns)
     points = []
     for method, feature in features:
-        ink = _color(method)
+        value = int(colour(method)[1:], 16)
+        ink = Color((value >> 16 & 255) / 255.0, (value >> 8 & 255) / 255.0, (value & 255) / 255.0, 1.0)
         # Tenths of a pixel are what an eye sees; every further digit is stored and cannot be packed.
         known = feature.uv_px[np.isfinite(feature.uv_px).all(axis=1)]
         uv = list(starmap(Point2, np.round(known + 0.5, 1).tolist()))
@@ -283,11 +284,6 @@ def image_annotations(at_ns: int, features: Iterable[tuple[str, Feature]], capti
         points.append(PointsAnnotation(t, _POINT_TYPES[feature.kind], uv, ink, [], _CLEAR, 2.0, notes))
     text = TextAnnotation(t, Point2(8.0, 20.0), caption, 14.0, Color(1.0, 1.0, 1.0, 1.0), Color(0.0, 0.0, 0.0, 0.5))
     return ImageAnnotations(t, [], points, [text])
-
-
-def _color(method: str) -> Color:
-    value = int(colour(method)[1:], 16)
-    return Color((value >> 16 & 255) / 255.0, (value >> 8 & 255) / 255.0, (value & 255) / 255.0, 1.0)
 
 
 def log_line(at_ns: int, level: int, name: str, message: str) -> Log:

@@ -101,15 +101,6 @@ class PaveHeader:
         """True if the header announces a frame; no payload follows it then."""
         return bool(self.control & CONTROL_ADVERTISEMENT)
 
-    @property
-    def last_of_stream(self) -> bool:
-        return bool(self.control & CONTROL_LAST_FRAME)
-
-    @property
-    def following_bytes(self) -> int:
-        """The number of payload bytes that follow this header."""
-        return 0 if self.advertisement else self.payload_size
-
     def pack(self) -> bytes:
         """Return the header's bytes.
 
@@ -211,7 +202,7 @@ class PaveParser:
             return self._resync(self._floor if self._floor < self._at else self._at + 1)
         if header is _More.NEEDED:
             return self._overtaken(self._at + 1, len(self._data))
-        end = self._at + header.header_size + header.following_bytes
+        end = self._at + header.header_size + (0 if header.advertisement else header.payload_size)
         if self._overtaken(self._at + 1, min(end, len(self._data))):
             return True
         if len(self._data) < end:
@@ -227,8 +218,9 @@ class PaveParser:
         if last is not None:
             step = (header.frame_number - last.frame_number) & 0xFFFFFFFF
             parts = last.frame_type == FrameType.HEADERS or last.total_chunks > 1 or last.total_slices > 1
-            same_stream = header.stream_id == last.stream_id and header.codec == last.codec and not last.last_of_stream
-            continuous = continuous and same_stream and (step == 1 or (step == 0 and parts))
+            same_stream = header.stream_id == last.stream_id and header.codec == last.codec
+            goes_on = same_stream and not last.control & CONTROL_LAST_FRAME
+            continuous = continuous and goes_on and (step == 1 or (step == 0 and parts))
         if not header.advertisement:
             self._last = header
             self._clean = True

@@ -39,7 +39,7 @@ The visible part changes with every frame, and each change of the exposure would
 """
 _STEP_EV = 3.0
 """Largest step, stops."""
-_DARKEST = 2.0**-13
+_NO_LIGHT = 2.0**-13
 """Light below which eight bits carry no information."""
 _LENGTHEN = 1.9
 """The time is made longer at the gain's cost only where the limit has grown by this factor: each change costs pictures."""
@@ -93,7 +93,7 @@ class Metered(Struct, frozen=True):
         """Stops by which the picture is too dark; negative where it is too bright."""
         if self.clipped:
             return -1.0 - 2.0 * self.saturated
-        return math.log2(self.target / max(self.level, _DARKEST))
+        return math.log2(self.target / max(self.level, _NO_LIGHT))
 
 
 class LawMemory(Struct, frozen=True):
@@ -102,15 +102,6 @@ class LawMemory(Struct, frozen=True):
     correcting: bool = False
     short_of_ev: float = 0.0
     """Stops that are missing (or too many, below 0) where the limits do not allow more; 0 where they do."""
-
-
-def limit_of(blur_px: float, speed_px_s: float, longest_s: float) -> float:
-    """Return the longest exposure, s, during which a picture that moves at this speed is smeared by no more than `blur_px`.
-
-    It is `longest_s` or one of a few times below, half an octave apart.
-    """
-    octaves = math.log2(max(1.0, speed_px_s * longest_s / blur_px))
-    return longest_s * math.exp2(-math.ceil(_RUNGS * octaves) / _RUNGS)
 
 
 def step(
@@ -349,7 +340,10 @@ class ExposureGovernor:
         can, held = self._drive.can, self._drive.held
         if can is None or held is None:
             return
-        limit_s = limit_of(self._o.blur_px, speed_px_s, self._o.longest_s)
+        # The longest exposure during which a picture that moves at this speed is smeared by no more than `blur_px`. It is
+        # `longest_s` or one of a few times below, half an octave apart.
+        octaves = math.log2(max(1.0, speed_px_s * self._o.longest_s / self._o.blur_px))
+        limit_s = self._o.longest_s * math.exp2(-math.ceil(_RUNGS * octaves) / _RUNGS)
         if not self._drive.settled(frame.seq):
             if held.exposure_s > limit_s and held.exposure_s > can.shortest_s:
                 self._drive.ask(can.split(held.product_s, limit_s))

@@ -242,7 +242,10 @@ class KernelDevice:
             if (layout.format, layout.width, layout.height) != (name, width, height):
                 sizes.append(f"{layout.width}x{layout.height} ({name})")
                 continue
-            self._check_line(layout)
+            try:
+                line_length(layout)
+            except BadInput as why:
+                raise BadInput(f"camera {self._path}: {why}") from why
             if rate_hz >= 0.9 * o.rate_hz:
                 return layout, rate_hz
             if best is None or rate_hz > best[0]:
@@ -250,12 +253,6 @@ class KernelDevice:
         if best is None:
             raise BadInput(f"camera {self._path}: no frame of {width}x{height} px; the nearest is {', '.join(sizes)}")
         return self._try(best[1], width, height, o.rate_hz)
-
-    def _check_line(self, layout: FrameLayout) -> None:
-        try:
-            line_length(layout)
-        except BadInput as why:
-            raise BadInput(f"camera {self._path}: {why}") from why
 
     def _try(self, name: str, width: int, height: int, asked_hz: float) -> tuple[FrameLayout, float]:
         got = kernel.set_format(self.fileno(), name, width, height)

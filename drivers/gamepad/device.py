@@ -132,11 +132,6 @@ class EventDevice:
         return answer.tobytes()
 
 
-def is_gamepad(device: EventDevice) -> bool:
-    """Return whether the device has two axes and a button of a gamepad or joystick."""
-    return len(device.axes & {AXES["ABS_X"], AXES["ABS_Y"]}) == 2 and bool(device.buttons & set(BUTTONS.values()))
-
-
 def gamepads(folder: Path = FOLDER) -> Iterator[EventDevice]:
     """Yield each gamepad that is plugged in, open; whoever takes one closes it.
 
@@ -154,7 +149,8 @@ def gamepads(folder: Path = FOLDER) -> Iterator[EventDevice]:
         except OSError:
             continue
         opened += 1
-        if is_gamepad(device):
+        # Two axes and a button of a gamepad or joystick.
+        if {AXES["ABS_X"], AXES["ABS_Y"]} <= device.axes and device.buttons & set(BUTTONS.values()):
             yield device
         else:
             device.close()

@@ -315,7 +315,11 @@ class Gimbal:
                 self._manager = (received.system, received.component)
             return None
         if kind == "COMMAND_ACK":
-            self._on_ack(identity.address, received)
+            sender = (received.system, received.component)
+            if sender == self._device(identity.address):
+                self._streams.on_message(received.message, received.received_at)
+            if self.pointer is not None and sender == (self._manager or identity.address):
+                self.pointer.on_ack(int(received.message.command), int(received.message.result), received.received_at)
             return None
         own = received.component == identity.component
         if kind not in _REPORTS or not self._reports(m, received.component, own=own) or not self._hold(received):
@@ -345,13 +349,6 @@ class Gimbal:
         if self.pointer is not None:
             out += self.pointer.due(now, autopilot.links.identity, self._manager or identity.address, self._off_rad())
         return out
-
-    def _on_ack(self, autopilot: tuple[int, int], received: ReceivedMessage) -> None:
-        sender = (received.system, received.component)
-        if sender == self._device(autopilot):
-            self._streams.on_message(received.message, received.received_at)
-        if self.pointer is not None and sender == (self._manager or autopilot):
-            self.pointer.on_ack(int(received.message.command), int(received.message.result), received.received_at)
 
     def _device(self, autopilot: tuple[int, int]) -> tuple[int, int]:
         return autopilot if self._o.of_autopilot else (autopilot[0], self._o.device_id)

@@ -31,7 +31,8 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.core.abi import DL_LAMP_PAIRS_MAX
 from estimator.core.library import CORE
 from estimator.vision.about_pad import DeckMemory
-from estimator.vision.by_paint import TrackerMemory, by_paint, by_thesis, read_deck
+from estimator.vision.by_paint import TrackerMemory as TrackerMemory
+from estimator.vision.by_paint import by_paint, by_thesis, read_deck
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import FRESH_SEARCH
 from estimator.vision.detect.template import paints_at
@@ -46,10 +47,10 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import SIGMA_DECK_RAD, Orientation
 from estimator.vision.register.registration import sighting_in_level
 from estimator.vision.rolling import at_one_instant
-from estimator.vision.tracker_config import TrackerConfig
+from estimator.vision.tracker_config import TrackerConfig as TrackerConfig
 from estimator.vision.verified import SURE
 
-_SEEN = 1
+_FOUND = 1
 _EXPECTED_SIGMAS = 3.0
 """Standard deviations of the expected position within which the pad is expected."""
 REACH_PX = 40.0
@@ -90,7 +91,7 @@ def detect_lamps(
         at,
         CORE.array("dl_found_lamps", out),
     )
-    return _sighting(frame, out, camera) if checked(found) == _SEEN else None
+    return _sighting(frame, out, camera) if checked(found) == _FOUND else None
 
 
 def _sighting(frame: Frame, seen: NDArray[Any], camera: Camera) -> Sighting:

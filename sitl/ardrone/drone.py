@@ -173,7 +173,7 @@ class Drone:
         echo_m = self._readings.ultrasound_m
         if echo_m is not None and echo_m != self._echo_m:
             self._echoes += 1
-            self._altitude_m = upright_m(echo_m, self.rpy_rad)
+            self._altitude_m = echo_m * math.cos(self.rpy_rad[0]) * math.cos(self.rpy_rad[1])
         self._echo_m = echo_m
         self._ticks += 1
         self._recorder.tick(self.world)
@@ -332,11 +332,6 @@ class Drone:
 @cache
 def _tags(mask: int) -> tuple[int, ...]:
     return tuple(tag for tag in LAYOUTS if mask >> tag & 1)
-
-
-def upright_m(slant_m: float, rpy_rad: tuple[float, float, float]) -> float:
-    """Height over a level ground from a range along the body's down axis."""
-    return slant_m * math.cos(rpy_rad[0]) * math.cos(rpy_rad[1])
 
 
 def _mdeg(angle_rad: float) -> float:

@@ -307,7 +307,10 @@ class Renderer:
         if self.light.drone_shadow == 0:
             return gain
         if gain is self._vignette:
-            gain = self._restored()
+            # The vignetting in room of our own, where the last frame's shadow is taken off.
+            self._darkened[self._dark_part] = self._vignette[self._dark_part]
+            self._dark_part = slice(0), slice(0)
+            gain = self._darkened
         p_body_pad = R_pad_ned.dot(shot.p_body_ned - shot.p_pad_ned)
         body, pose = (R_pad_ned.dot(shot.R_ned_body.matrix), p_body_pad), (R_cam_pad, t_cam_pad)
         to_sun_pad, share = R_pad_ned.dot(self._to_sun), self.light.drone_shadow
@@ -315,12 +318,6 @@ class Renderer:
         if gain is self._darkened and part is not None:
             self._dark_part = part
         return gain
-
-    def _restored(self) -> I16:
-        """Return the vignetting in room of our own, where the last frame's shadow is taken off."""
-        self._darkened[self._dark_part] = self._vignette[self._dark_part]
-        self._dark_part = slice(0), slice(0)
-        return self._darkened
 
     def _shaded(self, gain: I16, cast: tuple[U8, slice, slice], mask: U8 | None) -> I16:
         """Return the factors on the light with the mast's shadow, where the deck is."""

@@ -61,7 +61,10 @@ class PictureEffects:
                 case ObjectOnPad() if fault.thing == "wet patch":
                     out = self._wetted(out, fault, R, t)
                 case LightFalls():
-                    out = _darker(out, fault.fraction, rng)
+                    # Less light, and the noise that the sensor then has: 8000 electrons of full scale, 12 of read noise.
+                    light = fault.fraction * linear_light(out)
+                    sigma = np.sqrt(light / 8000.0 + (12.0 / 8000.0) ** 2)
+                    out = srgb_values(light + sigma * rng.standard_normal(light.shape))
         for fault in faults:
             match fault:
                 case FocalLength():
@@ -86,8 +89,9 @@ class PictureEffects:
                 there = Pad.from_mapping(read_toml(path), str(path))
                 hidden = [(self._pad.circle(1.1 * self._pad.disc_radius_m)[:, :2], _DECK)] if fault.instead else []
                 own = [
-                    (_moved(fault.size * points, fault.turned_deg, fault.forward_m, fault.right_m), rgb)
-                    for points, rgb in pad_polygons(there)
+                    (_moved(fault.size * points, fault.turned_deg, fault.forward_m, fault.right_m), there.rgb(region))
+                    for region in there.regions
+                    for points in outlines_of(region)
                 ]
                 return [*hidden, *own]
         return []
@@ -138,11 +142,6 @@ class PictureEffects:
         )
 
 
-def pad_polygons(pad: Pad) -> list[tuple[F64, RGB]]:
-    """Return the outlines of a pad's regions, (N, 2) m, in paint order."""
-    return [(line, pad.rgb(region)) for region in pad.regions for line in outlines_of(region)]
-
-
 def _thing(fault: ObjectOnPad) -> list[Polygon]:
     place, turned = (fault.forward_m, fault.right_m), math.radians(fault.turned_deg)
     if fault.thing == "wet patch":
@@ -161,13 +160,6 @@ def _thing(fault: ObjectOnPad) -> list[Polygon]:
 def _moved(points: F64, turned_deg: float, forward_m: float, right_m: float) -> F64:
     c, s = math.cos(math.radians(turned_deg)), math.sin(math.radians(turned_deg))
     return np.asarray(points @ np.array([[c, s], [-s, c]]) + (forward_m, right_m))
-
-
-def _darker(px: U8, fraction: float, rng: np.random.Generator) -> U8:
-    """Return a frame with less light and the noise that its sensor then has: 8000 electrons of full scale, 12 of read noise."""
-    light = fraction * linear_light(px)
-    sigma = np.sqrt(light / 8000.0 + (12.0 / 8000.0) ** 2)
-    return srgb_values(light + sigma * rng.standard_normal(light.shape))
 
 
 def _behind_drops(px: U8, fault: WetLens, seed: int) -> U8:

@@ -91,7 +91,12 @@ class LocalWorkers:
         order = order_of(self._plan, job, self._code, self._flyer)
         try:
             if self._pool is None:
-                self._pool = _new_pool(self._workers)
+                for name in _THREADS:
+                    os.environ.setdefault(name, "1")
+                context = multiprocessing.get_context("forkserver")
+                context.set_forkserver_preload(["sitl.campaign.unborn", "sitl.campaign.task"])
+                _start_server()
+                self._pool = ProcessPoolExecutor(self._workers, mp_context=context, initializer=_begin)
             return self._pool.submit(fly_order, order), False
         except BrokenProcessPool as why:
             future: Future[Flight] = Future()
@@ -107,15 +112,6 @@ class LocalWorkers:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.kill()
-
-
-def _new_pool(workers: int) -> ProcessPoolExecutor:
-    for name in _THREADS:
-        os.environ.setdefault(name, "1")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["sitl.campaign.unborn", "sitl.campaign.task"])
-    _start_server()
-    return ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
 
 
 def _start_server() -> None:

@@ -233,7 +233,12 @@ class Flight:
     def _serve(self, now: MonoNs) -> None:
         """Run the service for one tick."""
         for navdata, measured_at in self._navdata(now):
-            self._deliver_samples(navdata, measured_at, MonoNs(now + _NAVDATA_DELAY_NS))
+            received_at = MonoNs(now + _NAVDATA_DELAY_NS)
+            self._streamer.on_navdata(navdata, received_at)
+            samples = self._sampler.samples(navdata, synced(measured_at, received_at))
+            for sample in samples:
+                self._streamer.on_sample(sample)
+            self._take(samples)
         if reports := self._reporter.reports(now):
             self._take(reports)
         self._film(now)
@@ -309,13 +314,6 @@ class Flight:
 
     def _datagram(self) -> tuple[Navdata, MonoNs]:
         return self._drone.navdata(), self._drone.measured_at
-
-    def _deliver_samples(self, navdata: Navdata, measured_at: MonoNs, received_at: MonoNs) -> None:
-        self._streamer.on_navdata(navdata, received_at)
-        samples = self._sampler.samples(navdata, synced(measured_at, received_at))
-        for sample in samples:
-            self._streamer.on_sample(sample)
-        self._take(samples)
 
     def _take(self, samples: Sequence[Sample]) -> None:
         if not self.watched and not self._observers:

@@ -226,11 +226,6 @@ class TruthLevel(Model):
         self.world = world
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
 
-    def true_motion(self) -> TrueMotion:
-        """Return a source of the true motion, made uncertain, with a generator of its own."""
-        seed = np.random.SeedSequence(self.world.seed, spawn_key=(_SPAWN_KEY, 1))
-        return TrueMotion(self.world, np.random.Generator(np.random.PCG64(seed)))
-
     def fresh(self) -> F64:
         """Return (7,) new standard normal numbers."""
         return self._rng.standard_normal(_N)
@@ -300,7 +295,9 @@ class TruthEstimator(RelativeEstimator):
 
     def _moved(self) -> TrueMotion:
         if self._true_motion is None:
-            self._true_motion = self._level.true_motion()
+            # Made uncertain with a generator of its own.
+            seed = np.random.SeedSequence(self._level.world.seed, spawn_key=(_SPAWN_KEY, 1))
+            self._true_motion = TrueMotion(self._level.world, np.random.Generator(np.random.PCG64(seed)))
         return self._true_motion
 
     def _estimate(self, now: MonoNs) -> RelativeState | None:

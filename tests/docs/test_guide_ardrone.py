@@ -23,11 +23,6 @@ LANDS_S, BEGINS = 90.0, 3
 """Limits for a busy machine. One that starves the service for seconds makes it give up, rightly; its advice is to begin again."""
 
 
-def guide_commands() -> list[str]:
-    """Return every command that the guide prints on a line of its own, without its comment."""
-    return [re.split(r" {2,}#", line)[0].strip() for line in PAGE.splitlines() if re.match(r" {7}decklander ", line)]
-
-
 @pytest.mark.timeout(420)
 def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_path, monkeypatch, capsys):
     block = re.search(r"```toml rig\n(.*?)```", PAGE, re.DOTALL)
@@ -60,7 +55,8 @@ def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_
         text = text.replace("192.168.1.1", "127.0.0.1").replace("[http]\n", f"[http]\nport = {free_port()}\n")
         text += "[expert.vehicle]\n" + "".join(f"{name}_port = {port}\n" for name, port in ports.items())
         (tmp_path / "rig.toml").write_text(text)
-        todo = guide_commands()
+        # Every command that the guide prints on a line of its own, without its comment.
+        todo = [re.split(r" {2,}#", line)[0].strip() for line in PAGE.splitlines() if re.match(r" {7}decklander ", line)]
         for wanted in ("decklander keys token page.token", "decklander run --config rig.toml --check"):
             assert todo.pop(0) == wanted
             code, printed = cli(*wanted.split()[1:])

@@ -266,7 +266,8 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
         # One that is braked until the contact is no reason to brush it.
         speed = min(speed, knowledge.at_contact.speed_m_s)
     if speed is not None and knowledge.deck is not None:
-        speed += SIGMAS_AHEAD * max(0.0, _sigma_m_s(estimate) - _USUAL_SIGMA_M_S)
+        sigma_m_s = math.sqrt(max(estimate.cov.item(3, 3), estimate.cov.item(4, 4)))  # the larger one along the deck
+        speed += SIGMAS_AHEAD * max(0.0, sigma_m_s - _USUAL_SIGMA_M_S)
         # Higher up the next frames say what she does. A body whose acceleration is not felt seems to be a ship that brakes.
         if over_m < _DECIDES_M and estimate.steers and not knowledge.unfelt:
             # Until all feet stand: the first that touches does not stop what she does.
@@ -281,11 +282,6 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
             (ReasonCause.DECK_TILT, tilt_deg, limits.deck_tilt_gate_deg),
         ]
     )
-
-
-def _sigma_m_s(estimate: RelativeState) -> float:
-    """Return the larger 1-sigma of the speed along the deck, m/s."""
-    return math.sqrt(max(estimate.cov.item(3, 3), estimate.cov.item(4, 4)))
 
 
 def _at_contact(knowledge: Knowledge, limits: LandingLimits, looser: float) -> list[Comparison]:

@@ -71,7 +71,12 @@ class Guide:
         found.add(name, px)
         views = len(found.views)
         if views >= LEAST_VIEWS and views > self._solved and views >= round(_GROWN * self._solved):
-            self._solve()
+            self._solved = len(self.collection.views)
+            assert self.collection.size is not None
+            try:
+                self.solution = solve(self.collection.views, self._board, self.collection.size, self._mount)
+            except BadInput:  # too few views agree yet
+                self.solution = None
         seen = len(found.without) == without
         lacks, rms_px, grade = missing(found), None, None
         if self.solution is not None and found.size is not None:
@@ -80,14 +85,6 @@ class Guide:
             lacks = tuple(judged.missing)
         self.state = GuideState(found.image_count, views, seen, _cells(found), lacks, rms_px, grade)
         return self.state
-
-    def _solve(self) -> None:
-        self._solved = len(self.collection.views)
-        assert self.collection.size is not None
-        try:
-            self.solution = solve(self.collection.views, self._board, self.collection.size, self._mount)
-        except BadInput:  # too few views agree yet
-            self.solution = None
 
 
 def missing(collection: Collection) -> tuple[str, ...]:

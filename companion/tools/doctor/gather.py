@@ -46,18 +46,15 @@ class Notes(Struct):
     def on_message(self, received: ReceivedMessage) -> None:
         m, name = received.message, received.message.get_type()
         if name == "HEARTBEAT" and len(self.systems) < _FOUND_MAX:
-            self.systems[received.system, received.component] = _sender_of(received)
+            stack = "" if m.autopilot == mav.MAV_AUTOPILOT_INVALID else stack_of(m).value
+            named = mav.enums["MAV_TYPE"].get(m.type)
+            kind = f"type {m.type}" if named is None else named.name.removeprefix("MAV_TYPE_").replace("_", " ").lower()
+            self.systems[received.system, received.component] = FoundSystem(
+                received.system, received.component, stack, kind, is_autopilot(m, received.component)
+            )
         elif name == "SYS_STATUS" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
             self.enabled = bool(m.onboard_control_sensors_enabled & _PRECLAND_BIT)
             self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
-
-
-def _sender_of(received: ReceivedMessage) -> FoundSystem:
-    m = received.message
-    stack = "" if m.autopilot == mav.MAV_AUTOPILOT_INVALID else stack_of(m).value
-    named = mav.enums["MAV_TYPE"].get(m.type)
-    kind = f"type {m.type}" if named is None else named.name.removeprefix("MAV_TYPE_").replace("_", " ").lower()
-    return FoundSystem(received.system, received.component, stack, kind, is_autopilot(m, received.component))
 
 
 async def examine(

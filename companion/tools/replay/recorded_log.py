@@ -1,7 +1,6 @@
 """The logs of a recorded flight for figures and report: as it was decided then, and as a replay decides."""
 
 import math
-from collections.abc import Iterable, Mapping
 
 import numpy as np
 from msgspec import Struct
@@ -206,18 +205,12 @@ def differences(ours: Beliefs, theirs: Beliefs) -> list[Difference]:
         b = {at: c for (p, at), c in theirs.items() if p == path}
         common = sorted(a.keys() & b.keys())
         d = np.array([float(np.linalg.norm(a[t].d_body_pad_level - b[t].d_body_pad_level)) for t in common])
-        yaw = _yaw_differences(a, b, common)
+        pairs = ((a[t].yaw_rad, b[t].yaw_rad) for t in common)
+        yaw = [abs(wrap_pi(x - y)) for x, y in pairs if x is not None and y is not None]
         same = sum(_same(a[t], b[t]) for t in common)
         q50, q95, largest = (float(np.quantile(d, q)) if len(d) else math.nan for q in (0.5, 0.95, 1.0))
         out.append(Difference(path, len(common), len(a.keys() ^ b.keys()), same, q50, q95, largest, max(yaw, default=math.nan)))
     return out
-
-
-def _yaw_differences(
-    a: Mapping[MonoNs, RelativeState], b: Mapping[MonoNs, RelativeState], common: Iterable[MonoNs]
-) -> list[float]:
-    pairs = ((a[t].yaw_rad, b[t].yaw_rad) for t in common)
-    return [abs(wrap_pi(x - y)) for x, y in pairs if x is not None and y is not None]
 
 
 def _same(a: RelativeState, b: RelativeState) -> bool:

@@ -8,7 +8,7 @@ import cv2
 from msgspec import Struct, field, structs
 
 from companion.base.mission import StateChange
-from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame, ThingReport, things_of
+from companion.base.observer import Decision, NullObserver, ProcessedFrame, ThingReport, things_of
 from companion.base.orders import HandledOrder
 from companion.recording.frame_encoder import VideoImage
 from companion.tools.report.overlay import expected_in_body
@@ -206,7 +206,10 @@ class FlightLog(Struct, eq=False):
             self.phases.append(PhaseChange(decision.at, decision.phase))
         self.transitions += decision.transitions
         if decision.ahead is not None:
-            self.add_forecast(decision.ahead)
+            at = decision.ahead.at
+            for row in decision.ahead.rows():
+                if row[0] in HORIZONS_KEPT_S:
+                    self.decks.append(DeckSample(MonoNs(at + round(row[0] * NS_PER_S)), at, *row[1:]))
         if whole:
             self.estimates += [b for b in (decision.belief, *decision.shadows) if b is not None]
             if decision.command is not None:
@@ -239,12 +242,6 @@ class FlightLog(Struct, eq=False):
                 self.things.append(LoggedThing(at, at, thing))
             else:
                 known.last, known.seen = at, thing
-
-    def add_forecast(self, ahead: DeckOutlook) -> None:
-        """Keep the deck at the horizons of `HORIZONS_KEPT_S`."""
-        for row in ahead.rows():
-            if row[0] in HORIZONS_KEPT_S:
-                self.decks.append(DeckSample(MonoNs(ahead.at + round(row[0] * NS_PER_S)), ahead.at, *row[1:]))
 
     def add_result(self, result: FusionResult) -> None:
         """Keep a result. Results of accepted IMU samples are left out: they are compared with nothing."""

@@ -59,7 +59,8 @@ def export(recording: Recording, folder: Path) -> dict[str, int]:
         bag.close()
     except BaseException as why:
         bag.abandon()
-        if _is_fault_of_disk(why):
+        # The disk refused, or apsw, the library below rosbags, says so of the database.
+        if isinstance(why, OSError) or type(why).__module__ == "apsw":
             raise BadInput(f"{folder}: cannot write a bag there: {why}") from why
         raise
     return dict(bag.counts)
@@ -104,11 +105,6 @@ def _gimballed(recording: Recording) -> bool:
     except BadInput:
         return False
     return settings is not None and settings.camera.gimbal.given
-
-
-def _is_fault_of_disk(why: BaseException) -> bool:
-    """Return whether the disk refused, or apsw, the library below rosbags, says so of the database."""
-    return isinstance(why, OSError) or type(why).__module__ == "apsw"
 
 
 def _kept() -> Any:

@@ -60,16 +60,6 @@ def body_in_level(R_ned_body: Rotation) -> Rotation:
     return Rotation(UP @ R_ned_body.without_heading().matrix @ UP)
 
 
-def enu(v_ned: F64) -> F64:
-    """Return a vector (3,) of `ned` as east, north, up."""
-    return np.asarray(_ENU_NED @ v_ned)
-
-
-def enu_cov(cov_ned: F64) -> F64:
-    """Return a covariance (3, 3) of `ned` in east, north, up."""
-    return np.asarray(_ENU_NED @ cov_ned @ _ENU_NED.T)
-
-
 def enu_attitude(R_ned_body: Rotation) -> Rotation:
     """Return the rotation from `base_link` to `map` of an attitude."""
     return Rotation(_ENU_NED @ R_ned_body.matrix @ UP)
@@ -300,7 +290,7 @@ class RosMessages:
     def _vessel(self, of: VesselReport) -> Iterator[_Topic]:
         at = of.stamp.measured_at
         if of.v_vessel_ned is not None and of.cov_v_ned is not None:
-            twist = self._twist_with_cov(enu(of.v_vessel_ned), enu_cov(of.cov_v_ned))
+            twist = self._twist_with_cov(_ENU_NED @ of.v_vessel_ned, _ENU_NED @ of.cov_v_ned @ _ENU_NED.T)
             yield "/vessel/velocity", self._stamped("TwistWithCovarianceStamped", at, MAP, twist=twist)
         if of.heading_rad is not None:
             R = enu_attitude(Rotation.from_rpy(0.0, 0.0, of.heading_rad))

@@ -383,20 +383,17 @@ class ArDroneServer:
         drone.tick(at)
         self._ticks += 1
         if not drone.in_demo_mode or self._ticks % DEMO_TICKS == 0:
-            self._send_navdata()
+            now = self._clock.now()
+            if self._navdata.busy and not self.silent:
+                self._sent.send(self.drone.datagram, now)
+            while (packet := self._sent.arrived(now)) is not None:
+                self._navdata.send(packet[1])
         if drone.answers and self._control.busy:
             for answer in drone.answers.values():
                 self._control.send(answer())
             drone.answers.clear()
         if self._truth is not None and self._ticks % TRUTH_TICKS == 0:
             self._truth.write(self.world.truth())
-
-    def _send_navdata(self) -> None:
-        now = self._clock.now()
-        if self._navdata.busy and not self.silent:
-            self._sent.send(self.drone.datagram, now)
-        while (packet := self._sent.arrived(now)) is not None:
-            self._navdata.send(packet[1])
 
     def _take(self, data: bytes, sender: Address) -> None:
         self._asked.send(lambda: (data, sender), self._clock.now())
