@@ -102,7 +102,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_margins.py",
         f"{_WATCH}::test_a_vehicle_that_answers_otherwise_than_its_file_is_flown_by_its_own_frequency_and_damping",
     ),
-    "companion/settings/response.py": ("tests/companion/test_response.py",),
+    "companion/settings/guidance.py": ("tests/companion/test_response.py",),
     "companion/guidance/law/gains.py": (
         "tests/companion/test_response.py",
         "tests/companion/test_law.py",

@@ -11,9 +11,8 @@ from companion.cli.options import check_new, file_errors, option, print_result, 
 from companion.guidance.law.margins import LoopMargins, margins
 from companion.guidance.law.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt, text
 from companion.recording.reading import Recording, open_recording
-from companion.settings.guidance import FollowDeckOptions
+from companion.settings.guidance import FollowDeckOptions, Response, TiltResponse, response_from_mapping
 from companion.settings.load import find_file, read_toml, response_model, shipped
-from companion.settings.response import Response, TiltResponse, response_from_mapping
 from companion.tools.calibrate import touchdown_cost
 from companion.tools.calibrate.flown_courses import FlownCourses, flown_courses
 from companion.tools.calibrate.touchdown_cost import ResponseCost

@@ -13,7 +13,7 @@ from msgspec import Struct, field
 from msgspec.structs import force_setattr
 
 from companion.base.response_in_use import ResponseInUse
-from companion.settings.response import ClimbResponse
+from companion.settings.guidance import ClimbResponse
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64

@@ -14,8 +14,7 @@ from companion.guidance.law.follow_deck import FollowDeck
 from companion.guidance.law.gains import ObserverNoise
 from companion.guidance.law.pid import PidController
 from companion.guidance.law.policy import PolicyController, read_policy, shipped_policy
-from companion.settings.guidance import GuidanceOptions
-from companion.settings.response import Response
+from companion.settings.guidance import GuidanceOptions, Response
 from estimator.contracts.errors import BadInput
 
 GROUP = "decklander.controllers"

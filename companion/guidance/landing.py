@@ -30,10 +30,9 @@ from companion.guidance.mission.waiting import ends_here
 from companion.guidance.mission.wind import WindOverDrone, WindWatch, trim_level, wind_over_drone
 from companion.guidance.mission.wind import watched as watched_wind
 from companion.guidance.operator.command_limits import Unmeasured, without_velocity
-from companion.settings.guidance import GuidanceOptions
+from companion.settings.guidance import ClimbResponse, GuidanceOptions, TiltResponse
 from companion.settings.load import shipped_response
 from companion.settings.operator import LimitOptions, ManualOptions
-from companion.settings.response import ClimbResponse, TiltResponse
 from companion.settings.vessel import ReportLimits
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, PathName, RelativeState, Verdict

@@ -19,10 +19,9 @@ from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.landing import LandingGuidance, PilotOptions, alerted
 from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.guidance.pad_search import Look, PadSearch
-from companion.settings.guidance import GuidanceOptions
+from companion.settings.guidance import GuidanceOptions, Response, TiltResponse
 from companion.settings.load import body_camera, camera_model, pad_model, response_model
 from companion.settings.model import Settings
-from companion.settings.response import Response, TiltResponse
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import HeldCamera

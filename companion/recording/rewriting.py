@@ -16,11 +16,10 @@ from companion.facts import encode
 from companion.facts.records import DetectionRecord, FusionRecord, HealthRecord, LinkRecord, OrderRecord, TruthRecord
 from companion.recording import channels
 from companion.recording import foxglove as fox
-from companion.recording.container import records
 from companion.recording.frame_encoder import RECORDED, FrameEncoder, VideoImage
 from companion.recording.mcap_file import About, Attachment, McapFile
 from companion.recording.message_encoder import MessageEncoder
-from companion.recording.reading import Event, RecordedFrame, Recording, instant
+from companion.recording.reading import Event, RecordedFrame, Recording, instant, records
 from estimator.contracts.errors import BadInput, fault_of
 from estimator.contracts.estimates import Method
 from estimator.contracts.samples import VehicleStatus

@@ -21,8 +21,8 @@ import msgspec
 
 import configs
 from companion.settings.files import CREDENTIAL, LARGEST_BYTES, refuse_special
+from companion.settings.guidance import Response, response_from_mapping
 from companion.settings.model import PadSettings, Settings, in_file, joined
-from companion.settings.response import Response, response_from_mapping
 from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import DOWN
 from estimator.contracts.errors import BadInput, unusable

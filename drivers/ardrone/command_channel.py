@@ -16,14 +16,13 @@ from typing import Self
 import msgspec
 
 import drivers
-from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
+from drivers.ardrone.arbiter import BUSY, HOVER, LINE_MAX, STAY_UP, SenderOptions, SenderOrder, TimedCommand, as_text, pack
 from drivers.ardrone.at import AtCommand, encode
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.sender_lock import mark
-from drivers.ardrone.sender_wire import BUSY, LINE_MAX, SenderOptions, SenderOrder, as_text, pack
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 

@@ -17,21 +17,22 @@ from contextlib import suppress
 
 import msgspec
 
-from drivers.ardrone.arbiter import HOVER, CommandArbiter
-from drivers.ardrone.at import numbered
-from drivers.ardrone.counters import Refusal
-from drivers.ardrone.navdata import decode
-from drivers.ardrone.sender_lock import claim, yield_to
-from drivers.ardrone.sender_wire import (
+from drivers.ardrone.arbiter import (
     BUSY,
+    HOVER,
     LINE_MAX,
     UP,
+    CommandArbiter,
     SenderOptions,
     SenderOrder,
     TextCommand,
     as_text,
     order_of,
 )
+from drivers.ardrone.at import numbered
+from drivers.ardrone.counters import Refusal
+from drivers.ardrone.navdata import decode
+from drivers.ardrone.sender_lock import claim, yield_to
 from estimator.contracts.time import MonoNs
 
 PARTING = 5

@@ -13,9 +13,8 @@ from companion.guidance.law.follow_deck import FollowDeck
 from companion.guidance.law.pid import PidController
 from companion.guidance.law.policy import PolicyController
 from companion.guidance.pilot import field_of_view, law_of, make_pilot
-from companion.settings.guidance import GuidanceOptions
+from companion.settings.guidance import GuidanceOptions, response_from_mapping
 from companion.settings.load import SHIPPED, camera_model, from_mapping, load, read_toml, response_model
-from companion.settings.response import response_from_mapping
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform

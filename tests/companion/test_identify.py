@@ -23,8 +23,8 @@ from companion.guidance.operator.arbiter import BY_HAND
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.mcap_file import Attachment
 from companion.recording.reading import open_recording
+from companion.settings.guidance import TiltResponse, response_from_mapping
 from companion.settings.load import SHIPPED, camera_model, shipped_response
-from companion.settings.response import TiltResponse, response_from_mapping
 from companion.tools.calibrate.flown_courses import flown_courses
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation

@@ -16,8 +16,7 @@ from companion.guidance.mission.gate import Gate
 from companion.guidance.mission.limits import DWELL_S
 from companion.guidance.mission.machine import mission_step
 from companion.guidance.mission.progress import VesselPosition
-from companion.settings.guidance import GuidanceOptions
-from companion.settings.response import ClimbResponse
+from companion.settings.guidance import ClimbResponse, GuidanceOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, Verdict
 from estimator.contracts.geodesy import GeoPoint, moved

@@ -20,8 +20,8 @@ from companion.guidance.law.gains import (
     tilt_model,
 )
 from companion.guidance.law.margins import margins
+from companion.settings.guidance import TiltResponse
 from companion.settings.load import shipped_response
-from companion.settings.response import TiltResponse
 
 RESPONSE = shipped_response("ardrone2")
 TILT = TiltResponse(0.05, 9.0, 0.7, lag_s=0.08)

@@ -30,9 +30,8 @@ from companion.guidance.mission.limits import (
 )
 from companion.guidance.mission.machine import PHASES, aim
 from companion.guidance.mission.progress import GuidanceCycle, InputQuality, Progress
-from companion.settings.guidance import GuidanceOptions
+from companion.settings.guidance import ClimbResponse, GuidanceOptions
 from companion.settings.mission import ConeOptions, LandingLimits
-from companion.settings.response import ClimbResponse
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.ekf import Forecast

@@ -20,8 +20,8 @@ from companion.guidance.law.margins import (
     expected_error_m,
     margins,
 )
+from companion.settings.guidance import ClimbResponse, Response, TiltResponse
 from companion.settings.load import shipped_response
-from companion.settings.response import ClimbResponse, Response, TiltResponse
 from estimator.contracts.commands import Lean
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2

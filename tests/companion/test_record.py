@@ -19,8 +19,7 @@ from companion.cli.record import Storage, storage, upload
 from companion.facts.records import TruthRecord
 from companion.parts.recorder.storage_policy import Folder, digest_file
 from companion.recording import rewriting
-from companion.recording.container import MAGIC
-from companion.recording.reading import RecordedFrame, open_recording
+from companion.recording.reading import MAGIC, RecordedFrame, open_recording
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Imu
 from tests.support.waiting import accepts, free_port, wait_until

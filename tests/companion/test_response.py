@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from companion.guidance.law.gains import tilt_model
-from companion.settings.response import ClimbResponse, TiltResponse, response_from_mapping
+from companion.settings.guidance import ClimbResponse, TiltResponse, response_from_mapping
 from estimator.contracts.errors import BadInput
 from estimator.contracts.motion import G_M_S2
 

@@ -15,8 +15,8 @@ from companion.guidance.law.response_fit import (
     fit_tilt,
 )
 from companion.guidance.law.response_watch import Track, asked_descent, asked_lean, course_of, joined, reported_lean
+from companion.settings.guidance import TiltResponse
 from companion.settings.load import shipped_response
-from companion.settings.response import TiltResponse
 from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2

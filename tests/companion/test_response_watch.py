@@ -32,9 +32,8 @@ from companion.guidance.law.response_watch import (
     shaped,
 )
 from companion.guidance.pilot import make_pilot
-from companion.settings.guidance import FollowDeckOptions, GuidanceOptions
+from companion.settings.guidance import FollowDeckOptions, GuidanceOptions, TiltResponse
 from companion.settings.load import load, shipped, shipped_response
-from companion.settings.response import TiltResponse
 from estimator.contracts.commands import Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation

@@ -14,8 +14,7 @@ from companion.guidance.mission.machine import PHASES, TABLES, account, aim, all
 from companion.guidance.mission.phase import Aim, never_lower, usable
 from companion.guidance.mission.progress import GuidanceCycle, InputQuality, Progress, VehicleHold
 from companion.guidance.mission.wind import WindOverDrone
-from companion.settings.guidance import ElsewhereOptions, GuidanceOptions
-from companion.settings.response import ClimbResponse
+from companion.settings.guidance import ClimbResponse, ElsewhereOptions, GuidanceOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert, RelativeState
 from estimator.contracts.geometry import F64, wrap_pi

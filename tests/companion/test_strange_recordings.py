@@ -18,8 +18,7 @@ from mcap.writer import CompressionType, Writer
 
 from companion.cli.main import main
 from companion.recording.channels import SETTINGS
-from companion.recording.container import MOST_CHUNK_BYTES
-from companion.recording.reading import open_recording
+from companion.recording.reading import MOST_CHUNK_BYTES, open_recording
 from companion.settings import schema
 from companion.settings.load import load
 

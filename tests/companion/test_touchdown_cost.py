@@ -9,8 +9,8 @@ from msgspec import structs
 
 from companion.guidance.law.margins import margins
 from companion.guidance.law.response_fit import STEP_S, FlightCourse, fit_climb, fit_tilt, text
+from companion.settings.guidance import Response, response_from_mapping
 from companion.settings.load import shipped_response
-from companion.settings.response import Response, response_from_mapping
 from companion.tools.calibrate.touchdown_cost import ResponseCost, tilt_of_file, tilt_of_sigma
 from tests.companion.test_response_fit import GIVEN, WARM, asked_tilts, course
 

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from companion.guidance.controller import FieldOfView, Knowledge
 from companion.guidance.mission.wind import GUST_SIGMAS, MEAN_S, WindWatch, trim_level, watched, wind_over_drone
-from companion.settings.response import TiltResponse
+from companion.settings.guidance import TiltResponse
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2
 from tests.make import body, ns

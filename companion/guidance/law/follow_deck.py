@@ -30,7 +30,7 @@ from companion.guidance.law.gains import (
 from companion.guidance.law.pid import Pid, PidController
 from companion.guidance.law.records import law_course, law_cycle, law_gains, law_in_use, law_params
 from companion.guidance.law.response_watch import DELAY_MAX_S, shaped
-from companion.settings.response import Response, TiltResponse
+from companion.settings.guidance import Response, TiltResponse
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, fixed_pair, fixed_vector

@@ -26,7 +26,7 @@ from typing import NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
-from companion.settings.response import TiltResponse
+from companion.settings.guidance import TiltResponse
 from estimator.contracts.geometry import F64
 
 

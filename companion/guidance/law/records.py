@@ -10,7 +10,7 @@ from typing import Any
 
 from companion.guidance.controller import FieldOfView, Knowledge, Target
 from companion.guidance.law.gains import ObserverGains, TiltGains
-from companion.settings.response import ClimbResponse, TiltResponse
+from companion.settings.guidance import ClimbResponse, TiltResponse
 from estimator.contracts.motion import BodyMotion
 from estimator.core.abi import DL_UNDER_WAY_MAX
 from estimator.core.library import CORE

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.settings.response import ClimbResponse, Response, TiltResponse, within
+from companion.settings.guidance import ClimbResponse, Response, TiltResponse, within
 from estimator.contracts.geometry import F64
 
 STEP_S = 0.02

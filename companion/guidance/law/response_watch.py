@@ -31,8 +31,7 @@ from companion.base.mission import GROUND, State
 from companion.base.response_in_use import AS_FILED, ResponseInUse, ResponseState, TiltShape
 from companion.guidance.law.margins import keeps_margins
 from companion.guidance.law.response_fit import STEP_S, FlightCourse, TiltFit, fit_tilt
-from companion.settings.guidance import GuidanceOptions
-from companion.settings.response import TiltResponse, within
+from companion.settings.guidance import GuidanceOptions, TiltResponse, within
 from estimator.contracts.commands import Command, Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2

@@ -18,7 +18,7 @@ import math
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.settings.response import ClimbResponse
+from companion.settings.guidance import ClimbResponse
 from estimator.contracts.samples import Baro
 from estimator.contracts.time import MonoNs, seconds_between
 

@@ -18,7 +18,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.guidance.controller import FieldOfView, Knowledge
-from companion.settings.response import TiltResponse
+from companion.settings.guidance import TiltResponse
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, seconds_between

@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import structs
 
 from companion.guidance.law.margins import axis_error_m
-from companion.settings.response import TiltResponse
+from companion.settings.guidance import TiltResponse
 from estimator.contracts.geometry import F64
 
 LAST_SIGHTING_M = 0.4
