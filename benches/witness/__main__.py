@@ -1,4 +1,4 @@
-"""Set the simulator beside physics and seas of others: `python -m benches.witness [--contact] [--write DIR]`.
+"""Set the simulator beside physics and seas of others: `python -m benches.witness [--contact] [--seas] [--write DIR]`.
 
 Without a name all witnesses are asked, one table each; `--write` puts the tables into evidence.md.
 """
@@ -6,10 +6,10 @@ Without a name all witnesses are asked, one table each; `--write` puts the table
 import argparse
 from pathlib import Path
 
-from benches.real import write_part
-from benches.witness import contact
+from benches.real import MissingDataError, write_part
+from benches.witness import contact, seas
 
-WITNESSES = {"--contact": contact}
+WITNESSES = {"--contact": contact, "--seas": seas}
 
 
 def main() -> None:
@@ -29,6 +29,9 @@ def main() -> None:
                 lines.append(line)
         except ModuleNotFoundError as why:
             print(f"{module.TITLE}: {why}; install requirements/witness.txt, or the extra decklander[witness]")
+            continue
+        except MissingDataError as why:
+            print(f"{module.TITLE}: {why}")
             continue
         if args.write is not None:
             write_part(args.write / "evidence.md", "\n".join(lines))

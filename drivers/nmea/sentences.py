@@ -18,7 +18,7 @@ import re
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyais
@@ -225,6 +225,32 @@ def checked(sentence: str) -> bool:
     for letter in body:
         check ^= ord(letter)
     return f"{check:02X}" == digits.upper()
+
+
+class ShipMotion(NamedTuple):
+    """The attitude of a ship, and the heave of the place where her motion sensor is."""
+
+    roll_rad: float
+    """Starboard down positive."""
+    pitch_rad: float
+    """Bow up positive."""
+    heading_rad: float
+    heave_down_m: float
+
+
+def ship_motion(sentence: str) -> ShipMotion | None:
+    """Return what a motion sensor's `$PSXN,23` says; None for another sentence, or one with a fault.
+
+    The sign of the heave is that of recorded sentences, beside the heights in the GGA of the same receiver.
+    """
+    cells = sentence.partition("*")[0].split(",")
+    if cells[:2] != ["$PSXN", "23"] or not checked(sentence):
+        return None
+    try:
+        roll, pitch, heading, heave_down_m = (_number(cell) for cell in cells[2:])
+    except (_Refused, ValueError):
+        return None
+    return ShipMotion(math.radians(roll), math.radians(pitch), math.radians(heading), heave_down_m)
 
 
 def _options(wrap_ns: int, resolution_s: float) -> ClockMapOptions:

@@ -6,7 +6,8 @@ A scenario's table `[vessel]` chooses the ship, its course and its turn.
 
 A recorded motion is a CSV file: it is read, checked, and interpolated so that it can be differentiated twice. It is made from
 the log of a boat too: NMEA 0183 sentences with places of an RTK receiver (GGA) and headings (HDT). Such a log holds no roll and
-no pitch, and its height is the heave of the antenna, with the receiver's noise of about a centimetre.
+no pitch, and its height is the heave of the antenna, with the receiver's noise of about a centimetre. The log of a ship's motion
+sensor (PSXN,23) holds roll, pitch and heave, and no surge and no sway.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ _DAY_S = 86400.0
 def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
     """Return times (N,) from 0, s, and motion (N, 6): m north, east and down, and roll, pitch (both 0) and heading, rad.
 
-    The longest stretch without a gap of two seconds is taken; places are about its mean.
+    The longest stretch without a gap of two seconds is taken; places are about its mean. Where there is a motion sensor, the
+    heading is about its mean too, as the course is the scenario's.
 
     Args:
         smooth_s: standard deviation of a Gaussian over time that takes the receiver's noise away; 0 leaves it.
@@ -47,35 +49,46 @@ def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
     Raises:
         BadInput: the file cannot be read, or has no such stretch of 10 s.
     """
+    from drivers.nmea.sentences import ship_motion  # its libraries are not needed where no log is read
+
     try:
         lines = path.read_text(encoding="ascii", errors="replace").splitlines()
     except OSError as why:
         raise BadInput(f"{path}: not readable: {why}") from why
-    places, headings, t_s = [], [], math.nan
+    places, headings, moved, t_s = [], [], [], math.nan
     for line in lines:
         kind, _, rest = line.partition(",")
         cells = rest.partition("*")[0].split(",")
         try:
-            if kind.endswith("GGA") and cells[5] == _RTK:
+            if kind.endswith("GGA"):
                 t_s = _seconds(cells[0])
+            if kind.endswith("PSXN") and math.isfinite(t_s) and (motion := ship_motion(line[line.index("$") :])):
+                moved.append((t_s, *motion))
+            elif kind.endswith("GGA") and cells[5] == _RTK:
                 north, east = _degrees(cells[1], cells[2]), _degrees(cells[3], cells[4])
                 places.append((t_s, north, east, float(cells[8]) + float(cells[10] or 0.0)))
             elif kind.endswith("HDT") and math.isfinite(t_s):
                 headings.append((t_s, math.radians(float(cells[0]))))
         except (ValueError, IndexError):
             continue  # a torn line
-    stretch = _longest(np.array(places, float).reshape(-1, 4))
+    stretch = _longest(np.array(moved, float) if moved else np.array(places, float).reshape(-1, 4))
     if len(stretch) < 2 or stretch[-1, 0] - stretch[0, 0] < 10.0:
-        raise BadInput(f"{path}: no 10 s of RTK places (GGA of quality 4) without a gap of {_GAP_S:g} s")
+        what = "RTK places (GGA of quality 4) or of a motion sensor (PSXN,23)"
+        raise BadInput(f"{path}: no 10 s of {what} without a gap of {_GAP_S:g} s")
     t = stretch[:, 0] - stretch[0, 0]
-    lat, lon = np.radians(stretch[:, 1]), np.radians(stretch[:, 2])
     eta = np.zeros((len(t), 6))
-    eta[:, 0] = _EARTH_M * (lat - lat.mean())
-    eta[:, 1] = _EARTH_M * math.cos(float(lat.mean())) * (lon - lon.mean())
-    eta[:, 2] = -(stretch[:, 3] - stretch[:, 3].mean())
-    if headings:
-        at, heading = np.array(headings).T
-        eta[:, 5] = np.interp(stretch[:, 0], at, np.unwrap(heading))
+    if moved:
+        eta[:, 2:5] = stretch[:, [4, 1, 2]]
+        eta[:, 5] = np.unwrap(stretch[:, 3])
+        eta[:, [2, 5]] -= eta[:, [2, 5]].mean(axis=0)
+    else:
+        lat, lon = np.radians(stretch[:, 1]), np.radians(stretch[:, 2])
+        eta[:, 0] = _EARTH_M * (lat - lat.mean())
+        eta[:, 1] = _EARTH_M * math.cos(float(lat.mean())) * (lon - lon.mean())
+        eta[:, 2] = -(stretch[:, 3] - stretch[:, 3].mean())
+        if headings:
+            at, heading = np.array(headings).T
+            eta[:, 5] = np.interp(stretch[:, 0], at, np.unwrap(heading))
     return (t, eta) if smooth_s == 0.0 else _smoothed(t, eta, smooth_s)
 
 
@@ -150,7 +163,12 @@ class RecordedMotion(Struct, frozen=True, eq=False):
         eta[:, 5] = np.unwrap(eta[:, 5])
         if blend_s is not None and t[-1] < 3.0 * blend_s:
             raise BadInput(f"{path}: {t[-1]:.1f} s of motion are too short to blend {blend_s:g} s of them")
-        return RecordedMotion(t, eta, _second_derivatives(t, eta), blend_s)
+        return RecordedMotion.of(t, eta, blend_s)
+
+    @staticmethod
+    def of(t_s: F64, eta: F64, blend_s: float | None = None) -> RecordedMotion:
+        """Return the motion through samples; arguments as the fields."""
+        return RecordedMotion(t_s, eta, _second_derivatives(t_s, eta), blend_s)
 
     @staticmethod
     @lru_cache(maxsize=32)
@@ -165,8 +183,7 @@ class RecordedMotion(Struct, frozen=True, eq=False):
         """
         if path.suffix == ".csv":
             return RecordedMotion.read(path)
-        t, eta = read_log(path, smooth_s)
-        return RecordedMotion(t, eta, _second_derivatives(t, eta))
+        return RecordedMotion.of(*read_log(path, smooth_s))
 
     @property
     def lasts_s(self) -> float:

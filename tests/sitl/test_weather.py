@@ -23,6 +23,7 @@ from sitl.vessel.file import read_log
 from sitl.world.stage import airframe, true_camera
 from sitl.world.truth import Touchdown, Truth
 from sitl.world.world import Stick, World
+from tests.drivers.nmea.test_sentences import line
 from tests.fly import land, near
 from tests.sitl.test_sea import WMO_3700_M
 from tests.sitl.test_world import CALM, run_world, with_
@@ -234,6 +235,14 @@ def test_a_boats_log_is_its_motion(tmp_path: Path) -> None:
     assert eta[:, 5] == pytest.approx(math.pi / 2.0)
     _, smooth = read_log(tmp_path / "a.txt", 0.5)
     assert smooth[20:-20, 2].std() == pytest.approx(eta[20:-20, 2].std() * math.exp(-0.5 * 0.25), rel=0.05)
+    moved = [line(f"PSXN,23,2.00,-1.50,{(358.5 + 0.1 * t) % 360.0:.2f},{math.sin(t):.2f}").decode() for t in range(30)]
+    (tmp_path / "c.txt").write_text("".join(f"2014-08-01Z {log_line(t, 0, 9, 1)}{said}" for t, said in enumerate(moved)))
+    t, eta = read_log(tmp_path / "c.txt", 0.0)
+    assert (len(t), t[-1]) == (30, 29.0)
+    assert np.abs(eta[:, :2]).max() == 0.0
+    assert eta[:, 2] == pytest.approx(np.sin(t) - np.sin(t).mean(), abs=0.01), "the heave is down, as its sentence says"
+    assert np.degrees(eta[7, 3:5]) == pytest.approx([2.0, -1.5])
+    assert np.degrees(eta[:, 5]) == pytest.approx(0.1 * (t - 14.5)), "about the course, through north"
     (tmp_path / "b.txt").write_text("nothing\n")
     with pytest.raises(BadInput, match=r"b\.txt: no 10 s of RTK places"):
         read_log(tmp_path / "b.txt", 0.0)

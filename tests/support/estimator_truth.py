@@ -29,14 +29,10 @@ class Setting:
 
     seed: int = 0
     sea: int = 4
-    hull: str = "ferry"
     duration_s: float = 60.0
     vessel_speed_m_s: float | None = None
     """None draws one of 0..1.5."""
     imu_hz: float = 200.0
-    asd_gyro: float = 0.0025
-    asd_accel: float = 0.02
-    gyro_bias: float = 0.005
     accel_bias: float = 0.15
     sighting_hz: float = 30.0
     sigma_lateral_per_m: float = 0.002
@@ -45,7 +41,6 @@ class Setting:
     sigma_tilt_deg: float = 1.0
     pose6: bool = False
     delay_s: float = 0.12
-    delay_jitter_s: float = 0.04
     hidden_delay_s: float = 0.0
     """Sightings show the world this much later than their stamps say."""
     mount_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -56,13 +51,10 @@ class Setting:
     attitude_hz: float = 50.0
     attitude_bias_deg: float = 0.2
     attitude_wander_deg: float = 0.3
-    attitude_wander_s: float = 1.0
     velocity_hz: float = 50.0
     velocity_scale: float = 0.83
     velocity_over: str = "ground"
     """Or "pad": the sensor sees the moving deck."""
-    velocity_sigma: float = 0.02
-    velocity_correlation_s: float = 0.25
     range_hz: float = 0.0
     baro_hz: float = 0.0
     lively: float = 1.0
@@ -90,9 +82,9 @@ class TruthFlight:
         towards, heading = rng.uniform(-math.pi, math.pi, 2)
         waves = Waves.draw(SEA_STATES[s.sea], s.seed, towards_rad=towards)
         speed = float(rng.uniform(0.0, 1.5)) if s.vessel_speed_m_s is None else s.vessel_speed_m_s
-        self.vessel = Vessel(HULLS[s.hull], waves, heading_rad=heading, speed_m_s=speed)
+        self.vessel = Vessel(HULLS["ferry"], waves, heading_rad=heading, speed_m_s=speed)
         self.u = speed * np.array([math.cos(heading), math.sin(heading), 0.0])
-        rest = Vessel(HULLS[s.hull], Waves.draw(SEA_STATES[0], 1), heading_rad=heading).pad(0.0)
+        rest = Vessel(HULLS["ferry"], Waves.draw(SEA_STATES[0], 1), heading_rad=heading).pad(0.0)
         self.p0 = rest.p_ned[0]
         self._w = math.tau * rng.uniform(0.15, 0.6, (3, 3))
         self._a = s.lively * rng.uniform(0.3, 1.0, (3, 3)) * 0.35 / self._w * np.array([[1.0], [1.0], [0.5]])
@@ -186,10 +178,6 @@ def wander(rng: np.random.Generator, n: int, dt: float, sigma: float, tau: float
 Event = Imu | Attitude | BodyVelocity | Range | Baro | Sighting
 
 
-def _exp(v: F64) -> F64:
-    return Rotation.from_rotvec(v).matrix
-
-
 def events(flight: TruthFlight) -> list[Event]:
     """Everything the sensors tell, in the order in which it is received."""
     s = flight.s
@@ -200,13 +188,12 @@ def events(flight: TruthFlight) -> list[Event]:
     R, w = flight.attitude(t), flight.rates(t)
     a = flight.body(t)[2]
     f = np.einsum("nji,nj->ni", R, a - np.array([0.0, 0.0, G]))
-    root = math.sqrt(s.imu_hz)
-    w = w + s.gyro_bias * rng.standard_normal(3) + s.asd_gyro * root * rng.standard_normal(w.shape)
-    f = f + s.accel_bias * rng.standard_normal(3) + s.asd_accel * root * rng.standard_normal(f.shape)
+    w = w + 0.005 * rng.standard_normal(3) + 0.0025 * math.sqrt(s.imu_hz) * rng.standard_normal(w.shape)
+    f = f + s.accel_bias * rng.standard_normal(3) + 0.02 * math.sqrt(s.imu_hz) * rng.standard_normal(f.shape)
     out += [Imu(stamp(x), wi, fi) for x, wi, fi in zip(t.tolist(), w, f, strict=True)]
 
     # The vehicle's own attitude: told at its rate, and what vision levels with at any exposure.
-    error = wander(rng, t.size, 1.0 / s.imu_hz, math.radians(s.attitude_wander_deg), s.attitude_wander_s, 3)
+    error = wander(rng, t.size, 1.0 / s.imu_hz, math.radians(s.attitude_wander_deg), 1.0, 3)
     error[:, :2] += math.radians(s.attitude_bias_deg) * rng.standard_normal(2)
     error[:, 2] += math.radians(2.0) * rng.standard_normal()
     sigma_att = math.radians(math.hypot(s.attitude_wander_deg, 0.0))
@@ -214,22 +201,23 @@ def events(flight: TruthFlight) -> list[Event]:
 
     def measured(x: float) -> F64:
         e = np.array([np.interp(x, t, error[:, k]) for k in range(3)])
-        turned: F64 = flight.attitude(np.array([x]))[0] @ _exp(e)
-        return turned
+        return np.asarray(flight.attitude(np.array([x]))[0] @ Rotation.from_rotvec(e).matrix)
 
     every = max(1, round(s.imu_hz / s.attitude_hz))
-    out += [Attitude(stamp(t[k]), Rotation(R[k] @ _exp(error[k])), cov_att) for k in range(0, t.size, every)]
+    out += [
+        Attitude(stamp(t[k]), Rotation(R[k] @ Rotation.from_rotvec(error[k]).matrix), cov_att) for k in range(0, t.size, every)
+    ]
 
     if s.velocity_hz > 0:
         tv = np.arange(0.0, s.duration_s, 1.0 / s.velocity_hz)
-        noise = wander(rng, tv.size, 1.0 / s.velocity_hz, s.velocity_sigma, s.velocity_correlation_s, 2)
+        noise = wander(rng, tv.size, 1.0 / s.velocity_hz, 0.02, 0.25, 2)
         Rv, vv = flight.attitude(tv), flight.body(tv)[1]
         if s.velocity_over == "pad":
             vv = vv - flight.pad(tv)[1]
         psi = np.arctan2(Rv[:, 1, 0], Rv[:, 0, 0])
         fwd = np.cos(psi) * vv[:, 0] + np.sin(psi) * vv[:, 1]
         rgt = np.cos(psi) * vv[:, 1] - np.sin(psi) * vv[:, 0]
-        cov_v = np.diag([s.velocity_sigma**2, s.velocity_sigma**2, UNKNOWN_VAR])
+        cov_v = np.diag([0.02**2, 0.02**2, UNKNOWN_VAR])
         for k in range(tv.size):
             measured_v = s.velocity_scale * np.array([fwd[k], rgt[k], 0.0])
             measured_v[:2] += noise[k]
@@ -245,7 +233,7 @@ def events(flight: TruthFlight) -> list[Event]:
         h = 37.0 - flight.body(tb)[0][:, 2] + 0.3 * rng.standard_normal(tb.size)
         out += [Baro(stamp(x), float(y), 0.3) for x, y in zip(tb.tolist(), h, strict=True)]
 
-    mount = _exp(np.radians(s.mount_deg))
+    mount = Rotation.from_rotvec(np.radians(s.mount_deg)).matrix
     seq = 0
     for measured_at in np.arange(0.3, s.duration_s - s.hidden_delay_s, 1.0 / s.sighting_hz).tolist():
         seq += 1
@@ -261,7 +249,7 @@ def events(flight: TruthFlight) -> list[Event]:
         d = level @ (d_measured + sigma * rng.standard_normal(3))
         seen = level @ mount.T @ Rb.T @ Rp
         e_rot = np.radians([s.sigma_tilt_deg, s.sigma_tilt_deg, s.sigma_yaw_deg]) * rng.standard_normal(3)
-        seen = _exp(e_rot) @ seen
+        seen = Rotation.from_rotvec(e_rot).matrix @ seen
         lever = -np.array([[0, -d[2], d[1]], [d[2], 0, -d[0]], [-d[1], d[0], 0]]) @ np.diag([1.0, 1.0, 0.0])
         cov3 = level @ np.diag(sigma**2) @ level.T + sigma_att**2 * lever @ lever.T
         wrong = rng.random() < s.outliers
@@ -279,7 +267,7 @@ def events(flight: TruthFlight) -> list[Event]:
             cov6[3:, 3:] = np.diag(np.radians([s.sigma_tilt_deg, s.sigma_tilt_deg, s.sigma_yaw_deg]) ** 2)
             cov6 += sigma_att**2 * both @ both.T
             pose = Pose6(d, Rotation(seen), 0.5 * (cov6 + cov6.T))
-        received_at = measured_at + max(0.03, s.delay_s + s.delay_jitter_s * rng.standard_normal())
+        received_at = measured_at + max(0.03, s.delay_s + 0.04 * rng.standard_normal())
         out.append(Sighting(stamp(measured_at, received_at), seq, "registration", d, yaw, False, cov, 1.0, pose))
     rank: dict[type, int] = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, Sighting: 5}
     return sorted(out, key=lambda e: (e.stamp.received_at, rank[type(e)]))
@@ -289,7 +277,6 @@ LEGS = (
     (0.0, 2.5, 1.5, 5.0), (3.0, 2.5, 1.5, 5.0), (9.0, 0.3, -0.2, 2.0), (26.0, 0.2, 0.2, 2.0), (31.0, -0.6, 0.6, 4.0),
     (36.0, 0.1, 0.0, 2.0),
 )  # fmt: skip
-DURATION_S = 40.0
 OPTIONS = ekf.EkfOptions(
     asd_gyro_rad_s=0.0025,
     asd_accel_m_s2=0.02,
@@ -309,7 +296,7 @@ def setting(seed: int) -> Setting:
     return Setting(
         seed=seed,
         sea=(0, 2, 4)[seed % 3],
-        duration_s=DURATION_S,
+        duration_s=40.0,
         imu_hz=100.0,
         attitude_hz=50.0,
         velocity_hz=25.0,

@@ -14,7 +14,7 @@ from pyais import encode_dict
 
 from drivers.clock import SystemClock
 from drivers.endpoint import Address, Endpoint, parse_endpoint
-from drivers.nmea.sentences import HELD_S, KNOT_M_S, NmeaReader, SentenceJoiner, SentenceSource, sentences_from
+from drivers.nmea.sentences import HELD_S, KNOT_M_S, NmeaReader, SentenceJoiner, SentenceSource, sentences_from, ship_motion
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs
@@ -55,6 +55,14 @@ def test_rmc_reports_place_and_velocity() -> None:
     speed = 5.5 * KNOT_M_S / math.sqrt(2.0)
     assert report.v_vessel_ned == pytest.approx([speed, speed, 0.0])
     assert report.cov_v_ned[2, 2] > 1e5, "nothing is said of the vertical"
+
+
+def test_a_motion_sensor_says_roll_pitch_heading_and_heave() -> None:
+    moved = ship_motion(line("PSXN,23,0.40,-1.75,218.25,0.60").decode().strip())
+    assert moved == pytest.approx((math.radians(0.4), math.radians(-1.75), math.radians(218.25), 0.6))
+    for other in ("PSXN,20,1,0,0,0", "PSXN,23,0.4,-1.7,218.2", "PSXN,23,0.4,,218.2,0.6", "PSXN,23,nan,1,2,3", "HEHDT,218.2,T"):
+        assert ship_motion(line(other).decode().strip()) is None, other
+    assert ship_motion("$PSXN,23,0.40,-1.75,218.25,0.60*00") is None, "the checksum is another"
 
 
 def test_gga_reports_the_height_and_how_good_it_is() -> None:
