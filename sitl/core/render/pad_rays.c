@@ -94,50 +94,27 @@ void sizes_of(const spots *s, float *restrict radius, float *restrict way)
 }
 
 WIDE
-static void depths_in_annulus(const float *g, const float *restrict u, const float *restrict v, float *restrict depth)
-{
-    for (int k = 0; k < TOGETHER; k++) {
-        depth[k] = in_annulus(g, u[k], v[k]);
-    }
-}
-
-WIDE
-static void depths_in_rectangle(const float *g, const float *restrict u, const float *restrict v, float *restrict depth)
-{
-    for (int k = 0; k < TOGETHER; k++) {
-        depth[k] = in_rectangle(g, u[k], v[k]);
-    }
-}
-
-WIDE
-static void depths_in_arrow(const float *g, const float *restrict u, const float *restrict v, float *restrict depth)
-{
-    for (int k = 0; k < TOGETHER; k++) {
-        depth[k] = in_arrow(g, u[k], v[k]);
-    }
-}
-
-WIDE
-static void depths_in_polygon(const float *g, const float *restrict u, const float *restrict v, float *restrict depth)
-{
-    for (int k = 0; k < TOGETHER; k++) {
-        depth[k] = in_polygon(g, u[k], v[k]);
-    }
-}
-
-void depths_in(const float *g, const float *u, const float *v, float *depth)
+void depths_in(const float *g, const float *restrict u, const float *restrict v, float *restrict depth)
 {
     switch ((int)g[DL_PAD_SHAPE]) {
     case DL_PAD_ANNULUS:
-        depths_in_annulus(g, u, v, depth);
+        for (int k = 0; k < TOGETHER; k++) {
+            depth[k] = in_annulus(g, u[k], v[k]);
+        }
         break;
     case DL_PAD_RECTANGLE:
-        depths_in_rectangle(g, u, v, depth);
+        for (int k = 0; k < TOGETHER; k++) {
+            depth[k] = in_rectangle(g, u[k], v[k]);
+        }
         break;
     case DL_PAD_POLYGON:
-        depths_in_polygon(g, u, v, depth);
+        for (int k = 0; k < TOGETHER; k++) {
+            depth[k] = in_polygon(g, u[k], v[k]);
+        }
         break;
     default:
-        depths_in_arrow(g, u, v, depth);
+        for (int k = 0; k < TOGETHER; k++) {
+            depth[k] = in_arrow(g, u[k], v[k]);
+        }
     }
 }
