@@ -20,9 +20,8 @@ from sitl.camera.drops import Drops, wet_lens
 from sitl.camera.light import FULL_SCALE, I16, U16, Development, Light, PadBlur, PadInImage, Sensor, counts, scene_of
 from sitl.camera.projection import F32, SHIFT, fixed_point, lens_of
 from sitl.camera.render.deck import DeckPainter, Part, bounds, draw, drone_shadow, hull_side, on_water
-from sitl.camera.render.light import Lamps, glint, mast_shadow, through_haze
 from sitl.camera.render.pad import PadPainter, Pose, Stroke, moved, moved_scene, row_map, smear, vignette
-from sitl.camera.render.sea import SeaPainter
+from sitl.camera.render.sea import Lamps, SeaPainter, glint, mast_shadow, through_haze
 from sitl.camera.settings import LampSettings
 from sitl.camera.surroundings import Surroundings
 from sitl.core.abi import DL_GAIN_ONE, DL_PAD_EDGE, DL_PAD_NONE

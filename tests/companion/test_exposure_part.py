@@ -9,8 +9,7 @@ from msgspec import structs
 
 from companion.base.health import Health
 from companion.guidance.pilot import Pilot, make_pilot
-from companion.service.exposure_part import ExposurePart
-from companion.service.vehicle_parts import vehicle_parts
+from companion.service.vehicle_parts import ExposurePart, vehicle_parts
 from companion.settings.load import from_mapping
 from companion.settings.model import CameraSettings
 from drivers.camera.exposure import TARGET, ExposureDrive, ExposureRange, ExposureSetting

@@ -16,9 +16,8 @@ from companion.parts.mqtt.commands import CommandHandler
 from companion.parts.mqtt.connection import BrokerEndpoint
 from companion.parts.mqtt.encode import PendingEvent
 from companion.parts.mqtt.messages import Topics
-from companion.parts.mqtt.outbox import Outbox
 from companion.parts.mqtt.part import MqttPart
-from companion.parts.mqtt.spool import Spool
+from companion.parts.mqtt.spool import Outbox, Spool
 from companion.settings import files
 from companion.settings.links import MqttSettings
 from companion.settings.service import RestartOptions

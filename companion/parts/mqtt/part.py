@@ -31,8 +31,7 @@ from companion.parts.mqtt.commands import CommandHandler, ShipReportReader
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, client_id, connect
 from companion.parts.mqtt.encode import Changes, PendingEvent, order_event
 from companion.parts.mqtt.messages import EventData, Message, OperatorNotice, StatusMessage, Topics, encode
-from companion.parts.mqtt.outbox import Outbox
-from companion.parts.mqtt.spool import Spool
+from companion.parts.mqtt.spool import Outbox, Spool
 from companion.settings import files
 from companion.settings.links import MqttSettings
 from drivers.mailbox import Line

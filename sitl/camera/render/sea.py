@@ -1,16 +1,24 @@
-"""Render the sea: swell from the wave field, ripples, foam, the sun's glitter, the ship's shadow and wake."""
+"""Render the sea: swell from the wave field, ripples, foam, the sun's glitter, the ship's shadow and wake.
+
+Light that is not paint is rendered here, too: lamps, the sun's glint on sea and wet deck, haze, and the mast's shadow. All of it
+varies slowly over the frame, except the glint's sparkle, and is computed for cells of 8 x 8 pixels.
+"""
 
 import math
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from sitl.camera.light import U16, Light, scene_of
+from estimator.vision.lamp import Lamp
+from sitl.camera.light import U16, Light, Mast, planck_rgb, scene_of
 from sitl.camera.projection import F32, Lens
+from sitl.camera.render.deck import soft_shadow
 from sitl.camera.render.textures import foam, ripples
+from sitl.camera.settings import LampSettings
 from sitl.camera.surroundings import Surroundings
 from sitl.core.library import SIM
 
@@ -148,3 +156,148 @@ def _water_table(water: tuple[int, int, int]) -> NDArray[np.uint8]:
     v = np.arange(256)
     table = np.stack([np.interp(v, stops, channel) for channel in (blue, green, red)], axis=-1)
     return np.clip(np.round(table), 0, 255).astype(np.uint8)
+
+
+_AIRLIGHT = 0.55
+"""Light of thick haze in daylight, in units of full scale where white paint is 0.8."""
+_CONTRAST = -math.log(0.02)
+"""Koschmieder's constant: the contrast at the visibility is 2 %. Source: WMO Guide to Instruments (WMO-No. 8), part I, 9.1."""
+_SEA_SLOPE, _DECK_SLOPE = 0.14, 0.05
+"""Standard deviation of the slopes that mirror the sun: of small waves (Cox & Munk, J. Opt. Soc. Am. 44, 1954), of wet paint."""
+_FACET = 0.035
+"""Half width, as a slope, of the sun's image in one facet, with the blur of what is smaller than a pixel."""
+_RING_M, _RING_LAMP_M = 0.55, 0.012
+"""Radius of the ring of small lamps, and of a lamp of it."""
+_FLOOD_AWAY_M, _FLOOD_HEIGHT_M, _FLOOD_K = 2.5, 1.5, 3200.0
+"""Distance of the floodlights from the pad's centre, their height over the deck, and the colour temperature of halogen lamps."""
+_BRIGHTEST = 8.0
+"""Largest light of the floodlights, against that in the pad's middle: near their feet it is clipped."""
+
+
+class Lamps:
+    """Floodlights around the pad, small lamps in a ring around it, and those that the pad itself has.
+
+    Args:
+        settings: how many they are, and how bright: the light of all floodlights in the pad's middle, daylight being 1, and that
+            of a small lamp, white paint in daylight being 1.
+        own: the lamps that the pad's file names.
+    """
+
+    def __init__(self, settings: LampSettings, own: Sequence[Lamp] = ()) -> None:
+        self.floods = settings.floods
+        self._flood_level = settings.flood_level
+        around = [math.tau * n / settings.pad_lamps for n in range(settings.pad_lamps)]
+        ring = [(_RING_M * np.array([math.cos(a), math.sin(a)]), _RING_LAMP_M, settings.pad_lamps_level) for a in around]
+        lit = own if settings.own_level > 0.0 else ()
+        self._small = [*ring, *((np.array(lamp.at_m), lamp.radius_m, settings.own_level) for lamp in lit)]
+
+    @property
+    def has_small(self) -> bool:
+        """True if a lamp is on that the camera sees itself."""
+        return bool(self._small)
+
+    def ratios_bgr(self, light: Light) -> F32:
+        """Light of the floodlights in the pad's middle against that of the sky, (3,) in blue, green, red."""
+        ratio = planck_rgb(_FLOOD_K) / planck_rgb(light.colour_temperature_k)
+        ratio = ratio / ratio[1] * self._flood_level * 2.0**-light.daylight_ev
+        return np.asarray(ratio[::-1], dtype=np.float32)
+
+    def most_bgr(self, light: Light) -> F32:
+        """Largest light on the scene against that of the sky alone, (3,) in blue, green, red."""
+        return np.asarray(1.0 + _BRIGHTEST * self.ratios_bgr(light), dtype=np.float32)
+
+    def on_plane(self, lens: Lens, pad_from_ray: F64) -> F32:
+        """Return the light of the floodlights on the pad's plane, (H, W), against that in the pad's middle."""
+        places = cv2.perspectiveTransform(lens.coarse, pad_from_ray)
+        h2, d = _FLOOD_HEIGHT_M**2, _FLOOD_AWAY_M
+        total = np.zeros(places.shape[:2])
+        for n in range(self.floods):
+            a = math.tau * n / self.floods
+            away2 = (places[..., 0] - d * math.cos(a)) ** 2 + (places[..., 1] - d * math.sin(a)) ** 2
+            total += ((d * d + h2) / (away2 + h2)) ** 1.5
+        return lens.spread(np.minimum(total / self.floods, _BRIGHTEST).astype(np.float32))
+
+    def shine(self, light: F32, lens: Lens, R_cam_pad: F64, t_cam_pad: F64) -> None:
+        """Add the small lamps' own light to (H, W), white paint in daylight being 1."""
+        camera = lens.camera
+        for at, radius_m, brightness in self._small:
+            point = R_cam_pad[:, :2] @ at + t_cam_pad
+            if point[2] <= 0.02:
+                continue
+            u, v = camera.project(point[None])[0]
+            size = max(0.9, radius_m * camera.fx / point[2])
+            # Below a pixel a lamp is a point: its light spreads over the pixel, falling with the square of the distance.
+            level = brightness * min(1.0, (radius_m * camera.fx / point[2] / 0.9) ** 2)
+            for sigma, share in ((size, 1.0), (6.0 * size, 0.02)):
+                reach = math.ceil(4.0 * sigma)
+                x0, x1 = max(0, math.floor(u) - reach), min(camera.width, math.floor(u) + reach + 2)
+                y0, y1 = max(0, math.floor(v) - reach), min(camera.height, math.floor(v) + reach + 2)
+                if x1 > x0 and y1 > y0:
+                    across = np.exp(-0.5 * ((np.arange(x0, x1) - u) / sigma) ** 2)
+                    down = np.exp(-0.5 * ((np.arange(y0, y1) - v) / sigma) ** 2)
+                    light[y0:y1, x0:x1] += (share * level * down[:, None] * across).astype(np.float32)
+
+
+def through_haze(lens: Lens, normal_cam: F64, distance_m: float, visibility_m: float) -> tuple[F32, F32]:
+    """Return the share of light that comes through haze from a plane, (H, W), and the light of the haze itself in daylight.
+
+    Args:
+        normal_cam: (3,) the plane's normal, away from the camera.
+        distance_m: distance of the camera from the plane.
+    """
+    coarse = lens.coarse
+    along = np.maximum(coarse @ normal_cam[:2].astype(np.float32) + np.float32(normal_cam[2]), np.float32(1e-3))
+    way = distance_m * np.sqrt(1.0 + (coarse * coarse).sum(axis=-1)) / along
+    share = lens.spread(np.exp(-_CONTRAST / visibility_m * way).astype(np.float32))
+    return share, np.float32(_AIRLIGHT / 0.8) * (np.float32(1.0) - share)
+
+
+def glint(lens: Lens, R_plane_cam: F64, to_sun_plane: F64, places: F32, footprint_m: float, *, sea: bool, t_s: float) -> F32:
+    """Return the sun's image in a rough mirror, (H, W): 1 where a facet mirrors the sun into the pixel.
+
+    Args:
+        R_plane_cam: (3, 3) axes of the plane, z into it.
+        to_sun_plane: (3,) direction to the sun, in the plane's axes.
+        places: where the rays meet the plane, (H / 2, W / 2, 2) m.
+        footprint_m: size of a pixel on the plane.
+        sea: whether the facets are waves or the grain of wet paint.
+    """
+    coarse = lens.coarse
+    d = coarse @ R_plane_cam[:, :2].T.astype(np.float32) + R_plane_cam[:, 2].astype(np.float32)
+    d /= np.sqrt(1.0 + (coarse * coarse).sum(axis=-1, keepdims=True))
+    bisector = to_sun_plane.astype(np.float32) - d
+    slope = lens.spread(bisector[..., :2] / np.minimum(bisector[..., 2:], np.float32(-0.05)))
+    h, w = places.shape[:2]
+    slope = np.asarray(cv2.resize(slope, (w, h)), dtype=np.float32)
+    rough, size = (_SEA_SLOPE, 0.43) if sea else (_DECK_SLOPE, 0.05)
+    tile, wind = ripples(0), 1.1 * t_s if sea else 0.0
+    facets = [tile.read(places, 2.0 * footprint_m, size, (-0.5 * wind + aside, -0.35 * wind - aside)) for aside in (0.0, 2.7)]
+    off2 = sum((slope[..., i] - np.float32(rough) * facets[i]) ** 2 for i in (0, 1))
+    spot = np.exp(np.maximum(off2 * np.float32(-0.5 / _FACET**2), np.float32(-30.0)))
+    return np.asarray(cv2.resize(spot, (lens.camera.width, lens.camera.height)), dtype=np.float32)
+
+
+def mast_shadow(lens: Lens, mast: Mast, R_cam_pad: F64, t_cam_pad: F64, to_sun_pad: F64) -> tuple[U8, slice, slice] | None:
+    """Return how deep each pixel is in the mast's shadow on the pad's plane, 0..255, and the part of the frame that it covers.
+
+    A pole that tapers, a yard across the arrow at two thirds of the height, and a radar's box on top.
+    """
+    if to_sun_pad[2] > -0.05:
+        return None
+    height = mast.height_m
+    along = -to_sun_pad[:2] / -to_sun_pad[2]
+    side = np.array([-along[1], along[0]]) / max(1e-6, float(np.hypot(*along)))
+
+    def cast(*ends: tuple[F64, float]) -> F64:
+        return np.array([np.append(p + along * up, 0.0) for p, up in ends])
+
+    low, high = 0.02 * height + 0.05, 0.008 * height + 0.02
+    p, yard, at = np.array(mast.p_m), np.array([0.0, 0.18 * height]), 0.66 * height
+    box = max(0.12, 0.05 * height)
+    shapes = [
+        cast((p + low * side, 0.0), (p + high * side, height), (p - high * side, height), (p - low * side, 0.0)),
+        cast((p + yard, at - high), (p + yard, at + high), (p - yard, at + high), (p - yard, at - high)),
+        cast(*((p + sign * box * side, height + sign * up) for sign in (1, -1) for up in (-box, box))),
+    ]
+    away_m = 0.6 * height / -float(to_sun_pad[2])
+    return soft_shadow(lens, [shape @ R_cam_pad.T + t_cam_pad for shape in shapes], away_m, float(t_cam_pad[2]))

@@ -11,8 +11,7 @@ from companion.base.health import Health
 from companion.base.observer import Observer
 from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
-from companion.service.exposure_part import ExposurePart
-from companion.service.vehicle_parts import vehicle_parts
+from companion.service.vehicle_parts import ExposurePart, vehicle_parts
 from companion.settings.model import CameraSettings, Settings
 from drivers.camera.exposure import ExposureDrive
 from drivers.mavlink.autopilot import Autopilot
