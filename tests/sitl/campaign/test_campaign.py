@@ -1,24 +1,49 @@
-"""A campaign loses no flight and doubles none, whatever ends it, and its flights do not depend on where they were flown."""
+"""A campaign loses no flight and doubles none, whatever ends it, and its flights do not depend on where they were flown.
+
+Varied keys, causes, comparison, tables and report of campaigns are tested on flights that cost nothing.
+"""
 
 import os
 import resource
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from contextlib import closing
+from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.cli import main as cli
 from estimator.contracts.errors import BadInput
-from sitl.campaign.figures import wilson
+from sitl.campaign.figures import (
+    RULES,
+    bootstrap_interval,
+    by_scenario,
+    cause_of,
+    differences_of,
+    effect_of,
+    effects_of,
+    in_columns,
+    in_rows,
+    in_words,
+    map_of,
+    severity,
+    tallies_of,
+    wilson,
+)
+from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis
 from sitl.campaign.plan import Job, code_version, differences, sources_digest
-from sitl.campaign.store import FLIGHTS, MANIFEST, FolderStore, flights_in
+from sitl.campaign.report import REPORT, SEA, VEHICLE, WIND, fly_again, render_map, render_report
+from sitl.campaign.store import FLIGHTS, MANIFEST, FolderStore, flights_in, manifest_of, manifest_of_plan
 from sitl.campaign.task import Flight, Order, OtherCode, fly_order
 from sitl.campaign.workers import LocalWorkers
-from tests.fly import NEAR
+from sitl.flight.one_flight import settings_for
+from tests.fly import NEAR, near
 from tests.sitl.campaign.fakes import KILLS, RAISES, fake_fly, plan, tally_of
 
 
@@ -226,3 +251,198 @@ print(blocked >> signal.SIGINT - 1 & 1, signal.SIGINT in signal.pthread_sigmask(
 """
     ended = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False, timeout=60)
     assert (ended.stdout, ended.stderr) == ("1 False\n", "")
+
+
+AT = "--vary"
+
+
+def overridable() -> Overridable:
+    return Overridable(near(), settings_for(near(), None))
+
+
+def flown(seed: int, point: Point = ()) -> Flight:
+    return fly_order(Order(Job(seed, point), plan().base(), code_version(), fake_fly))
+
+
+def test_a_factorial_design_combines_all_values() -> None:
+    given = overridable()
+    axes = [parse_axis(t, given, AT) for t in ("wind.speed_m_s=0:1:0.1", "vessel.moored=true,false", "sea.peak_period_s=8:4:-2")]
+    points = factorial(axes)
+    assert len(points) == 11 * 2 * 3
+    assert axes[0].values[3] == 0.3
+    assert axes[2].values == (8.0, 6.0, 4.0)
+    assert dict(points[1]) == {"wind.speed_m_s": 0.0, "vessel.moored": True, "sea.peak_period_s": 6.0}
+    assert factorial([]) == [()]
+    whole = parse_axis("vision.threads=1:3:1", given, AT)
+    assert whole.values == (1, 2, 3)
+    assert all(isinstance(v, int) for v in whole.values)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("wind.speed=0:1:1", "have a key 'wind.speed'; did you mean 'wind.speed_m_s'?"),
+        ("wind.speed_m_s", "write KEY=LOW:HIGH:STEP or KEY=A,B,C"),
+        ("wind.speed_m_s=0:1:0", "steps of 0 do not lead from 0 to 1"),
+        ("wind.speed_m_s=0:1:-1", "steps of -1 do not lead from 0 to 1"),
+        ("wind.speed_m_s=0:1:2:3", "a range is LOW:HIGH:STEP"),
+        ("wind.speed_m_s=0:9999999:1", "are more than 1000000"),
+        ("wind.speed_m_s=a:2:1", "needs a number, found 'a'"),
+        ("vessel.moored=1,2", "is true or false, found '1'"),
+    ],
+)
+def test_a_wrong_axis_is_refused(text: str, said: str) -> None:
+    with pytest.raises(BadInput) as why:
+        parse_axis(text, overridable(), AT)
+    assert said in str(why.value)
+
+
+def test_each_failure_has_the_cause_of_the_first_rule_that_fits() -> None:
+    fine = flown(3)
+    off = {**fine["touchdown"], "surface": "deck", "on_pad": False}
+    away: dict[str, Any] = {"landed_on_pad": False, "touchdown": None, "contacts": []}
+    cases: dict[str, dict[str, Any]] = {
+        "the flight raised an error": flown(RAISES),
+        "the service died in flight": {"unsafe": ["the service died in flight: KeyError"]},
+        "in the water": {"in_water": True, "unsafe": ["came down 2 m"]},
+        "came down without sight of the pad": {"unsafe": ["came down 0.8 m, to 0.2 m over the deck, without true sight"]},
+        "struck the deck beside the pad, then landed on the pad": {"contacts": [off, *fine["contacts"]]},
+        "a person was overruled": {"unsafe": ["a person ordered hold, and was sent: move, still 0.4 s later"]},
+        "touched the pad harder than it bears": {"unsafe": ["a foot struck the pad at 1.29 m/s"]},
+        "landed beside the pad": {"landed_on_pad": False, "touchdown": off, "contacts": [off]},
+        "struck the deck beside the pad and did not land": {**away, "outcome": "gave up", "contacts": [off]},
+        "gave up, though it should land: no pad": {**away, "outcome": "gave up", "refused": "no pad at 0.1 m; frames"},
+        "time ran out": {**away, "outcome": "time ran out"},
+        "ended otherwise: emergency": {**away, "outcome": "emergency"},
+    }
+    flights = [{**fine, "grade": "failed", **differs} for differs in cases.values()]
+    assert [cause_of(flight) for flight in flights] == list(cases)
+    order = [severity(flight) for flight in flights]
+    assert order == sorted(order, reverse=True)
+    assert len(cases) == len(RULES) + 1
+    assert severity(fine) == 0
+
+
+@pytest.mark.parametrize("unsafe", [True, False])
+def test_bad_flights_are_counted_named_and_reported(unsafe: bool) -> None:
+    """A flight that landed well after a contact that nobody intended is no good flight, and one can find it again."""
+    why, word = "touched the pad at 0.55 m/s along it", "UNSAFE" if unsafe else "FAILED"
+    flights = [flown(seed, (("wind.speed_m_s", 1.0),)) for seed in range(12)]
+    for seed in (4, 1):
+        bad = {"unsafe": [why], "contacts_outside_commit": 1} if unsafe else {"because": why}
+        flights[seed] |= {"grade": "failed", **bad}
+    summary = tally_of(reversed(flights)).summary("near", "truth", 1.0)
+    assert (summary["unsafe"], summary["failed"], summary["contacts_outside_commit"]) == (2 * unsafe, 2, 2 * unsafe)
+    assert [one["seed"] for one in summary["unsafe_flights" if unsafe else "failed_flights"]] == [1, 4]
+    assert f"{word} near seed 1, wind.speed_m_s 1.0: {why}\n{word} near seed 4" in in_words(summary)
+    page = render_report({**manifest_of_plan(plan(), range(12), None)}, flights, 1.0)
+    assert page.count(escape(why)) == 2 * unsafe
+    many = tally_of({**flights[1], "seed": seed} for seed in range(2500)).summary("near", "truth", 1.0)
+    assert [one["seed"] for one in many["unsafe_flights" if unsafe else "failed_flights"]] == list(range(100))
+    assert "and 2490 more" in in_words(many)
+
+
+def test_campaigns_are_compared_seed_by_seed() -> None:
+    ours = [flown(seed, (("wind.speed_m_s", 1.0),)) for seed in range(30)]
+    other = [{**flown(seed), "varied": {"wind.speed_m_s": 1.0}} for seed in range(10, 40)]
+    rows = {row.name: row for row in differences_of(ours, other)}
+    error = rows["standing error"]
+    assert error.pairs == 19, "one of them raises"
+    assert error.mean == pytest.approx(0.06, abs=1e-6)
+    assert (error.low, error.high) == pytest.approx((0.06, 0.06), abs=1e-6)
+    assert error.clear
+    assert not rows["on the pad"].clear
+    assert differences_of(ours[:10], other) == []
+    noise = np.random.default_rng(1).normal(0.3, 1.0, 400)
+    low, high = bootstrap_interval(noise)
+    assert (low, high) == pytest.approx((noise.mean() - 1.96 * 0.05, noise.mean() + 1.96 * 0.05), abs=0.012)
+
+
+def graded(varied: Mapping[str, Any], good: bool, error_m: float | None) -> Flight:
+    """Return a flight that landed this far off, or did not land."""
+    touch = None if error_m is None else {**flown(3)["touchdown"], "lateral_m": error_m}
+    grade = "on pad" if good else "failed"
+    return {**flown(3), "varied": varied, "grade": grade, "landed_on_pad": touch is not None, "touchdown": touch}
+
+
+def test_success_against_one_and_two_keys() -> None:
+    grid = [({"a": a, "b": b}, a + b < 3, 0.1 * a if a + b < 3 else None) for a in range(3) for b in range(3)]
+    tallies = tallies_of(graded(*point) for point in grid)
+    assert list(effects_of(tallies)) == ["a", "b"]
+    one = effect_of(tallies, "a")
+    assert [row["value"] for row in one] == [0, 1, 2]
+    assert [row["good"] for row in one] == pytest.approx([1.0, 2 / 3, 1 / 3], abs=1e-6)
+    assert [row["lateral_median_m"] for row in one] == pytest.approx([0.0, 0.1, 0.2])
+    assert map_of(tallies, "a", "b").shares.tolist() == [[1, 1, 1], [1, 1, 0], [1, 0, 0]]
+    scattered = tallies_of(graded({"a": x, "b": 1.0 - x}, x < 0.5, None) for x in np.linspace(0.0, 1.0, 81).tolist())
+    assert [row["good"] for row in effect_of(scattered, "a")] == [1, 1, 1, 1, 0, 0, 0, 0]
+    assert np.isnan(map_of(scattered, "a", "b").shares[0, 0]), "no flight was there"
+    assert effects_of({}) == {}
+
+
+def test_success_by_value_and_by_scenario_is_a_table_and_plain_values() -> None:
+    flights = [flown(seed, (("wind.speed_m_s", speed), ("vessel.moored", True))) for seed in range(4) for speed in (0.0, 7.0)]
+    tallies = tallies_of(flights)
+    effects = effects_of(tallies)
+    assert in_rows(effects).splitlines() == [
+        "wind.speed_m_s  flights   good  95 % interval  error, median",
+        "             0        4  100 %    51 to 100 %         2.5 cm",
+        "             7        4    0 %      0 to 49 %              -",
+        "vessel.moored  flights  good  95 % interval  error, median",
+        "         True        8  50 %     22 to 78 %         2.5 cm",
+    ]
+    wind = effects["wind.speed_m_s"]
+    assert [(row["value"], row["runs"], row["good"]) for row in wind] == [(0.0, 4, 1.0), (7.0, 4, 0.0)]
+    assert wind[1]["lateral_median_m"] is None
+    (row,) = by_scenario({"near": {"scenario": {"expect": "go_around"}, "perception": "truth"}}, tallies)
+    assert in_columns([row]).splitlines()[1] == (
+        "near      go around  truth        8       4        0       4               0      0       4  4 landed beside the pad"
+    )
+    assert row["causes"] == {"landed beside the pad": 4}
+
+
+def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = overridable()
+    axes = [parse_axis(t, given, AT) for t in ("wind.speed_m_s=0:8:2", "sea.peak_period_s=4:8:2")]
+    varied = replace(plan(), design=described("factorial", axes))
+    for name, seeds in (("now", range(6)), ("before", range(3, 9))):
+        with closing(FolderStore(tmp_path / name, varied, seeds)) as store:
+            for seed in seeds:
+                store.keep([flown(seed, point) for point in factorial(axes)], 1.0 + seed)
+    command = ["campaign", "report", str(tmp_path / "now"), "--against", str(tmp_path / "before")]
+    assert cli.main(command) == 0
+    assert capsys.readouterr().out == f"report: {tmp_path / 'now' / REPORT}\n"
+    page = (tmp_path / "now" / REPORT).read_text()
+    whole = tally_of(flights_in(tmp_path / "now" / "flights.jsonl"))
+    for output in (
+        "60 of 90 on the pad",
+        "landed beside the pad",
+        "decklander simulate near --seed 5 --set wind.speed_m_s=8.0 --set sea.peak_period_s=4.0 --report flight-5",
+        "Wilson",
+        "One factor",
+        "Two factors",
+        "may be chance",
+        whole.hash,
+    ):
+        assert output in page
+    assert page.count("<svg") == 1 + 1 + 4 + 2 + 1
+    assert "http" not in page.replace("http://www.w3.org", ""), "the page needs nothing else"
+    assert [flight["grade"] for flight in whole.worst] == ["failed"] * 10
+    assert cli.main(["campaign", "report", str(tmp_path)]) == 2
+    assert cli.main(["campaign", "report"]) == 2
+    with pytest.raises(BadInput, match="no flights yet"):
+        render_report(manifest_of(tmp_path / "now"), [], 0.0)
+    assert fly_again(flown(3), ("--config", "a b.toml")).endswith("--seed 3 --config 'a b.toml' --report flight-3")
+
+
+def test_a_map_shows_what_lands_how_well_and_why_not() -> None:
+    leans = "it leans by 17.9 deg against the wind (limit 15 deg); frames: none"
+    flights = [
+        graded({VEHICLE: "quad", SEA: 4, WIND: wind}, True, error_m) | {"refused": leans if error_m is None else None}
+        for wind, error_m in ((6.0, 0.02), (6.0, 0.04), (9.0, None))
+    ]
+    page = render_map("weather_4", "model", flights)
+    for output in ("2/2", "3.0, 3.9 cm", "0/1", "1 refused: it leans against the wind", "sea state 4", "9 m/s"):
+        assert output in page
+    with pytest.raises(BadInput, match="a map needs flights that vary"):
+        render_map("weather_4", "model", [flown(1)])
