@@ -1,4 +1,4 @@
-"""Set the simulator beside physics and seas of others: `python -m benches.witness [--contact] [--seas] [--write DIR]`.
+"""Set the simulator beside physics and seas of others: `python -m benches.witness [--contact] [--body] [--seas] [--write DIR]`.
 
 Without a name all witnesses are asked, one table each; `--write` puts the tables into evidence.md.
 """
@@ -7,9 +7,9 @@ import argparse
 from pathlib import Path
 
 from benches.real import MissingDataError, write_part
-from benches.witness import contact, seas
+from benches.witness import body, contact, seas
 
-WITNESSES = {"--contact": contact, "--seas": seas}
+WITNESSES = {"--contact": contact, "--body": body, "--seas": seas}
 
 
 def main() -> None:
