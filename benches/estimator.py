@@ -1,28 +1,37 @@
 """Measure the filter in rough seas: `python -m benches.estimator [--runs 6] [--first 0] [--sea NAME] [--ideal]`.
 
 Truth and sensors are those of tests/support/voyage_truth.py, which share nothing with the simulator: rough seas, a turning ship,
-and every sensor error at once. Each row is the mean of its flights: position rms, NEES over its 7 degrees of freedom, the
-fraction of it inside the central 95 % of chi-square, the fraction of true values inside the 68 / 95 % bands of the forecast
-position and vertical speed, and the rms error of the forecast vertical speed over the rms of the true one (a forecast of zero
-would give 1). The delay's columns are the rms error (estimated minus true) and the same in estimated sigmas.
+and every sensor error at once. Each row is the mean of its flights: position rms of the filter, and of the two other paths on the
+same events; NEES over the filter's 7 degrees of freedom, the fraction of it inside the central 95 % of chi-square, that of
+true values inside the 68 / 95 % bands of the forecast position and vertical speed, and the rms error of the forecast vertical
+speed over the rms of the true one (a forecast of zero would give 1). The delay's columns are the rms error (estimated minus true)
+and the same in estimated sigmas.
 """
 
 import argparse
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
+from estimator.options import DeadReckoningOptions
+from estimator.paths import DeadReckoningPath, MedianMeanPath
 from tests.support import voyage_truth
 from tests.support.voyage_score import HORIZONS_S, Score, fly_voyage
 from tests.support.voyage_truth import SEAS, VoyageScene
+
+PATHS: dict[str, Callable[[], MedianMeanPath | DeadReckoningPath]] = {
+    "median_mean": lambda: MedianMeanPath(0.5),
+    "dead_reckoning": lambda: DeadReckoningPath(0.5, DeadReckoningOptions()),
+}
 
 
 def row(name: str, scores: Sequence[Score]) -> str:
     cells = [
         f"{name:15s} {100 * np.mean([s.rms_m for s in scores]):5.1f} cm",
+        " ".join(f"{100 * np.sqrt(np.mean(np.concatenate([s.others_m[path] for s in scores]) ** 2)):5.1f}" for path in PATHS),
         f"NEES {np.mean([np.mean(s.nees) for s in scores]) / 7:5.2f}",
         f"{100 * np.mean([s.inside for s in scores]):3.0f} % (worst {100 * min(s.inside for s in scores):3.0f})",
     ]
@@ -51,12 +60,14 @@ def main() -> None:
     parser.add_argument("--sea", choices=sorted(SEAS), action="append")
     parser.add_argument("--ideal", action="store_true", help="white sensor noise alone")
     args = parser.parse_args()
-    print("sea | position rms | NEES/7 | inside 95 % | position bands 1, 2, 3 s 68/95 | rise bands | rise error over truth")
+    head = ("sea", "position rms", ", ".join(PATHS), "NEES/7", "inside 95 %", "position bands 1, 2, 3 s 68/95")
+    print(" | ".join((*head, "rise bands", "rise error over truth")))
     for sea in args.sea or [name for name in SEAS if name != "calm"]:
         scores = []
         for seed in range(args.first, args.first + args.runs):
             scene = VoyageScene(seed=seed, sea=sea, hidden_delay_s=0.03 if seed % 4 < 2 else -0.03)
-            scores.append(fly_voyage(voyage_truth.without_errors(scene) if args.ideal else scene))
+            flown = voyage_truth.without_errors(scene) if args.ideal else scene
+            scores.append(fly_voyage(flown, others={name: make() for name, make in PATHS.items()}))
         print(row(sea, scores), flush=True)
 
 

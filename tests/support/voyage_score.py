@@ -4,17 +4,19 @@ Truth and sensors are those of `voyage_truth`, which shares nothing with the sim
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from estimator import ekf
+from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Imu
 from estimator.integrity import sensors as sensors_guard
 from estimator.integrity.options import IntegrityOptions
 from estimator.integrity.sensors import SensorWatch
+from estimator.paths import DeadReckoningPath, MedianMeanPath
 from tests.support import voyage_truth
 from tests.support.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
 
@@ -41,6 +43,8 @@ class Score:
     delay_sigma_s: float = math.nan
     moving: float = math.nan
     memory: ekf.Filter | None = None
+    others_m: dict[str, list[float]] = field(default_factory=dict)
+    """Position errors of other paths on the same events, by name."""
 
     @property
     def inside(self) -> float:
@@ -59,6 +63,7 @@ def fly_voyage(
     from_s: float = 0.0,
     spoil: Callable[[Event, float], Sequence[Event]] | None = None,
     forecasts: bool = True,
+    others: Mapping[str, MedianMeanPath | DeadReckoningPath] | None = None,
 ) -> Score:
     """One flight through the filter.
 
@@ -66,6 +71,7 @@ def fly_voyage(
         since_s: the time from which it is scored.
         from_s: events before this time are left out: a cold start in flight.
         spoil: given each event and its instant, s; what is received instead.
+        others: paths that get the same events, by name.
     """
     voyage = Voyage(scene)
     memory, out, next_s, next_forecast_s = ekf.Filter(options), Score(), since_s, since_s + 2.0
@@ -74,6 +80,10 @@ def fly_voyage(
         t = (event.stamp.measured_at - voyage_truth.EPOCH_NS) * 1e-9
         while event.stamp.received_at >= ns(next_s):
             score(out, memory, voyage, next_s)
+            for name, path in (others or {}).items():
+                if (state := path.at(ns(next_s))) is not None:
+                    error = state.d_body_pad_level - voyage.relative(next_s)[0]
+                    out.others_m.setdefault(name, []).append(float(np.linalg.norm(error)))
             if forecasts and next_s >= next_forecast_s and next_s < scene.duration_s - 3.1:
                 next_forecast_s += 0.5
                 score_forecast(out, memory, voyage, next_s)
@@ -86,6 +96,8 @@ def fly_voyage(
                 if refusal is not None:
                     continue
             memory.put([one])
+            for path in (others or {}).values():
+                path.sight(one) if isinstance(one, Sighting) else path.put([one])
     final = memory.at(ns(scene.duration_s - 0.05))
     if final is not None:
         named = dict(final.details)
