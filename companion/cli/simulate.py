@@ -77,6 +77,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     beside = parser.add_argument_group("real autopilots (docs/sitl.md)")
     option(beside, "--autopilot", "fly this autopilot program over the simulated sea and vehicle", choices=("arducopter", "px4"))
     option(beside, "--binary PATH", "path of the autopilot program; `stand-in` flies a stand-in for it")
+    whose = "the vehicle is simulated by us, or by the program (its own)"
+    option(beside, "--physics", whose, default="ours", choices=("ours", "own"))
     option(beside, "--follow URL", "follow a vehicle that another simulator flies, with the deck and camera of this one")
     option(beside, "--param NAME=VALUE", "set a parameter of the autopilot; may be repeated", default=[], action="append")
     option(beside, "--unaided", "let the autopilot land by its own landing mode, and nothing of ours reach it, to compare")
@@ -85,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _with_program(args: argparse.Namespace) -> bool:
     """Return whether an option is given that only a flight with an autopilot program has."""
-    return args.binary is not None or args.keep is not None or bool(args.param) or args.unaided
+    return args.binary is not None or args.keep is not None or bool(args.param) or args.unaided or args.physics != "ours"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -106,12 +108,12 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--faults does not go with --autopilot or --follow")
     if args.follow is not None:
         if args.autopilot is not None or _with_program(args):
-            raise BadInput("--follow does not go with --autopilot, --binary, --param, --unaided or --keep")
+            raise BadInput("--follow does not go with --autopilot, --binary, --physics, --param, --unaided or --keep")
         return run_follow(args)
     if args.autopilot is not None:
         return run_autopilot(args, perception)
     if _with_program(args):
-        raise BadInput("--binary, --param, --unaided and --keep go with --autopilot")
+        raise BadInput("--binary, --physics, --param, --unaided and --keep go with --autopilot")
     scenario = load_scenario(args.scenario, args.base)
     settings = settings_for(scenario, args.config)
     given = Overridable(scenario, settings)
@@ -161,7 +163,8 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     settings = settings_for(scenario, args.config, by_autopilot=True)
     given = Overridable(scenario, settings, by_autopilot=True)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
-    autopilot = AutopilotProgram(args.autopilot, binary, parameters=parameters(args.param), unaided=args.unaided)
+    given_parameters = parameters(args.param)
+    autopilot = AutopilotProgram(args.autopilot, binary, given_parameters, own=args.physics == "own", unaided=args.unaided)
     seen_by, began = perceive(perception, args.perception_model), time.monotonic()
     with shown(quiet=args.json) as observers, _folder(args.keep) as folder:
         flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, observers, seen_by)
@@ -181,7 +184,7 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     report = kept.write_report(ending, wall_s, f"in lock step with {facts['binary']}")
     lines = [*(silence.in_words() for silence in end.silences), end.failure or ending.in_words()]
     lines.append(f"{ending.duration_s:.1f} s from the order to land; {wall_s:.0f} s on the wall clock\n{report}")
-    print_result(args, {**ending.as_json(), **_of_autopilot(args.autopilot, end)}, "\n".join(lines))
+    print_result(args, {**ending.as_json(), **_of_autopilot(args.autopilot, end), "physics": args.physics}, "\n".join(lines))
     return 0 if ending.good else 1
 
 

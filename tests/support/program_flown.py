@@ -231,7 +231,7 @@ class ProgramFlown(OrderedFlight):
         else:
             backend = JsonBackend(lambda step_s: body, self._stepped, body)
             port = await enter(serve_json(backend, HOST, 0, settle=self.clock.settle))
-            words = arducopter.argv(self._binary, folder, physics_port=port, mavlink_ports=ports, speedup=20.0, parameters=given)
+            words = arducopter.argv(self._binary, folder, physics=port, mavlink_ports=ports, speedup=20.0, parameters=given)
             await enter(running(words, folder))
 
     def _stepped(self, body: Body) -> None:

@@ -10,6 +10,7 @@ Source: ArduPilot, libraries/SITL/examples/JSON/readme.md, SIM_JSON.cpp, its --h
 
 import asyncio
 import json
+import math
 import struct
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
@@ -19,9 +20,14 @@ from typing import Any
 from msgspec import Struct
 
 from drivers.mailbox import Latest
+from drivers.mavlink.dialect import Message, mav
+from estimator.contracts.geodesy import GeoPoint
+from estimator.contracts.geometry import wrap_pi
 from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
 from sitl.emulators.autopilots.motors import Motors
-from sitl.sensors.sensors import ORIGIN_DEG
+from sitl.emulators.autopilots.own import OwnBody
+from sitl.scenario.scenario import wind_of
+from sitl.sensors.sensors import ORIGIN
 
 PORT = 9002
 _MAGIC = {18458: 16, 29569: 32}
@@ -77,13 +83,22 @@ PARAMETERS: dict[str, float] = {
     "LOG_DISARMED": 0,
 }
 """The parameters that differ from ArduCopter's defaults."""
+OWN: dict[str, float] = {
+    **{name: value for name, value in PARAMETERS.items() if not name.startswith("ATC_")},
+    # The throttle at which it hovers, a lidar whose readings come by MAVLink, and a wind that does not grow with height
+    "MOT_THST_HOVER": 0.39,
+    "PSC_ACCZ_FF": 0.39,
+    "RNGFND1_TYPE": 10,
+    "SIM_WIND_T": 1,
+}
+"""The parameters for a vehicle that ArduCopter simulates by itself."""
 
 
 def argv(
     binary: Path,
     folder: Path,
     *,
-    physics_port: int,
+    physics: int | GeoPoint,
     mavlink_ports: tuple[int, int],
     parameters: Mapping[str, float] | None = None,
     speedup: float = 1.0,
@@ -91,20 +106,39 @@ def argv(
     """Return the command line, and write the file of parameters.
 
     Args:
-        physics_port: UDP port on which `serve_json` answers.
+        physics: UDP port on which `serve_json` answers, or the place at which the program simulates a vehicle of its own.
         mavlink_ports: UDP ports on the loopback to which its first two MAVLink ports send.
     """
     defaults = folder / DEFAULTS
-    asked = {**PARAMETERS, **(parameters or {})}
+    own = isinstance(physics, GeoPoint)
+    asked = {**(OWN if own else PARAMETERS), **(parameters or {})}
     defaults.write_text("".join(f"{name} {value:g}\n" for name, value in asked.items()))
-    place = f"{ORIGIN_DEG[0]:.7f},{ORIGIN_DEG[1]:.7f},0,0"
+    model = ["x"] if own else ["JSON:127.0.0.1", "--sim-address", "127.0.0.1", "--sim-port-out", str(physics)]
+    home = physics if isinstance(physics, GeoPoint) else ORIGIN
+    place = f"{math.degrees(home.latitude_rad):.7f},{math.degrees(home.longitude_rad):.7f},0,0"
     first, second = (f"udpclient:127.0.0.1:{port}" for port in mavlink_ports)
     others = [word for n in (2, 5, 6, 7, 8) for word in (f"--serial{n}", f"none:{n}")]
     return [
-        str(binary), "--model", "JSON:127.0.0.1", "--sim-address", "127.0.0.1", "--sim-port-out", str(physics_port),
-        "--home", place, "--defaults", str(defaults), "--speedup", f"{speedup:g}", "--rc-in-port", "0", "--wipe",
-        "--serial0", first, "--serial1", second, *others,
+        str(binary), "--model", *model, "--home", place, "--defaults", str(defaults), "--speedup", f"{speedup:g}",
+        "--rc-in-port", "0", "--wipe", "--serial0", first, "--serial1", second, *others,
     ]  # fmt: skip
+
+
+def around(body: OwnBody) -> list[Message]:
+    """Return our wind at ArduCopter's own vehicle, and what its lidar measures over our deck."""
+    north, east, down = body.air_ned.tolist()
+    speed, reach = math.hypot(north, east, down), body.state().range_m
+    up_deg, mean_deg = math.degrees(math.atan2(-down, math.hypot(north, east))), wind_of(body.scenario).from_deg
+    # ArduCopter turns its wind slowly from one direction to the next, so these must not leap by a whole turn.
+    from_deg = mean_deg + math.degrees(wrap_pi(math.atan2(-east, -north) - math.radians(mean_deg)))
+    given = {"SIM_WIND_SPD": speed, "SIM_WIND_DIR": from_deg, "SIM_WIND_DIR_Z": up_deg}
+    if body.begun:
+        given["SIM_SPEEDUP"] = 1.0  # so that it is not far ahead of us
+    out = [mav.MAVLink_param_set_message(1, 1, name.encode(), value, mav.MAV_PARAM_TYPE_REAL32) for name, value in given.items()]
+    if reach is not None:
+        reading = (round(1e3 * body.t_s), 2, 4000, round(100.0 * reach), mav.MAV_DISTANCE_SENSOR_LASER, 0)
+        out.append(mav.MAVLink_distance_sensor_message(*reading, mav.MAV_SENSOR_ROTATION_PITCH_270, 0))
+    return out
 
 
 class Servos(Struct, frozen=True):

@@ -148,6 +148,11 @@ class Body:
         return np.array(self._ground.p)
 
     @property
+    def height_m(self) -> float:
+        """Height over the pad's centre, m."""
+        return float(self._ground.p[2] - self._vehicle.p[2])
+
+    @property
     def v_pad_ned(self) -> F64:
         """Velocity (3,) of the pad's centre, m/s."""
         return np.array(self._ground.v)
@@ -356,7 +361,7 @@ def view_of(body: Body) -> OperatorView:
         level @ (v_start - state.v_ned),
         yaw,
         wrap_pi(heading - yaw),
-        float(body.p_pad_ned[2] - state.p_ned[2]),
+        body.height_m,
         level @ body.v_pad_ned,
         not start.with_vessel,
     )

@@ -40,6 +40,7 @@ from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, besi
 from sitl.emulators.autopilots.body import Body, Silence, view_of
 from sitl.emulators.autopilots.lock_step import FaultyLink, LockStepCamera, LockStepClock
 from sitl.emulators.autopilots.observed_body import GradedBody
+from sitl.emulators.autopilots.own import OwnBody, OwnVehicle
 from sitl.emulators.autopilots.program import Program, reserved_port, running
 from sitl.emulators.autopilots.px4 import HilBackend, serve_hil
 from sitl.emulators.autopilots.stand_in import base as in_process
@@ -83,6 +84,8 @@ class AutopilotProgram(Struct, frozen=True):
     """The program; None flies the stand-in for it (`sitl.emulators.autopilots.stand_in`)."""
     parameters: tuple[tuple[str, float], ...] = ()
     """Parameters of the program, in addition to those with which it is always started."""
+    own: bool = False
+    """True if it simulates its vehicle by itself, until the contact with our deck."""
     unaided: bool = False
     """True for the control flight: it lands by its own landing mode, and nothing of the daemon's reaches it."""
 
@@ -153,6 +156,7 @@ class AutopilotFlight:
     graded: GradedBody = field(init=False)
     link: FaultyLink = field(init=False)
     _camera: LockStepCamera | None = None
+    _own: OwnVehicle | None = None
     _reporter: VesselReporter = field(init=False)
     _service: KillableService | None = None
     _silences: list[Silence] = field(default_factory=list)
@@ -166,12 +170,17 @@ class AutopilotFlight:
     def __post_init__(self) -> None:
         if self.scenario.gimbal.given and (self.autopilot.binary is not None or self.perception.level != "pixels"):
             raise BadInput("gimbal: only the stand-in (--binary stand-in) with rendered frames (--perception pixels) has one")
-        stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
-        self.station = GroundStation(stack, height_m=self.height_m, unaided=self.autopilot.unaided)
+        if self.autopilot.own and self.autopilot.binary is None:
+            raise BadInput("--physics own: the stand-in simulates no vehicle by itself; name a program with --binary PATH")
+        self.station = self._station()
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
         self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s)
         self.link = FaultyLink(self.graded.streams, self.clock, self.graded.on_sent, self.graded.on_arrived)
         self._reporter = VesselReporter(self.graded)
+
+    def _station(self, ground_m: float = 0.0) -> GroundStation:
+        stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
+        return GroundStation(stack, height_m=self.height_m + ground_m, unaided=self.autopilot.unaided)
 
     def service_settings(self, port: int) -> Settings:
         """Return the settings that the daemon flies with, which receives the autopilot at a UDP port of this machine."""
@@ -197,7 +206,7 @@ class AutopilotFlight:
 
     async def _fly(self, from_program: int, to_station: int, behind_relay: int) -> FlightEnd:
         cv2.setNumThreads(1)
-        relayed = self.autopilot.unaided or bool(self.scenario.faults)
+        relayed = self.autopilot.unaided or self.autopilot.own or bool(self.scenario.faults)
         to_daemon = behind_relay if relayed else from_program
         settings = self.service_settings(to_daemon)
         person = any(isinstance(fault, OperatorActs) for fault in self.scenario.faults)
@@ -230,6 +239,8 @@ class AutopilotFlight:
                             group.create_task(self._watch(program)),
                             group.create_task(self._listen(links)),
                         ]
+                        if self._own is not None and isinstance(program, Program):
+                            others.append(group.create_task(self._own.run(program, links.send)))
                         service.start(group)
                         end = await self._conduct(links, service, group)
                         await service.stop()
@@ -281,13 +292,19 @@ class AutopilotFlight:
                 if not service.gone:
                     person.act(service.now.pilot.operator, self.clock.now())
                 flown_s = seconds_between(station.began, self.clock.now())
-                if (self._flown(service) and not person.gives_back) or flown_s > self.scenario.duration_limit_s or lost:
+                if (
+                    (self._flown(service) and not person.gives_back)
+                    or self._touched
+                    or flown_s > self.scenario.duration_limit_s
+                    or lost
+                ):
                     break
             elif lost or service.ended(ordered=False):
                 station.failure = "it turned over or fell into the water before the landing was ordered"
                 break
         ended = self.clock.now()
-        await self.clock.sleep(_AFTER_S)
+        if not self._touched:
+            await self.clock.sleep(_AFTER_S)
         if self.graded.contacts and self.body is not None and not self.body.flying:
             await self.clock.sleep(max(0.0, STANDS_AFTER_S - seconds_between(self.graded.contacts[-1].at, self.clock.now())))
         began = station.began or ended
@@ -296,7 +313,9 @@ class AutopilotFlight:
         stopped = None if landing is None or self._stopped_s is None else max(self._stopped_s - landing.at / NS_PER_S, 0.0)
         pilot, health = service.now.pilot, service.now.daemon.health
         outcome = pilot.outcome
-        if self.autopilot.unaided:
+        if self._touched:
+            outcome = FlightOutcome.LANDED
+        elif self.autopilot.unaided:
             outcome = FlightOutcome.LANDED if stopped is not None and self.body is not None and self.body.upright else None
         return FlightEnd(
             outcome,
@@ -321,6 +340,11 @@ class AutopilotFlight:
         links.send(self.station.holds() if act == "mode" else self.station.disarms())
         self.graded.on_remote(act)
 
+    @property
+    def _touched(self) -> bool:
+        """True if a vehicle that the program simulates by itself has touched our deck, which the program does not know."""
+        return self.autopilot.own and self.body is not None and self.body.landing() is not None
+
     def _flown(self, service: KillableService) -> bool:
         """Return whether the landing that was ordered has ended by itself."""
         if self.autopilot.unaided:
@@ -343,6 +367,9 @@ class AutopilotFlight:
     async def _listen(self, links: Links) -> None:
         async for received in links.received:
             self.station.on_message(received.message, received.received_at)
+            if self._own is not None:
+                for message in self._own.on_message(received.message, self.station.stack):
+                    links.send(message)
 
     async def _watch(self, program: Program | in_process.StandInProgram) -> None:
         """Raise an error if the program stops stepping the physics."""
@@ -355,11 +382,20 @@ class AutopilotFlight:
 
     def _make(self, step_s: float, curve: float) -> Body:
         on_pad = msgspec.structs.replace(self.scenario, start=msgspec.structs.replace(self.scenario.start, where="pad"))
-        self.body = Body(on_pad, self.seed, step_s, curve, self.clock, self.graded.faults)
+        if self.autopilot.own:
+            body = self.body = OwnBody(on_pad, self.seed, self.clock, self.graded.faults)
+            self.station = self._station(-float(body.p_pad_ned[2]))
+            around = arducopter.around if self.autopilot.name == "arducopter" else lambda body: []
+            self._own = OwnVehicle(body, self._stepped, self._settle, around)
+            self.link.ahead_s = self._own.ahead_s
+        else:
+            self.body = Body(on_pad, self.seed, step_s, curve, self.clock, self.graded.faults)
         self.perception.begin(self.body)
         return self.body
 
     def _stepped(self, body: Body) -> None:
+        if isinstance(body, OwnBody):
+            body.begun = self.station.task not in (Task.MEET, Task.ARM, Task.TAKE_OFF)
         self._stepped_at = time.monotonic()
         if body.flying:
             self._stopped_s = None
@@ -415,6 +451,18 @@ class AutopilotFlight:
             ) as program:
                 yield program
             return
+        if isinstance(self.body, OwnBody):
+            home, given = self.body.home, dict(chosen.parameters)
+            if chosen.name == "px4":
+                argv, environment = px4.start(chosen.binary, height_m=self.height_m, parameters=given, own=home)
+            else:
+                argv = arducopter.argv(
+                    chosen.binary, self.folder, physics=home, mavlink_ports=ports, parameters=given, speedup=_PACE
+                )
+                environment = {}
+            async with running(argv, self.folder, environment) as program:
+                yield program
+            return
         if chosen.name == "px4":
             assert self.body is not None
             hil = HilBackend(self.body, seed=self.seed, stepped=self._stepped)
@@ -428,7 +476,7 @@ class AutopilotFlight:
         backend = JsonBackend(lambda step_s: self._make(step_s, CURVE), self._stepped, self.body)
         async with serve_json(backend, HOST, 0, settle=self._settle) as port:
             argv = arducopter.argv(
-                chosen.binary, self.folder, physics_port=port, mavlink_ports=ports, speedup=_PACE,
+                chosen.binary, self.folder, physics=port, mavlink_ports=ports, speedup=_PACE,
                 parameters=dict(chosen.parameters),
             )  # fmt: skip
             async with running(argv, self.folder) as program:

@@ -26,19 +26,18 @@ from drivers.mavlink.requests import message_id
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
+from estimator.contracts.geodesy import GeoPoint, ned_between
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 from sitl.camera.camera import Exposure
 from sitl.emulators.autopilots.beside import FlightDaemon, beside_autopilot
+from sitl.emulators.autopilots.own import TRUTH, TrueState, true_state
 from sitl.scenario.scenario import Scenario, pad_model
 from sitl.vehicle.airframe import Airframe
 from sitl.world.stage import flight_seeds, renderer, sea_and_vessel
 from sitl.world.truth import RenderedFrame, Surface, Touchdown
 
-TRUTH = {Stack.ARDUPILOT: "SIM_STATE", Stack.PX4: "HIL_STATE_QUATERNION"}
-"""The message in which the simulator of each stack reports the true state."""
-_EARTH_M = 6_371_000.0
 _ASK_S, _ASKS = 5.0, 3
 _EACH_US = 20_000
 """Interval in which the true state is requested."""
@@ -72,7 +71,7 @@ class PoseSource:
     """
 
     def __init__(self) -> None:
-        self._origin: tuple[float, float, float] | None = None
+        self._origin: GeoPoint | None = None
         self._truth_at: MonoNs | None = None
         self._w_body = np.zeros(3)
         self._apart = np.zeros(3)
@@ -100,15 +99,9 @@ class PoseSource:
         Args:
             positions: the autopilot's own positions at that time, the newest last.
         """
-        kind = message.get_type()
-        if kind == "SIM_STATE":
-            lat, lon = (getattr(message, f"{n}_int", 0) for n in ("lat", "lon"))
-            place = (1e-7 * lat, 1e-7 * lon) if lat or lon else (float(message.lat), float(message.lon))
-            self._tell(now, (*place, float(message.alt)), (message.xgyro, message.ygyro, message.zgyro), positions)
-        elif kind == "HIL_STATE_QUATERNION":
-            place = (1e-7 * message.lat, 1e-7 * message.lon)
-            rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
-            self._tell(now, (*place, 1e-3 * message.alt), rates, positions)
+        state = true_state(message)
+        if state is not None and positions:
+            self._tell(now, state, positions)
 
     def newest(
         self, now: MonoNs, positions: tuple[LocalPosition, ...], attitude: Attitude | None, *, by_truth: bool = True
@@ -132,25 +125,15 @@ class PoseSource:
             p = p + self._apart
         return AutopilotPose(at, p, last.v_body_ned, attitude.R_ned_body, self._w_body if truthful else np.zeros(3), truthful)
 
-    def _tell(
-        self, now: MonoNs, place: tuple[float, float, float], rates: tuple[float, ...], positions: tuple[LocalPosition, ...]
-    ) -> None:
-        if not all(map(math.isfinite, (*place, *rates))) or not positions:
-            return
-        lat, lon, alt_m = place
-        if self._origin is None:
-            self._origin = place
-        lat0, lon0, alt0_m = self._origin
-        north = math.radians(lat - lat0) * _EARTH_M
-        east = math.radians(lon - lon0) * _EARTH_M * math.cos(math.radians(lat0))
-        last = positions[-1]
+    def _tell(self, now: MonoNs, state: TrueState, positions: tuple[LocalPosition, ...]) -> None:
+        self._origin, last = self._origin or state.place, positions[-1]
         there = last.p_body_ned + seconds_between(last.stamp.measured_at, now) * last.v_body_ned
-        apart = np.array([north, east, alt0_m - alt_m]) - there
+        apart = ned_between(self._origin, state.place) - there
         since_s = 0.0 if self._truth_at is None else min(max(seconds_between(self._truth_at, now), 1e-3), _TRUTH_LAST_S)
         self._known_s += since_s
         share = 1.0 if self._truth_at is None else since_s / min(max(self._known_s, since_s), _MEAN_S)
         self._apart = self._apart + share * (apart - self._apart)
-        self._truth_at, self._w_body = now, np.array(rates, dtype=float)
+        self._truth_at, self._w_body = now, np.array(state.w_body, dtype=float)
 
 
 PERIOD_S = 0.04

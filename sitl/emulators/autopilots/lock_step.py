@@ -184,6 +184,8 @@ class FaultyLink:
         """True while no service is there: messages under way are lost."""
         self.muted = False
         """True while nothing of the daemon's passes, although it receives the program."""
+        self.ahead_s: Callable[[bytes], float] = lambda data: 0.0
+        """Returns how far the program was ahead of the flight when it sent a datagram, s: it arrives that much later."""
         self.carried: Counter[str] = Counter()
         """Datagrams that came in and that went on: "samples in", "samples out", "commands in", "commands out"."""
 
@@ -204,7 +206,7 @@ class FaultyLink:
     def from_program(self, data: bytes) -> None:
         """Take a datagram of the program."""
         self.carried["samples in"] += 1
-        self._samples.send(lambda: data, self._clock.now())
+        self._samples.send(lambda: data, self._clock.now(), self.ahead_s(data))
         self.deliver()
 
     def from_daemon(self, data: bytes) -> None:

@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 import sys
+import time
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -36,6 +37,13 @@ class Program:
             lines = [line.strip() for line in (self.folder / OUTPUT).read_text(errors="replace").splitlines()]
             return next((line for line in reversed(lines) if line), "nothing")[:200]
         return "nothing"
+
+    def run_for(self, seconds: float) -> None:
+        """Let the program go on for a time, and let it stand still then."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGCONT)
+            time.sleep(seconds)
+            os.killpg(self._process.pid, signal.SIGSTOP)
 
     async def ended(self) -> None:
         """Wait until the program ends.
@@ -97,6 +105,7 @@ async def _end(process: asyncio.subprocess.Process) -> None:
     if process.returncode is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGTERM)
+            os.killpg(process.pid, signal.SIGCONT)  # one that stands still would not end
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_END_S):
                 await process.wait()

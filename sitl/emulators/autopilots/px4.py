@@ -22,11 +22,11 @@ from msgspec import Struct
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput, SetupImpossible
-from estimator.contracts.geodesy import moved, pressure_of_height_pa
+from estimator.contracts.geodesy import GeoPoint, moved, pressure_of_height_pa
 from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
 from sitl.emulators.autopilots.motors import Motors
 from sitl.emulators.autopilots.program import GUIDE
-from sitl.sensors.sensors import ORIGIN, ORIGIN_DEG
+from sitl.sensors.sensors import ORIGIN
 
 PHYSICS_PORT = 4560
 MAVLINK_PORTS = (14540, 14550)
@@ -44,6 +44,8 @@ PARAMETERS: dict[str, float] = {
     "THR_MDL_FAC": 0.0,
     "MPC_THR_HOVER": 0.48,
 }
+OWN = {"SIH_DISTSNSR_OVR": 10_000.0}
+"""The parameters for PX4's own vehicle (SIH): its lidar, which knows nothing of our deck, is off."""
 _ALL_SENSORS = 0x1FFF
 _ARMED = 128
 _GNSS_S = 0.1
@@ -213,11 +215,14 @@ async def serve_hil(
         await server.wait_closed()
 
 
-def start(binary: Path, *, height_m: float, parameters: Mapping[str, float] | None = None) -> tuple[list[str], dict[str, str]]:
+def start(
+    binary: Path, *, height_m: float, parameters: Mapping[str, float] | None = None, own: GeoPoint | None = None
+) -> tuple[list[str], dict[str, str]]:
     """Return the command line and the variables to add to the environment.
 
     Args:
         height_m: height to which AUTO.TAKEOFF climbs.
+        own: the place at which PX4 simulates a vehicle of its own (SIH); None for ours.
 
     Raises:
         BadInput: the start-up files are not where PX4's build puts them.
@@ -227,13 +232,14 @@ def start(binary: Path, *, height_m: float, parameters: Mapping[str, float] | No
         raise BadInput(
             f"--binary: there is no {etc / 'init.d-posix' / 'rcS'}; PX4 needs its build's etc beside bin (see {GUIDE})"
         )
-    asked = {**PARAMETERS, "MIS_TAKEOFF_ALT": height_m, **(parameters or {})}
+    asked = {**PARAMETERS, **(OWN if own else {}), "MIS_TAKEOFF_ALT": height_m, **(parameters or {})}
+    home, model, airframe = own or ORIGIN, "sihsim_quadx" if own else "none_iris", "10040" if own else "10016"
     environment = {
-        "PX4_SIM_MODEL": "none_iris",
-        "PX4_SYS_AUTOSTART": "10016",
+        "PX4_SIM_MODEL": model,
+        "PX4_SYS_AUTOSTART": airframe,
         "PX4_SIM_HOSTNAME": "127.0.0.1",
-        "PX4_HOME_LAT": f"{ORIGIN_DEG[0]:.7f}",
-        "PX4_HOME_LON": f"{ORIGIN_DEG[1]:.7f}",
+        "PX4_HOME_LAT": f"{math.degrees(home.latitude_rad):.7f}",
+        "PX4_HOME_LON": f"{math.degrees(home.longitude_rad):.7f}",
         "PX4_HOME_ALT": "0",
         **{f"PX4_PARAM_{name}": f"{value:g}" for name, value in asked.items()},
     }

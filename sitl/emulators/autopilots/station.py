@@ -86,7 +86,7 @@ class GroundStation:
     """
 
     def __init__(self, stack: Stack, *, height_m: float, unaided: bool = False) -> None:
-        self._stack, self._height_m, self._unaided = stack, height_m, unaided
+        self.stack, self._height_m, self._unaided = stack, height_m, unaided
         self._autopilot, self._companion = (1, _AUTOPILOT), (1, COMPANION)
         self._since: MonoNs | None = None
         self._asked: dict[str, MonoNs] = {}
@@ -114,13 +114,13 @@ class GroundStation:
             for _, text in self._joined.on_message(message, (message.get_srcSystem(), component)):
                 self.texts.append((now, component, text))
         elif kind == "HEARTBEAT" and component == _AUTOPILOT:
-            self.mode = mode_name(self._stack, message.custom_mode)
+            self.mode = mode_name(self.stack, message.custom_mode)
             self.armed = bool(message.base_mode & ARMED)
             if self.task is Task.MEET:
                 self._next(Task.ARM, now)
             elif self.task is Task.ARM and self.armed:
                 self._next(Task.TAKE_OFF, now)
-            elif self.task is Task.ORDER and self._unaided and self.mode == LAND_MODE[self._stack]:
+            elif self.task is Task.ORDER and self._unaided and self.mode == LAND_MODE[self.stack]:
                 self._watch(now)
         elif kind == "COMMAND_ACK":
             self._answered(int(message.command), int(message.result), component, now)
@@ -136,7 +136,7 @@ class GroundStation:
             self._fail("its motors had stopped before the companion was back")
         else:
             self._brought_back = True
-            on_deck = height_m < _ON_DECK_M and self._stack is not Stack.PX4
+            on_deck = height_m < _ON_DECK_M and self.stack is not Stack.PX4
             self._next(Task.TAKE_OFF if on_deck else Task.GO, now)
 
     def _answered(self, command: int, result: int, component: int, now: MonoNs) -> None:
@@ -153,7 +153,7 @@ class GroundStation:
 
     def holds(self) -> Message:
         """Return the choice of the autopilot's own mode that holds."""
-        return set_mode(self._stack, self._autopilot, HOLD_MODE[self._stack])
+        return set_mode(self.stack, self._autopilot, HOLD_MODE[self.stack])
 
     def disarms(self) -> Message:
         """Return the command that stops the motors, in the air too."""
@@ -171,17 +171,17 @@ class GroundStation:
         return out + self._handlers[task](self, now, view)
 
     def _arm(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        mode = VELOCITY_MODE[self._stack]
+        mode = VELOCITY_MODE[self.stack]
         out = self._carried(now, view, 0.0)
         if self.mode != mode:
-            return [*out, *([set_mode(self._stack, self._autopilot, mode)] if self._due("mode", now) else [])]
+            return [*out, *([set_mode(self.stack, self._autopilot, mode)] if self._due("mode", now) else [])]
         return [*out, *([self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)] if self._due("arm", now) else [])]
 
     def _take_off(self, now: MonoNs, view: OperatorView) -> list[Message]:
         if view.height_m > 0.85 * self._height_m:
             self._next(Task.GO, now)
             return []
-        if self._stack is Stack.PX4:
+        if self.stack is Stack.PX4:
             return self._carried(now, view, -_CLIMB_M_S)
         if view.height_m > 0.5 or not self._due("take off", now):
             return []
@@ -189,7 +189,7 @@ class GroundStation:
 
     def _carried(self, now: MonoNs, view: OperatorView, v_down_m_s: float) -> list[Message]:
         """Return the setpoint that goes with the deck: PX4 leaves it in OFFBOARD, since AUTO.TAKEOFF holds over the ground."""
-        if self._stack is not Stack.PX4:
+        if self.stack is not Stack.PX4:
             return []
         v = np.array([view.v_deck_level[0], view.v_deck_level[1], v_down_m_s])
         return [velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v, 0.0), view.yaw_rad)]
@@ -207,8 +207,8 @@ class GroundStation:
         size = float(np.linalg.norm(pull))
         v_level = view.v_start_level + pull * min(1.0, 1.5 / max(size, 1e-9))
         rate = min(max(0.8 * wrap_pi(view.turn_rad), -0.5), 0.5)
-        mode = VELOCITY_MODE[self._stack]
-        takes = [set_mode(self._stack, self._autopilot, mode)] if self.mode != mode and self._due("mode", now) else []
+        mode = VELOCITY_MODE[self.stack]
+        takes = [set_mode(self.stack, self._autopilot, mode)] if self.mode != mode and self._due("mode", now) else []
         return [*takes, velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, rate), view.yaw_rad)]
 
     def _rest(self, now: MonoNs, view: OperatorView) -> list[Message]:
@@ -228,7 +228,7 @@ class GroundStation:
 
     def _order_to_land(self) -> Message:
         if self._unaided:
-            return set_mode(self._stack, self._autopilot, LAND_MODE[self._stack])
+            return set_mode(self.stack, self._autopilot, LAND_MODE[self.stack])
         return self._command(mav.MAV_CMD_NAV_LAND, to=self._companion)
 
     def _watch(self, now: MonoNs) -> None:

@@ -48,7 +48,7 @@ async def autopilot_program(stack: str, parameters: Mapping[str, float], folder:
     binary = Path(PROGRAMS[stack])
     if stack == "ArduPilot":
         ports = (free_port(), free_port())
-        words = arducopter.argv(binary, folder, physics_port=1, mavlink_ports=ports, parameters=asked)
+        words = arducopter.argv(binary, folder, physics=1, mavlink_ports=ports, parameters=asked)
         words[words.index("--model") + 1] = "quad"
         environment: dict[str, str] = {}
         port = ports[0]

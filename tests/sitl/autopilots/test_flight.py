@@ -18,6 +18,7 @@ from tests.support.processes import gone, started
 from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).parents[3]
+STAND_IN = f'PYTHONPATH={ROOT} exec {sys.executable} -m tests.sitl.autopilots.stand_in "$@"'
 REAL = os.environ.get("DECKLANDER_ARDUCOPTER", "")
 
 
@@ -42,7 +43,7 @@ def simulate(*words: str) -> int:
 
 @pytest.mark.timeout(400)
 def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad(tmp_path, near, capsys):
-    binary = program(tmp_path, f'PYTHONPATH={ROOT} exec {sys.executable} -m tests.sitl.autopilots.stand_in "$@"')
+    binary = program(tmp_path, STAND_IN)
     kept = tmp_path / "kept"
     code = simulate(near, "--seed", "2", "--binary", binary, "--json", "--keep", str(kept), "--param", "LAND_SPEED=40")
     reported = json.loads(capsys.readouterr().out)
@@ -63,9 +64,20 @@ def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad(tmp_path, near, caps
 
 @pytest.mark.skipif(not REAL, reason="DECKLANDER_ARDUCOPTER does not name an ArduCopter program")
 @pytest.mark.timeout(600)
-def test_a_real_program_is_landed_on_the_pad(near: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert simulate(near, "--binary", REAL, "--json") == 0
+@pytest.mark.parametrize("physics", ["ours", "own"])
+def test_a_real_program_is_landed_on_the_pad(near: str, physics: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert simulate(near, "--binary", REAL, "--physics", physics, "--json") == 0
     assert json.loads(capsys.readouterr().out)["touchdown"]["lateral_m"] < 0.15
+
+
+@pytest.mark.timeout(400)
+def test_a_vehicle_of_the_programs_own_meets_our_deck_on_a_ship_under_way(tmp_path, near, capsys):
+    words = ["--binary", program(tmp_path, STAND_IN), "--physics", "own", "--perception", "model", "--json"]
+    assert simulate(near, "--seed", "2", "--set", "vessel.moored=false", "--set", "vessel.speed_m_s=0.8", *words) == 0
+    (contact,) = json.loads(capsys.readouterr().out)["contacts"]
+    assert contact["lateral_m"] < 0.15
+    assert contact["vertical_speed_m_s"] == pytest.approx(0.4, abs=0.25)
+    assert contact["phase"] in ("commit", "press")
 
 
 def test_a_program_that_never_steps_leaves_no_recording(tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -115,6 +127,7 @@ def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) ->
     ("words", "said"),
     [
         ([], "needs --binary PATH"),
+        (["--binary", "stand-in", "--physics", "own"], "simulates no vehicle by itself"),
         (["--binary", __file__], "is no program that can be run"),
         (["--binary", "/bin/sh", "--record", "/dev/null"], "--record /dev/null: is there already"),
         (["--binary", "/bin/sh", "--follow", "udpin://127.0.0.1:0"], "does not go with"),

@@ -11,6 +11,7 @@ from companion.base.mission import FlightOutcome
 from companion.settings.load import load as load_settings
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.samples import LocalPosition
+from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import Stamp
@@ -22,8 +23,7 @@ from tests.support.waiting import free_port
 
 HOST = "127.0.0.1"
 
-EARTH_M = 6_371_000.0
-LAT, LON = 63.44, 10.40
+HOME = GeoPoint.of_degrees(63.44, 10.40, 0.0)
 
 
 def stamped(seconds: float) -> Stamp:
@@ -40,8 +40,8 @@ def attitude(seconds: float) -> Attitude:
 
 def truth(kind: str, p: F64) -> Message:
     """Return a simulator's report of a place, in steps of 1e-7 degrees."""
-    lat = LAT + math.degrees(p[0] / EARTH_M)
-    lon = LON + math.degrees(p[1] / (EARTH_M * math.cos(math.radians(LAT))))
+    at = moved(HOME, p)
+    lat, lon = math.degrees(at.latitude_rad), math.degrees(at.longitude_rad)
     q = [1.0, 0.0, 0.0, 0.0]
     if kind == "HIL_STATE_QUATERNION":
         millimetres = round(-1e3 * p[2])
