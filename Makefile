@@ -122,8 +122,9 @@ $(VENV)/.compiler: requirements/compiler.txt | $(BIN)/pip
 	$(INSTALL) requirements/compiler.txt
 	@touch $@
 
-$(VENV)/.dev: requirements/dev.txt $(VENV)/.runtime
-	$(INSTALL) requirements/dev.txt
+# With the witnesses of benches/witness, which the tests ask too.
+$(VENV)/.dev: requirements/dev.txt requirements/witness.txt requirements/rotorpy.txt $(VENV)/.runtime
+	$(INSTALL) requirements/dev.txt requirements/witness.txt requirements/rotorpy.txt
 	@touch $@
 
 $(VENV)/.fuzz: requirements/fuzz.txt $(VENV)/.dev
@@ -173,6 +174,9 @@ pins:
 	$(PIN) --constraint requirements/lab.txt --extra witness -o requirements/witness.txt pyproject.toml
 	awk 'NR == FNR { of_lab[$$1] = 1; next } /^[^ ]/ { added = !($$1 in of_lab) } added' requirements/lab.txt requirements/witness.txt > requirements/witness.new
 	mv requirements/witness.new requirements/witness.txt
+	$(PIN) -o requirements/rotorpy.new requirements/rotorpy.in
+	awk '/^[^ ]/ { own = /^rotorpy==/ } own' requirements/rotorpy.new > requirements/rotorpy.txt
+	rm requirements/rotorpy.new
 	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --constraint requirements/fleet.txt --constraint requirements/video.txt --extra video --extra report --extra lab --extra ros2 --extra compare --extra rl --extra fleet --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
