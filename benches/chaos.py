@@ -12,7 +12,6 @@ with `--alone` (as root) the service goes before all other programs, as on cores
 
 import argparse
 import asyncio
-import json
 import os
 import random
 import re
@@ -38,6 +37,7 @@ from pathlib import Path
 import av
 import numpy as np
 
+from benches.dead_man import drone
 from drivers.mavlink.dialect import mav
 from sitl.emulators.ardrone.truth_log import read as read_truth
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
@@ -423,11 +423,7 @@ async def beside_autopilot(around: Around, stack: ExitStack, happens: Callable[[
 async def beside_ardrone(around: Around, stack: ExitStack, happens: Callable[[], Awaitable[None]], seed: int) -> None:
     """Let the emulated AR.Drone land on the ship while `happens` lasts."""
     seen, truth = around.seen, around.folder / "truth"
-    ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
-    words = [sys.executable, "-m", "sitl.emulators.ardrone.serve", "demo", f"--seed={seed}", f"--truth={truth}", *ports]
-    drone = stack.enter_context(started(words, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL))
-    assert drone.stdout is not None
-    found = json.loads(await asyncio.to_thread(drone.stdout.readline))["ports"]
+    found = stack.enter_context(drone("demo", seed, truth))
     for name in ("navdata", "at"):
 
         def heard(data: bytes, now: float, to_drone: bool, is_command: bool = name == "at") -> None:

@@ -1,8 +1,8 @@
-"""Measure the shape of the code: `python -m benches.house [COMMIT ...]`.
+"""Measure the shape of the code: `python -m benches.house`.
 
-Prints one row a figure: its name, what is asked, its limit, one column for each commit and one for the working tree. `--check`
-fails where a figure of the working tree is worse than its limit in house.toml, and prints what the figure counts. `--tighten`
-sets each limit to the figure where that is better. A change that adds lines finds as many to remove, or raises the limit in
+Prints one row a figure: its name, what is asked, its limit, and what it is in the working tree. `--check` fails where a figure is
+worse than its limit in house.toml, and prints what the figure counts. `--tighten` sets each limit to the figure where that is
+better. A change that adds lines finds as many to remove, or raises the limit in
 house.toml in its own commit and gives the reason there.
 """
 
@@ -10,11 +10,9 @@ from __future__ import annotations
 
 import argparse
 import ast
-import io
 import re
 import subprocess
 import sys
-import tarfile
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -36,10 +34,10 @@ EXPERT = "## Expert keys"
 
 
 class Tree:
-    """The text of every file of code of one state of the project, by path."""
+    """The text of every file of code of the working tree, by path."""
 
-    def __init__(self, commit: str | None) -> None:
-        self.texts = dict(_committed(commit) if commit else _working())
+    def __init__(self) -> None:
+        self.texts = dict(_working())
 
     def under(self, *places: str, ending: tuple[str, ...] = CODE) -> dict[str, str]:
         """Return the files of some folders by their endings."""
@@ -86,14 +84,6 @@ def _working() -> Iterator[tuple[str, str]]:
     for path in listed:
         if path.endswith((*CODE, ".md", ".toml")) and (ROOT / path).is_file():
             yield path, (ROOT / path).read_text(encoding="utf-8")
-
-
-def _committed(commit: str) -> Iterator[tuple[str, str]]:
-    packed = subprocess.run(["git", "archive", commit], cwd=ROOT, check=True, capture_output=True).stdout
-    with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
-        for member in archive:
-            if member.isfile() and member.name.endswith((*CODE, ".md", ".toml")) and (file := archive.extractfile(member)):
-                yield member.name, file.read().decode()
 
 
 def _dotted(path: str) -> str:
@@ -202,16 +192,15 @@ def wide_python(tree: Tree) -> list[str]:
     return found
 
 
-def entries(tree: Tree, *headers: str) -> list[tuple[str, int]]:
-    """Return the entries of the native door with their numbers of parameters, by the first of these headers that is there."""
-    text = next((tree.texts[header] for header in headers if header in tree.texts), "")
-    return [(name, _count(inside)) for name, inside in _PROTOTYPE.findall(_COMMENT.sub(" ", text))]
+FLYING = "estimator/core/decklander.h"
+HEADERS = (FLYING, "sitl/core/decklander_sim.h")
 
 
-FLYING = ("estimator/core/decklander.h", "estimator/core/interface.h")
+def entries(tree: Tree) -> list[tuple[str, int]]:
+    """Return the entries of the native door of what flies, with their numbers of parameters."""
+    return [(name, _count(inside)) for name, inside in _PROTOTYPE.findall(_COMMENT.sub(" ", tree.texts[FLYING]))]
 
 
-HEADERS = (FLYING[0], "sitl/core/decklander_sim.h")
 _MEMBERS_OF_ONE_COMMENT = 3
 
 
@@ -319,7 +308,7 @@ def wide_c(tree: Tree) -> list[str]:
 
 def wide_entries(tree: Tree) -> list[str]:
     """Return the entries of the flying library with more parameters than are allowed."""
-    return [name for name, n in entries(tree, *FLYING) if n > PARAMETERS_MAX]
+    return [name for name, n in entries(tree) if n > PARAMETERS_MAX]
 
 
 FIGURES = (
@@ -327,7 +316,7 @@ FIGURES = (
     counted("circles of Python files", 0, lambda t: circles(t.imports)),
     counted("circles of C files", 0, c_circles),
     Figure("contracts of lint-imports", None, contracts, more_is_better=True),
-    counted("entries of the flying library", 25, lambda t: entries(t, *FLYING)),
+    counted("entries of the flying library", 25, entries),
     counted("entries of more than 8 parameters", 0, wide_entries),
     counted("C functions of more than 8 parameters", 0, wide_c),
     counted("Python functions of more than 8", 0, wide_python),
@@ -351,22 +340,19 @@ FIGURES = (
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m benches.house", description="Measure the shape of the code.")
-    parser.add_argument("commits", nargs="*", metavar="COMMIT", help="describe these too")
     parser.add_argument("--check", action="store_true", help="fail where a figure is worse than its limit")
     parser.add_argument("--tighten", action="store_true", help="set each limit to the figure where that is better")
     args = parser.parse_args()
-    trees = [Tree(commit) for commit in args.commits] + [now := Tree(None)]
-    limits = tomlkit.parse(LIMITS.read_text())
-    failed = False
-    print(f"{'':<40}{'asked':>10}{'limit':>10}" + "".join(f"{c[:8]:>10}" for c in [*args.commits, "now"]))
+    tree, limits, failed = Tree(), tomlkit.parse(LIMITS.read_text()), False
+    print(f"{'':<40}{'asked':>10}{'limit':>10}{'now':>10}")
     for figure in FIGURES:
-        values = [round(figure.count(tree), 2) for tree in trees]
-        limit, asked = limits.get(figure.label, values[-1]), "" if figure.asked is None else figure.asked
-        print(f"{figure.label:<40}{asked:>10}{limit:>10}" + "".join(f"{value:>10}" for value in values))
-        if args.tighten and not figure.is_worse(values[-1], limit):
-            limits[figure.label] = values[-1]
-        elif args.check and figure.is_worse(values[-1], limit):
-            print(f"worse than its limit in {LIMITS.name}: {figure.label}", *figure.names(now), sep="\n  ", file=sys.stderr)
+        value = round(figure.count(tree), 2)
+        limit, asked = limits.get(figure.label, value), "" if figure.asked is None else figure.asked
+        print(f"{figure.label:<40}{asked:>10}{limit:>10}{value:>10}")
+        if args.tighten and not figure.is_worse(value, limit):
+            limits[figure.label] = value
+        elif args.check and figure.is_worse(value, limit):
+            print(f"worse than its limit in {LIMITS.name}: {figure.label}", *figure.names(tree), sep="\n  ", file=sys.stderr)
             failed = True
     if args.tighten:
         LIMITS.write_text(tomlkit.dumps(limits))

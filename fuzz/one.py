@@ -13,7 +13,7 @@ from pathlib import Path
 
 import atheris
 
-from fuzz import finds, target
+from fuzz import target
 
 ROOT = Path(__file__).parents[1]
 OURS = ("companion", "drivers", "estimator", "sitl")
@@ -35,7 +35,7 @@ def main() -> None:
     warnings.simplefilter("ignore")
     with atheris.instrument_imports(include=[*OURS, *_OTHERS.get(args.name, ())]):
         chosen = target.target(args.name)
-    found = finds.Finds(args.name, args.crashes, ROOT)
+    found = target.Finds(args.name, args.crashes, ROOT)
 
     def fault_of(data: bytes) -> BaseException | None:
         try:

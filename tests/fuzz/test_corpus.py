@@ -8,8 +8,7 @@ import pytest
 
 from fuzz import __main__ as fuzz
 from fuzz import native
-from fuzz.finds import Finds, signature
-from fuzz.target import CORPUS, MODULES, target
+from fuzz.target import CORPUS, MODULES, Finds, signature, target
 
 ROOT = Path(__file__).parents[2]
 
