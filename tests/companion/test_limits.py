@@ -218,9 +218,9 @@ def swings(
 @pytest.mark.parametrize(
     ("deck", "impossible"),
     [
-        (swings(2.9, 2.9, 39.0, 39.0), False), (swings(-3.1), True), (swings(3.1), True), (swings(0.0, 3.1), True),
+        (swings(4.9, 4.9, 39.0, 39.0), False), (swings(-5.1), True), (swings(5.1), True), (swings(0.0, 5.1), True),
         (swings(roll_deg_s=-41.0), True), (swings(pitch_deg_s=41.0), True), (swings(pitch_deg_s=-41.0), True),
-        (swings(4.0, sigma=0.6), False), (swings(4.0, sigma=0.4), True), (None, False),
+        (swings(6.0, sigma=0.6), False), (swings(6.0, sigma=0.4), True), (None, False),
     ],
 )  # fmt: skip
 def test_a_deck_moves_up_and_down_no_faster_than_any_vessel_does(deck: DeckMotion | None, impossible: bool) -> None:

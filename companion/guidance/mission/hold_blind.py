@@ -31,15 +31,14 @@ _SURELY = 0.5
 
 
 def _lost_low(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
-    """Return that it is too low to wait for the sight any longer, or None."""
-    if p.seen is None or p.seen_height_m >= o.tries.safe_height_m - NEAR_SAFE_M:
+    """Return that it is too low to wait for the sight any longer, or None. A deck that comes up fast makes any height low."""
+    if p.seen is None:
         return None
     lies = s.estimate is not None and not _STAY.isdisjoint(s.estimate.alerts)
     nearer = s.range_m is not None and s.range_m < p.seen_height_m - NEAR_SAFE_M and out_of_reach.near(p, s, o)
     over = seconds_between(p.seen, s.at) > o.tries.climb_after_s
-    if over or lies or nearer or rules.reaches_deck(s.estimate, s, o, _TURNS_S):
-        return Reason(ReasonCause.LOST_LOW, p.seen_height_m)
-    return None
+    is_low = p.seen_height_m < o.tries.safe_height_m - NEAR_SAFE_M and (over or lies or nearer)
+    return Reason(ReasonCause.LOST_LOW, p.seen_height_m) if is_low or rules.reaches_deck(s.estimate, s, o, _TURNS_S) else None
 
 
 def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
