@@ -34,6 +34,7 @@ from companion.settings.guidance import Response, TiltResponse
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, fixed_pair, fixed_vector
+from estimator.contracts.motion import BodyMotion
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.core.library import CORE
 
@@ -152,6 +153,15 @@ _GAP_MAX_S = 0.5
 """A silence longer than this restarts the observer at the measurement; it keeps its estimate of the wind."""
 
 
+_ROUGH_M_S2, _ROUGH_S = 0.8, 1.0
+"""Noise of a rough accelerometer, which has an observer of its own, and the time over which it is measured. Vibration of
+0.5 m/s^2 stays below; PX4's simulated quadcopter (SIH) has 0.5 to 1.7, by axis, as its source gives it."""
+
+
+_JOLT_M_S2 = 4.0
+"""Largest change of a cycle that counts: a contact with the deck is no noise."""
+
+
 class FollowDeckMemory(Struct, frozen=True, eq=False):
     """The controller's memory."""
 
@@ -167,6 +177,10 @@ class FollowDeckMemory(Struct, frozen=True, eq=False):
     """Share of the former, 0 to 1."""
     plain: Pid = field(default_factory=Pid)
     """The memory of the fallback."""
+    felt: tuple[float, float] = (0.0, 0.0)
+    """The measured acceleration less that of the tilt, forward and right, m/s^2."""
+    noise_var: float = 0.0
+    """Mean variance of its noise, by what changes from cycle to cycle, (m/s^2)^2."""
 
 
 class FollowDeck:
@@ -214,7 +228,8 @@ class FollowDeck:
         felt = noise or ObserverNoise()
         self._observers = observer_gains(felt, period_s)
         self._observers_unfelt = observer_gains(felt._replace(accelerometer=False), period_s)
-        self._in_use: dict[tuple[TuningChoice, TuningChoice, float, float, tuple[float, float], bool], Any] = {}
+        self._observers_rough = observer_gains(felt._replace(sigma_a_m_s2=_ROUGH_M_S2), period_s)
+        self._in_use: dict[tuple[TuningChoice, TuningChoice, float, float, tuple[float, float], bool, bool], Any] = {}
 
     @property
     def climb_max_m_s(self) -> float:
@@ -249,10 +264,11 @@ class FollowDeck:
         """
         before = memory.tuning if memory.share == 1.0 else memory.tuning_before
         limits, unfelt = (self._jerk_max_m_s3(knowledge), self.tilt_max_deg(knowledge)), knowledge.unfelt
-        key = memory.tuning, before, chosen(SIGMAS_P_M, sigma_p_m), chosen(SIGMAS_P_M, soft_m), limits, unfelt
+        rough = memory.noise_var > _ROUGH_M_S2**2
+        key = memory.tuning, before, chosen(SIGMAS_P_M, sigma_p_m), chosen(SIGMAS_P_M, soft_m), limits, unfelt, rough
         if key not in self._in_use:
             gains, earlier = self._gains(memory.tuning, soft_m), self._gains(before, soft_m)
-            observers = self._observers_unfelt if unfelt else self._observers
+            observers = self._observers_unfelt if unfelt else self._observers_rough if rough else self._observers
             of = self._tuning(memory.tuning).response
             tilt_max_m_s2 = replace(self.response.tilt, max_deg=limits[1]).max_m_s2
             own = {"frequency_rad_s": of.frequency_rad_s, "damping": of.damping}
@@ -341,7 +357,7 @@ class FollowDeck:
             assert self._fallback is not None
             plain, given = self._fallback.step(memory.plain, now, knowledge, target)
             return replace(memory, plain=plain), given
-        memory = self._retuned(memory, now, chosen_tuning(knowledge.response))
+        memory = _felt(self._retuned(memory, now, chosen_tuning(knowledge.response)), now, body)
         over = (0.0, 0.0) if target is None else (target.d_body_pad_level.item(0), target.d_body_pad_level.item(1))
         soft_m = self._soft_m(memory, knowledge, relative, over)
         law, share = self._law(memory, _sigma_m(relative), soft_m, knowledge), memory.share
@@ -350,10 +366,20 @@ class FollowDeck:
         core, out = CORE.ffi.new("dl_law_memory *"), CORE.ffi.new("dl_law_command *")
         if not CORE.lib.dl_law_step(law, cycle, law_course(knowledge.forecast), memory.core, core, out):
             raise ValueError("the law has no room for its commands")
-        after = FollowDeckMemory(core, now, memory.tuning, memory.tuning_before, share, memory.plain)
+        after = replace(memory, core=core, at=now, share=share)
         if target is None:
             return after, Hover()
         return after, Lean(fixed_pair(*out.a), fixed_pair(*out.trim), fixed_vector(*out.v), out.yaw_rate_rad_s)
+
+
+def _felt(memory: FollowDeckMemory, now: MonoNs, body: BodyMotion) -> FollowDeckMemory:
+    """Return the memory with the noise of the accelerometer, which gusts and tilts hardly change from one cycle to the next."""
+    (forward, right, _), (lean_f, lean_r) = body.a_level.tolist(), body.lean_m_s2
+    felt, noise_var = (forward - lean_f, right - lean_r), memory.noise_var
+    if memory.at is not None and 0.0 < (dt := seconds_between(memory.at, now)) <= _GAP_MAX_S:
+        change = min(math.dist(felt, memory.felt), _JOLT_M_S2)
+        noise_var += min(dt / _ROUGH_S, 1.0) * (0.25 * change * change - noise_var)
+    return replace(memory, felt=felt, noise_var=noise_var)
 
 
 def _sigma_m(relative: RelativeState) -> float:
