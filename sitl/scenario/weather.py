@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from estimator.contracts.keys import choice, number
 from estimator.contracts.motion import G_M_S2
-from sitl.sea.sea import SEA_STATES, Sea, SeaState
+from sitl.sea.sea import SEA_STATES, Sea, SeaState, WaveSystem
 from sitl.vessel.air import WindSettings
 
 _PM_HEIGHT = 2.0 * math.sqrt(0.0081 / 0.74)
@@ -22,6 +22,9 @@ peak's frequency, Hz, by g / U is the second times x^(-1/3)."""
 _CHARNOCK, _KARMAN = 0.0144, 0.4
 """Charnock's constant of the open sea (DNV-RP-C205 gives 0.011 to 0.014; 0.0144 after Garratt 1977)."""
 _LEAST_ROUGHNESS_M = 1e-5
+_SWELL_HEIGHT, _SWELL_PERIOD, _SWELL_ASIDE_DEG = 0.5, 1.6, 60.0
+"""The swell of open water by the height and period of the wind's own sea. With it spectra are about as wide and as little peaked
+as buoys measure them (docs/evidence.md); how far it crosses is assumed."""
 
 
 class WeatherSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -50,18 +53,20 @@ class WeatherSettings(Struct, frozen=True, forbid_unknown_fields=True):
         return self.wind_m_s is not None or self.sea_state is not None
 
     def sea(self, beside: Sea, from_deg: float) -> Sea:
-        """Return the waves that the wind raises.
+        """Return the waves that the wind raises, and on open water a swell that crosses them.
 
         Args:
             beside: a sea whose current stays.
             from_deg: direction of the wind where these settings say none.
         """
-        state = self._state()
+        state, to_deg = self._state(), (self._from_deg(from_deg) + 180.0) % 360.0
+        height_m, period_s = _SWELL_HEIGHT * state.hs_m, _SWELL_PERIOD * state.tp_s
         return Sea(
             significant_height_m=state.hs_m,
             peak_period_s=state.tp_s,
             peak_enhancement=state.gamma,
-            runs_to_deg=(self._from_deg(from_deg) + 180.0) % 360.0,
+            runs_to_deg=to_deg,
+            swell=WaveSystem(height_m, period_s, runs_to_deg=to_deg + _SWELL_ASIDE_DEG) if self.fetch_km is None else None,
             current_m_s=beside.current_m_s,
             current_to_deg=beside.current_to_deg,
         )

@@ -254,7 +254,6 @@ EXCLUDES: dict[str, tuple[str, ...]] = {
     "sea_state": ("significant_height_m", "peak_period_s", "swell", "wind_sea"),
     "significant_height_m": ("sea_state", "swell", "wind_sea"),
     "peak_period_s": ("sea_state",),
-    "swell": ("sea_state", "significant_height_m", "peak_period_s"),
     "wind_sea": ("sea_state", "significant_height_m", "peak_period_s"),
 }
 """Keys that take the place of those of a base when a scenario that is built on it says them."""
@@ -269,13 +268,19 @@ class System(NamedTuple):
 
 
 class WaveSystem(Struct, frozen=True, forbid_unknown_fields=True):
-    """One of the two parts of an Ochi-Hubble sea."""
+    """One of the two parts of an Ochi-Hubble sea, or a swell beside another one."""
 
     height_m: Annotated[float, number("significant height of this part alone", "m", 0.0, 10.0)]
     period_s: Annotated[float, number("period of its peak", "s", 1.0, 25.0)]
     shape: Annotated[float, number("Ochi and Hubble's lambda: 1.5 a wind sea, 3 and more a swell", "1", 0.8, 30.0)] = 3.0
     runs_to_deg: Direction | None = None
     spreading: Spread | None = None
+
+    def beside(self, sea: Sea, usual_spreading: float) -> System:
+        """Return this part of a sea, which has its direction and spreading where this says none."""
+        to_deg = sea.runs_to_deg or 0.0 if self.runs_to_deg is None else self.runs_to_deg
+        state = SeaState(self.height_m, self.period_s, 1.0, self.shape)
+        return System(state, math.radians(to_deg), self.spreading or sea.spreading or usual_spreading)
 
 
 class Sea(Struct, frozen=True, forbid_unknown_fields=True):
@@ -286,7 +291,7 @@ class Sea(Struct, frozen=True, forbid_unknown_fields=True):
         Literal["jonswap", "pierson_moskowitz", "ochi_hubble"],
         choice(
             "JONSWAP; a fully grown sea, where the height alone sets the period; or a swell and a wind sea, "
-            "the most probable ones for the height unless swell and wind_sea say which"
+            "the most probable ones for the height unless swell and wind_sea say which; a swell may stand beside the others too"
         ),
     ] = "jonswap"
     components: Annotated[
@@ -310,18 +315,19 @@ class Sea(Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         parts = [name for name in ("swell", "wind_sea") if getattr(self, name) is not None]
+        shared = parts if self.spectrum == "ochi_hubble" or self.wind_sea is not None else []
         if self.sea_state is not None:
-            for name in ("significant_height_m", "peak_period_s", *parts):
+            for name in ("significant_height_m", "peak_period_s", *shared):
                 if getattr(self, name) is not None:
                     raise ValueError(f"sea_state sets the height and the period: give either it or {name}")
         if self.spectrum != "jonswap" and self.peak_enhancement is not None:
             raise ValueError(f"peak_enhancement is JONSWAP's; the spectrum is {self.spectrum}")
         if self.spectrum != "jonswap" and self.peak_period_s is not None:
             raise ValueError(f"peak_period_s does not go with {self.spectrum}: its periods follow from the height")
-        if parts and self.spectrum != "ochi_hubble":
-            raise ValueError(f"{parts[0]} belongs to the spectrum ochi_hubble; the spectrum is {self.spectrum}")
-        if parts and self.significant_height_m is not None:
-            raise ValueError(f"significant_height_m follows from swell and wind_sea: give either it or {parts[0]}")
+        if self.wind_sea is not None and self.spectrum != "ochi_hubble":
+            raise ValueError(f"wind_sea belongs to the spectrum ochi_hubble; the spectrum is {self.spectrum}")
+        if shared and self.significant_height_m is not None:
+            raise ValueError(f"significant_height_m follows from swell and wind_sea: give either it or {shared[0]}")
         if self.spreading is not None and self.runs_to_deg is None:
             raise ValueError("spreading needs runs_to_deg, the direction about which the waves spread")
         for name in parts:
@@ -336,24 +342,16 @@ class Sea(Struct, frozen=True, forbid_unknown_fields=True):
         towards = math.radians(self.runs_to_deg or 0.0)
         wide = 10.0 if self.spreading is None else self.spreading
         height = self._height_m()
+        swell = () if self.swell is None else (self.swell.beside(self, 75.0),)
         if self.spectrum == "pierson_moskowitz":
-            return (System(SeaState.fully_grown(height), towards, wide),)
+            return (System(SeaState.fully_grown(height), towards, wide), *swell)
         if self.spectrum == "jonswap":
             gamma = 3.3 if self.peak_enhancement is None else self.peak_enhancement
-            return (System(SeaState(height, self._period_s(), gamma), towards, wide),)
+            return (System(SeaState(height, self._period_s(), gamma), towards, wide), *swell)
         if self.swell is None and self.wind_sea is None:
-            swell, wind = SeaState.swell_and_wind_sea(height)
-            return (System(swell, towards, 75.0 if self.spreading is None else wide), System(wind, towards, wide))
-        output = ((self.swell, 75.0), (self.wind_sea, 10.0))
-        return tuple(
-            System(
-                SeaState(part.height_m, part.period_s, 1.0, part.shape),
-                towards if part.runs_to_deg is None else math.radians(part.runs_to_deg),
-                part.spreading or self.spreading or usual,
-            )
-            for part, usual in output
-            if part is not None
-        )
+            old, young = SeaState.swell_and_wind_sea(height)
+            return (System(old, towards, 75.0 if self.spreading is None else wide), System(young, towards, wide))
+        return (*swell, *(() if self.wind_sea is None else (self.wind_sea.beside(self, 10.0),)))
 
     def waves(self, seeds: list[int]) -> Waves:
         """Return B seas, one for each seed."""

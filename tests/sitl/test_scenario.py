@@ -35,7 +35,7 @@ def test_a_loaded_scenario_holds_from_anywhere(tmp_path: Path, monkeypatch: pyte
             {"sea": {"spectrum": "pierson_moskowitz", "peak_period_s": 8.0}},
             "sea: peak_period_s does not go with pierson_moskowitz",
         ),
-        ({"sea": {"swell": {"height_m": 1.0, "period_s": 9.0}}}, "sea: swell belongs to the spectrum ochi_hubble"),
+        ({"sea": {"wind_sea": {"height_m": 1.0, "period_s": 9.0}}}, "sea: wind_sea belongs to the spectrum ochi_hubble"),
         (
             {"sea": {"spectrum": "ochi_hubble", "significant_height_m": 1.0, "swell": {"height_m": 1.0, "period_s": 9.0}}},
             "sea: significant_height_m follows from swell and wind_sea",
@@ -98,8 +98,9 @@ def test_a_sea_state_takes_the_place_of_the_height_of_a_base(tmp_path: Path) -> 
     rough = load("sea_state_4")
     for code in range(7):
         scenario = load(f"sea_state_{code}")
-        (system,) = scenario.sea.systems()
-        assert system.state == SEA_STATES[code]
+        system, *swells = scenario.sea.systems()
+        assert (system.state.hs_m, system.state.tp_s) == (SEA_STATES[code].hs_m, SEA_STATES[code].tp_s)
+        assert [swell.state.hs_m for swell in swells] == pytest.approx([0.5 * system.state.hs_m] * (code > 1), abs=0.006)
         assert (scenario.sea.runs_to_deg, scenario.vessel, scenario.wind) == (rough.sea.runs_to_deg, rough.vessel, rough.wind)
     (tmp_path / "lower.toml").write_text(
         'title = "l"\nbase = "sea_state_5"\n[sea]\nsignificant_height_m = 2.9\npeak_period_s = 9.0\n'

@@ -48,8 +48,10 @@ def test_a_sea_grows_with_wind_and_fetch_up_to_the_fully_grown_one(wind_m_s: flo
 def test_the_shipped_weather_has_the_sea_of_its_state_and_the_wind_that_raises_it(state: int) -> None:
     scenario = load(f"weather_{state}")
     low, high = WMO_3700_M[state]
-    (system,), air = sea_of(scenario).systems(), wind_of(scenario)
-    assert low <= system.state.hs_m <= high
+    (system, swell), air = sea_of(scenario).systems(), wind_of(scenario)
+    assert low <= math.hypot(system.state.hs_m, swell.state.hs_m) <= high
+    assert (swell.state.hs_m, swell.state.tp_s) == (0.5 * system.state.hs_m, 1.6 * system.state.tp_s)
+    assert swell.towards_rad - system.towards_rad == pytest.approx(math.radians(60.0)), "it crosses"
     assert system.state.hs_m == pytest.approx(raised_sea(air.speed_m_s).hs_m)
     assert math.degrees(system.towards_rad) == pytest.approx((air.from_deg + 180.0) % 360.0)
     assert (air.model, air.profile, air.wake, air.hull_wake) == ("kaimal", "logarithmic", True, True)
@@ -67,6 +69,7 @@ def test_weather_takes_the_place_of_waves_and_wind_and_contradicts_none(tmp_path
     (tmp_path / "b.toml").write_text('title = "b"\nbase = "sea_state_4"\n[weather]\nwind_m_s = 8.0\n[sea]\nsea_state = 4\n')
     with pytest.raises(BadInput, match=r"b\.toml: sea\.sea_state follows from the weather"):
         load(tmp_path / "b.toml")
+    assert WeatherSettings(wind_m_s=8.0, fetch_km=50.0).sea(old.sea, 0.0).swell is None, "no swell comes into sheltered water"
     both = WeatherSettings(wind_m_s=5.0, sea_state=5)
     assert (both.wind(old.wind, superstructure=False).speed_m_s, both.sea(old.sea, 0.0).significant_height_m) == (5.0, 3.25)
 
