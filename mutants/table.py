@@ -13,7 +13,7 @@ _INTEGRITY = "tests/estimator/integrity"
 _MISSION = (
     "tests/companion/test_mission_states.py",
     "tests/companion/test_mission_flights.py",
-    "tests/companion/test_rendezvous.py",
+    "tests/companion/test_out_of_reach.py",
 )
 _AIM = ("tests/companion/test_steer.py", "tests/companion/test_limits.py")
 _LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py")
@@ -89,8 +89,11 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/mission/limits.py": ("tests/companion/test_limits.py", *_MISSION),
     "companion/guidance/mission/contact.py": ("tests/companion/test_contact.py", _MISSION[0], *_AIM),
     "companion/guidance/mission/clearance.py": ("tests/companion/test_limits.py",),
-    "companion/guidance/mission/search.py": ("tests/companion/test_rendezvous.py",),
-    "companion/guidance/mission/vessel_track.py": ("tests/companion/test_vessel_track.py", "tests/companion/test_rendezvous.py"),
+    "companion/guidance/mission/search.py": ("tests/companion/test_out_of_reach.py",),
+    "companion/guidance/mission/vessel_track.py": (
+        "tests/companion/test_vessel_track.py",
+        "tests/companion/test_out_of_reach.py",
+    ),
     "companion/guidance/law/follow_deck.py": (
         "tests/companion/test_follow_deck.py",
         f"{_WATCH}::test_other_gains_come_without_a_bump",
@@ -98,10 +101,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         *_LAW,
     ),
     "companion/guidance/law/records.py": ("tests/companion/test_follow_deck.py",),
-    "companion/guidance/law/margins.py": (
-        "tests/companion/test_margins.py",
-        f"{_WATCH}::test_a_vehicle_that_answers_otherwise_than_its_file_is_flown_by_its_own_frequency_and_damping",
-    ),
+    "companion/guidance/law/margins.py": (_WATCH,),
     "companion/settings/guidance.py": ("tests/companion/test_response.py",),
     "companion/guidance/law/gains.py": (
         "tests/companion/test_response.py",
