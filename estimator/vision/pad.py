@@ -38,6 +38,7 @@ from estimator.vision.regions import (
     borders_of,
     circle,
     depth_in,
+    sheet_of,
     sides_meet,
 )
 
@@ -116,7 +117,19 @@ def pad_file(data: Mapping[str, Any], where: str) -> PadFile:
     if file.ground and file.ground not in file.paints:
         known = ", ".join(file.paints)
         raise BadInput(f"{where}: ground {shown(file.ground)} is not in [paints], which has {shown(known)}; add it there")
-    check_regions(file.regions, file.paints, where)
+    sheet = sheet_of(file.regions)
+    if sheet is not None and file.ground not in ("", sheet.paint):
+        raise BadInput(
+            f"{where}: regions[0] is a sheet of paint {shown(sheet.paint)} below all others, and ground is {shown(file.ground)}: "
+            "take one out"
+        )
+    try:
+        check_regions(file.regions[sheet is not None :], file.paints, where, file.ground if sheet is None else sheet.paint)
+    except BadInput as why:
+        if sheet is None:
+            raise
+        # The rules count from the region above the sheet.
+        raise BadInput(re.sub(r"regions\[(\d+)\]", lambda at: f"regions[{int(at[1]) + 1}]", str(why))) from why
     check_lamps(file.lamps, where)
     return file
 
@@ -262,6 +275,8 @@ class Pad:
     """True if it is flown to although clutter is taken for it too often."""
     reversible: bool = False
     """True if its light may be reversed, as a thermal camera shows it."""
+    sheet: Region | None = None
+    """The region of the file that is the ground of all others; None if the file has none."""
     markings: Markings = field(init=False, compare=False, repr=False)
     """The sizes of the parts that detection knows by name."""
     _hash: int = field(init=False, compare=False, repr=False)
@@ -285,8 +300,10 @@ class Pad:
         """
         file: PadFile = pad_file(data, where)
         paints = tuple((name, (rgb[0], rgb[1], rgb[2])) for name, rgb in file.paints.items())
-        known = file.calibration, file.accept_false_pads, file.polarity == "any"
-        return Pad(file.name, paints, file.regions, file.size_sigma_m, file.lamps, file.ground, *known)
+        sheet = sheet_of(file.regions)
+        regions, ground = (file.regions, file.ground) if sheet is None else (file.regions[1:], sheet.paint)
+        known = file.calibration, file.accept_false_pads, file.polarity == "any", sheet
+        return Pad(file.name, paints, regions, file.size_sigma_m, file.lamps, ground, *known)
 
     @property
     def fingerprint(self) -> str:

@@ -47,8 +47,8 @@ _TOUCH_M = 1e-6
 """Borders nearer than this touch and do not cross."""
 
 
-def check_regions(regions: Sequence[Region], paints: Mapping[str, Rgb], where: str) -> None:
-    """Check the regions against one another and against their paints.
+def check_regions(regions: Sequence[Region], paints: Mapping[str, Rgb], where: str, ground: str = "") -> None:
+    """Check the regions against one another and against their paints, and that of the ground if it is known.
 
     Raises:
         BadInput: regions cross or hide one another, there is a second one of a part, or a paint does not stand out.
@@ -69,8 +69,8 @@ def check_regions(regions: Sequence[Region], paints: Mapping[str, Rgb], where: s
         below = _below(regions, i, where)
         if region in upper:
             _check_upper(regions, i, below, where)
-        if below >= 0:
-            _check_contrast(region, regions[below], paints, f"{where}: regions[{i}]")
+        if under := regions[below].paint if below >= 0 else ground:
+            _check_contrast(region.paint, under, paints, f"{where}: regions[{i}]")
 
 
 def _check_letters(regions: Sequence[Region], where: str) -> None:
@@ -146,8 +146,8 @@ def _check_parts(regions: Sequence[Region], letters: Sequence[Lettering], where:
         raise BadInput(f"{where}: the rim's inner_m {rim.inner_m:g} must be the disc's radius_m: a rim lies around a disc")
     if "panel" in by and (other := next((part for part in ("disc", "ring", "arrow") if part in by), None)):
         raise BadInput(
-            f"{where}: a panel and a {other} are in regions: a panel carries fiducials and lettering alone; take the panel out, "
-            f'and if it is the sheet or deck around, write ground = "{by["panel"].paint}" above [paints]'
+            f"{where}: a panel and a {other} are in regions: unless it comes first and lies around all others, a panel carries "
+            f'fiducials and lettering alone; take it out, or write ground = "{by["panel"].paint}" above [paints] if it is around'
         )
     triangle = by.get("triangle")
     if isinstance(triangle, PaintedTriangle):
@@ -225,12 +225,11 @@ def _inner(region: Region) -> F64:
             return np.array([(0.5 * (x0 + x1), 0.5 * (y0 + y1)) for x0, x1, y0, y1 in rectangles_of([region])])
 
 
-def _check_contrast(region: Region, below: Region, paints: Mapping[str, Rgb], where: str) -> None:
-    own, under = (linear_light(paints[r.paint]) for r in (region, below))
-    contrast = float(np.linalg.norm(own - under))
+def _check_contrast(paint: str, below: str, paints: Mapping[str, Rgb], where: str) -> None:
+    contrast = float(np.linalg.norm(linear_light(paints[paint]) - linear_light(paints[below])))
     if contrast < _LEAST_CONTRAST:
         raise BadInput(
-            f"{where}.paint {shown(region.paint)} {list(paints[region.paint])} does not stand out from {shown(below.paint)} "
+            f"{where}.paint {shown(paint)} {list(paints[paint])} does not stand out from {shown(below)} "
             f"below it: {contrast:.3f} of linear light, at least {_LEAST_CONTRAST:g}: choose a lighter or a darker paint"
         )
 

@@ -272,6 +272,16 @@ def covers(region: Region, xy_m: F64) -> NDArray[np.bool_]:
             return out
 
 
+def sheet_of(regions: Sequence[Region]) -> Region | None:
+    """Return the lowest region if it is the ground of all others: a panel or polygon around a ring or a disc and all else."""
+    sheet, *others = regions
+    round_ones = any(isinstance(region, PaintedDisc | PaintedRing) for region in others)
+    if not round_ones or not (isinstance(sheet, PaintedPanel) or (isinstance(sheet, PaintedPolygon) and not sheet.holes_m)):
+        return None
+    lines = [line for region in others for line in borders_of(region)]
+    return sheet if depth_in(sheet, np.concatenate(lines)).min() > 0.0 else None
+
+
 def sides_of(region: Region) -> tuple[F64, F64]:
     """Return the starts and the ends, (N, 2) m each, of the straight sides around a region."""
     lines = borders_of(region)

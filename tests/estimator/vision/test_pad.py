@@ -60,6 +60,24 @@ def triangle(**keys: Any) -> dict[str, Any]:
     return data
 
 
+def on_sheet(side_m: float, *, polygon: bool = False, paint: str = "white", stroke_m: float = 0.04) -> dict[str, Any]:
+    """Return a ring with an H on a square sheet, as a person writes it first."""
+    corners = [[0.5 * x * side_m, 0.5 * y * side_m] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    square = {"shape": "polygon", "points_m": corners} if polygon else {"shape": "panel", "length_m": side_m, "width_m": side_m}
+    ring = {"shape": "ring", "paint": "orange", "inner_m": 0.4, "outer_m": 0.5}
+    letter = {"shape": "letter", "letter": "H", "paint": "green", "length_m": 0.4, "width_m": 0.3, "stroke_m": stroke_m}
+    return {**THESIS, "regions": [{**square, "paint": paint}, ring, letter]}
+
+
+@settings(max_examples=30, deadline=None)
+@given(side_m=st.floats(1.01, 3.0), polygon=st.booleans(), named=st.booleans())
+def test_a_sheet_around_a_ring_is_its_ground(side_m: float, polygon: bool, named: bool) -> None:
+    written = on_sheet(side_m, polygon=polygon) | ({"ground": "white"} if named else {})
+    pad, known = Pad.from_mapping(written), Pad.from_mapping({**written, "regions": written["regions"][1:], "ground": "white"})
+    assert (pad.regions, pad.ground, pad.markings, pad.fingerprint) == (known.regions, "white", known.markings, known.fingerprint)
+    assert [one.sheet is None for one in (pad, known)] == [False, True]
+
+
 @pytest.mark.parametrize(
     ("data", "said"),
     [
@@ -106,6 +124,10 @@ def triangle(**keys: Any) -> dict[str, Any]:
             upper({"shape": "stroke", "paint": "white", "from_m": [-0.3, 0.3], "to_m": [-0.25, 0.3], "width_m": 0.02}),
             "regions[3] has the second paint 'red' of lettering, and lettering of the first one follows",
         ),
+        (on_sheet(0.9), "unless it comes first and lies around all others, a panel carries fiducials and lettering alone"),
+        (on_sheet(1.5, paint="orange"), "regions[1].paint 'orange' [255, 149, 0] does not stand out from 'orange' below it"),
+        (on_sheet(1.5, stroke_m=0.3), "regions[2]: stroke_m 0.3 or bar_m 0.3 leaves no room"),
+        ({**on_sheet(1.5), "ground": "green"}, "is a sheet of paint 'white' below all others, and ground is 'green'"),
         (beside(shape="blob", paint="white"), "regions[4].shape: Invalid value 'blob', got 'blob'"),
         ({**THESIS, "regions": [*THESIS["regions"][1:], THESIS["regions"][0]]}, "regions[3] hides regions[0]"),
         ({**THESIS, "paints": THESIS["paints"] | {"white": [5, 104, 3]}}, "does not stand out from 'green' below it: 0.00"),
