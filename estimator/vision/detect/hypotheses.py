@@ -49,13 +49,17 @@ from estimator.vision.regions import Region, covers
 
 _LEVELS = (0, 2)
 """Sizes of the frame that are looked at: for strokes up to some 25 px and 100 px wide."""
-_WINDOW_PX = 41
-"""Side of the neighbourhood that a pixel is compared with."""
+_WINDOW_PX, _EDGE_WINDOW_PX = 41, 7
+"""Sides of the neighbourhood that a pixel is compared with; the second where a circle's edge is looked for: a ring that is seen
+aslant is narrow, and its sheet and what is about that lie near."""
 _STANDS_OUT = 7.0
 """Least difference from the neighbourhood's mean, 8-bit."""
-_LEAST_AREA_PX = 60.0
-_FILLED = 0.3
-"""Largest difference of the logarithm of a component's share of its hull from the drawing's."""
+_LEAST_AREA_PX, _FEWEST_POINTS = 60.0, 30
+_FILLED, _EXACT, _FULL = 0.3, 0.08, 0.03
+"""Largest difference of the logarithm of a component's share of its hull from the drawing's; largest of that and of its spread
+of what may be a circle aslant, and its least area over the square of its contour's points: of an ellipse .045 and more."""
+_OUTLINE_WORK = 100
+"""Work of a pixel for a frame's outlines, millionths of a floor."""
 _TRIED = 8
 """Largest number of components whose heading is searched."""
 _HEADINGS, _ASIDE = 16, 0.05
@@ -71,7 +75,7 @@ A pad that is cut by the frame's edge has no whole outline there, but often a wh
 _SMALL_PART, _LEAST_IN_VIEW = 0.25, 0.35
 """Area of an outline, as a share of the largest, below which this share of the pad has to be in view: another's disc is as round
 as the dot in a triangle."""
-_AS_WIDE, _LEAST_SHORT, _LEAST_SHORT_CIRCLE, _LEAST_TILT, _CIRCLE = 0.85, 0.55, 0.36, 0.2, 0.081
+_AS_WIDE, _LEAST_SHORT, _LEAST_SHORT_CIRCLE, _LEAST_TILT, _CIRCLE = 0.85, 0.55, 0.26, 0.2, 0.081
 """Ratio of second moments from which a shape is as wide in all directions; least foreshortening, and that of a circle, which less
 resembles; least sine of a tilt that is tried beside none, where the tilt is not known; spread below which a shape is a circle."""
 Contour = NDArray[np.int32]
@@ -118,31 +122,39 @@ def lettering_blobs(view: FrameView, plane: Plane) -> list[Guess]:
 
 def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
     """Yield the components that resemble those of the drawing and lie within the frame."""
-    grey = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
-    mean = cv2.blur(grey, (_WINDOW_PX, _WINDOW_PX))
-    off, either = grey.astype(np.int16) - mean, not (pad.ground or pad.markings.is_letter_alone)
+    grey, circle = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), pad.markings.has_circle
+    side_px = _EDGE_WINDOW_PX if circle else _WINDOW_PX
+    off, either = grey.astype(np.int16) - cv2.blur(grey, (side_px, side_px)), not (pad.ground or pad.markings.is_letter_alone)
     # A sheet's border may lie about a ring. Of all that lies in something, nearly nothing is as exact an ellipse.
-    which, points, most_off = (cv2.RETR_LIST, 70, 0.05) if pad.markings.has_circle else (cv2.RETR_EXTERNAL, 30, math.inf)
+    which, most_off, least_full = (cv2.RETR_CCOMP, _EXACT, _FULL) if circle else (cv2.RETR_EXTERNAL, math.inf, 0.0)
+    count_work(grey.size * _OUTLINE_WORK)
     for sign in (1, -1):
-        of = tuple(each for each in _silhouettes(pad) if either or each.bright == (sign > 0))
-        if not of:
-            continue
-        mask = np.asarray(sign * off > _STANDS_OUT, np.uint8)
-        contours, _ = cv2.findContours(mask, which, cv2.CHAIN_APPROX_NONE)
-        for contour in contours:
-            if len(contour) >= points:
-                yield from (c for c in _alike(np.asarray(contour, np.int32), step, grey.shape, of) if c.off < most_off)
+        contours, tree = cv2.findContours(np.asarray(sign * off > _STANDS_OUT, np.uint8), which, cv2.CHAIN_APPROX_NONE)
+        for contour, parent in zip(contours, [] if tree is None else np.reshape(tree, (-1, 4))[:, 3].tolist(), strict=True):
+            if len(contour) < _FEWEST_POINTS or cv2.contourArea(contour) < least_full * len(contour) ** 2:
+                continue
+            # What is dark lies in a hole of what is bright about it.
+            hole = circle and parent >= 0
+            of = tuple(each for each in _silhouettes(pad) if either or each.bright == ((sign > 0) != hole))
+            found = _alike(np.asarray(contour, np.int32), step, grey.shape, of, -0.5 if hole else 0.5)
+            yield from (component for component in found if component.off < most_off)
 
 
-def _alike(contour: Contour, step: int, size: tuple[int, ...], drawn: tuple[_Silhouette, ...]) -> Iterator[_Component]:
-    """Yield a component for each one of the drawing that it may be."""
-    # A contour runs through the middles of the outermost pixels: half a pixel is missing all around.
-    area = cv2.contourArea(contour) + 0.5 * cv2.arcLength(contour, True)
+def _alike(
+    contour: Contour, step: int, size: tuple[int, ...], drawn: tuple[_Silhouette, ...], beyond_px: float
+) -> Iterator[_Component]:
+    """Yield a component for each one of the drawing that it may be.
+
+    Args:
+        beyond_px: how far its border lies beyond the contour, which runs through the middles of pixels: of what stands out those
+            within it, and of a hole those about it.
+    """
+    area = cv2.contourArea(contour) + beyond_px * cv2.arcLength(contour, True)
     x, y, wide, high = cv2.boundingRect(contour)
     if area < _LEAST_AREA_PX or x <= 1 or y <= 1 or x + wide >= size[1] - 1 or y + high >= size[0] - 1:
         return
     hull = cv2.convexHull(contour)
-    share = area / (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True))
+    share = area / (cv2.contourArea(hull) + beyond_px * cv2.arcLength(hull, True))
     at = contour.reshape(-1, 2).astype(float)
     centre = at.mean(axis=0)
     outward = (at - centre) * math.sqrt(area / max(cv2.contourArea(contour), 1.0)) + centre

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from estimator.contracts.geometry import Rotation
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import SIGMA_TILT_RAD, align
@@ -18,6 +19,7 @@ from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
+from estimator.vision.regions import circle, outlines_of
 from estimator.vision.verified import SURE, verify
 from tests.support.deck_images import shown
 from tests.support.hard_light import HARD, hard_scene
@@ -181,6 +183,30 @@ def test_a_search_finds_an_oblique_pad_from_afar_without_an_attitude(camera, con
     best = acquire(px, camera, hard.pad)[0]
     assert np.linalg.norm(best.pose.t_cam_pad - seen.truth.t_cam_pad) < 0.08 * seen.truth.range_m
     assert best.score > 0.1
+
+
+ON_SHEET = Pad.from_mapping({"name": "sheet", "ground": "white", "paints": {"white": [245] * 3, "dark": [60] * 3}, "regions": [
+    {"shape": "ring", "paint": "dark", "inner_m": 0.4, "outer_m": 0.5},
+    {"shape": "letter", "letter": "X", "paint": "dark", "length_m": 0.7, "width_m": 0.7, "stroke_m": 0.09},
+]})  # fmt: skip
+
+
+def finds_aslant(tilt_rad: float, yaw: float, towards: float) -> bool:
+    tilt = Rotation.from_rotvec(tilt_rad * np.array([math.cos(towards), math.sin(towards), 0.0]))
+    camera, pose = load_camera("sim"), PadPose(tilt @ Rotation.from_rpy(0.0, 0.0, yaw), np.array([0.6, 0.6, 6.0]))
+    px = np.random.default_rng(5).normal(90.0, 12.0, (360, 640)).astype(np.float32)
+    painted = [(line, 70.0) for region in ON_SHEET.regions for line in outlines_of(region)]
+    for line, light in [(circle(0.97, 4), 50.0), (circle(0.85, 4), 230.0), *painted]:
+        uv = camera.project(pose.points(np.pad(line, ((0, 0), (0, 1)))))
+        cv2.fillPoly(px, [np.rint(16.0 * uv).astype(np.int32)], light, cv2.LINE_AA, 4)
+    seen = np.rint(cv2.GaussianBlur(px, (0, 0), 0.7)).clip(0, 255).astype(np.uint8)[:, :, None].repeat(3, axis=2)
+    found = acquire(seen, camera, ON_SHEET)
+    return bool(found) and float(np.linalg.norm(found[0].pose.t_cam_pad - pose.t_cam_pad)) < 0.08 * pose.range_m
+
+
+def test_a_small_ring_on_a_sheet_is_found_far_aslant() -> None:
+    ways = [(1.05, yaw, towards) for yaw in (0.3, 1.0, 1.7, 2.4) for towards in (0.5, 2.1, 4.0)]
+    assert sum(finds_aslant(*way) for way in ways) >= 11
 
 
 @pytest.mark.parametrize(("k", "height_m"), [(22, 15.0), (33, 15.0), (36, 10.0)])
