@@ -193,6 +193,7 @@ def _of_autopilot(name: str, end: FlightEnd) -> dict[str, object]:
     armed_s = None if end.armed_after_contact_s is None else round(end.armed_after_contact_s, 2)
     return {
         "autopilot": name, "failure": end.failure or None, "armed_after_contact_s": armed_s, "failsafes": list(end.failsafes),
+        "tracking_m": None if end.tracking_m is None else round(end.tracking_m, 3),
         "elsewhere_m": None if end.elsewhere_m is None else round(end.elsewhere_m, 2),
         "silences": [silence.as_json() for silence in end.silences],
     }  # fmt: skip

@@ -21,13 +21,14 @@ from msgspec import Struct
 
 from drivers.mailbox import Latest
 from drivers.mavlink.dialect import Message, mav
-from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import wrap_pi
+from estimator.contracts.motion import G_M_S2
 from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
 from sitl.emulators.autopilots.motors import Motors
 from sitl.emulators.autopilots.own import OwnBody
 from sitl.scenario.scenario import wind_of
 from sitl.sensors.sensors import ORIGIN
+from sitl.vehicle.airframe import Airframe
 
 PORT = 9002
 _MAGIC = {18458: 16, 29569: 32}
@@ -39,7 +40,7 @@ first requests 1200 Hz and then adopts the rate of the timestamps."""
 CURVE = 0.65
 """MOT_THST_EXPO that ArduCopter assumes by default."""
 
-DEFAULTS = "decklander.parm"
+DEFAULTS, FRAME = "decklander.parm", "frame.json"
 PARAMETERS: dict[str, float] = {
     # A quad X whose motors are those of `sitl.emulators.autopilots.motors`
     "FRAME_CLASS": 1,
@@ -83,11 +84,10 @@ PARAMETERS: dict[str, float] = {
     "LOG_DISARMED": 0,
 }
 """The parameters that differ from ArduCopter's defaults."""
+_REFERENCE_M_S = 10.0
 OWN: dict[str, float] = {
     **{name: value for name, value in PARAMETERS.items() if not name.startswith("ATC_")},
-    # The throttle at which it hovers, a lidar whose readings come by MAVLink, and a wind that does not grow with height
-    "MOT_THST_HOVER": 0.39,
-    "PSC_ACCZ_FF": 0.39,
+    # A lidar whose readings come by MAVLink, and a wind that does not grow with height
     "RNGFND1_TYPE": 10,
     "SIM_WIND_T": 1,
 }
@@ -98,7 +98,7 @@ def argv(
     binary: Path,
     folder: Path,
     *,
-    physics: int | GeoPoint,
+    physics: int | OwnBody,
     mavlink_ports: tuple[int, int],
     parameters: Mapping[str, float] | None = None,
     speedup: float = 1.0,
@@ -106,15 +106,17 @@ def argv(
     """Return the command line, and write the file of parameters.
 
     Args:
-        physics: UDP port on which `serve_json` answers, or the place at which the program simulates a vehicle of its own.
+        physics: UDP port on which `serve_json` answers, or the body that the program simulates by itself.
         mavlink_ports: UDP ports on the loopback to which its first two MAVLink ports send.
     """
     defaults = folder / DEFAULTS
-    own = isinstance(physics, GeoPoint)
-    asked = {**(OWN if own else PARAMETERS), **(parameters or {})}
+    home, asked, model = ORIGIN, PARAMETERS, ["JSON:127.0.0.1", "--sim-address", "127.0.0.1", "--sim-port-out", str(physics)]
+    if isinstance(physics, OwnBody):
+        home, model, hover = physics.home, [f"x:{FRAME}"], physics.airframe.mass_kg * G_M_S2 / physics.airframe.thrust_max_n
+        asked = {**OWN, "MOT_THST_HOVER": hover, "PSC_ACCZ_FF": hover}
+        (folder / FRAME).write_text(json.dumps(frame(physics.airframe)))
+    asked = {**asked, **(parameters or {})}
     defaults.write_text("".join(f"{name} {value:g}\n" for name, value in asked.items()))
-    model = ["x"] if own else ["JSON:127.0.0.1", "--sim-address", "127.0.0.1", "--sim-port-out", str(physics)]
-    home = physics if isinstance(physics, GeoPoint) else ORIGIN
     place = f"{math.degrees(home.latitude_rad):.7f},{math.degrees(home.longitude_rad):.7f},0,0"
     first, second = (f"udpclient:127.0.0.1:{port}" for port in mavlink_ports)
     others = [word for n in (2, 5, 6, 7, 8) for word in (f"--serial{n}", f"none:{n}")]
@@ -139,6 +141,18 @@ def around(body: OwnBody) -> list[Message]:
         reading = (round(1e3 * body.t_s), 2, 4000, round(100.0 * reach), mav.MAV_DISTANCE_SENSOR_LASER, 0)
         out.append(mav.MAVLink_distance_sensor_message(*reading, mav.MAV_SENSOR_ROTATION_PITCH_270, 0))
     return out
+
+
+def frame(airframe: Airframe) -> dict[str, object]:
+    """Return a vehicle as ArduCopter's own physics describes it, with our drag at `_REFERENCE_M_S`."""
+    f, v = airframe, _REFERENCE_M_S
+    weight_n, drag = f.mass_kg * G_M_S2, f.drag_per_s[0] * v + f.effects.drag_per_m * v * v
+    return {
+        "mass": f.mass_kg, "diagonal_size": 2.0 * math.sqrt(2.0) * f.arm_m, "moment_inertia": list(f.inertia_kg_m2),
+        "refSpd": v, "refAngle": math.degrees(math.atan(drag / G_M_S2)), "hoverThrOut": weight_n / f.thrust_max_n,
+        # The default's current for each newton, and so its air through the rotors
+        "refCurrent": 1.0 * weight_n, "disc_area": 4.0 * math.pi * f.rotor_radius_m**2, "propExpo": CURVE,
+    }  # fmt: skip
 
 
 class Servos(Struct, frozen=True):

@@ -114,6 +114,8 @@ class FlightEnd(Struct, frozen=True):
     """Flight of the vehicle while the service was killed."""
     standing: Standing | None = None
     """Place on the deck some seconds after the contact; None where it does not stand on it."""
+    tracking_m: float | None = None
+    """Distance from the pad on the way down (`GradedBody.tracking_m`); None for a flight that did not come so far."""
     elsewhere_m: float | None = None
     """Horizontal distance in which a refused vehicle ended from the place at which it was to land; None for another end."""
 
@@ -332,6 +334,7 @@ class AutopilotFlight:
             None
             if self.body is None
             else standing_of(self.graded.truth(), self.body.pad.disc_radius_m, vehicle_model(self.scenario).airframe().feet),
+            self.graded.tracking_m,
             self._from_elsewhere_m(service),
         )
 
@@ -452,12 +455,12 @@ class AutopilotFlight:
                 yield program
             return
         if isinstance(self.body, OwnBody):
-            home, given = self.body.home, dict(chosen.parameters)
+            given = dict(chosen.parameters)
             if chosen.name == "px4":
-                argv, environment = px4.start(chosen.binary, height_m=self.height_m, parameters=given, own=home)
+                argv, environment = px4.start(chosen.binary, height_m=self.height_m, parameters=given, own=self.body.home)
             else:
                 argv = arducopter.argv(
-                    chosen.binary, self.folder, physics=home, mavlink_ports=ports, parameters=given, speedup=_PACE
+                    chosen.binary, self.folder, physics=self.body, mavlink_ports=ports, parameters=given, speedup=_PACE
                 )
                 environment = {}
             async with running(argv, self.folder, environment) as program:

@@ -1,9 +1,12 @@
 """A body that an autopilot program flies as the grader sees a world, with the faults of the streams around it and its wires."""
 
+import math
+
 import numpy as np
 from msgspec.structs import replace
 
 from companion.base.health import Health
+from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import CENTRED, HandledOrder
 from companion.guidance.pilot import Pilot
@@ -31,6 +34,7 @@ _CLIMBS_S = 30.0
 """Longest take-off."""
 _SETPOINTS_END_S = 0.5
 """Silence after which PX4 has left OFFBOARD by itself, s: many times the interval of setpoints, below its COM_OF_LOSS_T."""
+_FOLLOWS, _NEAR_M = (State.DESCEND.value, State.GATE.value), 2.0
 _NO_PIXELS = np.empty((0, 0, 3), np.uint8)
 
 
@@ -141,6 +145,7 @@ class GradedBody(NullObserver):
         self._contacts: list[Touchdown] = []
         self._newest: Touchdown | None = None
         self._watched: MonoNs | None = None
+        self._followed, self._beside_m2 = 0, 0.0
 
     @property
     def now(self) -> MonoNs:
@@ -174,6 +179,9 @@ class GradedBody(NullObserver):
         if landing is not None and (self._newest is None or landing.at != self._newest.at):
             self._newest = landing
             self._contacts.append(body.touchdown(now, self.guidance_phase))
+        if self.guidance_phase in _FOLLOWS and not self._contacts and body.height_m < _NEAR_M:
+            beside = (body.p_pad_ned - body.state().p_ned)[:2]
+            self._followed, self._beside_m2 = self._followed + 1, self._beside_m2 + float(beside @ beside)
         if not self.faults:
             return
         if self._grader is None:
@@ -183,6 +191,11 @@ class GradedBody(NullObserver):
         if self._watched is None or seconds_between(self._watched, now) >= _WATCH_EACH_S:
             self._watched = now
             self._grader.step()
+
+    @property
+    def tracking_m(self) -> float | None:
+        """Distance from the pad's centre over the ground below 2 m, in the descent and the gate: root mean square, m."""
+        return math.sqrt(self._beside_m2 / self._followed) if self._followed else None
 
     def on_sent(self, data: bytes) -> None:
         """Note a datagram that the service sent."""

@@ -28,6 +28,7 @@ from sitl.emulators.autopilots.program import Program
 from sitl.faults.fault import FaultTimer
 from sitl.scenario.scenario import Scenario
 from sitl.sensors.sensors import ORIGIN
+from sitl.vehicle.airframe import Airframe
 from sitl.vehicle.vehicle import VehiclePhase
 
 TRUTH = {Stack.ARDUPILOT: "SIM_STATE", Stack.PX4: "HIL_STATE_QUATERNION"}
@@ -90,6 +91,11 @@ class OwnBody(Body):
         """The place of the program's vehicle at its start: below the pad, on the still water."""
         north, east, _ = self._ground.p
         return moved(ORIGIN, np.array([north, east, 0.0]))
+
+    @property
+    def airframe(self) -> Airframe:
+        """The scenario's vehicle as it is flown."""
+        return self._vehicle.airframe
 
     @property
     def height_m(self) -> float:

@@ -84,7 +84,7 @@ async def serve(args: argparse.Namespace, parameters: dict[str, float]) -> None:
     for serial in (args.serial0, args.serial1):
         _, host, port = serial.split(":")
         options.append(LinkOptions(parse_endpoint(f"udpout://{host}:{port}")))
-    own = OwnVehicle(args.home) if args.model == "x" else None
+    own = OwnVehicle(args.home) if args.model.startswith("x:") else None
     physics = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     physics.setblocking(False)
     if own is None:
@@ -121,7 +121,7 @@ def start(argv: list[str]) -> None:
     parser.add_argument("--sim-port-out", type=int)
     parser.add_argument("--wipe", action="store_true")
     args = parser.parse_args(argv)
-    if args.model not in ("x", f"JSON:{HOST}"):
+    if args.model not in ("x:frame.json", f"JSON:{HOST}"):
         sys.exit(f"Vehicle model ({args.model}) not found")
     lines = (line.split() for line in Path(args.defaults).read_text().splitlines())
     asyncio.run(serve(args, {name: float(value) for name, value in lines}))

@@ -74,7 +74,9 @@ def test_a_real_program_is_landed_on_the_pad(near: str, physics: str, capsys: py
 def test_a_vehicle_of_the_programs_own_meets_our_deck_on_a_ship_under_way(tmp_path, near, capsys):
     words = ["--binary", program(tmp_path, STAND_IN), "--physics", "own", "--perception", "model", "--json"]
     assert simulate(near, "--seed", "2", "--set", "vessel.moored=false", "--set", "vessel.speed_m_s=0.8", *words) == 0
-    (contact,) = json.loads(capsys.readouterr().out)["contacts"]
+    reported = json.loads(capsys.readouterr().out)
+    (contact,) = reported["contacts"]
+    assert 0.0 < reported["tracking_m"] < 0.2
     assert contact["lateral_m"] < 0.15
     assert contact["vertical_speed_m_s"] == pytest.approx(0.4, abs=0.25)
     assert contact["phase"] in ("commit", "press")
