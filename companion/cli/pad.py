@@ -15,13 +15,16 @@ from typing import Any
 import numpy as np
 
 from companion.cli import board_option, pad_import
-from companion.cli.options import WorkProgress, file_errors, option
+from companion.cli.options import WorkProgress, file_errors, option, print_result
 from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, shipped
 from companion.tools.calibrate.board import BOARDS
+from companion.tools.calibrate.guide import files_of, read_image
 from companion.tools.pads.clutter import VIEWS
-from companion.tools.pads.price import Price, price
+from companion.tools.pads.pictures import check_pictures, lines
+from companion.tools.pads.price import MOUNT, Price, price
 from companion.tools.print_pad.sheets import PAPERS, board_drawing, pad_drawing, pdf, sheets, svg
 from estimator.contracts.errors import BadInput
+from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy
 from estimator.vision.pad import RARE, Calibration, Pad
@@ -126,6 +129,8 @@ _LEAST_CONTRAST = 0.05
 """Least luminance between a deck and what is painted on it, full scale 1: less drowns in wear, ripples and shadows."""
 _LEAST_RADIUS_PX = 5.0
 """Least radius of a pad that is searched for: below it the parts merge into a spot."""
+_FOCAL = 0.8
+"""Guessed focal length of a camera without a file, in widths of its pictures: places and sizes in them hardly depend on it."""
 _LETTER_RADIUS_PX = 20.0
 """Least radius of a letter on the bare deck: below it the edges merge, and it resembles other small bright things."""
 _NAMES = {
@@ -140,10 +145,12 @@ def _add_check(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="check a pad's file, and print how well it can be measured",
         description="Check a pad's file. Print how accurately it can be measured by height (Cramer-Rao bound of one frame) and "
         "how it stands out from decks. Print also whether its heading is unique, and how often clutter resembles it; the "
-        "confidence that follows from clutter is written into the file. Exit code 0; 2 if the file is refused.",
+        "confidence that follows from clutter is written into the file. With --picture, print instead which parts of the file "
+        "these pictures of the pad show. Exit code 0; 1 if pictures do not show all of it; 2 if the file is refused.",
     )
     option(p, "pad PAD", "pad file, or the name of a shipped one")
-    option(p, "--camera FILE", "camera file, or the name of a shipped one (default: %(default)s)", default="sim")
+    option(p, "--picture FRAME", "picture of the pad, or a folder of them", nargs="+", type=Path)
+    option(p, "--camera FILE", "camera file, or the name of a shipped one (default: sim; for pictures a guess)")
     option(p, "--views N", "search N generated views without the pad, and write what that tells into the pad's file (default: "
         f"{VIEWS} for a pad file without a calibration of its drawing, else none)", type=int)  # fmt: skip
     option(p, "--json", "print one JSON object")
@@ -155,8 +162,12 @@ def _check(args: argparse.Namespace) -> int:
     Raises:
         BadInput: the pad or the camera is missing or has a fault.
     """
-    file, camera_file = find_file(args.pad, "pads", Path(), "PAD"), find_file(args.camera, "cameras", Path(), "--camera")
-    pad, camera = pad_of_file(file), read_camera(camera_file)
+    file = find_file(args.pad, "pads", Path(), "PAD")
+    pad = pad_of_file(file)
+    if args.picture is not None:
+        return _check_pictures(args, pad)
+    args.camera = args.camera or "sim"
+    camera = read_camera(find_file(args.camera, "cameras", Path(), "--camera"))
     if args.views is not None and not (args.views == 0 or 50 <= args.views <= 100_000):
         raise BadInput(f"--views must be 50 to 100000, or 0 for none, got {args.views}")
     needed = 0 if pad.is_calibrated or SHIPPED in file.parents else VIEWS
@@ -203,6 +214,26 @@ def _check(args: argparse.Namespace) -> int:
     lines += [f"warning: {warning}" for warning in warnings] or ["no warnings"]
     sys.stdout.write("\n".join(lines) + "\n")
     return 0
+
+
+def _check_pictures(args: argparse.Namespace, pad: Pad) -> int:
+    """Print which borders of a pad pictures show; return 0 if they show all of them, else 1.
+
+    Raises:
+        BadInput: a picture or the camera is missing or has a fault, or a picture is not of the camera's size.
+    """
+    known = None if args.camera is None else read_camera(find_file(args.camera, "cameras", Path(), "--camera"))
+    pictures = {}
+    for file in files_of(args.picture):
+        px = read_image(file)
+        h, w = px.shape[:2]
+        camera = known or Camera(w, h, _FOCAL * w, _FOCAL * w, 0.5 * (w - 1), 0.5 * (h - 1), np.zeros(5), MOUNT)
+        if (camera.width, camera.height) != (w, h):
+            raise BadInput(f"{file}: {w}x{h} px, but {args.camera} is of a camera of {camera.width}x{camera.height} px")
+        pictures[str(file)] = px, camera
+    found = check_pictures(pad, pictures, WorkProgress("searching pictures", "pictures").take)
+    print_result(args, found, "\n".join(lines(found)))
+    return 0 if found["all_shown"] and any(one["found"] for one in found["pictures"]) else 1
 
 
 def _record(bound: PadAccuracy | LampAccuracy) -> dict[str, float | None]:

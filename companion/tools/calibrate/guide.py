@@ -127,6 +127,20 @@ def files_of(paths: Sequence[Path], endings: Container[str] = images.PICTURES, k
     return files
 
 
+def read_image(file: Path) -> images.U8:
+    """Return an image, (H, W, 3) BGR.
+
+    Raises:
+        BadInput: the file cannot be read, or is no image.
+    """
+    try:
+        return images.decode(images.load(file))
+    except OSError as why:
+        raise BadInput(f"{file}: {why.strerror or why}") from why
+    except images.ImageRefused as why:
+        raise BadInput(f"{file}: not an image that can be read ({why})") from why
+
+
 def add_file(file: Path, collection: Collection, tell: Report) -> None:
     """Add an image, or every frame of a video.
 
@@ -134,13 +148,7 @@ def add_file(file: Path, collection: Collection, tell: Report) -> None:
         BadInput: the file is neither, or its size differs from those before it.
     """
     if file.suffix.lower() in images.PICTURES:
-        try:
-            px = images.decode(images.load(file))
-        except OSError as why:
-            raise BadInput(f"{file}: {why.strerror or why}") from why
-        except images.ImageRefused as why:
-            raise BadInput(f"{file}: not an image that can be read ({why})") from why
-        collection.add(file.name, px)
+        collection.add(file.name, read_image(file))
         tell(collection)
         return
     require_pyav(f"{file}: a video")

@@ -35,7 +35,7 @@ from estimator.vision.pose import Orientation
 from estimator.vision.regions import covers
 from estimator.vision.srgb import linear_light
 from estimator.vision.tracker_config import FRAME_WORK
-from estimator.vision.verified import verify
+from estimator.vision.verified import Verified, verify
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
@@ -96,8 +96,8 @@ def planted(px: U8, camera: Camera, pad: Pad, pose: PadPose, rng: np.random.Gene
 
 FRAMES = 4.0
 """Factor from places in one view to places in a frame of 640x360; twice that for a pad whose light may be reversed."""
-_MOUNT = Transform(Rotation.from_rpy(0.0, 0.0, 0.5 * math.pi), np.zeros(3))
-CAMERA = Camera(WIDTH, HEIGHT, 0.8 * WIDTH, 0.8 * WIDTH, 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1), np.zeros(5), _MOUNT)
+MOUNT = Transform(Rotation.from_rpy(0.0, 0.0, 0.5 * math.pi), np.zeros(3))
+CAMERA = Camera(WIDTH, HEIGHT, 0.8 * WIDTH, 0.8 * WIDTH, 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1), np.zeros(5), MOUNT)
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
 _RADII_PX = (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0, 60.0)
 _EACH = 6
@@ -176,17 +176,23 @@ class _Find(NamedTuple):
     """Support that the drawing gives there, times the share that follows it."""
 
 
+def registered(view_of: FrameView, attitude: Attitude | None, budget: float) -> list[Verified]:
+    """Return what a search of one frame registers, as far as it is worth a try."""
+    body, out = None if attitude is None else attitude.R_ned_body.without_heading(), []
+    for candidate in search(view_of, body, budget=budget).candidates[:_CANDIDATES]:
+        if candidate.score >= WORTH_A_TRY:
+            found = verify(view_of, candidate.pose, Orientation.of(attitude, _DECK_RAD), cut=candidate.cut)
+            out += [] if found is None else [found]
+    return out
+
+
 def _finds(pad: Pad, px: U8, level: bool) -> list[_Find]:
     """Return what a search of one frame of a flight registers; the vehicle is level if it says how it lies."""
     attitude = Attitude(_STAMP, Rotation.identity(), np.eye(3) * math.radians(1.0) ** 2) if level else None
-    view_of, body = FrameView(Pyramid(px), CAMERA, pad), None if attitude is None else attitude.R_ned_body.without_heading()
     out = []
-    for candidate in search(view_of, body, budget=FRAME_WORK).candidates[:_CANDIDATES]:
-        if candidate.score >= WORTH_A_TRY:
-            found = verify(view_of, candidate.pose, Orientation.of(attitude, _DECK_RAD), cut=candidate.cut)
-            if found is not None:
-                support, sure = found.found.record["aligned"]["support"], min(max(found.confidence, 1e-13), 1.0 - 1e-13)
-                out.append(_Find(math.log(sure / (1.0 - sure)), float(support["support"]) * float(support["share"])))
+    for found in registered(FrameView(Pyramid(px), CAMERA, pad), attitude, FRAME_WORK):
+        support, sure = found.found.record["aligned"]["support"], min(max(found.confidence, 1e-13), 1.0 - 1e-13)
+        out.append(_Find(math.log(sure / (1.0 - sure)), float(support["support"]) * float(support["share"])))
     return out
 
 
