@@ -98,7 +98,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--autopilot", choices=("px4", "arducopter"), default="arducopter")
     parser.add_argument("--binary", default="stand-in")
-    parser.add_argument("--scenario", default="sea_state_4")
+    parser.add_argument("--scenario", default="rendezvous")
     parser.add_argument("--phase", nargs="+", choices=tuple(CASES), default=tuple(CASES))
     parser.add_argument("--first", type=int, default=21)
     parser.add_argument("--seeds", type=int, default=1)
