@@ -21,7 +21,7 @@ static void vehicle_parameters(dl_sim_vehicle_params *o, int kind)
     o->velocity_i = 1.0, o->velocity_i_max_m_s2 = 3.0, o->climb_p = 5.0, o->climb_d = 1.0, o->climb_i = 2.5;
     o->climb_i_max_m_s2 = 4.0, o->height_p = 1.0, o->observer_share = 0.04, o->flow_scale = 0.83, o->flow_lag = 0.1;
     o->foot_m = 0.13, o->feet_below_m = 0.045, o->hull_top_m = 0.06, o->foot_n_m = 1500.0, o->foot_n_s_m = 33.0;
-    o->foot_stop_kg_s = 28.0, o->friction = 0.6, o->deck_fore_m = o->deck_aft_m = 2.0, o->deck_half_m = 1.5;
+    o->friction = 0.6, o->deck_fore_m = o->deck_aft_m = 2.0, o->deck_half_m = 1.5;
     o->deck_taper_m = kind % 2, o->deck_yaw[0] = 1.0, o->gust_sigma_m_s = 0.5, o->gust_keep = o->flow_keep = o->tilt_keep = 0.99;
     o->gust_fresh = o->flow_fresh = o->tilt_fresh = 0.01, o->tilt_max_rad = 0.5;
     o->euler_angle_max_rad = 0.21, o->vz_max_m_s = 0.7, o->yaw_rate_max_rad_s = 1.7;
