@@ -58,8 +58,8 @@ _LEAST_AREA_PX, _FEWEST_POINTS = 60.0, 30
 _FILLED, _EXACT, _FULL = 0.3, 0.08, 0.03
 """Largest difference of the logarithm of a component's share of its hull from the drawing's; largest of that and of its spread
 of what may be a circle aslant, and its least area over the square of its contour's points: of an ellipse .045 and more."""
-_OUTLINE_WORK = 100
-"""Work of a pixel for a frame's outlines, millionths of a floor."""
+_OUTLINE_WORK = 50
+"""Work of a pixel for a frame's circles aslant, millionths of a floor."""
 _TRIED = 8
 """Largest number of components whose heading is searched."""
 _HEADINGS, _ASIDE = 16, 0.05
@@ -127,7 +127,7 @@ def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
     off, either = grey.astype(np.int16) - cv2.blur(grey, (side_px, side_px)), not (pad.ground or pad.markings.is_letter_alone)
     # A sheet's border may lie about a ring. Of all that lies in something, nearly nothing is as exact an ellipse.
     which, most_off, least_full = (cv2.RETR_CCOMP, _EXACT, _FULL) if circle else (cv2.RETR_EXTERNAL, math.inf, 0.0)
-    count_work(grey.size * _OUTLINE_WORK)
+    count_work(grey.size * _OUTLINE_WORK * circle)
     for sign in (1, -1):
         contours, tree = cv2.findContours(np.asarray(sign * off > _STANDS_OUT, np.uint8), which, cv2.CHAIN_APPROX_NONE)
         for contour, parent in zip(contours, [] if tree is None else np.reshape(tree, (-1, 4))[:, 3].tolist(), strict=True):
