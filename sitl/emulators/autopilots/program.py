@@ -39,7 +39,7 @@ class Program:
         return "nothing"
 
     def run_for(self, seconds: float) -> None:
-        """Let the program go on for a time, and let it stand still then."""
+        """Let the program go on for a time, and let it stand still then; the flight, in virtual time, waits for it."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGCONT)
             time.sleep(seconds)
