@@ -117,6 +117,38 @@ class StatusRecord(Struct, frozen=True, omit_defaults=True):
     """The vehicle's own limit of its tilt."""
 
 
+class MotionRecord(Struct, frozen=True, omit_defaults=True):
+    """Roll and pitch, rad, heave down, m, and rate of turn, rad/s, by a ship's motion sensor; what is unknown is left out."""
+
+    stamp: StampRecord
+    sensor: str
+    roll_rad: float | None = None
+    pitch_rad: float | None = None
+    sigma_tilt_rad: float = 0.0
+    heave_down_m: float | None = None
+    sigma_heave_m: float = 0.0
+    turn_rad_s: float | None = None
+    sigma_turn_rad_s: float = 0.0
+
+
+class WindRecord(Struct, frozen=True):
+    """A report of the ship's anemometer: direction that the wind blows from, rad, and its speed over the ground, m/s."""
+
+    stamp: StampRecord
+    sensor: str
+    from_rad: float
+    speed_m_s: float
+
+
+class BaselineRecord(Struct, frozen=True):
+    """A vector (3,) from the ship's antenna to the drone's in `ned`, m, with covariance (9,) and the kind of its fix."""
+
+    stamp: StampRecord
+    fix: str
+    d_ned: list[float]
+    cov_ned: list[float]
+
+
 class Pose6Record(Struct, frozen=True):
     """A pose in six degrees of freedom: vector (3,), rotation (9,) and covariance (36,)."""
 
@@ -427,4 +459,7 @@ SampleRecord = (
     | VesselRecord
     | FixRecord
     | StatusRecord
+    | MotionRecord
+    | WindRecord
+    | BaselineRecord
 )

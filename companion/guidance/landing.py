@@ -40,10 +40,12 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import (
     Attitude,
     Baro,
+    Baseline,
     BodyVelocity,
     GeoFix,
     GimbalAttitude,
     Imu,
+    OfVessel,
     Range,
     Sample,
     VehicleStatus,
@@ -292,7 +294,7 @@ class LandingGuidance:
                 self._vessel_track = self._vessel_track.on_sample(sample)
                 if of_ship(sample):
                     continue
-            elif type(sample) is GimbalAttitude:
+            elif isinstance(sample, (GimbalAttitude, OfVessel, Baseline)):
                 continue
             self._heard = received_at
             self._measured = max(self._measured or sample.stamp.measured_at, sample.stamp.measured_at)
@@ -539,4 +541,4 @@ def alerted(belief: RelativeState, alert: IntegrityAlert) -> RelativeState:
 
 def of_ship(sample: Sample) -> bool:
     """Return whether a sample is about the ship and not the vehicle."""
-    return type(sample) is VesselReport or (type(sample) is GeoFix and sample.whose == "vessel")
+    return isinstance(sample, OfVessel) or (type(sample) is GeoFix and sample.whose == "vessel")

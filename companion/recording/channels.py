@@ -47,7 +47,10 @@ def pose(path: str) -> str:
     return f"/pose/{path}"
 
 
-_SAMPLE_NAMES = ("imu", "attitude", "gimbal", "velocity", "range", "baro", "vessel", "fix", "status")
+_SAMPLE_NAMES = (
+    *("imu", "attitude", "gimbal", "velocity", "range", "baro", "vessel", "fix", "status"),
+    *("motion", "wind", "baseline"),
+)
 SAMPLES: dict[type[Sample], str] = {kind: f"/sample/{name}" for kind, name in zip(get_args(Sample), _SAMPLE_NAMES, strict=True)}
 """The topic of each kind of sample, in the order of `SampleRecord`."""
 TOPICS: dict[str, type[msgspec.Struct]] = {

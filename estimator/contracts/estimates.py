@@ -20,6 +20,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import (
     Attitude,
     Baro,
+    Baseline,
     BodyVelocity,
     GeoFix,
     GimbalAttitude,
@@ -27,7 +28,9 @@ from estimator.contracts.samples import (
     Range,
     Sample,
     VehicleStatus,
+    VesselMotion,
     VesselReport,
+    VesselWind,
     checked_covariance,
     checked_vector,
 )
@@ -257,7 +260,9 @@ class RelativeState(Struct, frozen=True, eq=False):
         return (now - self.sighted) * 1e-9
 
 
-Source = Literal["imu", "attitude", "gimbal", "velocity", "range", "baro", "vessel", "fix", "status", "sighting"]
+Source = Literal[
+    "imu", "attitude", "gimbal", "velocity", "range", "baro", "vessel", "fix", "status", "motion", "wind", "baseline", "sighting"
+]  # fmt: skip
 
 _SOURCES: dict[type[Sample] | type[Sighting], Source] = {
     Imu: "imu",
@@ -269,6 +274,9 @@ _SOURCES: dict[type[Sample] | type[Sighting], Source] = {
     VesselReport: "vessel",
     GeoFix: "fix",
     VehicleStatus: "status",
+    VesselMotion: "motion",
+    VesselWind: "wind",
+    Baseline: "baseline",
     Sighting: "sighting",
 }
 COMPONENTS: dict[Source, tuple[str, ...]] = {
@@ -281,6 +289,9 @@ COMPONENTS: dict[Source, tuple[str, ...]] = {
     "vessel": ("north_m_s", "east_m_s", "down_m_s", "heading_rad"),
     "fix": (),
     "status": (),
+    "motion": ("roll_rad", "pitch_rad", "heave_m", "turn_rad_s"),
+    "wind": (),
+    "baseline": ("x_m", "y_m", "z_m"),
     "sighting": ("x_m", "y_m", "z_m", "yaw_rad"),
 }
 """The components of an innovation by source, each name with its unit. Attitude: small rotations about the body's axes; velocity:

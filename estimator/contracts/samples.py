@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from msgspec import Struct
@@ -261,5 +261,72 @@ class VehicleStatus(Struct, frozen=True):
     """Largest tilt that it flies, by its own settings; None if it does not say."""
 
 
-Sample = Imu | Attitude | GimbalAttitude | BodyVelocity | Range | Baro | VesselReport | GeoFix | VehicleStatus
+class VesselMotion(Struct, frozen=True):
+    """Report of a motion sensor on the ship about the waves under her. Any part may be missing.
+
+    The sigmas are those of the numbers' digits. What the sensor itself is worth is found against the camera.
+    """
+
+    stamp: Stamp
+    sensor: str
+    """Name of the sensor in its stream: the talker and the kind of its sentences, or its address on a bus."""
+    roll_rad: float | None = None
+    """Starboard down positive."""
+    pitch_rad: float | None = None
+    """Bow up positive."""
+    sigma_tilt_rad: float = 0.0
+    heave_down_m: float | None = None
+    """Displacement of the sensor's place from its mean, down positive."""
+    sigma_heave_m: float = 0.0
+    turn_rad_s: float | None = None
+    """Rate of turn, clockwise seen from above positive."""
+    sigma_turn_rad_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        numbers = [number for name in self.__struct_fields__[2:] if (number := getattr(self, name)) is not None]
+        if not all(map(math.isfinite, numbers)) or min(self.sigma_tilt_rad, self.sigma_heave_m, self.sigma_turn_rad_s) < 0.0:
+            raise ValueError(f"VesselMotion needs finite numbers and sigmas >= 0, got {numbers}")
+
+
+class VesselWind(Struct, frozen=True):
+    """Report of the ship's anemometer: the wind over the ground."""
+
+    stamp: Stamp
+    sensor: str
+    from_rad: float
+    """Direction that it blows from, clockwise from north."""
+    speed_m_s: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.from_rad) and math.isfinite(self.speed_m_s) and self.speed_m_s >= 0.0):
+            raise ValueError(f"VesselWind needs a direction and a speed >= 0, got {self.from_rad}, {self.speed_m_s}")
+
+
+BaselineFix = Literal["fixed", "float"]
+
+
+class Baseline(Struct, frozen=True, eq=False):
+    """The vector from the ship's GNSS antenna to the drone's, by carrier phase (moving-baseline RTK)."""
+
+    stamp: Stamp
+    fix: BaselineFix
+    """The ambiguities of the phases are whole numbers (fixed) or estimated (float)."""
+    d_ned: F64
+    """(3,) m."""
+    cov_ned: F64
+    """Covariance of the vector, (3, 3) m^2."""
+
+    def __post_init__(self) -> None:
+        if self.fix not in get_args(BaselineFix):
+            raise ValueError(f"Baseline.fix must be fixed or float, got {self.fix!r}")
+        force_setattr(self, "d_ned", checked_vector("Baseline.d_ned", self.d_ned))
+        force_setattr(self, "cov_ned", checked_covariance("Baseline.cov_ned", self.cov_ned, 3))
+
+
+OfVessel = VesselReport | VesselMotion | VesselWind
+"""The reports of a ship's own sensors except for her place."""
+Sample = (
+    Imu | Attitude | GimbalAttitude | BodyVelocity | Range | Baro | VesselReport | GeoFix | VehicleStatus
+    | VesselMotion | VesselWind | Baseline
+)  # fmt: skip
 """Everything that a driver delivers besides frames."""

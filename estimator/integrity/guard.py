@@ -14,6 +14,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import (
     Attitude,
     Baro,
+    Baseline,
     BodyVelocity,
     Frame,
     GeoFix,
@@ -22,6 +23,8 @@ from estimator.contracts.samples import (
     Range,
     Sample,
     VehicleStatus,
+    VesselMotion,
+    VesselWind,
 )
 from estimator.contracts.time import MonoNs
 from estimator.integrity import crosschecks, inertial, parity, sensors, tracks
@@ -35,7 +38,7 @@ _EVIDENCE_NS = 1_000_000_000
 _ABOVE_M = 0.3
 """Height above the body from which no pad can be: a camera that looks down stands on it at the most."""
 _UNSEEN = SensorWatch()
-_UNCHECKED = (GeoFix, GimbalAttitude)
+_UNCHECKED = (GeoFix, GimbalAttitude, VesselMotion, VesselWind, Baseline)
 """Samples whose arrival alone is checked here. Their union, written out, would be made again for each sample."""
 _QUICK = (Imu, Attitude, BodyVelocity)
 """Samples with a stamp of their own each, many a second."""

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from estimator.contracts.estimates import COMPONENTS, POSE_COMPONENTS, FusionResult, PathName, Pose6, Sighting, Verdict, source_of
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, Sample
+from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, Sample, VesselMotion
 from estimator.contracts.time import Stamp
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.params import nis_max
@@ -37,9 +37,10 @@ READINGS: dict[str, Callable[[Stamp, float, F64], Sample]] = {
     "report": lambda at, k, n: vessel(at, k * n, 0.4),
     "fix": lambda at, k, n: GeoFix(at, "vehicle", GeoPoint(0.9, 0.1, 2.0), 2.0),
     "status": lambda at, k, n: status(at, k == 1.0),
+    "motion": lambda at, k, n: VesselMotion(at, "IN PSXN", k * n[0], n[1], 1e-4, n[2], 0.01, 0.1 * n[0]),
 }
 """Readings as of a vehicle that hovers, by stamp, how many times too large they are, and noise."""
-USUAL = ("imu", "attitude", "velocity", "range", "baro", "imu", "attitude", "velocity", "report", "fix", "status")
+USUAL = ("imu", "attitude", "velocity", "range", "baro", "imu", "attitude", "velocity", "report", "fix", "status", "motion")
 DATAGRAM = st.lists(
     st.tuples(st.sampled_from(USUAL), st.sampled_from(LATE_MS), st.sampled_from(LEAP_MS), st.sampled_from(SPIKE)), max_size=7
 )
