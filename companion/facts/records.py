@@ -79,13 +79,15 @@ class BaroRecord(Struct, frozen=True):
 
 
 class VesselRecord(Struct, frozen=True, omit_defaults=True):
-    """A vessel's velocity (3,) in `ned`, m/s, with covariance (9,), and its heading; what is unknown is left out."""
+    """A vessel's velocity (3,) in `ned`, m/s, with covariance (9,), its heading and rate of turn; what is unknown is left out."""
 
     stamp: StampRecord
     v_vessel_ned: list[float] | None = None
     cov_v_ned: list[float] | None = None
     heading_rad: float | None = None
     sigma_heading_rad: float | None = None
+    turn_rad_s: float | None = None
+    sigma_turn_rad_s: float | None = None
 
 
 class FixRecord(Struct, frozen=True, omit_defaults=True):
@@ -118,7 +120,7 @@ class StatusRecord(Struct, frozen=True, omit_defaults=True):
 
 
 class MotionRecord(Struct, frozen=True, omit_defaults=True):
-    """Roll and pitch, rad, heave down, m, and rate of turn, rad/s, by a ship's motion sensor; what is unknown is left out."""
+    """Roll and pitch, rad, and heave down, m, by a ship's motion sensor; what is unknown is left out."""
 
     stamp: StampRecord
     sensor: str
@@ -127,8 +129,6 @@ class MotionRecord(Struct, frozen=True, omit_defaults=True):
     sigma_tilt_rad: float = 0.0
     heave_down_m: float | None = None
     sigma_heave_m: float = 0.0
-    turn_rad_s: float | None = None
-    sigma_turn_rad_s: float = 0.0
 
 
 class WindRecord(Struct, frozen=True):

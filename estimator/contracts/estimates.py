@@ -289,7 +289,7 @@ COMPONENTS: dict[Source, tuple[str, ...]] = {
     "vessel": ("north_m_s", "east_m_s", "down_m_s", "heading_rad"),
     "fix": (),
     "status": (),
-    "motion": ("roll_rad", "pitch_rad", "heave_m", "turn_rad_s"),
+    "motion": ("roll_rad", "pitch_rad", "heave_m"),
     "wind": (),
     "baseline": ("x_m", "y_m", "z_m"),
     "sighting": ("x_m", "y_m", "z_m", "yaw_rad"),

@@ -202,7 +202,7 @@ class Baro(Struct, frozen=True):
 
 
 class VesselReport(Struct, frozen=True, eq=False):
-    """Report of the ship about itself (GNSS, compass). Any part may be missing."""
+    """Report of the ship about her way (GNSS, compass, rate gyro). Any part may be missing."""
 
     stamp: Stamp
     v_vessel_ned: F64 | None
@@ -212,12 +212,17 @@ class VesselReport(Struct, frozen=True, eq=False):
     heading_rad: float | None
     """Heading of the vessel's bow, clockwise from north."""
     sigma_heading_rad: float | None
+    turn_rad_s: float | None = None
+    """Rate of turn, clockwise seen from above positive."""
+    sigma_turn_rad_s: float | None = None
 
     def __post_init__(self) -> None:
         if (self.v_vessel_ned is None) != (self.cov_v_ned is None):
             raise ValueError("VesselReport: a velocity needs its covariance and the other way round")
         if (self.heading_rad is None) != (self.sigma_heading_rad is None):
             raise ValueError("VesselReport: a heading needs its sigma and the other way round")
+        if (self.turn_rad_s is None) != (self.sigma_turn_rad_s is None):
+            raise ValueError("VesselReport: a rate of turn needs its sigma and the other way round")
         if self.v_vessel_ned is not None and self.cov_v_ned is not None:
             force_setattr(self, "v_vessel_ned", checked_vector("VesselReport.v_vessel_ned", self.v_vessel_ned))
             force_setattr(self, "cov_v_ned", checked_covariance("VesselReport.cov_v_ned", self.cov_v_ned, 3))
@@ -262,7 +267,7 @@ class VehicleStatus(Struct, frozen=True):
 
 
 class VesselMotion(Struct, frozen=True):
-    """Report of a motion sensor on the ship about the waves under her. Any part may be missing.
+    """Report of a motion sensor on the ship: her motion on the waves. Any part may be missing.
 
     The sigmas are those of the numbers' digits. What the sensor itself is worth is found against the camera.
     """
@@ -278,13 +283,10 @@ class VesselMotion(Struct, frozen=True):
     heave_down_m: float | None = None
     """Displacement of the sensor's place from its mean, down positive."""
     sigma_heave_m: float = 0.0
-    turn_rad_s: float | None = None
-    """Rate of turn, clockwise seen from above positive."""
-    sigma_turn_rad_s: float = 0.0
 
     def __post_init__(self) -> None:
         numbers = [number for name in self.__struct_fields__[2:] if (number := getattr(self, name)) is not None]
-        if not all(map(math.isfinite, numbers)) or min(self.sigma_tilt_rad, self.sigma_heave_m, self.sigma_turn_rad_s) < 0.0:
+        if not all(map(math.isfinite, numbers)) or min(self.sigma_tilt_rad, self.sigma_heave_m) < 0.0:
             raise ValueError(f"VesselMotion needs finite numbers and sigmas >= 0, got {numbers}")
 
 

@@ -37,7 +37,7 @@ READINGS: dict[str, Callable[[Stamp, float, F64], Sample]] = {
     "report": lambda at, k, n: vessel(at, k * n, 0.4),
     "fix": lambda at, k, n: GeoFix(at, "vehicle", GeoPoint(0.9, 0.1, 2.0), 2.0),
     "status": lambda at, k, n: status(at, k == 1.0),
-    "motion": lambda at, k, n: VesselMotion(at, "IN PSXN", k * n[0], n[1], 1e-4, n[2], 0.01, 0.1 * n[0]),
+    "motion": lambda at, k, n: VesselMotion(at, "IN PSXN", k * n[0], n[1], 1e-4, n[2], 0.01),
 }
 """Readings as of a vehicle that hovers, by stamp, how many times too large they are, and noise."""
 USUAL = ("imu", "attitude", "velocity", "range", "baro", "imu", "attitude", "velocity", "report", "fix", "status", "motion")
