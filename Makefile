@@ -142,7 +142,7 @@ $(VENV)/.supply: requirements/supply.txt $(VENV)/.dev
 	@touch $@
 
 # An environment with the service's needs and every extra's, and nothing else.
-$(VENV)/shipped: requirements/runtime.txt requirements/report.txt requirements/lab.txt requirements/ros2.txt requirements/compare.txt requirements/rl.txt requirements/fleet.txt requirements/video.txt | $(BIN)/python
+$(VENV)/shipped: requirements/runtime.txt requirements/report.txt requirements/lab.txt requirements/ros2.txt requirements/compare.txt requirements/rl.txt requirements/fleet.txt requirements/ship.txt requirements/video.txt | $(BIN)/python
 	$(BIN)/python -m venv --clear --without-pip $@
 	$(PIP) --python $@ install --require-hashes $(foreach pins,$^,-r $(pins))
 	@touch $@
@@ -165,7 +165,8 @@ pins:
 	$(PIN) --only-build-deps --build-deps-for=editable -o requirements/build.txt pyproject.toml
 	$(PIN) --constraint requirements/build.txt -o requirements/runtime.txt pyproject.toml
 	$(PIN) --constraint requirements/runtime.txt --extra video -o requirements/video.txt pyproject.toml
-	$(PIN) --constraint requirements/runtime.txt --extra fleet -o requirements/fleet.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/runtime.txt --extra ship -o requirements/ship.txt pyproject.toml
+	$(PIN) --constraint requirements/ship.txt --extra fleet -o requirements/fleet.txt pyproject.toml
 	$(PIN) --constraint requirements/fleet.txt --extra report -o requirements/report.txt pyproject.toml
 	$(PIN) --constraint requirements/report.txt --extra lab -o requirements/lab.txt pyproject.toml
 	$(PIN) --constraint requirements/lab.txt --extra ros2 -o requirements/ros2.txt pyproject.toml
@@ -177,7 +178,7 @@ pins:
 	$(PIN) -o requirements/rotorpy.new requirements/rotorpy.in
 	awk '/^[^ ]/ { own = /^rotorpy==/ } own' requirements/rotorpy.new > requirements/rotorpy.txt
 	rm requirements/rotorpy.new
-	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --constraint requirements/fleet.txt --constraint requirements/video.txt --extra video --extra report --extra lab --extra ros2 --extra compare --extra rl --extra fleet --extra dev -o requirements/dev.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --constraint requirements/fleet.txt --constraint requirements/ship.txt --constraint requirements/video.txt --extra video --extra report --extra lab --extra ros2 --extra compare --extra rl --extra fleet --extra ship --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in

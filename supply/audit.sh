@@ -8,7 +8,7 @@ shift
 pins=$(dirname "$0")/../requirements
 found=$(timeout 120 "$audit" --disable-pip --require-hashes --progress-spinner off --timeout 5 "$@" \
     -r "$pins/runtime.txt" -r "$pins/report.txt" -r "$pins/lab.txt" -r "$pins/ros2.txt" \
-    -r "$pins/compare.txt" -r "$pins/rl.txt" -r "$pins/fleet.txt" -r "$pins/video.txt" 2>&1)
+    -r "$pins/compare.txt" -r "$pins/rl.txt" -r "$pins/fleet.txt" -r "$pins/ship.txt" -r "$pins/video.txt" 2>&1)
 code=$?
 case $found in
 *"Found "[0-9]*" known vulnerabilit"*)
