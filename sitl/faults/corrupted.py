@@ -18,6 +18,7 @@ from sitl.faults.fault import Fault, FaultTimer
 Signal = Literal[
     "accelerometer", "gyro", "attitude", "heading", "velocity", "range", "barometer", "gnss", "samples", "sample_stamps",
     "frames", "frame_stamps", "sighting", "ship_velocity", "ship_heading", "ship_place", "commands",
+    "ship_heave", "ship_tilt", "ship_turn", "ship_wind",
 ]  # fmt: skip
 SignalError = Literal["frozen", "scaled", "biased", "drifting", "spiking", "late", "doubled", "swapped", "sign"]
 SIGNALS: tuple[Signal, ...] = get_args(Signal)
@@ -62,6 +63,10 @@ FACTS: dict[Signal, SignalFacts] = {
     "ship_heading": SignalFacts(1, "deg", _DEG, wraps=True),
     "ship_place": SignalFacts(3, "m"),
     "commands": SignalFacts(3, "full stick"),
+    "ship_heave": SignalFacts(1, "m"),
+    "ship_tilt": SignalFacts(2, "deg", _DEG),
+    "ship_turn": SignalFacts(1, "deg/s", _DEG),
+    "ship_wind": SignalFacts(1, "m/s"),
 }
 
 

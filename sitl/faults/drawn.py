@@ -71,6 +71,10 @@ SIZES: dict[Signal, Sizes] = {
     "ship_heading": Sizes((2.0, 180.0), (0.5, 45.0), (5.0, 180.0)),
     "ship_place": _PLACES,
     "commands": Sizes((0.02, 0.3), (0.005, 0.1), (0.1, 1.0)),
+    "ship_heave": Sizes((0.1, 10.0), (0.02, 1.0), (0.3, 20.0)),
+    "ship_tilt": Sizes((0.5, 25.0), (0.1, 10.0), (1.0, 45.0)),
+    "ship_turn": Sizes((0.5, 60.0), (0.2, 10.0), (2.0, 200.0)),
+    "ship_wind": Sizes((1.0, 20.0), (0.1, 2.0), (2.0, 40.0)),
 }
 """Fault sizes in the units of a scenario file."""
 

@@ -1,68 +1,102 @@
-"""The ship's own reports to the service: velocity, heading and place by her GNSS and compass, as they come over a radio link."""
+"""The ship's own reports to the service, as they come over a radio link: her GNSS and compass, and what `ship_sensors` adds."""
 
 import math
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 from msgspec.structs import replace
 
 from estimator.contracts.geodesy import moved
 from estimator.contracts.geometry import wrap_pi
-from estimator.contracts.samples import GeoFix, VesselReport
+from estimator.contracts.samples import GeoFix, OfVessel, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
 from sitl.faults.kinds import VesselReports
 from sitl.flight.grader import GradedWorld
+from sitl.flight.ship_sensors import Anemometer, MotionSensor, ShipAt, TurnSensor
 from sitl.sensors.sensors import SIGMA_M, GnssErrors
 
-_DELAY_S = 0.2
-"""Delay from the ship's receiver to the service (assumed)."""
+_DELAY_S, _TURN_DELAY_S, _WIND_DELAY_S = 0.2, 0.1, 1.0
+"""Delays from the ship's receiver, gyrocompass and anemometer to the service (assumed)."""
 _SIGMA_M_S, _SIGMA_HEADING_RAD = 0.1, math.radians(1.0)
 """A GNSS receiver's velocity and a ship's compass (assumed); the report claims the same."""
 
-Reports = tuple[VesselReport | GeoFix, ...]
+Reports = tuple[OfVessel | GeoFix, ...]
+
+
+class _Stream:
+    """The reports of one instrument on their way.
+
+    Args:
+        measure: returns what it measures at an instant, stamped with it; nothing where it is silent.
+        rate_hz: how often.
+        delay_s: time until it arrives.
+        arrival: whether the service stamps it by its arrival; else the stamp is true.
+    """
+
+    def __init__(self, measure: Callable[[MonoNs], Reports], rate_hz: float, delay_s: float, *, arrival: bool = True) -> None:
+        self._measure, self._period_s, self._delay_s, self._arrival = measure, 1.0 / rate_hz, delay_s, arrival
+        self._due = MonoNs(0)
+        self._under_way: deque[tuple[MonoNs, Reports]] = deque()
+
+    def arrived(self, now: MonoNs, late_s: float) -> Reports:
+        """Return the newest of what arrives now, `late_s` later than usual."""
+        if now >= self._due:
+            self._due = after(max(self._due, after(now, -self._period_s)), self._period_s)
+            if made := self._measure(now):
+                self._under_way.append((now, made))
+        newest: Reports = ()
+        while self._under_way and after(self._under_way[0][0], self._delay_s + late_s) <= now:
+            newest = self._under_way.popleft()[1]
+        stamped = (replace(r.stamp, received_at=now, **({"measured_at": now} if self._arrival else {})) for r in newest)
+        return tuple(replace(report, stamp=stamp) for report, stamp in zip(newest, stamped, strict=True))
 
 
 class VesselReporter:
     """Makes the reports that reach the service; none where the scenario's ship sends none."""
 
     def __init__(self, world: GradedWorld) -> None:
-        self._world = world
-        self._period_s = 1.0 / world.scenario.vessel.reports_hz if world.scenario.vessel.reports_hz > 0.0 else None
+        self._world, ship = world, world.scenario.vessel
+        self._ship = ShipAt(world)
         self._rng = np.random.default_rng([world.seed, 0x6E55])
         self._receiver = GnssErrors([world.seed, 0x6E56])
-        self._due = world.now
         self._frozen: tuple[np.ndarray, float] | None = None
-        self._under_way: deque[tuple[MonoNs, Reports]] = deque()
+        self._of_receiver = _Stream(self._make, ship.reports_hz, _DELAY_S, arrival=False) if ship.reports_hz else None
+        self._others: list[_Stream] = []
+        self._motion = MotionSensor(world) if ship.motion_hz else None
+        if self._motion is not None:
+            self._others.append(_Stream(self._motion.measured, ship.motion_hz, ship.motion_delay_s))
+        if ship.turn_hz:
+            self._others.append(_Stream(TurnSensor(world).measured, ship.turn_hz, _TURN_DELAY_S))
+        if ship.wind_hz:
+            self._others.append(_Stream(Anemometer(world).measured, ship.wind_hz, _WIND_DELAY_S))
 
     def reports(self, now: MonoNs) -> Reports:
         """Return the reports that arrive at this instant."""
-        if self._period_s is not None and now >= self._due:
-            self._due = after(self._due, self._period_s)
-            self._make(now)
-        if not self._under_way:
-            return ()
-        faults = [fault for fault, _ in self._world.faults.on(VesselReports)]
-        late_s = max((fault.late_s for fault in faults), default=0.0)
-        newest: Reports = ()
-        while self._under_way and after(self._under_way[0][0], late_s) <= now:
-            newest = self._under_way.popleft()[1]
-        return tuple(replace(report, stamp=replace(report.stamp, received_at=now)) for report in newest)
+        out: Reports = ()
+        if self._of_receiver is not None:
+            late_s = max((fault.late_s for fault, _ in self._world.faults.on(VesselReports)), default=0.0)
+            out = self._of_receiver.arrived(now, late_s)
+        if self._motion is not None:
+            self._motion.follow(now)
+        for stream in self._others:
+            out += stream.arrived(now, 0.0)
+        return out
 
-    def _make(self, now: MonoNs) -> None:
-        """Send one report."""
-        truth, noise = self._world.truth(), self._rng.standard_normal(4)
-        pad_yaw = math.radians(self._world.scenario.vessel.pad_yaw_deg)
-        velocity = truth.v_pad_ned + _SIGMA_M_S * noise[:3]
-        heading = truth.R_ned_pad.rpy_rad[2] - pad_yaw + _SIGMA_HEADING_RAD * noise[3]
-        corrupted = self._world.corruptions.of
-        x, y, z = truth.p_pad_ned.tolist()
+    def _make(self, now: MonoNs) -> Reports:
+        """Return the receiver's report."""
+        noise, corrupted = self._rng.standard_normal(4), self._world.corruptions.of
+        true_place, velocity = self._ship.place(self._world.scenario.vessel.reports_at_m)
+        velocity = velocity + _SIGMA_M_S * noise[:3]
+        heading = self._ship.rpy_rad[2] + _SIGMA_HEADING_RAD * noise[3]
+        x, y, z = true_place.tolist()
         place = self._receiver.place(np.array(corrupted("ship_place", (x, y, z), now)), now)
         north, east, down = velocity.tolist()
         velocity = np.array(corrupted("ship_velocity", (north, east, down), now))
         (heading,) = corrupted("ship_heading", (float(heading),), now)
         faults = [fault for fault, _ in self._world.faults.on(VesselReports)]
         if any(fault.silent for fault in faults):
-            return
+            return ()
         if any(fault.frozen for fault in faults):
             self._frozen = self._frozen or (velocity, heading)
             velocity, heading = self._frozen
@@ -72,9 +106,9 @@ class VesselReporter:
             velocity = velocity + np.array([fault.north_m_s, fault.east_m_s, 0.0])
             heading += math.radians(fault.heading_deg)
             place = moved(place, np.array([fault.place_north_m, fault.place_east_m, 0.0]))
-        stamp = Stamp(max(self._world.started, after(self._world.at, -_DELAY_S)), now, 0.05, "sim")
+        stamp = Stamp(self._world.at, now, 0.05, "sim")
         cov = _SIGMA_M_S**2 * np.eye(3)
         made: Reports = (VesselReport(stamp, velocity, cov, wrap_pi(heading), _SIGMA_HEADING_RAD),)
         if self._world.scenario.vessel.reports_place:
             made = (*made, GeoFix(stamp, "vessel", place, SIGMA_M, velocity))
-        self._under_way.append((now, made))
+        return made

@@ -45,8 +45,12 @@ def signals_of(vessel: VesselSettings, vehicle: VehicleSettings) -> tuple[Signal
     there: dict[Signal, bool] = {
         "gnss": vehicle.gnss_hz > 0.0,
         "ship_velocity": vessel.reports_hz > 0.0,
-        "ship_heading": vessel.reports_hz > 0.0,
+        "ship_heading": vessel.reports_hz > 0.0 or vessel.turn_hz > 0.0,
         "ship_place": vessel.reports_hz > 0.0 and vessel.reports_place,
+        "ship_heave": vessel.motion_hz > 0.0,
+        "ship_tilt": vessel.motion_hz > 0.0,
+        "ship_turn": vessel.turn_hz > 0.0,
+        "ship_wind": vessel.wind_hz > 0.0,
     }
     return tuple(signal for signal in SIGNALS if there.get(signal, True))
 
@@ -63,8 +67,10 @@ def _contradictions(fault: Fault, scenario: "Scenario") -> Iterator[str]:
     if isinstance(fault, VesselReports) and (fault.place_north_m or fault.place_east_m) and not vessel.reports_place:
         yield ": this ship does not report her place; vessel.reports_place must be true"
     if isinstance(fault, Corrupted) and fault.signal not in signals_of(vessel, scenario.vehicle):
-        needs = {"gnss": "vehicle.gnss_hz must be more than 0", "ship_place": "vessel.reports_place must be true"}
-        need = needs.get(fault.signal, "vessel.reports_hz must be more than 0")
+        needs = {"gnss": "vehicle.gnss_hz", "ship_turn": "vessel.turn_hz", "ship_wind": "vessel.wind_hz"}
+        needs |= dict.fromkeys(("ship_heave", "ship_tilt"), "vessel.motion_hz")
+        need = f"{needs.get(fault.signal, 'vessel.reports_hz')} must be more than 0"
+        need = "vessel.reports_place must be true" if fault.signal == "ship_place" else need
         yield f".signal is {fault.signal}, which is not there; {need}"
     if isinstance(fault, ShipSpeed | ShipTurn) and vessel.moored:
         yield f": {fault.kind} is of a vessel under way; vessel.moored must be false"

@@ -324,6 +324,31 @@ class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
         Meta(description="whether they also say where she is; without --config the service then flies to her"),
     ] = False
     turn_over_s: Annotated[float, number("time until the turn is steady", "s", 0.5, 300.0, "assumed")] = 10.0
+    reports_at_m: Annotated[
+        tuple[float, float, float],
+        choice("place of her GNSS antenna from the pad's centre: metres forward, to starboard, down"),
+    ] = (0.0, 0.0, 0.0)
+    turn_hz: Annotated[
+        float, number("rate at which her gyrocompass reports rate of turn and heading, 0.1 s late; 0 for never", "Hz", 0.0, 50.0)
+    ] = 0.0
+    motion_hz: Annotated[
+        float, number("rate at which her motion sensor reports roll, pitch and heave; 0 for never", "Hz", 0.0, 100.0)
+    ] = 0.0
+    motion_at_m: Annotated[
+        tuple[float, float, float], choice("place of her motion sensor from the pad's centre: metres forward, to starboard, down")
+    ] = (0.0, 0.0, 0.0)
+    motion_delay_s: Annotated[
+        float, number("time after which a report of it arrives, which its stamp does not say", "s", 0.0, 2.0, "assumed")
+    ] = 0.1
+    motion_high_pass_s: Annotated[
+        float, number("period of the corner of its heave filter, which leaves out what is slower", "s", 5.0, 600.0, "assumed")
+    ] = 60.0
+    motion_wander_m: Annotated[
+        float, number("amplitude of each of two slow waves in its heave, which no deck makes", "m", 0.0, 10.0, "assumed")
+    ] = 0.02
+    wind_hz: Annotated[
+        float, number("rate at which her anemometer reports the true wind, 1 s late; 0 for never", "Hz", 0.0, 20.0)
+    ] = 0.0
 
     def __post_init__(self) -> None:
         if self.hull is not None and self.file is not None:

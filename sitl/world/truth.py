@@ -125,6 +125,8 @@ class Truth(Struct, frozen=True, eq=False):
     """(3,) turn rates of the body, rad/s."""
     battery: float = 1.0
     """Charge of the battery, 0..1."""
+    w_pad: F64 = field(default_factory=lambda: np.zeros(3))
+    """(3,) turn rates of the pad in its own axes, rad/s."""
 
     def _level(self, v_ned: F64) -> F64:
         yaw = self.R_ned_body.rpy_rad[2]

@@ -366,6 +366,7 @@ class World:
             a_body_ned=v.a_ned,
             w_body=v.w_body,
             battery=min(self._sensors.state.battery, *(f.fraction for f, _ in self.faults.on(LowBattery)), 1.0),
+            w_pad=pad.w,
         )
 
     def pad_ahead(self, ahead_s: F64) -> Mounted:

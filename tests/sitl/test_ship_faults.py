@@ -9,12 +9,13 @@ import pytest
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import VesselReport
+from estimator.contracts.samples import VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import after
+from sitl.faults.corrupted import Corrupted
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import DeckRoll, FerryWake, ShipSpeed, ShipTurn, TiltLimited, VesselReports
 from sitl.flight.vessel_reports import VesselReporter
-from sitl.scenario.scenario import Scenario, from_mapping, ship_model, vehicle_model
+from sitl.scenario.scenario import Scenario, from_mapping, load, ship_model, vehicle_model
 from sitl.sea.sea import Sea
 from sitl.vessel.file import VesselSettings
 from sitl.world.world import Stick, World
@@ -207,6 +208,52 @@ def test_a_jump_a_frozen_and_a_silent_receiver() -> None:
     assert len({tuple(v) for v in frozen[5:10]}) == 1
     assert len({tuple(v) for v in frozen[10:]}) > 5
     assert len(reports(VesselReports(at_s=1.0, silent=True))) == pytest.approx(5, abs=1)
+
+
+SENSING = VesselSettings(
+    moored=False, speed_m_s=3.0, heading_deg=40.0, motion_hz=5.0, motion_at_m=(6.0, 1.0, 1.5), turn_hz=10.0, wind_hz=1.0
+)
+
+
+def sensed(kind: type[Any], *faults: Fault, ship: VesselSettings = SENSING) -> tuple[list[Any], np.ndarray]:  # type: ignore[type-arg]
+    """Return one kind of her reports in 20 s of sea state 4, and the truth at each: down of the sensor, roll, pitch, turn."""
+    world = World(msgspec.structs.replace(load("sea_state_4"), vessel=ship, faults=faults), 4)
+    reporter, out, truth = VesselReporter(world), [], []
+    for n in range(1, 2001):
+        world.advance(after(world.started, 0.01 * n))
+        t = world.truth()
+        R = t.R_ned_pad.matrix
+        truth.append([t.p_pad_ned[2] + R[2] @ ship.motion_at_m, *t.R_ned_pad.rpy_rad[:2], R[2] @ t.w_pad])
+        out += [(n, report) for report in reporter.reports(world.now) if isinstance(report, kind)]
+    late = 10 if kind is not VesselMotion else round(100 * ship.motion_delay_s)
+    return [report for _, report in out], np.array([truth[max(0, n - late - 1)] for n, _ in out])
+
+
+def test_a_motion_sensor_measures_its_own_place_late_and_filters_its_heave() -> None:
+    made, true = sensed(VesselMotion)
+    assert len(made) == pytest.approx(100, abs=2)
+    tilt = np.array([[m.roll_rad, m.pitch_rad] for m in made]) - true[:, 1:3]
+    assert np.degrees(tilt.std(axis=0)) == pytest.approx([0.03, 0.03], abs=0.03), "apart from how it is mounted"
+    down = np.array([m.heave_down_m for m in made])
+    assert np.corrcoef(down, true[:, 0])[0, 1] > 0.9
+    assert (down - true[:, 0]).std() < 0.5 * true[:, 0].std()
+    assert np.allclose(down * 100.0, np.round(down * 100.0)), "whole centimetres"
+    quick, _ = sensed(VesselMotion, ship=msgspec.structs.replace(SENSING, motion_high_pass_s=8.0))
+    assert np.std(np.array([m.heave_down_m for m in quick]) - down) > 0.1, "a filter for a short period hides the sea"
+    turned, _ = sensed(VesselMotion, Corrupted(signal="ship_heave", error="sign", at_s=10.0))
+    assert [m.heave_down_m for m in turned[60:]] == pytest.approx(-down[60:])
+
+
+def test_the_other_sensors_of_the_ship_measure_turn_and_wind() -> None:
+    made, true = sensed(VesselReport)
+    assert len(made) == pytest.approx(200, abs=3)
+    assert np.degrees(np.std(np.array([m.turn_rad_s for m in made]) - true[:, 3])) == pytest.approx(0.2, abs=0.05)
+    winds, _ = sensed(VesselWind)
+    speed = np.mean([w.speed_m_s for w in winds])
+    assert 0.7 * 2.5 < speed < 1.4 * 2.5, "sea_state_4 has 2.5 m/s"
+    fault = {"kind": "corrupted", "signal": "ship_turn", "error": "sign", "at_s": 1.0}
+    with pytest.raises(BadInput, match=r"signal is ship_turn, which is not there; vessel.turn_hz must be more than 0"):
+        from_mapping({"title": "x", "faults": [fault]}, "file")
 
 
 def test_a_ship_that_does_not_report_cannot_report_wrongly() -> None:

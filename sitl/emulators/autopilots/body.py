@@ -203,7 +203,7 @@ class Body:
         at = MonoNs(round(self.t_s * NS_PER_S)) if self._clock is None else self._clock.now()
         return Truth(
             at, s.p_ned, s.v_ned, s.R_ned_body, pad.p_ned, pad.v_ned, Rotation(pad.R_ned), phase, None,
-            a_body_ned=s.R_ned_body @ s.f_body + [0.0, 0.0, G_M_S2], w_body=s.w_body,
+            a_body_ned=s.R_ned_body @ s.f_body + [0.0, 0.0, G_M_S2], w_body=s.w_body, w_pad=pad.w,
         )  # fmt: skip
 
     def shot(self) -> Exposure:
