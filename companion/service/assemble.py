@@ -259,7 +259,7 @@ def make_daemon(
             watching.append(keeper)
     extras |= vehicle.extras
     reports: Line[Sample] | None = None
-    if settings.vessel.nmea or settings.vessel.mqtt:
+    if settings.vessel.nmea or settings.vessel.mqtt or settings.rtk.source or settings.rtk.heading:
         reports = Line(_REPORTS_MAX)
     if settings.vessel.nmea and reports is not None:
         from companion.service.vehicle_parts import SentencesPart
@@ -267,6 +267,13 @@ def make_daemon(
         sentences = SentencesPart(settings.vessel, reports, ticking)
         extras["sentences"] = sentences.run
         health.counters("sentences", sentences.counted)
+    for key in ("source", "heading"):
+        if getattr(settings.rtk, key) and reports is not None:
+            from companion.parts.rtk.part import RtkPart
+
+            receiver = RtkPart(settings.rtk, key, reports, ticking)
+            extras[f"rtk_{key}"] = receiver.run
+            health.counters(f"rtk_{key}", receiver.counted)
     if sources(settings):
         health.awaited |= {SHIP_PLACE}
         health.counters("ship_place", pilot.landing.vessel_counts)

@@ -20,6 +20,7 @@ from msgspec import Meta, Struct
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.links import BridgeOptions, HttpSettings, MqttSettings, OutputOptions, VideoStreamOptions
 from companion.settings.operator import LimitOptions, OperatorOptions
+from companion.settings.rtk import RtkOptions
 from companion.settings.service import RecorderOptions, RestartOptions
 from companion.settings.vessel import VesselOptions
 from drivers.ardrone.options import ArDroneOptions
@@ -95,6 +96,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     operator: OperatorOptions = OperatorOptions()
     limits: LimitOptions = LimitOptions()
     vessel: VesselOptions = VesselOptions()
+    rtk: RtkOptions = RtkOptions()
 
     def fault(self) -> str | None:
         """Return the reason why keys do not go together, beginning with the key, or None if they do."""
