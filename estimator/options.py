@@ -2,22 +2,16 @@
 
 from typing import Annotated
 
-from msgspec import Struct
-
 from estimator.contracts.estimates import PathName
-from estimator.contracts.keys import check_ranges, choice, number
+from estimator.contracts.keys import CheckedOptions, choice, number
 from estimator.ekf.options import EkfOptions
 from estimator.integrity.options import IntegrityOptions
 
 _AR_DRONE = "AR.Drone 2.0"
 
 
-class DeadReckoningOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """Carrying the last sighting on by the drone's own velocity and acceleration.
-
-    Raises:
-        ValueError: a number outside its range.
-    """
+class DeadReckoningOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """Carrying the last sighting on by the drone's own velocity and acceleration."""
 
     calibration_s: Annotated[
         float,
@@ -77,11 +71,8 @@ class DeadReckoningOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("largest delay of a sighting; estimator.max_delay_s if that is longer", "s", 0.05, 30.0)
     ] = 1.5
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
-
-class EstimatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
+class EstimatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The estimator that turns samples and sightings into the estimate for guidance.
 
     Raises:
@@ -108,7 +99,7 @@ class EstimatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
     integrity: IntegrityOptions = IntegrityOptions()
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.history_s <= self.max_delay_s:
             raise ValueError(
                 f"history_s ({self.history_s:g} s) must exceed max_delay_s ({self.max_delay_s:g} s), or the oldest frames "

@@ -46,11 +46,7 @@ def within(frequency_rad_s: float, damping: float) -> Row2:
 
 
 class TiltResponse(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """Response of roll and pitch to their commands.
-
-    Raises:
-        ValueError: a number outside its range.
-    """
+    """Response of roll and pitch to their commands."""
 
     delay_s: Annotated[float, number("delay from guidance's command to its first effect", "s", 0.0, 0.6)]
     frequency_rad_s: Annotated[float, number("natural frequency of the attitude loop", "rad/s", *_FREQUENCY_RAD_S)]
@@ -98,11 +94,7 @@ class TiltResponse(CheckedOptions, frozen=True, forbid_unknown_fields=True):
 
 
 class ClimbResponse(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """Response of the vertical speed to its command.
-
-    Raises:
-        ValueError: a number outside its range.
-    """
+    """Response of the vertical speed to its command."""
 
     delay_s: Annotated[float, number("delay from guidance's command to its first effect", "s", 0.0, 0.6)]
     lag_s: Annotated[float, number("time constant with which the speed follows", "s", 0.02, 3.0)]
@@ -198,11 +190,7 @@ _AUTO = "auto"
 
 
 class FollowDeckOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """The controller that follows the deck.
-
-    Raises:
-        ValueError: a number outside its range.
-    """
+    """The controller that follows the deck."""
 
     response: Annotated[
         str,
@@ -250,11 +238,7 @@ _Kd = Annotated[float, number("derivative gain", "1", 0.0, 10.0, _TUNED)]
 
 
 class HorizontalGains(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """Gains from the forward and right error, m, to m/s.
-
-    Raises:
-        ValueError: a gain outside its range.
-    """
+    """Gains from the forward and right error, m, to m/s."""
 
     kp: _Kp = 0.9
     ki: _Ki = 0.05
@@ -262,11 +246,7 @@ class HorizontalGains(CheckedOptions, frozen=True, forbid_unknown_fields=True):
 
 
 class VerticalGains(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """Gains from the height error, m, to m/s.
-
-    Raises:
-        ValueError: a gain outside its range.
-    """
+    """Gains from the height error, m, to m/s."""
 
     kp: _Kp = 1.0
     ki: _Ki = 0.15
@@ -274,11 +254,7 @@ class VerticalGains(CheckedOptions, frozen=True, forbid_unknown_fields=True):
 
 
 class HeadingGains(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """Gains from the heading error, rad, to rad/s. There is no derivative gain because the estimate has no rate of the heading.
-
-    Raises:
-        ValueError: a gain outside its range.
-    """
+    """Gains from the heading error, rad, to rad/s. There is no derivative gain: the estimate has no rate of the heading."""
 
     kp: _Kp = 0.8
     ki: _Ki = 0.0
@@ -325,11 +301,7 @@ class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ElsewhereOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """The place, on land or on a ship at rest, where a drone lands that refused. It needs GNSS; another one holds.
-
-    Raises:
-        ValueError: a number outside its range.
-    """
+    """The place, on land or on a ship at rest, where a drone lands that refused. It needs GNSS; another one holds."""
 
     latitude_deg: Annotated[float, number("latitude, north positive", "deg", -90.0, 90.0)] = 0.0
     longitude_deg: Annotated[float, number("longitude, east positive", "deg", -180.0, 180.0)] = 0.0
@@ -348,11 +320,7 @@ class ElsewhereOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
 
 
 class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """Guidance: from the estimate to commands.
-
-    Raises:
-        ValueError: a number outside its range.
-    """
+    """Guidance: from the estimate to commands."""
 
     mission: Annotated[
         Literal["cone", "thesis"],

@@ -231,11 +231,7 @@ class VideoStreamOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True
 
 
 class OutputOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """The pad in messages to an autopilot: LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR (docs/mavlink.md).
-
-    Raises:
-        ValueError: a number is outside its range.
-    """
+    """The pad in messages to an autopilot: LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR (docs/mavlink.md)."""
 
     rate_hz: Annotated[
         float, number("LANDING_TARGET messages a second, at least", "Hz", 1.0, 50.0, "10 to 50 suit ArduPilot", public=True)

@@ -64,11 +64,7 @@ class ConeOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
 
 
 class LandingLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """Limits for a landing. The gate waits for them; a breach during the commit ends the attempt.
-
-    Raises:
-        ValueError: a number outside its range.
-    """
+    """Limits for a landing. The gate waits for them; a breach during the commit ends the attempt."""
 
     error_m: Annotated[
         float,

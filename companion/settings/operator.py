@@ -7,11 +7,7 @@ from estimator.contracts.keys import CheckedOptions, choice, number, text
 
 
 class ManualOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """Manual flight: the velocities that full sticks command.
-
-    Raises:
-        ValueError: a number outside its range.
-    """
+    """Manual flight: the velocities that full sticks command."""
 
     speed_max_m_s: Annotated[float, number("horizontal velocity at full stick", "m/s", 0.05, 10.0)] = 1.0
     climb_max_m_s: Annotated[float, number("climb and descent rate at full stick", "m/s", 0.05, 3.0)] = 0.5

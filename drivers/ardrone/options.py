@@ -3,16 +3,14 @@
 import math
 from typing import Annotated, Literal
 
-from msgspec import Struct
-
 from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl
-from estimator.contracts.keys import check_ranges, choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, number, text
 
 CODECS = {"1.0": "32", "2.0": "129"}
 """The video codec that is requested, by the drone's generation: UVLC, and H.264 of 640x360 px."""
 
 
-class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="ardrone"):
+class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="ardrone"):
     """The vehicle: a Parrot AR.Drone, or the simulated one, with the same protocol.
 
     Raises:
@@ -208,7 +206,7 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
     ] = ""
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         ids = self.ids
         if ids is not None and (len(ids) != 3 or any(len(i) != 8 or not set(i) <= set("0123456789abcdef") for i in ids)):
             raise ValueError(

@@ -6,20 +6,14 @@ With them stand those of the exposure of a camera that we drive: the table [came
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
-from msgspec import Struct
-
-from estimator.contracts.keys import check_ranges, choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, number, text
 
 DRIVEN_SOURCES = ("v4l2",)
 """Sources of frames whose exposure can be driven from here."""
 
 
-class ExposureOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Exposure time, gain and white balance of the camera: who sets them, and their limits.
-
-    Raises:
-        ValueError: a number outside its range.
-    """
+class ExposureOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Exposure time, gain and white balance of the camera: who sets them, and their limits."""
 
     mode: Annotated[
         Literal["camera", "pad"],
@@ -54,9 +48,6 @@ class ExposureOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         int, number("colour temperature that is taken for white, as near as the camera can", "K", 2000, 10000, "daylight")
     ] = 6500
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
     @property
     def driven(self) -> bool:
         """True if the service sets the exposure."""
@@ -77,7 +68,7 @@ _DRIVEN = frozenset(
 """Controls, by their present and former names, that are set with `exposure.mode` "pad"."""
 
 
-class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The source of frames, their format and rate, and the limits at which a camera counts as lost.
 
     Raises:
@@ -154,7 +145,7 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     exposure: ExposureOptions = ExposureOptions()
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.source != "vehicle" and not self.device:
             raise ValueError(f'device must be given with source "{self.source}"')
         if self.source == "vehicle" and self.device:

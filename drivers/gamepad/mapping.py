@@ -13,7 +13,7 @@ from typing import Annotated, Literal, get_args
 from msgspec import Meta, Struct
 
 from drivers.gamepad.device import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, SYN_DROPPED, SYN_REPORT, AxisRange, InputEvent
-from estimator.contracts.keys import check_ranges, choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, number, text
 from estimator.contracts.time import MonoNs, seconds_between
 
 Stick = Literal["climb", "turn", "forward", "right"]
@@ -49,7 +49,7 @@ class StickAxes(Struct, frozen=True, forbid_unknown_fields=True):
     right: StickAxis
 
 
-class GamepadMapping(Struct, frozen=True, forbid_unknown_fields=True):
+class GamepadMapping(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """A mapping file: the sticks' axes and their response, and the orders of the buttons.
 
     Raises:
@@ -67,7 +67,7 @@ class GamepadMapping(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 10
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         axes = [getattr(self.sticks, stick).axis for stick in STICKS]
         if twice := [axis for axis in axes if axes.count(axis) > 1]:
             raise ValueError(f"the axis {twice[0]} has two meanings")

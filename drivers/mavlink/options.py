@@ -7,17 +7,15 @@ This module imports nothing of the dialect, so that settings can be read without
 import math
 from typing import Annotated, Literal
 
-from msgspec import Struct
-
 from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.access import Named, parse_operators
 from estimator.contracts.errors import BadInput
-from estimator.contracts.keys import check_ranges, choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, number, text
 
 LINKS = "MAVLink links, with commas between: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD"
 
 
-class LinkLimits(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class LinkLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The limits of each link.
 
     Raises:
@@ -34,7 +32,7 @@ class LinkLimits(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     restart_most_s: Annotated[float, number("longest back-off; each is twice the one before", "s", 0.01, 600.0)] = 5.0
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.restart_most_s < self.restart_first_s:
             raise ValueError(
                 f"restart_most_s ({self.restart_most_s:g} s) must not be shorter than restart_first_s "
@@ -108,12 +106,8 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
         return "not signed: decklander keys make FILE; decklander keys install --link URL FILE; then signing_key_file = FILE"
 
 
-class SampleOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """The uncertainty of an autopilot's readings.
-
-    Raises:
-        ValueError: a number is outside its range.
-    """
+class SampleOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """The uncertainty of an autopilot's readings."""
 
     sigma_tilt_rad: Annotated[float, number("standard deviation of roll and pitch", "rad", 1e-4, 1.0)] = math.radians(0.5)
     sigma_yaw_rad: Annotated[float, number("standard deviation of the heading", "rad", 1e-4, 3.2)] = math.radians(3.0)
@@ -139,25 +133,15 @@ class SampleOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("largest time between a velocity and the newest attitude; other velocities are not used", "s", 0.01, 10.0)
     ] = 0.2
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
-
-class TimeSyncOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """The rate of time requests to the autopilot, and the answers that are accepted.
-
-    Raises:
-        ValueError: a number is outside its range.
-    """
+class TimeSyncOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """The rate of time requests to the autopilot, and the answers that are accepted."""
 
     period_s: Annotated[float, number("interval between time requests", "s", 0.01, 60.0)] = 1.0
     first_period_s: Annotated[float, number("the same until the offset of the clocks is known", "s", 0.01, 60.0)] = 0.1
     window_s: Annotated[float, number("time for which an answer is used", "s", 0.1, 600.0)] = 10.0
     round_trip_max_s: Annotated[float, number("longest round trip of an answer that is used", "s", 0.001, 5.0)] = 0.25
     drift_ppm: Annotated[float, number("largest drift between the two clocks", "ppm", 0.1, 10_000.0)] = 50.0
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="mavlink"):
@@ -267,7 +251,7 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
 GimbalReport = Literal["auto", "mount_status"]
 
 
-class GimbalOptions(Struct, frozen=True, forbid_unknown_fields=True):
+class GimbalOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """A gimbal that an autopilot's link reports (docs/cameras.md); the camera file's rotation is then that on its last axis.
 
     Raises:
@@ -312,7 +296,7 @@ class GimbalOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = False
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.device_id == 0 and (self.point_down or self.report != "auto"):
             raise ValueError("device_id must name the gimbal, found 0")
 

@@ -3,9 +3,7 @@
 import math
 from typing import Annotated, Literal
 
-from msgspec import Struct
-
-from estimator.contracts.keys import check_ranges, choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, number, text
 
 TrackerMethod = Literal["fused", "registration", "thesis"]
 """The methods that form the sighting: registration alone, all fused, or the thesis' three with its selection by priority."""
@@ -14,7 +12,7 @@ Learned = Literal["off", "second_opinion"]
 """Switch for the second opinion of a trained network on the finds of a search."""
 
 
-class TrackerOptions(Struct, frozen=True, forbid_unknown_fields=True):
+class TrackerOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Options of the processing of frames.
 
     Raises:
@@ -49,9 +47,6 @@ class TrackerOptions(Struct, frozen=True, forbid_unknown_fields=True):
             public=True,
         ),
     ] = ""
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
     @property
     def deck_tilt_sigma_rad(self) -> float:

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from estimator.contracts.keys import check_ranges, choice, number
+from estimator.contracts.keys import CheckedOptions, choice, number
 
 CLEAR_M = 100000.0
 """A visibility without any haze, m."""
@@ -65,12 +65,8 @@ class LightSettings(Struct, frozen=True, forbid_unknown_fields=True):
     )
 
 
-class GimbalSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """A gimbal; only the stand-in for an autopilot program has one (`simulate --autopilot ... --binary stand-in`).
-
-    Raises:
-        ValueError: a number is outside its range.
-    """
+class GimbalSettings(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """A gimbal; only the stand-in for an autopilot program has one (`simulate --autopilot ... --binary stand-in`)."""
 
     device_id: Annotated[
         int,
@@ -91,9 +87,6 @@ class GimbalSettings(Struct, frozen=True, forbid_unknown_fields=True):
     report_delay_s: Annotated[float, number("delay of its reports, whose stamps are right", "s", 0.0, 0.5)] = 0.01
     leaves_at_s: Annotated[float, number("time at which somebody else points it ahead; 0 for never", "s", 0.0, 3600.0)] = 0.0
     silent_at_s: Annotated[float, number("time at which its reports end; 0 for never", "s", 0.0, 3600.0)] = 0.0
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
     @property
     def given(self) -> bool:
