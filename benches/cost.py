@@ -51,8 +51,7 @@ def serve(rig: str, how: str, *, profiled: bool) -> None:
     from companion.guidance.pilot import Pilot
     from companion.parts.mavlink.component import Component
     from drivers.camera import v4l2
-    from drivers.camera.v4l2_device import Buffer
-    from drivers.camera.v4l2_formats import FrameLayout
+    from drivers.camera.v4l2_device import Buffer, FrameLayout
 
     begin_thread, on_frame = threading.Thread._bootstrap_inner, Component.on_frame  # type: ignore[attr-defined]
     profiler, ms = cProfile.Profile(time.thread_time), list[float]()

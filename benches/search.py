@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from benches.real import SHIPPED, Looks, curve_of
-from companion.tools.pads.clutter import view
+from companion.tools.pads.price import view
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame

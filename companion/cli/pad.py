@@ -19,9 +19,8 @@ from companion.cli.options import WorkProgress, file_errors, option, print_resul
 from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, shipped
 from companion.tools.calibrate.board import BOARDS
 from companion.tools.calibrate.guide import files_of, read_image
-from companion.tools.pads.clutter import VIEWS
 from companion.tools.pads.pictures import check_pictures, lines
-from companion.tools.pads.price import MOUNT, Price, price
+from companion.tools.pads.price import MOUNT, VIEWS, Price, price
 from companion.tools.print_pad.sheets import PAPERS, board_drawing, pad_drawing, pdf, sheets, svg
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera

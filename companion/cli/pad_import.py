@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 
 from companion.cli.options import file_errors, option
-from companion.tools.pads.svg import read_svg
-from companion.tools.pads.trace import Picture, drawn, fault_of, file_text, photographed, traced
+from companion.tools.pads.trace import Picture, drawn, fault_of, file_text, photographed, read_svg, traced
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import LARGEST_M, SMALLEST_M, Pad

@@ -18,8 +18,8 @@ from msgspec import Struct, structs
 from companion.base import signals
 from companion.base.observer import ProcessedFrame
 from companion.cli.options import option, print_result
+from companion.parts.recorder.recorder import digest_file, recordings
 from companion.parts.recorder.setup import about, recorder_to_file
-from companion.parts.recorder.storage_policy import digest_file, recordings
 from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant, open_recording
 from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped

@@ -49,8 +49,7 @@ def run(args: argparse.Namespace) -> int:
     settings = None if args.config is None else load(args.config)
     camera, gimballed = (None, False) if settings is None else (camera_model(settings), settings.camera.gimbal.given)
     from companion.base import event_loop
-    from companion.tools.ros2.live_client import LiveClient
-    from companion.tools.ros2.node import RosBridge, RosNode, wanted
+    from companion.tools.ros2.node import LiveClient, RosBridge, RosNode, wanted
 
     client = LiveClient(args.url, None if token is None else token.decode(), wanted, _note)
     node = RosNode("decklander")

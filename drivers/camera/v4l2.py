@@ -22,8 +22,7 @@ from drivers.camera.exposure import ExposureDrive, ExposureSetting
 from drivers.camera.images import claimed_size
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource, stamp_of
-from drivers.camera.v4l2_device import Buffer, KernelDevice
-from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
+from drivers.camera.v4l2_device import Buffer, FrameLayout, H264Decoder, KernelDevice, to_bgr
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import Clock, MonoNs, Stamp

@@ -31,13 +31,12 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.core.abi import DL_LAMP_PAIRS_MAX
 from estimator.core.library import CORE
 from estimator.vision.about_pad import DeckMemory
+from estimator.vision.by_paint import ExpectedPlace, by_paint, by_thesis, expected, in_camera, near_enough, read_deck, sigma_of
 from estimator.vision.by_paint import TrackerMemory as TrackerMemory
-from estimator.vision.by_paint import by_paint, by_thesis, read_deck
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import FRESH_SEARCH
 from estimator.vision.detect.template import paints_at
 from estimator.vision.detection import Detection
-from estimator.vision.expectation import ExpectedPlace, expected, in_camera, near_enough, sigma_of
 from estimator.vision.lamp import Lamp, places_of
 from estimator.vision.native import checked, image_of, native_prior, tracker_of, work_done
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions

@@ -20,8 +20,7 @@ from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
 from estimator.vision.regions import outlines_of, part_of
 from sitl.campaign.figures import SuccessMap, wilson
-from sitl.campaign.growth import Reading
-from sitl.campaign.soak import Flown, fault_of
+from sitl.campaign.soak import Flown, Reading, fault_of
 from sitl.flight.ending import Grade
 
 INK, FAINT = "#010203", "#040506"

@@ -39,8 +39,7 @@ from sitl.ardrone.uvlc import ArrivingFrames, synced
 from sitl.camera.render_worker import RenderWorker
 from sitl.faults.faulty_streams import InTransit
 from sitl.faults.kinds import OperatorActs, ServiceKilled
-from sitl.flight.afterwards import STANDS_AFTER_S, Aftermath, AftermathWatch, Standing, standing_of
-from sitl.flight.ending import Ending
+from sitl.flight.ending import STANDS_AFTER_S, Aftermath, AftermathWatch, Ending, Standing, standing_of
 from sitl.flight.grader import FlightGrader
 from sitl.flight.hands import BY_REMOTE, MOTORS_TURN
 from sitl.flight.person import SimulatedPerson

@@ -10,8 +10,7 @@ from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
-from sitl.camera.camera import Renderer
-from sitl.camera.drops import Drops
+from sitl.camera.camera import Drops, Renderer
 from sitl.camera.film import Automatics, Film
 from sitl.camera.light import Light, Mast, Sensor
 from sitl.camera.settings import CLEAR_M

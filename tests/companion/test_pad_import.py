@@ -17,10 +17,8 @@ import pytest
 from companion.cli.main import main
 from companion.cli.pad_import import clicked
 from companion.settings.load import read_toml
-from companion.tools.pads.clutter import VIEWS, kind_of, view
-from companion.tools.pads.price import CAMERA, planted, price
-from companion.tools.pads.svg import read_svg
-from companion.tools.pads.trace import drawn, traced
+from companion.tools.pads.price import CAMERA, VIEWS, kind_of, planted, price, view
+from companion.tools.pads.trace import drawn, read_svg, traced
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Frame

@@ -18,8 +18,7 @@ from companion.base.containment import Audience
 from companion.base.health import Health
 from companion.base.observer import Decision, ProcessedFrame
 from companion.facts.records import TruthRecord
-from companion.parts.recorder.recorder import Recorder, RecorderState
-from companion.parts.recorder.storage_policy import Folder, SingleFile
+from companion.parts.recorder.recorder import Folder, Recorder, RecorderState, SingleFile
 from companion.recording import channels
 from companion.recording.channels import TOPICS
 from companion.recording.mcap_file import About

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from companion.base.observer import Decision
-from companion.parts.recorder.recorder import Recorder, RecorderState
-from companion.parts.recorder.storage_policy import Folder, SingleFile
+from companion.parts.recorder.recorder import Folder, Recorder, RecorderState, SingleFile
 from companion.recording import mcap_file
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.service import RecorderOptions
@@ -111,7 +110,7 @@ def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_p
 def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = {"bytes": 900_000_000}
     monkeypatch.setattr(
-        "companion.parts.recorder.storage_policy.shutil.disk_usage", lambda _: type("Usage", (), {"free": free["bytes"]})
+        "companion.parts.recorder.recorder.shutil.disk_usage", lambda _: type("Usage", (), {"free": free["bytes"]})
     )
     folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=500.0)
     with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=0.5)) as recorder:
@@ -137,9 +136,7 @@ def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: P
 
 
 def test_a_full_disk_with_a_little_room_is_left_alone(tmp_path, disk, caplog, monkeypatch):
-    monkeypatch.setattr(
-        "companion.parts.recorder.storage_policy.shutil.disk_usage", lambda _: type("Usage", (), {"free": 300_000})
-    )
+    monkeypatch.setattr("companion.parts.recorder.recorder.shutil.disk_usage", lambda _: type("Usage", (), {"free": 300_000}))
     folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=0.0)
     with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=0.5)) as recorder:
         for i in range(500):

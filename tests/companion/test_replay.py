@@ -25,9 +25,8 @@ from companion.guidance.pilot import make_pilot
 from companion.parts.metrics.endpoint import text
 from companion.parts.mqtt import encode as mqtt_encode
 from companion.parts.mqtt import messages
-from companion.parts.recorder.recorder import Recorder
+from companion.parts.recorder.recorder import Recorder, SingleFile
 from companion.parts.recorder.setup import about
-from companion.parts.recorder.storage_policy import SingleFile
 from companion.recording import decode
 from companion.recording.reading import open_recording
 from companion.recording.rewriting import Cut, rewrite

@@ -19,10 +19,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.camera.live_bytes import Arrival, JpegSplitter
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions
 from drivers.camera.source import CameraLost
+from drivers.camera.video_source import Arrival, JpegSplitter
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame

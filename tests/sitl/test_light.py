@@ -8,8 +8,7 @@ from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64
 from estimator.vision.srgb import linear_light
-from sitl.camera.camera import Exposure, Renderer
-from sitl.camera.drops import Drop, Drops, wet_lens
+from sitl.camera.camera import Drop, Drops, Exposure, Renderer, wet_lens
 from sitl.camera.light import FULL_SCALE, Development, Light, Mast, Sensor, counts, planck_rgb
 from sitl.camera.settings import DropSettings, LampSettings
 from sitl.camera.surroundings import Deck, Surroundings

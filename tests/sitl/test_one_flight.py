@@ -209,7 +209,7 @@ def test_a_deck_under_the_drone_before_it_sees_the_pad_is_no_leap_of_its_velocit
     ],
 )
 def test_places_that_are_wrong_or_missing_are_refused_with_their_reason(capsys, monkeypatch, words, code, reason):
-    monkeypatch.setattr("sitl.flight.afterwards.WATCHED_S", 2.0)
+    monkeypatch.setattr("sitl.flight.ending.WATCHED_S", 2.0)
     ended, ending = simulate(capsys, *words)
     assert (ended, ending["outcome"], ending["contacts"]) == (code, "refused", [])
     assert reason in str(ending["refused"])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, after
-from sitl.flight.afterwards import STANDS_AFTER_S, AftermathWatch
+from sitl.flight.ending import STANDS_AFTER_S, AftermathWatch
 from sitl.flight.one_flight import FlyOptions, settings_for
 from sitl.flight.referee import Errand, Referee
 from sitl.scenario.scenario import load, sea_of, wind_of
@@ -151,7 +151,7 @@ def test_a_landing_says_where_the_vehicle_stands_and_in_what_it_differs() -> Non
 
 
 def test_a_refused_vehicle_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sitl.flight.afterwards.WATCHED_S", 2.0)
+    monkeypatch.setattr("sitl.flight.ending.WATCHED_S", 2.0)
     scenario = near(weather={"wind_m_s": 20.0}, expect="refuse")
     flown: list[Truth] = []
     options = FlyOptions(on_truth=flown.append)

@@ -9,8 +9,7 @@ from typing import Literal
 
 from companion.base.containment import CallGuard, RestartablePart
 from companion.base.health import Health
-from companion.parts.recorder.recorder import PART, Recorder
-from companion.parts.recorder.storage_policy import Folder, SingleFile
+from companion.parts.recorder.recorder import PART, Folder, Recorder, SingleFile
 from companion.recording.channels import CAMERA, PAD, SETTINGS
 from companion.recording.mcap_file import About, Attachment
 from companion.settings import schema

@@ -23,8 +23,7 @@ from drivers.mailbox import Latest
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.motion import G_M_S2
-from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
-from sitl.emulators.autopilots.motors import Motors
+from sitl.emulators.autopilots.body import Body, BodyState, Motors, Settle, at_once
 from sitl.emulators.autopilots.own import OwnBody
 from sitl.scenario.scenario import wind_of
 from sitl.sensors.sensors import ORIGIN
@@ -42,7 +41,7 @@ CURVE = 0.65
 
 DEFAULTS, FRAME = "decklander.parm", "frame.json"
 PARAMETERS: dict[str, float] = {
-    # A quad X whose motors are those of `sitl.emulators.autopilots.motors`
+    # A quad X whose motors are those of `sitl.emulators.autopilots.body`
     "FRAME_CLASS": 1,
     "FRAME_TYPE": 1,
     "MOT_THST_EXPO": CURVE,

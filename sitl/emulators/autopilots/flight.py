@@ -50,8 +50,7 @@ from sitl.emulators.autopilots.stand_in.gimbal import GimbalLink
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import STATION, GroundStation, Task
 from sitl.faults.kinds import OperatorActs
-from sitl.flight.afterwards import STANDS_AFTER_S, Standing, standing_of
-from sitl.flight.ending import Ending
+from sitl.flight.ending import STANDS_AFTER_S, Ending, Standing, standing_of
 from sitl.flight.person import SimulatedPerson
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception

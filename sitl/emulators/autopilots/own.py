@@ -22,8 +22,7 @@ from estimator.contracts.geodesy import GeoPoint, moved, ned_between
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import Clock
 from sitl.core.library import SIM
-from sitl.emulators.autopilots.body import Body, Settle
-from sitl.emulators.autopilots.motors import Motors
+from sitl.emulators.autopilots.body import Body, Motors, Settle
 from sitl.emulators.autopilots.program import Program
 from sitl.faults.fault import FaultTimer
 from sitl.scenario.scenario import Scenario

@@ -23,8 +23,7 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.geodesy import GeoPoint, moved, pressure_of_height_pa
-from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
-from sitl.emulators.autopilots.motors import Motors
+from sitl.emulators.autopilots.body import Body, BodyState, Motors, Settle, at_once
 from sitl.emulators.autopilots.program import GUIDE
 from sitl.sensors.sensors import ORIGIN
 

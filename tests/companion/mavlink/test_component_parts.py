@@ -19,8 +19,7 @@ from companion.parts.mavlink.commands import (
     LandingProgress,
     Offered,
 )
-from companion.parts.mavlink.component import BURST, WAITING, MavSeverity, StatusTexts
-from companion.parts.mavlink.computer import Computer, ComputerReader, computer_status
+from companion.parts.mavlink.component import BURST, WAITING, Computer, ComputerReader, MavSeverity, StatusTexts, computer_status
 from companion.parts.mavlink.parameters import NAMES, ParameterServer, Tunables
 from companion.settings.model import Settings
 from drivers.mavlink.codec import Codec

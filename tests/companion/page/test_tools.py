@@ -19,8 +19,8 @@ from msgspec.structs import replace
 
 from companion.parts.page import make
 from companion.parts.page.access import own_names, refused_origin
+from companion.parts.page.endpoint import picture_lines
 from companion.parts.page.settings_tool import check, line_of, masked, unmasked
-from companion.parts.page.state import picture_lines
 from companion.settings.links import HttpSettings
 from companion.settings.load import camera_model, load, pad_model
 from companion.settings.settings_file import SettingsFile

@@ -20,9 +20,8 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import LinkOptions, open_links
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import Rotation
-from sitl.emulators.autopilots.body import BodyState
+from sitl.emulators.autopilots.body import BodyState, Motors, MotorVehicle
 from sitl.emulators.autopilots.lock_step import LockStepClock
-from sitl.emulators.autopilots.motors import Motors, MotorVehicle
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.vehicle.airframe import Airframe
 from sitl.vessel.contact import DeckShape, Ground

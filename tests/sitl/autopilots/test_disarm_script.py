@@ -11,8 +11,7 @@ import pytest
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
-from sitl.emulators.autopilots.body import BodyState
-from sitl.emulators.autopilots.motors import Motors
+from sitl.emulators.autopilots.body import BodyState, Motors
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import STEP_S
 from sitl.vehicle.airframe import Airframe

@@ -13,8 +13,7 @@ from drivers.mavlink.dialect import mav
 from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.geodesy import GeoPoint, ned_between
 from sitl.emulators.autopilots.arducopter import CURVE, JsonBackend, decode
-from sitl.emulators.autopilots.body import Body
-from sitl.emulators.autopilots.motors import wrench
+from sitl.emulators.autopilots.body import Body, wrench
 from sitl.emulators.autopilots.px4 import HilBackend, SensorNoise, gnss, motors_of, sensors, serve_hil
 from sitl.scenario.scenario import Scenario, load
 from sitl.sensors.sensors import ORIGIN

@@ -18,7 +18,7 @@ from sitl.campaign.overrides import Overridable
 from sitl.emulators.autopilots import flight as autopilot_flight
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.faults.kinds import OperatorActs, ServiceKilled
-from sitl.flight.afterwards import STANDS_AFTER_S
+from sitl.flight.ending import STANDS_AFTER_S
 from sitl.flight.hands import HandsWatch
 from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive

@@ -18,8 +18,7 @@ import pytest
 from companion.base.mission import FlightOutcome
 from companion.cli import main as cli
 from estimator.contracts.estimates import Verdict
-from sitl.campaign.growth import Reading, findings, give_back, read, warm_up_s
-from sitl.campaign.soak import Flown, Records, Tally, real
+from sitl.campaign.soak import Flown, Reading, Records, Tally, findings, give_back, read, real, warm_up_s
 from sitl.flight.ending import Grade, Load
 from sitl.scenario.scenario import load
 from sitl.scenario.with_fault import faulty

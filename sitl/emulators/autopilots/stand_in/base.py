@@ -31,9 +31,8 @@ from drivers.mavlink.vehicle import ARMED, Stack, custom_mode, mode_name
 from estimator.contracts.geodesy import GeoPoint, moved, ned_between
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import Clock
-from sitl.emulators.autopilots.body import Body, BodyState
+from sitl.emulators.autopilots.body import Body, BodyState, Motors
 from sitl.emulators.autopilots.lock_step import LockStepClock
-from sitl.emulators.autopilots.motors import Motors
 from sitl.emulators.autopilots.stand_in.gimbal import GimbalLink
 from sitl.sensors.sensors import ORIGIN
 

@@ -7,8 +7,7 @@ from msgspec import Struct, field
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
-from sitl.emulators.autopilots.body import BodyState
-from sitl.emulators.autopilots.motors import Motors
+from sitl.emulators.autopilots.body import BodyState, Motors
 from sitl.vehicle.airframe import Airframe
 
 _TORQUE_MAX_N_M = 1.0

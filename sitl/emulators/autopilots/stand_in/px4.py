@@ -17,8 +17,7 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import Clock
 from sitl.emulators.autopilots import px4
-from sitl.emulators.autopilots.body import BodyState
-from sitl.emulators.autopilots.motors import Motors
+from sitl.emulators.autopilots.body import BodyState, Motors
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.emulators.autopilots.stand_in.cascade import PX4_GAINS, Cascade
 from sitl.sensors.sensors import ORIGIN
