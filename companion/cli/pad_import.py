@@ -119,41 +119,7 @@ def _corners(text: str | None) -> np.ndarray | None:
 
 _MOST_BYTES = 4096
 _CORNERS = ("fore left", "fore right", "aft right", "aft left")
-_PAGE = """<!doctype html><meta charset="utf-8"><title>Corners of the pad</title>
-<style>
-body { font: 16px sans-serif; margin: 1em; background: #fff; color: #111 }
-#view { position: relative; display: inline-block; cursor: crosshair } img { max-width: 100%; max-height: 80vh; display: block }
-svg { position: absolute; inset: 0; width: 100%; height: 100%; pointer-events: none }
-polygon { fill: #0a58ca33; stroke: #0a58ca; stroke-width: 2; vector-effect: non-scaling-stroke }
-button { font-size: 1em; padding: .5em 1em }
-</style>
-<p role="status" id="told"></p>
-<p><button id="undo">Take the last one back</button> <button id="use" disabled>Use these corners</button></p>
-<div id="view"><img id="photo" src="photo" alt="the photograph"><svg id="drawn" aria-hidden="true"><polygon/></svg></div>
-<script>
-const names = NAMES, at = [], photo = document.getElementById("photo"), drawn = document.getElementById("drawn");
-const told = document.getElementById("told"), use = document.getElementById("use");
-function show() {
-  const next = `Click the ${names[at.length]} corner of the rectangle (${at.length} of 4).`;
-  told.textContent = at.length < 4 ? next : "Four corners.";
-  use.disabled = at.length < 4;
-  drawn.setAttribute("viewBox", `-0.5 -0.5 ${photo.naturalWidth} ${photo.naturalHeight}`);
-  drawn.firstChild.setAttribute("points", at.map(p => p.join(",")).join(" "));
-}
-photo.onclick = e => {
-  if (at.length === 4) return;
-  const box = photo.getBoundingClientRect(), px = photo.naturalWidth / box.width;
-  at.push([(e.clientX - box.left) * px - 0.5, (e.clientY - box.top) * px - 0.5]);
-  show();
-};
-document.getElementById("undo").onclick = () => { at.pop(); show(); };
-use.onclick = async () => {
-  const answer = await fetch("corners", { method: "POST", body: JSON.stringify(at) });
-  told.textContent = answer.ok ? "Taken. Go on in the terminal." : "Refused: " + await answer.text() + ". Take some back.";
-  use.disabled = true;
-};
-photo.onload = show; if (photo.complete) show();
-</script>"""
+_PAGE = Path(__file__).with_name("pad_corners.html")
 
 
 def corners_of(body: bytes) -> F64:
@@ -183,7 +149,7 @@ def clicked(photo: bytes, tell: Callable[[str], None]) -> F64:
     """
     secret, found = secrets.token_urlsafe(16), list[F64]()
     answers = {
-        f"/{secret}/": (_PAGE.replace("NAMES", json.dumps(_CORNERS)).encode(), "text/html"),
+        f"/{secret}/": (_PAGE.read_text(encoding="utf-8").replace("NAMES", json.dumps(_CORNERS)).encode(), "text/html"),
         f"/{secret}/photo": (photo, ""),
     }
 

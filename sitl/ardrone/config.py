@@ -4,15 +4,15 @@ Source: Parrot AR.Drone SDK 2.0 developer guide, chapter 8 (configuration, multi
 drone answers on port 5559.
 """
 
+import csv
 import math
 import re
 from collections.abc import Iterator, Mapping
 from enum import Enum
-from typing import Literal
+from pathlib import Path
+from typing import Literal, cast
 
 from msgspec import Struct, structs
-
-from drivers.ardrone import control
 
 DEFAULT_ID = "00000000"
 """The id of the set that every client shares; nothing needs to be declared to write into it."""
@@ -82,109 +82,21 @@ _LIMITS = ("euler_angle_max", "control_vz_max", "control_yaw")
 LIMIT_KEYS = frozenset(f"control:{where}{name}" for where in ("", "indoor_", "outdoor_") for name in _LIMITS)
 
 
-def _fixed(name: str, default: str, kind: Kind = "text") -> Key:
-    return Key(name, default, kind, writable=False)
-
-
-def _limits() -> Iterator[Key]:
-    for where, angle, vz, yaw in (
-        ("", "0.20943952", "700", "1.7453293"),
-        ("indoor_", "0.20943952", "700", "1.7453293"),
-        ("outdoor_", "0.34906584", "1000", "3.4906585"),
-    ):
-        yield Key(f"control:{where}euler_angle_max", angle, "float", Scope.USER, low=0.0, high=0.52)
-        yield Key(f"control:{where}control_vz_max", vz, "float", Scope.USER, low=100.0, high=2000.0)
-        yield Key(f"control:{where}control_yaw", yaw, "float", Scope.USER, low=0.1, high=6.11)
-
-
 def tilting(keys: Mapping[str, Key], most_rad: float) -> Mapping[str, Key]:
     """Return the keys of a vehicle that takes tilts up to another one than the AR.Drone's firmware does."""
     return {name: structs.replace(key, high=most_rad) if name.endswith("euler_angle_max") else key for name, key in keys.items()}
 
 
 def _table() -> Iterator[Key]:
-    yield _fixed("general:num_version_config", "1", "int")
-    yield _fixed("general:num_version_mb", "33", "int")
-    yield _fixed("general:num_version_soft", "2.4.8")
-    yield _fixed("general:drone_serial", "PS721000SIMULATED")
-    yield _fixed("general:soft_build_date", "2014-07-03 12:00")
-    for motor in range(1, 5):
-        for part, text in (("soft", "1.43"), ("hard", "6.0"), ("supplier", "1.1")):
-            yield _fixed(f"general:motor{motor}_{part}", text)
-    yield Key("general:ardrone_name", "Decklander", "text")
-    yield _fixed("general:flying_time", "0", "int")
-    yield Key("general:navdata_demo", "FALSE", "bool")
-    yield Key("general:navdata_options", "65537", scope=Scope.APPLICATION, low=0, high=2**32 - 1)
-    yield Key("general:com_watchdog", "2", low=1, high=60)
-    yield Key("general:video_enable", "TRUE", "bool")
-    yield Key("general:vision_enable", "TRUE", "bool")
-    yield _fixed("general:vbat_min", "9000", "int")
-    yield Key("general:localtime", "0")
-
-    yield Key("control:control_level", "0", scope=Scope.APPLICATION)
-    yield from _limits()
-    yield Key("control:altitude_max", "3000", low=500, high=100_000)
-    yield Key("control:altitude_min", "50", low=50, high=100_000)
-    yield Key("control:control_trim_z", "0.0", "float", Scope.USER)
-    yield Key("control:control_iphone_tilt", "0.34906584", "float", Scope.USER, low=0.0, high=0.88)
-    for name in ("outdoor", "flight_without_shell", "autonomous_flight"):
-        yield Key(f"control:{name}", "FALSE", "bool")
-    yield Key("control:brushless", "TRUE", "bool")
-    yield Key("control:manual_trim", "FALSE", "bool", Scope.USER)
-    yield Key("control:flying_mode", "0", scope=Scope.SESSION, choices=frozenset("012"))
-    yield Key("control:hovering_range", "1000", scope=Scope.SESSION, low=0, high=100_000)
-    yield Key("control:flight_anim", "0,0", "text")
-    yield _fixed("control:accs_offset", control.format_vector((-2048.0, 2048.0, 2048.0)))
-    yield _fixed("control:magneto_offset", control.format_vector((0.0, 0.0, 0.0)))
-
-    for name in ("ssid_single_player", "ssid_multi_player"):
-        yield Key(f"network:{name}", "ardrone2_simulated", "text")
-    yield Key("network:wifi_mode", "0")
-    yield Key("network:owner_mac", "00:00:00:00:00:00", "text")
-    for name, port in (("navdata_port", 5554), ("video_port", 5555), ("at_port", 5556), ("cmd_port", 5559)):
-        yield _fixed(f"network:{name}", str(port), "int")
-
-    yield Key("pic:ultrasound_freq", "8", choices=frozenset("78"))
-    yield Key("pic:ultrasound_watchdog", "3")
-    yield _fixed("pic:pic_version", "184877088", "int")
-
-    yield _fixed("video:camif_fps", "30", "int")
-    yield Key("video:video_codec", "129", scope=Scope.SESSION, choices=frozenset({"129"}))
-    yield Key("video:video_channel", "0", scope=Scope.SESSION, choices=frozenset("0123"))
-    yield Key("video:codec_fps", "30", scope=Scope.SESSION, low=15, high=30)
-    yield Key("video:max_bitrate", "4000", scope=Scope.SESSION, low=250, high=20_000)
-    yield Key("video:bitrate", "1000", scope=Scope.APPLICATION, low=0, high=20_000)
-    yield Key("video:bitrate_ctrl_mode", "0", scope=Scope.APPLICATION, choices=frozenset("012"))
-    yield Key("video:bitrate_storage", "2000", scope=Scope.APPLICATION)
-    yield Key("video:video_on_usb", "FALSE", "bool")
-    yield Key("video:video_slices", "0")
-    yield Key("video:video_live_socket", "0")
-
-    yield Key("leds:leds_anim", "0,0,0", "text")
-    yield Key("detect:enemy_colors", "1", choices=frozenset("123"))
-    yield Key("detect:enemy_without_shell", "0")
-    yield Key("detect:groundstripe_colors", "16", scope=Scope.SESSION)
-    yield Key("detect:detect_type", "3", scope=Scope.SESSION, low=0, high=20)
-    for name in ("detections_select_h", "detections_select_v_hsync", "detections_select_v"):
-        yield Key(f"detect:{name}", "0", scope=Scope.SESSION, low=0, high=2**32 - 1)
-    yield Key("userbox:userbox_cmd", "0", "text", Scope.SESSION)
-    for name in ("latitude", "longitude", "altitude"):
-        yield Key(f"gps:{name}", "5.0000000000000000e+02", "float", Scope.SESSION)
-    yield Key("syslog:output", "7")
-    yield Key("syslog:max_size", "102400")
-    yield Key("syslog:nb_files", "5")
-
-    # Which user and application a session flies with is part of the session: choosing it again brings them back.
-    yield Key("custom:application_id", DEFAULT_ID, "text", Scope.SESSION)
-    yield Key("custom:application_desc", "Default application configuration", "text", Scope.APPLICATION)
-    yield Key("custom:profile_id", DEFAULT_ID, "text", Scope.SESSION)
-    yield Key("custom:profile_desc", "Default profile configuration", "text", Scope.USER)
-    yield Key("custom:session_id", DEFAULT_ID, "text")
-    yield Key("custom:session_desc", "Default session configuration", "text", Scope.SESSION)
+    with Path(__file__).with_name("configuration.csv").open(encoding="ascii", newline="") as file:
+        for row in csv.DictReader(file):
+            scope, low, high = Scope(row["scope"]), float(row["low"] or -math.inf), float(row["high"] or math.inf)
+            kind, choices = cast(Kind, row["kind"]), frozenset(row["choices"].split())
+            yield Key(row["name"], row["default"], kind, scope, row["writable"] == "yes", low, high, choices)
 
 
 KEYS: Mapping[str, Key] = {key.name: key for key in _table()}
-"""The keys of a 2.0 with firmware 2.4.8."""
+"""The keys of a 2.0 with firmware 2.4.8. Which user and application a session flies with is part of the session."""
 
 
 class Configuration:

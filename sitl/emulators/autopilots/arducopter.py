@@ -25,6 +25,7 @@ from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.motion import G_M_S2
 from sitl.emulators.autopilots.body import Body, BodyState, Motors, Settle, at_once
 from sitl.emulators.autopilots.own import OwnBody
+from sitl.emulators.autopilots.program import parameters_of
 from sitl.scenario.scenario import wind_of
 from sitl.sensors.sensors import ORIGIN
 from sitl.vehicle.airframe import Airframe
@@ -36,53 +37,12 @@ _HEADER = struct.Struct("<HHI")
 STEP_S = 0.00125
 """Step of the physics, s: half a cycle of ArduCopter's main loop, which misses one cycle in four at a whole cycle. ArduCopter
 first requests 1200 Hz and then adopts the rate of the timestamps."""
-CURVE = 0.65
-"""MOT_THST_EXPO that ArduCopter assumes by default."""
 
 DEFAULTS, FRAME = "decklander.parm", "frame.json"
-PARAMETERS: dict[str, float] = {
-    # A quad X whose motors are those of `sitl.emulators.autopilots.body`
-    "FRAME_CLASS": 1,
-    "FRAME_TYPE": 1,
-    "MOT_THST_EXPO": CURVE,
-    "MOT_THST_HOVER": 0.48,
-    # Gains of its yaw: the airframe yaws weakly, at the default rate gain more slowly than the default angle gain requests, and
-    # its heading swings by itself, 10 degrees to either side (ATC_RAT_YAW_P 0.18, ATC_ANG_YAW_P 4.5)
-    "ATC_RAT_YAW_P": 0.6,
-    "ATC_RAT_YAW_I": 0.06,
-    "ATC_ANG_YAW_P": 3.0,
-    # Calibration of its simulated compass and accelerometers, so that it arms
-    **{f"COMPASS_OFS{n}_{axis}": value for n in ("", 2, 3) for axis, value in (("X", 5), ("Y", 13), ("Z", -18))},
-    **{f"INS_ACC{n}OFFS_{axis}": 0.001 for n in ("", 2) for axis in "XYZ"},
-    **{f"INS_ACC{n}SCAL_{axis}": 1.001 for n in ("", 2) for axis in "XYZ"},
-    "INS_GYR_CAL": 0,
-    # Flight without a remote control and without a ground station's heartbeat
-    "FS_THR_ENABLE": 0,
-    "FS_GCS_ENABLE": 0,
-    "DISARM_DELAY": 10,
-    # ArduCopter's own simulated lidar, looking down, fed by our `rng_1`
-    "RNGFND1_TYPE": 100,
-    "RNGFND1_ORIENT": 25,
-    "RNGFND1_MIN_CM": 2,
-    "RNGFND1_MAX_CM": 4000,
-    # The parameters that docs/ardupilot.md recommends
-    "PLND_ENABLED": 1,
-    "PLND_TYPE": 1,
-    "PLND_EST_TYPE": 1,
-    "PLND_OPTIONS": 1,
-    "PLND_STRICT": 1,
-    "PLND_LAG": 0.05,
-    "GUID_TIMEOUT": 1,
-    "GUID_OPTIONS": 16,
-    "PSC_JERK_XY": 20,
-    "WPNAV_ACCEL": 500,
-    "PSC_ACCZ_FF": 0.48,
-    "PSC_JERK_Z": 15,
-    "WPNAV_ACCEL_Z": 300,
-    "ANGLE_MAX": 4500,
-    "LOG_DISARMED": 0,
-}
+PARAMETERS = parameters_of("arducopter.parm")
 """The parameters that differ from ArduCopter's defaults."""
+CURVE = PARAMETERS["MOT_THST_EXPO"]
+"""The curve of its motors' thrust, which ArduCopter assumes by default."""
 _REFERENCE_M_S = 10.0
 OWN: dict[str, float] = {
     **{name: value for name, value in PARAMETERS.items() if not name.startswith("ATC_")},

@@ -23,6 +23,13 @@ _PORTS = range(24_000, 32_000)
 _PR_SET_PDEATHSIG = 1
 
 
+def parameters_of(name: str) -> dict[str, float]:
+    """Return the parameters in a file beside this module: a name and a value a line, as ArduPilot's tools write them."""
+    lines = Path(__file__).with_name(name).read_text(encoding="ascii").splitlines()
+    pairs = (line.split() for line in lines if not line.startswith("#"))
+    return {key: float(value) for key, value in pairs}
+
+
 class Program:
     """A running program."""
 

@@ -24,25 +24,15 @@ from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.geodesy import GeoPoint, moved, pressure_of_height_pa
 from sitl.emulators.autopilots.body import Body, BodyState, Motors, Settle, at_once
-from sitl.emulators.autopilots.program import GUIDE
+from sitl.emulators.autopilots.program import GUIDE, parameters_of
 from sitl.sensors.sensors import ORIGIN
 
 PHYSICS_PORT = 4560
 MAVLINK_PORTS = (14540, 14550)
 STEP_S = 0.004
 """Step of the physics, s: PX4's start-up files set IMU_INTEG_RATE to 250 Hz in simulation."""
-PARAMETERS: dict[str, float] = {
-    # Flight without a remote control; the loss of a ground station has no effect
-    "COM_RC_IN_MODE": 4,
-    "NAV_DLL_ACT": 0,
-    "COM_OF_LOSS_T": 1.0,
-    "COM_OBL_RC_ACT": 5,
-    # Without the checks that compare GNSS with a vehicle at rest: a ship under way is not at rest (docs/px4.md)
-    "EKF2_GPS_CHECK": 21,
-    # Thrust is linear in the command, as for the simulated motors
-    "THR_MDL_FAC": 0.0,
-    "MPC_THR_HOVER": 0.48,
-}
+PARAMETERS = parameters_of("px4.parm")
+"""The parameters that differ from PX4's defaults."""
 OWN = {"SIH_DISTSNSR_OVR": 10_000.0}
 """The parameters for PX4's own vehicle (SIH): its lidar, which knows nothing of our deck, is off."""
 _ALL_SENSORS = 0x1FFF
