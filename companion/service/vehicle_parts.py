@@ -32,7 +32,8 @@ from drivers.camera.options import CameraOptions, ExposureOptions, Size, check_s
 from drivers.camera.source import VideoSource
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
-from drivers.nmea.sentences import REFUSED_FOR, NmeaReader, SentenceSource, sentences_from
+from drivers.nmea.sentences import REFUSED_FOR, NmeaReader
+from drivers.nmea.transport import SentenceSource, sentences_from
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState
@@ -205,10 +206,10 @@ class SentencesPart(NullObserver):
         self._told: set[str] = set()
 
     def counted(self) -> Mapping[str, float]:
-        """Return the counters for health: sentences taken by kind, and refused ones by reason."""
+        """Return the counters for health: sentences taken by kind, refused ones by reason, and both by talker and kind."""
         refused = self._reader.refused + self._source.refused
         out = {f"taken_{kind}": float(n) for kind, n in self._reader.taken.items()}
-        return out | {f"refused_{why}": float(n) for why, n in refused.items()}
+        return out | {f"refused_{why}": float(n) for why, n in refused.items()} | self._reader.by_source(self._clock.now())
 
     async def run(self) -> None:
         """Listen until cancelled.
@@ -225,7 +226,7 @@ class SentencesPart(NullObserver):
         for sample in self._reader.samples(lines, received_at):
             self._reports.offer(sample)
         refused = self._reader.refused + self._source.refused
-        for why in refused.keys() - self._told - {"other_sentence", "wrong_sender"}:
+        for why in refused.keys() - self._told - {"other_sentence", "wrong_sender", "other_receiver"}:
             self._told.add(why)
             reason = REFUSED_FOR.get(why, why.replace("_", " "))
             log.warning("a sentence of the ship was refused (%s); the next ones are counted only", reason)

@@ -1,44 +1,58 @@
-"""Sentences of NMEA 0183 (RMC, GGA, VTG, HDT) and AIS (VDM, VDO of one ship) to samples.
+"""Turn the sentences of one ship into samples: NMEA 0183 of her receivers, compasses, motion sensors and anemometer, and AIS.
 
-pynmea2 and pyais take the sentences apart. Every sentence needs its checksum, every number is checked before it is used, and
-what is not taken is counted by its reason. Nothing on the wire raises.
+pynmea2 and pyais take the sentences apart. Every sentence needs its checksum (TSS1 and EM3000 have none), every number is checked
+before it is used, and what is not taken is counted by its reason. Nothing on the wire raises.
 
-They arrive by UDP, TCP or a serial port. By UDP an address counts and not a port: several programs of one computer may send, each
-line from a port of its own (a shell loop). Sentences that are cut between datagrams are put together for each port alone, so that
-programs do not mix.
+Two receivers in one stream are two sources, kept apart by their talkers: place, velocity, heading, rate of turn and wind are each
+of one of them. Motion sensors are all passed on under their names.
 
 Source: NMEA 0183 version 4.11; ITU-R M.1371-5, annex 8, tables 48 and 70 (position reports of classes A and B).
 """
 
-import datetime
-import ipaddress
-import logging
 import math
-import re
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
-from contextlib import asynccontextmanager
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from typing import Any
 
 import numpy as np
 import pyais
 import pynmea2
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from drivers.clock_map import ClockMap, ClockMapOptions
-from drivers.endpoint import Address, Endpoint
-from drivers.wires import Wire, open_wire
-from estimator.contracts.errors import Recoverable
+from drivers.nmea import motion as say
+from drivers.nmea.fields import (
+    KNOT_M_S,
+    SPEED_MAX_KN,
+    Refused,
+    checked,
+    heading_deg,
+    number,
+    place,
+    rounding,
+    text,
+    time_ns,
+    velocity,
+)
+from drivers.nmea.motion import ShipMotion, Wind
+from drivers.nmea.transport import DATAGRAM_MAX, LINES_MAX
+from drivers.one_source import SourceChoice
 from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselReport
-from estimator.contracts.time import NS_PER_S, Clock, MonoNs, Stamp, seconds_between
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselMotion, VesselReport, VesselWind
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 
-KNOT_M_S = 1852.0 / 3600.0
-DATAGRAM_MAX = 65_535
-LINES_MAX = 800
 _LINE_MAX = 1024
+_RATE_MAX, _BURST_MAX = 500.0, 2.0 * LINES_MAX
+"""Sentences that are read each second, and at once: a storm of them leaves time for the flight."""
+_NAMES_MAX, _TALKERS_MAX = 64, 16
 _DAY_NS, _MINUTE_NS = 86_400 * NS_PER_S, 60 * NS_PER_S
 _ARRIVAL_SIGMA_S = 0.2
 """Standard deviation of the instant of a sentence without a time."""
+_BURST_S, _BURST_SHARE = 0.5, 0.5
+"""Time after the sentence with a time in which others belong to its instant, and the same as a share of the time between two."""
 _FIX_SIGMA_M = 2.5
 """Standard deviation of a place at a dilution of precision of 1."""
 _DILUTION = 2.0
@@ -59,15 +73,23 @@ _AIS_SIGMA_M = {True: 5.0, False: 10.0}
 """Standard deviation of a position by the flag of AIS, m: the flag shows only whether it is better than 10 m."""
 HEADING_SIGMA_RAD = math.radians(2.0)
 """Standard deviation of a ship's compass."""
+_SIGMA_TURN_RAD_S = math.radians(0.1)
+"""Standard deviation of a rate of turn."""
 COV_SPEED = np.diag([0.2**2, 0.2**2, UNKNOWN_VAR])
 """(3, 3) (m/s)^2 covariance of a ship's velocity by her GNSS receiver, which has no vertical one."""
 COV_SPEED.setflags(write=False)
-_SPEED_MAX_KN = 102.0
-_COURSE_FROM_M_S = 0.3
-"""Speed below which a receiver may leave the course out."""
 _AIS_NO_PLACE, _AIS_RECKONED = {61: "typed_in", 63: "no_fix"}, 62
 """Seconds of the minute above 60, which say how the transponder has its place."""
 _AIS_REPORTS = (1, 2, 3, 18, 19)
+
+_DOUBTED = 2.0
+"""Factor on the sigma of a heading from a sentence that is not its compass's own, when a source is chosen."""
+_WIND_RANK = {"R": 0.4, "N": 0.7, "T": 1.0}
+"""Order of winds: made here of the apparent one and her way, by her own from north, by her own from the bow (over the water)."""
+_WAY_S = 5.0
+"""Age up to which her heading and velocity make a wind over the ground of an apparent one."""
+_QUALITY_S = 3.0
+_NOT_VALID = 2
 
 REFUSED_FOR = {
     "no_fix": "the receiver has no fix",
@@ -76,10 +98,78 @@ REFUSED_FOR = {
     "simulated": "it says that it is simulated; for a rehearsal set expert.vessel.nmea_simulated",
     "reckoned": "its velocity is reckoned from an old place",
     "impossible": "it holds a number that no ship has",
+    "bad_quality": "the sensor says that its data are not good",
+    "other_receiver": "another of her receivers is used",
+    "no_way": "an apparent wind without her heading and velocity",
+    "too_many": f"more than {_RATE_MAX:.0f} sentences a second",
 }
 """Meanings of reasons whose names alone are not clear."""
 
-Samples = list[GeoFix | VesselReport]
+Samples = list[GeoFix | VesselReport | VesselMotion | VesselWind]
+
+
+class SourceCount(Struct):
+    """The sentences of one kind by one talker."""
+
+    used: int = 0
+    """The number of those that gave a sample, or hold no more than a state."""
+    refused: Counter[str] = field(default_factory=Counter)
+    last: MonoNs | None = None
+    gap_s: float = 0.0
+    """Mean time between two, over the last ten or so."""
+
+    def on_sentence(self, now: MonoNs) -> None:
+        """Count the time since the one before."""
+        if self.last is not None:
+            gap_s = seconds_between(self.last, now)
+            self.gap_s += (gap_s - self.gap_s) / min(10, self.used + self.refused.total())
+        self.last = now
+
+    def rate_hz(self, now: MonoNs) -> float:
+        """Return how many arrive each second; of one that fell silent it sinks."""
+        silent_s = 0.0 if self.last is None else seconds_between(self.last, now)
+        return 0.0 if self.gap_s <= 0.0 else 1.0 / max(self.gap_s, silent_s)
+
+
+class _Receiver:
+    """The clock of one talker, and the burst of sentences that it sends for one instant.
+
+    A receiver sends what it knows of one instant together, and the time of that in some of its sentences alone. Roll, pitch and
+    heave of two recorded Seapaths agree as of the time in the burst, and are a third of a second old on arrival.
+    """
+
+    def __init__(self, name: str) -> None:
+        # The window is long, so that a link that becomes slow is reported as late reports and not as another clock.
+        self._day = ClockMap(_options(_DAY_NS, 0.01))
+        self.name = name
+        self.heading: tuple[MonoNs, float] | None = None
+        """Arrival and degrees of the newest heading."""
+        self.matches = 0
+        """The number of motions that had the heading of this talker to the digit."""
+        self._time_ns = -1
+        self._burst: Stamp | None = None
+        self._period_s = 0.0
+        self._before, self._in_burst = Counter[str](), Counter[str]()
+
+    def timed(self, time_of_day_ns: int, received_at: MonoNs) -> Stamp:
+        """Return the stamp of a sentence with a time of day."""
+        stamp = self._day.stamp(time_of_day_ns, received_at)
+        if time_of_day_ns != self._time_ns:
+            self._period_s = 0.0 if self._burst is None else seconds_between(self._burst.received_at, received_at)
+            self._time_ns, self._burst = time_of_day_ns, stamp
+            self._before, self._in_burst = self._in_burst, Counter()
+        return stamp
+
+    def untimed(self, kind: str, received_at: MonoNs) -> Stamp:
+        """Return the stamp of a sentence without a time: that of its burst if it is one of a kind there, else its arrival."""
+        self._in_burst[kind] += 1
+        one = self._in_burst[kind] == 1 and self._before[kind] <= 1
+        if self._burst is None or not one:
+            return _arrival(received_at)
+        late_s = seconds_between(self._burst.received_at, received_at)
+        if not 0.0 <= late_s <= min(_BURST_S, _BURST_SHARE * self._period_s):
+            return _arrival(received_at)
+        return replace(self._burst, received_at=received_at)
 
 
 class NmeaReader:
@@ -88,32 +178,46 @@ class NmeaReader:
     Args:
         mmsi: whose AIS reports are taken; 0 for nobody's.
         simulated: whether what says that it is simulated is worth what a fix is: a rehearsal.
+        choice: chooses one of several sources; shared by all that report of one ship.
+        name: prefix of the names of sources and sensors, where several streams of one ship are read.
     """
 
-    def __init__(self, mmsi: int = 0, simulated: bool = False) -> None:
+    def __init__(self, mmsi: int = 0, simulated: bool = False, choice: SourceChoice | None = None, name: str = "") -> None:
         self._mmsi = mmsi
         self._simulated = simulated
-        # The window is long, so that a link that becomes slow is reported as late reports and not as another clock.
-        self._day = ClockMap(_options(_DAY_NS, 0.01))
+        self._choice = choice or SourceChoice()
+        self._prefix = f"{name} " if name else ""
         self._minute = ClockMap(_options(_MINUTE_NS, 1.0))
+        self._receivers: dict[str, _Receiver] = {}
+        self._tokens, self._tokens_at = _BURST_MAX, MonoNs(0)
+        self._quality: tuple[MonoNs, tuple[int, int, int]] | None = None
+        self._heading: VesselReport | None = None
+        self._velocity: VesselReport | None = None
         self.taken: Counter[str] = Counter()
         """The number of sentences that gave a sample, by kind."""
         self.refused: Counter[str] = Counter()
         """The number of sentences that were not taken, by reason."""
-        self._table: dict[str, Callable[[Any, MonoNs], Samples]] = {
-            "RMC": self._rmc, "GGA": self._gga, "VTG": self._vtg, "HDT": self._hdt,
+        self.sources: dict[str, SourceCount] = {}
+        """The same by talker and kind, as `INGGA`; sentences without a right checksum have neither."""
+        self._table: dict[str, Callable[[Any, _Receiver, MonoNs], Samples]] = {
+            "RMC": self._rmc, "GGA": self._gga, "VTG": self._vtg, "HDT": self._hdt, "THS": self._ths, "VHW": self._vhw,
+            "ROT": self._rot, "XDR": self._xdr, "MWV": self._wind, "MWD": self._wind, "PSXN": self._psxn, "PASHR": self._pashr,
+            "PRDID": self._prdid,
         }  # fmt: skip
 
     def samples(self, datagram: bytes, received_at: MonoNs) -> Samples:
         """Return every sample in one datagram."""
-        out: Samples = []
-        for line in self._lines(datagram):
-            try:
-                out += self._sentence(line, received_at)
-            except _Refused as why:
-                self.refused[str(why)] += 1
-            except Exception:  # the libraries raise many kinds on damaged fields, and none of it may end the part
-                self.refused["malformed"] += 1
+        if len(datagram) > 1 and say.is_em3000(datagram):
+            records, _ = say.em3000_records(datagram)
+            return [one for record in records for one in self._em3000(record, received_at)]
+        return [one for line in self._lines(datagram) for one in self._line(line.strip(), received_at)]
+
+    def by_source(self, now: MonoNs) -> dict[str, float]:
+        """Return for health the numbers of sentences used, and of those refused by reason, and the rate, by talker and kind."""
+        out: dict[str, float] = {}
+        for name, count in self.sources.items():
+            out |= {f"used {name}": float(count.used), f"rate_hz {name}": round(count.rate_hz(now), 3)}
+            out |= {f"unused {name} {why}": float(n) for why, n in count.refused.items()}
         return out
 
     def _lines(self, datagram: bytes) -> Iterator[str]:
@@ -126,131 +230,302 @@ class NmeaReader:
             self.refused["too_long"] += len(lines) - len(short)
         yield from short
 
-    def _sentence(self, line: str, received_at: MonoNs) -> Samples:
-        line = line.strip()
+    def _line(self, line: str, received_at: MonoNs) -> Samples:
         if line.startswith("\\"):  # a TAG block of NMEA 4 before the sentence
             line = line[1:].partition("\\")[2]
+        if line.startswith(":"):
+            return self._counted("TSS1", "TSS1", lambda: self._tss1(line, received_at), received_at)
         if not checked(line):
-            raise _Refused("checksum")
-        if line.startswith("!"):
-            return self._counted("AIS", self._ais(line, received_at))
-        kind = line[3:6]
-        if kind not in self._table or line[1] == "P":  # a vendor's own, as Garmin's PGRMC, is none of these
-            self.refused["other_sentence"] += 1
+            self.refused["checksum"] += 1
             return []
-        return self._counted(kind, self._table[kind](pynmea2.parse(line, check=True), received_at))
+        if line.startswith("!"):
+            return self._counted(line[1:6].upper(), "AIS", lambda: self._ais(line, received_at), received_at)
+        line = line.upper()
+        begin, _, rest = line[1:].partition(",")
+        if begin.startswith("P"):
+            kind, talker = begin, ""
+            begin += "," + rest.partition(",")[0] if begin == "PSXN" else ""
+        else:
+            kind, talker = begin[2:], begin[:2]
+        return self._counted(begin, kind, lambda: self._sentence(kind, talker, line, received_at), received_at)
 
-    def _counted(self, kind: str, made: Samples) -> Samples:
-        self.taken[kind] += 1
-        return made
+    def _sentence(self, kind: str, talker: str, line: str, received_at: MonoNs) -> Samples:
+        if kind not in self._table:  # a vendor's own, as Garmin's PGRMC, is none of these
+            raise Refused("other_sentence")
+        body = line.rpartition("*")[0]
+        m = _Ths(talker, kind, body.split(",")[1:]) if kind == "THS" else pynmea2.parse(body)
+        return self._table[kind](m, self._receiver(talker), received_at)
 
-    def _rmc(self, m: Any, received_at: MonoNs) -> Samples:
+    def _counted(self, source: str, kind: str, read: Callable[[], Samples], now: MonoNs) -> Samples:
+        """Return the samples of one sentence, and count it."""
+        if source not in self.sources and len(self.sources) >= _NAMES_MAX:
+            source = "others"
+        count = self.sources.setdefault(self._prefix + source, SourceCount())
+        count.on_sentence(now)
+        try:
+            if not self._admits(now):
+                raise Refused("too_many")
+            made = read()
+        except Refused as why:
+            reason = str(why)
+        except Exception:  # the libraries raise many kinds on damaged fields, and none of it may end the part
+            reason = "malformed"
+        else:
+            self.taken[kind] += 1
+            count.used += 1
+            return made
+        self.refused[reason] += 1
+        count.refused[reason] += 1
+        return []
+
+    def _admits(self, now: MonoNs) -> bool:
+        passed_s = max(0.0, seconds_between(self._tokens_at, now))
+        self._tokens, self._tokens_at = min(_BURST_MAX, self._tokens + _RATE_MAX * passed_s), now
+        if self._tokens < 1.0:
+            return False
+        self._tokens -= 1.0
+        return True
+
+    def _receiver(self, talker: str) -> _Receiver:
+        if talker not in self._receivers and len(self._receivers) >= _TALKERS_MAX:
+            raise Refused("too_many_talkers")
+        return self._receivers.setdefault(talker, _Receiver(talker))
+
+    def _chosen(self, source: str, made: Samples, now: MonoNs, doubt: float = 1.0) -> Samples:
+        """Return those of the samples whose source is the chosen one of its quantity.
+
+        Raises:
+            Refused: none is.
+        """
+        kept = [one for one in made if self._choice.takes(*_quantity(one, doubt, self._prefix + source), now)]
+        if made and not kept:
+            raise Refused("other_receiver")
+        for one in kept:
+            if isinstance(one, VesselReport):
+                self._heading = one if one.heading_rad is not None else self._heading
+                self._velocity = one if one.v_vessel_ned is not None else self._velocity
+        return kept
+
+    def _rmc(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
         if m.status != "A":
-            raise _Refused("no_fix")
-        sigma_m = self._worth(_OF_MODE, _field(m, 11))
-        place, v = _place(m), None if m.spd_over_grnd is None else _velocity(m.spd_over_grnd, m.true_course)
+            raise Refused("no_fix")
+        sigma_m = self._worth(_OF_MODE, text(m, 11))
+        where, rounded_m = place(m)
+        v = None if m.spd_over_grnd is None else velocity(m.spd_over_grnd, m.true_course)
         v = v if sigma_m < _RECKONED_SIGMA_M else None
-        stamp = self._day.stamp(_time_ns(m.timestamp), received_at)
-        return [GeoFix(stamp, "vessel", place, sigma_m, v), *_moving(stamp, v)]
+        stamp = of.timed(time_ns(m.timestamp), received_at)
+        fix = GeoFix(stamp, "vessel", where, _widened(sigma_m, rounded_m), v)
+        return self._chosen(of.name, [fix, *_moving(stamp, v, text(m, "spd_over_grnd"))], received_at)
 
-    def _gga(self, m: Any, received_at: MonoNs) -> Samples:
-        sigma_m = self._worth(_OF_QUALITY, int(_number(m.gps_qual)))
-        dilution = _DILUTION if m.horizontal_dil in (None, "") else _number(m.horizontal_dil)
-        place = _place(m, None if m.altitude is None else _number(m.altitude))
-        return [GeoFix(self._day.stamp(_time_ns(m.timestamp), received_at), "vessel", place, sigma_m * max(1.0, dilution))]
+    def _gga(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        sigma_m = self._worth(_OF_QUALITY, int(number(m.gps_qual)))
+        dilution = _DILUTION if m.horizontal_dil in (None, "") else number(m.horizontal_dil)
+        where, rounded_m = place(m, None if m.altitude is None else number(m.altitude))
+        stamp = of.timed(time_ns(m.timestamp), received_at)
+        fix = GeoFix(stamp, "vessel", where, _widened(sigma_m * max(1.0, dilution), rounded_m))
+        return self._chosen(of.name, [fix], received_at)
 
-    def _vtg(self, m: Any, received_at: MonoNs) -> Samples:
-        if self._worth(_OF_MODE, _field(m, 8)) >= _RECKONED_SIGMA_M:
-            raise _Refused("reckoned")
+    def _vtg(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        if self._worth(_OF_MODE, text(m, 8)) >= _RECKONED_SIGMA_M:
+            raise Refused("reckoned")
         if m.spd_over_grnd_kts is None:
-            raise _Refused("no_fix")
-        return _moving(_arrival(received_at), _velocity(m.spd_over_grnd_kts, m.true_track))
+            raise Refused("no_fix")
+        v = velocity(m.spd_over_grnd_kts, m.true_track)
+        return self._chosen(of.name, _moving(of.untimed("VTG", received_at), v, text(m, "spd_over_grnd_kts")), received_at)
 
-    def _hdt(self, m: Any, received_at: MonoNs) -> Samples:
-        if not m.heading:
-            raise _Refused("no_heading")
-        heading_deg = _number(m.heading)
-        if m.hdg_true != "T" or not 0.0 <= heading_deg <= 360.0:
-            raise _Refused("impossible")
-        return [VesselReport(_arrival(received_at), None, None, math.radians(heading_deg), HEADING_SIGMA_RAD)]
+    def _hdt(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        return self._compass(text(m, "heading"), text(m, "hdg_true"), of, "HDT", received_at)
+
+    def _ths(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        mode = text(m, 1)
+        if mode not in ("", "A", "E", *("S",) * self._simulated):
+            raise Refused({"M": "typed_in", "S": "simulated", "V": "not_valid"}.get(mode, "impossible"))
+        return self._compass(text(m, 0), "T", of, "THS", received_at)
+
+    def _vhw(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        return self._compass(text(m, "heading_true"), text(m, "true") or "T", of, "VHW", received_at)
+
+    def _compass(self, cell: str, reference: str, of: _Receiver, kind: str, received_at: MonoNs) -> Samples:
+        bow_deg = heading_deg(cell, reference)
+        stamp, own = of.untimed(kind, received_at), kind != "VHW"
+        if own:
+            of.heading = received_at, bow_deg
+        report = _pointing(stamp, math.radians(bow_deg), rounding(cell, math.radians(1.0)))
+        return self._chosen(of.name if own else f"{of.name} {kind}", [report], received_at, 1.0 if own else _DOUBTED)
+
+    def _rot(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        if text(m, "status") not in ("", "A"):
+            raise Refused("not_valid")
+        return self._turning(text(m, "rate_of_turn"), 1.0 / 60.0, of, "ROT", received_at)
+
+    def _turning(self, cell: str, unit_deg_s: float, of: _Receiver, kind: str, received_at: MonoNs) -> Samples:
+        rate, rounded = say.turn(cell, unit_deg_s)
+        stamp, sigma = of.untimed(kind, received_at), math.hypot(_SIGMA_TURN_RAD_S, rounded)
+        return self._chosen(f"{of.name} {kind}", [VesselReport(stamp, None, None, None, None, rate, sigma)], received_at)
+
+    def _wind(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        kind = m.sentence_type
+        wind = say.mwv(m) if kind == "MWV" else say.mwd(m)
+        stamp = _arrival(received_at)
+        from_rad, speed_m_s = (wind.from_rad, wind.speed_m_s) if wind.reference == "N" else self._over_ground(wind, received_at)
+        sensor = f"{of.name} {kind}" + (wind.reference if kind == "MWV" else "")
+        made = VesselWind(stamp, self._prefix + sensor, from_rad % (2.0 * math.pi), speed_m_s)
+        return self._chosen(sensor, [made], received_at, _WIND_RANK[wind.reference])
+
+    def _over_ground(self, wind: Wind, now: MonoNs) -> tuple[float, float]:
+        """Return from where the wind blows over the ground, rad from north, and its speed, m/s, of one from the bow.
+
+        Raises:
+            Refused: her heading is not known now, or her velocity where the wind is the apparent one.
+        """
+        bow, way = (
+            None if r is None or seconds_between(r.stamp.received_at, now) > _WAY_S else r
+            for r in (self._heading, self._velocity)
+        )
+        if bow is None or bow.heading_rad is None:
+            raise Refused("no_way")
+        from_rad = bow.heading_rad + wind.from_rad
+        if wind.reference == "T":
+            return from_rad, wind.speed_m_s
+        if way is None or way.v_vessel_ned is None:
+            raise Refused("no_way")
+        north, east = (way.v_vessel_ned[:2] - wind.speed_m_s * np.array([math.cos(from_rad), math.sin(from_rad)])).tolist()
+        return math.atan2(-east, -north), math.hypot(north, east)
+
+    def _xdr(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        motions = say.xdr(m.data)
+        stamp = of.untimed("XDR", received_at)
+        return [self._moved(f"{of.name} XDR{number}", one, stamp) for number, one in motions]
+
+    def _psxn(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        kind = text(m, 1)
+        if kind == "20":
+            self._quality = received_at, say.quality(m)
+            return []
+        if kind == "22":
+            return []  # the calibration of its gyro, which its quality counts in
+        if kind == "24":
+            return self._turning(text(m, 4), 1.0, of, "PSXN", received_at)
+        if kind != "23":
+            raise Refused("other_sentence")
+        found = say.motion(text(m, 2), text(m, 3), text(m, 5), text(m, 4))
+        return self._of_sensor("PSXN", self._good(found, received_at), received_at)
+
+    def _good(self, found: ShipMotion, now: MonoNs) -> ShipMotion:
+        """Return the parts that the PSXN,20 before does not call invalid.
+
+        Raises:
+            Refused: none of the motion is left.
+        """
+        if self._quality is None or seconds_between(self._quality[0], now) > _QUALITY_S:
+            return found
+        heave, bow, tilt = (said == _NOT_VALID for said in self._quality[1])
+        if heave:
+            found = found._replace(heave_down_m=None)
+        if bow:
+            found = found._replace(heading_rad=None)
+        if tilt:
+            found = found._replace(roll_rad=None, pitch_rad=None)
+        if found[:2] == (None, None) and found.heave_down_m is None:
+            raise Refused("bad_quality")
+        if heave or bow or tilt:
+            self.refused["bad_quality"] += 1
+        return found
+
+    def _pashr(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        found = say.pashr(m)
+        stamp = self._receiver("PASHR").timed(time_ns(pynmea2.nmea_utils.timestamp(text(m, 1))), received_at)
+        return self._of_sensor("PASHR", found, received_at, stamp)
+
+    def _prdid(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        return self._of_sensor("PRDID", say.motion(text(m, 2), text(m, 1), "", text(m, 3)), received_at)
+
+    def _tss1(self, line: str, received_at: MonoNs) -> Samples:
+        return [self._moved("TSS1", say.tss1(line), _arrival(received_at))]
+
+    def _em3000(self, record: bytes, received_at: MonoNs) -> Samples:
+        return self._counted("EM3000", "EM3000", lambda: self._of_sensor("EM3000", say.em3000(record), received_at), received_at)
+
+    def _of_sensor(self, kind: str, found: ShipMotion, received_at: MonoNs, stamp: Stamp | None = None) -> Samples:
+        """Return the motion, and the heading in it, of a sentence that has no talker: it is one of whose heading it has."""
+        owner = self._owner(found, received_at)
+        stamp = stamp or (_arrival(received_at) if owner is None else owner.untimed(kind, received_at))
+        sensor = kind if owner is None else f"{owner.name} {kind}"
+        out: Samples = [self._moved(sensor, found, stamp)]
+        if found.heading_rad is not None:
+            with suppress(Refused):  # the heading of a compass's own sentence is used
+                out += self._chosen(sensor, [_pointing(stamp, found.heading_rad, found.sigma_heading_rad)], received_at, _DOUBTED)
+        return out
+
+    def _owner(self, found: ShipMotion, now: MonoNs) -> _Receiver | None:
+        """Return the receiver whose newest heading is that of a motion, to the digit."""
+        if found.heading_rad is None:
+            return None
+        same = math.degrees(found.heading_rad), 2.0 * math.degrees(found.sigma_heading_rad)
+        alike = [
+            of for of in self._receivers.values()
+            if of.heading is not None and seconds_between(of.heading[0], now) <= 1.0 and abs(of.heading[1] - same[0]) < same[1]
+        ]  # fmt: skip
+        for of in alike:
+            of.matches += 1
+        most = max((of.matches for of in self._receivers.values()), default=0)
+        # Another compass has the same heading by chance, now and then.
+        often = [of for of in alike or self._receivers.values() if 5 * of.matches > most > 0]
+        return max(often, key=lambda of: of.matches, default=None)
+
+    def _moved(self, sensor: str, found: ShipMotion, stamp: Stamp) -> VesselMotion:
+        return VesselMotion(
+            stamp,
+            self._prefix + sensor,
+            found.roll_rad,
+            found.pitch_rad,
+            found.sigma_tilt_rad,
+            found.heave_down_m,
+            found.sigma_heave_m,
+        )
 
     def _worth(self, table: Mapping[Any, float | str], said: object) -> float:
         """Return the standard deviation of a place by what its sentence says of it, m.
 
         Raises:
-            _Refused: it is none to fly by, or says what no receiver does.
+            Refused: it is none to fly by, or says what no receiver does.
         """
         worth = table.get(said, "impossible")
         if worth == "simulated" and self._simulated:
             return _FIX_SIGMA_M
         if isinstance(worth, str):
-            raise _Refused(worth)
+            raise Refused(worth)
         return worth
 
     def _ais(self, line: str, received_at: MonoNs) -> Samples:
         if line.split(",")[1] != "1":
-            raise _Refused("other_sentence")  # position reports are never longer than one sentence
+            raise Refused("other_sentence")  # position reports are never longer than one sentence
         m: Any = pyais.decode(line.encode("ascii"), error_if_checksum_invalid=True)
         if m.msg_type not in _AIS_REPORTS:
-            raise _Refused("other_sentence")
+            raise Refused("other_sentence")
         if self._mmsi == 0 or int(m.mmsi) != self._mmsi:
-            raise _Refused("other_ship")
+            raise Refused("other_ship")
         try:
-            place = GeoPoint.of_degrees(_number(m.lat), _number(m.lon))
+            where = GeoPoint.of_degrees(number(m.lat), number(m.lon))
         except ValueError:  # 91 and 181 say that there is no fix
-            raise _Refused("no_fix") from None
-        v = _velocity(m.speed, m.course if _number(m.course) < 360.0 else None) if _number(m.speed) <= _SPEED_MAX_KN else None
-        second, sigma_m = int(_number(m.second)), _AIS_SIGMA_M[bool(m.accuracy)]
+            raise Refused("no_fix") from None
+        v = velocity(m.speed, m.course if number(m.course) < 360.0 else None) if number(m.speed) <= SPEED_MAX_KN else None
+        second, sigma_m = int(number(m.second)), _AIS_SIGMA_M[bool(m.accuracy)]
         if second in _AIS_NO_PLACE:
-            raise _Refused(_AIS_NO_PLACE[second])
+            raise Refused(_AIS_NO_PLACE[second])
         if second == _AIS_RECKONED:
             sigma_m, v = _RECKONED_SIGMA_M, None
         stamp = self._minute.stamp(second * NS_PER_S, received_at) if second < 60 else _arrival(received_at)
-        out: Samples = [GeoFix(stamp, "vessel", place, sigma_m, v), *_moving(stamp, v)]
-        if 0 <= _number(m.heading) < 360:
-            out.append(VesselReport(stamp, None, None, math.radians(_number(m.heading)), HEADING_SIGMA_RAD))
-        return out
+        out: Samples = [GeoFix(stamp, "vessel", where, sigma_m, v), *_moving(stamp, v)]
+        if 0 <= number(m.heading) < 360:
+            out.append(VesselReport(stamp, None, None, math.radians(number(m.heading)), HEADING_SIGMA_RAD))
+        return self._chosen("AIS", out, received_at)
 
 
-class _Refused(Exception):
-    """A sentence is not taken; the text is the name of the counter."""
+class _Ths(pynmea2.TalkerSentence):  # type: ignore[misc]
+    """True heading and status, which pynmea2 does not know."""
 
-
-def checked(sentence: str) -> bool:
-    """Return whether a sentence begins as one and ends with the exclusive-or of what lies between."""
-    body, star, digits = sentence[1:].rpartition("*")
-    if sentence[:1] not in ("$", "!") or not star or len(digits) != 2:
-        return False
-    check = 0
-    for letter in body:
-        check ^= ord(letter)
-    return f"{check:02X}" == digits.upper()
-
-
-class ShipMotion(NamedTuple):
-    """The attitude of a ship, and the heave of the place where her motion sensor is."""
-
-    roll_rad: float
-    """Starboard down positive."""
-    pitch_rad: float
-    """Bow up positive."""
-    heading_rad: float
-    heave_down_m: float
-
-
-def ship_motion(sentence: str) -> ShipMotion | None:
-    """Return what a motion sensor's `$PSXN,23` says; None for another sentence, or one with a fault.
-
-    The sign of the heave is that of recorded sentences, beside the heights in the GGA of the same receiver.
-    """
-    cells = sentence.partition("*")[0].split(",")
-    if cells[:2] != ["$PSXN", "23"] or not checked(sentence):
-        return None
-    try:
-        roll, pitch, heading, heave_down_m = (_number(cell) for cell in cells[2:])
-    except (_Refused, ValueError):
-        return None
-    return ShipMotion(math.radians(roll), math.radians(pitch), math.radians(heading), heave_down_m)
+    fields = (("Heading", "heading"), ("Mode", "mode"))
 
 
 def _options(wrap_ns: int, resolution_s: float) -> ClockMapOptions:
@@ -263,197 +538,35 @@ def _arrival(received_at: MonoNs) -> Stamp:
     return Stamp(received_at, received_at, _ARRIVAL_SIGMA_S, "arrival")
 
 
-def _number(value: object) -> float:
-    """Return a field as a finite number.
-
-    Raises:
-        _Refused: it is none, or left out.
-    """
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        raise _Refused("malformed") from None
-    if not math.isfinite(number):
-        raise _Refused("impossible")
-    return number
+def _widened(sigma_m: float, rounded_m: float) -> float:
+    """Return the standard deviation of a place whose digits count where they are coarse."""
+    return math.hypot(sigma_m, rounded_m) if rounded_m > 0.1 * sigma_m else sigma_m
 
 
-def _field(m: Any, index: int) -> str:
-    """Return a field that older versions of the standard do not have, empty where it is not there."""
-    return str(m.data[index]).strip() if len(m.data) > index else ""
+def _pointing(stamp: Stamp, heading_rad: float, rounded_rad: float) -> VesselReport:
+    return VesselReport(stamp, None, None, heading_rad, math.hypot(HEADING_SIGMA_RAD, rounded_rad))
 
 
-def _time_ns(value: object) -> int:
-    """Return the time of day, nanoseconds.
-
-    Raises:
-        _Refused: it is left out or none.
-    """
-    if not isinstance(value, datetime.time):
-        raise _Refused("malformed")
-    return (value.hour * 3600 + value.minute * 60 + value.second) * NS_PER_S + value.microsecond * 1000
-
-
-def _place(m: Any, height_m: float | None = None) -> GeoPoint:
-    """Return the place of a sentence.
-
-    Raises:
-        _Refused: there is no such place, or a part of it is left out.
-    """
-    for text in (m.lat, m.lon):
-        if text and _number(text) % 100.0 >= 60.0:
-            raise _Refused("impossible")  # minutes of arc
-    if m.lat_dir not in ("N", "S") or m.lon_dir not in ("E", "W") or not m.lat or not m.lon:
-        raise _Refused("malformed")
-    try:
-        return GeoPoint.of_degrees(float(m.latitude), float(m.longitude), height_m)
-    except ValueError:
-        raise _Refused("impossible") from None
-
-
-def _velocity(speed_kn: object, course_deg: object) -> np.ndarray[tuple[int], np.dtype[np.float64]] | None:
-    """Return the velocity over the ground, (3,) m/s in ned; None if a ship that moves reports no course.
-
-    Raises:
-        _Refused: the speed is left out, or no ship's.
-    """
-    speed = KNOT_M_S * _number(speed_kn)
-    if not 0.0 <= speed <= KNOT_M_S * _SPEED_MAX_KN:
-        raise _Refused("impossible")
-    if course_deg in (None, ""):
-        return np.zeros(3) if speed < _COURSE_FROM_M_S else None
-    course = math.radians(_number(course_deg))
-    if not 0.0 <= course <= 2.0 * math.pi:
-        raise _Refused("impossible")
-    return np.array([speed * math.cos(course), speed * math.sin(course), 0.0])
-
-
-def _moving(stamp: Stamp, v: np.ndarray[tuple[int], np.dtype[np.float64]] | None) -> Samples:
+def _moving(stamp: Stamp, v: F64 | None, speed_kn: str = "") -> Samples:
     if v is None:
         return []
-    return [VesselReport(stamp, v, COV_SPEED, None, None)]
+    cov = COV_SPEED
+    if speed_kn:
+        cov = COV_SPEED + rounding(speed_kn, KNOT_M_S) ** 2 * np.diag([1.0, 1.0, 0.0])
+    return [VesselReport(stamp, v, cov, None, None)]
 
 
-_log = logging.getLogger(__name__)
-
-HELD_S = 30.0
-"""Silence after which another sender is listened to, unless the settings name one."""
-_CUT_S = 2.0
-"""Age at which the begin of a sentence waits no longer for its end."""
-_CUT_MAX = 512
-"""Bytes of a sentence without its end; NMEA 0183 allows 82, and a TAG block before them."""
-_SENDERS_MAX = 16
-_BEGINS = (b"$", b"!", b"\\")
-_TAG = re.compile(rb"\\[^\\]+\\")
-_ENDS = re.compile(rb"(\\[^\\]*\\)?[^\\]*\*[0-9A-Fa-f]{2}\s*")
-"""A sentence that needs no line end behind it: after its TAG block, if it has one, it ends with its checksum."""
-
-
-class SentenceJoiner:
-    """Returns the whole lines of what arrives in pieces, for each sender alone."""
-
-    def __init__(self) -> None:
-        self._begun: dict[Address | None, tuple[MonoNs, bytes]] = {}
-        self.cut = 0
-        """The number of sentences whose end or begin never came."""
-
-    def lines(self, data: bytes, sender: Address | None, now: MonoNs) -> list[bytes]:
-        """Return the lines that are complete now; a whole sentence needs no line end behind it."""
-        at, begun = self._begun.pop(sender, (now, b""))
-        another = data.startswith((b"$", b"!")) and not _TAG.fullmatch(begun)
-        if begun and (another or seconds_between(at, now) > _CUT_S):
-            self.cut += 1
-            begun = b""
-        *lines, rest = (begun + data).replace(b"\r", b"\n").split(b"\n")
-        if _ENDS.fullmatch(rest):
-            lines.append(rest)
-        elif rest:
-            self._keep(rest, sender, now)
-        whole = [line for line in lines if line.strip()]
-        if whole and not begun and not whole[0].startswith(_BEGINS) and _ENDS.fullmatch(whole[0]):
-            self.cut += 1  # the end of a sentence whose begin was not received
-            del whole[0]
-        return whole
-
-    def _keep(self, rest: bytes, sender: Address | None, now: MonoNs) -> None:
-        if len(rest) > _CUT_MAX or not rest.startswith(_BEGINS):
-            self.cut += 1
-            return
-        self._begun[sender] = now, rest
-        if len(self._begun) > _SENDERS_MAX:
-            del self._begun[next(iter(self._begun))]
-            self.cut += 1
-
-
-class SentenceSource:
-    """Passes whole lines of the ship's sender on, with the instant at which they arrived.
-
-    Args:
-        sender: the address that datagrams must come from; empty for the first that is received.
-        received: takes lines, with line feeds between, at most as many as a reader takes at once.
-    """
-
-    def __init__(self, sender: str, received: Callable[[bytes, MonoNs], None]) -> None:
-        self._sender = sender
-        self._received = received
-        self._held: tuple[str, MonoNs] | None = None
-        self._joiner = SentenceJoiner()
-        self._refused: Counter[str] = Counter()
-
-    @property
-    def refused(self) -> Counter[str]:
-        """The number of datagrams of other senders or too long, and of sentences that were cut for good."""
-        return self._refused + Counter(cut=self._joiner.cut)
-
-    def take(self, data: bytes, now: MonoNs, sender: Address | None) -> None:
-        """Take what arrived; `sender` is None where there is only one."""
-        if sender is not None and not self._listens_to(sender, now):
-            return
-        if sender is not None and len(data) > DATAGRAM_MAX:
-            self._refused["too_long"] += 1
-            return
-        lines = self._joiner.lines(data, sender, now)
-        for first in range(0, len(lines), LINES_MAX):
-            self._received(b"\n".join(lines[first : first + LINES_MAX]), now)
-
-    def _listens_to(self, sender: Address, now: MonoNs) -> bool:
-        address = _plain(sender[0])
-        listened_to = self._sender
-        if not listened_to and self._held is not None and seconds_between(self._held[1], now) <= HELD_S:
-            listened_to = self._held[0]
-        if listened_to and address != _plain(listened_to):
-            if not self._refused["wrong_sender"]:
-                _log.warning(
-                    "sentences from %s are refused, those from %s are taken (vessel.nmea_from chooses); the next ones are "
-                    "counted only",
-                    address,
-                    listened_to,
-                )
-            self._refused["wrong_sender"] += 1
-            return False
-        self._held = address, now
-        return True
-
-
-def _plain(address: str) -> str:
-    """Return an address in one form: a socket for IPv6 writes those of IPv4 in its own."""
-    try:
-        found = ipaddress.ip_address(address)
-    except ValueError:
-        return address
-    return str(getattr(found, "ipv4_mapped", None) or found)
-
-
-@asynccontextmanager
-async def sentences_from(endpoint: Endpoint, source: SentenceSource, clock: Clock) -> AsyncIterator[Wire]:
-    """Open the way by which sentences arrive, and close it on leaving.
-
-    Raises:
-        Recoverable: it cannot be opened: the address is not of this computer, another program has it, nobody listens there, or
-            there is no such device.
-    """
-    try:
-        async with open_wire(endpoint, clock, source.take) as wire:
-            yield wire
-    except Recoverable as why:
-        raise Recoverable(f"vessel.nmea {endpoint}: {why}") from why
+def _quantity(sample: GeoFix | VesselReport | VesselMotion | VesselWind, doubt: float, source: str) -> tuple[str, str, float]:
+    """Return what a sample reports, by which source, and how well, for the choice of one source."""
+    match sample:
+        case GeoFix():
+            return "place", source, sample.sigma_m
+        case VesselReport(cov_v_ned=cov) if cov is not None:
+            return "velocity", source, float(cov[0, 0])
+        case VesselReport(sigma_heading_rad=sigma) if sigma is not None:
+            return "heading", source, doubt * sigma
+        case VesselReport():
+            return "turn", source, sample.sigma_turn_rad_s or 0.0
+        case VesselWind():
+            return "wind", source, doubt
+    return "motion", source, 0.0

@@ -49,7 +49,7 @@ def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
     Raises:
         BadInput: the file cannot be read, or has no such stretch of 10 s.
     """
-    from drivers.nmea.sentences import ship_motion  # its libraries are not needed where no log is read
+    from drivers.nmea.motion import ship_motion  # its libraries are not needed where no log is read
 
     try:
         lines = path.read_text(encoding="ascii", errors="replace").splitlines()
@@ -63,7 +63,7 @@ def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
             if kind.endswith("GGA"):
                 t_s = _seconds(cells[0])
             if kind.endswith("PSXN") and math.isfinite(t_s) and (motion := ship_motion(line[line.index("$") :])):
-                moved.append((t_s, *motion))
+                moved.append((t_s, *motion[:4]))
             elif kind.endswith("GGA") and cells[5] == _RTK:
                 north, east = _degrees(cells[1], cells[2]), _degrees(cells[3], cells[4])
                 places.append((t_s, north, east, float(cells[8]) + float(cells[10] or 0.0)))

@@ -24,7 +24,8 @@ from companion.settings.load import load
 from companion.settings.model import CameraSettings, Settings
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
-from drivers.nmea.sentences import KNOT_M_S, REFUSED_FOR
+from drivers.nmea.fields import KNOT_M_S
+from drivers.nmea.sentences import REFUSED_FOR
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import F64
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
