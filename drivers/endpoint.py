@@ -62,3 +62,41 @@ def parse_endpoint(url: str) -> Endpoint:
     elif port > 65535 or (port == 0 and found != "udpin"):
         raise BadInput(f"MAVLink link {url!r}: port {port} is out of range")
     return Endpoint(found, match[1].strip("[]"), port)
+
+
+_CAN = re.compile(r"can://(?:([a-z_0-9]+):)?([\w./-]+)")
+_BUS_HOW = "can://INTERFACE, tcp://HOST:PORT, serial:///dev/NAME:BAUD or signalk://HOST:PORT"
+
+
+class BusAddress(Struct, frozen=True):
+    """Address of a ship's network.
+
+    can://can0                       an interface of Linux (SocketCAN); can://slcan:/dev/ttyACM0 is another one of python-can
+    tcp://192.168.1.6:1457           a gateway, canboat's n2kd, or the TCP stream of Signal K
+    serial:///dev/ttyUSB0:115200     an Actisense NGT-1, or a gateway that sends lines
+    signalk://192.168.1.7:3000       a Signal K server, by WebSocket
+    """
+
+    text: str
+    can: tuple[str, str] | None = None
+    """Name of python-can's interface, and the channel."""
+    wire: Endpoint | None = None
+    signalk: Endpoint | None = None
+
+
+def parse_bus(url: str) -> BusAddress:
+    """Return the address that a setting means.
+
+    Raises:
+        ValueError: it is none; the text says how one is written.
+    """
+    if (found := _CAN.fullmatch(url)) is not None:
+        return BusAddress(url, can=(found[1] or "socketcan", found[2]))
+    scheme, _, rest = url.partition("://")
+    try:
+        if scheme not in ("tcp", "serial", "signalk"):
+            raise BadInput(url)
+        endpoint = parse_endpoint(f"{'tcp' if scheme == 'signalk' else scheme}://{rest}")
+    except BadInput:
+        raise ValueError(f"bus must be {_BUS_HOW}, found {url!r}") from None
+    return BusAddress(url, signalk=endpoint) if scheme == "signalk" else BusAddress(url, wire=endpoint)

@@ -42,6 +42,7 @@ from drivers.clock import SystemClock
 from drivers.mailbox import Line
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import modes_left
+from drivers.one_source import SourceChoice
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, in_words
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import Clock, MonoNs, seconds_between
@@ -259,14 +260,21 @@ def make_daemon(
             watching.append(keeper)
     extras |= vehicle.extras
     reports: Line[Sample] | None = None
-    if settings.vessel.nmea or settings.vessel.mqtt or settings.rtk.source or settings.rtk.heading:
+    vessel, choice = settings.vessel, SourceChoice()
+    if vessel.nmea or vessel.bus or vessel.mqtt or settings.rtk.source or settings.rtk.heading:
         reports = Line(_REPORTS_MAX)
     if settings.vessel.nmea and reports is not None:
         from companion.service.vehicle_parts import SentencesPart
 
-        sentences = SentencesPart(settings.vessel, reports, ticking)
+        sentences = SentencesPart(vessel, choice, reports, ticking)
         extras["sentences"] = sentences.run
         health.counters("sentences", sentences.counted)
+    if vessel.bus and reports is not None:
+        from companion.parts.bus.part import BusPart
+
+        bus = BusPart(vessel.bus, vessel.nmea_simulated, choice, reports, ticking)
+        extras["bus"] = bus.run
+        health.counters("bus", bus.counted)
     for key in ("source", "heading"):
         if getattr(settings.rtk, key) and reports is not None:
             from companion.parts.rtk.part import RtkPart

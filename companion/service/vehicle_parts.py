@@ -34,6 +34,7 @@ from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
 from drivers.nmea.sentences import REFUSED_FOR, NmeaReader
 from drivers.nmea.transport import SentenceSource, sentences_from
+from drivers.one_source import SourceChoice
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState
@@ -194,14 +195,15 @@ class SentencesPart(NullObserver):
     """The supervised task.
 
     Args:
+        choice: chooses one of several sources of the ship.
         reports: where samples are put.
     """
 
-    def __init__(self, options: VesselOptions, reports: Line[Sample], clock: Clock) -> None:
+    def __init__(self, options: VesselOptions, choice: SourceChoice, reports: Line[Sample], clock: Clock) -> None:
         self._options = options
         self._reports = reports
         self._clock = clock
-        self._reader = NmeaReader(options.mmsi, options.nmea_simulated)
+        self._reader = NmeaReader(options.mmsi, options.nmea_simulated, choice)
         self._source = SentenceSource(options.nmea_from, self._take)
         self._told: set[str] = set()
 

@@ -27,6 +27,7 @@ def sources(settings: Settings) -> tuple[str, ...]:
     """Return the keys that name a source of the ship's place."""
     named = {
         "vessel.nmea": bool(settings.vessel.nmea),
+        "vessel.bus": bool(settings.vessel.bus),
         "vessel.mqtt": settings.vessel.mqtt,
         "vehicle.vessel_id": isinstance(settings.vehicle, AutopilotOptions) and settings.vehicle.vessel_id != 0,
     }
@@ -40,7 +41,7 @@ def contradiction(settings: Settings) -> Contradiction | None:
         by_link = ", vehicle.vessel_id" if isinstance(settings.vehicle, AutopilotOptions) else ""
         return Contradiction(
             "guidance.rendezvous.enabled is true, but nothing tells where the ship is",
-            f"set a source (vessel.nmea, vessel.mqtt{by_link}), or the drone refuses wherever the pad is not in sight",
+            f"set a source (vessel.nmea, vessel.bus, vessel.mqtt{by_link}), or the drone refuses where the pad is not in sight",
             refuses=True,
         )
     if reported and not flies_there:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Struct
 
-from drivers.endpoint import Endpoint, parse_endpoint
+from drivers.endpoint import Endpoint, parse_bus, parse_endpoint
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import CheckedOptions, choice, number, text
 
@@ -168,6 +168,16 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
     nmea_simulated: Annotated[
         bool, choice("whether sentences that say that they are simulated are taken like a fix: for a rehearsal only")
     ] = False
+    bus: Annotated[
+        str,
+        text(
+            "her network, NMEA 2000 or Signal K: can://can0; a gateway at tcp://HOST:PORT or serial:///dev/NAME:BAUD; "
+            "signalk://HOST:PORT; empty for none",
+            256,
+            shortest=0,
+            public=True,
+        ),
+    ] = ""
     mqtt: Annotated[
         bool, choice("whether reports arrive on the topic `vessel`, from whom commands may come (`mqtt.commands`)", public=True)
     ] = False
@@ -178,6 +188,8 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
             found = self.endpoint()
             if self.nmea_from and found.scheme != "udpin":
                 raise ValueError(f"nmea_from names the sender of sentences by UDP, and nmea is {self.nmea!r}")
+        if self.bus:
+            parse_bus(self.bus)
         if self.nmea_from:
             ipaddress.ip_address(self.nmea_from)
         if (self.nmea_from or self.mmsi) and not self.nmea:

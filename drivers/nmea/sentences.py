@@ -84,7 +84,7 @@ _AIS_REPORTS = (1, 2, 3, 18, 19)
 
 _DOUBTED = 2.0
 """Factor on the sigma of a heading from a sentence that is not its compass's own, when a source is chosen."""
-_WIND_RANK = {"R": 0.4, "N": 0.7, "T": 1.0}
+WIND_RANK = {"R": 0.4, "N": 0.7, "T": 1.0}
 """Order of winds: made here of the apparent one and her way, by her own from north, by her own from the bow (over the water)."""
 _WAY_S = 5.0
 """Age up to which her heading and velocity make a wind over the ground of an apparent one."""
@@ -98,6 +98,8 @@ REFUSED_FOR = {
     "simulated": "it says that it is simulated; for a rehearsal set expert.vessel.nmea_simulated",
     "reckoned": "its velocity is reckoned from an old place",
     "impossible": "it holds a number that no ship has",
+    "no_variation": "a heading or course from magnetic north, and no variation",
+    "not_over_ground": "a wind over the water, whose current is not known",
     "bad_quality": "the sensor says that its data are not good",
     "other_receiver": "another of her receivers is used",
     "no_way": "an apparent wind without her heading and velocity",
@@ -129,6 +131,15 @@ class SourceCount(Struct):
         """Return how many arrive each second; of one that fell silent it sinks."""
         silent_s = 0.0 if self.last is None else seconds_between(self.last, now)
         return 0.0 if self.gap_s <= 0.0 else 1.0 / max(self.gap_s, silent_s)
+
+
+def by_source(sources: Mapping[str, SourceCount], now: MonoNs) -> dict[str, float]:
+    """Return for health the numbers of sentences used, and of those refused by reason, and the rate, by talker and kind."""
+    out: dict[str, float] = {}
+    for name, count in sources.items():
+        out |= {f"used {name}": float(count.used), f"rate_hz {name}": round(count.rate_hz(now), 3)}
+        out |= {f"unused {name} {why}": float(n) for why, n in count.refused.items()}
+    return out
 
 
 class _Receiver:
@@ -213,12 +224,8 @@ class NmeaReader:
         return [one for line in self._lines(datagram) for one in self._line(line.strip(), received_at)]
 
     def by_source(self, now: MonoNs) -> dict[str, float]:
-        """Return for health the numbers of sentences used, and of those refused by reason, and the rate, by talker and kind."""
-        out: dict[str, float] = {}
-        for name, count in self.sources.items():
-            out |= {f"used {name}": float(count.used), f"rate_hz {name}": round(count.rate_hz(now), 3)}
-            out |= {f"unused {name} {why}": float(n) for why, n in count.refused.items()}
-        return out
+        """Return what `by_source` does of these sources."""
+        return by_source(self.sources, now)
 
     def _lines(self, datagram: bytes) -> Iterator[str]:
         if len(datagram) > DATAGRAM_MAX:
@@ -370,7 +377,7 @@ class NmeaReader:
         from_rad, speed_m_s = (wind.from_rad, wind.speed_m_s) if wind.reference == "N" else self._over_ground(wind, received_at)
         sensor = f"{of.name} {kind}" + (wind.reference if kind == "MWV" else "")
         made = VesselWind(stamp, self._prefix + sensor, from_rad % (2.0 * math.pi), speed_m_s)
-        return self._chosen(sensor, [made], received_at, _WIND_RANK[wind.reference])
+        return self._chosen(sensor, [made], received_at, WIND_RANK[wind.reference])
 
     def _over_ground(self, wind: Wind, now: MonoNs) -> tuple[float, float]:
         """Return from where the wind blows over the ground, rad from north, and its speed, m/s, of one from the bow.

@@ -392,7 +392,7 @@ def test_a_key_without_effect_is_reported_with_the_cause(data: dict[str, Any], s
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        ("guidance.rendezvous.enabled = true", "nothing tells where the ship is: set a source (vessel.nmea, vessel.mqtt)"),
+        ("guidance.rendezvous.enabled = true", "where the ship is: set a source (vessel.nmea, vessel.bus, vessel.mqtt)"),
         ('vessel.nmea = "127.0.0.1:10110"', "vessel.nmea: the ship's velocity and heading are used, her place is not"),
         (
             'vessel.nmea = "127.0.0.1:10110"\nvessel.mmsi = 211234560\nguidance.rendezvous.enabled = true',

@@ -27,9 +27,9 @@ _FIRST_FRAME_S = 5.0
 _WITHHELD = "withheld_"
 _REFUSED = "refused_"
 _PLACES = "ship_place"
-_SHIP_SOURCES = (("sentences", "refused_"), ("mqtt", "ship_reports_"))
+_SHIP_SOURCES = (("sentences", "refused_"), ("bus", "refused_"), ("mqtt", "ship_reports_"))
 """Parts that read the ship's reports, and the beginning of the names of their counters of refused ones."""
-_NOT_REFUSED = {"ship_reports_taken", "refused_other_sentence"}
+_NOT_REFUSED = {"ship_reports_taken", "refused_other_sentence", "refused_other_message", "refused_other_ship"}
 """Counters among those that are no fault: a ship's network carries many other sentences."""
 
 

@@ -1,0 +1,1 @@
+"""The ship's network beside the flight."""

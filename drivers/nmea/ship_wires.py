@@ -1,0 +1,111 @@
+"""Open the way to a ship's network: a CAN interface, a gateway by TCP or serial port, or a Signal K server."""
+
+import asyncio
+from collections.abc import Callable
+from functools import partial
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import aiohttp
+
+from drivers.endpoint import BusAddress, Endpoint
+from drivers.nmea.ship_bus import KINDS, BusReader, greeting
+from drivers.nmea.ship_sensors import Samples
+from drivers.wires import open_wire
+from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.time import Clock, MonoNs
+
+if TYPE_CHECKING:
+    import can
+
+_BITRATE = 250_000
+"""The rate of every NMEA 2000 network, bit/s; an interface of Linux has it from its own setup."""
+_RECV_S, _AT_ONCE = 0.2, 256
+_SIGNALK_S = 5.0
+_DELTA_MAX = 1 << 18
+
+Offer = Callable[[Samples], None]
+
+
+def require(address: BusAddress) -> None:
+    """Refuse an address where the packages that it needs are not installed; Signal K needs none.
+
+    Raises:
+        BadInput: they are not; the message says how to install them.
+    """
+    for module, name in () if address.signalk else (("nmea2000", "nmea2000"), ("can", "python-can")):
+        if find_spec(module) is None:
+            raise BadInput(f"vessel.bus {address.text} needs {name}, which is not installed: install the extra decklander[ship]")
+
+
+async def read_bus(address: BusAddress, reader: BusReader, offer: Offer, clock: Clock, opened: Callable[[], None]) -> NoReturn:
+    """Read until cancelled.
+
+    Args:
+        offer: takes the samples as they arrive.
+        opened: called once the network is reached.
+
+    Raises:
+        Recoverable: it cannot be reached, or no longer.
+    """
+    reader.restart()
+    try:
+        if address.signalk is not None:
+            await _read_signalk(address.signalk, reader, offer, clock, opened)
+        if address.can is not None:
+            await _read_can(address.can, reader, offer, clock, opened)
+        assert address.wire is not None
+        async with open_wire(address.wire, clock, lambda data, at, _: offer(reader.feed(data, at))) as wire:
+            opened()
+            if address.wire.scheme == "serial":
+                wire.send(greeting, None)
+            await wire.broken()
+    except Recoverable as why:
+        raise Recoverable(f"vessel.bus {address.text}: {why}") from why
+
+
+async def _read_can(
+    channel: tuple[str, str], reader: BusReader, offer: Offer, clock: Clock, opened: Callable[[], None]
+) -> NoReturn:
+    import can
+
+    # Only broadcast messages are used: the kernel drops the others.
+    filters = [{"can_id": pgn << 8, "can_mask": 0x3FFFF00, "extended": True} for pgn in KINDS]
+    more: dict[str, Any] = {} if channel[0] == "socketcan" else {"bitrate": _BITRATE}
+    try:
+        with await asyncio.to_thread(partial(can.Bus, channel[1], channel[0], can_filters=filters, **more)) as bus:
+            opened()
+            while True:
+                for message, at in await asyncio.to_thread(_received, bus, clock):
+                    if message.is_extended_id and not message.is_error_frame and not message.is_remote_frame:
+                        offer(reader.arrived(message.arbitration_id, bytes(message.data), at))
+    except (can.CanError, OSError, ValueError, ImportError) as why:
+        raise Recoverable(str(why) or type(why).__name__) from why
+
+
+def _received(bus: "can.BusABC", clock: Clock) -> "list[tuple[can.Message, MonoNs]]":
+    """Return the frames that wait, or the next one."""
+    out, wait_s = list["tuple[can.Message, MonoNs]"](), _RECV_S
+    while len(out) < _AT_ONCE and (message := bus.recv(wait_s)) is not None:
+        out.append((message, clock.now()))
+        wait_s = 0.0
+    return out
+
+
+async def _read_signalk(where: Endpoint, reader: BusReader, offer: Offer, clock: Clock, opened: Callable[[], None]) -> NoReturn:
+    url = f"{where}/signalk/v1/stream?subscribe=self&sendCachedValues=false".replace("tcp://", "http://")
+    timeout = aiohttp.ClientTimeout(total=None, connect=_SIGNALK_S)
+    try:
+        async with (
+            aiohttp.ClientSession(timeout=timeout) as session,
+            session.ws_connect(url, heartbeat=_SIGNALK_S, max_msg_size=_DELTA_MAX) as socket,
+        ):
+            opened()
+            async for message in socket:
+                if message.type is aiohttp.WSMsgType.TEXT:
+                    offer(reader.line(message.data.encode(), clock.now()))
+    except aiohttp.WSServerHandshakeError as why:
+        raise Recoverable(f"the server answers {why.status} {why.message}") from why
+    except (aiohttp.ClientError, OSError, TimeoutError) as why:
+        raise Recoverable(str(why) or type(why).__name__) from why
+    raise Recoverable("the server closed the connection")
