@@ -24,7 +24,7 @@ from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant
 from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
 from companion.tools.ros2 import bags
-from drivers.imports import ardrone_capture, dataflash, pictures, px4_ulog, tlog
+from drivers.imports import ardrone_capture, dataflash, pictures, px4_ulog, sentences, tlog
 from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.stamps import Tell
 from estimator.contracts.errors import BadInput
@@ -71,8 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="import videos, tables and logs of other tools",
         description="Import files of other tools into one recording: videos, folders of images with times, attitude tables (CSV: "
         "time_s,roll_deg,pitch_deg[,yaw_deg]); PX4 ulogs, ArduPilot dataflash logs (binary or text), telemetry logs (.tlog); "
-        "bags of ROS 1 and 2, AR.Drone captures (PaVE video, navdata). The kind is found by the content. Each source begins at "
-        "0 of its own clock; SOURCE@SECONDS shifts it by that much.",
+        "bags of ROS 1 and 2, AR.Drone captures (PaVE video, navdata); logs of a ship's sentences (NMEA 0183), with a logger's "
+        "time before each or their own. The kind is found by the content. Each source begins at 0 of its own clock, logs of one "
+        "ship at the first of them; SOURCE@SECONDS shifts it by that much.",
     )
     option(foreign, "sources SOURCE[@SECONDS]", "file to import", nargs="+")
     option(foreign, "--config FILE", f"settings file with the camera and pad ({', '.join(shipped())})", required=True)
@@ -186,20 +187,21 @@ class _Source(Struct, frozen=True):
         path, kind = self.path, kind_of(self.path)
         reader = _READERS.get(kind)
         if reader is not None:
-            return iter(reader(path, self._tell))
+            return iter(reader(path, self.note))
         if kind is FileKind.ROS_BAG:
-            return bags.read(path, self._tell)
+            return bags.read(path, self.note)
         if kind is FileKind.IMAGES:
-            return pictures.folder_frames(path, size, self._tell)
+            return pictures.folder_frames(path, size, self.note)
         if kind is FileKind.TABLE:
-            return iter(pictures.attitudes(path, self._tell))
+            return iter(pictures.attitudes(path, self.note))
         if kind is FileKind.PAVE or path.suffix.lower() == ".pave":
             return ardrone_capture.frames(path)
         if kind is FileKind.OTHER:
             return pictures.video_frames(path, size)
         raise BadInput(f"{path}: {kind.value}, and no video: {_INSTEAD.get(kind, 'it is not imported')}")
 
-    def _tell(self, text: str) -> None:
+    def note(self, text: str) -> None:
+        """Print a note on the file."""
         sys.stderr.write(f"decklander: {self.path}: {text}\n")
 
 
@@ -208,7 +210,6 @@ _READERS: dict[FileKind, Callable[[Path, Tell], Iterable[Sample]]] = {
     FileKind.NAVDATA: ardrone_capture.samples,
 }  # fmt: skip
 _INSTEAD = {
-    FileKind.SENTENCES: "give it as a vessel source: send its lines to vessel.nmea while the service runs",
     FileKind.PARAMETERS: "give it to `decklander doctor`",
     FileKind.RECORDING: "it is imported already",
     FileKind.MCAP: "of MCAP files, bags of ROS 2 are imported",
@@ -238,12 +239,22 @@ def _import(args: argparse.Namespace) -> int:
     return 0
 
 
+def _streams(sources: Sequence[_Source], settings: Settings, size: tuple[int, int]) -> list[Iterator[Sample | Frame]]:
+    """Return the data of each source in order; the logs of a ship's sentences are one."""
+    logs = [s for s in sources if kind_of(s.path) is FileKind.SENTENCES]
+    streams = [s.data(size) for s in sources if s not in logs]
+    if logs:
+        of, vessel = [sentences.SentenceLog(s.path, s.offset_ns * 1e-9) for s in logs], settings.vessel
+        streams.append(sentences.read(of, logs[0].note, vessel.mmsi, vessel.nmea_simulated))
+    return streams
+
+
 def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -> Counter[str]:
     camera = camera_model(settings)
     described = about(settings, {"kind": "import", "sources": ", ".join(s.path.name for s in sources)})
     counts: Counter[str] = Counter()
     with recorder_to_file(output, camera, described) as recorder:
-        for datum in heapq.merge(*(s.data((camera.width, camera.height)) for s in sources), key=lambda d: d.stamp.received_at):
+        for datum in heapq.merge(*_streams(sources, settings, (camera.width, camera.height)), key=lambda d: d.stamp.received_at):
             if isinstance(datum, Frame):
                 height, width = datum.px.shape[:2]
                 if (width, height) != (camera.width, camera.height):

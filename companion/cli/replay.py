@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
+from msgspec import to_builtins
 from msgspec.structs import asdict
 
 from companion.base import event_loop
@@ -41,6 +42,7 @@ from companion.settings.load import Settings
 from companion.settings.overrides import with_overrides
 from companion.tools.replay.engine import Replay, pilot_of, settings_of
 from companion.tools.replay.recorded_log import BeliefLogObserver, Difference, differences, recorded_beliefs
+from companion.tools.replay.ship_sensors import ShipSensors
 from companion.tools.report.figures import DeckRow, ErrorRow, all_series, deck_rows, error_rows
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.page import PAGE, write_report
@@ -192,6 +194,7 @@ class Pass:
     replay: Replay
     wall_s: float
     flown_s: float
+    ship: ShipSensors
 
     def errors(self) -> list[ErrorRow]:
         return error_rows(self.log_observer.log, all_series(self.log_observer.log)) if self.log_observer.log.truth else []
@@ -235,7 +238,8 @@ def _pass(args: argparse.Namespace, recording: Recording, name: str, settings: S
     log_observer = BeliefLogObserver(
         FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=steering)
     )
-    observers: list[Observer] = [log_observer]
+    ship = ShipSensors()
+    observers: list[Observer] = [log_observer, ship]
     began = time.monotonic()
     with ExitStack() as stack:
         recorder: Recorder | None = None
@@ -245,7 +249,7 @@ def _pass(args: argparse.Namespace, recording: Recording, name: str, settings: S
             observers.append(recorder)
         replay = Replay(recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=observers)
         flown_s = _feed(replay, log_observer, recorder, images=args.report is not None)
-    return Pass(name, log_observer, replay, time.monotonic() - began, flown_s)
+    return Pass(name, log_observer, replay, time.monotonic() - began, flown_s, ship)
 
 
 def _feed(replay: Replay, log_observer: BeliefLogObserver, recorder: Recorder | None, *, images: bool) -> float:
@@ -302,7 +306,7 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
             out.append("no truth was recorded: no errors to show")
     for name, found in compared.items():
         out += [_difference(name, d) for d in found]
-    return out
+    return out + passes[0].ship.in_words()
 
 
 def _row(r: ErrorRow) -> str:
@@ -357,6 +361,8 @@ def _as_json(recording: Recording, passes: Sequence[Pass], compared: dict[str, l
             }
             for done in passes
         ],
+        "ship_sensors": [_plain(to_builtins(one)) for one in passes[0].ship.verdicts()],
+        "ship_differences": [_plain(to_builtins(one)) for one in passes[0].ship.differences()],
         "against": {name: [_plain(asdict(d)) for d in found] for name, found in compared.items()},
     }
 

@@ -5,6 +5,7 @@ from enum import Enum
 from pathlib import Path
 
 from drivers.imports import ardrone_capture, dataflash, px4_ulog
+from drivers.imports.sentences import SENTENCE
 from estimator.contracts.errors import BadInput
 
 _HEAD = 1 << 16
@@ -18,7 +19,8 @@ _MCAP = b"\x89MCAP"
 _TEXT = frozenset(range(32, 127)) | frozenset(b"\t\r\n\f\b\x1b") | frozenset(range(128, 256))
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _PARAMETER = re.compile(rb"(?:\d+\t\d+\t)?([A-Z][A-Z0-9_]{0,15})[\s,=]+" + _NUMBER + rb"(?:\s+\d+|\s*[,#].*)?\s*")
-_SENTENCE = re.compile(rb"(?:\\[^\\]*\\)?[$!][A-Z]{4,6},[ -~]*")
+_LOGGED = re.compile(rb"[-\d:/.,TZ\[\]()+ ]{0,48}")
+"""Text that a logger writes before a sentence: a time."""
 
 
 class FileKind(Enum):
@@ -97,12 +99,17 @@ def _is_text(head: bytes) -> bool:
 def _kind_of_text(head: bytes, suffix: str) -> FileKind:
     lines = [line.strip() for line in head.splitlines()[:200] if line.strip()]
     output = [line for line in lines if not line.startswith((b"#", b"//"))]
-    if output and sum(_SENTENCE.fullmatch(line) is not None for line in output) > len(output) // 2:
+    if output and sum(map(_is_sentence, output)) > len(output) // 2:
         return FileKind.SENTENCES
     # By different names: the rows of a log have few.
     if output and len({found[1] for line in output if (found := _PARAMETER.fullmatch(line))}) > len(output) // 2:
         return FileKind.PARAMETERS
     return FileKind.TABLE if suffix == ".csv" or (output and output[0].startswith(b"time_s,")) else FileKind.TEXT
+
+
+def _is_sentence(line: bytes) -> bool:
+    found = SENTENCE.search(line)
+    return found is not None and found.end() == len(line) and _LOGGED.fullmatch(line[: found.start()]) is not None
 
 
 def _is_tlog(head: bytes) -> bool:
