@@ -16,9 +16,9 @@ _MISSION = (
     "tests/companion/test_out_of_reach.py",
 )
 _AIM = ("tests/companion/test_steer.py", "tests/companion/test_limits.py")
-_LAW = ("tests/companion/test_law.py", "tests/companion/test_controllers.py")
+_LAW = ("tests/companion/test_follow_deck.py", "tests/companion/test_controllers.py")
 _WATCH = "tests/companion/test_response_watch.py"
-_FLOWN = ("tests/companion/test_follow_deck.py", "tests/companion/test_law.py")
+_FLOWN = ("tests/companion/test_follow_deck.py",)
 _STREAMER = "tests/drivers/test_command_streamer.py"
 _VISION = "tests/estimator/vision"
 _KEPT = f"{_VISION}/test_unchanged_frames.py"
@@ -95,17 +95,16 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_out_of_reach.py",
     ),
     "companion/guidance/law/follow_deck.py": (
-        "tests/companion/test_follow_deck.py",
         f"{_WATCH}::test_other_gains_come_without_a_bump",
         f"{_WATCH}::test_every_response_that_may_be_flown_by_keeps_the_margin_of_60_ms[ardrone2]",
         *_LAW,
     ),
     "companion/guidance/law/records.py": ("tests/companion/test_follow_deck.py",),
     "companion/guidance/law/margins.py": (_WATCH,),
-    "companion/settings/guidance.py": ("tests/companion/test_response.py",),
+    "companion/settings/guidance.py": ("tests/companion/test_response_fit.py",),
     "companion/guidance/law/gains.py": (
-        "tests/companion/test_response.py",
-        "tests/companion/test_law.py",
+        "tests/companion/test_response_fit.py",
+        "tests/companion/test_follow_deck.py",
         "tests/companion/test_identify.py::test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms",
     ),
     "companion/guidance/law/response_fit.py": (

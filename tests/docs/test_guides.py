@@ -5,13 +5,18 @@ that needs a device, a network or real time stands in `ELSEWHERE` with the test 
 """
 
 import asyncio
+import json
+import os
 import re
 import shlex
 import subprocess
+import sys
 import tempfile
-from collections.abc import AsyncIterator, Iterator
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, nullcontext
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -28,6 +33,8 @@ from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp, after
 from tests.companion import calibration_flights
 from tests.companion.virtual_flight import TICK_S, FakeFlight, SeeingPilot, VirtualClock, settled
+from tests.support.processes import started
+from tests.support.waiting import free_port
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = {
@@ -252,3 +259,67 @@ def test_the_calibrations_of_a_flight_run(reader: Path, capsys: pytest.CaptureFi
     printed = capsys.readouterr().err
     assert codes == {"pad": 0, "mount": 0, "delay": 0, "readout": 2, "vehicle": 2}
     assert "images" in printed, "the page says that readout needs them"
+
+
+PAGE = (ROOT / "docs/ardrone.md").read_text().partition("## An AR.Drone 1.0")[0]
+CLI = (sys.executable, "-m", "companion.cli.main")
+LANDS_S, BEGINS = 90.0, 3
+"""Limits for a busy machine. One that starves the service for seconds makes it give up, rightly; its advice is to begin again."""
+
+
+@pytest.mark.timeout(420)
+def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_path, monkeypatch, capsys):
+    block = re.search(r"```toml rig\n(.*?)```", PAGE, re.DOTALL)
+    assert block is not None
+    (tmp_path / "sea.toml").write_text('title = "x"\nbase = "calm"\n[camera]\nfile = "ardrone2_bottom"\n[start]\nheight_m = 2\n')
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    monkeypatch.chdir(tmp_path)
+
+    def cli(*words: str) -> tuple[int, str]:
+        """Return exit code and output of a command, which runs in this process."""
+        named = ("--config", "rig.toml") if words[0] == "fly" else ()  # other services may run on this computer
+        code = main([*words, *named])
+        return code, "".join(capsys.readouterr())
+
+    def status_once(done: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        ends = time.monotonic() + LANDS_S
+        while time.monotonic() < ends:
+            code, answer = cli("fly", "status", "--json")
+            if code == 0 and done(status := json.loads(answer)):
+                return status
+            time.sleep(0.2)
+        raise AssertionError(f"{answer}{(tmp_path / 'log').read_text()}")
+
+    drone = [sys.executable, "-m", "sitl.emulators.ardrone.serve", str(tmp_path / "sea.toml"), "--seed", "3"]
+    drone += ["--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0"]
+    with started(drone, stdin=subprocess.PIPE, lasting_s=400) as emulator:
+        assert emulator.stdout is not None
+        ports = json.loads(emulator.stdout.readline())["ports"]
+        text = "".join(line[3:] or "\n" for line in block[1].splitlines(keepends=True))
+        text = text.replace("192.168.1.1", "127.0.0.1").replace("[http]\n", f"[http]\nport = {free_port()}\n")
+        text += "[expert.vehicle]\n" + "".join(f"{name}_port = {port}\n" for name, port in ports.items())
+        (tmp_path / "rig.toml").write_text(text)
+        # Every command that the guide prints on a line of its own, without its comment.
+        todo = [re.split(r" {2,}#", line)[0].strip() for line in PAGE.splitlines() if re.match(r" {7}decklander ", line)]
+        for wanted in ("decklander keys token page.token", "decklander run --config rig.toml --check"):
+            assert todo.pop(0) == wanted
+            code, printed = cli(*wanted.split()[1:])
+            assert code == 0, printed
+        assert todo.pop(0) == "decklander run --config rig.toml"
+        with (
+            (tmp_path / "log").open("w") as log,
+            started([*CLI, "run", "--config", "rig.toml"], cwd=tmp_path, env=environment, stdout=log, stderr=log, lasting_s=400),
+        ):
+            status_once(lambda status: status["flying"])  # the simulated drone begins in the air
+            assert [line.split()[2] if len(line.split()) > 2 else "keys" for line in todo] == ["takeoff", "keys", "begin", "land"]
+            takeoff, _, begin, land = ([*line.split()[1:]] for line in todo)
+            for _ in range(BEGINS):
+                assert cli(*begin)[0] == 0
+                if not status_once(lambda status: not status["flying"] or status["phase"] == "gave up")["flying"]:
+                    break
+            else:
+                raise AssertionError((tmp_path / "log").read_text())
+            for order in (takeoff, land):
+                code, printed = cli(*order)
+                assert code == 0, printed
+            status_once(lambda status: not status["flying"])

@@ -1,5 +1,6 @@
-"""Command of the vehicle: every order in every situation, and what no input of people may ever cause."""
+"""Command of the vehicle: every order in every situation, what no input of people may ever cause, and orders to a real pilot."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -12,9 +13,13 @@ from companion.base.mission import FlightOutcome
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.operator.arbiter import BY_HAND, LANDING_FOR_PERSON, OperatorArbiter
 from companion.guidance.operator.precedence import CROSSING_S, RANKED, REASONS, TABLE, ControlSituation, Rule
+from companion.guidance.pilot import Pilot, make_pilot
+from companion.guidance.pilot_operator import PilotOperator
+from companion.settings.load import load
 from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
+from tests.support.mqtt_service import vehicle_status
 
 PAD, OTHER = OrderSender(OrderSource.GAMEPAD, "pad"), OrderSender(OrderSource.MAVLINK)
 GUIDED = Velocity(np.array([0.1, 0.0, 0.2]), 0.0)
@@ -355,3 +360,84 @@ def test_whatever_people_do_nothing_commands_without_its_order(events: list[tupl
             assert command is not GUIDED, "guidance never flies while a person has the hand"
         if isinstance(command, Velocity) and command is not GUIDED:
             assert hand is not None
+
+
+def flying(shadows: tuple[str, ...] = ()) -> Pilot:
+    pilot = make_pilot(load("sim"), shadows=shadows)  # type: ignore[arg-type]
+    pilot.on_sample(vehicle_status(MonoNs(1)))
+    return pilot
+
+
+class StillClock:
+    """A clock that stands."""
+
+    def now(self) -> MonoNs:
+        return MonoNs(2)
+
+    async def sleep(self, seconds: float) -> None:
+        raise AssertionError(seconds)
+
+
+def operating(pilot: Pilot, recording: Callable[[bool], str | None] | None = None) -> PilotOperator:
+    return PilotOperator(pilot, OrderSender(OrderSource.MQTT), StillClock(), recording)
+
+
+@pytest.mark.hazard("H6")
+def test_start_pause_and_abort_reach_the_pilot_and_nothing_follows_an_abort() -> None:
+    pilot = flying()
+    operator = operating(pilot)
+    assert operator.pause() is None
+    assert pilot.decide(MonoNs(2)).phase == "paused"
+    assert operator.start() is None
+    assert pilot.decide(MonoNs(3)).phase != "paused"
+    assert operator.abort() is None
+    assert pilot.outcome is FlightOutcome.ABORTED
+    assert isinstance(pilot.decide(MonoNs(4)).command, Hover)
+    assert operator.start() == operator.pause() == operator.abort() == "the flight is over: aborted"
+
+
+def test_a_path_that_runs_along_may_take_over_in_an_approach_another_only_while_paused() -> None:
+    first = load("sim").estimator.path
+    operator = operating(flying(shadows=("median_mean",)))
+    assert operator.steer_by("median_mean") is None
+    assert operator.steer_by(first) is None
+    operator = operating(pilot := flying())
+    assert operator.steer_by("median_mean") == "median_mean does not run along; pause the approach first"
+    assert operator.pause() is None
+    assert operator.steer_by("median_mean") is None
+    assert pilot.estimator.path == "median_mean"
+    assert operator.start() is None
+    assert operator.steer_by(first) is None, "the path that steered goes on as a shadow"
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_recording_is_switched_where_there_is_a_recorder(on: bool) -> None:
+    switched: list[bool] = []
+
+    def switch(wanted: bool) -> str | None:
+        switched.append(wanted)
+        return "the disk is full" if wanted else None
+
+    assert operating(flying()).record(on) == "there is no recorder in this service"
+    assert operating(flying(), switch).record(on) == ("the disk is full" if on else None)
+    assert switched == [on]
+
+
+@pytest.mark.hazard("H9")
+def test_every_order_is_reported_with_its_answer() -> None:
+    pilot, reported = flying(), list[HandledOrder]()
+    pilot.operator.on_order = reported.append
+    operator = operating(pilot)
+    operator.pause()
+    operator.record(True)
+    operator.steer_by("median_mean")
+    operator.abort()
+    operator.start()
+    assert [(h.order, h.accepted) for h in reported] == [
+        (OperatorOrder.HOLD, True),
+        (OperatorOrder.RECORD, False),
+        (OperatorOrder.PATH, True),
+        (OperatorOrder.ABORT, True),
+        (OperatorOrder.BEGIN, False),
+    ]
+    assert str(reported[-1]) == "mqtt: begin: refused, the flight is over: aborted"

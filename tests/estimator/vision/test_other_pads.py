@@ -1,28 +1,39 @@
-"""Pads of other shapes than the thesis': each is registered from a rough pose, near and far, and verified there."""
+"""Pads of other shapes than the thesis', and pads with fiducials: registered from a rough pose, and verified there."""
 
+import copy
 import math
+import tomllib
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given, seed, settings
+from hypothesis import strategies as st
 
-from estimator.contracts.estimates import RelativeState
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision import by_paint
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import confidence
 from estimator.vision.drawing import EdgeKind
+from estimator.vision.fiducial import PaintedFiducial, dictionary_of
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pad_information import alike_headings, confusable_turns
+from estimator.vision.pad import Pad
+from estimator.vision.pad_information import alike_headings, confusable_turns, paint_at
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
+from estimator.vision.regions import depth_in, outlines_of, rectangles_of
+from estimator.vision.register.ambiguity import cells_log_odds
 from estimator.vision.register.registration import RegistrationOptions, look, register
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.verified import heading_z_scores, verify
 from sitl.camera.camera import Renderer
 from tests.sitl.images import PLAIN, pad_pose, shot
 from tests.support.pad_images import STAMP
-from tests.support.shipped import shipped_pad
+from tests.support.shipped import CONFIGS, shipped_pad
 
 NAMES = ("h", "helideck", "hospital", "icao", "x")
 
@@ -107,3 +118,170 @@ def test_a_heading_that_the_drawing_hardly_shows_is_put_right(name: str, turns_d
 )
 def test_headings_that_look_alike_are_counted(name: str, count: int) -> None:
     assert alike_headings(shipped_pad(name)) == count
+
+
+NEST = tomllib.loads((CONFIGS / "pads" / "apriltag_nest.toml").read_text())
+FIDUCIALS = ("apriltag_nest", "aruco_board")
+
+
+def alter(region: int, **keys: Any) -> dict[str, Any]:
+    data = copy.deepcopy(NEST)
+    data["regions"][region] |= keys
+    return data
+
+
+def beside(**region: Any) -> dict[str, Any]:
+    data = copy.deepcopy(NEST)
+    data["regions"].append({"shape": "fiducial", "paint": "black", "dictionary": "DICT_APRILTAG_25h9"} | region)
+    return data
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (alter(1, dictionary="apriltag_25h9"), "regions[1].dictionary 'apriltag_25h9' is none of OpenCV's aruco module"),
+        (alter(1, id=35), "regions[1].id must be 0 to 34, the ids of DICT_APRILTAG_25h9, got 35"),
+        (alter(1, turn_deg=45), "regions[1].turn_deg must be 0, 90, 180 or 270, got 45"),
+        (alter(1, size_m=700), "regions[1].size_m must be 0.001 to 20 m, got 700.0: is it in millimetres? Write metres, 0.7"),
+        (alter(1, at_m=[120, 0]), "regions[1].at_m must be at most 20 m from the centre, got (120.0, 0.0): is it in mill"),
+        (alter(1, size_m=0.8), "needs a border of one cell (0.1143 m) on the panel and lacks 0.0909 m: make the panel larger"),
+        (alter(2, id=1), "regions[2] is DICT_APRILTAG_25h9 1, which is there already as regions[1]: give each"),
+        (alter(2, size_m=0.07), "at most 0.6 of it"),
+        (alter(2, at_m=[0.0, 0.1]), "regions[1]: regions[2] reaches into the fiducial or its border of light, one"),
+        (beside(id=3, size_m=0.05, at_m=[0.36, 0.0]), "reaches into the fiducial or its border of light"),
+        (beside(id=0, size_m=0.04, at_m=[-0.2, 0.0], dictionary="DICT_5X5_50"), "regions[3]"),
+        ({**NEST, "paints": NEST["paints"] | {"black": [240, 240, 240]}}, "of luminance darker than 'white' below it"),
+        ({**NEST, "regions": NEST["regions"][1:]}, "regions[0] (fiducial) lies on the bare deck"),
+        ({**NEST, "regions": [*NEST["regions"], {"shape": "disc", "paint": "white", "radius_m": 0.6}]}, 'write ground = "white"'),
+        (alter(0, length_m=900), "regions[0].length_m must be 0.001 to 20 m, got 900.0: is it in millimetres?"),
+    ],
+)  # fmt: skip
+def test_a_fiducial_that_cannot_be_read_is_refused_with_path_value_and_cure(data: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadInput) as why:
+        Pad.from_mapping(data, "mine.toml")
+    text = str(why.value)
+    assert text.startswith("mine.toml: ")
+    assert "\n" not in text
+    assert said in text
+
+
+MARKERS = st.sampled_from(
+    ("DICT_4X4_50", "DICT_5X5_100", "DICT_7X7_50", "DICT_APRILTAG_16h5", "DICT_APRILTAG_36h11", "DICT_ARUCO_ORIGINAL")
+)
+
+
+@settings(max_examples=30, deadline=None)
+@given(MARKERS, st.integers(0, 29), st.sampled_from((0.0, 90.0, 180.0, 270.0)), st.floats(-0.1, 0.1))
+def test_a_fiducial_is_read_by_the_detector_where_and_as_it_is_painted(name: str, number: int, turn: float, x: float) -> None:
+    fiducial = PaintedFiducial("black", name, number, 0.3, (x, -0.05), turn)
+    ground = {"shape": "panel", "paint": "white", "length_m": 0.8, "width_m": 0.8}
+    keys = {"dictionary": name, "id": number, "size_m": 0.3, "at_m": [x, -0.05], "turn_deg": turn}
+    pad = Pad.from_mapping(
+        {
+            "name": "one", "paints": {"white": [250, 250, 250], "black": [10, 10, 10]},
+            "regions": [ground, {"shape": "fiducial", "paint": "black", **keys}],
+        }
+    )  # fmt: skip
+    # Seen from above, 2 mm a pixel, the arrow up.
+    v, u = np.meshgrid(np.arange(400), np.arange(400), indexing="ij")
+    xy = np.stack([0.4 - 0.002 * (v.ravel() + 0.5), 0.002 * (u.ravel() + 0.5) - 0.4], axis=1)
+    px = np.asarray(255.0 * paint_at(pad, xy, np.full(3, 0.2)).mean(axis=1), np.uint8).reshape(400, 400)
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(name)).detectMarkers(px)
+    assert ids is not None
+    assert ids.ravel().tolist() == [number]
+    want = np.stack([(fiducial.corners_read()[:, 1] + 0.4) / 0.002, (0.4 - fiducial.corners_read()[:, 0]) / 0.002], axis=1) - 0.5
+    assert np.abs(np.asarray(corners[0])[0] - want).max() < 1.5
+
+
+@pytest.mark.parametrize("name", FIDUCIALS)
+def test_lines_rectangles_and_cells_of_a_fiducial_are_one_shape(name: str) -> None:
+    at = np.random.default_rng(1).uniform(-0.4, 0.4, (3000, 2))
+    for fiducial in shipped_pad(name).markings.fiducials:
+        inside = fiducial.covers(at)
+        assert np.array_equal(depth_in(fiducial, at) > 0.0, inside)
+        covered = sum(
+            ((at[:, 0] > x0) & (at[:, 0] < x1) & (at[:, 1] > y0) & (at[:, 1] < y1)).astype(int)
+            for x0, x1, y0, y1 in rectangles_of([fiducial])
+        )
+        assert np.array_equal(np.asarray(covered), inside.astype(int))
+        area = sum(
+            0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) for x, y in (line.T for line in outlines_of(fiducial))
+        )
+        assert area == pytest.approx(fiducial.cells().sum() * fiducial.cell_m**2, abs=1e-6)
+
+
+def tracker(pad: Pad) -> TrackerConfig:
+    return TrackerConfig(PLAIN, pad, TrackerOptions(method="registration"))
+
+
+def seen_from(
+    pad: Pad, height_m: float, rpy: tuple[float, float, float] = (0.0, 0.0, 0.0), noise: int = 1
+) -> tuple[Sighting | None, F64]:
+    """Return the sighting of a search of one frame, and the true vector from body to pad in level axes."""
+    exposure = shot(height_m, (0.03, -0.02), rpy)
+    px = Renderer(PLAIN, pad).render(exposure, np.random.default_rng(1))
+    attitude = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
+    seen = track(tracker(pad), TrackerMemory(), Frame(STAMP, 0, px), attitude)[0].selected
+    R_level_ned = Rotation.from_rpy(0.0, 0.0, rpy[2]).inv
+    return seen, R_level_ned @ (exposure.p_pad_ned - exposure.p_body_ned)
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    st.sampled_from(FIDUCIALS),
+    st.floats(math.log(0.2), math.log(7.0)),
+    st.floats(-0.35, 0.35),
+    st.floats(-0.35, 0.35),
+    st.floats(-3.1, 3.1),
+)
+@seed(17)
+def test_a_pad_of_fiducials_is_found_from_cold_and_measured(name, log_m, roll, pitch, yaw):
+    height_m = math.exp(log_m)
+    seen, true = seen_from(shipped_pad(name), height_m, (roll, pitch, yaw))
+    assert seen is not None
+    assert seen.confidence > 0.9
+    assert not seen.yaw_ambiguous
+    assert seen.yaw_rad is not None
+    assert abs(wrap_pi(seen.yaw_rad - (yaw - 0.7))) < math.radians(1.5)
+    # The detector's own corners are 1 to 8 % off in range.
+    assert float(np.linalg.norm(seen.d_body_pad_level - true)) < 2e-4 + 0.003 * height_m
+
+
+@pytest.mark.parametrize("name", FIDUCIALS)
+def test_a_pad_of_fiducials_is_not_seen_a_cell_aside_or_a_quarter_turn_off(name: str) -> None:
+    """Most edges lie on edges again there: the cells refute it."""
+    pad, exposure = shipped_pad(name), shot(2.0)
+    px, pose = Renderer(PLAIN, pad).render(exposure, np.random.default_rng(4)), pad_pose(exposure, PLAIN)
+    for aside_m, turn_rad in ((0.0, 0.0), (0.1, 0.0), (0.0, math.pi / 2), (0.0, math.pi)):
+        start = PadPose(pose.turned(turn_rad).R_cam_pad, pose.points(np.array([[aside_m, 0.0, 0.0]]))[0])
+        found = register(px, PLAIN, pad, start, None, RegistrationOptions(coarse=False))
+        assert found is not None
+        right = float(np.linalg.norm(found.pose.t_cam_pad - pose.t_cam_pad)) < 0.01 and turn_rad == 0.0
+        assert right or (aside_m, turn_rad) != (0.0, 0.0)
+        assert (cells_log_odds(px, PLAIN, pad, found) > -1.0) == right
+
+
+def test_a_pad_is_not_seen_where_another_ones_fiducials_lie() -> None:
+    exposure = shot(2.0)
+    px = Renderer(PLAIN, shipped_pad("aruco_board")).render(exposure, np.random.default_rng(5))
+    attitude = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
+    seen = track(tracker(shipped_pad("apriltag_nest")), TrackerMemory(), Frame(STAMP, 0, px), attitude)[0].selected
+    assert seen is None or seen.confidence < 0.01
+
+
+def test_a_fiducial_in_a_ring_is_found_beyond_its_own_reach_by_the_ring() -> None:
+    data = {
+        "name": "ring", "paints": {"white": [245, 245, 245], "black": [20, 20, 20], "orange": [255, 149, 0]},
+        "regions": [
+            {"shape": "disc", "paint": "white", "radius_m": 0.39},
+            {"shape": "ring", "paint": "orange", "inner_m": 0.30, "outer_m": 0.33},
+            {"shape": "fiducial", "paint": "black", "dictionary": "DICT_4X4_50", "id": 3, "size_m": 0.27},
+        ],
+    }  # fmt: skip
+    pad = Pad.from_mapping(data)
+    assert pad.has_known_parts
+    for height_m in (1.0, 3.0, 12.0):
+        seen, true = seen_from(pad, height_m)
+        assert seen is not None
+        assert seen.confidence > 0.5
+        assert abs(seen.d_body_pad_level[2] - true[2]) < 0.005 * height_m
