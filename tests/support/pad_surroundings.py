@@ -14,7 +14,7 @@ from estimator.vision.pose import Orientation
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import I16, U16, Light, Sensor
 from sitl.camera.projection import F32
-from sitl.camera.render.textures import Tile
+from sitl.camera.render.deck import Tile
 from sitl.camera.surroundings import Deck, Surroundings
 from sitl.sea.sea import SEA_STATES, Waves
 from tests.support.pad_scenes import truth_of

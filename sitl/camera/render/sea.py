@@ -16,8 +16,7 @@ from estimator.contracts.geometry import F64
 from estimator.vision.lamp import Lamp
 from sitl.camera.light import U16, Light, Mast, planck_rgb, scene_of
 from sitl.camera.projection import F32, Lens
-from sitl.camera.render.deck import soft_shadow
-from sitl.camera.render.textures import foam, ripples
+from sitl.camera.render.deck import foam, ripples, soft_shadow
 from sitl.camera.settings import LampSettings
 from sitl.camera.surroundings import Surroundings
 from sitl.core.library import SIM
