@@ -29,7 +29,7 @@ from companion.base.health import Health
 from companion.settings import files
 from companion.settings.links import HttpSettings
 from companion.settings.referenced_files import server_context
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import Recoverable, refused
 
 log = logging.getLogger(__name__)
 
@@ -91,12 +91,10 @@ async def listen(
     """
     server = runner.server
     assert server is not None, "the runner is set up"
-    try:
+    with refused(f"HTTP cannot be served on {host}:{port}", OSError, by=Recoverable):
         return await asyncio.get_running_loop().create_server(
             lambda: _Bounded(server(), limits), host, port, backlog=limits.connections, ssl=tls
         )
-    except OSError as why:
-        raise Recoverable(f"HTTP cannot be served on {host}:{port}: {why.strerror or why}") from why
 
 
 class _Bounded(asyncio.Protocol):

@@ -17,7 +17,7 @@ import numpy as np
 
 from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight, identify
-from companion.cli.options import file_errors, option, print_result, require_drawing
+from companion.cli.options import option, print_result, require_drawing
 from companion.tools.calibrate import assess
 from companion.tools.calibrate.board import BOARDS, Board, Collection
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
@@ -26,7 +26,7 @@ from companion.tools.calibrate.solve import LEAST_VIEWS, LensChoice, Solution, s
 from companion.tools.calibrate.touchdown_cost import of_distance
 from drivers.camera.images import PICTURES
 from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.contracts.geometry import Rotation, Transform
 
 _NO_BOARD = (
@@ -183,13 +183,11 @@ def _camera(args: argparse.Namespace) -> tuple[CameraOptions, Size | None]:
     match = re.fullmatch(r"(\d+)[xX](\d+)", args.size or "")
     if match is None:
         raise BadInput(f"--size must be the image to calibrate, such as 640x480, got {args.size!r}")
-    try:
+    with refused("the camera", ValueError):
         size = check_size((int(match[1]), int(match[2])))
         if args.device is None:
             return CameraOptions(source="gstreamer", device=args.pipeline, rate_hz=args.rate), size
         return CameraOptions(source="v4l2", device=args.device, format=args.format, rate_hz=args.rate), size
-    except ValueError as why:
-        raise BadInput(f"the camera: {why}") from why
 
 
 def _three(text: str, name: str) -> tuple[float, float, float]:

@@ -11,7 +11,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from companion.cli.options import check_new, file_errors, option, print_result, recording_argument
+from companion.cli.options import check_new, option, print_result, recording_argument
 from companion.recording.channels import CAMERA
 from companion.recording.reading import Recording, open_recording
 from companion.settings.load import load
@@ -20,7 +20,7 @@ from companion.tools.calibrate.flight_result import MountResult, flight_result, 
 from companion.tools.calibrate.flight_views import FlightViews, flight_views
 from companion.tools.calibrate.touchdown_cost import TouchdownCost
 from drivers.ardrone.options import ArDroneOptions
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, file_errors, refused
 
 
 def with_values(text: str, table: str, values: Mapping[str, Any], where: str) -> str:
@@ -33,10 +33,8 @@ def with_values(text: str, table: str, values: Mapping[str, Any], where: str) ->
     Raises:
         BadInput: the text is no TOML, or the table's name is that of a value.
     """
-    try:
+    with refused(where, TOMLKitError):
         document = tomlkit.parse(text)
-    except TOMLKitError as why:
-        raise BadInput(f"{where}: {why}") from why
     place: MutableMapping[str, Any] = document
     for name in table.split(".") if table else ():
         place = place.setdefault(name, tomlkit.table())

@@ -16,9 +16,9 @@ from msgspec.structs import replace
 
 from companion.base.signals import Stopped
 from companion.cli import perception_option
-from companion.cli.options import WorkProgress, file_errors, option, require_drawing
+from companion.cli.options import WorkProgress, option, require_drawing
 from companion.settings.load import shipped
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.pipeline import RelativeEstimator
 from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_columns, in_rows, in_words, tallies_of
 from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis
@@ -171,13 +171,11 @@ def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point]]:
     for member in chosen.scenario:
         name = member.name
         level = chosen.level(member) if args.perception is None else args.perception
-        try:
+        with refused(f"{args.scenario}: {name}", BadInput):
             members[name], _ = _plan_of(args, name, scenarios[name], level)
             perceive(members[name].perception, args.perception_model).refuse(scenarios[name].faults)
             if args.faults is not None:
                 members[name] = _with_random_faults(args, members[name], scenarios[name])
-        except BadInput as why:
-            raise BadInput(f"{args.scenario}: {name}: {why}") from why
     base = () if chosen.base is None else ("--base", chosen.base)
     args.perception = None  # each flight says its own when it is to be flown again
     found = {} if args.more else {name: place_of(args.scenario, name) for name in members}

@@ -18,7 +18,7 @@ from companion.settings import schema
 from companion.settings.load import load, shipped
 from companion.settings.referenced_files import check_files
 from companion.settings.remarks import not_checked, remarks
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.total_table import next_states
 
@@ -67,10 +67,8 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "check":
         for file in args.files:
             settings = load(file)
-            try:
+            with refused(str(file), BadInput):
                 unchecked = check_files(settings)
-            except BadInput as why:
-                raise BadInput(f"{file}: {why}") from why
             sys.stdout.write(f"{file}: good{not_checked(unchecked)}\n")
             for line in remarks(settings):
                 sys.stdout.write(f"{file}: {line}\n")

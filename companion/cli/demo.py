@@ -33,7 +33,7 @@ from companion.settings.load import load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
 from drivers.clock import SystemClock
 from drivers.pyav import has_pyav
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import BadInput, Recoverable, refused
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.state import GENERATIONS
 from sitl.emulators.ardrone.truth_log import contact_of
@@ -98,10 +98,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _video(to: str) -> VideoStreamOptions:
-    try:
+    with refused("--video", ValueError):
         return VideoStreamOptions(to=to)
-    except ValueError as why:
-        raise BadInput(f"--video: {why}") from why
 
 
 async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:

@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from companion.cli.options import file_errors, named_wait, option
+from companion.cli.options import named_wait, option
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.load import find_file, pad_of_file, read_camera
 from companion.settings.referenced_files import second_opinion
@@ -30,7 +30,7 @@ from companion.tools.report.overlay import Overlay, annotate
 from drivers.camera import images
 from drivers.camera.videos import open_video, predicts_frames, video_of
 from drivers.pyav import require_pyav
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, file_errors
 from estimator.contracts.estimates import CENTRE, Method, Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame

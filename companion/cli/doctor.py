@@ -17,7 +17,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from companion.base import event_loop
-from companion.cli.options import file_errors, option
+from companion.cli.options import option
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.load import Settings, load
 from companion.tools.doctor.diagnose import RULES, diagnose
@@ -43,7 +43,7 @@ from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.signing import Signing, SigningTimes, load_key
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, file_errors
 
 GivenLinks = tuple[AutopilotOptions, tuple[LinkOptions, ...]]
 

@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from companion.cli.options import check_seed, file_errors, option, print_result, require_drawing
+from companion.cli.options import check_seed, option, print_result, require_drawing
 from companion.settings.load import SHIPPED, load, pad_of_file, read_camera
+from estimator.contracts.errors import file_errors
 from study.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, hover_table, lags
 from study.experiments.photographs import read_photographs
 

@@ -15,7 +15,7 @@ from companion.settings.referenced_files import mapping_of
 from drivers.clock import SystemClock
 from drivers.gamepad.device import AXES, EV_ABS, EV_KEY, FOLDER, EventDevice, events_in, gamepads
 from drivers.gamepad.mapping import STICKS, GamepadMapping, gamepad_step, positions, start
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import BadInput, Recoverable, refused
 
 DESCRIPTION = (
     "List the gamepads of this computer, or show the events of one live, with the sticks and orders "
@@ -91,10 +91,8 @@ def _show(device: EventDevice, mapping: GamepadMapping, seconds: float | None) -
         left_s = None if end_s is None else max(0.0, end_s - time.monotonic())
         if not select.select([device], [], [], left_s)[0]:
             continue
-        try:
+        with refused(str(device.path), OSError, by=Recoverable):
             events, rest = events_in(rest + device.read())
-        except OSError as why:
-            raise Recoverable(f"{device.path}: {why.strerror or why}") from why
         memory, orders = gamepad_step(mapping, memory, events, ranges, clock.now())
         named = [f"{event.name}={event.value}" for event in events if event.kind in (EV_ABS, EV_KEY)]
         sticks = " ".join(f"{stick} {value:+.2f}" for stick, value in positions(mapping, memory).items())

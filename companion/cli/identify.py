@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.cli.options import check_new, file_errors, option, print_result, recording_argument, require_drawing
+from companion.cli.options import check_new, option, print_result, recording_argument, require_drawing
 from companion.guidance.law.margins import LoopMargins, margins
 from companion.guidance.law.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt, text
 from companion.recording.reading import Recording, open_recording
@@ -16,7 +16,7 @@ from companion.settings.load import find_file, read_toml, response_model, shippe
 from companion.tools.calibrate import touchdown_cost
 from companion.tools.calibrate.flown_courses import FlownCourses, flown_courses
 from companion.tools.calibrate.touchdown_cost import ResponseCost
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, file_errors
 
 HELP = "identify a vehicle's response from a recorded flight"
 DESCRIPTION = (

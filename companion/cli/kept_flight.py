@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any, get_args
 from companion.base.health import Health
 from companion.base.observer import Observer, Relay
 from companion.base.version import version
-from companion.cli.options import file_errors, option, prepare_folder, video_progress, written
+from companion.cli.options import option, prepare_folder, video_progress, written
 from companion.facts.records import ContactRecord, TruthRecord
 from companion.settings.load import body_camera, camera_model, pad_model
 from companion.settings.model import Settings
 from companion.settings.service import FrameForm
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, file_errors
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
-from estimator.contracts.errors import BadInput, fault_of, unusable
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.time import MonoNs, seconds_between
 
 
@@ -69,22 +69,6 @@ def check_new(path: Path | None) -> None:
         raise BadInput(f"--out {path}: there is such a file already; name a new one")
 
 
-@contextmanager
-def file_errors(what: str) -> Iterator[None]:
-    """Turn an error of the system about a file into one line.
-
-    Args:
-        what: the file, or the option that names it, which begins the line.
-
-    Raises:
-        BadInput: it cannot be read or written.
-    """
-    try:
-        yield
-    except OSError as why:
-        raise unusable(what, why) from why
-
-
 def print_result(args: argparse.Namespace, record: object, text: str) -> None:
     """Print a result as one line of JSON with `--json`, else as text."""
     sys.stdout.write((json.dumps(record) if args.json else text.removesuffix("\n")) + "\n")
@@ -103,12 +87,10 @@ def prepare_folder(folder: Path | None) -> None:
     """
     if folder is None:
         return
-    try:
+    with refused(f"--report {folder}", OSError):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError as why:
-        raise BadInput(f"--report {folder}: {fault_of(why)}") from why
 
 
 def require_drawing(option: str, instead: str = "") -> None:

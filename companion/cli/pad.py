@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from companion.cli import board_option, pad_import
-from companion.cli.options import WorkProgress, file_errors, option, print_result
+from companion.cli.options import WorkProgress, option, print_result
 from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, shipped
 from companion.tools.calibrate.board import BOARDS
 from companion.tools.calibrate.guide import files_of, read_image
 from companion.tools.pads.pictures import check_pictures, lines
 from companion.tools.pads.price import MOUNT, VIEWS, Price, price
 from companion.tools.print_pad.sheets import PAPERS, board_drawing, pad_drawing, pdf, sheets, svg
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, file_errors
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy

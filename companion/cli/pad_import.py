@@ -16,9 +16,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from companion.cli.options import file_errors, option
+from companion.cli.options import option
 from companion.tools.pads.trace import Picture, drawn, fault_of, file_text, photographed, read_svg, traced
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, file_errors
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import LARGEST_M, SMALLEST_M, Pad
 from estimator.vision.regions import part_of

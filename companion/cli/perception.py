@@ -6,8 +6,8 @@ import argparse
 import math
 from pathlib import Path
 
-from companion.cli.options import file_errors, option, print_result
-from estimator.contracts.errors import BadInput
+from companion.cli.options import option, print_result
+from estimator.contracts.errors import BadInput, file_errors
 from sitl.perception.model import symmetric
 from sitl.perception.parameters import PerceptionModel, dump
 from study.perception.fit import fit

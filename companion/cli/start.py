@@ -17,13 +17,13 @@ from msgspec import Struct
 
 from companion.cli import config, doctor
 from companion.cli.keys import write_secret
-from companion.cli.options import file_errors, option
+from companion.cli.options import option
 from companion.parts.page.access import make_token
 from companion.settings.load import SHIPPED
 from drivers.camera.v4l2 import cameras
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, file_errors
 
 VEHICLES = {
     "sim": "the simulated AR.Drone of this machine (python -m sitl.emulators.ardrone.serve demo)",

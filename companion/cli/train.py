@@ -16,7 +16,7 @@ from companion.base.version import version
 from companion.cli.options import option
 from companion.guidance.law.policy import Policy, read_policy
 from companion.settings.load import response_model
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load
 from study.gym.imitation import AS_HANDED_OVER, EpisodesFlown, Imitation, ImitationOptions, RoundProgress, fly_policy
@@ -74,10 +74,8 @@ def run(args: argparse.Namespace) -> int:
     worlds = [
         TrainingWorlds(scenario, max(16, _WORLDS // len(scenarios)), AS_HANDED_OVER, args.threads) for scenario in scenarios
     ]
-    try:
+    with refused(f"{' '.join(args.scenario)}", ValueError):
         student = Imitation(worlds, response, args.seed, first, options=options)
-    except ValueError as why:
-        raise BadInput(f"{' '.join(args.scenario)}: {why}") from why
     curve: list[dict[str, Any]] = []
     began = time.monotonic()
 

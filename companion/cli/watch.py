@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from companion.cli.options import option
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import BadInput, Recoverable, refused
 
 if TYPE_CHECKING:
     from companion.parts.mqtt.connection import BrokerEndpoint
@@ -68,10 +68,8 @@ def run(args: argparse.Namespace) -> int:
         settings = MqttSettings(transport="tcp", port=1883) if args.plain_tcp else MqttSettings(transport="tls")
     settings = _changed(settings, args)
     if args.drone is not None:
-        try:
+        with refused("--drone", ValueError):
             Topics(args.drone)
-        except ValueError as why:
-            raise BadInput(f"--drone: {why}") from why
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
     endpoint = BrokerEndpoint.of(settings)

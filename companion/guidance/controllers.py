@@ -15,7 +15,7 @@ from companion.guidance.law.gains import ObserverNoise
 from companion.guidance.law.pid import PidController
 from companion.guidance.law.policy import PolicyController, read_policy, shipped_policy
 from companion.settings.guidance import GuidanceOptions, Response
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 
 GROUP = "decklander.controllers"
 
@@ -38,10 +38,8 @@ def make_controller(setup: ControllerSetup) -> Controller[Any]:
     """
     name = setup.guidance.controller
     make = _OWN.get(name) or OFFERED.get(name) or _offered(name)
-    try:
+    with refused(f"guidance.controller {name!r}", ValueError):
         return make(setup)
-    except ValueError as why:
-        raise BadInput(f"guidance.controller {name!r}: {why}") from why
 
 
 def _follow_deck(setup: ControllerSetup) -> FollowDeck:

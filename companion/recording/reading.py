@@ -31,7 +31,7 @@ from companion.recording import foxglove as fox
 from companion.recording.frame_encoder import FrameSequence, VideoImage
 from companion.settings.load import Settings, from_mapping
 from drivers.camera import images
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample
@@ -304,10 +304,8 @@ class Recording(Struct, eq=False):
     def _toml(self, name: str) -> dict[str, Any] | None:
         if name not in self.attachments:
             return None
-        try:
+        with refused(f"{self.name}: {name}", UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError):
             return tomllib.loads(self.attachments[name].decode("utf-8"))
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as why:
-            raise BadInput(f"{self.name}: {name}: {why}") from why
 
 
 def open_recording(paths: Sequence[Path]) -> Recording:
@@ -432,7 +430,5 @@ _OLD_TOPIC, _OLD_KEYS = "/look", ('"taken_ns"', '"doubts"')
 
 
 def _opened(path: Path) -> IO[bytes]:
-    try:
+    with refused(str(path), OSError):
         return path.open("rb")
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why

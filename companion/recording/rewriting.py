@@ -20,7 +20,7 @@ from companion.recording.frame_encoder import RECORDED, FrameEncoder, VideoImage
 from companion.recording.mcap_file import About, Attachment, McapFile
 from companion.recording.message_encoder import MessageEncoder
 from companion.recording.reading import Event, RecordedFrame, Recording, instant, records
-from estimator.contracts.errors import BadInput, fault_of
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import Method
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
@@ -47,7 +47,7 @@ def export(recording: Recording, folder: Path) -> dict[str, int]:
         if len(known) > _COLUMNS_MAX:
             raise BadInput(f"{recording.name}: {topic} has more than {_COLUMNS_MAX} columns; the file is damaged")
     written: Counter[str] = Counter()
-    try:
+    with refused(f"{folder}: cannot write tables there", OSError):
         folder.mkdir(parents=True, exist_ok=True)
         with ExitStack() as opened:
             tables: dict[str, tuple[str, csv.DictWriter[str]]] = {}
@@ -60,8 +60,6 @@ def export(recording: Recording, folder: Path) -> dict[str, int]:
                 name, table = tables[topic]
                 table.writerow({**row, "timestamp": at_ns // 1000})
                 written[name] += 1
-    except OSError as why:
-        raise BadInput(f"{folder}: cannot write tables there: {fault_of(why)}") from why
     return dict(written)
 
 

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from estimator.contracts.errors import BadInput, unusable
+from estimator.contracts.errors import BadInput, file_errors, unusable
 
 LARGEST_BYTES = 1_000_000
 """Largest file of text: a hundred times the longest settings."""
@@ -131,10 +131,8 @@ def key(reference: str, part: str, name: str, environment: Mapping[str, str] = o
     if path is None:
         return None
     where = f"{part}.{name}: {path}"
-    try:
+    with file_errors(where):
         mode, content = path.stat().st_mode, _content(path)
-    except OSError as why:
-        raise unusable(where, why) from why
     # systemd protects credentials by an access list, which looks like a group that may read.
     if not reference.startswith(CREDENTIAL) and stat.S_IMODE(mode) & 0o077:
         raise BadInput(f"{where}: others may read it; chmod 600 {path}")

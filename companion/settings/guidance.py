@@ -20,7 +20,7 @@ from msgspec.structs import force_setattr
 from companion.settings.mission import ConeOptions, LandingLimits, ThesisOptions, TryOptions
 from companion.settings.vessel import RendezvousOptions
 from estimator.contracts.commands import LandingPlace
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import refused
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import CheckedOptions, choice, name, number, text
@@ -131,10 +131,8 @@ def response_from_mapping(table: dict[str, Any], where: str) -> Response:
     Raises:
         BadInput: a key is missing, unknown, of the wrong type or out of range.
     """
-    try:
+    with refused(where, msgspec.ValidationError, ValueError):
         return msgspec.convert(table, Response)
-    except (msgspec.ValidationError, ValueError) as why:
-        raise BadInput(f"{where}: {why}") from why
 
 
 def _checked(key: str, rows: Sequence[Sequence[float]], given: dict[str, float | None], largest: Sequence[float]) -> list[float]:

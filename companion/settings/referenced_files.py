@@ -23,7 +23,7 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.gamepad.mapping import GamepadMapping
 from drivers.mavlink.options import AutopilotOptions
 from drivers.pyav import require_pyav
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 
 if TYPE_CHECKING:
     from estimator.vision.learned.second_opinion import SecondOpinion
@@ -189,10 +189,8 @@ def _signing(section: str, reference: str) -> tuple[str, tuple[str, ...], Callab
     from drivers.mavlink.signing import load_key
 
     def read() -> None:
-        try:
+        with refused(f"{section}.signing_key_file", BadInput):
             load_key(reference)
-        except BadInput as why:
-            raise BadInput(f"{section}.signing_key_file: {why}") from why
 
     return f"{section}.signing_key_file", (reference,), read
 

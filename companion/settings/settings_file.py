@@ -9,7 +9,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from companion.settings.load import SHIPPED, read_text
-from estimator.contracts.errors import BadInput, in_words
+from estimator.contracts.errors import BadInput, refused
 
 BEFORE = ".before"
 """Suffix of the backup of the previous settings file."""
@@ -52,11 +52,9 @@ class SettingsFile(Struct, frozen=True):
         if self.read()[1] != revision:
             raise BadInput(f"{self.path} was changed since it was read here: load it again, and make your changes again")
         target, content = self.path.resolve(), text.encode()
-        try:
+        with refused(f"cannot be saved: {target}", OSError):
             _replace(target.with_name(target.name + BEFORE), target.read_bytes(), like=target)
             _replace(target, content, like=target)
-        except OSError as why:
-            raise BadInput(f"cannot be saved: {target}: {in_words(why)}") from why
         return _revision(content)
 
     def save_beside(self, name: str, text: str) -> None:
@@ -69,12 +67,10 @@ class SettingsFile(Struct, frozen=True):
             raise BadInput(f"cannot be saved: {refusal}")
         like = self.path.resolve()
         target = like.with_name(name)
-        try:
+        with refused(f"cannot be saved: {target}", OSError):
             if target.exists():
                 _replace(target.with_name(name + BEFORE), target.read_bytes(), like)
             _replace(target, text.encode(), like)
-        except OSError as why:
-            raise BadInput(f"cannot be saved: {target}: {in_words(why)}") from why
 
 
 def _revision(content: bytes) -> str:

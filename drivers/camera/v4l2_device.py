@@ -27,7 +27,7 @@ from drivers.camera.images import ImageRefused, decode
 from drivers.camera.options import FORMATS, CameraOptions, ExposureOptions, Size
 from drivers.camera.videos import most_pixels
 from drivers.pyav import AccessUnitDecoder, has_pyav, whole
-from estimator.contracts.errors import BadInput, SetupImpossible
+from estimator.contracts.errors import BadInput, SetupImpossible, refused
 
 U8 = NDArray[np.uint8]
 
@@ -366,10 +366,8 @@ class KernelDevice:
             if (layout.format, layout.width, layout.height) != (name, width, height):
                 sizes.append(f"{layout.width}x{layout.height} ({name})")
                 continue
-            try:
+            with refused(f"camera {self._path}", BadInput):
                 line_length(layout)
-            except BadInput as why:
-                raise BadInput(f"camera {self._path}: {why}") from why
             if rate_hz >= 0.9 * o.rate_hz:
                 return layout, rate_hz
             if best is None or rate_hz > best[0]:

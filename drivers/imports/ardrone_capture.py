@@ -10,7 +10,7 @@ from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.pave import PaveParser, VideoDecoder
 from drivers.ardrone.samples import AS_REPORTED, NavdataSampler
 from drivers.imports.stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.samples import Frame, Sample
 
 NAVDATA_MAGIC = b"\x88\x77\x66\x55"
@@ -115,7 +115,5 @@ def _end(data: bytes, begin: int) -> int | None:
 
 
 def _bytes(path: Path) -> bytes:
-    try:
+    with refused(str(path), OSError):
         return path.read_bytes()
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from drivers.imports import ardrone_capture, dataflash, px4_ulog
 from drivers.imports.sentences import SENTENCE
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import refused
 
 _HEAD = 1 << 16
 _TLOG_STAMP = 8
@@ -52,11 +52,8 @@ def kind_of(path: Path) -> FileKind:
     """
     if path.is_dir():
         return FileKind.ROS_BAG if (path / "metadata.yaml").is_file() else FileKind.IMAGES
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
+    with refused(str(path), OSError), path.open("rb") as file:
+        head = file.read(_HEAD)
     if _is_ros2(head):
         return FileKind.ROS_BAG
     if head.startswith(_MCAP):

@@ -25,7 +25,7 @@ from drivers.camera.images import PICTURES, ImageRefused, decode, load
 from drivers.camera.videos import has_times, open_video, predicts_frames, video_of
 from drivers.imports.stamps import FRAME_DELAY_S, Tell, attitude, quiet, stamp, timeline
 from drivers.pyav import require_pyav
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Frame, Sample
 
@@ -49,11 +49,9 @@ def folder_frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell 
     Raises:
         BadInput: the folder cannot be read or holds no image, nothing gives their times, or not one of them can be used.
     """
-    try:
+    with refused(str(folder), OSError):
         paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES and path.is_file())
         tables = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".csv", ".txt") and path.is_file())
-    except OSError as why:
-        raise BadInput(f"{folder}: {why.strerror or why}") from why
     if not paths:
         raise BadInput(f"{folder}: holds no image")
     times = next((found for table in tables if (found := _of_table(table, paths))), None) or _of_names(paths)
@@ -206,19 +204,15 @@ def attitudes(path: Path, tell: Tell = quiet) -> list[Sample]:
     Raises:
         BadInput: the file cannot be read, a column is missing, or a cell is not a finite number; the text names the line.
     """
-    try:
+    with refused(str(path), OSError, UnicodeDecodeError):
         lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as why:
-        raise BadInput(f"{path}: {getattr(why, 'strerror', None) or why}") from why
     rows = csv.DictReader(lines, skipinitialspace=True, delimiter=";" if lines and ";" in lines[0] else ",")
     if missing := [name for name in HEADER if name not in (rows.fieldnames or [])]:
         raise BadInput(f"{path}: column {missing[0]!r} is missing; the header must be {','.join(HEADER)} and may have yaw_deg")
     table: list[tuple[float, float, float, float]] = []
     for row in rows:
-        try:
+        with refused(f"{path}, line {rows.line_num}: not a number", TypeError, ValueError):
             numbers = [float(row[name]) for name in HEADER] + [float(row.get("yaw_deg") or 0.0)]
-        except (TypeError, ValueError) as why:
-            raise BadInput(f"{path}, line {rows.line_num}: not a number: {why}") from why
         if not all(map(math.isfinite, numbers)):
             raise BadInput(f"{path}, line {rows.line_num}: not a finite number")
         table.append((numbers[0], numbers[1], numbers[2], numbers[3]))
@@ -245,10 +239,8 @@ def video_frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Fr
     require_pyav(f"{path}: a video")
     from av.error import FFmpegError
 
-    try:
+    with refused(f"{path}: not a readable video", FFmpegError, OSError, ImageRefused):
         container = open_video(str(path), size)
-    except (FFmpegError, OSError, ImageRefused) as why:
-        raise BadInput(f"{path}: not a readable video: {getattr(why, 'strerror', None) or why}") from why
     with container:
         if len(container.streams.video) == 0:
             raise BadInput(f"{path}: holds no video")

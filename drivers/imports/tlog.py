@@ -17,7 +17,7 @@ from drivers.mavlink.requests import parameter_value
 from drivers.mavlink.samples import MavlinkSampler
 from drivers.mavlink.timesync import BootClock, TimeSync
 from drivers.mavlink.vehicle import is_autopilot, stack_of
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
 
@@ -73,10 +73,8 @@ def read_history(path: Path, tell: Tell = quiet) -> AutopilotLog:
 
 def _of_autopilot(path: Path, tell: Tell) -> tuple[list[_Received], Message]:
     """Return the messages of the first autopilot, and its first heartbeat."""
-    try:
+    with refused(str(path), OSError):
         data = path.read_bytes()
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
     received = list(_messages(data, tell))
     beats = [m for m in (h.message for h in received) if m.get_type() == "HEARTBEAT" and is_autopilot(m, m.get_srcComponent())]
     if not beats:

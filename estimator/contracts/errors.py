@@ -10,6 +10,8 @@ tree that escapes a task is a bug of ours and takes the service down loudly.
 """
 
 import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class DecklanderError(Exception):
@@ -62,6 +64,29 @@ def unusable(what: str, why: OSError) -> DecklanderError:
 def fault_of(why: OSError) -> str:
     """Return the system's error for a file in the user's terms, such as "File exists" where a folder was to be made."""
     return "a file of that name is in the way" if why.errno == errno.EEXIST else why.strerror or str(why)
+
+
+@contextmanager
+def file_errors(what: str) -> Iterator[None]:
+    """Turn an error of the system about a file into the one that `unusable` names.
+
+    Raises:
+        DecklanderError: it cannot be read or written.
+    """
+    try:
+        yield
+    except OSError as why:
+        raise unusable(what, why) from why
+
+
+@contextmanager
+def refused(what: str, *causes: type[Exception], by: type[DecklanderError] = BadInput) -> Iterator[None]:
+    """Turn an error of these classes into one of ours, whose text is `what` and the fault."""
+    try:
+        yield
+    except causes as why:
+        fault = fault_of(why) if isinstance(why, OSError) else getattr(why, "strerror", None) or why
+        raise by(f"{what}: {fault}") from why
 
 
 def in_words(error: BaseException) -> str:

@@ -26,7 +26,7 @@ from companion.settings.load import pad_model as pad_of_settings
 from companion.settings.model import Settings
 from companion.settings.overrides import plain
 from companion.settings.schema import explain
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.keys import choice, text
 from sitl.campaign.overrides import Overridable, Point
 from sitl.flight.one_flight import Perception, perception_level
@@ -113,10 +113,8 @@ def load_set(name_or_path: str) -> tuple[ScenarioSet, dict[str, Scenario]]:
         raise BadInput(f"{path}: {explain(ScenarioSet, data, str(why))}") from why
     scenarios = {}
     for n, member in enumerate(chosen.scenario):
-        try:
+        with refused(f"{path}: scenario[{n}].name", BadInput):
             scenarios[member.name] = load_scenario(place_of(name_or_path, member.name), chosen.base)
-        except BadInput as why:
-            raise BadInput(f"{path}: scenario[{n}].name: {why}") from why
     return chosen, scenarios
 
 

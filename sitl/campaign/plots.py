@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import PercentFormatter
 
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import refused
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
 from estimator.vision.regions import outlines_of, part_of
@@ -236,7 +236,5 @@ def soak(path: Path, readings: Sequence[Reading], flights: Sequence[Flown]) -> N
     outcomes.legend(loc="upper center", bbox_to_anchor=(0.4, -0.5 / rows_in), ncols=4, fontsize="small", frameon=False)
     for axes in (memory, counts, outcomes):
         axes.grid(alpha=0.25)
-    try:
+    with refused(f"--plot {path}", OSError, ValueError):
         figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as why:
-        raise BadInput(f"--plot {path}: {getattr(why, 'strerror', None) or why}") from why

@@ -35,7 +35,7 @@ from companion.guidance.pilot import Pilot, make_pilot
 from companion.service.assemble import make_daemon
 from companion.settings.model import Settings
 from drivers.clock import SystemClock
-from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible
+from estimator.contracts.errors import Recoverable, SetupImpossible, refused
 from estimator.contracts.estimates import Verdict
 from sitl.campaign.plan import CampaignPlan
 from sitl.flight.ending import AtEnd, Grade, Load, grade
@@ -471,10 +471,8 @@ def flown_settings(settings: Settings) -> Settings:
 
 def _opened(option: str, path: Path, mode: str) -> FileIO:
     """Open a file without a buffer, before the first flight."""
-    try:
+    with refused(f"{option}: {path}", OSError):
         return FileIO(path, mode)
-    except OSError as why:
-        raise BadInput(f"{option}: {path}: {why.strerror or why}") from why
 
 
 def _virtually(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings: Settings, tally: Tally) -> None:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from estimator.contracts.errors import BadInput, Recoverable, unusable
+from estimator.contracts.errors import BadInput, Recoverable, file_errors, unusable
 from sitl.campaign.plan import AnyPlan, Job, SetPlan, differences
 from sitl.campaign.task import Flight, flight_hash, job_of
 
@@ -31,11 +31,9 @@ class FolderStore:
     def __init__(self, folder: Path, plan: AnyPlan, seeds: range) -> None:
         self.place = str(folder)
         self._path = folder / FLIGHTS
-        try:
+        with file_errors(f"--out {folder}"):
             folder.mkdir(parents=True, exist_ok=True)
             self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
-        except OSError as why:
-            raise unusable(f"--out {folder}", why) from why
         try:
             try:
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -90,10 +88,8 @@ class FolderStore:
     def put(self, name: str, content: bytes) -> str:
         """Write a file beside the results and return where it is."""
         path = self._path.parent / name
-        try:
+        with file_errors(str(path)):
             write_whole(path, content)
-        except OSError as why:
-            raise unusable(str(path), why) from why
         return str(path)
 
     def close(self) -> None:
@@ -113,10 +109,8 @@ class FolderStore:
             if self._path.stat().st_size:
                 raise BadInput(f"--out {folder}: the folder holds {FLIGHTS} without {MANIFEST}, which says what they are of")
             manifest = manifest_of_plan(plan, seeds, None)
-        try:
+        with file_errors(f"--out {folder}: {MANIFEST}"):
             write_whole(path, (json.dumps(manifest, indent=1) + "\n").encode())
-        except OSError as why:
-            raise unusable(f"--out {folder}: {MANIFEST}", why) from why
 
 
 def manifest_of_plan(plan: AnyPlan, seeds: range, before: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -187,15 +181,12 @@ def flights_in(path: Path) -> Iterator[Flight]:
     seen: set[str] = set()
     if not path.exists():
         return
-    try:
-        with path.open("rb") as file:
-            for record, _ in records_in(file, str(path)):
-                key = job_of(record["flight"]).key
-                if key not in seen:
-                    seen.add(key)
-                    yield record["flight"]
-    except OSError as why:
-        raise unusable(str(path), why) from why
+    with file_errors(str(path)), path.open("rb") as file:
+        for record, _ in records_in(file, str(path)):
+            key = job_of(record["flight"]).key
+            if key not in seen:
+                seen.add(key)
+                yield record["flight"]
 
 
 def records_in(lines: Iterable[bytes], place: str) -> Iterator[tuple[dict[str, Any], int]]:

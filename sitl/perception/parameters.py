@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from companion.settings.load import find_file, read_toml
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.keys import number
 
 FOLDER = "perception"
@@ -141,10 +141,8 @@ def _read(path: Path, changed_ns: int) -> PerceptionModel:
     data = read_toml(path)
     if data.get("format") != FORMAT:
         raise BadInput(f"{path}: format {data.get('format')!r} is not {FORMAT}: fit it again with decklander perception fit")
-    try:
+    with refused(str(path), msgspec.ValidationError):
         model = msgspec.convert(data, PerceptionModel, strict=True)
-    except msgspec.ValidationError as why:
-        raise BadInput(f"{path}: {why}") from why
     _check(model, path)
     return model
 

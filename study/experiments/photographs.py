@@ -8,7 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from estimator.contracts.errors import BadInput, unusable
+from estimator.contracts.errors import BadInput, file_errors
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
@@ -40,11 +40,8 @@ def read_photographs(folder: Path, camera: Camera, pad: Pad) -> Photographs:
     Raises:
         BadInput: the folder does not hold them, or a photograph cannot be read.
     """
-    try:
-        with (folder / "pose.csv").open(encoding="utf-8") as text:
-            rows = list(csv.DictReader(text))
-    except OSError as why:
-        raise unusable(f"--photos {folder}", why) from why
+    with file_errors(f"--photos {folder}"), (folder / "pose.csv").open(encoding="utf-8") as text:
+        rows = list(csv.DictReader(text))
     errors: dict[str, list[float]] = {}
     for row in rows:
         path = folder / "images" / row["frame"]

@@ -23,7 +23,7 @@ from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory
 from companion.settings.files import refuse_special, unzipped
 from companion.settings.load import SHIPPED
 from estimator.contracts.commands import Command, Lean
-from estimator.contracts.errors import BadInput, unusable
+from estimator.contracts.errors import BadInput, file_errors, unusable
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
@@ -89,11 +89,8 @@ class Policy:
         """
         record = np.frombuffer(json.dumps(self.record).encode(), np.uint8)
         arrays: dict[str, Any] = {name: self.weights[name] for name in ARRAYS}
-        try:
-            with path.open("wb") as file:
-                np.savez_compressed(file, record=record, **arrays)
-        except OSError as why:
-            raise unusable(str(path), why) from why
+        with file_errors(str(path)), path.open("wb") as file:
+            np.savez_compressed(file, record=record, **arrays)
 
 
 def normal(weights: dict[str, F32], observed: F32) -> F32:

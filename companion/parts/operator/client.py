@@ -22,7 +22,7 @@ from companion.facts.wire import (
 )
 from companion.settings.model import Settings
 from drivers.ardrone.options import ArDroneOptions
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import BadInput, Recoverable, refused
 
 OFF, AUTO = "off", "auto"
 _PATH_MAX = 100
@@ -185,10 +185,8 @@ async def connected(path: Path, on_state: Callable[[FlightState], None] = lambda
     Raises:
         Recoverable: nothing listens there, or this user may not connect.
     """
-    try:
+    with refused(str(path), OSError, by=Recoverable):
         reader, writer = await asyncio.open_unix_connection(path, limit=8 * LINE_MAX)
-    except OSError as why:
-        raise Recoverable(f"{path}: {why.strerror or why}") from why
     client = OperatorClient(writer, on_state)
     try:
         async with asyncio.TaskGroup() as group:

@@ -33,7 +33,7 @@ from companion.facts import records as rec
 from companion.recording.mcap_file import About, McapFile
 from companion.recording.message_encoder import MessageEncoder
 from companion.settings.service import RecorderOptions
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import Recoverable, refused
 from estimator.contracts.estimates import FusionResult, Verdict
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, seconds_between
@@ -281,10 +281,8 @@ class Recorder:
         Raises:
             Recoverable: the system gives no thread.
         """
-        try:
+        with refused("the recorder's thread does not start", RuntimeError, by=Recoverable):
             self._thread.start()
-        except RuntimeError as why:
-            raise Recoverable(f"the recorder's thread does not start: {why}") from why
         try:
             await asyncio.Event().wait()
         finally:

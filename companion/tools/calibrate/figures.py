@@ -13,7 +13,7 @@ from companion.tools.calibrate.assess import CELLS, coverage
 from companion.tools.calibrate.board import BoardView
 from companion.tools.calibrate.flown_courses import FlownCourses
 from companion.tools.calibrate.solve import Solution
-from estimator.contracts.errors import unusable
+from estimator.contracts.errors import file_errors
 
 _ASKED, _REPORTED, _MODEL = "#9a9a9a", "#1f86c9", "#d55e00"
 
@@ -43,11 +43,9 @@ def write_response(path: Path, title: str, courses: FlownCourses, tilt: TiltFit,
         panels[2].set_title(f"climb delay {1e3 * c.delay_s:.0f} ms, lag {1e3 * c.lag_s:.0f} ms", size=10, loc="left")
     panels[0].legend(loc="upper right", ncols=3, fontsize=8)
     panels[-1].set_xlabel("s")
-    try:
+    with file_errors(f"--plot {path}"):
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=110, format="png")
-    except OSError as why:
-        raise unusable(f"--plot {path}", why) from why
 
 
 def _panel(axes: Axes, course: FlightCourse, fitted: Fitted, k: int, name: str) -> None:

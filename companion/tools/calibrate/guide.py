@@ -17,7 +17,7 @@ from drivers.camera.options import CameraOptions, Size
 from drivers.camera.videos import open_video, video_of
 from drivers.clock import SystemClock
 from drivers.pyav import require_pyav
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import BadInput, Recoverable, refused
 from estimator.contracts.geometry import Transform
 
 _GROWN = 1.1
@@ -112,7 +112,7 @@ def files_of(paths: Sequence[Path], endings: Container[str] = images.PICTURES, k
     """
     files: list[Path] = []
     for path in paths:
-        try:
+        with refused(str(path), OSError):
             if path.is_dir():
                 inside = sorted(p for p in path.iterdir() if p.is_file() and p.suffix.lower() in endings)
                 if not inside:
@@ -122,8 +122,6 @@ def files_of(paths: Sequence[Path], endings: Container[str] = images.PICTURES, k
                 files.append(path)
             else:
                 raise BadInput(f"{path}: no such file or folder")
-        except OSError as why:
-            raise BadInput(f"{path}: {why.strerror or why}") from why
     return files
 
 

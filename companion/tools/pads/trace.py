@@ -21,7 +21,7 @@ import svgelements
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64
 from estimator.vision.markings import Rgb
 from estimator.vision.pad import SMALLEST_M, check_polygon, is_simple
@@ -57,6 +57,10 @@ class SvgDrawing(Struct, frozen=True):
     painted: tuple[PaintedLines, ...]
 
 
+_DAMAGED = (ParseError, ValueError, KeyError, TypeError, AttributeError, IndexError, ZeroDivisionError, OverflowError)
+"""Errors that svgelements raises of text that is no drawing."""
+
+
 def read_svg(text: str, where: str) -> SvgDrawing:
     """Return what a drawing paints.
 
@@ -65,10 +69,8 @@ def read_svg(text: str, where: str) -> SvgDrawing:
     """
     if len(text) > _LARGEST_BYTES or "<!ENTITY" in text:
         raise BadInput(f"{where}: a drawing has at most {_LARGEST_BYTES} bytes and no entities: save it as plain SVG")
-    try:
+    with refused(f"{where}: no SVG drawing", *_DAMAGED):
         drawing = svgelements.SVG.parse(io.StringIO(_explicit(text)), reify=False, ppi=_PX_IN_INCH)
-    except (ParseError, ValueError, KeyError, TypeError, AttributeError, IndexError, ZeroDivisionError, OverflowError) as why:
-        raise BadInput(f"{where}: no SVG drawing: {why}") from why
     if not isinstance(drawing, svgelements.SVG) or drawing.values.get("tag") != "svg":
         raise BadInput(f"{where}: no SVG drawing: its root is no <svg>")
     width, height = (float(v) if v is not None else 0.0 for v in (drawing.width, drawing.height))

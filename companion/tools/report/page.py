@@ -20,7 +20,7 @@ from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.page_data import Mark, PadTrack, events, marks, page_data, page_flight, tracks
 from companion.tools.report.plots import Layer, Plot, Section, steering_path
 from companion.tools.report.video import FilmFile, Watch, film_of, still_of, unwatched
-from estimator.contracts.errors import BadInput, fault_of
+from estimator.contracts.errors import refused
 from estimator.contracts.time import MonoNs, seconds_between
 
 PAGE = "index.html"
@@ -40,10 +40,8 @@ def write_report(log: FlightLog, folder: Path, watch: Watch = unwatched) -> Path
     Raises:
         BadInput: the folder cannot be written.
     """
-    try:
+    with refused(f"{folder}: cannot make the report's folder", OSError):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as why:
-        raise BadInput(f"{folder}: cannot make the report's folder: {fault_of(why)}") from why
     return write_flights(folder / PAGE, [log], watch)
 
 
@@ -65,10 +63,8 @@ def write_flights(path: Path, logs: Sequence[FlightLog], watch: Watch = unwatche
 
 def write_page(path: Path, text: str) -> Path:
     """Write a page and return its path. Raises BadInput if it cannot be written."""
-    try:
+    with refused(f"{path}: cannot write the report", OSError):
         path.write_text(text, encoding="utf-8")
-    except OSError as why:
-        raise BadInput(f"{path}: cannot write the report: {fault_of(why)}") from why
     return path
 
 

@@ -23,7 +23,7 @@ from companion.tools.ros2.messages import LEVEL, UP, Message, RosMessages, from_
 from companion.tools.ros2.node import KEPT
 from drivers.camera.images import ImageRefused, decode
 from drivers.imports.stamps import SIGMA_S, SIGMA_TILT_RAD, SIGMA_YAW_RAD, Tell, timeline
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
@@ -45,10 +45,8 @@ def export(recording: Recording, folder: Path) -> dict[str, int]:
     if folder.exists() or folder.is_symlink():
         raise BadInput(f"{folder}: exists already, and a bag is written into a folder of its own: name another --output")
     offset_ns, camera = recording.offset_ns(), recording.camera()
-    try:
+    with refused(f"{folder}: cannot write a bag there", OSError):
         bag = _Bag(folder)
-    except OSError as why:
-        raise BadInput(f"{folder}: cannot write a bag there: {why.strerror or why}") from why
     try:
         messages = RosMessages(bag.types, offset_ns, camera, gimballed=_gimballed(recording))
         for event in recording.events():

@@ -15,7 +15,7 @@ from typing import IO, Any
 import numpy as np
 from msgspec import Struct
 
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import Rotation
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import Touchdown, Truth
@@ -53,10 +53,8 @@ class TruthLog:
     """
 
     def __init__(self, path: Path) -> None:
-        try:
+        with refused(f"truth log {path}", OSError):
             self._file: IO[str] = path.open("w", encoding="utf-8", buffering=1)
-        except OSError as why:
-            raise BadInput(f"truth log {path}: {why.strerror}") from why
 
     def write(self, truth: Truth) -> None:
         self._file.write(json.dumps(record(truth), separators=(",", ":")) + "\n")
@@ -74,10 +72,8 @@ def read(path: Path) -> list[dict[str, Any]]:
     Raises:
         BadInput: no such file, or a line that is no record.
     """
-    try:
+    with refused(f"truth log {path}", OSError):
         lines = path.read_text(encoding="utf-8").split("\n")
-    except OSError as why:
-        raise BadInput(f"truth log {path}: {why.strerror}") from why
     out: list[dict[str, Any]] = []
     for number, line in enumerate(lines[:-1], start=1):
         try:
