@@ -54,7 +54,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         for room, tests in _ROOMS.items()
         for file in sorted((_CORE_OF_VISION / room).glob("*.c"))
     },
-    "estimator/core/vision/register/coded.c": (f"{_VISION}/test_fiducial_pads.py", *_SEEN),
+    "estimator/core/vision/register/coded.c": (f"{_VISION}/test_other_pads.py", *_SEEN),
     "estimator/ekf/filter.py": (
         _NUMBERS,
         _HISTORY,
