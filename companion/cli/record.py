@@ -24,7 +24,7 @@ from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant
 from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
 from companion.tools.ros2 import bags
-from drivers.imports import ardrone_capture, dataflash, pictures, px4_ulog, sentences, tlog
+from drivers.imports import ardrone_capture, dataflash, network, pictures, px4_ulog, sentences, tlog
 from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.stamps import Tell
 from estimator.contracts.errors import BadInput
@@ -72,8 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         description="Import files of other tools into one recording: videos, folders of images with times, attitude tables (CSV: "
         "time_s,roll_deg,pitch_deg[,yaw_deg]); PX4 ulogs, ArduPilot dataflash logs (binary or text), telemetry logs (.tlog); "
         "bags of ROS 1 and 2, AR.Drone captures (PaVE video, navdata); logs of a ship's sentences (NMEA 0183), with a logger's "
-        "time before each or their own. The kind is found by the content. Each source begins at 0 of its own clock, logs of one "
-        "ship at the first of them; SOURCE@SECONDS shifts it by that much.",
+        "time before each or their own, and of her NMEA 2000. The kind is found by the content. Each source begins at 0 of its "
+        "own clock, logs of one ship at the first of them; SOURCE@SECONDS shifts it by that much.",
     )
     option(foreign, "sources SOURCE[@SECONDS]", "file to import", nargs="+")
     option(foreign, "--config FILE", f"settings file with the camera and pad ({', '.join(shipped())})", required=True)
@@ -207,7 +207,7 @@ class _Source(Struct, frozen=True):
 
 _READERS: dict[FileKind, Callable[[Path, Tell], Iterable[Sample]]] = {
     FileKind.ULOG: px4_ulog.read, FileKind.DATAFLASH: dataflash.read, FileKind.TLOG: tlog.read,
-    FileKind.NAVDATA: ardrone_capture.samples,
+    FileKind.NAVDATA: ardrone_capture.samples, FileKind.NETWORK: network.read,
 }  # fmt: skip
 _INSTEAD = {
     FileKind.PARAMETERS: "give it to `decklander doctor`",

@@ -5,6 +5,7 @@ from enum import Enum
 from pathlib import Path
 
 from drivers.imports import ardrone_capture, dataflash, px4_ulog
+from drivers.imports.network import LINE
 from drivers.imports.sentences import SENTENCE
 from estimator.contracts.errors import refused
 
@@ -33,6 +34,7 @@ class FileKind(Enum):
     PAVE = "video of an AR.Drone"
     PARAMETERS = "a file of parameters"
     SENTENCES = "sentences of a ship's receiver (NMEA 0183)"
+    NETWORK = "a log of a ship's network (NMEA 2000)"
     TABLE = "a table"
     RECORDING = "a recording"
     MCAP = "an MCAP file of another program"
@@ -98,6 +100,8 @@ def _kind_of_text(head: bytes, suffix: str) -> FileKind:
     output = [line for line in lines if not line.startswith((b"#", b"//"))]
     if output and sum(map(_is_sentence, output)) > len(output) // 2:
         return FileKind.SENTENCES
+    if output and sum(LINE.fullmatch(line) is not None for line in output) > len(output) // 2:
+        return FileKind.NETWORK
     # By different names: the rows of a log have few.
     if output and len({found[1] for line in output if (found := _PARAMETER.fullmatch(line))}) > len(output) // 2:
         return FileKind.PARAMETERS

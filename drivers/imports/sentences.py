@@ -76,20 +76,20 @@ def _rows(log: SentenceLog, tell: Tell) -> tuple[list[tuple[int, bytes]], float]
     except OSError as why:
         raise BadInput(f"{log.path}: {why.strerror or why}") from why
     found = [(line[: match.start()], match[0]) for line in lines if (match := SENTENCE.search(line))]
-    times = [_logger_s(before, sentence) for before, sentence in found]
+    times = [logger_s(before, sentence) for before, sentence in found]
     if 2 * sum(math.isfinite(t) for t in times) < len(times) or not times:
         times = [_own_s(sentence) for _, sentence in found]
         if not any(map(math.isfinite, times)):
             raise BadInput(
                 f"{log.path}: no time in it: sentences need a logger's time before them, or one with a time (GGA, RMC, ZDA)"
             )
-    known = _filled(times)
+    known = filled(times)
     stamps = timeline([round(t * 1e6) for t in known], lambda text: tell(f"{log.path.name}: {text}"))
     rows = [(at, sentence) for at, (_, sentence) in zip(stamps, found, strict=True) if at is not None]
     return sorted(rows, key=lambda row: row[0]), known[0]
 
 
-def _filled(times: Sequence[float]) -> list[float]:
+def filled(times: Sequence[float]) -> list[float]:
     """Return times, each unknown one that of the sentence before; after midnight a time of day goes on."""
     at, days, out = next(t for t in times if math.isfinite(t)), 0.0, []
     for t in times:
@@ -100,7 +100,7 @@ def _filled(times: Sequence[float]) -> list[float]:
     return out
 
 
-def _logger_s(before: bytes, sentence: bytes) -> float:
+def logger_s(before: bytes, sentence: bytes) -> float:
     """Return the time that a logger wrote before a sentence, s; nan if it wrote none."""
     if (tag := _TAG_TIME.search(sentence.partition(b"$")[0])) is not None:
         return _unix_s(tag[1].decode())

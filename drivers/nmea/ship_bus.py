@@ -235,7 +235,10 @@ class BusReader:
             self._refused["other_message"] += 1
             return []
         kind = KINDS[found["pgn"]][0]
-        values = {name.replace(" ", "").lower(): _plain(value, name) for name, value in found["fields"].items()}
+        values: dict[str, Any] = {
+            name.replace(" ", "").lower(): value.get("name", value.get("value")) if isinstance(value, dict) else value
+            for name, value in found["fields"].items()
+        }
         self._learn_units(values)
         if self._json_units is None and any(name in values for name in _ANGLES):
             self._refused["no_units"] += 1
@@ -282,10 +285,3 @@ class BusReader:
                 value = None if at_value is None or seconds_between(at_value[0], stamp.received_at) > _PAIR_S else at_value[1]
                 values |= value or {} if not name else {name: value}
             yield self._sensors.samples(kind, source, values, stamp)
-
-
-def _plain(value: Any, name: str) -> Any:
-    """Return a field of canboat's JSON as the decoder has it: lookups by their name."""
-    if not isinstance(value, dict):
-        return value
-    return value.get("name", value.get("value"))

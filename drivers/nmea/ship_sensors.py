@@ -65,6 +65,8 @@ class ShipSensors:
         self._simulated = simulated
         self._choice = choice or SourceChoice()
         self._seconds: dict[str, tuple[int, int]] = {}
+        self._gap_s = 1.0
+        """Mean time between two messages of the kind and source that is being read."""
         self._variation_rad: float | None = None
         self._bow: tuple[MonoNs, float] = MonoNs(-_NEVER_NS), 0.0
         self._way: tuple[MonoNs, F64] = MonoNs(-_NEVER_NS), np.zeros(3)
@@ -98,6 +100,7 @@ class ShipSensors:
         count.on_sentence(now)
         try:
             self._limit(name, now)
+            self._gap_s = count.gap_s or 1.0
             made = self._table[kind](source, values, stamp)
         except Refused as why:
             self.refused[str(why)] += 1
@@ -129,7 +132,8 @@ class ShipSensors:
 
     def _turn(self, source: str, values: Values, stamp: Stamp) -> Samples:
         rate = _needed(values, "rate", _TURN_MAX_RAD_S)
-        self._chosen("turn", source, _SIGMA_TURN_RAD_S, stamp)
+        # A set that reports half as often filters for longer: of two on a boat the slower one was 1.5 s late.
+        self._chosen("turn", source, _SIGMA_TURN_RAD_S * max(self._gap_s, 0.02) / 0.1, stamp)
         return [VesselReport(stamp, None, None, None, None, rate, _SIGMA_TURN_RAD_S)]
 
     def _heading(self, source: str, values: Values, stamp: Stamp) -> Samples:

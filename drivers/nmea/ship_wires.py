@@ -27,15 +27,15 @@ _DELTA_MAX = 1 << 18
 Offer = Callable[[Samples], None]
 
 
-def require(address: BusAddress) -> None:
-    """Refuse an address where the packages that it needs are not installed; Signal K needs none.
+def require_nmea2000(wanted: str) -> None:
+    """Refuse what is wanted where the packages of NMEA 2000 are not installed.
 
     Raises:
         BadInput: they are not; the message says how to install them.
     """
-    for module, name in () if address.signalk else (("nmea2000", "nmea2000"), ("can", "python-can")):
+    for module, name in (("nmea2000", "nmea2000"), ("can", "python-can")):
         if find_spec(module) is None:
-            raise BadInput(f"vessel.bus {address.text} needs {name}, which is not installed: install the extra decklander[ship]")
+            raise BadInput(f"{wanted} needs {name}, which is not installed: install the extra decklander[ship]")
 
 
 async def read_bus(address: BusAddress, reader: BusReader, offer: Offer, clock: Clock, opened: Callable[[], None]) -> NoReturn:

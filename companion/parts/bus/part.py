@@ -9,7 +9,7 @@ from drivers.mailbox import Line
 from drivers.nmea.sentences import REFUSED_FOR, by_source
 from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import Samples, ShipSensors
-from drivers.nmea.ship_wires import read_bus, require
+from drivers.nmea.ship_wires import read_bus, require_nmea2000
 from drivers.one_source import SourceChoice
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import Clock
@@ -34,7 +34,8 @@ class BusPart(NullObserver):
 
     def __init__(self, bus: str, simulated: bool, choice: SourceChoice, reports: Line[Sample], clock: Clock) -> None:
         self._address, self._reports, self._clock = parse_bus(bus), reports, clock
-        require(self._address)
+        if self._address.signalk is None:
+            require_nmea2000(f"vessel.bus {bus}")
         self._sensors = ShipSensors(simulated, choice)
         self._reader = BusReader(self._sensors)
         self._logged: set[str] = set()

@@ -26,6 +26,7 @@ from drivers.one_source import SourceChoice
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.samples import GeoFix, Sample, VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import MonoNs
+from tests.companion.test_ship_sensors import imported
 from tests.support.waiting import free_port, until
 
 pytest.importorskip("nmea2000", reason="the extra ship is not installed")
@@ -167,6 +168,16 @@ def test_two_sensors_are_two_and_two_receivers_are_not_mixed() -> None:
     assert not received(r, "positionRapidUpdate", source=4, latitude=54.5, longitude=10.2)
     assert received(r, "positionRapidUpdate", at_s=60.0, source=4, latitude=54.5, longitude=10.2), "the first one is silent"
     assert r.refused == {"other_receiver": 1}
+
+
+def test_of_two_rates_of_turn_the_one_that_comes_more_often_is_used() -> None:
+    r, used = reader(), Counter[float]()
+    for k in range(400):
+        slow = received(r, "rateOfTurn", at_s=0.05 * k, source=52, rate=0.01) if k % 2 == 0 else []
+        fast = received(r, "rateOfTurn", at_s=0.05 * k, source=27, rate=0.02)
+        used.update(round(one.turn_rad_s, 3) for one in slow + fast)
+    assert used[0.01] < 40, "the slow one was first"
+    assert used[0.02] > 300
 
 
 def test_a_cut_message_and_a_flood_are_refused() -> None:
@@ -326,6 +337,29 @@ def test_a_recorded_boat_is_read_whole(name: str, n: int, roll_27: float, heave_
     assert np.std(found["src 52", "roll_rad"]) < 0.5 * roll_27 + 1e-3, "the two sets do not agree"
     assert ("src 52", "heave_down_m") not in found
     assert not [why for why in r.refused if not why.startswith("other_")]
+
+
+@pytest.mark.skipif(not BOAT.is_dir(), reason="the recorded boat is not here")
+@pytest.mark.parametrize("name", ["furuno-130842", "furuno-130842-accel"])
+def test_a_replay_of_the_boat_names_the_heave_that_is_none(name: str, tmp_path, capsys) -> None:
+    found = imported(tmp_path, BOAT / f"{name}.raw", capsys=capsys)
+    assert "its heave wanders" in found["src 27"]["fault"]
+    assert found["src 52"]["fault"] is None
+    assert found["src 27"]["rate_hz"] == pytest.approx(10.0, rel=0.01)
+    assert found["rate of turn"]["rate_hz"] == pytest.approx(20.0, rel=0.01)
+
+
+@pytest.mark.parametrize("form", ["basic_string", "can_frame_ascii_raw", "candump3"])
+def test_a_log_of_each_kind_is_imported(form: str, tmp_path, capsys) -> None:
+    encode, rows = create_encoder(form, units="si").encode, ["# a note", "noise"]
+    for k in range(60):
+        message = decoded("attitude", roll=0.1 + 0.01 * (k % 3))
+        message.timestamp += timedelta(seconds=0.1 * k)
+        rows.append(encode(message))
+    log = tmp_path / "boat.log"
+    log.write_text("\n".join(rows))
+    found = imported(tmp_path, log, capsys=capsys)["src 7"]
+    assert (found["count"], found["rate_hz"]) == (60, pytest.approx(10.0, rel=0.02))
 
 
 class Ship:

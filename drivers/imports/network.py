@@ -1,0 +1,46 @@
+"""Read logs of a ship's network: canboat's lines and JSON, candump's, and what gateways send with a time in each line."""
+
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from drivers.imports.sentences import filled, logger_s
+from drivers.imports.stamps import Tell, timeline
+from drivers.nmea.ship_bus import BusReader
+from drivers.nmea.ship_sensors import ShipSensors
+from drivers.nmea.ship_wires import require_nmea2000
+from estimator.contracts.errors import BadInput
+from estimator.contracts.samples import Sample
+from estimator.contracts.time import MonoNs
+
+LINE = re.compile(
+    rb"\d{4}-\d\d-\d\d[T-][\d:.]+Z?(?:,\d+){5}(?:,[0-9a-fA-F]{2})+"
+    rb"|\(\d+\.\d+\) +\S+ +[0-9a-fA-F]{8}#[0-9a-fA-F]*"
+    rb"|\d\d:\d\d:\d\d\.\d+ +[RT](?: +[0-9a-fA-F]{8})(?: +[0-9a-fA-F]{2})+"
+    rb'|\{"timestamp":.*"pgn":.*\}'
+)
+"""A line of a log whose time `logger_s` finds."""
+
+
+def read(path: Path, tell: Tell) -> Iterator[Sample]:
+    """Yield the samples of a log in order; the first line is at 0.
+
+    Raises:
+        BadInput: it cannot be read, the extra `ship` is not installed, or no time is in it.
+    """
+    require_nmea2000(str(path))
+    try:
+        lines = [line for line in path.read_bytes().splitlines() if line.strip() and not line.startswith(b"#")]
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
+    times = [logger_s(line[:64], b"") for line in lines]
+    if not any(map(math.isfinite, times)):
+        raise BadInput(f"{path}: no time in it")
+    sensors = ShipSensors()
+    reader = BusReader(sensors)
+    for at, line in zip(timeline([round(t * 1e6) for t in filled(times)], tell), lines, strict=True):
+        if at is not None:
+            yield from reader.line(line, MonoNs(at))
+    if refused := reader.refused:
+        tell("messages that are not used: " + ", ".join(f"{why.replace('_', ' ')} {n}" for why, n in refused.most_common()))
