@@ -10,7 +10,8 @@ Source: canboat's PGN database and formats; Signal K specification 1.7, delta fo
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -44,7 +45,8 @@ _LINE_MAX = 4096
 _TORN_S = 0.75
 """Age at which the frames of a long message wait no longer for the next one (ISO 11783-3 waits as long)."""
 _ARRIVAL_SIGMA_S = 0.05
-_DAY_NS = 86_400 * NS_PER_S
+_OF_DAY = ClockMapOptions(wrap_ns=86_400 * NS_PER_S, resolution_s=0.001, floor_sigma_s=_ARRIVAL_SIGMA_S, jump_s=5.0)
+_CLOCKS_MAX = 64
 _CLOCK = re.compile(r"(?<!\d)([01]\d|2[0-3]):?([0-5]\d):?([0-5]\d\.\d{1,6})")
 _TURN_RAD = 2.0 * math.pi
 _DIRECTIONS = ("heading", "cog", "windangle", "yaw")
@@ -108,10 +110,8 @@ class BusReader:
         self._rest = b""
         self._binary: Any = None
         self._open: dict[tuple[int, int], tuple[Any, MonoNs]] = {}
-        options = ClockMapOptions(
-            wrap_ns=_DAY_NS, resolution_s=0.001, floor_sigma_s=_ARRIVAL_SIGMA_S, jump_s=5.0, name="the ship's gateway"
-        )
-        self._day = ClockMap(options)
+        self._clocks: dict[str, ClockMap] = {}
+        """Clocks of the gateway, and of the sources of Signal K, which stamp each by its own."""
         self._json_units: str | None = None
         self._sure = 0
         self._self: object = None
@@ -148,9 +148,12 @@ class BusReader:
         if len(text) > _LINE_MAX:
             self._refused["too_long"] += 1
             return []
+        return self._guarded(self._json if text.startswith("{") else self._text, text, received_at)
+
+    def _guarded(self, read: Callable[..., Samples], *read_of: Any) -> Samples:
         try:
-            return (self._json if text.startswith("{") else self._text)(text, received_at)
-        except Exception:  # the packages raise many kinds on damaged text, and none of it may end the part
+            return read(*read_of)
+        except Exception:  # the packages raise many kinds on damaged bytes, and none of it may end the part
             self._refused["malformed"] += 1
             return []
 
@@ -161,18 +164,18 @@ class BusReader:
         is_frame = form in _FRAMES or (form == "plain" and len(data) <= 8)
         return (self.frame if is_frame else self.message)(pgn, source, data, stamp)
 
-    def _stamp(self, text: str, received_at: MonoNs) -> Stamp:
-        """Return when a line's message was measured, by the gateway's time of day where the line begins with one."""
+    def _stamp(self, text: str, received_at: MonoNs, whose: str = "the ship's gateway") -> Stamp:
+        """Return when a line's message was measured, by its time of day where the text has one."""
         found = _CLOCK.search(text[:32])
-        if found is None:
+        if found is None or (whose not in self._clocks and len(self._clocks) >= _CLOCKS_MAX):
             return Stamp(received_at, received_at, _ARRIVAL_SIGMA_S, "arrival")
         of_day = (int(found[1]) * 3600 + int(found[2]) * 60) * NS_PER_S + round(float(found[3]) * NS_PER_S)
-        return self._day.stamp(of_day, received_at)
+        return self._clocks.setdefault(whose, ClockMap(replace(_OF_DAY, name=whose))).stamp(of_day, received_at)
 
     def arrived(self, can_id: int, data: bytes, received_at: MonoNs) -> Samples:
         """Return the samples of a frame of a CAN bus that arrived now."""
         _, pgn, source, _ = _backend()[1].can_id_decompose(can_id)
-        return self.frame(pgn, source, data, self._stamp("", received_at))
+        return self._guarded(self.frame, pgn, source, data, self._stamp("", received_at))
 
     def frame(self, pgn: int, source: int, data: bytes, stamp: Stamp) -> Samples:
         """Return the samples of a CAN frame, which is a whole message or a part of a long one."""
@@ -213,7 +216,7 @@ class BusReader:
         for event, what in self._binary.receive(data):
             if event == "frame":
                 _, pgn, source, _, payload = what
-                out += self.message(pgn, source, payload, self._stamp("", received_at))
+                out += self._guarded(self.message, pgn, source, payload, self._stamp("", received_at))
             elif event == "error":
                 self._refused["malformed"] += 1
         return out
@@ -266,9 +269,10 @@ class BusReader:
             return []
         out: Samples = []
         for update in found["updates"]:
-            source = update.get("$source") or "{label}.{src}".format_map({"label": "", "src": "", **update.get("source", {})})
-            stamp = self._stamp(str(update.get("timestamp", ""))[-16:], received_at)
-            out += [sample for message in self._messages(update, str(source), stamp) for sample in message]
+            named = update.get("source", {})
+            source = str(update.get("$source") or f"{named.get('label', '')}.{named.get('src', '')}")
+            stamp = self._stamp(str(update.get("timestamp", ""))[-16:], received_at, source)
+            out += [sample for message in self._messages(update, source, stamp) for sample in message]
         return out
 
     def _messages(self, update: dict[str, Any], source: str, stamp: Stamp) -> Iterator[Samples]:

@@ -102,9 +102,10 @@ class ShipSensors:
             self._limit(name, now)
             self._gap_s = count.gap_s or 1.0
             made = self._table[kind](source, values, stamp)
-        except Refused as why:
-            self.refused[str(why)] += 1
-            count.refused[str(why)] += 1
+        except (Refused, ValueError) as why:
+            reason = str(why) if isinstance(why, Refused) else "impossible"
+            self.refused[reason] += 1
+            count.refused[reason] += 1
             return []
         self.taken[kind] += 1
         count.used += 1
@@ -172,7 +173,7 @@ class ShipSensors:
         if isinstance(sigma_m, str):
             raise Refused(sigma_m)
         lat, lon = _needed(values, "latitude", 90.0), _needed(values, "longitude", 180.0)
-        height_m = _number(values, "altitude", 1000.0)
+        height_m = _number(values, "altitude", 10_000.0)
         self._chosen("place", source, sigma_m, stamp)
         return [GeoFix(stamp, "vessel", GeoPoint.of_degrees(lat, lon, height_m), sigma_m)]
 

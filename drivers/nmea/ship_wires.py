@@ -1,6 +1,7 @@
 """Open the way to a ship's network: a CAN interface, a gateway by TCP or serial port, or a Signal K server."""
 
 import asyncio
+import logging
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
@@ -69,6 +70,7 @@ async def _read_can(
 ) -> NoReturn:
     import can
 
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # an interface that is not there is logged once, by the service
     # Only broadcast messages are used: the kernel drops the others.
     filters = [{"can_id": pgn << 8, "can_mask": 0x3FFFF00, "extended": True} for pgn in KINDS]
     more: dict[str, Any] = {} if channel[0] == "socketcan" else {"bitrate": _BITRATE}
