@@ -1,7 +1,5 @@
 """Fuzz the bytes of MAVLink: frames of a stream and of datagrams, and what signs them."""
 
-from __future__ import annotations
-
 import struct
 import tempfile
 from collections.abc import Iterator

@@ -8,8 +8,6 @@
 - `ObservedCalls`: an observer that keeps every call
 """
 
-from __future__ import annotations
-
 import json
 import tomllib
 from collections.abc import Sequence

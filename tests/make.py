@@ -10,8 +10,6 @@ An instant `at` is given in seconds of the monotonic clock, or as a `Stamp`.
 - two values that must be equal to the bit: `same_bits`
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, TypeVar

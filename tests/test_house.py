@@ -1,7 +1,5 @@
 """The house rules that no linter knows: pure calls, plain sentences, declared imports, no path of one machine."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

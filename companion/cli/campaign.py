@@ -1,7 +1,5 @@
 """`decklander campaign`: fly many simulated landings and say how often and how well they end."""
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import json

@@ -1,7 +1,5 @@
 """`decklander completion`: print a script that completes commands and options in a shell."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import sys

@@ -1,7 +1,5 @@
 """`decklander config`: check settings files, show them with every default, or print their reference."""
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

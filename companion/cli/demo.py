@@ -1,7 +1,5 @@
 """`decklander demo`: run the simulated drone in a child process and the service in this one, with sockets and H.264 between."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

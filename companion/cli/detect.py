@@ -4,8 +4,6 @@ Paths, camera, pad and attitudes are checked before any frame is searched. A fil
 others are still searched, and the exit code is 2.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import json

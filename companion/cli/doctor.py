@@ -1,7 +1,5 @@
 """`decklander doctor`: diagnose the setup and print the fix for each fault; `--fix` and `--undo` write parameters."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import logging

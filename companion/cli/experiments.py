@@ -1,7 +1,5 @@
 """`decklander experiments`: fly the experiments of the thesis' chapter 5 again and write their tables and figures."""
 
-from __future__ import annotations
-
 import argparse
 import shlex
 import sys

@@ -1,7 +1,5 @@
 """`decklander gamepad`: list the gamepads of this computer, or show what one of them sends and what its mapping makes of it."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import select

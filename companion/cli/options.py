@@ -3,8 +3,6 @@
 The progress of flights and campaigns is a line or bar that is redrawn on a terminal, lines now and then elsewhere.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """`decklander perception`: fit the error models of simulated perception to recorded flights."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from pathlib import Path

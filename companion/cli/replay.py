@@ -1,7 +1,5 @@
 """`decklander replay`: replay a recording through vision, estimator and guidance, or at its own pace over MAVLink."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import math

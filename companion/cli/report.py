@@ -1,7 +1,5 @@
 """`decklander report`: the report of a recorded flight as one HTML file, or two flights compared."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`decklander run`: run the landing service."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 import sys

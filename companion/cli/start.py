@@ -1,7 +1,5 @@
 """`decklander start`: ask for vehicle, camera, pad and place, write a commented settings file, check it and show the page."""
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import selectors

@@ -1,7 +1,5 @@
 """`decklander train`: train a policy in the simulated worlds, or train one further, and write its file."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

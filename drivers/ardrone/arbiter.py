@@ -15,8 +15,6 @@ A service sends its orders to the sender as lines of JSON over a stream socket; 
 `UP`.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ async with open_camera(options, (640, 480), clock) as camera:
     async for frame in camera.frames: ...
 """
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 

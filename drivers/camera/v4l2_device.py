@@ -6,8 +6,6 @@ controls of a driven exposure are found and taken over once, and then set.
 Source: Linux media documentation, Camera Control Reference (exposure time in units of 100 us) and User Controls.
 """
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import errno

@@ -3,8 +3,6 @@
 `study.gym.register()` imports it, and `gymnasium.make("study.gym.environment:Decklander/Land-v0")` does.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, Literal

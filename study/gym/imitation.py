@@ -6,8 +6,6 @@ AISTATS 2011 (DAgger, algorithm 3.1); Chen et al., Learning by cheating, CoRL 20
 ICLR 2015.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ An episode begins with the vehicle over the deck and ends with the contact. Its 
 estimate is the truth with the filter's errors, dropouts and delay. The core's part is `sitl/core/training/worlds.c`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """The command line: exit codes, one line on stderr, and nothing imported that was not requested."""
 
-from __future__ import annotations
-
 import argparse
 import errno
 import importlib

@@ -9,8 +9,6 @@ height; here the deck's own vertical speed is added. And it hovered while it did
 against the wind; here the integral outlives a hover, and the driver keeps the trim.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ The mission orders each descent, so heights, climbs and heading stay the law's, 
 motion of body or deck. The network's lean is cut as the law's is: by the view, by the vehicle's tilt, and by the target.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """Make the page with its tools from the settings of a service: the guided calibration and the doctor among them."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import tomllib

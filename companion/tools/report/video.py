@@ -1,7 +1,5 @@
 """The film of a flight: MP4 (H.264, yuv420p, BT.709, index in front), which any browser plays; and an animated image of it."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Callable, Iterator

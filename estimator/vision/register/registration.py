@@ -12,8 +12,6 @@ all of them towards the darker paint: that is a wrong range. From time to time a
 and the step is kept if the rest explains more. Noise alone has no edges, and clipped light no tone: neither is learnt from.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -15,8 +15,6 @@ aligned with the pair predicts all twelve corners, and the corners found there j
 known up to 180 degrees.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Literal

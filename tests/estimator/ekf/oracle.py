@@ -6,8 +6,6 @@ write into them. Constants have the core's values, and its comments give the rea
 and Lyapunov's equation, where the core has closed forms.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from itertools import pairwise
