@@ -1,6 +1,5 @@
 /* Eigenvalues of a small symmetric matrix, and the removal of an attitude's share from a covariance. */
 
-#include "base/symmetric.h"
 
 #include <math.h>
 #include <string.h>

@@ -5,9 +5,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "filter/correction.h"
+#include "base/kalman.h"
 #include "base/rotation.h"
-#include "base/symmetric.h"
+#include "filter/correction.h"
 
 /* Variance, rad^2, above which a heading carries no information. */
 static const double KNOWN_YAW_VAR = 2.0;

@@ -1,7 +1,6 @@
 /* Decode UVLC pictures: bits to coefficients, blocks and pixels. */
 
 #include "video/uvlc.h"
-#include "video/uvlc_bits.h"
 
 #include <string.h>
 

@@ -1,6 +1,6 @@
 /* Project points through a lens with Brown's distortion or a fisheye, and find the rays of pixels. */
 
-#include "vision/camera.h"
+#include "vision/tracker.h"
 
 #include <math.h>
 

@@ -2,9 +2,9 @@
 #ifndef DECKLANDER_TRACKER_H
 #define DECKLANDER_TRACKER_H
 
-#include <stddef.h>
-
 #include "decklander.h"
+
+#include <stddef.h>
 
 /* The cells of a ring that a shape covers, and their shares; half of them where half a turn brings the shape onto itself. */
 typedef struct {
@@ -64,5 +64,18 @@ int is_image(const dl_image *image, int channels);
 
 /* Whether a frame is of the tracker's camera, its rows one after the other, and of the right size at every size that was made. */
 int is_frame(const dl_tracker *t, const dl_frame *frame);
+
+/* A pinhole camera with Brown's distortion, or a fisheye: points to pixels, and pixels to rays. */
+/* The pixel of a point in `cam`, px; nan at or behind the lens. */
+void camera_project(const dl_lens *c, const double p[3], double uv[2]);
+
+/* The ray (x/z, y/z) of a place in the frame, px. */
+void camera_ray(const dl_lens *c, double u, double v, double ray[2]);
+
+/* x/z and y/z of the pixels of a part of a frame, row by row. */
+void camera_rays(const dl_lens *c, const frame_part *part, float *x, float *y);
+
+/* Add what an uncertain focal length does to the covariance of a pose, (6, 6): if it is too long, the depth is by the same share. */
+void add_focal_doubt(const dl_lens *c, const double t[3], double cov_pose[36]);
 
 #endif

@@ -2,7 +2,6 @@
 
 #include "decklander_sim.h"
 #include "video/uvlc.h"
-#include "video/uvlc_bits.h"
 
 #include <string.h>
 

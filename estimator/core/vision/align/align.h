@@ -7,9 +7,8 @@
 
 #include <math.h>
 
-#include "vision/camera.h"
-#include "vision/tracker.h"
 #include "base/vectors.h"
+#include "vision/tracker.h"
 
 enum {
     /* The widest neighbourhood of a pixel whose mean light is subtracted, px to either side. */

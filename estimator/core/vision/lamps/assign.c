@@ -3,8 +3,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/camera.h"
 #include "vision/lamps/lamps.h"
+#include "vision/tracker.h"
 
 /* How far the centre of a spot may lie from its lamp, beyond the reach, in radii of the spot: of one lamp, and of the middle of
  * several lamps that share the spot. */

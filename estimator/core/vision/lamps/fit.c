@@ -3,10 +3,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/camera.h"
+#include "base/rotation.h"
 #include "vision/lamps/lamps.h"
 #include "vision/register/sums.h"
-#include "base/rotation.h"
+#include "vision/tracker.h"
 
 enum { STEPS = 6, ROW = 6 };
 /* Standard deviations of a spot at which it counts a quarter, or times the middle one's distance while that is more: another light

@@ -7,9 +7,9 @@
 #include <string.h>
 
 #include "base/arena.h"
-#include "vision/camera.h"
-#include "vision/lamps/lamps.h"
 #include "base/rotation.h"
+#include "vision/lamps/lamps.h"
+#include "vision/tracker.h"
 
 /* At most this many of the brightest spots are paired. A lamp explains spots within `REACH` cells, a focal length having as many as pixels, and one of
  * a small pattern those within `CLOSE`; what lies `CELLS` from the first spot's side of the frame is left out. */

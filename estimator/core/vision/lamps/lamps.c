@@ -8,8 +8,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/camera.h"
 #include "base/rotation.h"
+#include "vision/tracker.h"
 
 enum { CHANNELS = 3 };
 /* Work of a pixel in which something bright is looked for, and of a lamp in a pair of spots that is tried. */

@@ -1,13 +1,13 @@
 /* Add to a covariance what a video codec's moved patches do to a pose. */
 
-#include "vision/register/coded.h"
+#include "vision/register/near.h"
 
 #include <math.h>
 #include <string.h>
 
-#include "vision/camera.h"
-#include "vision/register/sums.h"
 #include "base/rotation.h"
+#include "vision/register/sums.h"
+#include "vision/tracker.h"
 
 /* A codec moves blocks of 16 px, and neighbours mostly together. Patches that are PATCHES apart share a place in the sums: no pad
  * that is so large is seen whole. */

@@ -5,9 +5,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/register/exponential.h"
-#include "vision/register/sides.h"
 #include "base/wide.h"
+#include "vision/register/exponential.h"
 
 /* sqrt(2 / pi), and the coefficient of the cube with it. Source of the form: Page, Approximations to the cumulative normal
  * function, Applied Statistics 26(1), 1977. */

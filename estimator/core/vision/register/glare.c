@@ -1,13 +1,13 @@
 /* Model glare as a spot of light over the pad. */
 
-#include "vision/register/glare.h"
+#include "vision/register/dense.h"
 
 #include <math.h>
 #include <string.h>
 
+#include "base/wide.h"
 #include "vision/register/exponential.h"
 #include "vision/register/sums.h"
-#include "base/wide.h"
 
 /* Radii within which half of the light lies, and distances from the centre, as fractions of the disc's radius; directions of each. */
 enum { RADII = 3, RINGS = 3, TRIED_MAX = RADII * 15, FEATURES_MAX = COEFFICIENTS_MAX + CHANNELS };

@@ -5,7 +5,7 @@
 #include <math.h>
 #include <stddef.h>
 
-#include "vision/camera.h"
+#include "vision/tracker.h"
 
 /* The fewest pixels that a fit is tried with, and the fewest lines and columns of their grid. */
 enum { PIXELS_MIN = 24, SIDE_MIN = 4, RIM_POINTS = 24 };

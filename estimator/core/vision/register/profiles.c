@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/camera.h"
+#include "vision/tracker.h"
 
 /* Smallest distance between profiles along an edge, px; depth from which a point is in front of the camera, m. */
 static const double SPACING_PX = 1.3, NEAREST_M = 0.02;

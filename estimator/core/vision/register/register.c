@@ -3,13 +3,12 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/camera.h"
-#include "vision/register/register.h"
-#include "vision/register/coded.h"
-#include "vision/register/near.h"
-#include "vision/register/solver.h"
 #include "base/kalman.h"
 #include "base/rotation.h"
+#include "vision/register/near.h"
+#include "vision/register/register.h"
+#include "vision/register/solver.h"
+#include "vision/tracker.h"
 
 /* Deviations of the blur that must fit between edges of different kinds for profiles. */
 static const double APART = 4.5;

@@ -1,11 +1,11 @@
 /* Integrate a blurred pixel over straight sides of any direction. */
 
-#include "vision/register/sides.h"
+#include "vision/register/coverage.h"
 
 #include <math.h>
 
-#include "vision/register/exponential.h"
 #include "base/wide.h"
+#include "vision/register/exponential.h"
 
 /* Standard deviations of the blur beyond which a side changes nothing. */
 static const float REACH = 5.5f;

@@ -5,9 +5,9 @@
 #include <math.h>
 #include <stddef.h>
 
-#include "vision/camera.h"
 #include "base/rotation.h"
 #include "base/wide.h"
+#include "vision/tracker.h"
 
 /* Variance of a square pixel along any direction, px^2, and the largest blur. */
 static const double PIXEL_VAR = 1.0 / 12.0, MAX_BLUR_PX2 = 49.0;

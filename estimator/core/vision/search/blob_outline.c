@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/search/blobs.h"
+#include "vision/search/search.h"
 
 enum { CHANNELS = 3, SIDE_MAX = 60, AREA_MAX = SIDE_MAX * SIDE_MAX, SHADES = 256, BINS = 64, LARGE = 6, TRIES = 2, FEWEST = 12 };
 /* Histograms that count by turns, and places of a row in the queue. */

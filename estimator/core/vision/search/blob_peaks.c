@@ -4,9 +4,9 @@
 #include <string.h>
 
 #include "base/arena.h"
-#include "vision/search/best.h"
-#include "vision/search/blobs.h"
 #include "base/wide.h"
+#include "vision/search/best.h"
+#include "vision/search/search.h"
 
 /* Cells of two by two pixels, and those that the largest surroundings reach beyond the image. */
 enum { CHANNELS = 3, SUMS = CHANNELS + 1, CELL = 2, REACH = 11, ROWS = 6 };

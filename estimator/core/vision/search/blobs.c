@@ -3,9 +3,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/search/blobs.h"
-#include "vision/camera.h"
 #include "vision/search/search.h"
+#include "vision/tracker.h"
 
 enum { MOST = 64, PIXEL_WORK = 14, OUTLINE_WORK = 115000 };
 /* Fraction of an ellipse's area at which an area is no support for a circle. */

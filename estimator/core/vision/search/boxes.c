@@ -3,8 +3,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/search/strokes.h"
 #include "base/wide.h"
+#include "vision/search/search.h"
 
 enum { BOXES = 4, REACH_MAX = 80 };
 /* Width of a stroke at which the mask is halved, thirded ..., px: strokes of the mask that is searched are 5 to 10 px wide. */

@@ -4,9 +4,7 @@
 #include <string.h>
 
 #include "base/arena.h"
-#include "vision/search/blobs.h"
 #include "vision/search/search.h"
-#include "vision/search/strokes.h"
 
 /* Peaks that are fitted for each circle that is requested, at most. */
 enum { TRIES = 3 };

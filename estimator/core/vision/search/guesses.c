@@ -3,9 +3,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/camera.h"
 #include "base/rotation.h"
 #include "vision/search/search.h"
+#include "vision/tracker.h"
 
 enum { STANDS = 3 };
 /* Least radius of a disc, px, at the size of the frame that its drawing is compared at. */

@@ -3,10 +3,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/camera.h"
-#include "vision/search/search.h"
 #include "base/vectors.h"
 #include "base/wide.h"
+#include "vision/search/search.h"
+#include "vision/tracker.h"
 
 enum { CELLS = DL_POLAR_RADII * DL_POLAR_ANGLES, VALUES = 4, LANES = 8, HALF_TURN = DL_POLAR_ANGLES / 2 };
 /* Work of a heading. */

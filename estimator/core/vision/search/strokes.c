@@ -5,9 +5,9 @@
 
 #include "base/arena.h"
 #include "base/rotation.h"
-#include "vision/search/best.h"
-#include "vision/search/strokes.h"
 #include "base/wide.h"
+#include "vision/search/best.h"
+#include "vision/search/search.h"
 
 enum { LONGEST = 72, LEAST_WIDTH = 4, MOST_WIDTH = 70, WIDE_FROM = 9, FEWEST = 8, WIDTHS = 2, LIMITS = 2 };
 /* Work of a pixel, and of looking for an H of one size in it. */

@@ -3,10 +3,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/align/align.h"
+#include "base/kalman.h"
 #include "base/rotation.h"
+#include "vision/align/align.h"
 #include "vision/search/search.h"
-#include "base/symmetric.h"
 
 /* Fewest points of an outline, and the ratios of an ellipse's axes. Below the first it is a circle that faces the camera, within
  * the accuracy of its edges. */

@@ -3,10 +3,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "vision/camera.h"
 #include "base/rotation.h"
-#include "vision/search/strokes.h"
 #include "base/wide.h"
+#include "vision/search/search.h"
+#include "vision/tracker.h"
 
 /* Gradients, in fractions of the strongest, squared, that give a direction, and the fewest of them. */
 enum { FEW_STRONG = 20, FEW_ABOVE = 50, UPPER_BY = 12, SHADES = 256 };
