@@ -22,7 +22,7 @@ _FLOWN = ("tests/companion/test_follow_deck.py",)
 _STREAMER = "tests/drivers/test_command_streamer.py"
 _VISION = "tests/estimator/vision"
 _KEPT = f"{_VISION}/test_unchanged_frames.py"
-_SEEN = (_KEPT, f"{_VISION}/test_equivariance.py", f"{_VISION}/test_verification.py")
+_SEEN = (_KEPT, f"{_VISION}/test_verification.py")
 _ROOMS = {
     "align": (f"{_VISION}/test_detect.py", *_SEEN, f"{_VISION}/test_hard_light.py"),
     "lamps": (_KEPT, f"{_VISION}/test_lamps.py"),
@@ -45,8 +45,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/core/base/kalman.c": (_ORACLE,),
     "estimator/core/base/symmetric.c": (_ALGEBRA,),
     **{f"estimator/core/law/{name}.c": _FLOWN for name in ("law", "axis", "climb", "deck")},
-    "estimator/core/base/rotation.c": (_ALGEBRA, "tests/estimator/vision/test_sighting.py", _ORACLE),
-    "estimator/core/vision/sighting_level.c": (f"{_VISION}/test_sighting.py",),
+    "estimator/core/base/rotation.c": (_ALGEBRA, "tests/estimator/vision/test_pose.py", _ORACLE),
+    "estimator/core/vision/sighting_level.c": (f"{_VISION}/test_pose.py",),
     "estimator/core/vision/camera.c": (*_SEEN, f"{_VISION}/test_registration.py"),
     "estimator/core/vision/frame_noise.c": (f"{_VISION}/test_hard_light.py", *_SEEN),
     **{
@@ -116,7 +116,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/law/pid.py": ("tests/companion/test_pid.py",),
     "sitl/flight/hands.py": ("tests/sitl/test_referee.py",),
     "sitl/flight/referee.py": ("tests/sitl/test_referee.py",),
-    "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter.py", _STREAMER),
+    "drivers/ardrone/arbiter.py": ("tests/drivers/test_custody.py", _STREAMER),
     "drivers/ardrone/velocity_loop.py": ("tests/drivers/test_velocity_loop.py", _STREAMER),
     "drivers/ardrone/custody.py": ("tests/drivers/test_custody.py", _STREAMER),
     "drivers/mavlink/setpoint_streamer.py": (

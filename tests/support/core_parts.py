@@ -12,7 +12,7 @@ from estimator.core.library import CORE, Door
 from supply.core import FLYING
 
 _HEADERS = (
-    "base/kalman.h", "base/symmetric.h", "filter/belief.h", "filter/propagate.h", "filter/sighting.h", "filter/bank.h",
+    "base/kalman.h", "filter/belief.h", "filter/propagate.h", "filter/sighting.h", "filter/bank.h",
     "filter/bank_ahead.h", "filter/filter.h",
 )  # fmt: skip
 PARTS = FFI()

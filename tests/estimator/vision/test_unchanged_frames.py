@@ -17,7 +17,7 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame
 from estimator.vision.tracker import detect_lamps
-from tests.estimator.vision.test_equivariance import BENT, seen_at
+from tests.estimator.vision.test_verification import BENT, seen_at
 from tests.support.night_scenes import NIGHTS, night_scene
 from tests.support.pad_images import STAMP, sim_camera
 from tests.support.pad_scenes import acquire, load_pad
