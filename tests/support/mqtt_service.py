@@ -12,11 +12,10 @@ import numpy as np
 from companion.base.health import Health
 from companion.base.observer import Decision
 from companion.base.supervise import run
-from companion.parts.mqtt.commands import CommandHandler
 from companion.parts.mqtt.connection import BrokerEndpoint
 from companion.parts.mqtt.encode import PendingEvent
 from companion.parts.mqtt.messages import Topics
-from companion.parts.mqtt.part import MqttPart
+from companion.parts.mqtt.part import CommandHandler, MqttPart
 from companion.parts.mqtt.spool import Outbox, Spool
 from companion.settings import files
 from companion.settings.links import MqttSettings

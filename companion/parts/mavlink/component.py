@@ -27,9 +27,17 @@ from companion.base.health import Health
 from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.version import version
-from companion.parts.mavlink.commands import COMMANDS, CommandServer, Offered, Operator, Refusals
+from companion.parts.mavlink.commands import (
+    COMMANDS,
+    PARAMETER_REQUESTS,
+    CommandServer,
+    Offered,
+    Operator,
+    ParameterServer,
+    Refusals,
+    Tunables,
+)
 from companion.parts.mavlink.outputs import AutopilotView, Outputs
-from companion.parts.mavlink.parameters import PARAMETER_REQUESTS, ParameterServer, Tunables
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav

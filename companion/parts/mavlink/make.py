@@ -15,10 +15,9 @@ from msgspec import structs
 from companion.base.health import GIMBAL, Health
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.camera_component import ShowCamera, showing
-from companion.parts.mavlink.commands import PilotTower, link_counters
+from companion.parts.mavlink.commands import PilotTower, Tunables, link_counters
 from companion.parts.mavlink.component import PARAMETERS, Component, speaking
 from companion.parts.mavlink.outputs import Outputs
-from companion.parts.mavlink.parameters import Tunables
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.model import Settings
 from companion.tools.doctor.finding import Finding, Severity

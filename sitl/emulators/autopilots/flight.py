@@ -45,8 +45,7 @@ from sitl.emulators.autopilots.program import Program, reserved_port, running
 from sitl.emulators.autopilots.px4 import HilBackend, serve_hil
 from sitl.emulators.autopilots.stand_in import base as in_process
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
-from sitl.emulators.autopilots.stand_in.base import StandIn
-from sitl.emulators.autopilots.stand_in.gimbal import GimbalLink
+from sitl.emulators.autopilots.stand_in.base import GimbalLink, StandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import STATION, GroundStation, Task
 from sitl.faults.kinds import OperatorActs

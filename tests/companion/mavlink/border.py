@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 import companion.settings.load as settings_of
 from companion.base.health import Health
 from companion.parts.mavlink.bridge import VehicleBridge
+from companion.parts.mavlink.commands import Tunables
 from companion.parts.mavlink.component import Component, speaking
 from companion.parts.mavlink.outputs import Outputs
-from companion.parts.mavlink.parameters import Tunables
 from companion.settings.links import OutputOptions
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.codec import Codec

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.parts.mqtt.commands import REPORT_MAX_BYTES, ShipReportReader, signed
 from companion.parts.mqtt.messages import ShipReport, Topics
+from companion.parts.mqtt.part import REPORT_MAX_BYTES, ShipReportReader, signed
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs
 from tests.support.mqtt_service import RUN

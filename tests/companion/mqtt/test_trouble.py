@@ -14,7 +14,6 @@ from typing import TypeVar
 import msgspec
 import pytest
 
-from companion.parts.mqtt.commands import signed
 from companion.parts.mqtt.messages import (
     CommandReply,
     EventMessage,
@@ -24,6 +23,7 @@ from companion.parts.mqtt.messages import (
     StatusMessage,
     decode,
 )
+from companion.parts.mqtt.part import signed
 from companion.settings.links import MqttSettings
 from estimator.contracts.time import seconds_between
 from tests.support.mosquitto import Broker

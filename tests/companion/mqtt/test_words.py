@@ -24,11 +24,10 @@ from companion.base.health import Health
 from companion.cli.main import main
 from companion.facts import encode as facts
 from companion.parts.mqtt import encode, messages
-from companion.parts.mqtt.commands import FARTHEST_S, LONGEST_BYTES, CommandHandler, RefusedMessage, signed, verified
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, connect
 from companion.parts.mqtt.encode import Changes
 from companion.parts.mqtt.messages import PUBLISHED, Topics, decode, split
-from companion.parts.mqtt.part import spool_folder
+from companion.parts.mqtt.part import FARTHEST_S, LONGEST_BYTES, CommandHandler, RefusedMessage, signed, spool_folder, verified
 from companion.settings import files
 from companion.settings.links import MqttSettings
 from companion.settings.load import from_mapping

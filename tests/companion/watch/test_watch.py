@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from companion.base.health import Health
 from companion.base.observer import Decision
 from companion.cli import main as cli
+from companion.cli.watch import DRONES, WatchModel, line, screen
 from companion.parts.mqtt import encode, messages
 from companion.parts.mqtt.messages import EventMessage, StatusMessage, Topics
-from companion.parts.mqtt.watch import DRONES, WatchModel, line, screen
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
