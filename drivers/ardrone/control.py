@@ -5,7 +5,7 @@ Values are text as the drone writes it: `TRUE` and `FALSE`, numbers, vectors `{ 
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 END = b"\x00"
 """The byte after the last line."""
@@ -25,11 +25,6 @@ def render(configuration: Mapping[str, str]) -> bytes:
     return "".join(f"{key} = {value}\n" for key, value in configuration.items()).encode() + END
 
 
-def boolean(value: str) -> bool | None:
-    """Return the value of TRUE or FALSE; None for anything else."""
-    return {"TRUE": True, "FALSE": False}.get(value.upper())
-
-
 def number(value: str) -> float | None:
     """Return a finite number; None for anything else."""
     try:
@@ -37,16 +32,3 @@ def number(value: str) -> float | None:
     except ValueError:
         return None
     return parsed if math.isfinite(parsed) else None
-
-
-def vector(value: str) -> tuple[float, ...] | None:
-    """Return the numbers of `{ a b c }`; None for anything else."""
-    if not (value.startswith("{") and value.endswith("}")):
-        return None
-    numbers = [number(word) for word in value[1:-1].split()]
-    return tuple(n for n in numbers if n is not None) if None not in numbers else None
-
-
-def format_vector(values: Iterable[float]) -> str:
-    """Return `{ a b c }` with the eight digits that the drone writes."""
-    return "{ " + " ".join(f"{value:.7e}" for value in values) + " }"

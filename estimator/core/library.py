@@ -151,12 +151,6 @@ class Door:
         block, pointer = self.block(kind, count)
         return np.ndarray((count,), self._dtypes[kind][0], block), pointer
 
-    def copied(self, kind: str, pointer: Any) -> tuple[NDArray[np.uint8], Any]:
-        """Return the bytes of a structure's copy, and C's pointer to it."""
-        made, own = self.block(kind, 1)
-        self.ffi.memmove(own, pointer, made.nbytes)
-        return made, own
-
     def _known(self, kind: str) -> tuple[np.dtype[Any], Any]:
         known = self._dtypes.get(kind)
         if known is None:
