@@ -12,6 +12,7 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
+from msgspec import structs
 from msgspec.structs import replace
 
 from companion.base import event_loop
@@ -22,7 +23,7 @@ from companion.tools.doctor.diagnose import RULES, diagnose
 from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather import examine, wait_until
 from companion.tools.doctor.gather_log import examine_log
-from companion.tools.doctor.gather_service import examine_service
+from companion.tools.doctor.gather_outside import examine_service
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot, decode, encode
 from companion.tools.doctor.undo import (
     OnResult,
@@ -41,8 +42,10 @@ from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.signing import Signing, SigningTimes, load_key
+from drivers.nmea.sentences import REFUSED_FOR
 from estimator.contracts.errors import BadInput, file_errors
 
+_UNUSED = {"other_sentence": "of a kind that is not read", "other_message": "of a kind that is not read"}
 GivenLinks = tuple[AutopilotOptions, tuple[LinkOptions, ...]]
 
 
@@ -301,6 +304,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         for finding in found:
             sys.stdout.write(json.dumps(asdict(finding) | {"severity": finding.severity.name.lower()}) + "\n")
+        for one in snapshot.service.ship_sources:
+            sys.stdout.write(json.dumps({"source": one.name} | structs.asdict(one)) + "\n")
         for name, (value, default) in _differs(snapshot).items():
             sys.stdout.write(json.dumps({"differs": name, "value": value, "default": default}) + "\n")
     else:
@@ -357,6 +362,20 @@ def _log_lines(of: str, parameters: int, log: LogHistory) -> list[str]:
     return lines
 
 
+def _ship_lines(snapshot: Snapshot) -> list[str]:
+    """Return which of the ship's reports are used and which are not, a line for each source."""
+    sources = snapshot.service.ship_sources
+    width = max((len(one.name) for one in sources), default=0)
+    lines = ["the ship's reports:"] if sources else []
+    for one in sources:
+        counted = [f"{one.used} used"] if one.used else []
+        counted += [
+            f"{n} not used: {_UNUSED.get(why) or REFUSED_FOR.get(why, why.replace('_', ' '))}" for why, n in one.unused.items()
+        ]
+        lines.append(f"  {one.name:<{width}} {one.rate_hz:6.1f} Hz  {'; '.join(counted)}")
+    return lines
+
+
 def _differs(snapshot: Snapshot) -> dict[str, tuple[float, float]]:
     return {} if snapshot.autopilot is None else snapshot.autopilot.differs
 
@@ -386,6 +405,7 @@ def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
             ", ".join(f"{name} {_short(value)} ({_short(default)})" for name, (value, default) in differs.items()),
             120, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False,
         )  # fmt: skip
+    lines += _ship_lines(snapshot)
     lines += [f"{f.severity.name.lower()}: {f.what} [{f.rule}]\n    fix: {f.fix}" for f in found]
     lines.append(f"{len(found)} of {len(RULES)} known faults found" if found else f"none of {len(RULES)} known faults found")
     return "\n".join(lines) + "\n"

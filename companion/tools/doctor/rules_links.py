@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 from companion.settings.mission import ConeOptions
 from companion.tools.doctor.finding import Finding, Row, Rule, Severity, advice, error, warning
-from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
+from companion.tools.doctor.snapshot import UNREADABLE, LinkSnapshot, Snapshot
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.requests import INSTEAD
 
@@ -16,6 +16,8 @@ _LIMITED_SHARE = 0.1
 _GIMBAL_HZ, _GIMBAL_SILENT_HZ = 10.0, 0.5
 """Rates of a gimbal's reports below which most frames have no report near them, and below which there are no reports."""
 _NO_ANSWER = -1
+_EXPECTED = {"other_sentence", "other_message", "other_receiver", "other_ship"}
+"""Reasons for which reports of a ship are not used, and that are no fault."""
 _LISTED_MAX = 6
 _REFUSED_MIN, _LATE_MIN = 2, 20
 """Refused datagrams and late messages that may happen: a peer that starts, a line that stood still for a moment."""
@@ -281,6 +283,13 @@ def _ship_silent(p: Snapshot) -> str | None:
     return None if p.service.places_taken != 0 else f"; refused: {refused}" if refused else ": nothing arrives"
 
 
+def _bad_sources(p: Snapshot) -> str:
+    """Return the ship's sources that are of no use because of what they report, with the reasons."""
+    sources = [one for one in p.service.ship_sources if one.name != UNREADABLE] or p.service.ship_sources
+    of_no_use = [(one, {why: n for why, n in one.unused.items() if why not in _EXPECTED}) for one in sources]
+    return "; ".join(f"{one.name} ({_counted(why)})" for one, why in of_no_use if why and not one.used)
+
+
 def _lossy(p: Snapshot) -> tuple[str, float] | None:
     """Return the address and the loss in percent of a link that loses messages."""
     for link in _open(p):
@@ -398,6 +407,12 @@ RULES: tuple[Rule, ...] = (
         "AR.Drone at {0.drone}: {0.drone_fault}",
         "join its Wi-Fi (ardrone2_...), check that this host has an address 192.168.1.x, and power-cycle the drone"),
     ship_place,
+    Row("ship-source", _WARNING, lambda p: p.service.ship_fault,
+        "{0}",
+        "check address, cable and firewall; if the service runs it has the port: let it answer with [http], and examine again"),
+    Row("ship-sentences", Severity.ADVICE, _bad_sources,
+        "of the ship's reports these are not used: {0}",
+        "docs/rendezvous.md says what each reason means; a sensor whose data are not good has to settle or be repaired first"),
     Row("ship-silent", _WARNING, _ship_silent,
         "the service took no place of the ship{0}",
         "docs/rendezvous.md says what each reason means; nothing arrives: check the address, the port and the firewall"),

@@ -115,6 +115,20 @@ class GimbalSnapshot(Struct, frozen=True):
     """Reports that were refused, by reason."""
 
 
+UNREADABLE = "unreadable"
+"""Name of what has no source, as it could not be read."""
+
+
+class ShipSource(Struct):
+    """The reports of one kind by one source on the ship, as `INGGA`."""
+
+    name: str = ""
+    used: int = 0
+    rate_hz: float = 0.0
+    unused: dict[str, int] = field(default_factory=dict)
+    """Reports that were not used, by reason."""
+
+
 class ServiceSnapshot(Struct, frozen=True):
     """The service itself, as far as it runs or could be queried."""
 
@@ -154,6 +168,10 @@ class ServiceSnapshot(Struct, frozen=True):
     """The camera's gimbal; None if no service runs, or the camera has none."""
     exposure: dict[str, float] = field(default_factory=dict)
     """The counters of the exposure that the running service drives; empty where it does not."""
+    ship_sources: tuple[ShipSource, ...] = ()
+    """The ship's reports that arrive at the running service, or at this examination."""
+    ship_fault: str | None = None
+    """Reason why the ship cannot be listened to."""
     places_taken: int | None = None
     """Places of the ship that the running service took; None if no service runs, or none are expected."""
 

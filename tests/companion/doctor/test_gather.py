@@ -1,7 +1,10 @@
 """Finding out against an autopilot in miniature, and the command itself."""
 
 import asyncio
+import functools
 import json
+import operator
+import re
 import socket
 from pathlib import Path
 from typing import Any
@@ -13,21 +16,22 @@ import pytest
 import companion.settings.load as settings_of
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
+from companion.cli import doctor
 from companion.parts.metrics.endpoint import MetricsEndpoint
 from companion.settings.links import HttpSettings
 from companion.settings.load import Settings
 from companion.tools.doctor import gather, rules_values
 from companion.tools.doctor.diagnose import PARAMETERS, diagnose
 from companion.tools.doctor.firmware_parameters import names_in
-from companion.tools.doctor.gather_service import examine_service
-from companion.tools.doctor.snapshot import Snapshot, encode
+from companion.tools.doctor.gather_outside import examine_service
+from companion.tools.doctor.snapshot import UNREADABLE, ShipSource, Snapshot, encode
 from drivers.clock import SystemClock
 from drivers.mavlink.dialect import Event, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, defaults, run_doctor
-from tests.support.waiting import listening, until
+from tests.support.waiting import free_port, listening, until
 
 HOST = "127.0.0.1"
 
@@ -164,6 +168,9 @@ async def test_a_service_that_runs_is_queried() -> None:
         health.delay("exposure_to_belief", 0.08)
     health.counters("mavlink", lambda: {"targets_sent": 0.0, "sends_ranges": 1.0, "withheld_not_seen": 12.0})
     health.counters("sentences", lambda: {"taken_HDT": 3.0, "refused_checksum": 7.0, "refused_other_sentence": 90.0})
+    health.counters(
+        "bus", lambda: {"used 127257 of 27": 40.0, "rate_hz 127257 of 27": 10.0, "unused 127257 of 27 impossible": 2.0}
+    )
     health.counters("mqtt", lambda: {"ship_reports_other_run": 2.0, "ship_reports_taken": 1.0, "commands_expired": 5.0})
     health.counters("ship_place", lambda: {"taken": 0.0, "vessel_stale": 1.0})
     server = HttpServer(HttpSettings("http", HOST, 0, page=False), health)
@@ -176,6 +183,47 @@ async def test_a_service_that_runs_is_queried() -> None:
     assert service.frame_rate_hz
     assert (service.targets_sent, service.sends_ranges, service.withheld) == (0, True, {"not seen": 12})
     assert (service.places_taken, service.places_refused) == (0, {"checksum": 7, "other run": 2, "vessel stale": 1})
+    assert service.ship_sources == (
+        ShipSource("127257 of 27", 40, 10.0, {"impossible": 2}), ShipSource(UNREADABLE, 0, 0.0, {"checksum": 7}),
+    )  # fmt: skip
+
+
+async def test_a_ship_that_sends_is_listened_to_and_what_is_not_used_has_its_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    def line(body: str) -> bytes:
+        return f"${body}*{functools.reduce(operator.xor, body.encode()):02X}\r\n".encode()
+
+    port = free_port()
+    settings = rig_file(Path("no camera"), vessel={"nmea": f"{HOST}:{port}"})
+    silent = await examine_service(settings, None, SystemClock(), seconds=0.1)
+    assert "nothing of the ship arrives" in str(silent.ship_fault)
+
+    async def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ship:
+            while True:
+                for body in ("HEHDT,90.0,T", "GPHDT,91.0,T", "TIROT,,V", "GPGSV,1"):
+                    ship.sendto(line(body), (HOST, port))
+                ship.sendto(b"$HEHDT,90.0,T*00", (HOST, port))
+                await asyncio.sleep(0.05)
+
+    sending = asyncio.create_task(send())
+    service = await examine_service(settings, None, SystemClock(), seconds=0.4)
+    sending.cancel()
+    assert service.ship_fault is None
+    found = {one.name: one for one in service.ship_sources}
+    assert set(found) == {"HEHDT", "GPHDT", "TIROT", "GPGSV", UNREADABLE}
+    assert found["HEHDT"].used > 5
+    assert found["HEHDT"].rate_hz == pytest.approx(20.0, rel=0.5)
+    assert [set(found[name].unused) for name in ("GPHDT", "TIROT", UNREADABLE)] == [
+        {"other_receiver"},
+        {"not_valid"},
+        {"checksum"},
+    ]
+    snapshot = Snapshot(0.0, service=service)
+    (finding,) = [f for f in diagnose(snapshot) if f.rule.startswith("ship-s")]
+    assert (finding.rule, "TIROT" in finding.what, "GPHDT" in finding.what) == ("ship-sentences", True, False)
+    page = doctor._page(snapshot, diagnose(snapshot))
+    assert re.search(r"HEHDT +\d+\.\d Hz +\d+ used\n", page)
+    assert re.search(r"GPHDT +\d+\.\d Hz +\d+ not used: another of her receivers is used\n", page)
 
 
 def test_the_command_on_a_saved_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,6 +20,7 @@ from companion.tools.doctor.snapshot import (
     IdConflictSnapshot,
     LinkSnapshot,
     ServiceSnapshot,
+    ShipSource,
     Snapshot,
     TimeSyncSnapshot,
     decode,
@@ -207,6 +208,12 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "a place that nobody flies to": ("ship-place", service(ship_place=UNUSED), "enabled = true"),
     "the ship is silent": ("ship-silent", service(places_taken=0), "firewall"),
     "her sentences are damaged": ("ship-silent", service(places_taken=0, places_refused={"checksum": 9}), "rendezvous.md"),
+    "another program has her port": ("ship-source", service(ship_fault="vessel.nmea: address already in use"), "[http]"),
+    "her gyro has not settled": (
+        "ship-sentences",
+        service(ship_sources=(ShipSource("TIROT", 0, 1.0, {"not_valid": 9}),)),
+        "settle",
+    ),
     "firmware without precision landing": (
         "plnd-missing",
         ardupilot(
