@@ -20,8 +20,8 @@ _MCAP = b"\x89MCAP"
 _TEXT = frozenset(range(32, 127)) | frozenset(b"\t\r\n\f\b\x1b") | frozenset(range(128, 256))
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _PARAMETER = re.compile(rb"(?:\d+\t\d+\t)?([A-Z][A-Z0-9_]{0,15})[\s,=]+" + _NUMBER + rb"(?:\s+\d+|\s*[,#].*)?\s*")
-_LOGGED = re.compile(rb"[-\d:/.,TZ\[\]()+ ]{0,48}")
-"""Text that a logger writes before a sentence: a time."""
+_LOGGED = re.compile(rb"[-\d:/.,;TZ\[\]()+\s]{0,48}")
+"""Text that a logger writes before or after a sentence: a time."""
 
 
 class FileKind(Enum):
@@ -110,7 +110,7 @@ def _kind_of_text(head: bytes, suffix: str) -> FileKind:
 
 def _is_sentence(line: bytes) -> bool:
     found = SENTENCE.search(line)
-    return found is not None and found.end() == len(line) and _LOGGED.fullmatch(line[: found.start()]) is not None
+    return found is not None and all(map(_LOGGED.fullmatch, (line[: found.start()], line[found.end() :])))
 
 
 def _is_tlog(head: bytes) -> bool:

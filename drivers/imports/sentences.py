@@ -20,7 +20,9 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import NS_PER_S, MonoNs
 
-SENTENCE = re.compile(rb"(\\[^\\]*\\)?[$!][A-Za-z]{4,6},[ -~]*|:[0-9A-Fa-f]{6} [- ]\d{4}[A-Za-z][- ]\d{4} [- ]\d{4}")
+SENTENCE = re.compile(
+    rb"(\\[^\\]*\\)?[$!][A-Za-z]{4,6},[ -~]*?(?:\*[0-9A-Fa-f]{2}|$)|:[0-9A-Fa-f]{6} [- ]\d{4}[A-Za-z][- ]\d{4} [- ]\d{4}"
+)
 _TIME = re.compile(
     r"(?P<day>\d{4}[-/]\d\d[-/]\d\d|\d\d/\d\d/\d{4})[T ,]+(?P<clock>\d\d:\d\d:\d\d(?:\.\d+)?)"
     r"|(?P<unix>(?<!\d)\d{9,13}(?:\.\d+)?)|(?P<only>\d\d:\d\d:\d\d(?:\.\d+)?)|(?P<s>(?<!\S)\d{1,8}\.\d+)"
@@ -75,7 +77,7 @@ def _rows(log: SentenceLog, tell: Tell) -> tuple[list[tuple[int, bytes]], float]
         lines = log.path.read_bytes().splitlines()
     except OSError as why:
         raise BadInput(f"{log.path}: {why.strerror or why}") from why
-    found = [(line[: match.start()], match[0]) for line in lines if (match := SENTENCE.search(line))]
+    found = [(line[: match.start()] + b" " + line[match.end() :], match[0]) for line in lines if (match := SENTENCE.search(line))]
     times = [logger_s(before, sentence) for before, sentence in found]
     if 2 * sum(math.isfinite(t) for t in times) < len(times) or not times:
         times = [_own_s(sentence) for _, sentence in found]

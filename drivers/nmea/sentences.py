@@ -42,11 +42,12 @@ from drivers.one_source import SourceChoice
 from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselMotion, VesselReport, VesselWind
-from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, after, seconds_between
 
 _LINE_MAX = 1024
-_RATE_MAX, _BURST_MAX = 500.0, 2.0 * LINES_MAX
-"""Sentences that are read each second, and at once: a storm of them leaves time for the flight."""
+_RATE_MAX, _BURST_MAX, _SOURCE_MAX = 1000.0, 2.0 * LINES_MAX, 0.25
+"""Sentences that are read each second, and at once, and the share that one source may have: a storm of one kind by one talker
+leaves time for the others, and one of all kinds leaves time for the flight."""
 _NAMES_MAX, _TALKERS_MAX = 64, 16
 _DAY_NS, _MINUTE_NS = 86_400 * NS_PER_S, 60 * NS_PER_S
 _ARRIVAL_SIGMA_S = 0.2
@@ -103,7 +104,7 @@ REFUSED_FOR = {
     "bad_quality": "the sensor says that its data are not good",
     "other_receiver": "another of her receivers is used",
     "no_way": "an apparent wind without her heading and velocity",
-    "too_many": f"more than {_RATE_MAX:.0f} sentences a second",
+    "too_many": f"more than {_RATE_MAX:.0f} sentences a second, or {_SOURCE_MAX * _RATE_MAX:.0f} of one source",
 }
 """Meanings of reasons whose names alone are not clear."""
 
@@ -119,6 +120,8 @@ class SourceCount(Struct):
     last: MonoNs | None = None
     gap_s: float = 0.0
     """Mean time between two, over the last ten or so."""
+    allowance: float = _SOURCE_MAX * _BURST_MAX
+    """The number of them that may be read at once now."""
 
     def on_sentence(self, now: MonoNs) -> None:
         """Count the time since the one before."""
@@ -161,6 +164,7 @@ class _Receiver:
         self._burst: Stamp | None = None
         self._period_s = 0.0
         self._before, self._in_burst = Counter[str](), Counter[str]()
+        self._late_s: dict[str, float] = {}
 
     def timed(self, time_of_day_ns: int, received_at: MonoNs) -> Stamp:
         """Return the stamp of a sentence with a time of day."""
@@ -172,15 +176,17 @@ class _Receiver:
         return stamp
 
     def untimed(self, kind: str, received_at: MonoNs) -> Stamp:
-        """Return the stamp of a sentence without a time: that of its burst if it is one of a kind there, else its arrival."""
+        """Return the stamp of a sentence without a time: that of its burst if it is one of a kind there, else its arrival.
+
+        Where the sentence with the time was lost, it is as late as those of its kind before.
+        """
         self._in_burst[kind] += 1
-        one = self._in_burst[kind] == 1 and self._before[kind] <= 1
-        if self._burst is None or not one:
-            return _arrival(received_at)
-        late_s = seconds_between(self._burst.received_at, received_at)
-        if not 0.0 <= late_s <= min(_BURST_S, _BURST_SHARE * self._period_s):
-            return _arrival(received_at)
-        return replace(self._burst, received_at=received_at)
+        one, longest_s = self._in_burst[kind] == 1 and self._before[kind] <= 1, min(_BURST_S, _BURST_SHARE * self._period_s)
+        if one and self._burst is not None and 0.0 <= seconds_between(self._burst.received_at, received_at) <= longest_s:
+            self._late_s[kind] = seconds_between(self._burst.measured_at, received_at)
+            return replace(self._burst, received_at=received_at)
+        stamp = _arrival(received_at)
+        return replace(stamp, measured_at=after(received_at, -self._late_s.get(kind, 0.0)))
 
 
 class NmeaReader:
@@ -265,12 +271,12 @@ class NmeaReader:
 
     def _counted(self, source: str, kind: str, read: Callable[[], Samples], now: MonoNs) -> Samples:
         """Return the samples of one sentence, and count it."""
-        if source not in self.sources and len(self.sources) >= _NAMES_MAX:
-            source = "others"
-        count = self.sources.setdefault(self._prefix + source, SourceCount())
-        count.on_sentence(now)
+        name = self._prefix + source
+        count = self.sources.setdefault(
+            name if name in self.sources or len(self.sources) < _NAMES_MAX else "others", SourceCount()
+        )
         try:
-            if not self._admits(now):
+            if not self._admits(count, now):
                 raise Refused("too_many")
             made = read()
         except Refused as why:
@@ -285,18 +291,23 @@ class NmeaReader:
         count.refused[reason] += 1
         return []
 
-    def _admits(self, now: MonoNs) -> bool:
+    def _admits(self, count: SourceCount, now: MonoNs) -> bool:
+        """Return whether there is time to read one more sentence of a source, and count it among those that came."""
         passed_s = max(0.0, seconds_between(self._tokens_at, now))
         self._tokens, self._tokens_at = min(_BURST_MAX, self._tokens + _RATE_MAX * passed_s), now
-        if self._tokens < 1.0:
+        since_s = 0.0 if count.last is None else max(0.0, seconds_between(count.last, now))
+        count.allowance = min(_SOURCE_MAX * _BURST_MAX, count.allowance + _SOURCE_MAX * _RATE_MAX * since_s)
+        count.on_sentence(now)
+        if min(self._tokens, count.allowance) < 1.0:
             return False
-        self._tokens -= 1.0
+        self._tokens, count.allowance = self._tokens - 1.0, count.allowance - 1.0
         return True
 
     def _receiver(self, talker: str) -> _Receiver:
-        if talker not in self._receivers and len(self._receivers) >= _TALKERS_MAX:
-            raise Refused("too_many_talkers")
-        return self._receivers.setdefault(talker, _Receiver(talker))
+        found = self._receivers[talker] = self._receivers.pop(talker) if talker in self._receivers else _Receiver(talker)
+        if len(self._receivers) > _TALKERS_MAX:
+            del self._receivers[next(iter(self._receivers))]  # the one that was silent for longest
+        return found
 
     def _chosen(self, source: str, made: Samples, now: MonoNs, doubt: float = 1.0) -> Samples:
         """Return those of the samples whose source is the chosen one of its quantity.
@@ -368,7 +379,7 @@ class NmeaReader:
     def _turning(self, cell: str, unit_deg_s: float, of: _Receiver, kind: str, received_at: MonoNs) -> Samples:
         rate, rounded = say.turn(cell, unit_deg_s)
         stamp, sigma = of.untimed(kind, received_at), math.hypot(_SIGMA_TURN_RAD_S, rounded)
-        return self._chosen(f"{of.name} {kind}", [VesselReport(stamp, None, None, None, None, rate, sigma)], received_at)
+        return self._chosen(f"{of.name} {kind}".strip(), [VesselReport(stamp, None, None, None, None, rate, sigma)], received_at)
 
     def _wind(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
         kind = m.sentence_type
@@ -569,7 +580,7 @@ def _quantity(sample: GeoFix | VesselReport | VesselMotion | VesselWind, doubt: 
         case GeoFix():
             return "place", source, sample.sigma_m
         case VesselReport(cov_v_ned=cov) if cov is not None:
-            return "velocity", source, float(cov[0, 0])
+            return "velocity", source, math.sqrt(float(cov[0, 0]))
         case VesselReport(sigma_heading_rad=sigma) if sigma is not None:
             return "heading", source, doubt * sigma
         case VesselReport():

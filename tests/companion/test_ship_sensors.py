@@ -113,6 +113,8 @@ def test_a_log_has_a_logger_s_time_or_its_own(tmp_path, capsys, before):
         )
         for body in (f"GPGGA,{clock},5424.01800,N,01012.06600,E,1,12,0.8,4.0,M,45.0,M,,", f"PSXN,23,1.{s:02d},2.0,,0.5"):
             rows.append(when + line(body).decode().strip())
+    if before.startswith("{unix"):  # some write the time behind
+        rows = [f"{row.partition(' ')[2]} ; {row.partition(' ')[0]}" for row in rows]
     log.write_text("\n".join([*rows, "the end"]) + "\n")
     found = imported(tmp_path, log, capsys=capsys)
     assert (found["PSXN"]["count"], found["PSXN"]["rate_hz"], found["PSXN"]["gaps"]) == (90, pytest.approx(1.0, abs=0.02), 0)

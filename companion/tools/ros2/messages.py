@@ -22,7 +22,18 @@ from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, VehicleStatus, VesselReport
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    GeoFix,
+    Imu,
+    Range,
+    VehicleStatus,
+    VesselMotion,
+    VesselReport,
+    VesselWind,
+)
 from estimator.contracts.time import NS_PER_S, MonoNs
 from estimator.vision.camera import Camera
 
@@ -239,6 +250,11 @@ class RosMessages:
                 yield f"/{of.whose}/fix", self._fix(of)
             case VesselReport():
                 yield from self._vessel(of)
+            case VesselMotion():
+                yield from self._motion(of)
+            case VesselWind():
+                toward = -of.speed_m_s * np.array([math.sin(of.from_rad), math.cos(of.from_rad), 0.0])
+                yield "/vessel/wind", self._stamped("Vector3Stamped", of.stamp.measured_at, MAP, vector=self._vector(toward))
             case VehicleStatus():
                 yield "/battery", self._battery(of)
                 yield "/mode", self._make("std_msgs/msg/String", data=of.mode)
@@ -295,6 +311,20 @@ class RosMessages:
         if of.heading_rad is not None:
             R = enu_attitude(Rotation.from_rpy(0.0, 0.0, of.heading_rad))
             yield "/vessel/heading", self._stamped("QuaternionStamped", at, MAP, quaternion=self._quaternion(R))
+
+        if of.turn_rad_s is not None:
+            turn = self._vector(np.array([0.0, 0.0, -of.turn_rad_s]))
+            yield "/vessel/turn", self._stamped("Vector3Stamped", at, MAP, vector=turn)
+
+    def _motion(self, of: VesselMotion) -> Iterator[_Topic]:
+        """Yield roll and pitch, and heave as a height, each in a frame with the sensor's name."""
+        at = of.stamp.measured_at
+        if of.roll_rad is not None and of.pitch_rad is not None:
+            R = Rotation(UP @ Rotation.from_rpy(of.roll_rad, of.pitch_rad, 0.0).matrix @ UP)
+            yield "/vessel/tilt", self._stamped("QuaternionStamped", at, of.sensor, quaternion=self._quaternion(R))
+        if of.heave_down_m is not None:
+            height = self._vector(np.array([0.0, 0.0, -of.heave_down_m]))
+            yield "/vessel/heave", self._stamped("Vector3Stamped", at, of.sensor, vector=height)
 
     def _battery(self, of: VehicleStatus) -> Any:
         return self._make(

@@ -27,7 +27,8 @@ from companion.tools.ros2.messages import RosMessages, typestore
 from drivers.imports.kinds import FileKind, kind_of
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range
+from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, VesselMotion, VesselReport, VesselWind
+from estimator.contracts.time import MonoNs, Stamp
 from tests.companion.live.test_live import TOKEN, serve_live
 from tests.fly import record_to
 from tests.support.waiting import until
@@ -360,6 +361,26 @@ def test_a_damaged_bag_is_refused_or_reported(n: int, tmp_path: Path) -> None:
         reported.append(str(why))
     assert reported or len(found) == len(whole)
     assert all("\n" not in text for text in reported)
+
+
+def test_a_ship_s_own_sensors_have_the_axes_of_ros() -> None:
+    """Port side down, bow up, 0.5 m below her mean, turning to starboard, in a wind from the east."""
+    ros, stamp = RosMessages(typestore().types, 0, None), Stamp(MonoNs(10**9), MonoNs(10**9), 0.1, "arrival")
+    moved = VesselMotion(stamp, "IN PSXN", -0.1, 0.2, 0.0, 0.5)
+    turned = VesselReport(stamp, None, None, None, None, 0.3, 0.01)
+    sent = {
+        topic: message
+        for one in (moved, turned, VesselWind(stamp, "WI MWD", 0.5 * math.pi, 8.0))
+        for topic, *_, message in ros.of(one)
+    }
+    deck = rotation(sent["/vessel/tilt"].quaternion)
+    assert deck @ np.array([1.0, 0.0, 0.0]) == pytest.approx([math.cos(0.2), 0.0, math.sin(0.2)]), "the bow is up"
+    assert (deck @ np.array([0.0, 1.0, 0.0]))[2] < -0.09, "and port, which is left, is down"
+    assert sent["/vessel/tilt"].header.frame_id == "IN PSXN"
+    assert (sent["/vessel/heave"].vector.z, sent["/vessel/turn"].vector.z) == (-0.5, -0.3)
+    wind = sent["/vessel/wind"].vector
+    assert (wind.x, wind.y) == pytest.approx((-8.0, 0.0), abs=1e-9)
+    assert list(ros.of(replace(moved, roll_rad=None, heave_down_m=None))) == []
 
 
 pytest.importorskip("rosbags", reason="needs the extra ros2")

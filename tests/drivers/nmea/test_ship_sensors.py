@@ -227,16 +227,33 @@ def test_a_better_receiver_wins_after_a_while_and_the_other_one_where_it_falls_s
     assert 2 <= min(s for s in by_talker["GP"] if s > 20) - 30 <= 4, "the better one is missed for no longer than three seconds"
 
 
+def test_a_motion_has_the_instant_of_its_burst_also_where_the_sentence_with_the_time_was_lost() -> None:
+    reader, delays_s = NmeaReader(), []
+    for second in range(20):
+        gga = line(f"INGGA,{120000 + second:06d}.00,5424.01800,N,01012.06600,E,1,12,0.8,4.0,M,45.0,M,,")
+        if second not in (7, 13):
+            reader.samples(gga, ns(100.1 + second))
+        got = reader.samples(line("INHDT,90.00,T") + line("PSXN,23,1.0,2.0,90.00,0.5"), ns(100.4 + second))
+        delays_s += [one.stamp.delay_s for one in got if isinstance(one, VesselMotion)]
+    assert delays_s[2:] == pytest.approx([0.3] * 18, abs=0.01)
+    ten_hz = [one for n in range(50) for one in reader.samples(line("HEHDT,90.0,T"), ns(130.0 + 0.1 * n))]
+    assert all(one.stamp.delay_s == 0.0 for one in ten_hz)
+
+
 def test_a_storm_of_sentences_is_dropped_and_counted_and_the_next_second_is_read() -> None:
     reader = NmeaReader()
     storm = b"".join(line("GPGSV,3,1,11,03,03,111,00") for _ in range(800))
+    motions = 0
     for n in range(20):
         reader.samples(storm, ns(100.0 + 0.01 * n))
+        motions += len(reader.samples(line("PSXN,23,1.0,2.0,,0.5"), ns(100.0 + 0.01 * n)))
     assert reader.refused["too_many"] > 13_000
+    assert motions == 20, "another's storm takes nothing from her motion sensor"
     assert len(reader.samples(line("HEHDT,90.0,T"), ns(102.0))) == 1
     for n in range(2000):
-        reader.samples(line(f"{n:05d},1"), ns(103.0 + n))
+        reader.samples(line(f"{n:05d},1") + line(f"{n % 90:02d}HDT,1.0,T"), ns(103.0 + n))
     assert len(reader.sources) <= 70
+    assert reader.samples(line("INROT,5.0,A"), ns(3000.0)) != [], "ninety talkers before leave room for a new one"
 
 
 def test_binary_records_arrive_in_datagrams_and_cut_anywhere_in_a_stream_and_text_beside_them() -> None:
