@@ -6,6 +6,7 @@
 import functools
 import http.server
 import threading
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,28 +18,7 @@ from tests.companion.page.test_browser import pytestmark as of_a_browser
 expect = pytest.importorskip("playwright.async_api").expect
 SITE = Path(__file__).parents[2] / "site"
 pytestmark = [*of_a_browser, pytest.mark.skipif(not (SITE / "index.html").is_file(), reason="there is no site: make docs")]
-QUESTIONS = {
-    "how do I install it on a raspberry pi": {"installation"},
-    "raspberry camera": {"cameras"},
-    "my drone does not see the pad": {"symptoms"},
-    "the drone just hovers and will not land": {"symptoms"},
-    "how do I print a pad": {"pads"},
-    "use my company logo as helipad": {"pads"},
-    "how much wind is too much": {"limits"},
-    "fly with a playstation controller": {"operator"},
-    "take off from the terminal": {"operator"},
-    "watch it on my phone": {"page"},
-    "calibrate the camera": {"cameras"},
-    "which ArduPilot parameters do I need": {"ardupilot"},
-    "px4 offboard": {"px4"},
-    "open a recording in foxglove": {"recordings"},
-    "convert flight to ros bag": {"ros2"},
-    "set a geofence": {"operator", "configuration"},
-    "mqtt broker with tls": {"mqtt"},
-    "write my own controller": {"extending"},
-    "how accurate is the landing": {"benchmarks"},
-    "train a neural network policy": {"training"},
-}
+QUESTIONS: dict[str, list[str]] = tomllib.loads(Path(__file__).with_name("questions.toml").read_text())
 """Questions of users, and the pages that answer each."""
 
 

@@ -1,5 +1,6 @@
 """Scenario files: what is shipped holds, and what is wrong is named with key, unit and file."""
 
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from sitl.faults.kinds import KINDS
 from sitl.scenario.scenario import Scenario, camera_model, from_mapping, load
 from sitl.sea.sea import SEA_STATES
 
+REFUSED = tomllib.loads(Path(__file__).with_name("refused_scenarios.toml").read_text())["case"]
+
 
 def test_a_loaded_scenario_holds_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "near.toml").write_text((Path("configs/cameras/sim.toml")).read_text())
@@ -25,51 +28,7 @@ def test_a_loaded_scenario_holds_from_anywhere(tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.parametrize(
     ("data", "said"),
-    [
-        ({"sea": {"significant_height_m": -1}}, "sea.significant_height_m must be a number from 0 to 10 m, found -1"),
-        ({"sea": {"peak_period_s": "long"}}, 'sea.peak_period_s must be a number from 1 to 20 s, found "long"'),
-        ({"sea": {"sea_state": 7}}, "sea.sea_state must be a whole number from 0 to 6, found 7"),
-        ({"sea": {"sea_state": 4, "significant_height_m": 1.0}}, "sea: sea_state sets the height and the period: give either it"),
-        ({"sea": {"spreading": 20.0}}, "sea: spreading needs runs_to_deg"),
-        (
-            {"sea": {"spectrum": "pierson_moskowitz", "peak_period_s": 8.0}},
-            "sea: peak_period_s does not go with pierson_moskowitz",
-        ),
-        ({"sea": {"wind_sea": {"height_m": 1.0, "period_s": 9.0}}}, "sea: wind_sea belongs to the spectrum ochi_hubble"),
-        (
-            {"sea": {"spectrum": "ochi_hubble", "significant_height_m": 1.0, "swell": {"height_m": 1.0, "period_s": 9.0}}},
-            "sea: significant_height_m follows from swell and wind_sea",
-        ),
-        (
-            {"sea": {"spectrum": "ochi_hubble", "wind_sea": {"height_m": 1.0, "period_s": 9.0, "spreading": 5.0}}},
-            "sea: wind_sea.spreading needs runs_to_deg",
-        ),
-        ({"wind": {"speed_m_s": float("nan")}}, "wind.speed_m_s must be a number from 0 to 25 m/s, found nan"),
-        ({"start": {"hieght_m": 5.0}}, "start.hieght_m is not a known key; did you mean start.height_m?"),
-        ({"vessel": {"hull": "canoe"}}, "vessel: hull must be one of otter, ferry, supply_ship, found 'canoe'"),
-        ({"vessel": {"speed_m_s": 2.0}}, "vessel: speed_m_s must be 0 while moored is true"),
-        ({"sensors": {"ultrasound_min_m": 1.0, "ultrasound_max_m": 0.8}}, "ultrasound_min_m must be less than ultrasound_max_m"),
-        ({"faults": [{"kind": "flow_blind", "at_s": 1}, {"kind": "rain"}]}, 'faults[1].kind must be one of "lens_covered", '),
-        ({"faults": [{"kind": "gust", "at_s": -1, "for_s": 1}]}, "faults[0].at_s must be a number from 0 to 36000 s, found -1"),
-        (
-            {"faults": [{"kind": "flow_blind", "by_s": 3, "at_s": 1}]},
-            "faults[0].by_s is not a known key of this kind of faults[0]",
-        ),
-        (
-            {"faults": [{"kind": "frames_misstamped", "at_s": 1}]},
-            "faults[0].by_s is missing: it must be a number from -3600 to 3600 s",
-        ),
-        ({"faults": [{"kind": "gust", "at_s": 1}]}, "faults[0]: for_s must say how long the gust takes to pass"),
-        ({"faults": [{"kind": "frames_shifted", "at_s": 1}]}, "faults[0]: forward_m or right_m must say"),
-        ({"faults": [{"kind": "flow_blind"}]}, "faults[0]: exactly one of at_s, below_height_m, "),
-        ({"faults": [{"kind": "flow_blind", "at_s": 1, "below_height_m": 1}]}, "found at_s and below_height_m"),
-        ({"faults": [{"kind": "flow_blind", "in_phase": "lunch"}]}, "in_phase must be one of waiting for "),
-        ({"faults": [{"kind": "flow_blind", "at_s": 120}]}, "faults[0].at_s is 120 s, but the flight ends after 120 s"),
-        ({"faults": [{"kind": "flow_blind", "below_height_m": 6}]}, "below_height_m is 6 m, but the flight starts at 5 m"),
-        ({"expect": "miracle"}, 'expect must be one of "either", "go_around", "hold", "land", "refuse"'),
-        ({"faults": 7}, "faults"),
-        ({"faults": [7]}, "faults[0]"),
-    ],
+    [(case["data"], case["said"]) for case in REFUSED],
 )
 def test_refusals_name_the_key_and_its_unit(data: dict[str, Any], said: str) -> None:
     with pytest.raises(BadInput) as why:
