@@ -7,11 +7,14 @@ from pathlib import Path
 from companion.base.mission import Reason, ReasonCause, State
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 
+_KINDS: dict[str, type[ReasonCause | IntegrityAlert | Verdict]] = {
+    "causes": ReasonCause, "alerts": IntegrityAlert, "verdicts": Verdict,
+}  # fmt: skip
+
 
 def _causes() -> Iterator[tuple[str, tuple[ReasonCause | IntegrityAlert | Verdict, ...]]]:
-    kinds = {"causes": ReasonCause, "alerts": IntegrityAlert, "verdicts": Verdict}
     for row in tomllib.loads(Path(__file__).with_name("advice.toml").read_text(encoding="utf-8"))["advice"]:
-        yield row["text"], tuple(kind[name.upper()] for key, kind in kinds.items() for name in row.get(key, ()))
+        yield row["text"], tuple(kind[name.upper()] for key, kind in _KINDS.items() for name in row.get(key, ()))
 
 
 CAUSES = dict(_causes())
