@@ -102,14 +102,17 @@ def vessel(
     *,
     var: float | Vector = 0.01,
     sigma_rad: float = 0.05,
+    turn_rad_s: float | None = None,
 ) -> VesselReport:
-    """Return a ship's report of its velocity over ground (ned, m/s) and its heading; None where it does not know."""
+    """Return a ship's report of its velocity over ground (ned, m/s), heading and rate of turn; None where it does not know."""
     return VesselReport(
         _stamp(at),
         None if v is None else np.array(v, dtype=float),
         None if v is None else _cov(var, 3),
         heading_rad,
         None if heading_rad is None else sigma_rad,
+        turn_rad_s,
+        None if turn_rad_s is None else 0.005,
     )
 
 

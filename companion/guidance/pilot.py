@@ -361,11 +361,13 @@ def tracker(settings: Settings) -> TrackerConfig:
 
 
 def estimator_options(settings: Settings) -> EstimatorOptions:
-    """Return the estimator's options, with those that depend on the vehicle.
+    """Return the estimator's options, with those that depend on the vehicle and on the ship's receiver.
 
     An AR.Drone's optical flow is relative to the surface that it sees, deck or water; an autopilot's velocity is over the ground.
     """
-    options = settings.estimator
+    options, ship = settings.estimator, settings.vessel
+    at_pad = structs.replace(options.ekf, pad_forward_m=ship.pad_forward_m, pad_right_m=ship.pad_right_m)
+    options = structs.replace(options, ekf=at_pad)
     if options.ekf.velocity_is_over != "auto":
         return options
     over: Literal["ground", "either"] = "ground" if isinstance(settings.vehicle, AutopilotOptions) else "either"

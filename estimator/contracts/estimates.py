@@ -286,7 +286,7 @@ COMPONENTS: dict[Source, tuple[str, ...]] = {
     "velocity": ("forward_m_s", "right_m_s", "down_m_s"),
     "range": ("range_m",),
     "baro": ("height_m",),
-    "vessel": ("north_m_s", "east_m_s", "down_m_s", "heading_rad"),
+    "vessel": ("north_m_s", "east_m_s", "down_m_s", "heading_rad", "turn_rad_s"),
     "fix": (),
     "status": (),
     "motion": ("roll_rad", "pitch_rad", "heave_m"),

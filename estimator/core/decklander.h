@@ -167,6 +167,8 @@ typedef struct {
     double sigma_turn_rate_rad_s;
     /* Heading of the pad's arrow against the vessel's bow, rad. */
     double pad_yaw_in_vessel_rad;
+    /* The pad from the place whose velocity the vessel reports, towards her bow and to starboard, m. */
+    double pad_in_vessel_m[2];
     /* Scale of the velocity sensor at the beginning: measured over true. */
     double velocity_scale;
     /* Standard deviation of the tilt of the first attitude, rad. */
@@ -231,6 +233,12 @@ typedef struct {
     double heading_rad;
     /* Its standard deviation, rad. */
     double sigma_heading_rad;
+    /* Whether it holds a rate of turn. */
+    bool has_turn;
+    /* Rate of turn, clockwise seen from above, rad/s. */
+    double turn_rad_s;
+    /* Its standard deviation, rad/s. */
+    double sigma_turn_rad_s;
 } dl_vessel_report;
 
 /* What vision saw of the pad, in level. */

@@ -73,6 +73,8 @@ def _of_vessel(report: VesselReport) -> bytes:
         values |= {"has_velocity": True, "v_ned": v.tolist(), "cov_v_ned": cov.ravel().tolist()}
     if report.heading_rad is not None:
         values |= {"has_heading": True, "heading_rad": report.heading_rad, "sigma_heading_rad": report.sigma_heading_rad}
+    if report.turn_rad_s is not None:
+        values |= {"has_turn": True, "turn_rad_s": report.turn_rad_s, "sigma_turn_rad_s": report.sigma_turn_rad_s}
     return _record(abi.DL_VESSEL, report, {"vessel": values})
 
 

@@ -172,6 +172,11 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     pad_yaw_in_vessel_rad: Annotated[
         float, number("direction of the pad's arrow from the bow, clockwise from above", "rad", 0.0, 2.0 * math.pi, public=True)
     ] = 0.0
+    pad_forward_m: Annotated[
+        float,
+        number("the pad from the point whose velocity the ship reports, towards the bow, as `vessel` says", "m", -400.0, 400.0),
+    ] = 0.0
+    pad_right_m: Annotated[float, number("the same to starboard", "m", -100.0, 100.0)] = 0.0
     deck_radius_m: Annotated[
         float,
         number(

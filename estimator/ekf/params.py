@@ -243,6 +243,7 @@ def _packed(params: FilterParams) -> NDArray[Any]:
         max_ahead_ns=round(o.max_ahead_s * 1e9),
         leap_ns=round(o.leap_s * 1e9),
         velocity_is_over=_SURFACES[o.velocity_is_over],
+        pad_in_vessel_m=(o.pad_forward_m, o.pad_right_m),
         correlation_s=(o.attitude_correlation_s, o.velocity_correlation_s, o.range_correlation_s, o.baro_correlation_s),
         nis_max=[nis_max(o.gate_probability, dof) for dof in range(1, DL_ROWS_MAX + 1)],
         carrying_psd_accel=by.asd_accel**2,

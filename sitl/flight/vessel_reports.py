@@ -16,8 +16,8 @@ from sitl.flight.grader import GradedWorld
 from sitl.flight.ship_sensors import Anemometer, MotionSensor, ShipAt, TurnSensor
 from sitl.sensors.sensors import SIGMA_M, GnssErrors
 
-_DELAY_S, _TURN_DELAY_S, _WIND_DELAY_S = 0.2, 0.1, 1.0
-"""Delays from the ship's receiver, gyrocompass and anemometer to the service (assumed)."""
+_DELAY_S, _WIND_DELAY_S = 0.2, 1.0
+"""Delays from the ship's receiver and anemometer to the service (assumed)."""
 _SIGMA_M_S, _SIGMA_HEADING_RAD = 0.1, math.radians(1.0)
 """A GNSS receiver's velocity and a ship's compass (assumed); the report claims the same."""
 
@@ -67,7 +67,7 @@ class VesselReporter:
         if self._motion is not None:
             self._others.append(_Stream(self._motion.measured, ship.motion_hz, ship.motion_delay_s))
         if ship.turn_hz:
-            self._others.append(_Stream(TurnSensor(world).measured, ship.turn_hz, _TURN_DELAY_S))
+            self._others.append(_Stream(TurnSensor(world).measured, ship.turn_hz, ship.turn_delay_s))
         if ship.wind_hz:
             self._others.append(_Stream(Anemometer(world).measured, ship.wind_hz, _WIND_DELAY_S))
 

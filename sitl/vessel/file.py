@@ -329,8 +329,11 @@ class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
         choice("place of her GNSS antenna from the pad's centre: metres forward, to starboard, down"),
     ] = (0.0, 0.0, 0.0)
     turn_hz: Annotated[
-        float, number("rate at which her gyrocompass reports rate of turn and heading, 0.1 s late; 0 for never", "Hz", 0.0, 50.0)
+        float, number("rate at which her gyrocompass reports rate of turn and heading; 0 for never", "Hz", 0.0, 50.0)
     ] = 0.0
+    turn_delay_s: Annotated[
+        float, number("time after which a report of it arrives, which its stamp does not say", "s", 0.0, 2.0, "assumed")
+    ] = 0.1
     motion_hz: Annotated[
         float, number("rate at which her motion sensor reports roll, pitch and heave; 0 for never", "Hz", 0.0, 100.0)
     ] = 0.0

@@ -120,6 +120,10 @@ typedef struct {
     double nis_mean, nis_claimed;
     /* Time for which sightings have agreed with the heading minus the time for which they have contradicted it, s. */
     double heading_held_s;
+    /* Instants, ns, of the first and the last rate of turn in a row that the vessel reported and that showed a manoeuvre, of the last
+     * heading fused beside one, and until which they are left out; -1 if there is none. The newest one's innovation in deviations. */
+    int64_t turn_since, turn_last, turn_heading, turn_left_out;
+    double turn_deviate;
     /* The vessel's velocity before her newest manoeuvre in the frame of ins_v, north and east, m/s. */
     double vessel_before[2];
     dl_rejection_streak rejections;

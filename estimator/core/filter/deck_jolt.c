@@ -33,6 +33,8 @@ static const double LEFT_SHARE = 0.05, LEFT_SHARE_ON = 0.25;
 static const double CLAIMED_RENEWED = 0.1, CLAIMED_MOST = 5.0, CLAIMED_LEAST = 0.2;
 /* A place, m, or heading, rad, that is further off is not that of a ship that steers. */
 static const double STEERED_MOST = 0.25;
+/* Time since the newest sign of a manoeuvre after which the next one is another manoeuvre, s. */
+static const double MANOEUVRE_S = 2.0;
 /* A ship that is slower has no way, m/s: north and east are as good. */
 static const double UNDER_WAY_M_S = 0.3;
 
@@ -232,6 +234,16 @@ void jolt_steer(const steering *shown, double *P)
     AT(P, DL_TURN_RATE, DL_TURN_RATE) += rate * turn;
     AT(P, DL_PAD_YAW, DL_TURN_RATE) += across * turn;
     AT(P, DL_TURN_RATE, DL_PAD_YAW) += across * turn;
+}
+
+void jolt_note_manoeuvre(dl_belief *b)
+{
+    if (!happened(b->steered) || seconds(b->steered, b->t) > MANOEUVRE_S) {
+        for (int i = 0; i < 2; i++) {
+            b->vessel_before[i] = b->x[DL_VESSEL_VEL + i] - b->x[DL_VEL + i] + b->ins_v[i];
+        }
+    }
+    b->steered = b->t;
 }
 
 void jolt_widen(const double missing[3], double *P)

@@ -35,6 +35,8 @@ void jolt_extend(dl_innovation_excesses *excesses, int64_t t, const double innov
 int jolt_steered(const dl_innovation_excesses *excesses, int64_t t, steering *newest);
 /* Widen P for accelerations of the ship that add so much variance to displacement and heading. */
 void jolt_steer(const steering *shown, double *P);
+/* Note that the ship manoeuvres now, and her velocity before if she did not a moment ago. */
+void jolt_note_manoeuvre(dl_belief *b);
 /* The variance, m^2, by which the claimed one falls short along north, east, down; returns whether it does anywhere. */
 int jolt_missing(const dl_innovation_excesses *excesses, double missing[3]);
 /* Widen P for unknown accelerations that add so much variance, m^2, to the pad's displacement along north, east, down. */

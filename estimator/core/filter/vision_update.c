@@ -28,8 +28,6 @@ static const double RATE_KNOWN_VAR = 0.35 * 0.35;
 static const double LOST_SIGMA_M = 0.3;
 /* Longest time between two sightings that counts for a heading, s. */
 static const double COUNTED_S = 0.5;
-/* Time since the newest sighting of a manoeuvre after which the next one is another manoeuvre, s. */
-static const double MANOEUVRE_S = 2.0;
 /* Turn beyond the believed one in one sighting that swings a pad aside, rad; a ship that turns as ships do is followed. */
 static const double SWUNG_RAD = 0.012;
 /* Change of the pad's speed across the ship's way by which a manoeuvre shown so lately swings it: a ship that brakes changes that along it. */
@@ -187,12 +185,9 @@ static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covar
         return first;
     }
     b->excesses.n = manoeuvres ? b->excesses.n : 0;
-    if (manoeuvres && (!happened(b->steered) || seconds(b->steered, b->t) > MANOEUVRE_S)) {
-        for (int i = 0; i < 2; i++) {
-            b->vessel_before[i] = b->x[DL_VESSEL_VEL + i] - b->x[DL_VEL + i] + b->ins_v[i];
-        }
+    if (manoeuvres) {
+        jolt_note_manoeuvre(b);
     }
-    b->steered = manoeuvres ? b->t : b->steered;
     b->swung = shown.var[2] > SWUNG_RAD * SWUNG_RAD ? b->t : b->swung;
     return second;
 }

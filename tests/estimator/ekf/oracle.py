@@ -251,7 +251,8 @@ def _begin(event: Event, params: FilterParams) -> tuple[State | None, Outcome]:
     x[VEL_SCALE] = o.velocity_scale
     b = State(
         t=t, t_cov=t, t_imu=-1, t_velocity=-1, sighted=-1, agreed=0, is_levelled=0, heading_is_given=0, heading_known=0,
-        heading_seen=-1, steered=-1, swung=-1, R=R, x=x, R_cov=R, dv=zero, dp=zero, turned=np.zeros((3, 3)), coast_s=0.0, w=zero,
+        heading_seen=-1, steered=-1, swung=-1, turn_since=-1, turn_last=-1, turn_heading=-1,
+        turn_left_out=-1, turn_deviate=0.0, R=R, x=x, R_cov=R, dv=zero, dp=zero, turned=np.zeros((3, 3)), coast_s=0.0, w=zero,
         w_smooth=zero, f=zero, levelled_by=np.zeros((3, 3)), cov_levelled_by=np.zeros((3, 3)), ins_p=zero, ins_v=zero,
         ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0, over_pad=0.0, wave_w=bank.w_rad_s, wave_zeta=bank.zeta,
         wave_sigma=bank.sigma, nis_mean=1.0, nis_claimed=1.0, heading_held_s=0.0, vessel_before=np.zeros(2),
@@ -756,23 +757,64 @@ def _inflated(b: State, kind: int, innov: F64) -> F64:
 
 
 def _vessel(b: State, event: VesselReport, params: FilterParams) -> Outcome:
-    """Fuse what a ship reports of herself: her velocity, her heading, or both."""
-    o, rows, axes = params.options, list[Rows](), tuple[int, ...]()
+    """Fuse what a ship reports of herself: her velocity, her heading or both, and her rate of turn."""
+    o, rows, axes, outcome = params.options, list[Rows](), tuple[int, ...](), Outcome(Verdict.GATED)
+    bow = b.x[PAD_YAW] - o.pad_yaw_in_vessel_rad
+    ahead, aside = about_down(bow)[:2, :2] @ (o.pad_forward_m, o.pad_right_m)
+    swing = np.array([-aside, ahead, 0.0])
+    turns = I_N[TURN_RATE] + I_N[YAW_RATE]
     if event.v_vessel_ned is not None and event.cov_v_ned is not None:
-        rows, axes = [Rows(event.v_vessel_ned - _BY_V_PAD @ b.x, _BY_V_PAD, event.cov_v_ned)], (0, 1, 2)
-    if event.heading_rad is not None and event.sigma_heading_rad is not None:
+        H = _BY_V_PAD - np.outer(swing, turns)
+        R = event.cov_v_ned + (0.5**2 * np.eye(3) if o.velocity_is_over in ("either", "auto") else 0.0)
+        rows, axes = [Rows(event.v_vessel_ned - H @ b.x, H, R)], (0, 1, 2)
+    due = b.turn_heading < 0 or (b.t - b.turn_heading) * 1e-9 >= 1.0 or event.turn_rad_s is None
+    if event.heading_rad is not None and event.sigma_heading_rad is not None and due:
         innov = np.array([wrap_pi(event.heading_rad + o.pad_yaw_in_vessel_rad - b.x[PAD_YAW])])
         rows, axes = [*rows, Rows(innov, I_N[[PAD_YAW]], np.array([[event.sigma_heading_rad**2]]))], (*axes, 3)
-    if not rows:
-        return Outcome(Verdict.GATED)
-    z = _together(rows)
-    fix, limit = correction(b.P, z), nis_max(o.gate_probability, z.innov.size)
+    if rows:
+        z = _together(rows)
+        outcome = _gated(b, z, params, axes)
+        if outcome.verdict is Verdict.FUSED and 3 in axes:
+            b.heading_known, b.turn_heading = 1, b.t
+    if event.turn_rad_s is None or event.sigma_turn_rad_s is None:
+        return outcome
+    own = event.sigma_turn_rad_s**2
+    z = Rows(np.array([event.turn_rad_s - turns @ b.x]), turns[None], np.array([[own + 0.05**2]]))
+    if _turn_shows(b, float(z.innov[0]), math.sqrt(max(0.0, turns @ b.P @ turns) + own + 0.01**2)):
+        bow = b.x[PAD_YAW] - o.pad_yaw_in_vessel_rad
+        ahead, aside = about_down(bow)[:2, :2] @ (o.pad_forward_m, o.pad_right_m)
+        g = I_N[TURN_RATE] - aside * I_N[16] + ahead * I_N[17]
+        b.P = b.P + float(z.innov[0]) ** 2 * (np.outer(g, g) + np.diag(I_N[16] + I_N[17]))
+        if b.steered < 0 or (b.t - b.steered) * 1e-9 > 2.0:
+            b.vessel_before = b.x[VESSEL_VEL] - b.x[VEL][:2] + b.ins_v[:2]
+        b.steered, b.swung = b.t, b.t if abs(z.innov[0]) > 0.2 else b.swung
+    turned = _gated(b, z, params, (4,), left_out=b.t < b.turn_left_out)
+    return turned if outcome.innov is None else outcome
+
+
+def _turn_shows(b: State, innov: float, sigma: float) -> bool:
+    """Return whether a reported rate of turn, off by so many rad/s, shows a manoeuvre that sight does not contradict."""
+    before, now = b.turn_deviate, innov / sigma
+    b.turn_deviate = now
+    shows = abs(now) > 5.0 or (min(abs(now), abs(before)) > 3.0 and now * before > 0.0)
+    goes_on = b.turn_last >= 0 and (b.t - b.turn_last) * 1e-9 <= 1.0
+    if not (shows or (goes_on and abs(innov) > 0.1)) or b.agreed < 8 or (b.t - b.sighted) * 1e-9 > 0.6:
+        return False
+    b.turn_since = b.turn_since if goes_on else b.t
+    b.turn_last = b.t
+    if (b.t - b.turn_since) * 1e-9 > 1.5:
+        b.turn_left_out = b.t + 10_000_000_000
+    return bool(shows and b.t >= b.turn_left_out)
+
+
+def _gated(b: State, z: Rows, params: FilterParams, axes: tuple[int, ...], *, left_out: bool = False) -> Outcome:
+    """Correct a state by numbers that pass the gate."""
+    fix, limit = correction(b.P, z), nis_max(params.options.gate_probability, z.innov.size)
     if fix is None:
         return Outcome(Verdict.SINGULAR, z.innov, axes=axes)
-    if fix.nis > limit:
+    if fix.nis > limit or left_out:
         return Outcome(Verdict.GATED, z.innov, fix.S, fix.nis, limit, axes)
     correct(b, fix)
-    b.heading_known = int(b.heading_known or 3 in axes)
     return Outcome(Verdict.FUSED, z.innov, fix.S, fix.nis, limit, axes)
 
 

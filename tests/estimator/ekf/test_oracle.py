@@ -41,7 +41,7 @@ _OPTIONS: tuple[dict[str, Any], ...] = (
     {"velocity_is_over": "either", "deck_radius_m": 3.0, "sighting_has_attitude_error": False, "min_confidence": 0.5},
     {
         "velocity_is_over": "pad", "aiding_period_s": 0.02, "hold_s": 0.02, "pad_yaw_in_vessel_rad": 1.2, "tick_s": 0.01,
-        "gate_probability": 1e-4,
+        "pad_forward_m": -3.0, "pad_right_m": 1.0, "gate_probability": 1e-4,
     },
     {
         "velocity_is_over": "ground", "forget_s": 0.5, "accel_step_m_s2": 1.0, "gyro_step_rad_s": 0.1, "reopen_count": 2,
@@ -156,7 +156,8 @@ def drawn_sample(rng: np.random.Generator, t: int, wild: float) -> Event:
         case 7:
             return baro(at, 2.6 + 0.1 * size * rng.normal(), 0.1)
     v, course = (0.1 * size * rng.normal(size=3) if rng.random() < 0.7 else None), float(0.1 * size * rng.normal())
-    return vessel(at, v, course if rng.random() < 0.7 else None, var=rng.uniform(1e-3, 1e-1, 3))
+    turn = float(rng.choice([0.02, 0.3, 1.0]) * size * rng.normal()) if rng.random() < 0.6 else None
+    return vessel(at, v, course if rng.random() < 0.7 else None, var=rng.uniform(1e-3, 1e-1, 3), turn_rad_s=turn)
 
 
 def expected_place(b: State) -> tuple[F64, F64]:
@@ -201,7 +202,9 @@ def drawn_state(rng: np.random.Generator, params: FilterParams) -> State:
         rejections=SimpleNamespace(**dict(zip(("n", "since", "last", "offset_ned", "var_m2"), streak, strict=True))),
         heading_known=int(rng.random() < 0.8), heading_held_s=float(rng.uniform(-0.1, 0.4)), heading_seen=ago(100),
         nis_mean=float(rng.uniform(0.5, 3.0)), nis_claimed=float(rng.uniform(0.1, 1.2)),
-        steered=ago(170, 600), swung=ago(300, 1600), vessel_before=rng.normal(size=2), ins_p=rng.normal(size=3),
+        steered=ago(170, 600), swung=ago(300, 1600), turn_since=ago(300, 1700), turn_last=ago(100, 1200),
+        turn_heading=ago(400, 1200), turn_left_out=ago(-2000, 2000), turn_deviate=float(rng.normal(0.0, 6.0)),
+        vessel_before=rng.normal(size=2), ins_p=rng.normal(size=3),
         ins_v=rng.normal(size=3), ins_var_m2_s2=float(rng.choice([0.0, 0.05])),
         levelled_by=R @ oracle.exp(0.02 * rng.normal(size=3)),
         cov_levelled_by=np.diag(rng.choice([0.0, 1e-5, 1e-3, 0.1]) * rng.uniform(0.5, 2.0, 3)),
