@@ -283,7 +283,8 @@ def make_daemon(
             extras[f"rtk_{key}"] = receiver.run
             health.counters(f"rtk_{key}", receiver.counted)
     if sources(settings):
-        health.awaited |= {SHIP_PLACE}
+        if settings.guidance.rendezvous.enabled:  # a network without a GNSS receiver is worth its motion sensor all the same
+            health.awaited |= {SHIP_PLACE}
         health.counters("ship_place", pilot.landing.vessel_counts)
     if settings.mqtt.transport != "off":
         from companion.parts.mqtt.part import make_mqtt

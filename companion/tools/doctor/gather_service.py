@@ -86,7 +86,7 @@ def figures(
         exposure_to_belief_s=medians_s.get("exposure_to_belief"),
         targets_sent=None if sent is None else int(sent),
         sends_ranges=None if ranges is None else bool(ranges),
-        places_taken=taken,
+        places_taken=taken if settings.guidance.rendezvous.enabled else None,
         ship_sources=ship_sources(counts),
         gimbal=_gimbal(settings, counts.get("gimbal", {}), rates_hz),
         exposure=dict(counts.get("exposure", {})),

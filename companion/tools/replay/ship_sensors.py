@@ -25,7 +25,7 @@ _GAP = 3.0
 """A gap is longer than so many of a sensor's usual intervals."""
 _LAGS_S = np.arange(-1.0, 1.001, 0.02)
 
-_HEAVE = "heave"
+_HEAVE, _PLACE = "heave", "place"
 
 
 class Part(Struct, frozen=True):
@@ -97,7 +97,7 @@ class ShipSensors(NullObserver):
                 self._put(sample, "heading", {"heading": (sample.heading_rad, math.degrees)})
                 self._put(sample, "rate of turn", {"turn": (sample.turn_rad_s, math.degrees)})
             case GeoFix(whose="vessel"):
-                self._put(sample, "place", {"sigma": (sample.sigma_m, None)})
+                self._put(sample, _PLACE, {"sigma": (sample.sigma_m, None)})
 
     def _put(self, sample: Sample, sensor: str, parts: dict[str, tuple[float | None, Callable[[float], float] | None]]) -> None:
         given = {name: value if of is None else of(value) for name, (value, of) in parts.items() if value is not None}
@@ -172,7 +172,7 @@ def _verdict(sensor: str, rows: list[tuple[float, dict[str, float]]]) -> SensorV
     rate_hz = 1.0 / usual_s if usual_s > 0.0 else math.inf
     longest_s = float(between.max())
     waves_m, wanders_m, fault = _heave(series.get(_HEAVE, np.empty((0, 2))))
-    if len(at) >= _FEWEST and all(part.step is None for part in parts):
+    if len(at) >= _FEWEST and sensor != _PLACE and all(part.step is None for part in parts):  # a place's sigma may stay the same
         fault = "its numbers never change"
     return SensorVerdict(sensor, len(at), rate_hz, len(gaps), longest_s, tuple(parts), waves_m, wanders_m, fault)
 

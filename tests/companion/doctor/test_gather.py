@@ -177,8 +177,12 @@ async def test_a_service_that_runs_is_queried() -> None:
     MetricsEndpoint(server, health)
     async with listening(server) as port:
         http = {"endpoint": "http", "host": HOST, "port": port, "page": False}
-        service = await examine_service(rig_file(Path("no camera is opened"), http=http), None, SystemClock())
+        flies_there = {"rendezvous": {"enabled": True}}
+        rig = rig_file(Path("no camera is opened"), http=http, guidance=flies_there, vessel={"nmea": "127.0.0.1:10110"})
+        service = await examine_service(rig, None, SystemClock())
+        stays = await examine_service(rig_file(Path("no camera is opened"), http=http), None, SystemClock())
     assert service.camera_fault is None
+    assert stays.places_taken is None, "nobody flies to her place"
     assert service.exposure_to_belief_s == 0.08
     assert service.frame_rate_hz
     assert (service.targets_sent, service.sends_ranges, service.withheld) == (0, True, {"not seen": 12})

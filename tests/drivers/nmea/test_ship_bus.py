@@ -367,10 +367,15 @@ def test_a_log_of_each_kind_is_imported(form: str, tmp_path, capsys) -> None:
         message = decoded("attitude", roll=0.1 + 0.01 * (k % 3))
         message.timestamp += timedelta(seconds=0.1 * k)
         rows.append(encode(message))
+        place = decoded("positionRapidUpdate", latitude=54.4, longitude=10.2 + 1e-5 * k)
+        place.timestamp = message.timestamp
+        rows.append(encode(place))
     log = tmp_path / "boat.log"
     log.write_text("\n".join(rows))
-    found = imported(tmp_path, log, capsys=capsys)["src 7"]
-    assert (found["count"], found["rate_hz"]) == (60, pytest.approx(10.0, rel=0.02))
+    found = imported(tmp_path, log, capsys=capsys)
+    for sensor in ("src 7", "place"):
+        assert (found[sensor]["count"], found[sensor]["rate_hz"]) == (60, pytest.approx(10.0, rel=0.02))
+        assert found[sensor]["fault"] is None
 
 
 class Ship:
