@@ -9,21 +9,32 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 SILENT_S = 3.0
 """Silence of the chosen source after which another one takes its place."""
+_SILENT_GAPS, _SILENT_MAX_S = 3.0, 30.0
+"""Such a silence of one that reports seldom, in its own intervals, and at most."""
 _BETTER, _BETTER_FOR_S = 0.6, 3.0
 """Share of the chosen source's sigma below which another one is better, and the time for which it has to be that."""
+_SOURCES_MAX = 16
 
 
 class _Source(Struct):
-    name: str
     sigma: float
     last: MonoNs
     best_at: MonoNs
     """Arrival of `sigma`, the least one of the last seconds: sentences of one receiver differ in what they know."""
+    gap_s: float = 0.0
+    """Usual interval of its reports."""
     better_since: MonoNs | None = None
+
+    def silent(self, now: MonoNs) -> bool:
+        return seconds_between(self.last, now) > min(_SILENT_MAX_S, max(SILENT_S, _SILENT_GAPS * self.gap_s))
 
     def gave(self, sigma: float, now: MonoNs) -> None:
         if sigma <= self.sigma or seconds_between(self.best_at, now) > SILENT_S:
             self.sigma, self.best_at = sigma, now
+        if self.silent(now):
+            self.better_since = None
+        between_s = seconds_between(self.last, now)
+        self.gap_s += (0.3 if self.gap_s else 1.0) * (between_s - self.gap_s)
         self.last = now
 
 
@@ -31,30 +42,26 @@ class SourceChoice:
     """Keeps the chosen source of each quantity of one ship."""
 
     def __init__(self) -> None:
+        self._sources: dict[str, dict[str, _Source]] = {}
         self._chosen: dict[str, _Source] = {}
-        self._other: dict[str, _Source] = {}
 
     def takes(self, quantity: str, source: str, sigma: float, now: MonoNs) -> bool:
         """Return whether a report of `quantity` by `source`, received `now`, is used; `sigma` is its standard deviation."""
+        sources = self._sources.setdefault(quantity, {})
+        one = sources[source] = sources.pop(source) if source in sources else _Source(sigma, now, now)
+        if len(sources) > _SOURCES_MAX:
+            del sources[next(iter(sources))]  # the one that was silent for longest
+        one.gave(sigma, now)
         chosen = self._chosen.get(quantity)
-        if chosen is None or (chosen.name != source and seconds_between(chosen.last, now) > SILENT_S):
-            self._chosen[quantity] = _Source(source, sigma, now, now)
+        if chosen is None or chosen.silent(now):
+            self._chosen[quantity] = chosen = one
+        if chosen is one:
             return True
-        if chosen.name == source:
-            chosen.gave(sigma, now)
-            return True
-        other = self._other.get(quantity)
-        if other is None or other.name != source:
-            # The best of the others is watched, and any of them once that one is silent.
-            if other is not None and sigma >= other.sigma and seconds_between(other.last, now) <= SILENT_S:
-                return False
-            other = self._other[quantity] = _Source(source, sigma, now, now)
-        other.gave(sigma, now)
-        if other.sigma >= _BETTER * chosen.sigma:
-            other.better_since = None
+        if one.sigma >= _BETTER * chosen.sigma:
+            one.better_since = None
             return False
-        other.better_since = other.better_since or now
-        if seconds_between(other.better_since, now) < _BETTER_FOR_S:
+        one.better_since = one.better_since or now
+        if seconds_between(one.better_since, now) < _BETTER_FOR_S:
             return False
-        self._chosen[quantity] = self._other.pop(quantity)
+        self._chosen[quantity] = one
         return True

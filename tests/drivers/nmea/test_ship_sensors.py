@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from drivers.nmea.fields import KNOT_M_S
 from drivers.nmea.sentences import NmeaReader
 from drivers.nmea.transport import SentenceSource
+from drivers.one_source import SourceChoice
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import GeoFix, Sample, VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import MonoNs
@@ -225,6 +226,19 @@ def test_a_better_receiver_wins_after_a_while_and_the_other_one_where_it_falls_s
     assert 12 <= by_talker["GN"][0] <= 15
     assert by_talker["GP"][-1] == 39
     assert 2 <= min(s for s in by_talker["GP"] if s > 20) - 30 <= 4, "the better one is missed for no longer than three seconds"
+
+
+@given(st.floats(0.2, 9.0), st.floats(0.1, 0.9))
+def test_two_sources_that_report_seldom_do_not_take_turns(period_s: float, apart: float) -> None:
+    choice = SourceChoice()
+    used = [
+        name
+        for n in range(40)
+        for name, at in (("a", n), ("b", n + apart))
+        if choice.takes("place", name, 2.5, ns(10.0 + at * period_s))
+    ]
+    assert len(used) in (40, 41), "one of both, after the first few"
+    assert len(set(used[2:])) == 1
 
 
 def test_a_motion_has_the_instant_of_its_burst_also_where_the_sentence_with_the_time_was_lost() -> None:
