@@ -32,7 +32,7 @@ _ROOMS = {
         _KEPT,
         f"{_VISION}/test_detect.py",
         f"{_VISION}/test_tracker.py",
-        f"{_VISION}/test_acquire.py",
+        f"{_VISION}/test_other_pads.py",
     ),
 }
 """Rooms of vision's C and their tests."""
@@ -117,7 +117,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "sitl/flight/hands.py": ("tests/sitl/test_referee.py",),
     "sitl/flight/referee.py": ("tests/sitl/test_referee.py",),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_custody.py", _STREAMER),
-    "drivers/ardrone/velocity_loop.py": ("tests/drivers/test_velocity_loop.py", _STREAMER),
+    "drivers/ardrone/velocity_loop.py": ("tests/drivers/test_custody.py", _STREAMER),
     "drivers/ardrone/custody.py": ("tests/drivers/test_custody.py", _STREAMER),
     "drivers/mavlink/setpoint_streamer.py": (
         "tests/drivers/mavlink/test_setpoints.py",

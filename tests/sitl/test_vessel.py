@@ -16,6 +16,7 @@ from sitl.sea.sea import SEA_STATES, Waves
 from sitl.vessel.file import Mode, RecordedMotion, Table, load
 from sitl.vessel.seakeeping import (
     FERRY,
+    MODES,
     OTTER,
     SUPPLY_SHIP,
     Hull,
@@ -27,7 +28,23 @@ from sitl.vessel.seakeeping import (
 )
 from sitl.vessel.vessel import Mooring, RecordedVessel, TurningVessel, Vessel
 from sitl.world.stage import sea_and_vessel
-from tests.support.vessel_table_text import as_toml
+
+
+def as_toml(table: Table) -> str:
+    """Return the text of a table as a vessel's file holds it."""
+    lines = ["[table]", f"encounter_rad_s = {_row(table.encounter_rad_s)}", f"heading_deg = {_row(table.heading_deg)}"]
+    for mode in MODES:
+        held: Mode | None = getattr(table, mode)
+        if held is not None:
+            lines += ["", f"[table.{mode}]"]
+            for name, rows in (("amplitude", held.amplitude), ("phase_deg", held.phase_deg)):
+                lines += [f"{name} = [", *(f"  {_row(row)}," for row in rows), "]"]
+    return "\n".join(lines) + "\n"
+
+
+def _row(values: tuple[float, ...]) -> str:
+    return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
+
 
 HEADER = "time_s,surge_m,sway_m,heave_down_m,roll_deg,pitch_deg,yaw_deg\n"
 TURNING = Hull("s", 82.8, 19.2, 6.0, 0.65, 10.0, 0.33, 3.0, 14.0, (-22.0, 0.0), gm_m=2.14, kg_m=7.0)

@@ -37,7 +37,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.companion.mavlink.border import HOST, wire_frame
+from tests.companion.mavlink.stage import HOST, wire_frame
 from tests.make import stamp_at
 from tests.support.waiting import PATIENCE_S, free_port, until
 

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from tests.companion.mavlink.border import AUTOPILOT, HOST, STATION, US, Border, bordered
+from tests.companion.mavlink.stage import AUTOPILOT, HOST, STATION, US, Border, bordered
 from tests.support.clocks import PatientClock
 from tests.support.waiting import until
 

@@ -28,9 +28,8 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.companion.mavlink.border import AUTOPILOT, US, Border, bordered, messages, wire_frame
 from tests.companion.mavlink.receivers import ArduPilotReceiver, Px4Receiver
-from tests.companion.mavlink.stage import PAD_NED, staged
+from tests.companion.mavlink.stage import AUTOPILOT, PAD_NED, US, Border, bordered, messages, staged, wire_frame
 from tests.support.clocks import SteppedClock
 from tests.support.fake_operator import FakeOperator
 from tests.support.waiting import until

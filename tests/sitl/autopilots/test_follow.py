@@ -1,7 +1,10 @@
-"""A vehicle that somebody else simulates: its pose from messages, our deck under it, and a landing in real time."""
+"""A vehicle that somebody else simulates, over links that lose, delay and double: its pose, our deck under it, a landing."""
 
 import asyncio
 import math
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -9,17 +12,25 @@ from msgspec.structs import replace
 
 from companion.base.mission import FlightOutcome
 from companion.settings.load import load as load_settings
+from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.samples import LocalPosition
+from estimator.contracts.commands import Velocity
 from estimator.contracts.geodesy import GeoPoint, moved
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import Attitude
+from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from estimator.contracts.time import Stamp
 from sitl.emulators.autopilots.follow import AutopilotPose, DeckUnder, PoseSource, follow
+from sitl.emulators.autopilots.lock_step import FaultyLink
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
+from sitl.faults.fault import FaultTimer
+from sitl.faults.faulty_streams import VehicleStreams
+from sitl.faults.kinds import LinkLost, NavdataStream, StreamFault
 from sitl.scenario.scenario import load
 from tests.make import ns
-from tests.support.waiting import free_port
+from tests.support.clocks import PatientClock
+from tests.support.waiting import free_port, until
 
 HOST = "127.0.0.1"
 
@@ -154,3 +165,99 @@ async def test_followed_seen_and_landed_in_real_time() -> None:
     # It began at (3, 4); the pad lay 0.2 m ahead of it and 0.15 m to the left.
     assert fake.p_ned[:2] == pytest.approx((3.2, 3.85), abs=0.15)
     assert fake.of("LANDING_TARGET"), "and the autopilot was told of the pad"
+
+
+@dataclass
+class Linked:
+    """A stand-in and the driver with the relay between them."""
+
+    fake: MiniatureAutopilot
+    driver: Autopilot
+    link: FaultyLink
+    timer: FaultTimer
+    samples: list[Sample]
+
+    async def fly(self, seconds: float, begins: bool = False) -> list[Sample]:
+        """Pass some time, with the faults from now on if `begins`; return the samples that came."""
+        if begins:
+            self.timer.update(1.0, 3.0, None)
+        had = len(self.samples)
+        await self.fake.clock.sleep(seconds)
+        return self.samples[had:]
+
+
+@asynccontextmanager
+async def linked(*faults: StreamFault | LinkLost) -> AsyncIterator[Linked]:
+    clock, relay_port, port = PatientClock(), free_port(), free_port()
+    timer = FaultTimer(faults, 1)
+    link = FaultyLink(VehicleStreams(timer, 1), clock)
+    fake = MiniatureAutopilot(clock=clock)
+    samples: list[Sample] = []
+    async with (
+        asyncio.timeout(60),
+        open_autopilot(AutopilotOptions(f"udpin://{HOST}:{port}"), clock) as driver,
+        link.relaying(HOST, relay_port, port),
+        fake.talking_to(f"udpout://{HOST}:{relay_port}"),
+    ):
+
+        async def deliver() -> None:
+            while True:
+                await asyncio.sleep(0.004)
+                link.deliver()
+
+        async def read() -> None:
+            async for sample in driver.samples:
+                samples.append(sample)
+
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(deliver()), group.create_task(read())]
+            try:
+                await until(lambda: driver.sync is not None and driver.sync.locked)
+                await until(lambda: {Attitude, BodyVelocity, Imu} <= {type(s) for s in samples})
+                yield Linked(fake, driver, link, timer, samples)
+            finally:
+                for task in tasks:
+                    task.cancel()
+
+
+def lost(driver: Autopilot) -> int:
+    """Sequence numbers that never came, as the link counts them."""
+    return driver.links.all[0].counters.codec.lost
+
+
+async def test_without_a_fault_the_relay_changes_nothing() -> None:
+    async with linked() as it:
+        await it.fly(0.6)
+        assert lost(it.driver) == 0
+        it.driver.command(Velocity(np.array([0.4, 0.0, 0.0]), 0.0))
+        carried = it.link.carried
+        assert carried["samples in"] == carried["samples out"] > 20
+        assert carried["commands in"] == carried["commands out"] > 5
+
+
+async def test_lost_datagrams_are_counted() -> None:
+    async with linked(NavdataStream(at_s=1.0, dropped_fraction=0.3)) as it:
+        before = it.link.carried.copy()
+        await it.fly(1.0, begins=True)
+        came, went = (it.link.carried[name] - before[name] for name in ("samples in", "samples out"))
+        assert 0.15 < 1.0 - went / came < 0.45
+        assert lost(it.driver) == pytest.approx(came - went, abs=3)
+
+
+@pytest.mark.parametrize("effect", ["duplicated_fraction", "reordered_fraction"])
+async def test_doubled_and_overtaken_samples_reach_the_service_once_and_in_order(effect: str) -> None:
+    async with linked(NavdataStream(at_s=1.0, **{effect: 0.4})) as it:
+        samples = await it.fly(1.0, begins=True)
+        for kind in (Imu, Attitude, BodyVelocity):
+            stamps = [s.stamp.measured_at for s in samples if isinstance(s, kind)]
+            assert len(stamps) > 10
+            assert stamps == sorted(set(stamps)), kind
+        assert it.driver.out_of_order > 0, "counted"
+
+
+async def test_a_lost_link_is_noticed_and_comes_back() -> None:
+    async with linked(LinkLost(at_s=1.0, for_s=2.0)) as it:
+        await it.fly(0.1, begins=True)
+        assert await it.fly(0.5) == []
+        it.timer.update(3.1, 3.0, None)
+        assert len(await it.fly(0.8)) > 20
