@@ -53,6 +53,12 @@ class RelposOptions(Struct, frozen=True):
     """Distance beyond which a solution is not of the ship below."""
     reverse: bool = False
     """True if the base is the drone's antenna and the rover the ship's."""
+    antenna_body: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The drone's antenna from the body's origin, m in the body's axes."""
+    antenna_vessel: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The ship's antenna from the pad's centre, m towards the bow, to starboard, down."""
+    alone: bool = False
+    """True if the estimate may begin with a baseline."""
     mount_rad: float | None = None
     """Direction from base to rover against the bow, where both are on the ship; None where one is on the drone."""
 
@@ -77,6 +83,7 @@ class RelposReader:
                 window_s=60.0, name="the receiver",
             )
         )  # fmt: skip
+        self._arms = np.array(options.antenna_body), np.array(options.antenna_vessel)
         self._rest = b""
         self._held: tuple[Address, MonoNs] | None = None
         self._newest: Baseline | None = None
@@ -158,7 +165,8 @@ class RelposReader:
             sigma = np.hypot(sigma, _EXTRAPOLATED_M)
         if sigma.max() > _SIGMA_MAX_M:
             return "inaccurate"
-        found = Baseline(stamp, fix, -d if self._o.reverse else d, np.diag(sigma**2))
+        o = self._o
+        found = Baseline(stamp, fix, -d if o.reverse else d, np.diag(sigma**2), *self._arms, o.alone)
         self._name_change(found)
         self.taken[fix] += 1
         made.append(found)

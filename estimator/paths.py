@@ -13,7 +13,7 @@ from estimator import dead_reckoning
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, FusionResult, PathName, RelativeState, Sighting, Verdict, uncompared
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import Baseline, GeoFix, GimbalAttitude, Sample, VehicleStatus, VesselMotion, VesselWind
+from estimator.contracts.samples import GeoFix, GimbalAttitude, Sample, VehicleStatus, VesselMotion, VesselWind
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.ekf import EkfOptions, Filter, Forecast
 from estimator.options import DeadReckoningOptions
@@ -21,7 +21,7 @@ from estimator.options import DeadReckoningOptions
 Event = Sample | Sighting
 
 
-_UNUSED_BY_EKF = frozenset({VehicleStatus, GeoFix, GimbalAttitude, VesselMotion, VesselWind, Baseline})
+_UNUSED_BY_EKF = frozenset({VehicleStatus, GeoFix, GimbalAttitude, VesselMotion, VesselWind})
 
 
 class Path(Protocol):

@@ -23,6 +23,7 @@ from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import (
     Attitude,
     Baro,
+    Baseline,
     BodyVelocity,
     Frame,
     GimbalAttitude,
@@ -128,11 +129,13 @@ class RelativeEstimator:
         results: list[tuple[FusionResult, ...]] = []
         samples: list[Sample] = []
         for event in events:
-            if not isinstance(event, Sighting):
+            if not isinstance(event, (Sighting, Baseline)):
                 samples.append(event)
                 continue
             results += self._put_samples(samples, wanted)
-            results.append(self._sight(event))
+            made = self._sight(event) if isinstance(event, Sighting) else self._put_baseline(event)
+            if wanted or isinstance(event, Sighting):
+                results.append(made)
             samples = []
         return results + self._put_samples(samples, wanted)
 
@@ -347,6 +350,17 @@ class RelativeEstimator:
         if self.guard.restarts != restarts:
             self._begin_again()
         return results
+
+    def _put_baseline(self, baseline: Baseline) -> tuple[FusionResult, ...]:
+        self.guard, (admitted,) = integrity.admit(self.guard, (baseline,))
+        if isinstance(admitted, Verdict):
+            return self._refused(baseline, admitted)
+        steering, *others = (path.put((baseline,))[0] for path in self._paths)
+        if steering is not None:
+            at, attitude = baseline.stamp.measured_at, self.attitude_at(baseline.stamp)
+            sigma_m = math.sqrt(max(baseline.cov_ned.diagonal().tolist()))
+            self.guard = integrity.baseline_judged(self.guard, steering, sigma_m, self._paths[0].at(at), attitude)
+        return tuple([result for result in (steering, *others) if result is not None])
 
     def _begin_again(self) -> None:
         """Begin the filter again: its state was made with a faulty sensor."""

@@ -1,4 +1,4 @@
-"""Encode what the service passes to its observers as records."""
+"""Encode what the service passes to its observers as records, and decode the two that it encodes again."""
 
 import math
 from typing import TypeVar, get_args
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from companion.base.health import HealthSnapshot
 from companion.base.mission import StateChange
 from companion.base.observer import Decision, DeckOutlook, ProcessedFrame
-from companion.base.orders import HandledOrder
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.response_in_use import ResponseInUse
 from companion.facts import records as rec
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
@@ -243,3 +243,16 @@ def _finite(a: NDArray[np.float64] | None) -> list[float] | None:
 def _flat(a: NDArray[np.float64]) -> list[float]:
     out: list[float] = a.ravel().tolist()
     return out
+
+
+def held_rotation(of: rec.DetectionRecord) -> Rotation | None:
+    """Return the rotation of a camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
+    return None if of.R_body_cam is None else Rotation(np.array(of.R_body_cam, dtype=float).reshape(3, 3))
+
+
+def handled(of: rec.OrderRecord) -> HandledOrder:
+    """Return the order of a record, with its answer. Raises ValueError for an order or a way that does not exist."""
+    refusal = None if of.accepted else of.refusal or ""
+    return HandledOrder(
+        MonoNs(of.at_ns), OrderSender(OrderSource(of.source), of.sender), OperatorOrder(of.order), refusal, of.detail
+    )

@@ -140,13 +140,16 @@ class WindRecord(Struct, frozen=True):
     speed_m_s: float
 
 
-class BaselineRecord(Struct, frozen=True):
-    """A vector (3,) from the ship's antenna to the drone's in `ned`, m, with covariance (9,) and the kind of its fix."""
+class BaselineRecord(Struct, frozen=True, omit_defaults=True):
+    """A vector (3,) from the ship's antenna to the drone's in `ned`, m, covariance (9,), kind of its fix, and the antennas."""
 
     stamp: StampRecord
     fix: str
     d_ned: list[float]
     cov_ned: list[float]
+    antenna_body: list[float]
+    antenna_vessel: list[float]
+    alone: bool = False
 
 
 class Pose6Record(Struct, frozen=True):

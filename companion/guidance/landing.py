@@ -89,6 +89,8 @@ _NEAR = (State.GATE, State.COMMIT)
 """States in which the contact to come is predicted."""
 _DELAY_KEEP = 0.98
 """Share of the camera's delay that stays from one sighting to the next when those are later: a late one is jitter."""
+_UNPICTURED_S = 0.5
+"""Time since the newest sighting by the camera from which a baseline's delay and agreement are those of the sight, s."""
 _LATE_VIDEO_S = 0.15
 """Delay of the camera from which the operator sees its cost, s."""
 _SAYS_CHARGE = 0.15
@@ -193,6 +195,10 @@ class LandingGuidance:
         self._air: WindOverDrone | None = None
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
+        self._pictured: MonoNs | None = None
+        """Instant of the newest sighting by the camera."""
+        self._by_baselines = False
+        """True if the newest sight of the pad is by baselines."""
         self._thing: Reason | None = None
         """Objects on the pad in the newest guidance cycle."""
         self._vessel_track = VesselTrack(options.reports)
@@ -231,7 +237,7 @@ class LandingGuidance:
     def _late_video(self) -> Reason | None:
         """Return that the video is late, with the error that it leaves to expect; None where it is not."""
         late_s = self._quality.delay_s
-        if late_s < _LATE_VIDEO_S:
+        if late_s < _LATE_VIDEO_S or self._by_baselines:
             return None
         return Reason(ReasonCause.VIDEO_LATE, late_s, 100.0 * expected_error_m(self._tilt, late_s))
 
@@ -485,6 +491,10 @@ class LandingGuidance:
 
     def on_fused(self, steering: FusionResult, stamp: Stamp) -> None:
         """Note how well a sighting agreed with the steering path's estimate, and how well its time is known."""
+        self._pictured, self._by_baselines = stamp.measured_at, False
+        self._note_quality(steering, stamp)
+
+    def _note_quality(self, steering: FusionResult, stamp: Stamp) -> None:
         late_s, known_s = stamp.delay_s, self._quality.delay_s
         # The least delay of the newest sightings: it falls at once, and rises while all of them are later.
         delay_s = late_s if late_s < known_s or self._quality.time_sigma_s is None else late_s + _DELAY_KEEP * (known_s - late_s)
@@ -493,6 +503,12 @@ class LandingGuidance:
             now = steering.normalized_nis
             mean = now if mean is None else mean + _NIS_WEIGHT * (now - mean)
         self._quality = InputQuality(mean, stamp.sigma_s, delay_s)
+
+    def on_baseline(self, steering: FusionResult, stamp: Stamp) -> None:
+        """Note the same of a baseline, which counts as sight where the camera shows no pad."""
+        if self._pictured is None or seconds_between(self._pictured, stamp.measured_at) > _UNPICTURED_S:
+            self._by_baselines = True
+            self._note_quality(steering, structs.replace(stamp, sigma_s=self._quality.time_sigma_s or 0.0))
 
     def on_pad(self, check: PadCheck | None) -> None:
         """Take what a frame's detection knows of things on the pad."""

@@ -27,7 +27,7 @@ from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import HeldCamera
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, PathName, RelativeState, Verdict
-from estimator.contracts.samples import Attitude, Frame, GeoFix, Sample, VehicleStatus
+from estimator.contracts.samples import Attitude, Baseline, Frame, GeoFix, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
 from estimator.pipeline import RelativeEstimator
@@ -162,7 +162,12 @@ class Pilot:
         self.operator.on_samples(samples)
         self.landing.on_samples(samples)
         fused = [sample for sample in samples if type(sample) not in _NOT_FUSED]
-        results = self.estimator.put(fused, wanted=wanted)
+        by_antennas = any(type(sample) is Baseline for sample in fused)
+        results = self.estimator.put(fused, wanted=wanted or by_antennas)
+        if by_antennas:
+            for sample, result in zip(fused, results, strict=True):
+                if type(sample) is Baseline and result:
+                    self.landing.on_baseline(result[0], sample.stamp)
         if len(fused) == len(samples) or not wanted:
             return results
         of_fused = iter(results)

@@ -8,7 +8,6 @@ import numpy as np
 
 from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
 from companion.base.observer import DeckOutlook, FrameTimes
-from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
 from companion.facts import records as rec
 from companion.facts.encode import COMMANDS
@@ -98,11 +97,6 @@ def _pad_check(of: rec.PadCheckRecord) -> PadCheck:
     return PadCheck(MonoNs(of.at_ns), of.seen, thing, near, of.glare)
 
 
-def held_rotation(of: rec.DetectionRecord) -> Rotation | None:
-    """Return the rotation of a camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
-    return None if of.R_body_cam is None else Rotation(_matrix(of.R_body_cam, 3))
-
-
 def frame_times(of: rec.DetectionRecord) -> FrameTimes | None:
     """Return how long the stages of a recorded frame took; None if the record does not say."""
     t = of.times
@@ -150,14 +144,6 @@ def belief(of: rec.BeliefRecord) -> RelativeState:
         of.track,
         tuple(_alert_named(name) for name in of.alerts),
         tuple(of.lost),
-    )
-
-
-def order(of: rec.OrderRecord) -> HandledOrder:
-    """Return the order of a record, with its answer. Raises ValueError for an order or a way that does not exist."""
-    refusal = None if of.accepted else of.refusal or ""
-    return HandledOrder(
-        MonoNs(of.at_ns), OrderSender(OrderSource(of.source), of.sender), OperatorOrder(of.order), refusal, of.detail
     )
 
 

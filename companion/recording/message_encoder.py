@@ -11,7 +11,7 @@ from companion.base.observer import Decision, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.facts import encode
 from companion.facts import records as rec
-from companion.recording import channels, decode
+from companion.recording import channels
 from companion.recording import foxglove as fox
 from companion.recording.frame_encoder import RECORDED, FrameEncoder
 from companion.recording.scene import error_ellipsoid, fixed_scene
@@ -85,7 +85,7 @@ class MessageEncoder:
                 yield channels.ORDER, t, encode.order(what)
                 yield channels.LOG, t, fox.log_line(t, fox.INFO if what.accepted else fox.WARNING, "operator", str(what))
             case rec.OrderRecord():
-                yield from self.messages(at, decode.order(what))
+                yield from self.messages(at, encode.handled(what))
             case rec.TruthRecord():
                 yield channels.TRUTH, t, what
                 pose = fox.pose_in_pad(t, np.array(what.d_body_pad_level), what.yaw_rad)
@@ -120,7 +120,7 @@ class MessageEncoder:
             data = packed(processed.frame.px, self._frames, self._quality)
             yield channels.IMAGE, t, fox.compressed_image(exposed_at, data, self._frames)
         yield channels.DETECTION, t, record
-        if (R_body_cam := decode.held_rotation(record)) is not None:
+        if (R_body_cam := encode.held_rotation(record)) is not None:
             self._held = True
             yield channels.TRANSFORMS, t, fox.camera_transform(exposed_at, self._camera.T_body_cam.t, R_body_cam)
         if detection is not None:

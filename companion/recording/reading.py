@@ -25,6 +25,7 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from companion.base.observer import Decision, FrameTimes
+from companion.facts import encode
 from companion.facts import records as rec
 from companion.recording import channels, decode
 from companion.recording import foxglove as fox
@@ -152,7 +153,7 @@ class RecordedFrame(Struct, frozen=True, eq=False):
     @property
     def R_body_cam(self) -> Rotation | None:
         """The rotation of the camera on the body as its gimbal held it; None of one that is fixed, or if it is not known."""
-        return decode.held_rotation(self.record)
+        return encode.held_rotation(self.record)
 
     @property
     def times(self) -> FrameTimes | None:
@@ -389,7 +390,7 @@ class EventAssembly:
                 decode.fusion(message)
                 return message
             case rec.OrderRecord():
-                decode.order(message)
+                encode.handled(message)
                 return message
             case rec.LinkRecord() | rec.HealthRecord():
                 return message

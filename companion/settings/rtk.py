@@ -82,9 +82,9 @@ class RtkOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
 
     def receiver(self, key: str) -> RelposOptions:
         """Return what the reader of `source` or `heading` has to know."""
-        mount_rad = math.radians(self.heading_mount_deg) if key == "heading" else None
-        length_m = _REACH_M if key == "heading" else self.length_max_m
-        return RelposOptions(self.delay_s, length_m, self.reverse and key == "source", mount_rad)
+        if key == "heading":
+            return RelposOptions(self.delay_s, _REACH_M, mount_rad=math.radians(self.heading_mount_deg))
+        return RelposOptions(self.delay_s, self.length_max_m, self.reverse, self.antenna(), self.ship_antenna(), self.alone)
 
 
 def _vector(key: str, written: str) -> tuple[float, float, float]:

@@ -317,11 +317,18 @@ class Baseline(Struct, frozen=True, eq=False):
     """(3,) m."""
     cov_ned: F64
     """Covariance of the vector, (3, 3) m^2."""
+    antenna_body: F64 = _ZEROS
+    """The drone's antenna from the body's origin, (3,) m in the body's axes."""
+    antenna_vessel: F64 = _ZEROS
+    """The ship's antenna from the pad's centre, (3,) m towards the bow, to starboard, down."""
+    alone: bool = False
+    """True if the estimate may begin with it, before any sighting of the pad."""
 
     def __post_init__(self) -> None:
         if self.fix not in get_args(BaselineFix):
             raise ValueError(f"Baseline.fix must be fixed or float, got {self.fix!r}")
-        force_setattr(self, "d_ned", checked_vector("Baseline.d_ned", self.d_ned))
+        for name in ("d_ned", "antenna_body", "antenna_vessel"):
+            force_setattr(self, name, checked_vector(f"Baseline.{name}", getattr(self, name)))
         force_setattr(self, "cov_ned", checked_covariance("Baseline.cov_ned", self.cov_ned, 3))
 
 

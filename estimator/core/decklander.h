@@ -265,6 +265,16 @@ typedef struct {
     double pose_R[9];
     /* Covariance of place and small rotation in level, m^2 and rad^2, in rows. */
     double pose_cov[36];
+    /* Whether it is no picture but a baseline: d_level and cov are those of the vector from the drone's antenna to the ship's in ned. */
+    bool by_baseline;
+    /* Whether such a baseline may begin the belief, which else a picture has to. */
+    bool alone;
+    /* Time over which the errors of such baselines are alike, so that all of them count as one, s. */
+    double alike_s;
+    /* The drone's antenna in the body's axes, m. */
+    double antenna_body[3];
+    /* The ship's antenna from the pad's centre in the ship's axes, m. */
+    double antenna_vessel[3];
 } dl_sighting;
 
 /* A sample or a sighting. */

@@ -4,12 +4,14 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from estimator.contracts.estimates import Sighting
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
+from estimator.contracts.samples import Attitude, Baro, Baseline, BaselineFix, BodyVelocity, Imu, Range, VesselReport
 from estimator.core import abi
 from estimator.core.library import CORE
 
-Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
+Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Baseline | Sighting
 """Events that the filter processes."""
 
 _HEAD = struct.Struct("@I4x3qQ")
@@ -101,6 +103,27 @@ def _of_sighting(s: Sighting) -> bytes:
     return _record(abi.DL_SIGHTING, s, {"sighting": values}, s.seq, method)
 
 
+_ALIKE_S: dict[BaselineFix, float] = {"fixed": 0.0, "float": 20.0}
+"""Time over which the errors of solutions are alike: those of estimated ambiguities wander slowly (assumed)."""
+
+
+def _of_baseline(b: Baseline) -> bytes:
+    cov = np.zeros((4, 4))
+    cov[:3, :3] = b.cov_ned
+    values = {
+        "by_baseline": True,
+        "alone": b.alone,
+        "confidence": 1.0,
+        "sigma_s": b.stamp.sigma_s,
+        "d_level": (-b.d_ned).tolist(),
+        "cov": cov.ravel().tolist(),
+        "alike_s": _ALIKE_S[b.fix],
+        "antenna_body": b.antenna_body.tolist(),
+        "antenna_vessel": b.antenna_vessel.tolist(),
+    }
+    return _record(abi.DL_SIGHTING, b, {"sighting": values})
+
+
 _AFTER_IMU, _AFTER_ATTITUDE, _AFTER_VELOCITY, _AFTER_DISTANCE = map(
     _padding, ("dl_imu", "dl_attitude", "dl_velocity", "dl_distance")
 )
@@ -111,5 +134,6 @@ _RECORDS: dict[type[Event], Callable[[Any], bytes]] = {
     Range: lambda event: _of_distance(abi.DL_RANGE, event, event.range_m),
     Baro: lambda event: _of_distance(abi.DL_HEIGHT, event, event.height_m),
     VesselReport: _of_vessel,
+    Baseline: _of_baseline,
     Sighting: _of_sighting,
 }

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import FusionResult, IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import (
     Attitude,
@@ -27,7 +27,8 @@ from estimator.contracts.samples import (
     VesselWind,
 )
 from estimator.contracts.time import MonoNs
-from estimator.integrity import crosschecks, inertial, parity, sensors, tracks
+from estimator.integrity import baselines, crosschecks, inertial, parity, sensors, tracks
+from estimator.integrity.baselines import BaselineWatch
 from estimator.integrity.crosschecks import HeadingWatch, HeightWatch, ViewWatch
 from estimator.integrity.options import IntegrityOptions
 from estimator.integrity.sensors import ClockWatch, FrameWatch, SensorWatch
@@ -66,6 +67,7 @@ class IntegrityGuard(Struct, frozen=True):
     """False if the newest velocity was refused: no loop is closed on it."""
     flying: bool = True
     """False only after the vehicle reported that it is on the ground."""
+    baselines: BaselineWatch = field(default_factory=BaselineWatch)
 
     @property
     def restarts(self) -> int:
@@ -77,7 +79,9 @@ class IntegrityGuard(Struct, frozen=True):
         """The sensors that the estimate does without, in words."""
         seen = self.sensors.get(BodyVelocity)
         repeats = (_REPEATS,) if seen is not None and seen.frozen else ()
-        return *self.inertial.lost, *repeats
+        leapt = self.baselines
+        off = (f"the RTK baseline is off by {leapt.off_m:.2f} m; flying without it",) if leapt.outvoted else ()
+        return *self.inertial.lost, *repeats, *off
 
 
 def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGuard, list[Sample | Verdict]]:
@@ -143,7 +147,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
         admitted.append(sample if verdict is None else verdict)
     after = IntegrityGuard(
         o, watch, seen, guard.frames, guard.view, guard.tracks, against, turn, halves, guard.arbiter, guard.overruled,
-        trusts, flying,
+        trusts, flying, guard.baselines,
     )  # fmt: skip
     return after, admitted
 
@@ -253,10 +257,29 @@ def judged(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None,
         guard = replace(guard, overruled=guard.overruled + 1, arbiter=tracks.restarted(seen), tracks=followed)
     if not is_fused:
         return guard
-    guard = replace(guard, tracks=tracks.add_fused(guard.tracks, place))
+    guard = replace(guard, tracks=tracks.add_fused(guard.tracks, place), baselines=replace(guard.baselines, pictured=place.t))
     if attitude is None:
         return guard
     return replace(guard, heights=crosschecks.add_sighting(guard.heights, sighting, attitude.R_ned_body))
+
+
+def baseline_judged(
+    guard: IntegrityGuard, result: FusionResult, sigma_m: float, belief: RelativeState | None, attitude: Attitude | None
+) -> IntegrityGuard:
+    """Record what the steering estimator made of a baseline; one that it fused keeps the tracked pad the tracked one.
+
+    Args:
+        sigma_m: the baseline's largest standard deviation on one axis.
+        belief: the steering estimate at its instant, with it.
+    """
+    guard = replace(guard, baselines=baselines.compared(guard.baselines, result, sigma_m))
+    counts = result.verdict is Verdict.FUSED and not guard.baselines.contradicts
+    if not counts or belief is None or attitude is None or belief.sighted != result.measured_at:
+        return guard
+    place = Place(int(result.measured_at), _fixed(belief.d_body_pad_level, attitude), *_sigmas(belief.cov))
+    if guard.tracks.last is None:
+        return replace(guard, tracks=tracks.Tracks(1, 0, place))
+    return replace(guard, tracks=tracks.add_fused(guard.tracks, place))
 
 
 def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
@@ -291,6 +314,8 @@ def _accused(guard: IntegrityGuard) -> list[tuple[IntegrityAlert, int]]:
         found.append((IntegrityAlert.APART, guard.arbiter.t))
     if guard.tracks.disputed_at is not None:
         found.append((IntegrityAlert.ELSEWHERE, guard.tracks.disputed_at))
+    if guard.baselines.undecided:
+        found.append((IntegrityAlert.BASELINE, guard.baselines.t))
     if guard.heights.contradicted:
         found.append((IntegrityAlert.RANGE, guard.heights.ranged_at))
     if guard.heights.baro_contradicted:

@@ -17,6 +17,7 @@ from sitl.faults.fault import (
     Ultrasound,
     VelocityReading,
 )
+from sitl.faults.rtk import RtkSolution
 
 _FORWARD, _RIGHT = "place along the pad's arrow from its centre", "place to starboard of the pad's arrow"
 
@@ -381,6 +382,7 @@ AnyFault = (
     | LinkLost
     | ServiceKilled
     | OperatorActs
+    | RtkSolution
     | Corrupted
 )
 KINDS: dict[str, type[Fault]] = {str(kind.__struct_config__.tag): kind for kind in get_args(AnyFault)}

@@ -240,6 +240,8 @@ class Flight:
             self._take(samples)
         if reports := self._reporter.reports(now):
             self._take(reports)
+            if (located := self._reporter.located) is not None:
+                self._grader.referee.sight.located(located)
         self._film(now)
         self._process(now)
         if now >= self._due_guidance:

@@ -65,6 +65,10 @@ class SightWatch:
         else:
             self.since_sight[verdict] += 1
 
+    def located(self, at: MonoNs) -> None:
+        """Note that the service has received the true vector between the antennas of vehicle and ship, of an instant."""
+        self._seen_at = max(self._seen_at, at)
+
     def step(self, truth: Truth, *, reached: bool, ours: bool) -> None:
         """Note the true state at an instant; call it in order of time.
 

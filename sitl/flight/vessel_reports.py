@@ -9,10 +9,11 @@ from msgspec.structs import replace
 
 from estimator.contracts.geodesy import moved
 from estimator.contracts.geometry import wrap_pi
-from estimator.contracts.samples import GeoFix, OfVessel, VesselReport
+from estimator.contracts.samples import Baseline, GeoFix, OfVessel, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
 from sitl.faults.kinds import VesselReports
 from sitl.flight.grader import GradedWorld
+from sitl.flight.rtk_pair import RtkPair
 from sitl.flight.ship_sensors import Anemometer, MotionSensor, ShipAt, TurnSensor
 from sitl.sensors.sensors import SIGMA_M, GnssErrors
 
@@ -21,7 +22,7 @@ _DELAY_S, _WIND_DELAY_S = 0.2, 1.0
 _SIGMA_M_S, _SIGMA_HEADING_RAD = 0.1, math.radians(1.0)
 """A GNSS receiver's velocity and a ship's compass (assumed); the report claims the same."""
 
-Reports = tuple[OfVessel | GeoFix, ...]
+Reports = tuple[OfVessel | GeoFix | Baseline, ...]
 
 
 class _Stream:
@@ -63,6 +64,7 @@ class VesselReporter:
         self._frozen: tuple[np.ndarray, float] | None = None
         self._of_receiver = _Stream(self._make, ship.reports_hz, _DELAY_S, arrival=False) if ship.reports_hz else None
         self._others: list[_Stream] = []
+        self._rtk = RtkPair(world) if world.scenario.rtk.rate_hz else None
         self._motion = MotionSensor(world) if ship.motion_hz else None
         if self._motion is not None:
             self._others.append(_Stream(self._motion.measured, ship.motion_hz, ship.motion_delay_s))
@@ -70,6 +72,11 @@ class VesselReporter:
             self._others.append(_Stream(TurnSensor(world).measured, ship.turn_hz, ship.turn_delay_s))
         if ship.wind_hz:
             self._others.append(_Stream(Anemometer(world).measured, ship.wind_hz, _WIND_DELAY_S))
+
+    @property
+    def located(self) -> MonoNs | None:
+        """Instant of the newest true baseline that has arrived; None before one."""
+        return None if self._rtk is None else self._rtk.located
 
     def reports(self, now: MonoNs) -> Reports:
         """Return the reports that arrive at this instant."""
@@ -81,7 +88,7 @@ class VesselReporter:
             self._motion.follow(now)
         for stream in self._others:
             out += stream.arrived(now, 0.0)
-        return out
+        return out if self._rtk is None else (*out, *self._rtk.arrived(now))
 
     def _make(self, now: MonoNs) -> Reports:
         """Return the receiver's report."""

@@ -25,9 +25,11 @@ from sitl.camera.settings import DropSettings, GimbalSettings, LampSettings, Lig
 from sitl.faults.corrupted import SIGNALS, Corrupted, Signal
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, ShipSpeed, ShipTurn, VesselReports, WeakRotor
+from sitl.faults.rtk import RtkSolution
 from sitl.scenario.weather import WeatherSettings, contradicted, merged_under
 from sitl.sea.sea import EXCLUDES as SEA_EXCLUDES
 from sitl.sea.sea import Sea
+from sitl.sensors.rtk import RtkSettings
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import VehicleFile, VehicleSettings, rotors
 from sitl.vehicle.airframe import load as load_vehicle
@@ -72,6 +74,8 @@ def _contradictions(fault: Fault, scenario: "Scenario") -> Iterator[str]:
         need = f"{needs.get(fault.signal, 'vessel.reports_hz')} must be more than 0"
         need = "vessel.reports_place must be true" if fault.signal == "ship_place" else need
         yield f".signal is {fault.signal}, which is not there; {need}"
+    if isinstance(fault, RtkSolution) and scenario.rtk.rate_hz == 0.0:
+        yield ": rtk_solution is of receivers that are not there; rtk.rate_hz must be more than 0"
     if isinstance(fault, ShipSpeed | ShipTurn) and vessel.moored:
         yield f": {fault.kind} is of a vessel under way; vessel.moored must be false"
     if isinstance(fault, ShipSpeed | ShipTurn) and vessel.turn_rate_deg_s != 0.0:
@@ -158,6 +162,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     drops: DropSettings = DropSettings()
     video: VideoSettings = VideoSettings()
     sensors: SensorSettings = SensorSettings()
+    rtk: RtkSettings = RtkSettings()
     vehicle: VehicleSettings = VehicleSettings()
     effects: EffectSettings = EffectSettings()
     wrong_model: WrongModel = WrongModel()

@@ -178,6 +178,6 @@ def test_the_camera_s_transform_is_that_of_each_frame_once_a_gimbal_turns_it() -
     record = encode.detection(held)
     assert turned in transforms(encoder, (record, None, None))
     assert fixed not in transforms(encoder, None)
-    rotation = decode.held_rotation(record)
+    rotation = encode.held_rotation(record)
     assert rotation is not None
     assert rotation.angle_to(DOWN @ CAMERA.T_body_cam.R) < 1e-9

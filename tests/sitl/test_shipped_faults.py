@@ -12,6 +12,7 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.camera.camera import Exposure
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import STREAMS, OperatorActs, PictureFault, ServiceKilled, VesselReports
+from sitl.faults.rtk import RtkSolution
 from sitl.scenario.scenario import FAULTS, Scenario, load, shipped_scenarios
 from sitl.world.world import Stick, World
 from tests.fly import fly_for
@@ -19,8 +20,8 @@ from tests.sitl.test_faults import CALM
 
 BEGINS_S, BEFORE, LATER = 0.5, 20, 100
 """Beginning of a fault, and numbers of looks before it and in all."""
-ELSEWHERE = (ServiceKilled, OperatorActs, PictureFault, VesselReports)
-"""Faults that a camera without images does not show: test_faults.py and test_ship_faults.py test them."""
+ELSEWHERE = (ServiceKilled, OperatorActs, PictureFault, VesselReports, RtkSolution)
+"""Faults that a camera without images does not show: test_faults.py, test_ship_faults.py and test_rtk.py test them."""
 SHIPPED = [name for name in shipped_scenarios() if name.startswith(f"{FAULTS}/")]
 
 

@@ -22,7 +22,6 @@ from companion.base.orders import HandledOrder, OperatorOrder
 from companion.facts import encode
 from companion.facts.records import FusionRecord, HealthRecord, LinkRecord, OrderRecord, TruthRecord
 from companion.guidance.pilot import Pilot, make_pilot
-from companion.recording import decode
 from companion.recording.channels import CAMERA, PAD
 from companion.recording.reading import Event, RecordedFrame, Recording, instant
 from companion.settings.load import Settings, load
@@ -126,7 +125,7 @@ class Replay:
                 self._follow_operator(event.phase)
                 self._decide(MonoNs(event.at + self._shift_ns))
             case OrderRecord():
-                self._order(decode.order(replace(event, at_ns=int(at))))
+                self._order(encode.handled(replace(event, at_ns=int(at))))
             case FusionRecord() | TruthRecord() | LinkRecord() | HealthRecord():
                 pass
             case _:

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 from companion.base.loop_lag import in_words
 from companion.base.mission import ENDED, State
 from companion.base.observer import Decision, ProcessedFrame
+from companion.facts import encode
 from companion.facts.records import ContactRecord, FusionRecord, HealthRecord, OrderRecord, TruthRecord
 from companion.recording import decode
 from companion.recording.channels import SETTINGS
@@ -87,7 +88,7 @@ def log_of(recording: Recording, title: str, *, images: bool = True) -> FlightLo
             case TruthRecord():
                 add_truth(log, event)
             case OrderRecord():
-                log.orders.append(decode.order(event))
+                log.orders.append(encode.handled(event))
             case VehicleStatus():
                 flying = flying if event.flying is None else event.flying
             case HealthRecord():

@@ -14,7 +14,7 @@ import numpy as np
 
 from companion.base.observer import Decision
 from companion.facts import records as rec
-from companion.recording.decode import held_rotation
+from companion.facts.encode import held_rotation
 from companion.recording.frame_encoder import VideoImage
 from companion.recording.message_encoder import packed
 from companion.recording.reading import Event, RecordedFrame, instant

@@ -87,6 +87,8 @@ typedef struct {
 typedef struct {
     int64_t n, since, last;
     double offset_ned[3], var_m2;
+    /* Whether they are baselines. */
+    int64_t by_baseline;
 } dl_rejection_streak;
 
 /* The state. x and the covariance P hold at t_cov; dv, dp, turned and coast_s have gathered the IMU's samples since then. */
@@ -99,6 +101,8 @@ typedef struct {
     int64_t is_levelled, heading_is_given, heading_known;
     /* Instants, ns, of the newest sighting that measured a heading, showed a manoeuvre of the ship, a hard turn; -1 if there is none. */
     int64_t heading_seen, steered, swung;
+    /* Instants, ns, of the newest fused picture, and of the newest fused baseline; -1 if there is none. */
+    int64_t pictured, baselined;
     /* R_ned_body at t, the state at t_cov, and R_ned_body at t_cov. */
     double R[9], x[DL_N], R_cov[9];
     /* Integrals since t_cov: of the specific force in ned, m/s, the same twice, m, and of R, s; time without an IMU, s. */

@@ -12,6 +12,7 @@
 #include "filter/oscillator.h"
 #include "base/kalman.h"
 #include "base/rotation.h"
+#include "filter/baseline.h"
 #include "filter/sighting.h"
 
 /* Fraction of the correction of the camera's mounting that is withheld on a rough sea, and of the covariance's root with it. */
@@ -34,6 +35,11 @@ static const double SWUNG_RAD = 0.012;
 static const double ASIDE_M_S = 0.5, ASIDE_S = 0.5, UNDER_WAY_M_S = 0.3;
 /* Variance of the vessel's velocity when the belief about the pad is reset, (m/s)^2, and of a place beside its own square, m^2. */
 static const double RESET_VELOCITY_VAR = 4.0, PLACE_VAR = 1e2;
+/* Time since the newest picture up to which a baseline that contradicts the belief is outvoted, s; time for which baselines have to agree
+ * with one another before the belief follows them alone: a wrong solution lasts for seconds. */
+static const double OUTVOTED_S = 0.5, FOLLOWED_S = 3.0;
+/* Variance along north, east and down that fixed solutions share for minutes, m^2; variance of one up to which it is as good as sight. */
+static const double WANDER_VAR[3] = {0.01 * 0.01, 0.01 * 0.01, 0.015 * 0.015}, SURE_VAR = 0.1 * 0.1;
 /* Variance of a direction of the deck that was not seen. */
 static const double NOT_SEEN_VAR = 1e6;
 
@@ -78,7 +84,11 @@ static void compare(const dl_filter_params *o, const dl_belief *b, const double 
     const double yaw_sigma = b->heading_known ? sqrt(AT(P, DL_PAD_YAW, DL_PAD_YAW)) : INFINITY;
     sighting_rows *seen = &out->seen;
     double cov_rate[9];
-    sighting_model(b, s, cov_levelled_by, yaw_sigma, place_only, seen);
+    if (s->by_baseline) {
+        baseline_model(o, b, P, s, seen);
+    } else {
+        sighting_model(b, s, cov_levelled_by, yaw_sigma, place_only, seen);
+    }
     const int m = seen->m;
     /* The part of an innovation that is due to the delay grows with the rate of the measured position. While that rate is poorly
      * known, the delay is not corrected and its effect counts as noise. */
@@ -129,17 +139,33 @@ static void reset_vessel(const dl_filter_params *o, dl_belief *b, double *P)
     }
 }
 
+/* The pad from the body in ned, by a picture, less `late` (3,) in the camera's axes, or by a baseline; returns its distance squared. */
+static double place_of(const dl_filter_params *o, const dl_belief *b, const dl_sighting *s, const double late[3], double place[3])
+{
+    double A[9], seen[3], back[9];
+    if (s->by_baseline) {
+        baseline_place(o, b, s, place);
+        return dot(place, place);
+    }
+    levelling(b, A);
+    seen_from_body(s, A, seen);
+    camera_to_ned(b, back);
+    for (int i = 0; i < 3; i++) {
+        seen[i] -= late[i];
+    }
+    rotated(back, seen, place);
+    return dot(seen, seen);
+}
+
 /* Initialise the pad's position from a sighting; with `reset`, drop the rest of the belief about the pad as well. The states of
  * the body itself stay. */
 static void initialise(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_sighting *s, int reset)
 {
-    double A[9], seen[3], back[9], *P = changeable(c);
-    levelling(b, A);
-    seen_from_body(s, A, seen);
-    camera_to_ned(b, back);
-    rotated(back, seen, b->x + DL_POS_REL);
+    static const double in_time[3] = {0.0};
+    double *P = changeable(c);
+    const double away = place_of(o, b, s, in_time, b->x + DL_POS_REL);
     for (int i = 0; i < 3; i++) {
-        forget_state(P, DL_POS_REL + i, PLACE_VAR + dot(seen, seen));
+        forget_state(P, DL_POS_REL + i, PLACE_VAR + away);
     }
     if (reset) {
         reset_vessel(o, b, P);
@@ -257,17 +283,16 @@ static void measure_tilt(const dl_sighting *s, const double R_ned_level[9], cons
 /* Update the bank of wave oscillators with the pad's measured position and tilt. */
 static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const dl_sighting *s, const comparison *row)
 {
-    double A[9], back[9], seen[3], place[3], y[DL_DIRECTIONS] = {0.0}, var[DL_DIRECTIONS];
+    double A[9], back[9], late[3], place[3], y[DL_DIRECTIONS] = {0.0}, var[DL_DIRECTIONS];
     if (happened(bank->now->t) && seconds(bank->now->t, b->t) < 0.9 * BANK_PERIOD_S) {
         return;
     }
     levelling(b, A);
     camera_to_ned(b, back);
-    seen_from_body(s, A, seen);
     for (int i = 0; i < 3; i++) {
-        seen[i] -= AT(row->seen.H, i, DL_CAMERA_DELAY) * b->x[DL_CAMERA_DELAY];
+        late[i] = AT(row->seen.H, i, DL_CAMERA_DELAY) * b->x[DL_CAMERA_DELAY];
     }
-    rotated(back, seen, place);
+    const double away = place_of(o, b, s, late, place);
     for (int k = 0; k < DL_DIRECTIONS; k++) {
         var[k] = k < 3 ? 0.0 : NOT_SEEN_VAR;
     }
@@ -284,7 +309,7 @@ static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const 
         product_by_transposed(back, A, R_ned_level);
         measure_tilt(s, R_ned_level, row->seen.R, y, var);
     }
-    bank_observe(o, b->t, y, var, b->ins_var_m2_s2, sqrt(dot(seen, seen)), bank->now, bank->place);
+    bank_observe(o, b->t, y, var, b->ins_var_m2_s2, sqrt(away), bank->now, bank->place);
     bank->now = bank->place;
     memcpy(b->wave_w, bank->now->w_rad_s, sizeof b->wave_w);
     memcpy(b->wave_zeta, bank->now->zeta, sizeof b->wave_zeta);
@@ -292,12 +317,36 @@ static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const 
     b->ins_var_m2_s2 = 0.0;
 }
 
-static void reject(dl_belief *b, const comparison *row)
+static void reject(dl_belief *b, const comparison *row, int by_baseline)
 {
     double back[9], offset[3];
+    if (b->rejections.by_baseline != by_baseline) {
+        streak_end(b);
+        b->rejections.by_baseline = by_baseline;
+    }
     camera_to_ned(b, back);
     rotated(back, row->seen.innov, offset);
     streak_extend(b, b->t, offset, (row->seen.R[0] + row->seen.R[row->seen.m + 1] + row->seen.R[2 * row->seen.m + 2]) / 3.0);
+}
+
+/* Whether a baseline is more alike to those that were just rejected than to the belief, which meanwhile knows too little to reject it. */
+static int is_as_rejected(const dl_belief *b, const dl_sighting *s, const comparison *row)
+{
+    double back[9], offset[3], apart[3];
+    if (!s->by_baseline || !b->rejections.by_baseline || b->rejections.n == 0) {
+        return 0;
+    }
+    camera_to_ned(b, back);
+    rotated(back, row->seen.innov, offset);
+    for (int i = 0; i < 3; i++) {
+        apart[i] = offset[i] - b->rejections.offset_ned[i];
+    }
+    return dot(apart, apart) < dot(offset, offset);
+}
+
+static int is_sure(const dl_sighting *s)
+{
+    return fmax(s->cov[0], fmax(s->cov[5], s->cov[10])) <= SURE_VAR;
 }
 
 static void write_sighting_outcome(dl_outcome *out, int verdict, const comparison *row, double nis_max)
@@ -307,13 +356,31 @@ static void write_sighting_outcome(dl_outcome *out, int verdict, const compariso
     out->nis_max = nis_max;
 }
 
+/* Fuse a baseline: more of them do not know the place better than the wander that all share. One that is not sure is no sight. */
+static void fuse_baseline(dl_belief *b, covariance *c, comparison *row, int fresh, int sure)
+{
+    for (int i = 0; i < 3; i++) {
+        double *after = &AT(row->P, DL_POS_REL + i, DL_POS_REL + i);
+        *after = fmax(*after, fmin(AT(c->P, DL_POS_REL + i, DL_POS_REL + i), WANDER_VAR[i]));
+    }
+    correct_belief(b, c, row->dx, memcpy(free_place(c), row->P, sizeof row->P));
+    b->baselined = b->t;
+    if (sure) {
+        b->sighted = b->t;
+        b->agreed = fresh ? 1 : b->agreed + 1;
+    }
+    if (b->rejections.by_baseline) {
+        streak_end(b);
+    }
+}
+
 static void fuse(dl_belief *b, covariance *c, comparison *row, int fresh, int shows_heading)
 {
     const double var = AT(c->P, DL_POS_REL, DL_POS_REL) + AT(c->P, DL_POS_REL + 1, DL_POS_REL + 1) + AT(c->P, DL_POS_REL + 2, DL_POS_REL + 2);
     const int lost = sqrt(fmax(var / 3.0, 0.0)) > LOST_SIGMA_M;
     withhold(b, c->P, row->dx, row->P);
     correct_belief(b, c, row->dx, memcpy(free_place(c), row->P, sizeof row->P));
-    b->sighted = b->t;
+    b->sighted = b->pictured = b->t;
     b->agreed = fresh || lost ? 1 : b->agreed + 1;
     streak_end(b);
     b->heading_known |= shows_heading;
@@ -338,12 +405,17 @@ static void mark_swing(dl_belief *b)
 void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out)
 {
     comparison rows[2], *row = &rows[0], *other = &rows[1];
-    const int fresh = !happened(b->sighted);
+    const int fresh = !happened(b->sighted), sure = !s->by_baseline || is_sure(s);
+    const int outvoted = s->by_baseline && happened(b->pictured) && seconds(b->pictured, b->t) < OUTVOTED_S;
+    if (fresh && s->by_baseline && !(s->alone && sure)) {
+        uncompared(out, DL_GATED);
+        return;
+    }
     if (fresh) {
         initialise(o, b, c, s, 0);
     }
     compare(o, b, c->P, s, 0, row);
-    if (row->ok && !fresh) {
+    if (row->ok && !fresh && !s->by_baseline) {
         row = compare_jolted(o, b, c, s, row, other);
         other = row == &rows[0] ? &rows[1] : &rows[0];
     }
@@ -367,16 +439,19 @@ void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
         return;
     }
     const int dof = row->seen.m;
-    if (!fresh) {
+    if (!fresh && !outvoted) {
         b->nis_mean = nis_mean_of(b->nis_mean, row->seen.innov, row->S, dof);
     }
-    if (row->nis > o->nis_max[dof - 1]) {
-        reject(b, row);
-        if (!streak_resets(o, b)) {
+    if (row->nis > o->nis_max[dof - 1] || is_as_rejected(b, s, row)) {
+        if (!outvoted) {
+            reject(b, row, s->by_baseline);
+        }
+        const double span = seconds(b->rejections.since, b->rejections.last);
+        if (outvoted || !sure || !streak_resets(o, b) || (s->by_baseline && span < FOLLOWED_S)) {
             write_sighting_outcome(out, DL_GATED, row, o->nis_max[dof - 1]);
             return;
         }
-        initialise(o, b, c, s, 1);
+        initialise(o, b, c, s, !s->by_baseline);
         b->nis_mean = 1.0;
         compare(o, b, c->P, s, 0, row);
         if (!row->ok) {
@@ -384,8 +459,14 @@ void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
             return;
         }
     }
-    fuse(b, c, row, fresh, dof >= 4 && !s->yaw_ambiguous);
-    mark_swing(b);
-    learn(o, b, bank, s, row);
+    if (s->by_baseline) {
+        fuse_baseline(b, c, row, fresh, sure);
+    } else {
+        fuse(b, c, row, fresh, dof >= 4 && !s->yaw_ambiguous);
+        mark_swing(b);
+    }
+    if (sure) {
+        learn(o, b, bank, s, row);
+    }
     write_sighting_outcome(out, DL_FUSED, row, o->nis_max[row->seen.m - 1]);
 }

@@ -16,7 +16,7 @@ from companion.settings.model import CameraSettings, Settings
 from drivers.camera.exposure import ExposureDrive
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
-from estimator.contracts.samples import Frame, GeoFix, OfVessel
+from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import Clock
 
 
@@ -78,7 +78,7 @@ class FlightDaemon:
         for link in self._opened:
             link.frames.offer(frame)
 
-    def report(self, sample: OfVessel | GeoFix) -> None:
+    def report(self, sample: Sample) -> None:
         """Give the daemon a report of the ship that has arrived."""
         for link in self._opened:
             link.samples.offer(sample)
@@ -181,7 +181,7 @@ class KillableService:
         else:
             self.now.offer(frame)
 
-    def report(self, sample: OfVessel | GeoFix) -> None:
+    def report(self, sample: Sample) -> None:
         """Give the daemon a report of the ship that has arrived, if there is one that can take it."""
         if not self.gone:
             self.now.report(sample)

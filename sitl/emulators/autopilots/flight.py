@@ -420,6 +420,8 @@ class AutopilotFlight:
         if self._service is not None:
             for report in self._reporter.reports(self.clock.now()):
                 self._service.report(report)
+            if (located := self._reporter.located) is not None:
+                self.graded.on_located(located)
 
     def _leave_alone(self, body: Body) -> None:
         """Kill the service when its time has come, and note what the vehicle does without one."""

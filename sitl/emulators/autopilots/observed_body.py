@@ -211,6 +211,11 @@ class GradedBody(NullObserver):
         if act == "mode" or self.height_m - self._grader.feet.below_m > ON_DECK_M:
             self._grader.referee.hands.acts(act, self.now)
 
+    def on_located(self, at: MonoNs) -> None:
+        """Note a true baseline of an instant that has arrived."""
+        if self._grader is not None:
+            self._grader.referee.sight.located(at)
+
     def on_order(self, handled: HandledOrder) -> None:
         if self._grader is not None:
             acting = self.faults.on(OperatorActs)

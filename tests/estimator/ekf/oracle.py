@@ -251,8 +251,9 @@ def _begin(event: Event, params: FilterParams) -> tuple[State | None, Outcome]:
     x[VEL_SCALE] = o.velocity_scale
     b = State(
         t=t, t_cov=t, t_imu=-1, t_velocity=-1, sighted=-1, agreed=0, is_levelled=0, heading_is_given=0, heading_known=0,
-        heading_seen=-1, steered=-1, swung=-1, turn_since=-1, turn_last=-1, turn_heading=-1,
-        turn_left_out=-1, turn_deviate=0.0, R=R, x=x, R_cov=R, dv=zero, dp=zero, turned=np.zeros((3, 3)), coast_s=0.0, w=zero,
+        heading_seen=-1, steered=-1, swung=-1, pictured=-1, baselined=-1, turn_since=-1, turn_last=-1,
+        turn_heading=-1, turn_left_out=-1, turn_deviate=0.0, R=R, x=x, R_cov=R, dv=zero, dp=zero,
+        turned=np.zeros((3, 3)), coast_s=0.0, w=zero,
         w_smooth=zero, f=zero, levelled_by=np.zeros((3, 3)), cov_levelled_by=np.zeros((3, 3)), ins_p=zero, ins_v=zero,
         ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0, over_pad=0.0, wave_w=bank.w_rad_s, wave_zeta=bank.zeta,
         wave_sigma=bank.sigma, nis_mean=1.0, nis_claimed=1.0, heading_held_s=0.0, vessel_before=np.zeros(2),
@@ -912,7 +913,7 @@ def remove_attitude(cov: F64, J: F64, cov_attitude: F64) -> F64:
 
 def no_streak() -> SimpleNamespace:
     """Return the streak before the first rejected sighting."""
-    return SimpleNamespace(n=0, since=0, last=0, offset_ned=np.zeros(3), var_m2=0.0)
+    return SimpleNamespace(n=0, since=0, last=0, offset_ned=np.zeros(3), var_m2=0.0, by_baseline=0)
 
 
 def _sighting(b: State, s: Sighting, params: FilterParams) -> Outcome:
@@ -956,7 +957,7 @@ def _sighting(b: State, s: Sighting, params: FilterParams) -> Outcome:
             return Outcome(Verdict.SINGULAR, z.innov)
     lost = math.sqrt(max(np.trace(b.P[POS_REL, POS_REL]) / 3.0, 0.0)) > 0.3
     correct(b, _withheld(b, fix))
-    b.sighted, b.agreed, b.rejections = b.t, 1 if fresh or lost else b.agreed + 1, no_streak()
+    b.sighted, b.pictured, b.agreed, b.rejections = b.t, b.t, 1 if fresh or lost else b.agreed + 1, no_streak()
     b.heading_known = int(b.heading_known or (dof >= 4 and not s.yaw_ambiguous))
     if _moves_aside(b):
         b.swung = b.t
@@ -1014,7 +1015,7 @@ def _extend_streak(b: State, offset_ned: F64, var_m2: float) -> None:
     limit = 4.0 * math.sqrt(var_m2 + streak.var_m2) + min(2.0 * dt, 0.6) + 0.02 * math.hypot(*offset_ned)
     agrees = streak.n > 0 and 0.0 <= dt <= 2.0 and math.dist(offset_ned, streak.offset_ned) <= limit
     n, since = (streak.n + 1, streak.since) if agrees else (1, b.t)
-    b.rejections = SimpleNamespace(n=n, since=since, last=b.t, offset_ned=offset_ned, var_m2=var_m2)
+    b.rejections = SimpleNamespace(n=n, since=since, last=b.t, offset_ned=offset_ned, var_m2=var_m2, by_baseline=0)
 
 
 def _streak_resets(b: State, o: EkfOptions) -> bool:

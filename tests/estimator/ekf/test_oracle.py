@@ -199,7 +199,9 @@ def drawn_state(rng: np.random.Generator, params: FilterParams) -> State:
         over_pad=float(rng.uniform(-5.0, 5.0)), t_imu=ago(5),
         w=0.03 * rng.normal(size=3), w_smooth=0.03 * rng.normal(size=3), f=REST + 0.2 * rng.normal(size=3),
         excesses=[(T - (n - k) * 60 * MS, np.concatenate([numbers[0][k], numbers[1][k]])) for k in range(n)],
-        rejections=SimpleNamespace(**dict(zip(("n", "since", "last", "offset_ned", "var_m2"), streak, strict=True))),
+        rejections=SimpleNamespace(
+            **dict(zip(("n", "since", "last", "offset_ned", "var_m2", "by_baseline"), (*streak, 0), strict=True))
+        ),
         heading_known=int(rng.random() < 0.8), heading_held_s=float(rng.uniform(-0.1, 0.4)), heading_seen=ago(100),
         nis_mean=float(rng.uniform(0.5, 3.0)), nis_claimed=float(rng.uniform(0.1, 1.2)),
         steered=ago(170, 600), swung=ago(300, 1600), turn_since=ago(300, 1700), turn_last=ago(100, 1200),
