@@ -6,9 +6,11 @@ Several logs of one ship are one stream: her receivers are kept apart as on the 
 import heapq
 import math
 import re
+import statistics
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 
 from msgspec import Struct
@@ -85,7 +87,7 @@ def _rows(log: SentenceLog, tell: Tell) -> tuple[list[tuple[int, bytes]], float]
             raise BadInput(
                 f"{log.path}: no time in it: sentences need a logger's time before them, or one with a time (GGA, RMC, ZDA)"
             )
-    known = filled(times)
+    known = _spread(filled(times), [re.split(rb"[ *]|,(?!2\d,)", sentence)[0] for _, sentence in found])
     stamps = timeline([round(t * 1e6) for t in known], lambda text: tell(f"{log.path.name}: {text}"))
     rows = [(at, sentence) for at, (_, sentence) in zip(stamps, found, strict=True) if at is not None]
     return sorted(rows, key=lambda row: row[0]), known[0]
@@ -99,6 +101,23 @@ def filled(times: Sequence[float]) -> list[float]:
             days += _DAY_S if at < 2.0 * _DAY_S and t + days < at - 0.5 * _DAY_S else 0.0
             at = t + days
         out.append(at)
+    return out
+
+
+def _spread(times: Sequence[float], kinds: Sequence[bytes]) -> list[float]:
+    """Return times at which several sentences of a kind that have one time lie evenly up to the next time."""
+    steps = [b - a for a, b in pairwise(times) if b > a]
+    usual_s, out, begin = statistics.median(steps) if steps else 0.0, list(times), 0
+    for end in range(1, len(times) + 1):
+        if end < len(times) and times[end] == times[begin]:
+            continue
+        run = kinds[begin:end]
+        next_s = min(usual_s, times[end] - times[begin]) if end < len(times) else usual_s
+        counts, before = Counter(run), Counter[bytes]()
+        for at, kind in enumerate(run, begin):
+            out[at] += max(0.0, next_s) * before[kind] / counts[kind]
+            before[kind] += 1
+        begin = end
     return out
 
 

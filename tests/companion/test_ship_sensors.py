@@ -120,6 +120,17 @@ def test_a_log_has_a_logger_s_time_or_its_own(tmp_path, capsys, before):
     assert (found["PSXN"]["count"], found["PSXN"]["rate_hz"], found["PSXN"]["gaps"]) == (90, pytest.approx(1.0, abs=0.02), 0)
 
 
+def test_sentences_between_two_with_a_time_lie_evenly_between_them(tmp_path, capsys):
+    log, rows = tmp_path / "ship.log", []
+    for n in range(700):
+        if n % 10 == 0:
+            rows.append(line(f"GPRMC,1200{n // 10 % 60:02d}.00,A,5424.01800,N,01012.06600,E,005.4,000.0,211126,,,A"))
+        rows.append(line(f"YXXDR,A,{1.0 + math.sin(0.1 * n):.2f},D,ROLL"))
+    log.write_bytes(b"".join(rows[:660]))
+    one = imported(tmp_path, log, capsys=capsys)["YX XDR"]
+    assert (one["count"], one["rate_hz"], one["gaps"]) == (600, pytest.approx(10.0, rel=0.01), 0)
+
+
 def test_a_log_without_any_time_is_refused(tmp_path, capsys):
     log = tmp_path / "ship.log"
     log.write_bytes(20 * line("HEHDT,90.0,T"))

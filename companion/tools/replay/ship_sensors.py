@@ -23,6 +23,7 @@ _WANDERS, _WANDERS_M = 2.0, 0.2
 _FEWEST = 20
 _GAP = 3.0
 """A gap is longer than so many of a sensor's usual intervals."""
+_LAG_MAX_S = 0.95
 _LAGS_S = np.arange(-1.0, 1.001, 0.02)
 
 _HEAVE, _PLACE = "heave", "place"
@@ -172,7 +173,8 @@ def _verdict(sensor: str, rows: list[tuple[float, dict[str, float]]]) -> SensorV
     rate_hz = 1.0 / usual_s if usual_s > 0.0 else math.inf
     longest_s = float(between.max())
     waves_m, wanders_m, fault = _heave(series.get(_HEAVE, np.empty((0, 2))))
-    if len(at) >= _FEWEST and sensor != _PLACE and all(part.step is None for part in parts):  # a place's sigma may stay the same
+    of_motion = {part.name for part in parts} <= {"roll", "pitch", _HEAVE}  # a ship's speed may stay the same, and a wind
+    if len(at) >= _FEWEST and of_motion and all(part.step is None for part in parts):
         fault = "its numbers never change"
     return SensorVerdict(sensor, len(at), rate_hz, len(gaps), longest_s, tuple(parts), waves_m, wanders_m, fault)
 
@@ -197,7 +199,7 @@ def _least(first: F64, second: F64) -> tuple[float, float, float] | None:
     """Return mean, standard deviation and delay of the second series against the first, where they differ least."""
     usual_s = float(np.median(np.diff(first[:, 0])))
     slopes = np.gradient(first[:, 1], first[:, 0])
-    best: tuple[float, float, float] | None = None
+    found: list[tuple[float, float, float]] = []
     for lag_s in _LAGS_S:
         at = second[:, 0] - lag_s
         i = np.searchsorted(first[:, 0], at) - 1
@@ -206,9 +208,11 @@ def _least(first: F64, second: F64) -> tuple[float, float, float] | None:
         if inside.sum() < _FEWEST:
             return None
         apart = second[inside, 1] - _between(first, slopes, at[inside], i[inside])
-        if best is None or np.std(apart) < best[1] - 1e-9:
-            best = float(np.mean(apart)), float(np.std(apart)), float(lag_s)
-    return best
+        found.append((float(np.std(apart)), float(np.mean(apart)), float(lag_s)))
+    sd, mean, lag_s = min(found)
+    if abs(lag_s) > _LAG_MAX_S:  # they do not move alike: no delay makes them
+        sd, mean, lag_s = min(found, key=lambda one: abs(one[2]))
+    return mean, sd, lag_s
 
 
 def _between(series: F64, slopes: F64, at: F64, i: NDArray[np.int64]) -> F64:
