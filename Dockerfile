@@ -8,7 +8,7 @@ COPY requirements requirements
 RUN python3 -m venv /opt/build \
  && /opt/build/bin/pip install --no-cache-dir --require-hashes -r requirements/build.txt \
  && python3 -m venv /opt/decklander \
- && /opt/decklander/bin/pip install --no-cache-dir --require-hashes -r requirements/video.txt
+ && /opt/decklander/bin/pip install --no-cache-dir --require-hashes -r requirements/video.txt -r requirements/ship.txt
 COPY pyproject.toml README.md LICENSE ./
 COPY companion companion
 COPY drivers drivers

@@ -7,6 +7,7 @@ serial:///dev/ttyAMA0:921600     a serial port and its speed
 """
 
 import re
+from importlib.util import find_spec
 from typing import Literal, get_args
 
 from msgspec import Struct
@@ -100,3 +101,14 @@ def parse_bus(url: str) -> BusAddress:
     except BadInput:
         raise ValueError(f"bus must be {_BUS_HOW}, found {url!r}") from None
     return BusAddress(url, signalk=endpoint) if scheme == "signalk" else BusAddress(url, wire=endpoint)
+
+
+def require_nmea2000(wanted: str) -> None:
+    """Refuse what is wanted where the packages of NMEA 2000 are not installed.
+
+    Raises:
+        BadInput: they are not; the message says how to install them.
+    """
+    for module, name in (("nmea2000", "nmea2000"), ("can", "python-can")):
+        if find_spec(module) is None:
+            raise BadInput(f"{wanted} needs {name}, which is not installed: install the extra decklander[ship]")

@@ -27,6 +27,7 @@ from supply import wheels
 
 ROOT = wheels.ROOT
 PINS = ROOT / "requirements/video.txt"
+SHIP_PINS = PINS.with_name("ship.txt")
 """An AR.Drone is landed without fetching anything."""
 
 ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64"}
@@ -70,7 +71,7 @@ def fetch(architecture: str, into: Path) -> None:
     platforms = [f"manylinux_2_{minor}_{architecture}" for minor in range(_GLIBC, 4, -1)] + [f"manylinux2014_{architecture}"]
     command = [
         sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "download", "--dest", str(into), "--no-deps",
-        "--only-binary", ":all:", "--require-hashes", "--requirement", str(PINS), "--implementation", "cp",
+        "--only-binary", ":all:", "--require-hashes", "-r", str(PINS), "-r", str(SHIP_PINS), "--implementation", "cp",
         "--python-version", ".".join(map(str, PYTHON)), *(word for name in (abi, "abi3", "none") for word in ("--abi", name)),
         *(word for name in platforms for word in ("--platform", name)),
     ]  # fmt: skip
@@ -86,8 +87,10 @@ def bill() -> bytes:
         PackageError: cyclonedx-py is not there, or refuses the pins.
     """
     project = str(ROOT / "pyproject.toml")
-    command = [sys.executable, "-m", "cyclonedx_py", "requirements", "--pyproject", project, "--output-reproducible", str(PINS)]
-    done = subprocess.run(command, capture_output=True, check=False)
+    command = [sys.executable, "-m", "cyclonedx_py", "requirements", "--pyproject", project, "--output-reproducible", "-"]
+    pins = [pin for path in (PINS, SHIP_PINS) for pin in re.split(r"\n(?=\w)", path.read_text())]
+    unique = {pin.partition("==")[0]: pin.strip() for pin in pins}
+    done = subprocess.run(command, input="\n".join(unique.values()).encode(), capture_output=True, check=False)
     if done.returncode != 0:
         raise PackageError(f"no bill of materials: {done.stderr.decode().strip().splitlines()[-1:]}")
     return done.stdout

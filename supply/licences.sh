@@ -8,7 +8,7 @@ names() { sed -n 's/==.*//p' "requirements/$1.txt" | sort; }
 listed=$(mktemp)
 trap 'rm -f "$listed"' EXIT
 sed '/^## The service$/,$d' docs/licences.md
-for pins in runtime video report lab ros2 compare rl fleet ship; do
+for pins in runtime video ship report lab ros2 compare rl fleet; do
     [ "$pins" = runtime ] && echo "## The service" || printf '\n## The extra `%s`\n' "$pins"
     echo
     # shellcheck disable=SC2046  # one argument for each name

@@ -20,6 +20,7 @@ from companion.settings.load import SHIPPED, find_file, read_toml
 from companion.settings.model import Settings
 from companion.settings.schema import explain
 from drivers.ardrone.options import ArDroneOptions
+from drivers.endpoint import parse_bus, require_nmea2000
 from drivers.gamepad.mapping import GamepadMapping
 from drivers.mavlink.options import AutopilotOptions
 from drivers.pyav import require_pyav
@@ -214,3 +215,5 @@ def check_installed(settings: Settings) -> None:
     for setting, wants in wanting.items():
         if wants:
             require_pyav(setting)
+    if (bus := settings.vessel.bus) and parse_bus(bus).signalk is None:
+        require_nmea2000(f"vessel.bus {bus}")

@@ -5,11 +5,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from drivers.endpoint import require_nmea2000
 from drivers.imports.sentences import filled, logger_s
 from drivers.imports.stamps import Tell, timeline
 from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import ShipSensors
-from drivers.nmea.ship_wires import require_nmea2000
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs

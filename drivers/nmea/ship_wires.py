@@ -4,7 +4,6 @@ import asyncio
 import logging
 from collections.abc import Callable
 from functools import partial
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import aiohttp
@@ -13,7 +12,7 @@ from drivers.endpoint import BusAddress, Endpoint
 from drivers.nmea.ship_bus import KINDS, BusReader, greeting
 from drivers.nmea.ship_sensors import Samples
 from drivers.wires import open_wire
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import Clock, MonoNs
 
 if TYPE_CHECKING:
@@ -26,17 +25,6 @@ _SIGNALK_S = 5.0
 _DELTA_MAX = 1 << 18
 
 Offer = Callable[[Samples], None]
-
-
-def require_nmea2000(wanted: str) -> None:
-    """Refuse what is wanted where the packages of NMEA 2000 are not installed.
-
-    Raises:
-        BadInput: they are not; the message says how to install them.
-    """
-    for module, name in (("nmea2000", "nmea2000"), ("can", "python-can")):
-        if find_spec(module) is None:
-            raise BadInput(f"{wanted} needs {name}, which is not installed: install the extra decklander[ship]")
 
 
 async def read_bus(address: BusAddress, reader: BusReader, offer: Offer, clock: Clock, opened: Callable[[], None]) -> NoReturn:

@@ -176,6 +176,7 @@ def test_it_has_what_the_service_relies_on() -> None:
     assert lines("DynamicUser") == ["yes"]
     assert lines("StateDirectory") == lines("RuntimeDirectory") == ["decklander"]
     assert {"char-video4linux rw", "char-ttyAMA rw"} <= set(lines("DeviceAllow"))
+    assert "AF_CAN" in lines("RestrictAddressFamilies")[0].split(), "vessel.bus = can://can0"
     assert float(lines("WatchdogSec")[0]) >= 2.0, "a slow frame must not look like a stuck pipeline"
 
 

@@ -9,7 +9,7 @@ from drivers.mailbox import Line
 from drivers.nmea.sentences import REFUSED_FOR, by_source
 from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import Samples, ShipSensors
-from drivers.nmea.ship_wires import read_bus, require_nmea2000
+from drivers.nmea.ship_wires import read_bus
 from drivers.one_source import SourceChoice
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import Clock
@@ -27,15 +27,10 @@ class BusPart(NullObserver):
         simulated: whether simulated places are taken: a rehearsal.
         choice: chooses one of several sources of the ship.
         reports: where samples are put.
-
-    Raises:
-        BadInput: a package that this address needs is not installed.
     """
 
     def __init__(self, bus: str, simulated: bool, choice: SourceChoice, reports: Line[Sample], clock: Clock) -> None:
         self._address, self._reports, self._clock = parse_bus(bus), reports, clock
-        if self._address.signalk is None:
-            require_nmea2000(f"vessel.bus {bus}")
         self._sensors = ShipSensors(simulated, choice)
         self._reader = BusReader(self._sensors)
         self._logged: set[str] = set()

@@ -17,11 +17,11 @@ from companion.tools.doctor.gather_service import figures, files_of, ship_source
 from companion.tools.doctor.snapshot import ServiceSnapshot, ShipSource
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.open_camera import open_camera
-from drivers.endpoint import parse_bus
+from drivers.endpoint import parse_bus, require_nmea2000
 from drivers.nmea.sentences import NmeaReader, by_source
 from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import ShipSensors
-from drivers.nmea.ship_wires import read_bus, require_nmea2000
+from drivers.nmea.ship_wires import read_bus
 from drivers.nmea.transport import SentenceSource, sentences_from
 from drivers.one_source import SourceChoice
 from estimator.contracts.errors import DecklanderError

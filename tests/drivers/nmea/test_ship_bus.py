@@ -15,8 +15,11 @@ import pytest
 from aiohttp import web
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from companion.parts.bus.part import BusPart
+from companion.settings.load import load
+from companion.settings.referenced_files import check_installed
 from drivers.clock import SystemClock
 from drivers.endpoint import parse_bus
 from drivers.mailbox import Line
@@ -510,10 +513,12 @@ async def test_a_signal_k_server_that_is_not_there_is_a_fault_of_the_outside() -
 
 
 def test_without_the_extra_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.nmea.ship_wires.find_spec", lambda name: None)
-    with pytest.raises(BadInput, match=r"needs nmea2000, which is not installed: install the extra decklander\[ship\]"):
-        Ship("can://can0")
-    Ship("signalk://127.0.0.1:3000")
+    monkeypatch.setattr("drivers.endpoint.find_spec", lambda name: None)
+    sim = load("sim")
+    over = {bus: replace(sim, vessel=replace(sim.vessel, bus=bus)) for bus in ("can://can0", "signalk://127.0.0.1:3000")}
+    with pytest.raises(BadInput, match=r"can0 needs nmea2000, which is not installed: install the extra decklander\[ship\]"):
+        check_installed(over["can://can0"])
+    check_installed(over["signalk://127.0.0.1:3000"])
 
 
 @pytest.mark.parametrize("url", ["can0", "can://", "udp://1.2.3.4:5", "tcp://host", "signalk://host:99999", "serial:///dev/x:1"])
