@@ -89,6 +89,9 @@ WIND_RANK = {"R": 0.4, "N": 0.7, "T": 1.0}
 """Order of winds: made here of the apparent one and her way, by her own from north, by her own from the bow (over the water)."""
 _WAY_S = 5.0
 """Age up to which her heading and velocity make a wind over the ground of an apparent one."""
+_OWNS, _MOTIONS = 0.25, 60.0
+"""Share of the motions whose heading is a talker's own from which they are of its device, and the number after which old ones
+count half."""
 _QUALITY_S = 3.0
 _NOT_VALID = 2
 
@@ -158,8 +161,10 @@ class _Receiver:
         self.name = name
         self.heading: tuple[MonoNs, float] | None = None
         """Arrival and degrees of the newest heading."""
-        self.matches = 0
-        """The number of motions that had the heading of this talker to the digit."""
+        self.matches = 0.0
+        """The number of motions that had the heading of this talker to the digit, the old ones less."""
+        self.moved_at = MonoNs(0)
+        """Arrival of the newest motion of this talker's device."""
         self._time_ns = -1
         self._burst: Stamp | None = None
         self._period_s = 0.0
@@ -208,6 +213,7 @@ class NmeaReader:
         self._receivers: dict[str, _Receiver] = {}
         self._tokens, self._tokens_at = _BURST_MAX, MonoNs(0)
         self._quality: tuple[MonoNs, tuple[int, int, int]] | None = None
+        self._motions = 0.0
         self._heading: VesselReport | None = None
         self._velocity: VesselReport | None = None
         self.taken: Counter[str] = Counter()
@@ -484,12 +490,20 @@ class NmeaReader:
             of for of in self._receivers.values()
             if of.heading is not None and seconds_between(of.heading[0], now) <= 1.0 and abs(of.heading[1] - same[0]) < same[1]
         ]  # fmt: skip
+        self._motions += 1.0
         for of in alike:
-            of.matches += 1
-        most = max((of.matches for of in self._receivers.values()), default=0)
-        # Another compass has the same heading by chance, now and then.
-        often = [of for of in alike or self._receivers.values() if 5 * of.matches > most > 0]
-        return max(often, key=lambda of: of.matches, default=None)
+            of.matches += 1.0
+        if self._motions > _MOTIONS:
+            self._motions *= 0.5
+            for of in self._receivers.values():
+                of.matches *= 0.5
+        # Another compass has the same heading by chance, now and then; the heading of an owner may be lost.
+        owners = [of for of in self._receivers.values() if of.matches > 0.0 and of.matches >= _OWNS * self._motions]
+        mine = [of for of in owners if of in alike]
+        owner = max(mine, key=lambda of: of.matches) if mine else min(owners, key=lambda of: of.moved_at, default=None)
+        if owner is not None:
+            owner.moved_at = now
+        return owner
 
     def _moved(self, sensor: str, found: ShipMotion, stamp: Stamp) -> VesselMotion:
         return VesselMotion(

@@ -63,6 +63,17 @@ def test_two_seapaths_in_one_stream_agree_and_each_quantity_is_of_one_receiver()
 
 
 @needs_palmer
+def test_a_motion_keeps_its_name_where_a_compass_agrees_by_chance_and_where_sentences_are_lost() -> None:
+    samples, _ = read([(at, said) for at, said in logged("s330", "gyr1") if "PSXN" in said or "HEHDT" in said])
+    assert len(motions(samples, "PSXN")) == 312
+    rng = np.random.default_rng(3)
+    rows = [(at, said) for at, said in logged("s330", "seap", "gyr1") if "PSXN,23" in said or rng.random() > 0.1]
+    samples, _ = read(rows)
+    assert (len(motions(samples, "IN PSXN")), len(motions(samples, "GP PSXN"))) == pytest.approx((312, 357), abs=4)
+    assert {s.sensor for s in samples if isinstance(s, VesselMotion)} == {"IN PSXN", "GP PSXN"}
+
+
+@needs_palmer
 def test_heave_is_against_the_height_of_the_same_receiver_and_heading_turns_as_the_gyro() -> None:
     for name, talker in (("s330", "IN"), ("seap", "GP")):
         samples, _ = read(logged(name))
