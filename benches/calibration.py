@@ -10,8 +10,8 @@ from collections import Counter
 
 import numpy as np
 
-from companion.tools.calibrate.assess import assess
 from companion.tools.calibrate.board import Board, BoardView, Collection
+from companion.tools.calibrate.guide import assess
 from companion.tools.calibrate.solve import Solution, distance_errors, solve
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation

@@ -12,8 +12,7 @@ from typing import Annotated
 from msgspec import Meta, Struct, field
 
 from companion.base.mission import ENDED
-from companion.base.observer import Decision
-from companion.base.response_in_use import ResponseInUse
+from companion.base.observer import Decision, ResponseInUse
 from estimator.contracts.errors import in_words
 from estimator.contracts.estimates import FusionResult, PathName, Source, Verdict
 from estimator.contracts.samples import Sample, VehicleStatus

@@ -18,10 +18,19 @@ import numpy as np
 from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight, identify
 from companion.cli.options import option, print_result, require_drawing
-from companion.tools.calibrate import assess
 from companion.tools.calibrate.board import BOARDS, Board, Collection
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
-from companion.tools.calibrate.guide import Guide, GuideState, add_file, files_of, watch
+from companion.tools.calibrate.guide import (
+    GRADES,
+    Assessment,
+    Guide,
+    GuideState,
+    add_file,
+    assess,
+    files_of,
+    missing_before,
+    watch,
+)
 from companion.tools.calibrate.solve import LEAST_VIEWS, LensChoice, Solution, solve
 from companion.tools.calibrate.touchdown_cost import of_distance
 from drivers.camera.images import PICTURES
@@ -79,7 +88,7 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--accept",
         "write the camera file if the grade is this or better; poor is --force (default: %(default)s)",
         default="good",
-        choices=assess.GRADES,
+        choices=GRADES,
     )
     option(p, "--force", "write the camera file even if it is poor, and print what that costs")
     option(
@@ -124,12 +133,12 @@ def _run_camera(args: argparse.Namespace) -> int:
     collection = _gather(args, board)
     size = collection.size or (0, 0)
     if len(collection.views) < LEAST_VIEWS:
-        lacks = assess.missing_before(collection.views, size) if collection.views else [_NO_BOARD]
+        lacks = missing_before(collection.views, size) if collection.views else [_NO_BOARD]
         if collection.mirrored:
             lacks.insert(
                 0, "a camera that does not mirror: turn off the horizontal flip of the camera, its driver or its pipeline"
             )
-        _say(args, collection, None, assess.Assessment(tuple(lacks), ()), written=False)
+        _say(args, collection, None, Assessment(tuple(lacks), ()), written=False)
         return 1
     solution = solve(collection.views, board, size, mount, args.lens)
     if args.figures is not None:
@@ -137,8 +146,8 @@ def _run_camera(args: argparse.Namespace) -> int:
 
         figures.write_coverage([f.view for f in solution.fits], size, Path(args.figures) / "coverage.png")
         figures.write_residuals(solution, Path(args.figures) / "residuals.png")
-    found = assess.assess(solution, size)
-    accepted = args.force or assess.GRADES.index(found.grade) <= assess.GRADES.index(args.accept)
+    found = assess(solution, size)
+    accepted = args.force or GRADES.index(found.grade) <= GRADES.index(args.accept)
     if accepted:
         source = args.device or args.pipeline or f"{len(args.paths)} files or folders"
         with file_errors(f"--out {out}"):
@@ -160,7 +169,7 @@ def _gather(args: argparse.Namespace, board: Board) -> Collection:
 
     def tell(collection: Collection) -> None:
         if not quiet:
-            lacks = assess.missing_before(collection.views, collection.size or (1, 1))
+            lacks = missing_before(collection.views, collection.size or (1, 1))
             line = f"{collection.image_count} images, {len(collection.views)} views; {lacks[0] if lacks else 'enough'}"
             sys.stderr.write(f"\r{line[:100]:<100}")
 
@@ -201,7 +210,7 @@ def _three(text: str, name: str) -> tuple[float, float, float]:
 
 
 def _say(
-    args: argparse.Namespace, collection: Collection, solution: Solution | None, found: assess.Assessment, *, written: bool
+    args: argparse.Namespace, collection: Collection, solution: Solution | None, found: Assessment, *, written: bool
 ) -> None:
     lines = [f"{collection.image_count} images: {len(collection.views)} views, the board not found in {len(collection.without)}"]
     if solution is not None:
@@ -239,7 +248,7 @@ def _worth(solution: Solution, *, cost: bool) -> str:
 
 
 def _record(
-    args: argparse.Namespace, collection: Collection, solution: Solution | None, found: assess.Assessment, *, written: bool
+    args: argparse.Namespace, collection: Collection, solution: Solution | None, found: Assessment, *, written: bool
 ) -> dict[str, object]:
     record: dict[str, object] = {
         "good": found.grade == "good",

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from companion.base.health import HealthSnapshot
 from companion.base.mission import StateChange
-from companion.base.observer import Decision, DeckOutlook, ProcessedFrame
+from companion.base.observer import Decision, DeckOutlook, ProcessedFrame, ResponseInUse
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
-from companion.base.response_in_use import ResponseInUse
 from companion.facts import records as rec
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import FusionResult, Pose6, RelativeState, Sighting

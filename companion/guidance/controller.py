@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import force_setattr
 
-from companion.base.response_in_use import ResponseInUse
+from companion.base.observer import ResponseInUse
 from companion.settings.guidance import ClimbResponse
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState

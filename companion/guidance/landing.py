@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct, field, structs
 
 from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, Event, Reason, ReasonCause, State, StateChange
-from companion.base.response_in_use import ResponseInUse
+from companion.base.observer import ResponseInUse
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, FieldOfView, Impact, Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.flight_memory import FlightMemory, carried_on, memory_of, resumed_by

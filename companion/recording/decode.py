@@ -7,8 +7,7 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 
 from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
-from companion.base.observer import DeckOutlook, FrameTimes
-from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
+from companion.base.observer import DeckOutlook, FrameTimes, ResponseInUse, ResponseState, TiltShape
 from companion.facts import records as rec
 from companion.facts.encode import COMMANDS
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity

@@ -32,9 +32,8 @@ from estimator.vision.camera import Camera
 from estimator.vision.clear_deck import check_surface
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
-from estimator.vision.detect.guesses import heading, pose_about
+from estimator.vision.detect.guesses import Plane, heading, pose_about
 from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, fade
-from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import calibrate
 from estimator.vision.detection import Detection, Opinions, PadCheck, agree, fuse

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -11,7 +12,29 @@ import numpy as np
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, Transform
-from estimator.vision.file_numbers import finite, shown
+
+_LONGEST = 80
+
+
+def finite(value: object) -> float | None:
+    """Return the value as a float; None if it is not a number, not finite, or an integer too large for a float."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def shown(value: object) -> str:
+    """Return the value as one line of bounded length for an error's text."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to write out an integer of more than 4300 digits.
+        return "a number of thousands of digits"
+    return text if len(text) <= _LONGEST else text[:_LONGEST] + "..."
+
 
 LensModel = Literal["brown", "fisheye"]
 _OPTIONAL = {"lens", "distortion", "p_body_cam_m", "rpy_body_cam_deg", "mount_cov_deg2", "readout_s", "focal_sigma"}

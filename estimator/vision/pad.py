@@ -22,8 +22,8 @@ from msgspec.structs import asdict
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
+from estimator.vision.camera import shown
 from estimator.vision.fiducial import PaintedFiducial
-from estimator.vision.file_numbers import shown
 from estimator.vision.lamp import MOST, Lamp, check_lamps
 from estimator.vision.markings import Markings, Rgb, markings_of
 from estimator.vision.pad_rules import check_marker, check_regions

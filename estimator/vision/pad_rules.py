@@ -12,8 +12,8 @@ import numpy as np
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.core.abi import DL_FIGURE_CUTS, DL_FIGURE_RECTANGLES, DL_FIGURE_SIDES
+from estimator.vision.camera import shown
 from estimator.vision.fiducial import QUIET_CELLS, PaintedFiducial, cells_apart, dictionary_names, dictionary_of
-from estimator.vision.file_numbers import shown
 from estimator.vision.markings import Rgb, layers_of
 from estimator.vision.regions import (
     Lettering,

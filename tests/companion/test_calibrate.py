@@ -17,10 +17,9 @@ from companion.cli.main import main
 from companion.guidance.pilot import estimator_options, with_mount
 from companion.settings.load import SHIPPED, load
 from companion.settings.model import CameraSettings, Settings
-from companion.tools.calibrate import assess
 from companion.tools.calibrate.board import Board, BoardView, Collection
 from companion.tools.calibrate.flight_result import flight_result
-from companion.tools.calibrate.guide import Guide, GuideState, watch
+from companion.tools.calibrate.guide import Guide, GuideState, assess, missing_before, watch
 from companion.tools.calibrate.mount_fit import DELAY, MOUNT, READOUT, exp, exps, fit_mount
 from companion.tools.calibrate.solve import distance_errors, solve
 from drivers.camera.options import CameraOptions
@@ -114,7 +113,7 @@ def test_what_a_calibration_says_of_itself_is_the_same_in_any_unit_and_true(tilt
     off = np.abs(distance_errors(one.camera, BENT))
     assert off.max() < one.distances_right_to * 1.5
     assert (one.distances_right_to < 0.006) == (tilt_deg > 1.0)
-    assert (assess.assess(one, (480, 320)).grade == "poor") == (tilt_deg < 1.0)
+    assert (assess(one, (480, 320)).grade == "poor") == (tilt_deg < 1.0)
 
 
 @pytest.mark.hazard("H12")
@@ -150,7 +149,7 @@ def test_a_set_that_only_lacks_a_corner_is_fair_and_written_when_that_is_accepte
     for file in sorted(folders["charuco"].iterdir()):
         collection = Collection(CHARUCO, moving=False)
         collection.add(file.name, cv2.imread(str(file)))
-        if not any("bottom right" in lack for lack in assess.missing_before(collection.views, size)):
+        if not any("bottom right" in lack for lack in missing_before(collection.views, size)):
             continue  # the only images that reach into that corner
         kept.append(str(file))
     assert len(kept) >= 10

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 from scipy.linalg import solve_discrete_are
 
-from companion.base.response_in_use import ResponseInUse, ResponseState
+from companion.base.observer import ResponseInUse, ResponseState
 from companion.guidance.controller import FieldOfView, Knowledge, Target
 from companion.guidance.law import follow_deck
 from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory, TuningChoice

@@ -14,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from companion.base.observer import Decision
-from companion.base.response_in_use import ResponseState
+from companion.base.observer import Decision, ResponseState
 from companion.cli.main import main
 from companion.guidance.law.gains import tilt_model
 from companion.guidance.law.response_fit import STEP_S, FlightCourse, TiltFit, fit_climb, fit_tilt

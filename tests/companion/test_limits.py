@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.base.mission import Event, Reason, ReasonCause, State
-from companion.base.response_in_use import ResponseInUse, ResponseState
+from companion.base.observer import ResponseInUse, ResponseState
 from companion.guidance.controller import HORIZONS_S, AtContact, Knowledge, Target
 from companion.guidance.mission.clearance import SwellWatch, rise_beyond_climb_m, watched_swell
 from companion.guidance.mission.descend import descent_rate_m_s

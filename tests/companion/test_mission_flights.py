@@ -16,7 +16,7 @@ from msgspec import structs
 from msgspec.structs import replace
 
 from companion.base.mission import DESCENDS, ENDED, Event, ReasonCause, State, StateChange
-from companion.base.response_in_use import ResponseInUse
+from companion.base.observer import ResponseInUse
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.mission.limits import DWELL_S, ChargeWatch, last_landing, of_try
 from companion.guidance.mission.machine import mission_step, take_order, take_status

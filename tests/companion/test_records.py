@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from companion.base.observer import Decision, ProcessedFrame
-from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
+from companion.base.observer import Decision, ProcessedFrame, ResponseInUse, ResponseState, TiltShape
 from companion.facts import encode, records
 from companion.recording import channels, decode
 from companion.recording.foxglove import FrameTransforms

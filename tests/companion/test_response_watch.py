@@ -16,7 +16,7 @@ from msgspec import structs
 from msgspec.structs import replace
 
 from companion.base.mission import Event, State
-from companion.base.response_in_use import AS_FILED, ResponseInUse, ResponseState  # fmt: skip
+from companion.base.observer import AS_FILED, ResponseInUse, ResponseState  # fmt: skip
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory, TuningChoice, chosen_tuning, tuned
 from companion.guidance.law.gains import TiltWeights, tilt_model

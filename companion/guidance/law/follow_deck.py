@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct, field, structs
 from msgspec.structs import replace
 
-from companion.base.response_in_use import ResponseInUse, ResponseState
+from companion.base.observer import ResponseInUse, ResponseState
 from companion.guidance.controller import FieldOfView, Knowledge, Target
 from companion.guidance.law.gains import (
     SIGMAS_P_M,

@@ -28,7 +28,7 @@ import numpy as np
 from msgspec import Struct, structs
 
 from companion.base.mission import GROUND, State
-from companion.base.response_in_use import AS_FILED, ResponseInUse, ResponseState, TiltShape
+from companion.base.observer import AS_FILED, ResponseInUse, ResponseState, TiltShape
 from companion.guidance.law.margins import keeps_margins
 from companion.guidance.law.response_fit import STEP_S, FlightCourse, TiltFit, fit_tilt
 from companion.settings.guidance import GuidanceOptions, TiltResponse, within

@@ -35,10 +35,9 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
-from estimator.vision.detect.guesses import Guess
+from estimator.vision.detect.guesses import Guess, Plane
 from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, Kind, kinds
 from estimator.vision.detect.paint import FRESH, PaintMemory
-from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, confidence, log_odds
 from estimator.vision.fiducial import PaintedFiducial, cells_apart, dictionary_of

@@ -31,6 +31,7 @@ from estimator.vision.detect.guesses import (
     Circle,
     Guess,
     Outline,
+    Plane,
     Radii,
     blob_circles,
     edge_circles,
@@ -39,7 +40,6 @@ from estimator.vision.detect.guesses import (
     heading,
 )
 from estimator.vision.detect.paint import PaintMemory
-from estimator.vision.detect.plane import Plane
 from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
 from estimator.vision.detect.template import F32
 from estimator.vision.native import checked, count_work, image_of, tracker_of

@@ -15,8 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from companion.base.health import Health
-from companion.base.observer import Decision
-from companion.base.response_in_use import ResponseInUse, ResponseState, TiltShape
+from companion.base.observer import Decision, ResponseInUse, ResponseState, TiltShape
 from companion.parts.mavlink.component import Component
 from companion.parts.mavlink.outputs import Outputs
 from companion.settings.links import OutputOptions

@@ -13,8 +13,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import SIGMA_TILT_RAD, align
-from estimator.vision.detect.guesses import Circle, Outline, Radii, blob_circles, edge_circles, guesses_from, pose_about
-from estimator.vision.detect.plane import Plane
+from estimator.vision.detect.guesses import Circle, Outline, Plane, Radii, blob_circles, edge_circles, guesses_from, pose_about
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
