@@ -17,7 +17,7 @@ from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.pave import PaveFrame, PaveParser, VideoDecoder, unit_decoder
+from drivers.ardrone.pave import PaveParser, VideoDecoder, unit_decoder
 from drivers.ardrone.setup import ControlChannel, Setup
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.datagrams import open_waiting
@@ -123,7 +123,8 @@ class VideoChannel(_Video):
             self._began = now
         if not batch:
             return
-        stamps = [self._stamp(unit, began if carried and i == 0 else now) for i, unit in enumerate(batch)]
+        arrived = [began if carried else now, *(now for _ in batch[1:])]
+        stamps = [self._map.stamp(unit.header.timestamp_ms * _MS, at) for unit, at in zip(batch, arrived, strict=True)]
         image = await asyncio.get_running_loop().run_in_executor(pool, self._decoder.newest, batch)
         if image is None:
             return
@@ -131,9 +132,6 @@ class VideoChannel(_Video):
         if self._selected(stamp.received_at):
             number = batch[image.index].header.frame_number
             self._give(Frame(stamp, number, image.px, self._o.exposure_s, coded=True))
-
-    def _stamp(self, unit: PaveFrame, received_at: MonoNs) -> Stamp:
-        return self._map.stamp(unit.header.timestamp_ms * _MS, received_at)
 
 
 class UvlcChannel(_Video):

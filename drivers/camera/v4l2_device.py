@@ -188,7 +188,7 @@ class KernelExposure:
         shortest_s = _UNIT_S * max(1, self._time.minimum)
         self.can = ExposureRange(shortest_s, max(longest_s, shortest_s), self._ratio if self._gain is not None else 1.0)
         try:
-            self.held = self.set(self._now())
+            self.held = self.set(self.can.split(self._time_s() * self._amplification(), self.can.longest_s))
         except OSError as why:
             if why.errno == errno.ENODEV:
                 raise
@@ -225,9 +225,6 @@ class KernelExposure:
         value = kernel.control_value(self._fd, self._gain.id, self._gain.type)
         low, high = int(self._gain.minimum), int(self._gain.maximum)
         return 1.0 + (self._ratio - 1.0) * (value - low) / (high - low)
-
-    def _now(self) -> ExposureSetting:
-        return self.can.split(self._time_s() * self._amplification(), self.can.longest_s)
 
     def _fix(self, control: kernel.VideoControl, value: int) -> None:
         name = control.name.decode(errors="replace")

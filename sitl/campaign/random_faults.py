@@ -126,7 +126,8 @@ class Cases(Struct, frozen=True):
 
         def fails(faults: Sequence[AnyFault]) -> bool:
             nonlocal newest
-            again = self._fly(with_faults(self.scenario, faults), seed)
+            scenario = with_faults(self.scenario, faults)
+            again = fly_flight(self.name, scenario, seed, self.settings, self.perception, self.perception_model)
             if verdict_of(again) != verdict:
                 return False
             newest = again
@@ -143,9 +144,6 @@ class Cases(Struct, frozen=True):
             f"decklander simulate FILE --seed {seed} {options}".rstrip(),
         ]
         return as_toml(self.name, with_faults(self.scenario, faults), faults, head)
-
-    def _fly(self, scenario: Scenario, seed: int) -> Flight:
-        return fly_flight(self.name, scenario, seed, self.settings, self.perception, self.perception_model)
 
 
 def shrunk(faults: Sequence[AnyFault], fails: Fails, flights: int = _SHRINKING_FLIGHTS) -> tuple[AnyFault, ...]:

@@ -17,8 +17,10 @@ Source: mavlink.io, "Command Protocol".
 import logging
 import math
 import struct
+import tomllib
 from collections import Counter, deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Protocol
 
 import msgspec
@@ -43,37 +45,7 @@ _AT_ONCE = 4
 """The number of values of a list that one call of `ParameterServer.due` returns."""
 
 
-NAMES: dict[str, str] = {
-    "PID_H_KP": "guidance.pid.horizontal.kp",
-    "PID_H_KI": "guidance.pid.horizontal.ki",
-    "PID_H_KD": "guidance.pid.horizontal.kd",
-    "PID_V_KP": "guidance.pid.vertical.kp",
-    "PID_V_KI": "guidance.pid.vertical.ki",
-    "PID_V_KD": "guidance.pid.vertical.kd",
-    "PID_Y_KP": "guidance.pid.heading.kp",
-    "PID_Y_KI": "guidance.pid.heading.ki",
-    "PID_SPEED_MAX": "guidance.pid.speed_max_m_s",
-    "PID_CLIMB_MAX": "guidance.pid.climb_max_m_s",
-    "PID_SINK_MAX": "guidance.pid.descent_rate_max_m_s",
-    "PID_TURN_MAX": "guidance.pid.turn_max_deg_s",
-    "PID_INTEGRAL_MAX": "guidance.pid.integral_max_m_s",
-    "CONE_RATE": "guidance.cone.descent_rate_m_s",
-    "CONE_SLOPE": "guidance.cone.slope",
-    "CONE_SPEED": "guidance.cone.intercept_speed_m_s",
-    "GATE_ALT": "guidance.cone.gate_height_m",
-    "COMMIT_RATE": "guidance.cone.commit_rate_m_s",
-    "LIM_ERROR": "guidance.limits.error_m",
-    "LIM_SIGMA": "guidance.limits.sigma_m",
-    "LIM_TILT_GATE": "guidance.limits.deck_tilt_gate_deg",
-    "LIM_TILT_COMMIT": "guidance.limits.deck_tilt_commit_deg",
-    "TRY_CLIMB_AFTER": "guidance.tries.climb_after_s",
-    "TRY_SAFE_ALT": "guidance.tries.safe_height_m",
-    "TRY_GIVE_UP": "guidance.tries.give_up_after_s",
-    "GUID_STALE": "guidance.stale_after_s",
-    "GUID_LAND_TOUT": "guidance.land_timeout_s",
-    "EST_MIN_CONF": "estimator.min_confidence",
-    "EST_MAX_DELAY": "estimator.max_delay_s",
-}
+NAMES: dict[str, str] = tomllib.loads(Path(__file__).with_name("parameters.toml").read_text(encoding="ascii"))
 """The settings key of each parameter, in the order of the list; the order and the count never change while running."""
 _ORDER = tuple(NAMES)
 

@@ -14,7 +14,6 @@ from companion.guidance.law.response_watch import asked_descent, asked_lean, cou
 from companion.guidance.operator.arbiter import BY_HAND
 from companion.recording.reading import Recording
 from estimator.contracts.commands import Command, Velocity
-from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu
 
@@ -72,7 +71,7 @@ def flown_courses(recording: Recording) -> FlownCourses:
             flights[-1].lean.append((event.stamp.measured_at * 1e-9, *reported_lean(attitude)))
             sigmas.append(event.stamp.sigma_s)
         elif isinstance(event, Imu) and attitude is not None:
-            flights[-1].a_down.append((event.stamp.measured_at * 1e-9, _a_down(event, attitude)))
+            flights[-1].a_down.append((event.stamp.measured_at * 1e-9, float(attitude.matrix[2] @ event.f_body) + G_M_S2))
         elif isinstance(event, BodyVelocity) and float(event.cov_level[2, 2]) < 1e-3 * UNKNOWN_VAR:
             flights[-1].v_down.append((event.stamp.measured_at * 1e-9, float(event.v_level[2])))
     sigma_s = float(np.mean(sigmas)) if sigmas else 0.0
@@ -102,10 +101,6 @@ def _course(
         commanded = [row[0] for row in asked if all(map(math.isfinite, row))] or [math.inf]
         asked, reported = ([row for row in rows if commanded[0] <= row[0] <= commanded[-1]] for rows in (asked, reported))
     return course_of(track(asked), track(reported), sigma_s, drifts) if asked and reported else None
-
-
-def _a_down(imu: Imu, R_ned_body: Rotation) -> float:
-    return float(R_ned_body.matrix[2] @ imu.f_body) + G_M_S2
 
 
 def _integral(rows: list[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -158,10 +158,11 @@ def whiten(t: F64, columns: F64, cov_view: F64, used: NDArray[np.bool_], noises:
     """
     n, _, c = columns.shape
     b = len(noises)
-    wander = np.array([_wander(noise) for noise in noises])
+    wander = np.array([[o.tilt_rad, o.tilt_rad, o.heading_rad, *(o.deck_rad,) * 3] for o in noises])
     walk = np.array([noise.gyro_rad_sqrt_s for noise in noises]) ** 2
     view = np.array([noise.view for noise in noises])[:, None, None] ** 2
-    rate = np.array([_rates(noise) for noise in noises])
+    # How fast the errors forget, 1/s
+    rate = 1.0 / np.array([[*(math.inf,) * 3, o.tilt_s, o.tilt_s, o.heading_s, *(o.deck_s,) * 3] for o in noises])
     x = np.zeros((b, STATES, c))
     P = np.zeros((b, STATES, STATES))
     _diagonal(P)[:] = np.concatenate([np.full((b, 3), _START_RAD**2), wander**2], axis=1)
@@ -194,15 +195,6 @@ def _diagonal(matrices: F64) -> F64:
     """Return a view of the diagonals of (B, n, n) contiguous matrices, (B, n)."""
     diagonal: F64 = np.einsum("bii->bi", matrices)
     return diagonal
-
-
-def _wander(noise: Noise) -> F64:
-    return np.array([noise.tilt_rad, noise.tilt_rad, noise.heading_rad, *(noise.deck_rad,) * 3])
-
-
-def _rates(noise: Noise) -> F64:
-    """Return how fast the errors forget, (9,) 1/s."""
-    return 1.0 / np.array([*(math.inf,) * 3, noise.tilt_s, noise.tilt_s, noise.heading_s, *(noise.deck_s,) * 3])
 
 
 _LIMITS = {

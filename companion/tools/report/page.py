@@ -187,8 +187,9 @@ def render_comparison(recorded: Sequence[FlightLog], films: Sequence[FilmFile | 
     data, columns = page_data(flights, sections, logs[0].pad, ways, marked, span)
     numbers = page_parts.numbered(sections)
     title = " and ".join(flight.label for flight in flights)
+    ended = ", ".join(f"{letter} {log.outcome}" for letter, log in zip(LETTERS, logs, strict=True))
     body = [
-        page_parts.header(title, _each_ended(logs), all(map(good, logs)), []),
+        page_parts.header(title, ended, all(map(good, logs)), []),
         _outcomes(logs),
         '<p class="note">Times count from the instant at which the drone first flew to the pad that it saw.</p>',
         f'<div class="flight pair">{page_parts.films(flights, films)}{page_parts.beside(flights, happened)}</div>',
@@ -204,10 +205,6 @@ def render_comparison(recorded: Sequence[FlightLog], films: Sequence[FilmFile | 
         f'<p class="note">{page_parts.thinning(columns)}</p>',
     ]
     return page_parts.flight_page(title, "\n".join(body), data, films)
-
-
-def _each_ended(logs: Sequence[FlightLog]) -> str:
-    return ", ".join(f"{letter} {log.outcome}" for letter, log in zip(LETTERS, logs, strict=True))
 
 
 def _sections(log: FlightLog, k: int) -> list[Section]:

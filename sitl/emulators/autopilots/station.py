@@ -163,7 +163,8 @@ class GroundStation:
         """Return the messages to send; call it at 10 Hz or more."""
         if self._since is None:
             self._since = now
-        out = [_heartbeat()] if self._due("heartbeat", now) else []
+        heartbeat = mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE, 3
+        out: list[Message] = [mav.MAVLink_heartbeat_message(*heartbeat)] if self._due("heartbeat", now) else []
         task = self.task
         if task in _LIMITS and seconds_between(self._since, now) > _LIMITS[task][0]:
             lander = "autopilot" if self._unaided else "companion"
@@ -270,7 +271,3 @@ class GroundStation:
 
     def _command(self, number: int, param1: float = 0.0, *, height_m: float = 0.0, to: tuple[int, int] | None = None) -> Message:
         return mav.MAVLink_command_long_message(*(to or self._autopilot), number, 0, param1, 0, 0, 0, 0, 0, height_m)
-
-
-def _heartbeat() -> Message:
-    return mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE, 3)
