@@ -93,7 +93,7 @@ class ReasonCause(Enum):
     TIME_LOCK = "the frames' time is known to {measured:.3f} s (limit {limit:g} s)"
     HEADING = "the heading is {measured:.0f} deg off the arrow (limit {limit:g} deg)"
     HEADING_TURNED = "the arrow turned by {measured:.0f} deg between two estimates"
-    WIND = "{measured:.1f} m/s of wind over the drone by its drag, {detail}: its tilt can fly {limit:.1f}"
+    WIND = "{measured:.1f} m/s of wind over the drone {detail}: its tilt can fly {limit:.1f}"
     GUST = "a gust began, {measured:.1f} m/s off the mean wind (usual: {limit:.1f})"
     BATTERY = "battery at {measured:.0f} % (limit {limit:.0f} %)"
     BATTERY_ENDS = "battery at {measured:.0f} %: it lands on the pad in sight"

@@ -27,7 +27,8 @@ from companion.guidance.mission.out_of_reach import flown_by_others
 from companion.guidance.mission.progress import GuidanceCycle, InputQuality, Progress, VehicleHold, VesselPosition, unfit
 from companion.guidance.mission.vessel_track import VesselTrack
 from companion.guidance.mission.waiting import ends_here
-from companion.guidance.mission.wind import WindOverDrone, WindWatch, trim_level, wind_over_drone
+from companion.guidance.mission.wind import ReportedWind, WindOverDrone, WindWatch, trim_level, wind_by_ship, wind_over_drone
+from companion.guidance.mission.wind import reported as reported_wind
 from companion.guidance.mission.wind import watched as watched_wind
 from companion.guidance.operator.command_limits import Unmeasured, without_velocity
 from companion.settings.guidance import ClimbResponse, GuidanceOptions, TiltResponse
@@ -50,6 +51,7 @@ from estimator.contracts.samples import (
     Sample,
     VehicleStatus,
     VesselReport,
+    VesselWind,
 )
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
@@ -202,6 +204,7 @@ class LandingGuidance:
         self._thing: Reason | None = None
         """Objects on the pad in the newest guidance cycle."""
         self._vessel_track = VesselTrack(options.reports)
+        self._ship_wind: ReportedWind | None = None
         self._vessel: VesselPosition | Reason | None = None
         """The ship's place by reports in the newest guidance cycle, or why it is not known; None while nobody flies by it."""
 
@@ -300,6 +303,9 @@ class LandingGuidance:
                 self._vessel_track = self._vessel_track.on_sample(sample)
                 if of_ship(sample):
                     continue
+            elif type(sample) is VesselWind:
+                self._ship_wind = reported_wind(self._ship_wind, sample)
+                continue
             elif isinstance(sample, (GimbalAttitude, OfVessel, Baseline)):
                 continue
             self._heard = received_at
@@ -416,6 +422,9 @@ class LandingGuidance:
         tilt = self._tilt if knowledge.tilt_max_deg is None else structs.replace(self._tilt, max_deg=knowledge.tilt_max_deg)
         body = knowledge.body
         self._air = None if body is None else wind_over_drone(self._flight.wind, tilt, body.heading_rad, self._view)
+        if body is not None and (self._air is None or not self._air.known):
+            way = self.vessel_velocity(now)
+            self._air = wind_by_ship(self._ship_wind, now, way, tilt, body.heading_rad, self._view) or self._air
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
             if self._attitude is not None:

@@ -59,6 +59,20 @@ def test_the_place_goes_on_with_her_velocity_and_turns_into_the_drone_s_axes() -
     assert place.axis_rad == pytest.approx(-math.pi / 2), "without a compass the course is the heading"
 
 
+def test_a_ship_that_reports_her_rate_of_turn_is_carried_round() -> None:
+    """Three seconds on a circle of 30 m at 3 m/s; the pad is 10 m behind the antenna and swings with her."""
+    rate, v, t = 0.1, 3.0, 3.0
+    turning = VesselReport(stamp(8.0), np.array([v, 0.0, 0.0]), 0.01 * np.eye(3), 0.0, 0.05, rate, 0.01)
+    later = VesselReport(stamp(8.0 + t - 1.0), None, None, None, None, rate, 0.01)
+    limits = ReportLimits(pad_forward_m=-10.0)
+    place = position_at(track_after(turning, fix("vessel", 8.0, 40.0, 0.0, 4.0), later, limits=limits), 8.0 + t)
+    bow = np.array([math.cos(rate * t), math.sin(rate * t)])
+    antenna = np.array([40.0 + v / rate * math.sin(rate * t), v / rate * (1.0 - math.cos(rate * t))])
+    assert place.d_body_pad_level == pytest.approx(antenna - 10.0 * bow, abs=0.05)
+    assert place.v_level == pytest.approx(v * bow - 10.0 * rate * np.array([-bow[1], bow[0]]), abs=0.01)
+    assert place.axis_rad == pytest.approx(rate * t)
+
+
 def test_the_pad_lies_where_the_ship_s_heading_puts_it() -> None:
     limits = ReportLimits(pad_forward_m=-12.0, pad_right_m=3.0, pad_up_m=2.0)
     samples = course(9.0, (0.0, 0.0), heading=math.pi / 2), fix("vessel", 9.0, 0.0, 50.0, 4.0)

@@ -9,11 +9,22 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from companion.guidance.controller import FieldOfView, Knowledge
-from companion.guidance.mission.wind import GUST_SIGMAS, MEAN_S, WindWatch, trim_level, watched, wind_over_drone
+from companion.guidance.mission.wind import (
+    GUST_SIGMAS,
+    MEAN_S,
+    ReportedWind,
+    WindWatch,
+    reported,
+    trim_level,
+    watched,
+    wind_by_ship,
+    wind_over_drone,
+)
 from companion.settings.guidance import TiltResponse
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2
-from tests.make import body, ns
+from estimator.contracts.samples import VesselWind
+from tests.make import body, ns, stamp
 
 TILT = TiltResponse(0.05, 4.0, 0.8, max_deg=28.0, drag_1_s=0.35)
 DT = 0.02
@@ -68,6 +79,28 @@ def test_a_wind_that_falls_steadily_on_the_way_down_is_no_gust() -> None:
     wind = wind_over_drone(watch, TILT, 0.3)
     assert wind is not None
     assert wind.gust_m_s < 0.6
+
+
+def test_the_ship_s_anemometer_says_where_to_look_and_forbids_only_what_is_far_too_strong() -> None:
+    def blows(speed: float) -> ReportedWind:
+        mean = None
+        for n in range(10):
+            mean = reported(mean, VesselWind(stamp(1.0 + n), "mast", math.pi / 2, speed))
+        assert mean is not None
+        return mean
+
+    wind = wind_by_ship(blows(8.0), ns(10.5), np.array([0.0, 1.5]), TILT, math.pi / 2)
+    assert wind is not None
+    assert wind.speed_m_s == pytest.approx(9.5), "she sails into it"
+    assert wind.into_level == pytest.approx([1.0, 0.0], abs=1e-9), "the nose is east, and so is the wind"
+    assert [wind.forbids, wind.too_strong, wind.known] == [False] * 3
+    most_m_s = G_M_S2 * math.tan(math.radians(28.0)) / 0.35
+    assert most_m_s == pytest.approx(14.9, abs=0.1)
+    for speed, forbids in ((14.0, False), (18.0, True)):
+        wind = wind_by_ship(blows(speed), ns(10.5), None, TILT, 0.0)
+        assert wind is not None
+        assert wind.forbids is forbids, "an instrument that is 30 % off refuses no flight"
+    assert wind_by_ship(blows(18.0), ns(30.0), None, TILT, 0.0) is None, "an old report says nothing"
 
 
 @pytest.mark.parametrize(("gust_m_s", "sigma_m_s"), [(15.0, 0.3), (15.0, 0.8), (0.0, 0.3), (0.0, 1.5)])

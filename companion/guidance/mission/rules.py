@@ -102,7 +102,7 @@ def windy(p: Progress, s: GuidanceCycle) -> Reason | None:
     """Return that the wind is too strong, once that has stood for longer than a gust."""
     if s.wind is None or windy_s(p, s) < _WIND_DWELL_S:
         return None
-    detail = f"gusts of {s.wind.gust_m_s:.1f}, {math.degrees(s.wind.lean_rad):.0f} degrees of lean"
+    detail = f"by its drag, gusts of {s.wind.gust_m_s:.1f}, {math.degrees(s.wind.lean_rad):.0f} degrees of lean"
     return Reason(ReasonCause.WIND, s.wind.speed_m_s, s.wind.limit_m_s, detail)
 
 
@@ -123,7 +123,11 @@ def conditions_count(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
 
 def too_windy(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     """Yield that the wind will not pass within this flight."""
-    if s.wind is None or not conditions_count(p, s, o) or (wind := windy(p, s)) is None:
+    if s.wind is None or not conditions_count(p, s, o):
+        return
+    if s.wind.forbids:
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.WIND, s.wind.speed_m_s, s.wind.limit_m_s, "by the ship's anemometer")
+    if (wind := windy(p, s)) is None:
         return
     waited_s = windy_s(p, s)
     blind_s = 0.0 if p.in_sight else waited_s if p.seen is None else min(waited_s, seconds_between(p.seen, s.at))

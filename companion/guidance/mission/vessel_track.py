@@ -2,7 +2,8 @@
 
 A report is taken if it is not older than a limit, not older than the one before, and near the place to which the one before was
 carried on. What is refused is counted by its reason. Between reports her place moves by her velocity; its standard deviation
-grows with the report's age, by the velocity's own and by what she may have turned or slowed down since.
+grows with the report's age, by the velocity's own and by what she may have turned or slowed down since. Where she reports a rate
+of turn, bow and velocity turn with it, and her place is carried round.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ _VEHICLE_MAY_MOVE_M_S = 3.0
 _OWN_AGE_MAX_S = 2.0
 _HEADING_AGE_MAX_S = 10.0
 _YAW_AGE_MAX_S = 1.0
+_TURN_AGE_MAX_S, _TURN_MAX_RAD_S = 2.0, 0.2
+"""Age from which on a rate of turn says nothing any more, as a turn ends, and the fastest that a drone is flown round by."""
 _COURSE_FROM_M_S = 0.7
 """Speed over the ground from which the course counts as the heading, if no compass reports."""
 _VELOCITY_SIGMA_M_S = 2.0
@@ -57,6 +60,8 @@ class VesselTrack(Struct, frozen=True, eq=False):
     velocity: tuple[MonoNs, F64, float] | None = None
     """The ship's velocity: its instant, (2,) m/s north and east, standard deviation."""
     heading: tuple[MonoNs, float] | None = None
+    turn: tuple[MonoNs, float] | None = None
+    """The ship's rate of turn, clockwise seen from above, rad/s."""
     yaw: tuple[MonoNs, float] | None = None
     """The vehicle's own heading."""
     taken: int = 0
@@ -96,7 +101,7 @@ class VesselTrack(Struct, frozen=True, eq=False):
         if age_s > o.age_max_s:
             return _refusal(self, now) or Reason(ReasonCause.VESSEL_OLD, age_s, o.age_max_s)
         v_vessel, sigma_v = _velocity(self, now)
-        d = _to_vessel(self, vehicle, vessel, now, v_vessel)
+        d = _to_vessel(self, vehicle, vessel, now)
         yaw, bow = self.yaw[1], _bow(self, now, v_vessel)
         sigma = math.hypot(vehicle.sigma_m, vessel.sigma_m, sigma_v * age_s, 0.5 * o.acceleration_m_s2 * age_s**2)
         if vehicle.v_ned is None:
@@ -104,7 +109,9 @@ class VesselTrack(Struct, frozen=True, eq=False):
         if bow is None:
             sigma = math.hypot(sigma, o.pad_aside_m)
         else:
-            d[:2] += _turned(np.array([o.pad_forward_m, o.pad_right_m]), bow)
+            arm = _turned(np.array([o.pad_forward_m, o.pad_right_m]), bow)
+            d[:2] += arm
+            v_vessel = v_vessel + _turn_rad_s(self, now) * np.array([-arm[1], arm[0]])
         if sigma > o.sigma_max_m:
             return Reason(ReasonCause.VESSEL_SIGMA, sigma, o.sigma_max_m)
         # Down from the vehicle to the ship's point, less what the pad is higher than that.
@@ -126,11 +133,20 @@ class VesselTrack(Struct, frozen=True, eq=False):
         return self.velocity[1]
 
 
-def _to_vessel(track: VesselTrack, vehicle: GeoFix, vessel: GeoFix, now: MonoNs, v_vessel: F64) -> F64:
+def _turn_rad_s(track: VesselTrack, now: MonoNs) -> float:
+    """Return the ship's rate of turn; zero if she does not report it."""
+    if track.turn is None or seconds_between(track.turn[0], now) > _TURN_AGE_MAX_S:
+        return 0.0
+    return max(-_TURN_MAX_RAD_S, min(_TURN_MAX_RAD_S, track.turn[1]))
+
+
+def _to_vessel(track: VesselTrack, vehicle: GeoFix, vessel: GeoFix, now: MonoNs) -> F64:
     """Return the vector from vehicle to ship at an instant, (3,) m in ned; a ship without a height is at sea level."""
     height_m = 0.0 if track.vessel_height_m is None else track.vessel_height_m
     d = ned_between(vehicle.place, replace(vessel.place, height_m=height_m))
-    d[:2] += v_vessel * seconds_between(vessel.stamp.measured_at, now)
+    age_s = seconds_between(vessel.stamp.measured_at, now)
+    # On an arc the way has the direction of its middle.
+    d[:2] += _turned(_velocity(track, now)[0], -0.5 * _turn_rad_s(track, now) * age_s) * age_s
     if vehicle.v_ned is not None:
         d -= vehicle.v_ned * seconds_between(vehicle.stamp.measured_at, now)
     return d
@@ -140,13 +156,14 @@ def _velocity(track: VesselTrack, now: MonoNs) -> tuple[F64, float]:
     """Return the ship's velocity, (2,) m/s in ned, and its standard deviation; zero if she does not report it."""
     if track.velocity is None or seconds_between(track.velocity[0], now) > track.limits.forget_s:
         return np.zeros(2), _VELOCITY_SIGMA_M_S
-    return track.velocity[1], track.velocity[2]
+    turned_rad = _turn_rad_s(track, now) * seconds_between(track.velocity[0], now)
+    return _turned(track.velocity[1], turned_rad), track.velocity[2]
 
 
 def _bow(track: VesselTrack, now: MonoNs, v_vessel: F64) -> float | None:
     """Return the direction of the bow, rad clockwise from north: by her compass, else by her course; None if neither says."""
     if track.heading is not None and seconds_between(track.heading[0], now) <= _HEADING_AGE_MAX_S:
-        return track.heading[1]
+        return track.heading[1] + _turn_rad_s(track, now) * seconds_between(track.heading[0], now)
     if math.hypot(*v_vessel) >= _COURSE_FROM_M_S:
         return math.atan2(float(v_vessel[1]), float(v_vessel[0]))
     return None
@@ -179,6 +196,8 @@ def _reported(track: VesselTrack, report: VesselReport) -> VesselTrack:
             track = replace(track, velocity=(at, v, math.sqrt(variance)))
     if report.heading_rad is not None and (track.heading is None or at >= track.heading[0]):
         track = replace(track, heading=(at, report.heading_rad))
+    if report.turn_rad_s is not None and (track.turn is None or at >= track.turn[0]):
+        track = replace(track, turn=(at, report.turn_rad_s))
     return track
 
 

@@ -1,7 +1,8 @@
 """The wind over the drone, by the tilt that holds it in place, and how much of it the vehicle's tilt can fly.
 
 Its own speed pushes as a wind does. So the watch goes on only while the pad is seen or the measured velocity is trusted: a drone
-that flies away by a velocity that lies would call its speed wind.
+that flies away by a velocity that lies would call its speed wind. Before it has felt the wind for long enough, the ship's
+anemometer says where to look, and refuses a wind that is too strong even where the instrument is far off.
 
 What the drone tilts beyond its own acceleration cancels the air's push. The mean over `MEAN_S` is the steady wind; what is left
 is gusts. A vehicle can fly a steady tilt up to its tilt limit less `GUST_SIGMAS` standard deviations of the gusts: the rest of
@@ -21,6 +22,7 @@ from companion.guidance.controller import FieldOfView, Knowledge
 from companion.settings.guidance import TiltResponse
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
+from estimator.contracts.samples import VesselWind
 from estimator.contracts.time import MonoNs, seconds_between
 
 MEAN_S = 5.0
@@ -38,6 +40,9 @@ _DRAGGED_M = 0.06
 _FAR_RAD = math.radians(8.0)
 _TURNS_S = 1.0
 """Time of watching after which the drone turns, and looks for the pad upwind, s."""
+_REPORT_AGE_S = 10.0
+_REPORT_SIGMA, _REPORT_GUSTS = 0.15, 0.1
+"""Standard deviation of an anemometer's speed by the ship's own flow and by the height, and its gusts, as shares of the speed."""
 _SPENT = 0.95
 """Share of the tilt limit beyond which a steady tilt leaves nothing to hold the place with."""
 
@@ -67,6 +72,8 @@ class WindOverDrone(NamedTuple):
     """Difference of the air's present speed from its mean."""
     begins_most_m_s: float = math.inf
     """The largest such difference that the gusts before explain."""
+    reported: bool = False
+    """True if the ship's anemometer says it, and the drone has not felt it."""
 
     def aim_level(self, feet_below_m: float) -> tuple[float, float]:
         """Return where the pad's centre is wanted at the contact, forward and right, m.
@@ -95,6 +102,30 @@ class WindOverDrone(NamedTuple):
     @property
     def too_strong(self) -> bool:
         return self.known and self.speed_m_s > self.limit_m_s
+
+    @property
+    def forbids(self) -> bool:
+        """True if the ship reports more than the vehicle can fly, by two standard deviations of the report."""
+        return self.reported and (1.0 - 2.0 * _REPORT_SIGMA) * self.speed_m_s > self.limit_m_s
+
+
+class ReportedWind(NamedTuple):
+    """The mean wind over the ground by the ship's anemometer."""
+
+    at: MonoNs
+    from_ne_m_s: tuple[float, float]
+    """Speed times the direction that it blows from, north and east."""
+
+
+def reported(before: ReportedWind | None, sample: VesselWind) -> ReportedWind:
+    """Return the mean over `MEAN_S` after a report."""
+    at, speed = sample.stamp.received_at, sample.speed_m_s
+    new = speed * math.cos(sample.from_rad), speed * math.sin(sample.from_rad)
+    if before is None or seconds_between(before.at, at) > _REPORT_AGE_S:
+        return ReportedWind(at, new)
+    share = 1.0 - math.exp(-seconds_between(before.at, at) / MEAN_S)
+    (north, east), was = new, before.from_ne_m_s
+    return ReportedWind(at, (was[0] + share * (north - was[0]), was[1] + share * (east - was[1])))
 
 
 class WindWatch(Struct, frozen=True):
@@ -164,25 +195,55 @@ def wind_over_drone(
     """
     if watch.known_s < _TURNS_S:
         return None
-    size, gust = math.hypot(*watch.mean), math.sqrt(watch.var)
-    most_rad = math.atan(tilt.max_m_s2 / G_M_S2)
-    lean_rad = math.atan(size / G_M_S2)
-    left_rad = max(0.0, most_rad - GUST_SIGMAS * math.atan(gust / G_M_S2))
+    gust, known = math.sqrt(watch.var), watch.known_s >= MEAN_S
+    felt = _over(watch.mean, gust, tilt, heading_rad, view)
+    return felt._replace(
+        spent=known and felt.lean_rad > _SPENT * math.atan(tilt.max_m_s2 / G_M_S2),
+        known=known,
+        push_rad=math.atan(math.hypot(*watch.quick) / G_M_S2),
+        begins_m_s=math.dist(watch.quick, watch.mean) / tilt.drag_1_s,
+        begins_most_m_s=max(_BEGINS_M_S2, _BEGINS_SIGMAS * gust) / tilt.drag_1_s,
+    )
+
+
+def wind_by_ship(
+    ship: ReportedWind | None,
+    now: MonoNs,
+    v_ship_ne_m_s: F64 | None,
+    tilt: TiltResponse,
+    heading_rad: float,
+    view: FieldOfView | None = None,
+) -> WindOverDrone | None:
+    """Return the wind over a drone that holds over the ship, by her anemometer; None without a fresh report.
+
+    Args:
+        v_ship_ne_m_s: (2,) her velocity north and east, if she reports it.
+        tilt: as of `wind_over_drone`, and so are heading and view.
+    """
+    if ship is None or seconds_between(ship.at, now) > _REPORT_AGE_S:
+        return None
+    north, east = ship.from_ne_m_s if v_ship_ne_m_s is None else np.add(ship.from_ne_m_s, v_ship_ne_m_s).tolist()
+    push, gust = (north * tilt.drag_1_s, east * tilt.drag_1_s), _REPORT_GUSTS * math.hypot(*ship.from_ne_m_s) * tilt.drag_1_s
+    return _over(push, gust, tilt, heading_rad, view)._replace(known=False, reported=True)
+
+
+def _over(
+    push: tuple[float, float], gust: float, tilt: TiltResponse, heading_rad: float, view: FieldOfView | None
+) -> WindOverDrone:
+    """Return the wind by the acceleration, north and east, that holds against its mean, and the gusts' standard deviation."""
+    size = math.hypot(*push)
+    left_rad = max(0.0, math.atan(tilt.max_m_s2 / G_M_S2) - GUST_SIGMAS * math.atan(gust / G_M_S2))
     c, s = math.cos(heading_rad), math.sin(heading_rad)
-    north, east = (watch.mean[0] / size, watch.mean[1] / size) if size > 0.0 else (0.0, 0.0)
+    north, east = (push[0] / size, push[1] / size) if size > 0.0 else (0.0, 0.0)
     forward, right = c * north + s * east, c * east - s * north
     return WindOverDrone(
         size / tilt.drag_1_s,
         gust / tilt.drag_1_s,
         G_M_S2 * math.tan(left_rad) / tilt.drag_1_s,
         (forward, right),
-        lean_rad,
-        watch.known_s >= MEAN_S and lean_rad > _SPENT * most_rad,
-        0.0 if view is None else _turn_across_rad(math.atan2(right, forward), view),
-        watch.known_s >= MEAN_S,
-        math.atan(math.hypot(*watch.quick) / G_M_S2),
-        math.dist(watch.quick, watch.mean) / tilt.drag_1_s,
-        max(_BEGINS_M_S2, _BEGINS_SIGMAS * gust) / tilt.drag_1_s,
+        math.atan(size / G_M_S2),
+        spent=False,
+        across_rad=0.0 if view is None else _turn_across_rad(math.atan2(right, forward), view),
     )
 
 
