@@ -209,6 +209,7 @@ _READERS: dict[FileKind, Callable[[Path, Tell], Iterable[Sample]]] = {
     FileKind.ULOG: px4_ulog.read, FileKind.DATAFLASH: dataflash.read, FileKind.TLOG: tlog.read,
     FileKind.NAVDATA: ardrone_capture.samples, FileKind.NETWORK: network.read,
 }  # fmt: skip
+_DAY_S = 86_400.0
 _INSTEAD = {
     FileKind.PARAMETERS: "give it to `decklander doctor`",
     FileKind.RECORDING: "it is imported already",
@@ -242,6 +243,11 @@ def _import(args: argparse.Namespace) -> int:
 def _streams(sources: Sequence[_Source], settings: Settings, size: tuple[int, int]) -> list[Iterator[Sample | Frame]]:
     """Return the data of each source in order; the logs of a ship's sentences are one."""
     logs = [s for s in sources if kind_of(s.path) is FileKind.SENTENCES]
+    began_s = {s.path: network.began_s(s.path) for s in sources if kind_of(s.path) is FileKind.NETWORK}
+    zero_s = min(began_s.values(), default=0.0)
+    if max(began_s.values(), default=0.0) - zero_s < _DAY_S:
+        later = {path: round(1e9 * (at_s - zero_s)) for path, at_s in began_s.items()}
+        sources = [structs.replace(s, offset_ns=s.offset_ns + later.get(s.path, 0)) for s in sources]
     streams = [s.data(size) for s in sources if s not in logs]
     if logs:
         of, vessel = [sentences.SentenceLog(s.path, s.offset_ns * 1e-9) for s in logs], settings.vessel

@@ -85,7 +85,7 @@ def open_video(
 
     Raises:
         FFmpegError, OSError: raised as by `av.open`.
-        ImageRefused: the frames are larger than the bound; the text gives the reason.
+        ImageRefused: the frames are larger than the bound, or a text was drawn as a picture; the text gives the reason.
         BadInput: PyAV is not installed.
     """
     require_pyav("a video")
@@ -93,6 +93,9 @@ def open_video(
 
     bound = {"max_pixels": str(most_pixels(size))}
     container: InputContainer = av.open(source, "r", options={**(options or {}), **bound}, timeout=timeout)
+    if container.format.name == "tty":
+        container.close()
+        raise ImageRefused("it is text")
     for stream in container.streams.video:
         codec = stream.codec_context
         codec.options = {**(codec_options or {}), **bound}

@@ -17,7 +17,8 @@ _FRAMES = {0xFE: 8, 0xFD: 12}
 """Bytes around the payload of an unsigned frame of MAVLink, by its first byte."""
 _IN_A_ROW = 4
 _MCAP = b"\x89MCAP"
-_TEXT = frozenset(range(32, 127)) | frozenset(b"\t\r\n\f\b\x1b") | frozenset(range(128, 256))
+_TEXT = frozenset(range(32, 127)) | frozenset(b"\t\r\n\f\b\x1b\x02\x03") | frozenset(range(128, 256))
+"""Bytes of a text; STX and ETX stand about the lines of some instruments."""
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _PARAMETER = re.compile(rb"(?:\d+\t\d+\t)?([A-Z][A-Z0-9_]{0,15})[\s,=]+" + _NUMBER + rb"(?:\s+\d+|\s*[,#].*)?\s*")
 _LOGGED = re.compile(rb"[-\d:/.,;TZ\[\]()+\s]{0,48}")

@@ -10,7 +10,7 @@ from drivers.imports.sentences import filled, logger_s
 from drivers.imports.stamps import Tell, timeline
 from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import ShipSensors
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
 
@@ -30,17 +30,29 @@ def read(path: Path, tell: Tell) -> Iterator[Sample]:
         BadInput: it cannot be read, the extra `ship` is not installed, or no time is in it.
     """
     require_nmea2000(str(path))
-    try:
-        lines = [line for line in path.read_bytes().splitlines() if line.strip() and not line.startswith(b"#")]
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
-    times = [logger_s(line[:64], b"") for line in lines]
-    if not any(map(math.isfinite, times)):
-        raise BadInput(f"{path}: no time in it")
+    lines, times = _timed(path)
     sensors = ShipSensors()
     reader = BusReader(sensors)
     for at, line in zip(timeline([round(t * 1e6) for t in filled(times)], tell), lines, strict=True):
         if at is not None:
             yield from reader.line(line, MonoNs(at))
-    if refused := reader.refused:
-        tell("messages that are not used: " + ", ".join(f"{why.replace('_', ' ')} {n}" for why, n in refused.most_common()))
+    if unused := reader.refused:
+        tell("messages that are not used: " + ", ".join(f"{why.replace('_', ' ')} {n}" for why, n in unused.most_common()))
+
+
+def began_s(path: Path) -> float:
+    """Return when a log began by its own clock, s.
+
+    Raises:
+        BadInput: it cannot be read, or no time is in it.
+    """
+    return next(filter(math.isfinite, _timed(path)[1]))
+
+
+def _timed(path: Path) -> tuple[list[bytes], list[float]]:
+    with refused(str(path), OSError):
+        lines = [line for line in path.read_bytes().splitlines() if line.strip() and not line.startswith(b"#")]
+    times = [logger_s(line[:64], b"") for line in lines]
+    if not any(map(math.isfinite, times)):
+        raise BadInput(f"{path}: no time in it")
+    return lines, times

@@ -383,7 +383,7 @@ FILES = {
     FileKind.SENTENCES: NMEA.encode(),
     FileKind.PARAMETERS: PARAMETERS["copter.parm"].encode(),
     FileKind.TABLE: b"time_s,roll_deg,pitch_deg\n0,1,2\n",
-    FileKind.TEXT: b"a log of the bridge\n" * 20,
+    FileKind.TEXT: b"\x02a log of the bridge\x03\n" * 20,
     FileKind.ROS_BAG: b"#ROSBAG V2.0\n\0\1\2",
     FileKind.MCAP: b"\x89MCAP0\r\n\x01" + (28).to_bytes(8, "little") + b"\4\0\0\0ros1\x10\0\0\0somebody's writer",
     FileKind.RECORDING: b"\x89MCAP0\r\n\x01" + (18).to_bytes(8, "little") + b"\0\0\0\0\x0a\0\0\0decklander",

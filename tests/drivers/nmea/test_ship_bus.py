@@ -381,6 +381,15 @@ def test_a_log_of_each_kind_is_imported(form: str, tmp_path, capsys) -> None:
         assert found[sensor]["fault"] is None
 
 
+def test_two_logs_of_one_network_keep_the_time_between_them(tmp_path, capsys) -> None:
+    lines = [f"2026-11-03T10:00:{second:02d}.000Z,3,127257,27,255,8,00,ff,7f,{second:02x},00,91,00,ff" for second in range(60)]
+    logs = [tmp_path / "early.raw", tmp_path / "late.raw"]
+    for log, part in zip(logs, (lines[:20], lines[40:]), strict=True):
+        log.write_text("\n".join(part))
+    found = imported(tmp_path, *reversed(logs), capsys=capsys)
+    assert (found["src 27"]["count"], found["src 27"]["longest_gap_s"]) == (40, pytest.approx(21.0, abs=0.1))
+
+
 class Ship:
     """A part that listens, and what came."""
 
