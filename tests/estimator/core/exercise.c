@@ -97,6 +97,7 @@ static void sample(dl_event *e, int64_t t, int wild)
     poisoned(values, 18);
     if (e->kind == DL_VESSEL) {
         e->sample.vessel.has_velocity = draw() % 2, e->sample.vessel.has_heading = draw() % 2;
+        e->sample.vessel.has_turn = draw() % 2;
     }
 }
 
@@ -118,6 +119,10 @@ static void look(dl_sighting *s)
     }
     for (int i = 0; i < 6; i++) {
         s->pose_cov[7 * i] = 1e-3;
+    }
+    s->by_baseline = draw() % 3 == 0, s->alone = draw() % 2, s->alike_s = draw() % 2 ? 20.0 : 0.0;
+    for (int i = 0; i < 3; i++) {
+        s->antenna_body[i] = 0.2 * uniform(), s->antenna_vessel[i] = 5.0 * uniform();
     }
     s->cov[0] *= draw() % 50 == 0 ? NAN : 1.0;
     poisoned(s->d_level, 3), poisoned(s->cov, 16), poisoned(s->pose_R, 9), poisoned(s->pose_cov, 36);
