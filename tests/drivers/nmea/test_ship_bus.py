@@ -3,9 +3,11 @@
 import asyncio
 import json
 import math
+import os
+import tty
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -439,6 +441,27 @@ async def test_a_gateway_is_read_by_tcp_until_it_closes() -> None:
             close.set()
             await until(lambda: ship.failure)
             assert str(ship.failure).startswith(f"vessel.bus tcp://127.0.0.1:{port}: the other side closed")
+
+
+async def test_an_ngt_at_a_serial_port_is_asked_for_its_messages_and_read() -> None:
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    os.set_blocking(ours, False)
+    asked = bytearray()
+
+    def is_asked() -> bool:
+        with suppress(BlockingIOError):
+            asked.extend(os.read(ours, 64))
+        return asked.endswith(b"\x10\x03")
+
+    try:
+        async with bus_read(f"serial://{os.ttyname(theirs)}:115200") as ship:
+            await until(is_asked)
+            os.write(ours, ngt("attitude", roll=0.1))
+            await until(ship.took("attitude"))
+    finally:
+        os.close(ours)
+        os.close(theirs)
 
 
 no_vcan = pytest.mark.skipif(not Path("/sys/class/net/vcan0").exists(), reason="there is no vcan0 (ip link add vcan0 type vcan)")
