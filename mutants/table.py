@@ -113,7 +113,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/companion/test_identify.py::test_a_descent_reports_the_delay_of_any_vehicle_to_40_ms",
     ),
     "companion/guidance/law/response_watch.py": (_WATCH, "tests/companion/test_response_fit.py"),
-    "companion/guidance/law/pid.py": ("tests/companion/test_pid.py",),
+    "companion/guidance/law/pid.py": ("tests/companion/test_mission_flights.py",),
     "sitl/flight/hands.py": ("tests/sitl/test_referee.py",),
     "sitl/flight/referee.py": ("tests/sitl/test_referee.py",),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_custody.py", _STREAMER),
