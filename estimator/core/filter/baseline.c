@@ -10,6 +10,9 @@
 
 /* Shortest time between two baselines that counts: receivers give twenty a second at most. */
 static const double LEAST_S = 0.05;
+/* Age of a picture up to which baselines may not lead a belief that knows the place better than their common wander, s, and how much
+ * less they count then: ten of them are one where both are alike, and the fewer the better the place is known. */
+static const double PICTURE_S = 0.5, ALIKE = 10.0, ALIKE_MOST = 200.0;
 
 /* The antennas from the body's origin and from the pad's centre, in ned. */
 static void arms(const dl_filter_params *o, const dl_belief *b, const dl_sighting *s, double drone[3], double ship[3])
@@ -72,6 +75,7 @@ static void noise_of(const dl_belief *b, const double *P, const dl_sighting *s, 
 {
     double rates[3], v[3];
     const double since = happened(b->baselined) ? fmax(seconds(b->baselined, b->t), LEAST_S) : INFINITY;
+    const int seen = happened(b->pictured) && seconds(b->pictured, b->t) < PICTURE_S;
     const double alike = fmax(1.0, s->alike_s / since), late_var = AT(P, DL_CAMERA_DELAY, DL_CAMERA_DELAY);
     rates_of(b, rates);
     pad_velocity(b->x, v);
@@ -81,6 +85,10 @@ static void noise_of(const dl_belief *b, const double *P, const dl_sighting *s, 
     for (int i = 0; i < 3; i++) {
         for (int j = 0; j < 3; j++) {
             R[3 * i + j] = alike * s->cov[4 * i + j] + s->sigma_s * s->sigma_s * v[i] * v[j] + late_var * rates[i] * rates[j];
+        }
+        if (seen) {
+            const double known = AT(P, DL_POS_REL + i, DL_POS_REL + i);
+            R[4 * i] += WANDER_VAR[i] * fmin(ALIKE * WANDER_VAR[i] / known, ALIKE_MOST);
         }
         if (i < 2 && !b->heading_known) {
             R[4 * i] += ship[0] * ship[0] + ship[1] * ship[1];

@@ -4,6 +4,9 @@
 
 #include "filter/sighting.h"
 
+/* Variance along north, east and down that fixed solutions share for minutes, m^2. */
+static const double WANDER_VAR[3] = {0.01 * 0.01, 0.01 * 0.01, 0.015 * 0.015};
+
 /* The pad from the body in ned at the time of the pictures, whose deck the state holds, m. */
 void baseline_place(const dl_filter_params *o, const dl_belief *b, const dl_sighting *s, double place[3]);
 /* The comparison of a baseline with the belief, in the axes in which the camera's are written. Delay and mounting of the camera are not

@@ -38,8 +38,8 @@ static const double RESET_VELOCITY_VAR = 4.0, PLACE_VAR = 1e2;
 /* Time since the newest picture up to which a baseline that contradicts the belief is outvoted, s; time for which baselines have to agree
  * with one another before the belief follows them alone: a wrong solution lasts for seconds. */
 static const double OUTVOTED_S = 0.5, FOLLOWED_S = 3.0;
-/* Variance along north, east and down that fixed solutions share for minutes, m^2; variance of one up to which it is as good as sight. */
-static const double WANDER_VAR[3] = {0.01 * 0.01, 0.01 * 0.01, 0.015 * 0.015}, SURE_VAR = 0.1 * 0.1;
+/* Variance of a baseline up to which it is as good as sight, m^2. */
+static const double SURE_VAR = 0.1 * 0.1;
 /* Variance of a direction of the deck that was not seen. */
 static const double NOT_SEEN_VAR = 1e6;
 
