@@ -98,7 +98,7 @@ class IntegrityAlert(Enum):
     ELSEWHERE = "a pad is seen in another place"
     RANGE = "the range sensor contradicts the camera"
     HEIGHT = "the barometer contradicts the camera"
-    BASELINE = "the RTK baseline contradicts the estimate, and nothing decides which is wrong"
+    BASELINE = "the RTK baseline leapt, or came after a gap, and no picture confirms it"
     UNFELT = "without its accelerometer the vehicle is not held still enough to land"
     DECK = "the deck is believed to move as no deck does"
 

@@ -273,12 +273,13 @@ def baseline_judged(
         belief: the steering estimate at its instant, with it.
     """
     guard = replace(guard, baselines=baselines.compared(guard.baselines, result, sigma_m))
-    counts = result.verdict is Verdict.FUSED and not guard.baselines.contradicts
-    if not counts or belief is None or attitude is None or belief.sighted != result.measured_at:
+    if result.verdict is not Verdict.FUSED or belief is None or attitude is None or belief.sighted != result.measured_at:
         return guard
     place = Place(int(result.measured_at), _fixed(belief.d_body_pad_level, attitude), *_sigmas(belief.cov))
     if guard.tracks.last is None:
         return replace(guard, tracks=tracks.Tracks(1, 0, place))
+    if guard.baselines.contradicts:
+        return guard
     return replace(guard, tracks=tracks.add_fused(guard.tracks, place))
 
 
