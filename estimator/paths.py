@@ -13,7 +13,7 @@ from estimator import dead_reckoning
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, FusionResult, PathName, RelativeState, Sighting, Verdict, uncompared
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import GeoFix, GimbalAttitude, Sample, VehicleStatus, VesselMotion, VesselWind
+from estimator.contracts.samples import GeoFix, GimbalAttitude, Sample, VehicleStatus, VesselWind
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.ekf import EkfOptions, Filter, Forecast
 from estimator.options import DeadReckoningOptions
@@ -21,7 +21,7 @@ from estimator.options import DeadReckoningOptions
 Event = Sample | Sighting
 
 
-_UNUSED_BY_EKF = frozenset({VehicleStatus, GeoFix, GimbalAttitude, VesselMotion, VesselWind})
+_UNUSED_BY_EKF = frozenset({VehicleStatus, GeoFix, GimbalAttitude, VesselWind})
 
 
 class Path(Protocol):
@@ -326,3 +326,8 @@ class EkfPath(Path):
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
         return self._filter.forecast(now, horizons_s)
+
+    def carried_down_m(self, at: MonoNs) -> float:
+        """Return the body's place by the IMU alone at an instant, m downward from anywhere; nan before there is one."""
+        answer = self._filter.answer(at)
+        return math.nan if answer is None else answer.carried_down_m

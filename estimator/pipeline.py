@@ -31,6 +31,7 @@ from estimator.contracts.samples import (
     Range,
     Sample,
     VehicleStatus,
+    VesselMotion,
     VesselReport,
 )
 from estimator.contracts.time import MonoNs, Stamp, after
@@ -38,6 +39,7 @@ from estimator.ekf import Forecast
 from estimator.integrity import guard as integrity
 from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
+from estimator.ship_motion import ShipMotion, ShipMotionOptions
 
 if TYPE_CHECKING:
     from estimator.vision.camera import Camera
@@ -60,15 +62,22 @@ class RelativeEstimator:
     Args:
         options: every number of the estimator; None for the defaults, which suit an AR.Drone 2.0 over a small vessel.
         shadows: paths that run for comparison and never steer.
+        motion_sensor: the ship's motion sensor; None for one at the pad.
 
     Attributes:
+        ship_motion: what the ship's motion sensors report, and what they are worth.
         guard: what checks events before they reach any path. It is immutable: each event makes another one.
 
     Raises:
         BadInput: a path needs a library that is not installed.
     """
 
-    def __init__(self, options: EstimatorOptions | None = None, shadows: Sequence[PathName] = ()) -> None:
+    def __init__(
+        self,
+        options: EstimatorOptions | None = None,
+        shadows: Sequence[PathName] = (),
+        motion_sensor: ShipMotionOptions | None = None,
+    ) -> None:
         self._options = options or EstimatorOptions()
         names = (self._options.path, *(name for name in shadows if name != self._options.path))
         self._paths = [_path(name, self._options) for name in names]
@@ -77,6 +86,7 @@ class RelativeEstimator:
         self._exposed: Attitude | None = None
         self._newest: MonoNs | None = None
         self.guard = integrity.IntegrityGuard(self._options.integrity)
+        self.ship_motion = ShipMotion(motion_sensor or ShipMotionOptions(), self._options.ekf.pad_yaw_in_vessel_rad)
 
     @property
     def path(self) -> PathName:
@@ -87,6 +97,11 @@ class RelativeEstimator:
     def paths(self) -> list[PathName]:
         """The paths that run, the steering one first."""
         return [path.name for path in self._paths]
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """The sensors that the estimate does without, in words."""
+        return (*self.guard.lost, *self.ship_motion.lost) if self.ship_motion.reports else self.guard.lost
 
     def on_imu(self, imu: Imu) -> Verdict | None:
         """Take one IMU sample: rates in rad/s and specific force in m/s^2, in `body`."""
@@ -317,23 +332,29 @@ class RelativeEstimator:
         if not samples:
             return []
         before = self.guard
-        self.guard, admitted = integrity.admit(before, samples)
+        admitted: list[Sample | Verdict | None]
+        self.guard, admitted = integrity.admit(before, samples)  # type: ignore[assignment]
         restarts = self.guard.restarts != before.restarts
         if restarts and len(stamps := dict.fromkeys([sample.stamp for sample in samples])) > 1:
             # What came before the one that shows a sensor's fault belongs to the filter before.
             self.guard = before
             return [r for stamp in stamps for r in self._put_samples([s for s in samples if s.stamp == stamp], wanted)]
-        passed = [sample for sample in admitted if not isinstance(sample, Verdict)]
+        passed = [sample for sample in admitted if sample is not None and not isinstance(sample, Verdict)]
         self._attitudes = self._attitudes.add(*[s for s in passed if type(s) is Attitude])
         self._gimbal = self._gimbal.add(*[s for s in passed if type(s) is GimbalAttitude])
         if restarts:
             self._begin_again()
+        if VesselMotion in {type(sample) for sample in passed}:
+            admitted = [self.ship_motion.reported(s) if type(s) is VesselMotion else s for s in admitted]
+            passed = [sample for sample in admitted if sample is not None and not isinstance(sample, Verdict)]
         made = [path.put(passed, wanted=wanted) for path in self._paths]
         if not wanted:
             return []
         by_sample = zip(*made, strict=True)
         return [
-            self._refused(sample, found) if isinstance(found, Verdict) else tuple([r for r in next(by_sample) if r is not None])
+            self._refused(sample, found)
+            if isinstance(found, Verdict)
+            else tuple([r for r in (() if found is None else next(by_sample)) if r is not None])
             for sample, found in zip(samples, admitted, strict=True)
         ]
 
@@ -349,6 +370,8 @@ class RelativeEstimator:
         self.guard = integrity.judged(self.guard, sighting, attitude, results[0].verdict is Verdict.FUSED)
         if self.guard.restarts != restarts:
             self._begin_again()
+        elif self.ship_motion.reports and results[0].verdict is Verdict.FUSED and isinstance(self._paths[0], EkfPath):
+            self.ship_motion.sighted(sighting, self._paths[0].carried_down_m(sighting.stamp.measured_at))
         return results
 
     def _put_baseline(self, baseline: Baseline) -> tuple[FusionResult, ...]:
@@ -365,6 +388,7 @@ class RelativeEstimator:
     def _begin_again(self) -> None:
         """Begin the filter again: its state was made with a faulty sensor."""
         self._paths = [_path(path.name, self._options) if path.name == "ekf" else path for path in self._paths]
+        self.ship_motion.begin_window()
 
     def _refused(self, event: Event, verdict: Verdict) -> tuple[FusionResult, ...]:
         """Return the results of an event that reaches none of the paths."""
@@ -375,9 +399,10 @@ class RelativeEstimator:
 
         def details() -> tuple[tuple[str, float], ...]:
             agrees = float(guard.heights.confirmed(now))
-            return *state.details, ("range_agrees", agrees), ("heading_off_rad", guard.heading.off_rad)
+            sensors = [(f"{s.sensor} delay_s", s.delay_s) for s in self.ship_motion.standings()]
+            return *state.details, ("range_agrees", agrees), ("heading_off_rad", guard.heading.off_rad), *sensors
 
-        return state.marked(guard.tracks.number, integrity.alerts(guard, now), guard.lost, Details(details))
+        return state.marked(guard.tracks.number, integrity.alerts(guard, now), self.lost, Details(details))
 
 
 def _beside(stamp: Stamp, seconds: float) -> Stamp:

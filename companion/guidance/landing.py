@@ -56,6 +56,7 @@ from estimator.contracts.samples import (
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 from estimator.pipeline import RelativeEstimator
+from estimator.ship_motion import ShipMotionOptions
 from estimator.vision.detection import PadCheck
 
 _TILT_LEFT_DEG = 2.0
@@ -121,6 +122,8 @@ class PilotOptions(Struct, frozen=True):
     """True if the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity."""
     reports: ReportLimits = field(default_factory=ReportLimits)
     """Limits for the positions that ship and vehicle report."""
+    motion_sensor: ShipMotionOptions = ShipMotionOptions()
+    """The ship's motion sensor."""
     tilt: TiltResponse = field(default_factory=lambda: shipped_response("ardrone2").tilt)
     """Response of the vehicle's tilt, by its file; by default an AR.Drone's."""
     climb: ClimbResponse | None = None

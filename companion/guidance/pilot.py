@@ -55,7 +55,7 @@ class Pilot:
     ) -> None:
         given = options or PilotOptions()
         self.search = PadSearch(tracker, given.gimballed)
-        self.estimator = RelativeEstimator(estimator, given.shadows)
+        self.estimator = RelativeEstimator(estimator, given.shadows, given.motion_sensor)
         """The estimate: where the pad is, how body and deck move, and what was made of each sample."""
         self.landing = LandingGuidance(guidance, given)
         self.engage: Callable[[], None] = lambda: None
@@ -255,7 +255,7 @@ class Pilot:
 
     def _why(self, belief: RelativeState | None) -> str:
         """Return the machine's reason, the estimate's alerts and the sensors that it does without, as text."""
-        alerts = (*(() if belief is None else (alert.value for alert in belief.alerts)), *self.estimator.guard.lost)
+        alerts = (*(() if belief is None else (alert.value for alert in belief.alerts)), *self.estimator.lost)
         return "; ".join(dict.fromkeys((self.landing.reason, *alerts) if self.landing.reason else alerts))
 
 
@@ -287,6 +287,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
             over_ground=_over_ground(settings),
             resumes=isinstance(settings.vehicle, AutopilotOptions) and settings.vehicle.mode_is_order,
             reports=settings.vessel,
+            motion_sensor=settings.vessel.motion_sensor,
             tilt=_flyable_tilt(settings),
             climb=_within_driver(response_model(settings), settings).climb,
             view=None if settings.camera.gimbal.given else field_of_view(body_camera(settings)),

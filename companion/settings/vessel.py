@@ -9,6 +9,7 @@ from msgspec import Struct
 from drivers.endpoint import Endpoint, parse_bus, parse_endpoint
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import CheckedOptions, choice, number, text
+from estimator.ship_motion import ShipMotionOptions
 
 
 class ReportLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
@@ -181,6 +182,7 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
     mqtt: Annotated[
         bool, choice("whether reports arrive on the topic `vessel`, from whom commands may come (`mqtt.commands`)", public=True)
     ] = False
+    motion_sensor: ShipMotionOptions = ShipMotionOptions()
 
     def __post_init__(self) -> None:
         super().__post_init__()

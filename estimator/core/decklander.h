@@ -74,7 +74,7 @@ enum {
 
 /* Kinds of events; the first DL_KINDS are those of aiding. */
 enum dl_event_kind {
-    DL_ATTITUDE, DL_VELOCITY, DL_RANGE, DL_HEIGHT, DL_IMU, DL_VESSEL, DL_SIGHTING,
+    DL_ATTITUDE, DL_VELOCITY, DL_RANGE, DL_HEIGHT, DL_IMU, DL_VESSEL, DL_SIGHTING, DL_MOTION,
 };
 
 /* What became of an event: fused; refused by the gate, or with nothing to compare it with; its covariance was not positive definite;
@@ -241,6 +241,22 @@ typedef struct {
     double sigma_turn_rad_s;
 } dl_vessel_report;
 
+/* The deck's motion on the waves by the ship's motion sensor, at the pad and along its axes, without what is constant. */
+typedef struct {
+    /* Whether it holds a displacement. */
+    bool has_heave;
+    /* Whether it holds roll and pitch. */
+    bool has_tilt;
+    /* Displacement of the pad's centre, down positive, m. */
+    double down_m;
+    /* Its standard deviation, m. */
+    double sigma_down_m;
+    /* Roll about the arrow and pitch, rad. */
+    double tilt_rad[2];
+    /* The standard deviation of each, rad. */
+    double sigma_tilt_rad;
+} dl_motion;
+
 /* What vision saw of the pad, in level. */
 typedef struct {
     /* Whether it holds a heading. */
@@ -300,6 +316,8 @@ typedef struct {
         dl_distance distance;
         /* Of a report of the vessel's motion. */
         dl_vessel_report vessel;
+        /* Of a report of the ship's motion sensor. */
+        dl_motion motion;
         /* Of a sighting of the pad. */
         dl_sighting sighting;
     } sample; /* The measurement. */
@@ -353,8 +371,10 @@ typedef struct {
 
 /* The pad, the body's motion and the deck's motion at one instant; vectors are in level. */
 typedef struct {
-    /* Whether a pad is tracked: without one, members of pad and deck are zero. */
+    /* Whether a pad is tracked: without one, members of the pad are zero. */
     bool has_pad;
+    /* Whether the deck's motion is known, by the pad or by the ship's motion sensor: otherwise members of the deck are zero. */
+    bool has_deck;
     /* Whether an IMU sample and an attitude hold: without them, members of the body's motion are zero. */
     bool has_body;
     /* Whether the heading against the arrow is known. */
@@ -415,6 +435,8 @@ typedef struct {
     double wave_sigma[DL_DIRECTIONS];
     /* Probability that the deck is at rest on the waves, 0..1. */
     double rest;
+    /* Place of the body by the IMU alone, downward from where it began, m. */
+    double carried_down_m;
 } dl_answer;
 
 /* A filter: the recent events in the order of their instants, and the state after each. One thread at a time may use it; its functions
@@ -432,7 +454,8 @@ int64_t dl_filter_put(dl_filter *f, int32_t n, const dl_event *events, dl_outcom
 /* Write the estimate of instant t, ns, propagated from the last event before it. Return false, and write nothing, before the first
  * attitude and if the events that are kept do not reach back so far. */
 bool dl_filter_answer(dl_filter *f, int64_t t, dl_answer *out);
-/* Write the deck's forecast from instant t, ns, at n horizons, s. Return false if no pad is tracked at that instant. */
+/* Write the deck's forecast from instant t, ns, at n horizons, s. Return false if the deck's motion is not known
+ * then: no pad is tracked, and no motion sensor reports. Without a pad its place is not known to some hundred metres. */
 bool dl_filter_forecast(dl_filter *f, int64_t t, int32_t n, const double *horizons_s, dl_deck_ahead *out);
 /* Write all that the filter keeps into `room` bytes, if there are enough; return how many it takes. */
 int64_t dl_filter_save(const dl_filter *f, uint8_t *out, int64_t room);

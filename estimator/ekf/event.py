@@ -7,12 +7,22 @@ from typing import Any
 import numpy as np
 
 from estimator.contracts.estimates import Sighting
-from estimator.contracts.samples import Attitude, Baro, Baseline, BaselineFix, BodyVelocity, Imu, Range, VesselReport
+from estimator.contracts.samples import (
+    Attitude,
+    Baro,
+    Baseline,
+    BaselineFix,
+    BodyVelocity,
+    Imu,
+    Range,
+    VesselMotion,
+    VesselReport,
+)
 from estimator.core import abi
 from estimator.core.library import CORE
 
-Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Baseline | Sighting
-"""Events that the filter processes."""
+Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | VesselMotion | Baseline | Sighting
+"""Events that the filter processes. A motion is that of the pad and about its arrow, as `estimator.ship_motion` makes it."""
 
 _HEAD = struct.Struct("@I4x3qQ")
 """The numbers of an event before its sample: kind, instants of measuring and of reception, frame, method."""
@@ -80,6 +90,16 @@ def _of_vessel(report: VesselReport) -> bytes:
     return _record(abi.DL_VESSEL, report, {"vessel": values})
 
 
+def _of_motion(motion: VesselMotion) -> bytes:
+    values = dict[str, Any]()
+    if motion.roll_rad is not None and motion.pitch_rad is not None:
+        values |= {"has_tilt": True, "tilt_rad": [motion.roll_rad, motion.pitch_rad], "sigma_tilt_rad": motion.sigma_tilt_rad}
+    if motion.heave_down_m is not None:
+        values |= {"has_heave": True, "down_m": motion.heave_down_m, "sigma_down_m": motion.sigma_heave_m}
+    # Motions of one instant are ordered by what they hold.
+    return _record(abi.DL_MOTION, motion, {"motion": values}, seq=len(values))
+
+
 def _of_sighting(s: Sighting) -> bytes:
     values: dict[str, Any] = {
         "has_yaw": s.yaw_rad is not None,
@@ -135,5 +155,6 @@ _RECORDS: dict[type[Event], Callable[[Any], bytes]] = {
     Baro: lambda event: _of_distance(abi.DL_HEIGHT, event, event.height_m),
     VesselReport: _of_vessel,
     Baseline: _of_baseline,
+    VesselMotion: _of_motion,
     Sighting: _of_sighting,
 }

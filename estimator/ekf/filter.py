@@ -234,7 +234,9 @@ class Filter:
         return (None, None) if answer is None else (answer.body, answer.deck)
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float] | F64) -> Forecast | None:
-        """Return the forecast of the deck at `now` plus each of the horizons, or None if no pad is tracked.
+        """Return the forecast of the deck at `now` plus each of the horizons; None if nothing shows its motion.
+
+        Without a pad, but with the reports of a ship's motion sensor, the pad's place in it is unknown to some hundred metres.
 
         Args:
             now: the instant from which the horizons count.
@@ -325,13 +327,19 @@ class FilterAnswer:
             self._matrix("cov_levelled_by", 3),
         )
 
+    @property
+    def carried_down_m(self) -> float:
+        """The body's place by the IMU alone, m below where it began."""
+        return float(self._core.carried_down_m)
+
     @cached_property
     def deck(self) -> DeckMotion | None:
-        """The deck's motion by the oscillators of the main state (docs/estimator.md, section "Waves"); None without a pad.
+        """The deck's motion by the oscillators of the main state (docs/estimator.md, section "Waves").
 
+        None without a pad and without a ship's motion sensor that reports; with that one alone it is her motion on the waves.
         The covariance is the one of at most `EkfOptions.tick_s` before.
         """
-        if not self._core.has_pad:
+        if not self._core.has_deck:
             return None
         roll, pitch, roll_rate, pitch_rate = self._answer["tilt"].tolist()
         return DeckMotion(

@@ -102,7 +102,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
         kind, stamp = type(sample), sample.stamp
         verdict = None
         # One more arrival at the known time changes nothing: the samples of one datagram share theirs.
-        name = kind.__name__
+        name = kind.__name__ if kind is not VesselMotion else f"VesselMotion {sample.sensor}"  # type: ignore[union-attr]
         if stamp.received_at != watch.now or watch.rival is not None:
             watch, verdict = sensors.watch_arrival(watch, name, stamp, o.clock_step_max_s)
             if watch.delays is not delays:  # the time has leapt, and all delays begin again

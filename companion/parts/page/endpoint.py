@@ -385,7 +385,7 @@ class PageEndpoint(NullObserver):
     def _tell_states(self) -> None:
         now, decision = self._clock.now(), self._flight.decision
         belief = None if decision is None else decision.belief
-        ahead = None if belief is None else self._pilot.estimator.forecast(now, HORIZONS_S)
+        ahead = self._pilot.estimator.forecast(now, HORIZONS_S)
         roll = pitch = None
         if self._attitude is not None and seconds_between(self._attitude.stamp.received_at, now) < _ATTITUDE_S:
             roll, pitch, _ = self._attitude.R_ned_body.rpy_rad
@@ -408,7 +408,9 @@ class PageEndpoint(NullObserver):
             )
 
     def _health_report(self) -> PageHealth:
-        return page_health(self._service.health.snapshot(), self._flight.decision, flying=self._service.flying)
+        found = page_health(self._service.health.snapshot(), self._flight.decision, flying=self._service.flying)
+        sensors = self._pilot.estimator.ship_motion.standings()
+        return structs.replace(found, figures=(*found.figures, *((f"motion sensor {s.sensor}", s.text) for s in sensors)))
 
     async def _send_pictures(self, worker: Worker) -> None:
         number, lean = 0, Rotation.identity()

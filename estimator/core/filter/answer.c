@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "filter/jacobian.h"
+#include "filter/motion.h"
 #include "filter/propagate.h"
 #include "base/rotation.h"
 
@@ -148,13 +149,19 @@ void answer_at(const dl_filter_params *o, int64_t t, const whole_belief *before,
     out->adrift = is_adrift(&b, t);
     out->steers = steers(&b, t);
     out->has_pad = happened(b.sighted) && seconds(b.sighted, t) <= o->forget_s;
+    out->has_deck = knows_deck(o, &b, t);
+    out->carried_down_m = b.ins_p[2];
     out->has_body = happened(b.t_imu) && t - b.t_imu <= o->hold_ns && b.is_levelled;
     if (out->has_body) {
         answer_body(o, &now, out);
     }
     if (out->has_pad) {
         answer_pad(&now, F, Q, out);
+    }
+    if (out->has_deck) {
         answer_deck(&now, out);
+    }
+    if (out->has_pad) {
         memcpy(out->x, b.x, sizeof out->x);
         for (int i = 0; i < DL_N; i++) {
             out->var[i] = AT(c.P, i, i);

@@ -18,11 +18,15 @@ static const double MEMORY_S = 180.0;
 static const double NIS_MAX = 16.0;
 /* The least logarithm of a member's weight against the best one's. */
 static const double LOG_WEIGHT_MIN = -30.0;
-/* Variance from which a direction was not seen. */
-static const double UNSEEN_VAR = 1e5;
 /* Prior of offset, its rate, acceleration: of places, and of a deck's list, which is an offset that does not drift. */
 static const double DRIFT_VAR[3] = {25.0, 9.0, 1.0};
 static const double LIST_RAD = 2.0 * 3.14159265358979323846 / 180.0;
+/* Prior of the mean that is left in the numbers of a motion sensor, m^2 or rad^2, as a part of the size that is usual, and its random
+ * walk: it takes her slow motion off itself. */
+static const double SENSOR_MEAN_VAR[2] = {0.1 * 0.1, 0.005 * 0.005}, SENSOR_DRIFT_PSD[2] = {0.01 * 0.01, 0.0005 * 0.0005};
+
+/* The least logarithm of a member's weight against the best one's by a sensor alone, which sightings may contradict. */
+static const double UNPROVEN_MIN = -5.0;
 
 /* What moves every member on by the same time. Arrays are by member. */
 typedef struct {
@@ -195,16 +199,20 @@ static void add_noises(const member_step *s, const double *sigma, double noise[3
 }
 
 /* Move one direction of the bank on. */
-static void carry(const dl_filter_params *o, const member_step *s, double T, double ins_var, double reach_m, int k,
-                  const dl_bank *before, dl_bank *after)
+static void carry(const dl_filter_params *o, const member_step *s, double T, const bank_look *seen, int k, const dl_bank *before,
+                  dl_bank *after)
 {
     const double *F[STATES][STATES];
-    double noise[3][3], *P = after->P + k * MEMBER_PAIRS * DL_MEMBERS;
+    double noise[3][3] = {{0.0}}, *P = after->P + k * MEMBER_PAIRS * DL_MEMBERS;
     transition_of(s, F);
     carry_states(F, before->x + k * STATES * DL_MEMBERS, after->x + k * STATES * DL_MEMBERS);
     carry_covariances(F, before->P + k * MEMBER_PAIRS * DL_MEMBERS, P);
-    carrying_noise(o->carrying_psd_accel[k] + (k < 3 ? ins_var / T : 0.0), o->carrying_psd_drift[k], o->carrying_psd_tilt[k],
-                   reach_m, T, noise);
+    if (seen->by_sensor) {
+        noise[0][0] = SENSOR_DRIFT_PSD[k > 2] * T;
+    } else {
+        carrying_noise(o->carrying_psd_accel[k] + (k < 3 ? seen->ins_var / T : 0.0), o->carrying_psd_drift[k], o->carrying_psd_tilt[k],
+                       seen->reach_m, T, noise);
+    }
     add_noises(s, o->members.sigma + k * DL_MEMBERS, noise, P);
 }
 
@@ -268,10 +276,25 @@ static void forecast_and_compare(const dl_bank_members *m, dl_bank *s, int64_t t
     skill_compare(&s->skill, t, now, ahead);
 }
 
+/* Begin the offset of one direction's members with what is known of the origin of its looks. */
+static void open_offset(int k, int by_sensor, double *P)
+{
+    for (int i = 0; i < 3; i++) {
+        const double of_sensor = i == 0 ? SENSOR_MEAN_VAR[k > 2] : 0.0;
+        const double var = by_sensor ? of_sensor : k < 3 ? DRIFT_VAR[i] : i == 0 ? LIST_RAD * LIST_RAD : 0.0;
+        for (int j = 0; j < STATES; j++) {
+            double *row = P + member_pair(OFFSET + i, j) * DL_MEMBERS;
+            for (int g = 0; g < DL_MEMBERS; g++) {
+                row[g] = j == OFFSET + i ? var : 0.0;
+            }
+        }
+    }
+}
+
 void bank_begin(const dl_bank_members *m, dl_bank *after)
 {
     memset(after, 0, sizeof *after);
-    after->t = -1;
+    after->t = after->sighted = -1;
     for (int k = 0; k < DL_DIRECTIONS; k++) {
         const double *sigma = m->sigma + k * DL_MEMBERS;
         double *P = after->P + k * MEMBER_PAIRS * DL_MEMBERS;
@@ -284,17 +307,40 @@ void bank_begin(const dl_bank_members *m, dl_bank *after)
                     P[member_pair(i, j) * DL_MEMBERS + g] = sigma[g] * sigma[g] * at_rest[i][j];
                 }
             }
-            for (int i = 0; i < 3; i++) {
-                P[member_pair(OFFSET + i, OFFSET + i) * DL_MEMBERS + g] = k < 3 ? DRIFT_VAR[i] : i == 0 ? LIST_RAD * LIST_RAD : 0.0;
-            }
         }
+        open_offset(k, 0, P);
     }
     summarise(m, after);
 }
 
+/* Evidence by a sensor alone counts for little where sightings begin, and none of it for a deck at rest. */
+static void temper(const dl_bank_members *m, double *log_weight)
+{
+    double moving = 0.0;
+    for (int g = 1; g < DL_MEMBERS; g++) {
+        log_weight[g] = m->log_prior[g] + fmax(log_weight[g] - m->log_prior[g], UNPROVEN_MIN);
+        moving += exp(log_weight[g]);
+    }
+    log_weight[0] = m->log_prior[0] + log(moving) - log1p(-exp(m->log_prior[0]));
+}
+
+/* Where a direction's looks begin again: by a sensor at the mean that it took off itself, by the IMU wherever the first is. */
+static void begin_origin(const dl_bank_members *m, int k, const bank_look *seen, const dl_bank *before, double *x, double *P,
+                         double *log_weight)
+{
+    const int anywhere = !seen->by_sensor && k < 3 && seen->var[k] < UNSEEN_VAR;
+    open_offset(k, seen->by_sensor, P);
+    memset(x + OFFSET * DL_MEMBERS, 0, 3 * DL_MEMBERS * sizeof *x);
+    for (int g = 0; g < DL_MEMBERS && anywhere; g++) {
+        x[OFFSET * DL_MEMBERS + g] = seen->y[k] - x[g];
+    }
+    if (happened(before->t) && !seen->by_sensor) {
+        temper(m, log_weight);
+    }
+}
+
 WIDE
-void bank_observe(const dl_filter_params *o, int64_t t, const double y[DL_DIRECTIONS], const double var[DL_DIRECTIONS], double ins_var,
-                  double reach_m, const dl_bank *before, dl_bank *after)
+void bank_observe(const dl_filter_params *o, int64_t t, const bank_look *seen, const dl_bank *before, dl_bank *after)
 {
     const dl_bank_members *m = &o->members;
     const double T = seconds(before->t, t);
@@ -303,7 +349,7 @@ void bank_observe(const dl_filter_params *o, int64_t t, const double y[DL_DIRECT
         member_step s;
         step_members(m, T, &s);
         for (int k = 0; k < DL_DIRECTIONS; k++) {
-            carry(o, &s, T, ins_var, reach_m, k, before, after);
+            carry(o, &s, T, seen, k, before, after);
         }
         fade = exp(-T / MEMORY_S);
     } else {
@@ -315,13 +361,13 @@ void bank_observe(const dl_filter_params *o, int64_t t, const double y[DL_DIRECT
         const double *known = before->log_weight + k * DL_MEMBERS;
         for (int g = 0; g < DL_MEMBERS; g++) {
             log_weight[g] = fade * (known[g] - m->log_prior[g]) + m->log_prior[g];
-            if (!happened(before->t) && k < 3) {
-                /* The first look sets the offset's origin; the prior is about it, not about the world's. */
-                x[OFFSET * DL_MEMBERS + g] = var[k] < UNSEEN_VAR ? y[k] : 0.0;
-            }
         }
-        if (var[k] < UNSEEN_VAR) {
-            look(y[k], var[k], x, after->P + k * MEMBER_PAIRS * DL_MEMBERS, log_weight);
+        /* The first look sets the offset's origin; the prior is about it, not about the world's. */
+        if (!happened(before->t) || happened(before->sighted) == seen->by_sensor) {
+            begin_origin(m, k, seen, before, x, after->P + k * MEMBER_PAIRS * DL_MEMBERS, log_weight);
+        }
+        if (seen->var[k] < UNSEEN_VAR) {
+            look(seen->y[k], seen->var[k], x, after->P + k * MEMBER_PAIRS * DL_MEMBERS, log_weight);
         }
         const double top = largest(DL_MEMBERS, log_weight);
         for (int g = 0; g < DL_MEMBERS; g++) {
@@ -329,6 +375,7 @@ void bank_observe(const dl_filter_params *o, int64_t t, const double y[DL_DIRECT
         }
     }
     after->t = t;
+    after->sighted = seen->by_sensor ? -1 : t;
     after->skill = before->skill;
     summarise(m, after);
     if (skill_due(&after->skill, t)) {

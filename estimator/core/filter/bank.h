@@ -17,11 +17,19 @@
 
 /* Write the bank before any sighting. */
 void bank_begin(const dl_bank_members *m, dl_bank *out);
-/* Move the bank on to instant t, ns, and correct it by what was seen: y and its variance by direction.
- *
- * ins_var, (m/s)^2, is what the IMU's velocity gained beyond its noise since the last look; reach_m is the distance to the pad. */
-void bank_observe(const dl_filter_params *o, int64_t t, const double y[DL_DIRECTIONS], const double var[DL_DIRECTIONS], double ins_var,
-                  double reach_m, const dl_bank *before, dl_bank *after);
+/* One look at the deck: by a sighting, or by the ship's motion sensor, which needs no IMU. */
+typedef struct {
+    int by_sensor;
+    /* What was measured and its variance, by direction. */
+    double y[DL_DIRECTIONS], var[DL_DIRECTIONS];
+    /* Variance that the IMU's velocity gained beyond its noise since the last look, (m/s)^2; distance to the pad, m. */
+    double ins_var, reach_m;
+} bank_look;
+
+/* Variance from which a direction was not seen. */
+#define UNSEEN_VAR 1e5
+/* Move the bank on to instant t, ns, and correct it by a look. */
+void bank_observe(const dl_filter_params *o, int64_t t, const bank_look *seen, const dl_bank *before, dl_bank *after);
 /* The weights of one direction's members for a forecast, with `rest` for the member at rest.
  *
  * No sea is exactly one of the members, so the evidence counts for less than if one of them were the truth.
@@ -30,6 +38,8 @@ void forecast_weights(const dl_bank_members *m, const double *log_weight, double
 /* The members' weights, and frequency, damping and size of each direction's mixture. Its variances of displacement and rate are kept:
  * while the period is unknown, the quick members count. */
 void summarise(const dl_bank_members *m, dl_bank *s);
+/* The size of the waves in direction k before any look, m or rad. */
+double prior_size(const dl_bank_members *m, int k);
 /* The largest of n numbers. */
 double largest(int n, const double *values);
 /* The place of (i, j) in the rows of the upper triangle of a member's covariance. */

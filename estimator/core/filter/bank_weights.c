@@ -24,6 +24,15 @@ static double prior_log_odds(const dl_bank_members *m)
     return m->log_prior[0] - log1p(-exp(m->log_prior[0]));
 }
 
+double prior_size(const dl_bank_members *m, int k)
+{
+    double sum = 0.0;
+    for (int g = 0; g < DL_MEMBERS; g++) {
+        sum += exp(m->log_prior[g]) * m->sigma[k * DL_MEMBERS + g] * m->sigma[k * DL_MEMBERS + g];
+    }
+    return sqrt(sum);
+}
+
 void summarise(const dl_bank_members *m, dl_bank *s)
 {
     double odds = 0.0, moving[DL_DIRECTIONS];

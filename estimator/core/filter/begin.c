@@ -35,7 +35,7 @@ static void begin(const dl_filter_params *o, int64_t t, const double R[9], const
     memset(P, 0, DL_N * DL_N * sizeof *P);
     bank_begin(&o->members, bank);
     b->t = b->t_cov = t;
-    b->t_imu = b->t_velocity = b->sighted = b->heading_seen = b->steered = b->swung = b->pictured = b->baselined = -1;
+    b->t_imu = b->t_velocity = b->sighted = b->heading_seen = b->steered = b->swung = b->pictured = b->baselined = b->reported = -1;
     b->turn_since = b->turn_last = b->turn_heading = b->turn_left_out = -1;
     memcpy(b->R, R, sizeof b->R);
     memcpy(b->R_cov, R, sizeof b->R_cov);

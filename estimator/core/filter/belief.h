@@ -50,8 +50,8 @@ typedef struct {
 
 /* What the bank has learned. Arrays are by direction, then by state or pair of states, then by member. */
 typedef struct {
-    /* Instant of the newest look, ns; -1 before the first. */
-    int64_t t;
+    /* Instants of the newest look and of the newest by a sighting, ns; -1 before the first. */
+    int64_t t, sighted;
     /* Frequency, rad/s, damping ratio and size, m or rad, of each direction's mixture. */
     double w_rad_s[DL_DIRECTIONS], zeta[DL_DIRECTIONS], sigma[DL_DIRECTIONS];
     dl_forecast_skill skill;
@@ -103,6 +103,8 @@ typedef struct {
     int64_t heading_seen, steered, swung;
     /* Instants, ns, of the newest fused picture, and of the newest fused baseline; -1 if there is none. */
     int64_t pictured, baselined;
+    /* Instant of the newest fused report of the ship's motion sensor, ns; -1 if there is none. */
+    int64_t reported;
     /* R_ned_body at t, the state at t_cov, and R_ned_body at t_cov. */
     double R[9], x[DL_N], R_cov[9];
     /* Integrals since t_cov: of the specific force in ned, m/s, the same twice, m, and of R, s; time without an IMU, s. */

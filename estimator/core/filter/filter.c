@@ -83,7 +83,7 @@ static bool advance(dl_filter *f, const checkpoint *before, const dl_event *e, c
     double places[2][DL_N * DL_N];
     covariance c = {before->P->P, {places[0], places[1]}};
     sea_ref bank = {&before->bank->bank, NULL};
-    if (e->kind == DL_SIGHTING) {
+    if (e->kind == DL_SIGHTING || e->kind == DL_MOTION) {
         if (!own_bank(f, after)) {
             return false;
         }
@@ -118,7 +118,8 @@ static int64_t compared(int64_t a, int64_t b)
 static bool is_later(const dl_event *a, const dl_event *b)
 {
     static const int64_t rank[] = {
-        [DL_IMU] = 0, [DL_ATTITUDE] = 1, [DL_VELOCITY] = 2, [DL_RANGE] = 3, [DL_HEIGHT] = 4, [DL_VESSEL] = 5, [DL_SIGHTING] = 6,
+        [DL_IMU] = 0, [DL_ATTITUDE] = 1, [DL_VELOCITY] = 2, [DL_RANGE] = 3, [DL_HEIGHT] = 4, [DL_VESSEL] = 5, [DL_MOTION] = 6,
+        [DL_SIGHTING] = 7,
     };
     int64_t order = compared(a->t, b->t);
     order = order != 0 ? order : compared(rank[a->kind], rank[b->kind]);

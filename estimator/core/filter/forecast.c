@@ -6,6 +6,7 @@
 #include "filter/answer.h"
 #include "filter/belief.h"
 #include "filter/jacobian.h"
+#include "filter/motion.h"
 #include "filter/oscillator.h"
 #include "filter/propagate.h"
 #include "base/rotation.h"
@@ -121,7 +122,7 @@ bool forecast_deck(const dl_filter_params *o, int64_t t, const whole_belief *bef
     oscillator_steps steps;
     waves_now sea_now[DL_DIRECTIONS];
     forecast_misses misses;
-    if (!happened(b.sighted) || seconds(b.sighted, t) > o->forget_s) {
+    if (!knows_deck(o, &b, t)) {
         return false;
     }
     propagate_to(o, &b, &c, t);

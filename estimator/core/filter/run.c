@@ -10,6 +10,7 @@
 #include "filter/correction.h"
 #include "filter/gate.h"
 #include "filter/gathering.h"
+#include "filter/motion.h"
 #include "filter/vessel.h"
 
 /* Time constant of the smoothed body rate, s. */
@@ -157,6 +158,9 @@ void process_event(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
     if (e->kind == DL_VESSEL) {
         ready_to_fuse(o, b, c, e->t);
         fuse_vessel(o, b, c, &e->sample.vessel, out);
+    } else if (e->kind == DL_MOTION) {
+        ready_to_fuse(o, b, c, e->t);
+        fuse_motion(o, b, c, bank, &e->sample.motion, out);
     } else if (e->kind != DL_SIGHTING) {
         process_sample(o, b, c, e, out);
     } else if (s->confidence < o->min_confidence) {

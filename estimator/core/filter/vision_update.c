@@ -40,8 +40,6 @@ static const double RESET_VELOCITY_VAR = 4.0, PLACE_VAR = 1e2;
 static const double OUTVOTED_S = 0.5, FOLLOWED_S = 3.0;
 /* Variance of a baseline up to which it is as good as sight, m^2. */
 static const double SURE_VAR = 0.1 * 0.1;
-/* Variance of a direction of the deck that was not seen. */
-static const double NOT_SEEN_VAR = 1e6;
 
 /* A sighting compared with a belief, and the correction that it would make. */
 typedef struct {
@@ -115,6 +113,23 @@ static void set_heading(dl_belief *b, double *P, double yaw)
     forget_state(P, DL_PAD_YAW, uniform_var());
 }
 
+/* Make the waves of some directions as uncertain as those of a sea of their size, (5,) m or rad. */
+static void open_waves(const dl_belief *b, const double *sigma, double *P, int first, int end)
+{
+    for (int i = WAVE_STATES * first; i < WAVE_STATES * end; i++) {
+        forget_state(P, DL_WAVES + i, 0.0);
+    }
+    for (int k = first; k < end; k++) {
+        double at_rest[4][4];
+        oscillator_at_rest(b->wave_w[k], b->wave_zeta[k], at_rest);
+        for (int i = 0; i < 4; i++) {
+            for (int j = 0; j < 4; j++) {
+                AT(P, DL_WAVES + 4 * k + i, DL_WAVES + 4 * k + j) = sigma[k] * sigma[k] * at_rest[i][j];
+            }
+        }
+    }
+}
+
 /* Forget what another pad's vessel does not share: its velocity, turn and waves. */
 static void reset_vessel(const dl_filter_params *o, dl_belief *b, double *P)
 {
@@ -124,19 +139,8 @@ static void reset_vessel(const dl_filter_params *o, dl_belief *b, double *P)
     forget_state(P, DL_TURN_RATE, o->sigma_turn_rate_rad_s * o->sigma_turn_rate_rad_s);
     b->x[DL_TURN_RATE] = 0.0;
     b->swung = -1;
-    for (int i = 0; i < 12; i++) {
-        forget_state(P, DL_WAVES + i, 0.0);
-        b->x[DL_WAVES + i] = 0.0;
-    }
-    for (int k = 0; k < 3; k++) {
-        double at_rest[4][4];
-        oscillator_at_rest(b->wave_w[k], b->wave_zeta[k], at_rest);
-        for (int i = 0; i < 4; i++) {
-            for (int j = 0; j < 4; j++) {
-                AT(P, DL_WAVES + 4 * k + i, DL_WAVES + 4 * k + j) = b->wave_sigma[k] * b->wave_sigma[k] * at_rest[i][j];
-            }
-        }
-    }
+    memset(b->x + DL_WAVES, 0, 3 * WAVE_STATES * sizeof *b->x);
+    open_waves(b, b->wave_sigma, P, 0, 3);
 }
 
 /* The pad from the body in ned, by a picture, less `late` (3,) in the camera's axes, or by a baseline; returns its distance squared. */
@@ -169,6 +173,13 @@ static void initialise(const dl_filter_params *o, dl_belief *b, covariance *c, c
     }
     if (reset) {
         reset_vessel(o, b, P);
+    } else if (happened(b->reported)) {
+        /* What a motion sensor said before any sighting is where the waves begin, and proves nothing: not even a calm. */
+        double sigma[DL_DIRECTIONS];
+        for (int k = 0; k < DL_DIRECTIONS; k++) {
+            sigma[k] = fmax(b->wave_sigma[k], prior_size(&o->members, k));
+        }
+        open_waves(b, sigma, P, 2, DL_DIRECTIONS);
     }
     if ((reset || !b->heading_known) && s->has_yaw && !s->yaw_ambiguous) {
         set_heading(b, P, s->yaw_rad);
@@ -280,11 +291,22 @@ static void measure_tilt(const dl_sighting *s, const double R_ned_level[9], cons
     }
 }
 
+void learn_waves(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const bank_look *look)
+{
+    bank_observe(o, b->t, look, bank->now, bank->place);
+    bank->now = bank->place;
+    memcpy(b->wave_w, bank->now->w_rad_s, sizeof b->wave_w);
+    memcpy(b->wave_zeta, bank->now->zeta, sizeof b->wave_zeta);
+    memcpy(b->wave_sigma, bank->now->sigma, sizeof b->wave_sigma);
+}
+
 /* Update the bank of wave oscillators with the pad's measured position and tilt. */
 static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const dl_sighting *s, const comparison *row)
 {
-    double A[9], back[9], late[3], place[3], y[DL_DIRECTIONS] = {0.0}, var[DL_DIRECTIONS];
-    if (happened(bank->now->t) && seconds(bank->now->t, b->t) < 0.9 * BANK_PERIOD_S) {
+    double A[9], back[9], late[3], place[3];
+    bank_look look = {0};
+    double *const y = look.y, *const var = look.var;
+    if (happened(bank->now->sighted) && seconds(bank->now->sighted, b->t) < 0.9 * BANK_PERIOD_S) {
         return;
     }
     levelling(b, A);
@@ -294,7 +316,7 @@ static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const 
     }
     const double away = place_of(o, b, s, late, place);
     for (int k = 0; k < DL_DIRECTIONS; k++) {
-        var[k] = k < 3 ? 0.0 : NOT_SEEN_VAR;
+        var[k] = k < 3 ? 0.0 : 10.0 * UNSEEN_VAR;
     }
     for (int k = 0; k < 3; k++) {
         y[k] = place[k] + b->ins_p[k];
@@ -309,11 +331,9 @@ static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const 
         product_by_transposed(back, A, R_ned_level);
         measure_tilt(s, R_ned_level, row->seen.R, y, var);
     }
-    bank_observe(o, b->t, y, var, b->ins_var_m2_s2, sqrt(away), bank->now, bank->place);
-    bank->now = bank->place;
-    memcpy(b->wave_w, bank->now->w_rad_s, sizeof b->wave_w);
-    memcpy(b->wave_zeta, bank->now->zeta, sizeof b->wave_zeta);
-    memcpy(b->wave_sigma, bank->now->sigma, sizeof b->wave_sigma);
+    look.ins_var = b->ins_var_m2_s2;
+    look.reach_m = sqrt(away);
+    learn_waves(o, b, bank, &look);
     b->ins_var_m2_s2 = 0.0;
 }
 

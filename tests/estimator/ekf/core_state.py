@@ -160,7 +160,7 @@ def _written_bank(bank: SimpleNamespace) -> NDArray[Any]:
     known, rows, columns = bank.skill, *_PAIRS
     skill: dict[str, Any] = {name: getattr(known, name) for name in ("n", *_SKILL)}
     skill |= {"issued_n": len(known.issued), "issued": [{"t": t, "waves": waves} for t, waves in known.issued]}
-    values = {name: getattr(bank, name) for name in ("t", "w_rad_s", "zeta", "sigma", "log_weight", "weight")}
+    values = {name: getattr(bank, name) for name in ("t", "sighted", "w_rad_s", "zeta", "sigma", "log_weight", "weight")}
     pairs = bank.P[:, :, rows, columns].transpose(0, 2, 1)
     return PARTS_DOOR.record("dl_bank", **values, x=bank.x.transpose(0, 2, 1), P=pairs, skill=skill)
 
@@ -195,7 +195,8 @@ def observe(
 ) -> SimpleNamespace:
     """Return the core's bank after one sighting of the deck's motion by direction, (5,) with its variance."""
     before, after = _written_bank(bank), _written_bank(bank)
-    part("bank_observe")(PARTS.cast("dl_filter_params *", params.core), t, y, var, ins_var, reach_m, before, after)
+    look = PARTS_DOOR.record("bank_look", y=y, var=var, ins_var=ins_var, reach_m=reach_m)
+    part("bank_observe")(PARTS.cast("dl_filter_params *", params.core), t, look, before, after)
     return _read_bank(after.tobytes())
 
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation as Turn
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64, orthonormalised, rpy_matrix, skew, wrap_pi
 from estimator.contracts.motion import G_M_S2
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselMotion, VesselReport
 from estimator.ekf import Event
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.params import (
@@ -197,9 +197,9 @@ def _members(dt_s: float) -> tuple[F64, F64]:
     return transition(W, ZETA, dt_s)
 
 
-def waves_unknown(b: State) -> list[F64]:
+def waves_unknown(b: State, size: F64 | None = None) -> list[F64]:
     """Return the covariances (4, 4) of the five oscillators while only their sizes are known."""
-    return list((b.wave_sigma**2)[:, None, None] * oscillators(b.wave_w, b.wave_zeta)[1])
+    return list(((b.wave_sigma if size is None else size) ** 2)[:, None, None] * oscillators(b.wave_w, b.wave_zeta)[1])
 
 
 def without(P: F64, states: Any, var: float) -> F64:
@@ -224,6 +224,9 @@ def process(b: State | None, event: Event, params: FilterParams) -> tuple[State 
         case VesselReport():
             ready_to_fuse(b, t, params)
             return b, _vessel(b, event, params)
+        case VesselMotion():
+            ready_to_fuse(b, t, params)
+            return b, _motion(b, event, params)
         case Sighting():
             if event.confidence < params.options.min_confidence:
                 return b, Outcome(Verdict.LOW_CONFIDENCE)
@@ -251,7 +254,7 @@ def _begin(event: Event, params: FilterParams) -> tuple[State | None, Outcome]:
     x[VEL_SCALE] = o.velocity_scale
     b = State(
         t=t, t_cov=t, t_imu=-1, t_velocity=-1, sighted=-1, agreed=0, is_levelled=0, heading_is_given=0, heading_known=0,
-        heading_seen=-1, steered=-1, swung=-1, pictured=-1, baselined=-1, turn_since=-1, turn_last=-1,
+        heading_seen=-1, steered=-1, swung=-1, pictured=-1, baselined=-1, reported=-1, turn_since=-1, turn_last=-1,
         turn_heading=-1, turn_left_out=-1, turn_deviate=0.0, R=R, x=x, R_cov=R, dv=zero, dp=zero,
         turned=np.zeros((3, 3)), coast_s=0.0, w=zero,
         w_smooth=zero, f=zero, levelled_by=np.zeros((3, 3)), cov_levelled_by=np.zeros((3, 3)), ins_p=zero, ins_v=zero,
@@ -819,6 +822,33 @@ def _gated(b: State, z: Rows, params: FilterParams, axes: tuple[int, ...], *, le
     return Outcome(Verdict.FUSED, z.innov, fix.S, fix.nis, limit, axes)
 
 
+def _motion(b: State, event: VesselMotion, params: FilterParams) -> Outcome:
+    """Fuse what a ship's motion sensor reports of the pad: roll, pitch, displacement downward, or some of them."""
+    roll, pitch, down = event.roll_rad, event.pitch_rad, event.heave_down_m
+    tilts = roll is not None and pitch is not None
+    rows = [(3, roll, event.sigma_tilt_rad), (4, pitch, event.sigma_tilt_rad)] if tilts else []
+    rows += [] if down is None else [(2, down, event.sigma_heave_m)]
+    if not rows:
+        return Outcome(Verdict.GATED)
+    axes = (*((0, 1) if tilts else ()), *(() if down is None else (2,)))
+    if not 0 <= b.bank.sighted > b.t - 2e9 and not 0 <= b.bank.t > b.t - 0.18e9:
+        y, var = np.zeros(5), np.full(5, 1e6)
+        for k, value, sigma in rows:
+            y[k], var[k] = value, sigma**2
+        learned = observe(b.bank, b.t, y, var, params, by_sensor=True)
+        b.bank, b.wave_w, b.wave_zeta, b.wave_sigma = learned, learned.w_rad_s, learned.zeta, learned.sigma
+    at = DECK_DISP[[k for k, *_ in rows]]
+    z = Rows(np.array([value for _, value, _ in rows]) - b.x[at], I_N[at], np.diag([sigma**2 for *_, sigma in rows]))
+    fix, limit = correction(b.P, z), nis_max(params.options.gate_probability, len(rows))
+    if fix is None:
+        return Outcome(Verdict.SINGULAR, z.innov, axes=axes)
+    if fix.nis > limit:
+        return Outcome(Verdict.GATED, z.innov, fix.S, fix.nis, limit, axes)
+    correct(b, fix)
+    b.reported = b.t
+    return Outcome(Verdict.FUSED, z.innov, fix.S, fix.nis, limit, axes)
+
+
 # The model of a sighting
 
 
@@ -995,6 +1025,11 @@ def _initialise(b: State, s: Sighting, o: EkfOptions, *, reset: bool) -> None:
         for states, cov in zip(WAVES[:3], waves_unknown(b), strict=False):
             P[np.ix_(states, states)] = cov
         x[TURN_RATE], x[WAVES[:3]], b.swung = 0.0, 0.0, -1
+    elif b.reported >= 0:
+        P = without(P, WAVES[2:].ravel(), 0.0)
+        size = np.maximum(b.wave_sigma, np.sqrt((np.exp(LOG_PRIOR) * SIGMA**2).sum(axis=1)))
+        for states, cov in zip(WAVES[2:], waves_unknown(b, size)[2:], strict=True):
+            P[np.ix_(states, states)] = cov
     if (reset or not b.heading_known) and s.yaw_rad is not None and not s.yaw_ambiguous:
         x[PAD_YAW] = wrap_pi(heading(b.R) - s.yaw_rad)
         P = without(P, PAD_YAW, _UNIFORM_VAR)
@@ -1044,8 +1079,8 @@ def _moves_aside(b: State) -> bool:
 
 def _learn(b: State, s: Sighting, z: Rows, params: FilterParams) -> None:
     """Update the bank with the pad's measured place and tilt."""
-    since = (b.t - b.bank.t) * 1e-9
-    if b.bank.t >= 0 and since < 0.9 * 0.2:
+    since = (b.t - b.bank.sighted) * 1e-9
+    if b.bank.sighted >= 0 and since < 0.9 * 0.2:
         return
     A, back, y, var = levelling(b), _camera_to_ned(b), np.zeros(5), np.full(5, 1e6)
     seen = A.T @ _place_of(s) - z.H[:3, CAMERA_DELAY] * b.x[CAMERA_DELAY]
@@ -1138,23 +1173,26 @@ def _manoeuvre(b: State, z: Rows, fix: Fix, directions: F64) -> tuple[F64, F64]:
 # The bank of oscillators
 
 
+_DRIFT = np.array([[25.0, 9.0, 1.0]] * 3 + [[math.radians(2.0) ** 2, 0.0, 0.0]] * 2)
+
+
 def bank_unknown() -> SimpleNamespace:
     """Return a bank that has received no sighting."""
     P = np.zeros((5, W.size, 7, 7))
     P[:, :, :4, :4] = (SIGMA**2)[:, :, None, None] * oscillators(W, ZETA)[1]
-    drift = np.array([[25.0, 9.0, 1.0]] * 3 + [[math.radians(2.0) ** 2, 0.0, 0.0]] * 2)
-    P[:, :, [4, 5, 6], [4, 5, 6]] = drift[:, None]
+    P[:, :, [4, 5, 6], [4, 5, 6]] = _DRIFT[:, None]
     sums = {name: np.zeros((3, 5, 2)) for name in ("product", "square", "came")}
-    bank = SimpleNamespace(t=-1, log_weight=np.tile(LOG_PRIOR, (5, 1)), x=np.zeros((5, W.size, 7)), P=P)
+    bank = SimpleNamespace(t=-1, sighted=-1, log_weight=np.tile(LOG_PRIOR, (5, 1)), x=np.zeros((5, W.size, 7)), P=P)
     bank.skill = SimpleNamespace(issued=[], n=np.zeros(3), **sums)
     summarise(bank)
     return bank
 
 
 def observe(
-    before: SimpleNamespace, t: int, y: F64, var: F64, params: FilterParams, *, reach_m: float = 2.0, ins_var: float = 0.0
-) -> SimpleNamespace:
-    """Return the bank after one sighting of the deck's motion.
+    before: SimpleNamespace, t: int, y: F64, var: F64, params: FilterParams, *, reach_m: float = 2.0, ins_var: float = 0.0,
+    by_sensor: bool = False,
+) -> SimpleNamespace:  # fmt: skip
+    """Return the bank after one sighting of the deck's motion, or after one report of a ship's motion sensor.
 
     Args:
         before: the bank so far.
@@ -1166,23 +1204,31 @@ def observe(
         ins_var: variance that the IMU's velocity gained beyond its noise since the last sighting, (m/s)^2.
     """
     x, P, seen, fade = before.x, before.P, var < 1e5, 1.0
-    if before.t < 0:
-        # The first sighting sets the offset's origin.
-        x = x.copy()
-        x[:3, :, 4] = np.where(seen, y, 0.0)[:3, None]
-    elif t > before.t:
+    if 0 <= before.t < t:
         dt = (t - before.t) * 1e-9
-        x, P = _carried(x, P, dt, params, reach_m, ins_var)
+        x, P = _carried(x, P, dt, params, reach_m, ins_var, by_sensor)
         fade = math.exp(-dt / 180.0)
+    if before.t < 0 or (before.sighted >= 0) is by_sensor:
+        # The first sighting sets the offset's origin; a sensor has taken its own mean off.
+        x, P = x.copy(), P.copy()
+        x[..., 4:] = P[..., 4:] = P[:, :, 4:, :] = 0.0
+        of_sensor = np.array([[0.01, 0.0, 0.0]] * 3 + [[2.5e-5, 0.0, 0.0]] * 2)
+        P[:, :, [4, 5, 6], [4, 5, 6]] = (of_sensor if by_sensor else _DRIFT)[:, None]
+        if not by_sensor:
+            x[:3, :, 4] = np.where(seen[:3, None], y[:3, None] - x[:3, :, 0], 0.0)
+    log_weight = fade * (before.log_weight - LOG_PRIOR) + LOG_PRIOR
+    if before.t >= 0 > before.sighted and not by_sensor:
+        # A sensor proves little, and no rest.
+        log_weight = LOG_PRIOR + np.maximum(log_weight - LOG_PRIOR, -5.0)
+        log_weight[:, 0] = REST_ODDS + np.log(np.exp(log_weight[:, 1:]).sum(axis=1))
     PH = P[..., 0] + P[..., 4]
     S = PH[..., 0] + PH[..., 4] + var[:, None]
     innov, observed = y[:, None] - x[..., 0] - x[..., 4], seen[:, None].astype(float)
     K = PH * (observed / S)[..., None]
-    log_weight = fade * (before.log_weight - LOG_PRIOR) + LOG_PRIOR
     log_weight = log_weight - 0.5 * observed * (np.log(S) + np.minimum(innov**2 / S, 16.0))
     log_weight = np.maximum(log_weight - log_weight.max(axis=1, keepdims=True), -30.0)
     x, P = x + K * innov[..., None], P - K[..., :, None] * PH[..., None, :]
-    bank = SimpleNamespace(t=t, log_weight=log_weight, x=x, P=P, skill=before.skill)
+    bank = SimpleNamespace(t=t, sighted=-1 if by_sensor else t, log_weight=log_weight, x=x, P=P, skill=before.skill)
     summarise(bank)
     if not bank.skill.issued or t - bank.skill.issued[-1][0] >= 500_000_000:
         waves = weight_ahead(bank)[..., None] * x[..., :4]
@@ -1191,7 +1237,7 @@ def observe(
     return bank
 
 
-def _carried(x: F64, P: F64, dt: float, params: FilterParams, reach_m: float, ins_var: float) -> tuple[F64, F64]:
+def _carried(x: F64, P: F64, dt: float, params: FilterParams, reach_m: float, ins_var: float, by_sensor: bool) -> tuple[F64, F64]:
     A, q = _members(dt)
     F, by = np.zeros((W.size, 7, 7)), params.carrying
     F[:, :4, :4], F[:, 4:, 4:] = A, [[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]]
@@ -1205,6 +1251,9 @@ def _carried(x: F64, P: F64, dt: float, params: FilterParams, reach_m: float, in
     noise[:, 1, 1] = qa * dt + qb * dt**3 / 3
     noise[:, 1, 2] = noise[:, 2, 1] = qb * dt**2 / 2
     noise[:, 2, 2] = qb * dt
+    if by_sensor:
+        noise[:] = 0.0
+        noise[:, 0, 0] = np.where(np.arange(5) < 3, 1e-4, 2.5e-7) * dt
     P[:, :, 4:, 4:] += noise[:, None]
     return (F @ x[..., None])[..., 0], P
 
@@ -1305,8 +1354,9 @@ def answer(b: State, t: int, params: FilterParams) -> dict[str, Any]:
         "heading": psi, "sighted": b.sighted, "agreed": b.agreed, "heading_known": bool(b.heading_known), "nis_mean": b.nis_mean,
         "velocity_fused": b.aids[VELOCITY].fused, "adrift": is_adrift(b, t), "steers": steers(b, t),
         "has_pad": bool(b.sighted >= 0 and (t - b.sighted) * 1e-9 <= o.forget_s),
-        "has_body": bool(_imu_holds(b, t, o) and b.is_levelled),
+        "has_body": bool(_imu_holds(b, t, o) and b.is_levelled), "carried_down_m": b.ins_p[2],
     }  # fmt: skip
+    told["has_deck"] = told["has_pad"] or bool(b.reported >= 0 and (t - b.reported) * 1e-9 <= 3.0)
     if told["has_body"]:
         f, J = b.R @ (b.f - b.x[ACCEL_BIAS]), np.zeros((3, N))
         J[:, ATT_ERR], J[:, ACCEL_BIAS] = -Z @ skew(f) @ b.R, -Z @ b.R
@@ -1320,6 +1370,9 @@ def answer(b: State, t: int, params: FilterParams) -> dict[str, Any]:
         J[6, ATT_ERR], J[6, PAD_YAW] = turning, -1.0
         cov = J @ T @ (F @ b.P @ F.T + Q) @ T.T @ J.T
         told |= {"d": d, "v": v, "yaw": psi - x[PAD_YAW], "cov": cov}
+        told |= {"x": b.x, "var": b.P.diagonal(), "rest": b.bank.weight[0, 0], "cov_vessel": b.P[VESSEL_VEL][0, 17]}
+        told |= {"wave_w": b.wave_w, "wave_zeta": b.wave_zeta, "wave_sigma": b.wave_sigma}
+    if told["has_deck"]:
         accelerated, rate = np.zeros((3, N)), float(x[TURN_RATE])
         accelerated[[0, 1, 2], WAVES[:3, 0]] = -(b.wave_w[:3] ** 2)
         accelerated[[0, 1, 2], WAVES[:3, 1]] = -2.0 * b.wave_zeta[:3] * b.wave_w[:3]
@@ -1329,8 +1382,7 @@ def answer(b: State, t: int, params: FilterParams) -> dict[str, Any]:
         J, tilt = np.vstack([Z @ _BY_V_PAD, Z @ accelerated]), np.zeros((4, N))
         tilt[[0, 1], DECK_DISP[3:]] = tilt[[0, 1], DECK_TRIM] = tilt[[2, 3], DECK_RATE[3:]] = 1.0
         told |= {"v_deck": Z @ _BY_V_PAD @ x, "a_deck": Z @ a, "cov_deck": J @ P @ J.T}
-        told |= {"tilt": tilt @ x, "cov_tilt": tilt @ P @ tilt.T, "x": b.x, "var": b.P.diagonal(), "rest": b.bank.weight[0, 0]}
-        told |= {"wave_w": b.wave_w, "wave_zeta": b.wave_zeta, "wave_sigma": b.wave_sigma, "cov_vessel": b.P[VESSEL_VEL][0, 17]}
+        told |= {"tilt": tilt @ x, "cov_tilt": tilt @ P @ tilt.T}
     return told
 
 

@@ -1,0 +1,400 @@
+"""The ship's motion sensors as witnesses: their delay, noise and trust, found against the camera.
+
+A sensor reports roll, pitch and heave of its own place, late by an unknown time, with a mean of its own. The filter gets the
+motion of the pad's centre and about its arrow, without that mean, at the instant when it was true, as certain as the sensor has
+proved. The camera proves it: the pad's height as sightings show it, carried by the IMU alone, and the deck's tilt in the
+pictures. Neither depends on what the filter made of a sensor, so none can confirm itself. Over a window of sightings a
+polynomial takes off what drifts (the IMU's place by a parabola, an attitude by a line), and the rest is compared for each delay
+that a sensor may have.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Annotated, Literal, get_args
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.geometry import F64
+from estimator.contracts.keys import CheckedOptions, number, text
+from estimator.contracts.samples import VesselMotion
+from estimator.contracts.time import after
+
+Channel = Literal["heave", "tilt"]
+
+_PERIOD_S, _ALIKE = 0.19, 4.0
+"""Least time between two reports that are fused, and number of them in a row whose errors are alike and count as one."""
+_RECORD_S, _SILENT_S, _STUCK_S = 60.0, 5.0, 3.0
+"""Time over which a mean is taken off, of silence after which another sensor is used, and of repeated bits of one that moved."""
+_DELAYS_S, _DELAY_MAX_S = np.arange(-0.3, 1.31, 0.05), 0.6
+"""Delays that are compared with the camera, and the longest of a sensor that is used."""
+_DELAY_S, _SIGMA_DELAY_S, _LATE_ODDS = 0.1, 0.2, 3.0
+"""Delay before any comparison, its standard deviation, and the logarithm of the odds from which on a sensor is too late."""
+_SEEN_HZ, _GAP_S, _WINDOW_S, _LEAST_S = 10.0, 1.0, 10.0, 2.0
+"""Rate and longest gap of the sightings that are compared, and the longest and least time that they span."""
+_MEAN_OF, _SHORT_S = 5, 4.0
+"""Number of sightings whose mean is compared, as a picture's noise is no motion, and time for which an attitude errs evenly."""
+_JUDGES_S, _MEMORY_S = 0.5, 60.0
+"""Time between two comparisons, and the time over which they fade."""
+_PROVEN_S, _IN_SIGHT_S, _KEPT_APART_S, _AGAIN_S = 2.0, 2.0, 1.0, 20.0
+"""Time of agreement before a sensor is fused in sight, of sight, of contradiction that ends it, of agreement that forgives it."""
+_SHARE, _LIMIT, _FLOOR, _DRIFT = 0.7, 1.3, {"heave": 0.04, "tilt": math.radians(0.3)}, {"heave": 1.5e-3, "tilt": 0.0}
+"""Part of what the camera shows, or times its difference from a good sensor (m, rad; m/s^1.5 by the IMU), that one may err."""
+_GOOD, _GOOD_SHARE = {"heave": 0.05, "tilt": math.radians(0.2)}, 0.05
+"""Standard deviation before any comparison; makers of motion sensors state 5 % of the heave."""
+_BLOCK_S, _WANDER_M = 10.0, 0.15
+"""A heave whose means over such blocks differ by more than this, and by more than it does within them, is no sea's."""
+_FASTEST, _SLACK = {"heave": 3.0, "tilt": math.radians(60.0)}, {"heave": 0.3, "tilt": math.radians(3.0)}
+"""Rates that no ship reaches, m/s and rad/s, beyond a step, m and rad: the record begins again."""
+
+
+class ShipMotionOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """The ship's motion sensor (roll, pitch, heave): where it is, and which of several it is.
+
+    Raises:
+        ValueError: a number outside its range.
+    """
+
+    sensor: Annotated[
+        str,
+        text("the sensor to use, by its name on the page; best for the one that agrees best with the camera, none for none", 64),
+    ] = "best"
+    forward_m: Annotated[
+        float, number("place of the motion sensor from the pad's centre, towards her bow", "m", -400.0, 400.0, public=True)
+    ] = 0.0
+    right_m: Annotated[float, number("the same to starboard", "m", -100.0, 100.0, public=True)] = 0.0
+
+
+class Standing(Struct, frozen=True):
+    """The worth of a sensor, as far as it was compared with the camera."""
+
+    sensor: str
+    delay_s: float
+    sigma_delay_s: float
+    noise_m: float | None
+    noise_rad: float | None
+    """Standard deviations of its heave, and of its roll and pitch; None if it reports none."""
+    used: tuple[Channel, ...]
+    faults: tuple[str, ...]
+    """Reasons why channels are left out, in words."""
+
+    @property
+    def text(self) -> str:
+        """It in words for a person."""
+        noise = [] if self.noise_m is None else [f"heave to {100.0 * self.noise_m:.0f} cm"]
+        noise += [] if self.noise_rad is None else [f"tilt to {math.degrees(self.noise_rad):.1f} deg"]
+        used = f"used for {' and '.join(self.used)}" if self.used else "not used"
+        return ", ".join((used, f"{1e3 * self.delay_s:.0f} ms late", *noise, *self.faults))
+
+
+class _Channel:
+    """One kind of number of one sensor: its heave, or its roll and pitch."""
+
+    def __init__(self, kind: Channel) -> None:
+        self.kind: Channel = kind
+        self.t: deque[float] = deque()
+        self.values: deque[tuple[float, ...]] = deque()
+        self.mean: tuple[float, ...] = (0.0,) * (1 if kind == "heave" else 2)
+        self.size = self.sigma_mean = 0.0
+        self.fault = ""
+        self.against_s = self.n = self.squares = self.proof_s = 0.0
+        self.fused_at = self.changed_at = self.summed_at = -math.inf
+
+    def add(self, t: float, now: tuple[float, ...]) -> Verdict | None:
+        if self.t and t - self.t[-1] <= _SILENT_S:
+            if t <= self.t[-1]:
+                return Verdict.TOO_OLD
+            if now != self.values[-1]:
+                self.changed_at, self.fault = t, "" if "repeat" in self.fault else self.fault
+            elif self.size > 0.5 * _FLOOR[self.kind] and t - max(self.changed_at, self.t[0]) > _STUCK_S:
+                self.fault = f"it repeats its {self.kind}"
+                return Verdict.FROZEN
+            if math.dist(now, self.values[-1]) > _SLACK[self.kind] + _FASTEST[self.kind] * (t - self.t[-1]):
+                self._restart()
+                return Verdict.IMPOSSIBLE
+        elif self.t:
+            self._restart()
+        self.t.append(t)
+        self.values.append(now)
+        while t - self.t[0] > _RECORD_S:
+            self.t.popleft()
+            self.values.popleft()
+        if t - self.summed_at >= _JUDGES_S:
+            self.summed_at = t
+            self._sum_up()
+        return None
+
+    def _restart(self) -> None:
+        self.t.clear()
+        self.values.clear()
+        self.changed_at = -math.inf
+
+    def _sum_up(self) -> None:
+        """Take mean and size of the record, and judge whether a heave is one of waves."""
+        values = np.array(self.values)
+        centre = values.mean(axis=0)
+        self.mean = tuple(centre.tolist())
+        self.size = float(np.sqrt(np.mean((values - centre) ** 2)))
+        spans_s = self.t[-1] - self.t[0]
+        # The mean of a sine over T has at most 1 / (w T) of its size; a short record shows no mean at all.
+        size = max(self.size, 2.0 * _FLOOR[self.kind] if spans_s < _LEAST_S else 0.0)
+        self.sigma_mean = size * min(1.0, 3.0 / max(spans_s, 1e-3))
+        if self.kind != "heave" or spans_s < 2.0 * _BLOCK_S:
+            return
+        t, heave, n = np.array(self.t), values[:, 0], int(2.0 * spans_s // _BLOCK_S) - 1
+        blocks = [heave[(t >= s) & (t <= s + _BLOCK_S)] for s in (t[0] + 0.5 * _BLOCK_S * k for k in range(n))]
+        slow_m = float(np.std([block.mean() for block in blocks if block.size]))
+        flat = [_flat(np.arange(float(block.size)), 1) @ block for block in blocks if block.size > 3]
+        quick_m = float(np.mean([np.std(block) for block in flat]))
+        if slow_m > max(_WANDER_M, quick_m):
+            self.fault, self.against_s = f"its heave wanders by {slow_m:.1f} m more slowly than a sea does", _AGAIN_S
+        elif "wanders" in self.fault and slow_m < 0.5 * max(_WANDER_M, quick_m):
+            self.fault = ""
+
+    def judge(self, differs: float, moved: float, over_s: float, since_s: float) -> None:
+        """Weigh one comparison over a window: how far sensor and camera differ and the deck moved, both without drift."""
+        fade = math.exp(-since_s / _MEMORY_S)
+        self.n, self.squares = fade * self.n + since_s, fade * self.squares + since_s * differs**2
+        floor = math.hypot(_FLOOR[self.kind], _DRIFT[self.kind] * over_s**1.5)
+        self.proof_s = fade * self.proof_s + (since_s if moved > floor else 0.0)
+        if differs <= max(_LIMIT * floor, _SHARE * moved):
+            self.against_s = max(0.0, self.against_s - since_s)
+            if self.against_s == 0.0 and "camera" in self.fault:
+                self.fault = ""
+            return
+        self.against_s = min(_AGAIN_S, self.against_s + since_s)
+        if self.against_s >= _KEPT_APART_S and not self.fault:
+            by = f"{differs:.2f} m" if self.kind == "heave" else f"{math.degrees(differs):.1f} deg"
+            self.fault, self.against_s = f"its {self.kind} and the camera differ by {by}", _AGAIN_S
+
+    @property
+    def agrees(self) -> bool:
+        return not self.fault and self.against_s == 0.0
+
+    @property
+    def noise(self) -> float:
+        good = math.hypot(_GOOD[self.kind], _GOOD_SHARE * self.size)
+        return math.sqrt((5.0 * good**2 + self.squares) / (5.0 + self.n))
+
+    def at(self, t: F64) -> F64:
+        """Return the readings, (n, k), at instants within the record: by cubic Hermite splines."""
+        known, values = np.array(self.t), np.array(self.values)
+        slope = np.gradient(values, known, axis=0)
+        k = np.clip(np.searchsorted(known, t) - 1, 0, known.size - 2)
+        span = (known[k + 1] - known[k])[:, None]
+        s = (t - known[k])[:, None] / span
+        h = s * s * (3.0 - 2.0 * s)
+        bends = s * (1.0 - s) ** 2 * slope[k] - s * s * (1.0 - s) * slope[k + 1]
+        made: F64 = (1.0 - h) * values[k] + h * values[k + 1] + span * bends
+        return made
+
+
+class _Sensor:
+    """One sensor with its channels, its delay, and where it is."""
+
+    def __init__(self, name: str, to_pad_m: tuple[float, float], turn: tuple[float, float]) -> None:
+        self.name, self._to_pad_m, (self._c, self._s) = name, to_pad_m, turn
+        # By roll and pitch the pad goes so much lower than the sensor.
+        self._lever_m = np.array([to_pad_m[1], -to_pad_m[0]])
+        self.channels: dict[Channel, _Channel] = {kind: _Channel(kind) for kind in get_args(Channel)}
+        self.delay_s, self.sigma_delay_s = _DELAY_S, _SIGMA_DELAY_S
+        self.log_odds = np.zeros(_DELAYS_S.size)
+        self.late = ""
+
+    def add(self, sample: VesselMotion, t: float) -> Verdict | None:
+        verdict = None
+        if sample.heave_down_m is not None:
+            verdict = self.channels["heave"].add(t, (sample.heave_down_m,))
+        if sample.roll_rad is not None and sample.pitch_rad is not None:
+            verdict = self.channels["tilt"].add(t, (sample.roll_rad, sample.pitch_rad)) or verdict
+        return verdict
+
+    def proven(self, kind: Channel) -> bool:
+        """Return whether the camera has agreed for a while, on a deck that it saw move."""
+        return self.channels[kind].agrees and self.channels[kind].proof_s >= _PROVEN_S
+
+    def _tilted(self, tilt: F64) -> F64:
+        return np.stack([self._c * tilt[:, 0] + self._s * tilt[:, 1], self._c * tilt[:, 1] - self._s * tilt[:, 0]], axis=1)
+
+    def moves(self, kind: Channel, t: F64) -> F64:
+        """Return the pad's displacement downward, (n, 1), or its roll and pitch, (n, 2), by the record at instants within it."""
+        heave, tilt = self.channels["heave"], self.channels["tilt"]
+        if kind == "tilt":
+            return self._tilted(tilt.at(t) - tilt.mean)
+        down = heave.at(t) - heave.mean
+        if any(self._to_pad_m) and len(tilt.t) > 1:
+            down = down + (tilt.at(t) - tilt.mean) @ self._lever_m[:, None]
+        return down
+
+    def now(self, sample: VesselMotion, t: float, kinds: Sequence[Channel]) -> VesselMotion | None:
+        """Return one report as the filter takes it, with the channels that are used and due; None if none is."""
+        due = [k for k in kinds if (c := self.channels[k]).t and c.t[-1] == t and t - c.fused_at >= _PERIOD_S]
+        if not due:
+            return None
+        heave, tilt = self.channels["heave"], self.channels["tilt"]
+        at = min(sample.stamp.received_at, after(sample.stamp.measured_at, -self.delay_s))
+        made = VesselMotion(replace(sample.stamp, measured_at=at), self.name)
+        known = bool(tilt.t) and t - tilt.t[-1] < 0.5
+        turned = np.array([tilt.values[-1]]) - tilt.mean if known else np.zeros((1, 2))
+        for kind in due:
+            self.channels[kind].fused_at = t
+        if "tilt" in due:
+            roll, pitch = self._tilted(turned)[0].tolist()
+            made = replace(made, roll_rad=roll, pitch_rad=pitch, sigma_tilt_rad=self._sigma(tilt, sample.sigma_tilt_rad))
+        if "heave" in due:
+            down = heave.values[-1][0] - heave.mean[0] + float(turned[0] @ self._lever_m)
+            of_arm_m = math.hypot(*self._to_pad_m) * (tilt.noise if known else 0.03)
+            made = replace(made, heave_down_m=down, sigma_heave_m=math.hypot(self._sigma(heave, sample.sigma_heave_m), of_arm_m))
+        return made
+
+    def _sigma(self, channel: _Channel, digits: float) -> float:
+        # A wave of a size has a rate of about that size a second.
+        late = 0.8 * channel.size * self.sigma_delay_s
+        return math.sqrt(_ALIKE * (channel.noise**2 + digits**2 + late**2) + channel.sigma_mean**2)
+
+    def compare(self, seen: F64, since_s: float) -> None:
+        """Compare (n, 4) instants, the pad downward from anywhere, roll and pitch (nan if not seen) with the record."""
+        t, values = seen[:, 0], seen[:, 1:]
+        squares = np.zeros(_DELAYS_S.size)
+        for kind, columns in zip(get_args(Channel), ([0], [1, 2]), strict=True):
+            there = np.isfinite(values[:, columns]).all(axis=1)
+            bend = 2 if kind == "heave" else int(t[-1] - t[0] >= _SHORT_S)
+            if (found := self._differences(kind, t[there], values[there][:, columns], bend)) is not None:
+                least, evidence = found
+                self.channels[kind].judge(*least, since_s)
+                if self.channels[kind].agrees:
+                    squares += evidence / (evidence.min() + (_FLOOR[kind] / 3.0) ** 2)
+        if squares.any():
+            self._find_delay(squares, since_s)
+
+    def _differences(self, kind: Channel, t: F64, seen: F64, bend: int) -> tuple[tuple[float, float, float], F64] | None:
+        """Return the least difference by an allowed delay, how far the deck moved, over which time; the squares by delay."""
+        channel = self.channels[kind]
+        if len(channel.t) < 3 or t.size < 3 or t[0] + _DELAYS_S[0] < channel.t[0]:
+            return None
+        reported = self.moves(kind, (t + _DELAYS_S[:, None]).ravel()).reshape(_DELAYS_S.size, t.size, -1)
+        apart, moved, over_s = np.full(_DELAYS_S.size, np.nan), np.zeros(_DELAYS_S.size), np.zeros(_DELAYS_S.size)
+        # The record reaches less far into the past of a later sensor.
+        reach = _MEAN_OF * (np.searchsorted(t, channel.t[-1] - _DELAYS_S, "right") // _MEAN_OF)
+        for n in np.unique(reach).tolist():
+            if n < 3 or t[n - 1] - t[0] < _LEAST_S:
+                continue
+            of = reach == n
+            flat = _flat(t[:n], bend).reshape(-1, _MEAN_OF, n).mean(axis=1)
+            apart[of] = np.mean((flat @ (seen[:n] - reported[of, :n])) ** 2, axis=(1, 2))
+            moved[of], over_s[of] = np.mean((flat @ seen[:n]) ** 2), t[n - 1] - t[0]
+        allowed = _DELAYS_S <= _DELAY_MAX_S + 1e-6
+        if not np.isfinite(apart[allowed]).any():
+            return None
+        # Of a shorter part of the window the camera shows less.
+        best = int(np.nanargmin(np.where(allowed, apart / (moved + _FLOOR[kind] ** 2), np.nan)))
+        # Where the record does not reach yet, nothing is said of a delay.
+        evidence = np.where(np.isfinite(apart), apart, apart[np.isfinite(apart)][-1])
+        return (math.sqrt(apart[best]), math.sqrt(moved[best]), float(over_s[best])), evidence
+
+    def _find_delay(self, squares: F64, since_s: float) -> None:
+        self.log_odds = math.exp(-since_s / _MEMORY_S) * self.log_odds - since_s * squares
+        log_odds = self.log_odds - 0.5 * ((_DELAYS_S - _DELAY_S) / _SIGMA_DELAY_S) ** 2
+        allowed = _DELAYS_S <= _DELAY_MAX_S + 1e-6
+        if self.log_odds[~allowed].max() - self.log_odds[allowed].max() > _LATE_ODDS:
+            self.late = f"it is late by {_DELAYS_S[int(self.log_odds.argmax())]:.1f} s"
+            return
+        weight, self.late = np.exp(log_odds - log_odds[allowed].max()) * allowed, ""
+        weight /= weight.sum()
+        self.delay_s = float(weight @ _DELAYS_S)
+        self.sigma_delay_s = max(0.02, math.sqrt(float(weight @ (_DELAYS_S - self.delay_s) ** 2)))
+
+    def standing(self, used: tuple[Channel, ...]) -> Standing:
+        heave, tilt = [channel.noise if channel.t else None for channel in self.channels.values()]
+        faults = tuple(why for why in (self.late, *(channel.fault for channel in self.channels.values())) if why)
+        return Standing(self.name, self.delay_s, self.sigma_delay_s, heave, tilt, used, faults)
+
+
+class ShipMotion:
+    """All motion sensors of a ship. Samples and sightings come in the order of their reception.
+
+    Args:
+        options: where the sensor is, and which one it is.
+        pad_yaw_rad: direction of the pad's arrow from the bow, clockwise from above.
+    """
+
+    def __init__(self, options: ShipMotionOptions, pad_yaw_rad: float) -> None:
+        self._options = options
+        self._to_pad_m = -options.forward_m, -options.right_m
+        self._turn = math.cos(pad_yaw_rad), math.sin(pad_yaw_rad)
+        self._sensors: dict[str, _Sensor] = {}
+        self.reports = False
+        self._seen: list[tuple[float, float, float, float]] = []
+        self._judged = -math.inf
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """The sensors that are left out, in words."""
+        return tuple(f"the motion sensor {s.sensor}: {why}; flying without it" for s in self.standings() for why in s.faults)
+
+    def standings(self) -> tuple[Standing, ...]:
+        """Return what each sensor is worth."""
+        return tuple(sensor.standing(self._used(sensor)) for sensor in self._sensors.values())
+
+    def reported(self, sample: VesselMotion) -> VesselMotion | Verdict | None:
+        """Take one report; return the pad's motion by it, the verdict that refuses it, or None where it is compared only."""
+        t = 1e-9 * sample.stamp.measured_at
+        sensor = self._sensors.get(sample.sensor)
+        if sensor is None:
+            sensor = self._sensors[sample.sensor] = _Sensor(sample.sensor, self._to_pad_m, self._turn)
+            self.reports = True
+        if (verdict := sensor.add(sample, t)) is not None:
+            return verdict
+        in_sight = bool(self._seen) and t - self._seen[-1][0] < _IN_SIGHT_S
+        return sensor.now(sample, t, [kind for kind in self._used(sensor) if not in_sight or sensor.proven(kind)])
+
+    def sighted(self, sighting: Sighting, carried_down_m: float) -> None:
+        """Take what a fused sighting shows.
+
+        Args:
+            carried_down_m: the body's place by the IMU alone at the exposure, downward from anywhere.
+        """
+        t, whole = 1e-9 * sighting.stamp.measured_at, sighting.pose6
+        if self._seen and t - self._seen[-1][0] < 0.9 / _SEEN_HZ:
+            return
+        if self._seen and t - self._seen[-1][0] > _GAP_S:
+            self.begin_window()
+        down, roll, pitch = sighting.d_body_pad_level.item(2) + carried_down_m, math.nan, math.nan
+        if whole is not None:
+            R = whole.R_level_pad.matrix
+            down, roll = whole.d_body_pad_level.item(2) + carried_down_m, math.atan2(R[2, 1], R[2, 2])
+            pitch = -math.asin(max(-1.0, min(1.0, R[2, 0])))
+        self._seen.append((t, down, roll, pitch))
+        while t - self._seen[0][0] > _WINDOW_S:
+            self._seen.pop(0)
+        if t - self._judged >= _JUDGES_S:
+            since_s, self._judged = min(t - self._judged, _JUDGES_S), t
+            for sensor in self._sensors.values():
+                sensor.compare(np.array(self._seen), since_s)
+
+    def begin_window(self) -> None:
+        """Begin the comparison again: the IMU's place has another origin."""
+        self._seen = []
+
+    def _used(self, sensor: _Sensor) -> tuple[Channel, ...]:
+        """Return the channels of a sensor that are fused: of all that report one, the one that errs least."""
+        return tuple(kind for kind in get_args(Channel) if self._best(kind) is sensor)
+
+    def _best(self, kind: Channel) -> _Sensor | None:
+        wanted = [s for s in self._sensors.values() if self._options.sensor in ("best", s.name) and not s.late]
+        there = [s for s in wanted if s.channels[kind].t and not s.channels[kind].fault]
+        newest = max((s.channels[kind].t[-1] for s in there), default=0.0)
+        there = [s for s in there if newest - s.channels[kind].t[-1] < _SILENT_S]
+        # The first one stays unless another is better by a fifth.
+        noises = [s.channels[kind].noise * (0.8 if k == 0 else 1.0) for k, s in enumerate(there)]
+        return there[noises.index(min(noises))] if there else None
+
+
+def _flat(t: F64, bend: int) -> F64:
+    """Return the matrix (n, n) that takes a polynomial of that degree off what was measured at instants, (n,)."""
+    of, _ = np.linalg.qr(np.vander((t - t[0]) / (t[-1] - t[0]), bend + 1))
+    made: F64 = np.eye(t.size) - of @ of.T
+    return made
