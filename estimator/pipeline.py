@@ -402,7 +402,7 @@ class RelativeEstimator:
             sensors = [(f"{s.sensor} delay_s", s.delay_s) for s in self.ship_motion.standings()]
             return *state.details, ("range_agrees", agrees), ("heading_off_rad", guard.heading.off_rad), *sensors
 
-        return state.marked(guard.tracks.number, integrity.alerts(guard, now), self.lost, Details(details))
+        return state.marked(guard.tracks.number, integrity.alerts(guard, now), (*state.lost, *self.lost), Details(details))
 
 
 def _beside(stamp: Stamp, seconds: float) -> Stamp:

@@ -255,7 +255,8 @@ class Pilot:
 
     def _why(self, belief: RelativeState | None) -> str:
         """Return the machine's reason, the estimate's alerts and the sensors that it does without, as text."""
-        alerts = (*(() if belief is None else (alert.value for alert in belief.alerts)), *self.estimator.lost)
+        said = () if belief is None else (*(alert.value for alert in belief.alerts), *belief.lost)
+        alerts = (*said, *self.estimator.lost)
         return "; ".join(dict.fromkeys((self.landing.reason, *alerts) if self.landing.reason else alerts))
 
 

@@ -383,6 +383,8 @@ typedef struct {
     bool adrift;
     /* Whether sightings showed a manoeuvre of the ship that may go on. */
     bool steers;
+    /* Whether the ship's rate of turn is left out, as sightings contradicted it. */
+    bool turn_left_out;
     /* Number of sightings that were fused since the state of the pad was set. */
     int64_t agreed;
     /* Instant of the newest fused sighting, ns; -1 if there is none. */

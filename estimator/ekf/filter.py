@@ -144,6 +144,7 @@ _CONSISTENT_NIS = 2.0
 """Recent mean of NIS over degrees of freedom below which the innovations agree with the covariance."""
 _VERDICTS = {value: Verdict[name.removeprefix("DL_")] for name, value in CORE.names("dl_verdict").items()}
 _EVENTS = CORE.ffi.typeof("dl_event[]")
+_TURN_LIES = "her rate of turn contradicts the camera; flying without it"
 _ANSWERS_KEPT = 8
 """Number of answers that are kept.
 
@@ -308,6 +309,7 @@ class FilterAnswer:
             sighted=MonoNs(self._core.sighted),
             consistent=fits and self._confirmed(cov, self._options),
             adrift=bool(self._core.adrift),
+            lost=(_TURN_LIES,) if self._core.turn_left_out else (),
             steers=bool(self._core.steers),
             details=Details(lambda: _figures(self._answer)),
         )

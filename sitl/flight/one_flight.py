@@ -16,6 +16,7 @@ from companion.base.health import Health
 from companion.base.observer import Observer
 from companion.settings.load import load
 from companion.settings.model import CameraSettings, PadSettings, Settings
+from companion.settings.vessel import VesselOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import GimbalOptions
 from estimator.contracts.errors import BadInput
@@ -71,14 +72,15 @@ def settings_for(scenario: Scenario, config: str | None, *, by_autopilot: bool =
 def following(scenario: Scenario, settings: Settings, *, by_autopilot: bool = False) -> Settings:
     """Return the settings with what a scenario says of camera, pad, vehicle and the ship's reports.
 
-    Where the scenario's ship reports her place, they fly to it. They fly by the response that the vehicle's file names, on its
-    feet; it is that of the vehicle's own loops, which an autopilot replaces by its own.
+    Where the scenario's ship reports her place, they fly to it. They know the places of her antenna and motion sensor. They fly
+    by the response that the vehicle's file names, on its feet; it is that of the vehicle's own loops, which an autopilot replaces
+    by its own.
 
     Args:
         by_autopilot: as of `settings_for`.
 
     Raises:
-        BadInput: as `sitl.scenario.scenario.vehicle_model`.
+        BadInput: as `sitl.scenario.scenario.vehicle_model`, or one of those places is too far from the pad.
     """
     rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=scenario.vessel.reports_place)
     vehicle = vehicle_model(scenario)
@@ -96,8 +98,22 @@ def following(scenario: Scenario, settings: Settings, *, by_autopilot: bool = Fa
         vehicle=driver,
         camera=CameraSettings(scenario.camera.file, gimbal=gimbal),
         pad=PadSettings(scenario.pad.file),
+        vessel=_placed(scenario, settings.vessel),
         guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, follow_deck=follow, cone=cone),
     )
+
+
+def _placed(scenario: Scenario, known: VesselOptions) -> VesselOptions:
+    """Return the ship's settings with the places of the scenario's antenna and motion sensor."""
+    forward_m, right_m, down_m = scenario.vessel.reports_at_m
+    ahead_m, aside_m, _ = scenario.vessel.motion_at_m
+    # From zero, as a negative zero is another number in a campaign's digest.
+    pad = {"pad_forward_m": 0.0 - forward_m, "pad_right_m": 0.0 - right_m, "pad_up_m": down_m}
+    try:
+        sensor = replace(known.motion_sensor, forward_m=ahead_m, right_m=aside_m)
+        return replace(known, motion_sensor=sensor, **pad)
+    except ValueError as why:
+        raise BadInput(f"vessel.reports_at_m, vessel.motion_at_m: {why}") from None
 
 
 class FlyOptions(Struct, frozen=True):

@@ -11,9 +11,11 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import after
+from estimator.ship_motion import ShipMotion, ShipMotionOptions
 from sitl.faults.corrupted import Corrupted
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import DeckRoll, FerryWake, ShipSpeed, ShipTurn, TiltLimited, VesselReports
+from sitl.flight.one_flight import settings_for
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.scenario.scenario import Scenario, from_mapping, load, ship_model, vehicle_model
 from sitl.sea.sea import Sea
@@ -242,6 +244,23 @@ def test_a_motion_sensor_measures_its_own_place_late_and_filters_its_heave() -> 
     assert np.std(np.array([m.heave_down_m for m in quick]) - down) > 0.1, "a filter for a short period hides the sea"
     turned, _ = sensed(VesselMotion, Corrupted(signal="ship_heave", error="sign", at_s=10.0))
     assert [m.heave_down_m for m in turned[60:]] == pytest.approx(-down[60:])
+
+
+def test_settings_that_follow_a_scenario_know_where_her_antenna_and_motion_sensor_are() -> None:
+    places = {"motion_at_m": (25.0, -4.0, 1.5), "reports_at_m": (-12.0, 3.0, -9.0)}
+    away = msgspec.structs.replace(SENSING, file="supply_ship", reports_hz=5.0, **places)
+    ship = settings_for(msgspec.structs.replace(load("sea_state_4"), vessel=away), None).vessel
+    assert (ship.pad_forward_m, ship.pad_right_m, ship.pad_up_m) == (12.0, -3.0, -9.0)
+    with pytest.raises(BadInput, match=r"vessel\.motion_at_m: ShipMotionOptions\.forward_m must lie in -400 to 400, got 500\.0"):
+        settings_for(from_mapping({"title": "x", "vessel": {"motion_at_m": [500.0, 0.0, 0.0]}}, "file"), None)
+    made, _ = sensed(VesselMotion, ship=away)
+    _, of_pad = sensed(VesselMotion, ship=msgspec.structs.replace(away, motion_at_m=(0.0, 0.0, 0.0)))
+    off_m = []
+    for options in (ship.motion_sensor, ShipMotionOptions()):
+        witness = ShipMotion(options, 0.0)
+        down = [getattr(witness.reported(sample), "heave_down_m", math.nan) for sample in made]
+        off_m.append(np.nanstd((np.array(down, dtype=float) - of_pad[:, 0])[50:]))
+    assert off_m[0] < 0.5 * off_m[1], "by its place the sensor's heave is that of the pad"
 
 
 def test_the_other_sensors_of_the_ship_measure_turn_and_wind() -> None:

@@ -148,6 +148,7 @@ void answer_at(const dl_filter_params *o, int64_t t, const whole_belief *before,
     out->velocity_fused = b.aids[DL_VELOCITY].fused;
     out->adrift = is_adrift(&b, t);
     out->steers = steers(&b, t);
+    out->turn_left_out = t < b.turn_left_out;
     out->has_pad = happened(b.sighted) && seconds(b.sighted, t) <= o->forget_s;
     out->has_deck = knows_deck(o, &b, t);
     out->carried_down_m = b.ins_p[2];

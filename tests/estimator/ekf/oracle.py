@@ -1353,6 +1353,7 @@ def answer(b: State, t: int, params: FilterParams) -> dict[str, Any]:
     told: dict[str, Any] = {
         "heading": psi, "sighted": b.sighted, "agreed": b.agreed, "heading_known": bool(b.heading_known), "nis_mean": b.nis_mean,
         "velocity_fused": b.aids[VELOCITY].fused, "adrift": is_adrift(b, t), "steers": steers(b, t),
+        "turn_left_out": t < b.turn_left_out,
         "has_pad": bool(b.sighted >= 0 and (t - b.sighted) * 1e-9 <= o.forget_s),
         "has_body": bool(_imu_holds(b, t, o) and b.is_levelled), "carried_down_m": b.ins_p[2],
     }  # fmt: skip

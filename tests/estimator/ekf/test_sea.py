@@ -10,6 +10,7 @@ from msgspec import structs
 from estimator.contracts.estimates import Sighting
 from estimator.ekf import EkfOptions, Filter, params
 from estimator.ekf.params import FilterParams
+from estimator.pipeline import RelativeEstimator
 from tests.estimator.ekf import oracle
 from tests.estimator.ekf.core_state import newest, observe
 from tests.make import vessel
@@ -134,24 +135,29 @@ def test_a_report_of_the_ship_gives_its_velocity_and_heading() -> None:
 
 
 def test_a_rate_of_turn_shows_a_manoeuvre_at_once_and_one_that_lies_is_left_out_by_sight() -> None:
-    flight, ekf, next_s = TruthFlight(replace(QUICK, vessel_speed_m_s=1.0, duration_s=11.0)), Filter(), 5.0
+    flight, ekf, next_s = TruthFlight(replace(QUICK, vessel_speed_m_s=1.0, duration_s=22.0)), RelativeEstimator(), 5.0
     steered, verdicts, off = dict[float, bool](), dict[float, str](), dict[float, float]()
+    named = dict[float, tuple[str, ...]]()
     for event in events(flight):
         ekf.put([event])
         if event.stamp.received_at > ns(next_s):
-            verdict = ekf.put([vessel(stamp(next_s), turn_rad_s=0.5 if next_s >= 7.0 else 0.0)])[0].verdict.value
+            verdict = ekf.put([vessel(stamp(next_s), turn_rad_s=0.5 if 7.0 <= next_s < 11.0 else 0.0)])[0][0].verdict.value
             state = ekf.at(ns(next_s))
             assert state is not None
             error = state.d_body_pad_level - flight.relative(np.array([next_s]))[0][0]
             steered[next_s], verdicts[next_s], off[next_s] = state.steers, verdict, float(np.hypot(*error[:2]))
+            named[next_s] = state.lost
             next_s = round(next_s + 0.1, 1)
     assert not any(steers for at, steers in steered.items() if at < 7.0), "a ship that keeps her course does not manoeuvre"
     assert steered[7.0], "one report of many deviations is enough"
-    late = [at for at in verdicts if at > 9.0]
+    late = [at for at in verdicts if 9.0 < at < 11.0]
     assert {verdicts[at] for at in late} == {"gated"}, "two seconds of sight contradict it"
     assert not any(steered[at] for at in late)
     assert max(off[at] for at in late) < 0.1
     assert max(off.values()) < 0.3, "meanwhile the pad is where sight has it"
+    assert {named[at] for at in late} == {("her rate of turn contradicts the camera; flying without it",)}
+    assert not any(lost for at, lost in named.items() if at < 8.0 or at > 21.3), "ten seconds after its last lie it counts again"
+    assert verdicts[21.5] == "fused"
 
 
 @pytest.mark.parametrize("known_until_s", [0.0, 1.0])
