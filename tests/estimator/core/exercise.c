@@ -98,6 +98,8 @@ static void sample(dl_event *e, int64_t t, int wild)
     if (e->kind == DL_VESSEL) {
         e->sample.vessel.has_velocity = draw() % 2, e->sample.vessel.has_heading = draw() % 2;
         e->sample.vessel.has_turn = draw() % 2;
+    } else if (e->kind == DL_MOTION) {
+        e->sample.motion.has_tilt = draw() % 2, e->sample.motion.has_heave = draw() % 2;
     }
 }
 
