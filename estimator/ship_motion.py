@@ -45,8 +45,8 @@ _SHARE, _LIMIT, _FLOOR, _DRIFT = 0.7, 1.3, {"heave": 0.04, "tilt": math.radians(
 """Part of what the camera shows, or times its difference from a good sensor (m, rad; m/s^1.5 by the IMU), that one may err."""
 _GOOD, _GOOD_SHARE = {"heave": 0.05, "tilt": math.radians(0.2)}, 0.05
 """Standard deviation before any comparison; makers of motion sensors state 5 % of the heave."""
-_BLOCK_S, _WANDER_M = 10.0, 0.15
-"""A heave whose means over such blocks differ by more than this, and by more than it does within them, is no sea's."""
+_MEAN_FROM_S, _SLOW_S, _WANDER_M = 20.0, 30.0, 0.15
+"""Time from which a heave's mean is judged and from which its slow part is, and the size of either that a sea may have."""
 _FASTEST, _SLACK = {"heave": 3.0, "tilt": math.radians(60.0)}, {"heave": 0.3, "tilt": math.radians(3.0)}
 """Rates that no ship reaches, m/s and rad/s, beyond a step, m and rad: the record begins again."""
 
@@ -142,16 +142,20 @@ class _Channel:
         # The mean of a sine over T has at most 1 / (w T) of its size; a short record shows no mean at all.
         size = max(self.size, 2.0 * _FLOOR[self.kind] if spans_s < _LEAST_S else 0.0)
         self.sigma_mean = size * min(1.0, 3.0 / max(spans_s, 1e-3))
-        if self.kind != "heave" or spans_s < 2.0 * _BLOCK_S:
-            return
-        t, heave, n = np.array(self.t), values[:, 0], int(2.0 * spans_s // _BLOCK_S) - 1
-        blocks = [heave[(t >= s) & (t <= s + _BLOCK_S)] for s in (t[0] + 0.5 * _BLOCK_S * k for k in range(n))]
-        slow_m = float(np.std([block.mean() for block in blocks if block.size]))
-        flat = [_flat(np.arange(float(block.size)), 1) @ block for block in blocks if block.size > 3]
-        quick_m = float(np.mean([np.std(block) for block in flat]))
-        if slow_m > max(_WANDER_M, quick_m):
-            self.fault, self.against_s = f"its heave wanders by {slow_m:.1f} m more slowly than a sea does", _AGAIN_S
-        elif "wanders" in self.fault and slow_m < 0.5 * max(_WANDER_M, quick_m):
+        if self.kind == "heave" and spans_s >= _MEAN_FROM_S:
+            self._judge_wander(values[:, 0], spans_s)
+
+    def _judge_wander(self, heave: F64, spans_s: float) -> None:
+        """Name a heave with a mean, or with a part slower than any swell: a sensor's own high-pass leaves neither."""
+        off_m = abs(self.mean[0]) / max(_WANDER_M, 0.5 * self.size)
+        t = np.linspace(-1.0, 1.0, heave.size)
+        slow = np.polynomial.chebyshev.chebval(t, np.polynomial.chebyshev.chebfit(t, heave, round(spans_s / _MEAN_FROM_S)))
+        wander_m = float(np.std(slow)) if spans_s >= _SLOW_S else 0.0
+        worst = max(off_m, wander_m / max(_WANDER_M, float(np.std(heave - slow))))
+        if worst > 1.0:
+            size_m = max(abs(self.mean[0]), wander_m)
+            self.fault, self.against_s = f"its heave wanders by {size_m:.1f} m more slowly than a sea does", _AGAIN_S
+        elif "wanders" in self.fault and worst < 0.5:
             self.fault = ""
 
     def judge(self, differs: float, moved: float, over_s: float, since_s: float) -> None:

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from drivers.imports import network
 from estimator.contracts.estimates import Pose6, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import VesselMotion
@@ -16,6 +18,7 @@ from estimator.pipeline import RelativeEstimator
 from estimator.ship_motion import ShipMotion, ShipMotionOptions, Standing
 from tests.support.estimator_truth import OPTIONS, Setting, TruthFlight, events, ns, stamp
 
+BOAT = Path(__file__).parents[3] / "shared/data/boat_nmea2000"
 SEEN_S = 30.0
 """Instant at which the pad comes into sight; the sensor speaks from the start."""
 Sensor = Callable[[float], tuple[float, float, float]]
@@ -114,6 +117,32 @@ def test_a_liar_in_flat_water_is_named_and_a_good_one_is_not() -> None:
     assert named is not None
     assert any("wanders" in why for why in witness.lost)
     assert beside_camera(flat, until_s=SEEN_S + 5.0, moves=flat)[1] is None
+
+
+@pytest.mark.parametrize("period_s", [14.0, 18.0, 22.0])
+def test_a_good_sensor_in_a_long_swell_is_not_named(period_s: float) -> None:
+    swell_of: Sensor = lambda t: (math.sin(math.tau * t / period_s), 0.02 * math.sin(math.tau * t / period_s + 1.0), 0.0)  # noqa: E731
+    witness, named = beside_camera(swell_of, until_s=SEEN_S + 15.0, moves=swell_of)
+    assert named is None, witness.lost
+
+
+@pytest.mark.skipif(not BOAT.is_dir(), reason="the recorded boat is not here")
+@pytest.mark.parametrize("name", ["furuno-130842", "furuno-130842-accel"])
+@pytest.mark.parametrize("begin_s", [0.0, 60.0, 120.0, 180.0])
+def test_a_recorded_heave_of_a_boat_in_flat_water_is_named_within_five_seconds_of_sight(name: str, begin_s: float) -> None:
+    rows = [s for s in network.read(BOAT / f"{name}.raw", lambda _: None) if isinstance(s, VesselMotion)]
+    heave = [(s.stamp.measured_at * 1e-9 - begin_s, s.heave_down_m) for s in rows if s.sensor == "src 27" and s.heave_down_m]
+    rng, witness = np.random.default_rng(2), ShipMotion(ShipMotionOptions(), 0.0)
+    for k in range(round(10.0 * (SEEN_S + 5.0))):
+        t = 0.1 * k
+        while heave and heave[0][0] <= t:
+            at, down = heave.pop(0)
+            if at >= 0.0:
+                witness.reported(VesselMotion(stamp(at, at + 0.01), "src 27", None, None, 0.0, down, 0.003))
+        if t >= SEEN_S:
+            witness.sighted(*seen(t, rng, lambda t: (0.0, 0.0, 0.0)))
+    assert any("heave" in why for why in witness.lost)
+    assert only(witness).used == ()
 
 
 def test_in_sight_nobody_is_fused_before_the_camera_has_agreed() -> None:
