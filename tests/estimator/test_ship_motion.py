@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -126,12 +127,18 @@ def test_a_good_sensor_in_a_long_swell_is_not_named(period_s: float) -> None:
     assert named is None, witness.lost
 
 
+@lru_cache
+def recorded_heave(name: str) -> tuple[tuple[float, float], ...]:
+    """Return instants, s, and heave downward, m, of the set whose heave wanders."""
+    rows = [s for s in network.read(BOAT / f"{name}.raw", lambda _: None) if isinstance(s, VesselMotion)]
+    return tuple((s.stamp.measured_at * 1e-9, s.heave_down_m) for s in rows if s.sensor == "src 27" and s.heave_down_m)
+
+
 @pytest.mark.skipif(not BOAT.is_dir(), reason="the recorded boat is not here")
 @pytest.mark.parametrize("name", ["furuno-130842", "furuno-130842-accel"])
 @pytest.mark.parametrize("begin_s", [0.0, 60.0, 120.0, 180.0])
 def test_a_recorded_heave_of_a_boat_in_flat_water_is_named_within_five_seconds_of_sight(name: str, begin_s: float) -> None:
-    rows = [s for s in network.read(BOAT / f"{name}.raw", lambda _: None) if isinstance(s, VesselMotion)]
-    heave = [(s.stamp.measured_at * 1e-9 - begin_s, s.heave_down_m) for s in rows if s.sensor == "src 27" and s.heave_down_m]
+    heave = [(at - begin_s, down) for at, down in recorded_heave(name)]
     rng, witness = np.random.default_rng(2), ShipMotion(ShipMotionOptions(), 0.0)
     for k in range(round(10.0 * (SEEN_S + 5.0))):
         t = 0.1 * k
