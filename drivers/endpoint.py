@@ -7,6 +7,7 @@ serial:///dev/ttyAMA0:921600     a serial port and its speed
 """
 
 import re
+from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import Literal, get_args
 
@@ -103,12 +104,17 @@ def parse_bus(url: str) -> BusAddress:
     return BusAddress(url, signalk=endpoint) if scheme == "signalk" else BusAddress(url, wire=endpoint)
 
 
-def require_nmea2000(wanted: str) -> None:
-    """Refuse what is wanted where the packages of NMEA 2000 are not installed.
+NMEA2000, RELPOS = ("nmea2000", "can"), ("pyubx2",)
+"""Modules of the extra `ship` that a network of NMEA 2000 needs, and that u-blox receivers do."""
+
+
+def require_ship(wanted: str, modules: Sequence[str]) -> None:
+    """Refuse what is wanted where modules of the extra `ship` are not installed.
 
     Raises:
         BadInput: they are not; the message says how to install them.
     """
-    for module, name in (("nmea2000", "nmea2000"), ("can", "python-can")):
+    for module in modules:
         if find_spec(module) is None:
+            name = {"can": "python-can"}.get(module, module)
             raise BadInput(f"{wanted} needs {name}, which is not installed: install the extra decklander[ship]")

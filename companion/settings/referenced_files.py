@@ -20,7 +20,7 @@ from companion.settings.load import SHIPPED, find_file, read_toml
 from companion.settings.model import Settings
 from companion.settings.schema import explain
 from drivers.ardrone.options import ArDroneOptions
-from drivers.endpoint import parse_bus, require_nmea2000
+from drivers.endpoint import NMEA2000, RELPOS, parse_bus, require_ship
 from drivers.gamepad.mapping import GamepadMapping
 from drivers.mavlink.options import AutopilotOptions
 from drivers.pyav import require_pyav
@@ -216,4 +216,7 @@ def check_installed(settings: Settings) -> None:
         if wants:
             require_pyav(setting)
     if (bus := settings.vessel.bus) and parse_bus(bus).signalk is None:
-        require_nmea2000(f"vessel.bus {bus}")
+        require_ship(f"vessel.bus {bus}", NMEA2000)
+    for key in ("source", "heading"):
+        if of := getattr(settings.rtk, key):
+            require_ship(f"rtk.{key} {of}", RELPOS)

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from drivers.endpoint import require_nmea2000
+from drivers.endpoint import NMEA2000, require_ship
 from drivers.imports.sentences import filled, logger_s
 from drivers.imports.stamps import Tell, timeline
 from drivers.nmea.ship_bus import BusReader
@@ -29,7 +29,7 @@ def read(path: Path, tell: Tell) -> Iterator[Sample]:
     Raises:
         BadInput: it cannot be read, the extra `ship` is not installed, or no time is in it.
     """
-    require_nmea2000(str(path))
+    require_ship(str(path), NMEA2000)
     lines, times = _timed(path)
     sensors = ShipSensors()
     reader = BusReader(sensors)

@@ -17,7 +17,7 @@ from companion.tools.doctor.gather_service import figures, files_of, ship_source
 from companion.tools.doctor.snapshot import ServiceSnapshot, ShipSource
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.open_camera import open_camera
-from drivers.endpoint import parse_bus, require_nmea2000
+from drivers.endpoint import NMEA2000, parse_bus, require_ship
 from drivers.nmea.sentences import NmeaReader, by_source
 from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import ShipSensors
@@ -147,7 +147,7 @@ async def listen(options: VesselOptions, clock: Clock, seconds: float) -> tuple[
     async def bus() -> None:
         address = parse_bus(options.bus)
         if address.signalk is None:
-            require_nmea2000(f"vessel.bus {options.bus}")
+            require_ship(f"vessel.bus {options.bus}", NMEA2000)
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 await read_bus(address, BusReader(sensors), lambda samples: None, clock, lambda: None)

@@ -551,6 +551,8 @@ def test_without_the_extra_the_error_says_what_to_install(monkeypatch: pytest.Mo
     with pytest.raises(BadInput, match=r"can0 needs nmea2000, which is not installed: install the extra decklander\[ship\]"):
         check_installed(over["can://can0"])
     check_installed(over["signalk://127.0.0.1:3000"])
+    with pytest.raises(BadInput, match=r"rtk\.source 127\.0\.0\.1:5000 needs pyubx2, which is not installed"):
+        check_installed(replace(sim, rtk=replace(sim.rtk, source="127.0.0.1:5000")))
 
 
 @pytest.mark.parametrize("url", ["can0", "can://", "udp://1.2.3.4:5", "tcp://host", "signalk://host:99999", "serial:///dev/x:1"])
