@@ -51,6 +51,21 @@ _FASTEST, _SLACK = {"heave": 3.0, "tilt": math.radians(60.0)}, {"heave": 0.3, "t
 """Rates that no ship reaches, m/s and rad/s, beyond a step, m and rad: the record begins again."""
 
 
+def between(known: F64, values: F64, t: F64) -> F64:
+    """Return a motion, (n, k), at instants, (n,), by its values, (m, k), at known ones, (m,): by cubic Hermite splines.
+
+    A line would cut the crests of waves that are sampled once a second.
+    """
+    slope = np.gradient(values, known, axis=0)
+    k = np.clip(np.searchsorted(known, t) - 1, 0, known.size - 2)
+    span = (known[k + 1] - known[k])[:, None]
+    s = (t - known[k])[:, None] / span
+    h = s * s * (3.0 - 2.0 * s)
+    bends = s * (1.0 - s) ** 2 * slope[k] - s * s * (1.0 - s) * slope[k + 1]
+    made: F64 = (1.0 - h) * values[k] + h * values[k + 1] + span * bends
+    return made
+
+
 class ShipMotionOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The ship's motion sensor (roll, pitch, heave): where it is, and which of several it is.
 
@@ -184,16 +199,8 @@ class _Channel:
         return math.sqrt((5.0 * good**2 + self.squares) / (5.0 + self.n))
 
     def at(self, t: F64) -> F64:
-        """Return the readings, (n, k), at instants within the record: by cubic Hermite splines."""
-        known, values = np.array(self.t), np.array(self.values)
-        slope = np.gradient(values, known, axis=0)
-        k = np.clip(np.searchsorted(known, t) - 1, 0, known.size - 2)
-        span = (known[k + 1] - known[k])[:, None]
-        s = (t - known[k])[:, None] / span
-        h = s * s * (3.0 - 2.0 * s)
-        bends = s * (1.0 - s) ** 2 * slope[k] - s * s * (1.0 - s) * slope[k + 1]
-        made: F64 = (1.0 - h) * values[k] + h * values[k + 1] + span * bends
-        return made
+        """Return the readings, (n, k), at instants within the record."""
+        return between(np.array(self.t), np.array(self.values), t)
 
 
 class _Sensor:

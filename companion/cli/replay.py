@@ -40,7 +40,7 @@ from companion.settings.load import Settings
 from companion.settings.overrides import with_overrides
 from companion.tools.replay.engine import Replay, pilot_of, settings_of
 from companion.tools.replay.recorded_log import BeliefLogObserver, Difference, differences, recorded_beliefs
-from companion.tools.replay.ship_sensors import ShipSensors
+from companion.tools.replay.ship_sensors import SensorJudge
 from companion.tools.report.figures import DeckRow, ErrorRow, all_series, deck_rows, error_rows
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.page import PAGE, write_report
@@ -192,7 +192,7 @@ class Pass:
     replay: Replay
     wall_s: float
     flown_s: float
-    ship: ShipSensors
+    ship: SensorJudge
 
     def errors(self) -> list[ErrorRow]:
         return error_rows(self.log_observer.log, all_series(self.log_observer.log)) if self.log_observer.log.truth else []
@@ -236,7 +236,7 @@ def _pass(args: argparse.Namespace, recording: Recording, name: str, settings: S
     log_observer = BeliefLogObserver(
         FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=steering)
     )
-    ship = ShipSensors()
+    ship = SensorJudge()
     observers: list[Observer] = [log_observer, ship]
     began = time.monotonic()
     with ExitStack() as stack:

@@ -282,8 +282,6 @@ def vehicle_parts(
         raise BadInput(f"{settings.camera.file}: {why}") from why
     if not settings.camera.exposure.driven:
         return replace(parts, open_link=with_camera(parts.open_link, settings.camera, size, clock))
-    from companion.service.vehicle_parts import ExposurePart
-
     exposure = ExposurePart(settings.camera.exposure, pilot)
     health.counters("exposure", exposure.counted)
     open_link = with_camera(parts.open_link, settings.camera, size, clock, exposure.attach)

@@ -14,7 +14,7 @@ from estimator.contracts.time import NS_PER_S
 
 KNOT_M_S = 1852.0 / 3600.0
 SPEED_MAX_KN = 102.0
-_COURSE_FROM_M_S = 0.3
+COURSE_FROM_M_S = 0.3
 """Speed below which a receiver may leave the course out."""
 _MINUTE_M = 1852.0
 """Length of a minute of latitude."""
@@ -132,7 +132,7 @@ def velocity(speed_kn: object, course_deg: object) -> F64 | None:
     if not 0.0 <= speed <= KNOT_M_S * SPEED_MAX_KN:
         raise Refused("impossible")
     if course_deg in (None, ""):
-        return np.zeros(3) if speed < _COURSE_FROM_M_S else None
+        return np.zeros(3) if speed < COURSE_FROM_M_S else None
     course = math.radians(number(course_deg))
     if not 0.0 <= course <= 2.0 * math.pi:
         raise Refused("impossible")

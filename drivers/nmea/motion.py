@@ -12,10 +12,13 @@ import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from drivers.nmea.fields import KNOT_M_S, Refused, checked, heading_deg, number, rounding, text, within
+import numpy as np
 
-_TILT_MAX_DEG, _HEAVE_MAX_M, _WIND_MAX_M_S = 60.0, 20.0, 100.0
-_TURN_MAX_DEG_S = 60.0
+from drivers.nmea.fields import KNOT_M_S, Refused, checked, heading_deg, number, rounding, text, within
+from estimator.contracts.geometry import F64
+
+TILT_MAX_DEG, HEAVE_MAX_M, WIND_MAX_M_S, TURN_MAX_DEG_S = 60.0, 20.0, 100.0, 60.0
+"""Numbers beyond these are of no ship."""
 _ANGLE, _HEAVE = re.compile(r"(?:(ROLL|HEEL)|(?:PITCH|PTCH)).*"), re.compile(r"HEAVE?\b.*")
 _TSS1 = re.compile(r":[0-9A-F]{6} ([ -]\d{4})([UGHF])([ -]\d{4}) ([ -]\d{4})", re.ASCII | re.IGNORECASE)
 _EM_SIZE, EM_SYNC = 10, 0x90
@@ -46,8 +49,8 @@ def motion(roll: str, pitch: str, heave: str = "", heading: str = "", down: floa
     Raises:
         Refused: all of roll, pitch and heave are empty, or one is no number or none of a ship.
     """
-    tilts = [within(cell, -_TILT_MAX_DEG, _TILT_MAX_DEG) for cell in (roll, pitch)]
-    heave_m = within(heave, -_HEAVE_MAX_M, _HEAVE_MAX_M)
+    tilts = [within(cell, -TILT_MAX_DEG, TILT_MAX_DEG) for cell in (roll, pitch)]
+    heave_m = within(heave, -HEAVE_MAX_M, HEAVE_MAX_M)
     bow = math.radians(heading_deg(heading)) if heading else None
     if tilts == [None, None] and heave_m is None:
         raise Refused("no_motion")
@@ -167,7 +170,7 @@ def turn(cell: str, per_s: float) -> tuple[float, float]:
     Raises:
         Refused: it is empty, no number, or none of a ship.
     """
-    rate = within(cell, -_TURN_MAX_DEG_S / per_s, _TURN_MAX_DEG_S / per_s)
+    rate = within(cell, -TURN_MAX_DEG_S / per_s, TURN_MAX_DEG_S / per_s)
     if rate is None:
         raise Refused("no_turn")
     return math.radians(per_s * rate), rounding(cell, math.radians(per_s))
@@ -209,10 +212,16 @@ def mwd(m: Any) -> Wind:
 
 
 def _wind(angle: str, speed: str, unit: float, reference: str) -> Wind:
-    from_deg, fast = within(angle, 0.0, 360.0), within(speed, 0.0, _WIND_MAX_M_S / unit)
+    from_deg, fast = within(angle, 0.0, 360.0), within(speed, 0.0, WIND_MAX_M_S / unit)
     if from_deg is None or fast is None:
         raise Refused("no_wind")
     return Wind(math.radians(from_deg), unit * fast, reference)
+
+
+def over_ground(from_rad: float, speed_m_s: float, v_ship: F64) -> tuple[float, float]:
+    """Return direction (rad from north) and speed (m/s) over the ground of a wind felt so on a ship of v_ship, (3,) m/s."""
+    north, east = (v_ship[:2] - speed_m_s * np.array([math.cos(from_rad), math.sin(from_rad)])).tolist()
+    return math.atan2(-east, -north), math.hypot(north, east)
 
 
 def quality(m: Any) -> tuple[int, int, int]:

@@ -83,7 +83,7 @@ _AIS_NO_PLACE, _AIS_RECKONED = {61: "typed_in", 63: "no_fix"}, 62
 """Seconds of the minute above 60, which say how the transponder has its place."""
 _AIS_REPORTS = (1, 2, 3, 18, 19)
 
-_DOUBTED = 2.0
+_INDIRECT = 2.0
 """Factor on the sigma of a heading from a sentence that is not its compass's own, when a source is chosen."""
 WIND_RANK = {"R": 0.4, "N": 0.7, "T": 1.0}
 """Order of winds: made here of the apparent one and her way, by her own from north, by her own from the bow (over the water)."""
@@ -315,13 +315,13 @@ class NmeaReader:
             del self._receivers[next(iter(self._receivers))]  # the one that was silent for longest
         return found
 
-    def _chosen(self, source: str, made: Samples, now: MonoNs, doubt: float = 1.0) -> Samples:
+    def _chosen(self, source: str, made: Samples, now: MonoNs, inflation: float = 1.0) -> Samples:
         """Return those of the samples whose source is the chosen one of its quantity.
 
         Raises:
             Refused: none is.
         """
-        kept = [one for one in made if self._choice.takes(*_quantity(one, doubt, self._prefix + source), now)]
+        kept = [one for one in made if self._choice.takes(*_quantity(one, inflation, self._prefix + source), now)]
         if made and not kept:
             raise Refused("other_receiver")
         for one in kept:
@@ -375,7 +375,7 @@ class NmeaReader:
         if own:
             of.heading = received_at, bow_deg
         report = _pointing(stamp, math.radians(bow_deg), rounding(cell, math.radians(1.0)))
-        return self._chosen(of.name if own else f"{of.name} {kind}", [report], received_at, 1.0 if own else _DOUBTED)
+        return self._chosen(of.name if own else f"{of.name} {kind}", [report], received_at, 1.0 if own else _INDIRECT)
 
     def _rot(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
         if text(m, "status") not in ("", "A"):
@@ -413,8 +413,7 @@ class NmeaReader:
             return from_rad, wind.speed_m_s
         if way is None or way.v_vessel_ned is None:
             raise Refused("no_way")
-        north, east = (way.v_vessel_ned[:2] - wind.speed_m_s * np.array([math.cos(from_rad), math.sin(from_rad)])).tolist()
-        return math.atan2(-east, -north), math.hypot(north, east)
+        return say.over_ground(from_rad, wind.speed_m_s, way.v_vessel_ned)
 
     def _xdr(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
         motions = say.xdr(m.data)
@@ -478,7 +477,9 @@ class NmeaReader:
         out: Samples = [self._moved(sensor, found, stamp)]
         if found.heading_rad is not None:
             with suppress(Refused):  # the heading of a compass's own sentence is used
-                out += self._chosen(sensor, [_pointing(stamp, found.heading_rad, found.sigma_heading_rad)], received_at, _DOUBTED)
+                out += self._chosen(
+                    sensor, [_pointing(stamp, found.heading_rad, found.sigma_heading_rad)], received_at, _INDIRECT
+                )
         return out
 
     def _owner(self, found: ShipMotion, now: MonoNs) -> _Receiver | None:
@@ -588,7 +589,7 @@ def _moving(stamp: Stamp, v: F64 | None, speed_kn: str = "") -> Samples:
     return [VesselReport(stamp, v, cov, None, None)]
 
 
-def _quantity(sample: GeoFix | VesselReport | VesselMotion | VesselWind, doubt: float, source: str) -> tuple[str, str, float]:
+def _quantity(sample: GeoFix | VesselReport | VesselMotion | VesselWind, inflation: float, source: str) -> tuple[str, str, float]:
     """Return what a sample reports, by which source, and how well, for the choice of one source."""
     match sample:
         case GeoFix():
@@ -596,9 +597,9 @@ def _quantity(sample: GeoFix | VesselReport | VesselMotion | VesselWind, doubt: 
         case VesselReport(cov_v_ned=cov) if cov is not None:
             return "velocity", source, math.sqrt(float(cov[0, 0]))
         case VesselReport(sigma_heading_rad=sigma) if sigma is not None:
-            return "heading", source, doubt * sigma
+            return "heading", source, inflation * sigma
         case VesselReport():
             return "turn", source, sample.sigma_turn_rad_s or 0.0
         case VesselWind():
-            return "wind", source, doubt
+            return "wind", source, inflation
     return "motion", source, 0.0

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.nmea.fields import Refused
+from drivers.nmea.fields import COURSE_FROM_M_S, KNOT_M_S, SPEED_MAX_KN, Refused
+from drivers.nmea.motion import HEAVE_MAX_M, TILT_MAX_DEG, TURN_MAX_DEG_S, WIND_MAX_M_S, over_ground
 from drivers.nmea.sentences import COV_SPEED, HEADING_SIGMA_RAD, WIND_RANK, SourceCount
 from drivers.one_source import SourceChoice
 from estimator.contracts.geodesy import GeoPoint
@@ -34,10 +35,7 @@ _SIGMA_TURN_RAD_S = 0.005
 """Standard deviation of a rate of turn; the noise of two sets on a small boat was 0.0003 and 0.004 rad/s."""
 _SIGMA_PLACE_M = 5.0
 """Standard deviation of a place whose receiver does not say how it has it."""
-_TILT_MAX_RAD, _HEAVE_MAX_M, _TURN_MAX_RAD_S = math.radians(60.0), 20.0, math.radians(60.0)
-_SPEED_MAX_M_S, _WIND_MAX_M_S = 52.0, 100.0
-_COURSE_FROM_M_S = 0.3
-"""Speed below which a receiver may leave the course out."""
+_TILT_MAX_RAD, _TURN_MAX_RAD_S = math.radians(TILT_MAX_DEG), math.radians(TURN_MAX_DEG_S)
 _WAY_S, _QUALITY_S = 2.0, 5.0
 """Age beyond which her heading and way do not make a wind true, and beyond which the quality of a fix says nothing."""
 _OF_METHOD: Mapping[str, float | str] = {
@@ -129,7 +127,7 @@ class ShipSensors:
         return [VesselMotion(stamp, source, roll, pitch, _STEP_TILT_RAD)]
 
     def _heave(self, source: str, values: Values, stamp: Stamp) -> Samples:
-        return [VesselMotion(stamp, source, heave_down_m=-_needed(values, "heave", _HEAVE_MAX_M), sigma_heave_m=_STEP_HEAVE_M)]
+        return [VesselMotion(stamp, source, heave_down_m=-_needed(values, "heave", HEAVE_MAX_M), sigma_heave_m=_STEP_HEAVE_M)]
 
     def _turn(self, source: str, values: Values, stamp: Stamp) -> Samples:
         rate = _needed(values, "rate", _TURN_MAX_RAD_S)
@@ -188,8 +186,8 @@ class ShipSensors:
         return [] if values.get("latitude") is None and not isinstance(worth, str) else self._position(source, values, stamp)
 
     def _course(self, source: str, values: Values, stamp: Stamp) -> Samples:
-        speed, course = _needed(values, "sog", _SPEED_MAX_M_S), 0.0
-        if values.get("cog") is not None or speed >= _COURSE_FROM_M_S:
+        speed, course = _needed(values, "sog", KNOT_M_S * SPEED_MAX_KN), 0.0
+        if values.get("cog") is not None or speed >= COURSE_FROM_M_S:
             course = _angle(values, "cog")
             if values.get("cogreference") != "True":
                 course += self._north(values.get("cogreference"))
@@ -199,7 +197,7 @@ class ShipSensors:
         return [VesselReport(stamp, v, COV_SPEED, None, None)]
 
     def _wind(self, source: str, values: Values, stamp: Stamp) -> Samples:
-        speed, from_rad = _needed(values, "windspeed", _WIND_MAX_M_S), _number(values, "windangle", 2.0 * math.pi)
+        speed, from_rad = _needed(values, "windspeed", WIND_MAX_M_S), _number(values, "windangle", 2.0 * math.pi)
         reference = str(values.get("reference")).lower()
         if from_rad is None:
             raise Refused("no_value")
@@ -207,10 +205,7 @@ class ShipSensors:
             (bow_at, bow), (way_at, way) = self._bow, self._way
             if max(seconds_between(at, stamp.received_at) for at in (bow_at, way_at)) > _WAY_S:
                 raise Refused("no_way")
-            # The air's own velocity over the ground is that past the ship and the ship's together.
-            north = way[0] - speed * math.cos(bow + from_rad)
-            east = way[1] - speed * math.sin(bow + from_rad)
-            from_rad, speed = math.atan2(-east, -north), math.hypot(north, east)
+            from_rad, speed = over_ground(bow + from_rad, speed, way)
         elif reference == _OVER_GROUND[1]:
             from_rad += self._north("Magnetic")
         elif reference != _OVER_GROUND[0]:
@@ -245,11 +240,7 @@ def _needed(values: Values, name: str, most: float) -> float:
 
 
 def _angle(values: Values, name: str) -> float:
-    """Return a direction, 0 to a turn.
-
-    Raises:
-        Refused: as for `_needed`, or it is negative.
-    """
+    """Return a direction, 0 to a turn; one that is negative is refused."""
     found = _needed(values, name, 2.0 * math.pi + 1e-4)
     if found < 0.0:
         raise Refused("impossible")

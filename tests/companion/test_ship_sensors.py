@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,9 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
-from companion.tools.replay.ship_sensors import ShipSensors, judge
+from companion.tools.replay.ship_sensors import SensorJudge
 from estimator.contracts.geometry import F64
-from estimator.contracts.samples import VesselMotion, VesselReport
+from estimator.contracts.samples import Sample, VesselMotion, VesselReport
 from estimator.contracts.time import Stamp
 from tests.drivers.nmea.test_sentences import line
 from tests.drivers.nmea.test_ship_sensors import PALMER, needs_palmer
@@ -27,6 +28,13 @@ def measured(t: float) -> Stamp:
 
 def heaves(sensor: str, heave_m: F64, late_s: float = 0.0) -> list[VesselMotion]:
     return [VesselMotion(measured(t + late_s), sensor, 0.02 * h, 0.01, 0.0, h) for t, h in zip(T, heave_m.tolist(), strict=True)]
+
+
+def judge(samples: Iterable[Sample]) -> SensorJudge:
+    sensors = SensorJudge()
+    for sample in samples:
+        sensors.on_sample(sample)
+    return sensors
 
 
 def faults(*sensors: list[VesselMotion]) -> dict[str, str | None]:
@@ -61,7 +69,7 @@ def test_two_sensors_differ_by_their_offset_and_their_delay_and_gaps_are_counted
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_rate_of_turn_of_the_wrong_sense_shows(sign: float) -> None:
-    sensors = ShipSensors()
+    sensors = SensorJudge()
     for t in T.tolist():
         sensors.on_sample(VesselReport(measured(t), None, None, (6.2 + 0.4 * math.sin(0.1 * t)) % math.tau, 0.03))
         sensors.on_sample(VesselReport(measured(t), None, None, None, None, sign * 0.04 * math.cos(0.1 * t), 0.001))

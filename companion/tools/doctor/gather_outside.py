@@ -2,6 +2,7 @@
 
 import asyncio
 import ssl
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 
 import aiohttp
@@ -152,12 +153,14 @@ async def listen(options: VesselOptions, clock: Clock, seconds: float) -> tuple[
             async with asyncio.timeout(seconds):
                 await read_bus(address, BusReader(sensors), lambda samples: None, clock, lambda: None)
 
-    for given, body in ((options.nmea, sentences), (options.bus, bus)):
+    async def noted(body: Callable[[], Awaitable[None]]) -> None:
         try:
-            if given:
-                await body()
+            await body()
         except DecklanderError as why:
             faults.append(str(why))
+
+    # At once, as the service does: a source that rests would seem silent, and another one chosen.
+    await asyncio.gather(*[noted(body) for given, body in ((options.nmea, sentences), (options.bus, bus)) if given])
     now = clock.now()
     refused = {f"refused_{why}": float(n) for why, n in (reader.refused + source.refused).items()}
     found = ship_sources({"sentences": by_source(reader.sources, now) | refused, "bus": by_source(sensors.sources, now)})

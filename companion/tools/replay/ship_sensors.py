@@ -6,15 +6,15 @@ waves do, about a mean that stands still.
 
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from companion.base.observer import NullObserver
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import GeoFix, Sample, VesselMotion, VesselReport, VesselWind
+from estimator.ship_motion import between
 
 _WAVES_S = 30.0
 """Longest period of waves: what is slower in a heave is none."""
@@ -72,7 +72,7 @@ class Difference(Struct, frozen=True):
     """Time by which the second one is late, at which they differ least."""
 
 
-class ShipSensors(NullObserver):
+class SensorJudge(NullObserver):
     """Collects the reports of a ship's sensors, and judges them."""
 
     def __init__(self) -> None:
@@ -144,14 +144,6 @@ class ShipSensors(NullObserver):
 _UNITS = {"roll": "deg", "pitch": "deg", _HEAVE: "m", "speed": "m/s", "heading": "deg", "turn": "deg/s", "sigma": "m"}
 
 
-def judge(samples: Iterable[Sample]) -> ShipSensors:
-    """Return the judged sensors of a ship from samples of any source, in any order of sensors."""
-    sensors = ShipSensors()
-    for sample in samples:
-        sensors.on_sample(sample)
-    return sensors
-
-
 def _series(rows: list[tuple[float, dict[str, float]]], part: str) -> F64:
     """Return (N, 2) of instants, s, and one number, in order of time and one for each instant."""
     found = np.array(sorted((at, given[part]) for at, given in rows if part in given), float).reshape(-1, 2)
@@ -198,7 +190,6 @@ def _heave(series: F64) -> tuple[float | None, float | None, str | None]:
 def _least(first: F64, second: F64) -> tuple[float, float, float] | None:
     """Return mean, standard deviation and delay of the second series against the first, where they differ least."""
     usual_s = float(np.median(np.diff(first[:, 0])))
-    slopes = np.gradient(first[:, 1], first[:, 0])
     found: list[tuple[float, float, float]] = []
     for lag_s in _LAGS_S:
         at = second[:, 0] - lag_s
@@ -207,24 +198,12 @@ def _least(first: F64, second: F64) -> tuple[float, float, float] | None:
         inside[inside] &= np.diff(first[:, 0])[i[inside]] <= _GAP * usual_s
         if inside.sum() < _FEWEST:
             return None
-        apart = second[inside, 1] - _between(first, slopes, at[inside], i[inside])
+        apart = second[inside, 1] - between(first[:, 0], first[:, 1:], at[inside])[:, 0]
         found.append((float(np.std(apart)), float(np.mean(apart)), float(lag_s)))
     sd, mean, lag_s = min(found)
     if abs(lag_s) > _LAG_MAX_S:  # they do not move alike: no delay makes them
         sd, mean, lag_s = min(found, key=lambda one: abs(one[2]))
     return mean, sd, lag_s
-
-
-def _between(series: F64, slopes: F64, at: F64, i: NDArray[np.int64]) -> F64:
-    """Return a series at instants between its own: a line would cut the crests of waves that are sampled once a second."""
-    t, v = series[:, 0], series[:, 1]
-    h = t[i + 1] - t[i]
-    s = (at - t[i]) / h
-    found: F64 = (
-        (1.0 + 2.0 * s) * (1.0 - s) ** 2 * v[i] + s * (1.0 - s) ** 2 * h * slopes[i]
-        + s**2 * (3.0 - 2.0 * s) * v[i + 1] + s**2 * (s - 1.0) * h * slopes[i + 1]
-    )  # fmt: skip
-    return found
 
 
 def _line(one: SensorVerdict) -> str:
