@@ -111,3 +111,19 @@ void write_outcome(dl_outcome *out, int verdict, int m, int axes, const double *
         memcpy(out->S, S, (size_t)(m * m) * sizeof *S);
     }
 }
+
+bool fuse_gated(const dl_filter_params *o, dl_belief *b, covariance *c, const measured *z, int axes, dl_outcome *out)
+{
+    double S[DL_ROWS_MAX * DL_ROWS_MAX], dx[DL_N], nis, *P = free_place(c);
+    if (!kalman_correct(DL_N, c->P, z, dx, P, S, &nis)) {
+        write_outcome(out, DL_SINGULAR, z->m, axes, z->innov, NULL);
+        return false;
+    }
+    out->nis = nis;
+    out->nis_max = o->nis_max[z->m - 1];
+    write_outcome(out, nis > out->nis_max ? DL_GATED : DL_FUSED, z->m, axes, z->innov, S);
+    if (out->verdict == DL_FUSED) {
+        correct_belief(b, c, dx, P);
+    }
+    return out->verdict == DL_FUSED;
+}

@@ -7,7 +7,6 @@
 
 #include <string.h>
 
-#include "base/kalman.h"
 #include "filter/correction.h"
 
 enum { ROWS = 3, ALONG_DOWN = 2, IN_ROLL = 3 };
@@ -50,7 +49,7 @@ void fuse_motion(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref
     const double y[ROWS] = {report->tilt_rad[0], report->tilt_rad[1], report->down_m};
     const double sigma[ROWS] = {report->sigma_tilt_rad, report->sigma_tilt_rad, report->sigma_down_m};
     const int m = 2 * report->has_tilt + report->has_heave, axes = 3 * report->has_tilt | 4 * report->has_heave;
-    double innov[ROWS], H[ROWS * DL_N] = {0.0}, R[ROWS * ROWS] = {0.0}, S[ROWS * ROWS], dx[DL_N], nis;
+    double innov[ROWS], H[ROWS * DL_N] = {0.0}, R[ROWS * ROWS] = {0.0};
     out->verdict = DL_GATED;
     if (m == 0) {
         return;
@@ -64,16 +63,7 @@ void fuse_motion(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref
         }
     }
     learn(o, b, bank, report);
-    double *P = free_place(c);
-    if (!kalman_correct(DL_N, c->P, &(measured){m, innov, H, R}, dx, P, S, &nis)) {
-        write_outcome(out, DL_SINGULAR, m, axes, innov, NULL);
-        return;
-    }
-    out->nis = nis;
-    out->nis_max = o->nis_max[m - 1];
-    write_outcome(out, nis > out->nis_max ? DL_GATED : DL_FUSED, m, axes, innov, S);
-    if (out->verdict == DL_FUSED) {
-        correct_belief(b, c, dx, P);
+    if (fuse_gated(o, b, c, &(measured){m, innov, H, R}, axes, out)) {
         b->reported = b->t;
     }
 }

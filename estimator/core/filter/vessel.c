@@ -8,7 +8,6 @@
 #include "filter/correction.h"
 #include "filter/deck_jolt.h"
 #include "filter/jacobian.h"
-#include "base/kalman.h"
 #include "base/rotation.h"
 
 enum { ROWS = 4 };
@@ -117,7 +116,7 @@ static void fuse_turn(const dl_filter_params *o, dl_belief *b, covariance *c, co
 /* Fuse velocity, heading, or both. */
 static void fuse_way(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_vessel_report *report, int has_heading, dl_outcome *out)
 {
-    double innov[ROWS], H[ROWS * DL_N] = {0.0}, R[ROWS * ROWS] = {0.0}, S[ROWS * ROWS], dx[DL_N], nis;
+    double innov[ROWS], H[ROWS * DL_N] = {0.0}, R[ROWS * ROWS] = {0.0};
     const int has_velocity = report->has_velocity != 0, either = o->velocity_is_over == DL_OVER_EITHER;
     const int m = 3 * has_velocity + has_heading, axes = 7 * has_velocity | 8 * has_heading;
     if (has_velocity) {
@@ -131,17 +130,7 @@ static void fuse_way(const dl_filter_params *o, dl_belief *b, covariance *c, con
         AT(H, m - 1, DL_PAD_YAW) = 1.0;
         R[m * m - 1] = report->sigma_heading_rad * report->sigma_heading_rad;
     }
-    const measured z = {m, innov, H, R};
-    double *P = free_place(c);
-    if (!kalman_correct(DL_N, c->P, &z, dx, P, S, &nis)) {
-        write_outcome(out, DL_SINGULAR, m, axes, innov, NULL);
-        return;
-    }
-    out->nis = nis;
-    out->nis_max = o->nis_max[m - 1];
-    write_outcome(out, nis > out->nis_max ? DL_GATED : DL_FUSED, m, axes, innov, S);
-    if (out->verdict == DL_FUSED) {
-        correct_belief(b, c, dx, P);
+    if (fuse_gated(o, b, c, &(measured){m, innov, H, R}, axes, out)) {
         b->heading_known |= has_heading;
         b->turn_heading = has_heading ? b->t : b->turn_heading;
     }
