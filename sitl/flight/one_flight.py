@@ -3,6 +3,7 @@
 `simulate`, the benches and campaigns all fly by `fly`.
 """
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -72,9 +73,9 @@ def settings_for(scenario: Scenario, config: str | None, *, by_autopilot: bool =
 def following(scenario: Scenario, settings: Settings, *, by_autopilot: bool = False) -> Settings:
     """Return the settings with what a scenario says of camera, pad, vehicle and the ship's reports.
 
-    Where the scenario's ship reports her place, they fly to it. They know the places of her antenna and motion sensor. They fly
-    by the response that the vehicle's file names, on its feet; it is that of the vehicle's own loops, which an autopilot replaces
-    by its own.
+    Where the scenario's ship reports her place, they fly to it. They know the places of her antenna and motion sensor, and where
+    the pad's arrow points on her. They fly by the response that the vehicle's file names, on its feet; it is that of the
+    vehicle's own loops, which an autopilot replaces by its own.
 
     Args:
         by_autopilot: as of `settings_for`.
@@ -93,12 +94,15 @@ def following(scenario: Scenario, settings: Settings, *, by_autopilot: bool = Fa
     feet = vehicle.feet
     cone = msgspec.structs.replace(settings.guidance.cone, feet_below_m=feet.below_m, feet_aside_m=feet.half_base_m)
     gimbal = GimbalOptions(scenario.gimbal.device_id, point_down=scenario.gimbal.given)
+    yaw_rad = math.radians(scenario.vessel.pad_yaw_deg) % math.tau
+    ekf = replace(settings.estimator.ekf, pad_yaw_in_vessel_rad=yaw_rad)
     return msgspec.structs.replace(
         settings,
         vehicle=driver,
         camera=CameraSettings(scenario.camera.file, gimbal=gimbal),
         pad=PadSettings(scenario.pad.file),
         vessel=_placed(scenario, settings.vessel),
+        estimator=replace(settings.estimator, ekf=ekf),
         guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, follow_deck=follow, cone=cone),
     )
 

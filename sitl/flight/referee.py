@@ -317,7 +317,7 @@ class Referee:
         self._stood_s = self._low_s = self._flown_s = 0.0
         self._charge: float | None = None
         self._hop_m: float | None = None
-        """Height that the vehicle has reached since it left the deck; None while it has not touched it."""
+        """Height that it has reached since it left the deck; None before it touches it, and while a person flies it."""
 
     @property
     def unsafe(self) -> tuple[str, ...]:
@@ -394,7 +394,9 @@ class Referee:
             self.counts["motors_off_m"].note(m.clearance_m)
         if abs(m.lowest_m) < 2 * ON_DECK_M and not person_cut:
             self.counts["tipped_deg"].note(m.tilt_deg)
-        if m.motors and stands:
+        if self.hands.hands_on:
+            self._hop_m = None
+        elif m.motors and stands:
             if self._hop_m is not None and _HOP_M < self._hop_m <= _BOUNCE_MAX_M:
                 self._bounced += 1
                 self.counts["bounces"].note(self._bounced)

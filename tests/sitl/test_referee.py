@@ -212,7 +212,7 @@ def test_what_nobody_can_answer_is_not_charged(name: str, whose: dict[str, Any])
     assert name not in judged([replace(step, **whose) for step in flight(outside)]).as_json()
 
 
-NOBODYS = {"held_sank_m", "disobeyed_s", "unordered", "unreached_m", "tipped_deg", "bounces", "motors_off_m"}
+NOBODYS = {"held_sank_m", "disobeyed_s", "unordered", "unreached_m", "tipped_deg", "motors_off_m"}
 """Counts that go on whoever flies."""
 
 

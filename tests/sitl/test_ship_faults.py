@@ -246,10 +246,12 @@ def test_a_motion_sensor_measures_its_own_place_late_and_filters_its_heave() -> 
     assert [m.heave_down_m for m in turned[60:]] == pytest.approx(-down[60:])
 
 
-def test_settings_that_follow_a_scenario_know_where_her_antenna_and_motion_sensor_are() -> None:
+def test_settings_that_follow_a_scenario_know_how_her_pad_antenna_and_motion_sensor_lie() -> None:
     places = {"motion_at_m": (25.0, -4.0, 1.5), "reports_at_m": (-12.0, 3.0, -9.0)}
-    away = msgspec.structs.replace(SENSING, file="supply_ship", reports_hz=5.0, **places)
-    ship = settings_for(msgspec.structs.replace(load("sea_state_4"), vessel=away), None).vessel
+    away = msgspec.structs.replace(SENSING, file="supply_ship", reports_hz=5.0, pad_yaw_deg=-30.0, **places)
+    settings = settings_for(msgspec.structs.replace(load("sea_state_4"), vessel=away), None)
+    ship, yaw_rad = settings.vessel, settings.estimator.ekf.pad_yaw_in_vessel_rad
+    assert math.degrees(yaw_rad) == pytest.approx(330.0)
     assert (ship.pad_forward_m, ship.pad_right_m, ship.pad_up_m) == (12.0, -3.0, -9.0)
     with pytest.raises(BadInput, match=r"vessel\.motion_at_m: ShipMotionOptions\.forward_m must lie in -400 to 400, got 500\.0"):
         settings_for(from_mapping({"title": "x", "vessel": {"motion_at_m": [500.0, 0.0, 0.0]}}, "file"), None)
@@ -257,7 +259,7 @@ def test_settings_that_follow_a_scenario_know_where_her_antenna_and_motion_senso
     _, of_pad = sensed(VesselMotion, ship=msgspec.structs.replace(away, motion_at_m=(0.0, 0.0, 0.0)))
     off_m = []
     for options in (ship.motion_sensor, ShipMotionOptions()):
-        witness = ShipMotion(options, 0.0)
+        witness = ShipMotion(options, yaw_rad)
         down = [getattr(witness.reported(sample), "heave_down_m", math.nan) for sample in made]
         off_m.append(np.nanstd((np.array(down, dtype=float) - of_pad[:, 0])[50:]))
     assert off_m[0] < 0.5 * off_m[1], "by its place the sensor's heave is that of the pad"
