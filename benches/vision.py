@@ -9,6 +9,9 @@ standard deviations, the camera being up to a tenth of its height aside, so that
 processor time, medians, and as ratios to a floor measured in the same run: one BGR to HSV conversion and one inRange of the whole
 frame; the thesis' three share one time. A frame counts as found when the error is below a tenth of the height. An H alone
 leaves its heading open by half a turn, which is not counted as error. A method without a row finds nothing at that height.
+
+The last table is README's: ArUco, AprilTag, the thesis' methods and ours side by side by the median distance between the measured
+and the true place, and the time; below nine finds in ten frames it says how many. The thesis' cell has its best method's.
 """
 
 import argparse
@@ -65,6 +68,7 @@ SIGMA_DECK_RAD = 1e-5
 """The deck is level, and every method knows it."""
 THESIS: tuple[Method, ...] = ("ellipse", "arrow", "corners")
 ARUCO, APRILTAG, LOOK = "ArUco, sub-pixel", "AprilTag", "whole look, searched"
+COLUMNS = {"ArUco (OpenCV, sub-pixel)": (ARUCO,), "AprilTag": (APRILTAG,), "the thesis' methods": THESIS, "Decklander": (LOOK,)}
 _TAGS = Detector(families="tag36h11", nthreads=1, quad_decimate=1.0)
 """The detector of the whole run; it is never destroyed, because its destructor corrupts the heap."""
 
@@ -279,6 +283,18 @@ def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally]
     return tallies, float(np.median(floor)), bound(peers.stage, height_m)
 
 
+def cell(tallies: list[Tally]) -> str:
+    """Return error, time and, if few, finds of the tally with the least error."""
+    often = [tally for tally in tallies if 2 * len(tally.d_m) >= tally.tried]
+    found = [(float(np.median(np.linalg.norm(tally.d_m, axis=1))), tally) for tally in often]
+    ms = f"{np.median(tallies[0].ms):.1f} ms"
+    if not found:
+        return f"not found, {ms}"
+    error_m, best = min(found, key=lambda pair: pair[0])
+    few = "" if 10 * len(best.d_m) >= 9 * best.tried else f", {100 * len(best.d_m) // best.tried} % found"
+    return f"{1e3 * error_m:{'.0f' if error_m > 0.1 else '.2g'}} mm, {ms}{few}"
+
+
 HEADER = ["height m", "method", "found", "lateral mm", "range mm", "range bias mm", "heading deg", "ms", "x floor"]
 
 
@@ -290,9 +306,11 @@ def main() -> None:
     args = parser.parse_args()
     cv2.setNumThreads(1)
     rows: list[list[str]] = []
+    peers = ["| height | " + " | ".join(COLUMNS) + " |", "|" + "---|" * (1 + len(COLUMNS))]
     heights = [float(h) for h in args.heights.split(",")]
     for height_m in heights:
         tallies, floor_ms, best = at_height(height_m, args.frames, seed=1)
+        peers.append(f"| {height_m:g} m | {' | '.join(cell([tallies[name] for name in names]) for names in COLUMNS.values())} |")
         for name, tally in tallies.items():
             rows.append([f"{height_m:g}", name, *tally.row(floor_ms)])
         lateral = 1e3 * math.hypot(best[0], best[1]) / math.sqrt(2)
@@ -301,6 +319,7 @@ def main() -> None:
         )
         for row in rows[-len(tallies) - 1 :]:
             print("  ".join(f"{cell:>14}" if i != 1 else f"{cell:<24}" for i, cell in enumerate(row)), flush=True)
+    print("\n".join(peers), flush=True)
     if args.write is not None:
         write(args.write, rows, args.frames)
 
@@ -308,7 +327,7 @@ def main() -> None:
 def write(folder: Path, rows: list[list[str]], frames: int) -> None:
     lines = [
         "# Benchmarks: vision", "", f"Made by `python -m benches.vision --frames {frames} --write docs`.", "",
-        *(__doc__ or "").strip().splitlines()[4:], "",
+        *(__doc__ or "").strip().splitlines()[4:-4], "",
         "| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER),
         *("| " + " | ".join(row) + " |" for row in rows if row[2] != "0 %"), "",
         f"The machine's load meanwhile was {os.getloadavg()[2]:.1f} on {os.cpu_count()} cores; where it is above one a core, "

@@ -13,25 +13,14 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-MODULES = {
-    "navdata": "fuzz.ardrone",
-    "pave": "fuzz.ardrone",
-    "video": "fuzz.ardrone",
-    "uvlc": "fuzz.ardrone",
-    "control": "fuzz.ardrone",
-    "at": "fuzz.ardrone",
-    "mavlink_codec": "fuzz.mavlink",
-    "mavlink_signing": "fuzz.mavlink",
-    "mcap_bytes": "fuzz.recordings",
-    "mcap_messages": "fuzz.recordings",
-    "dataflash": "fuzz.imports",
-    "ulog": "fuzz.imports",
-    "tlog": "fuzz.imports",
-    "ardrone_capture": "fuzz.imports",
-    "v4l2": "fuzz.frames",
-    "vision": "fuzz.frames",
-    "lamps": "fuzz.frames",
+_OF = {
+    "ardrone": ("navdata", "pave", "video", "uvlc", "control", "at"),
+    "mavlink": ("mavlink_codec", "mavlink_signing"),
+    "recordings": ("mcap_bytes", "mcap_messages"),
+    "imports": ("dataflash", "ulog", "tlog", "ardrone_capture"),
+    "frames": ("v4l2", "vision", "lamps"),
 }
+MODULES = {name: f"fuzz.{module}" for module, names in _OF.items() for name in names}
 """Every target, and the module whose `TARGETS` holds it."""
 
 SHARED_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None

@@ -32,22 +32,8 @@ def marked_tests() -> dict[str, list[str]]:
 
 def page() -> str:
     """Return docs/safety.md."""
-    tests = marked_tests()
-    lines = [
-        "# Safety case",
-        "",
-        "Hazards of a drone over a deck, found by STPA (system-theoretic process analysis), and what keeps the "
-        "product out of each. `python -m supply.safety`",
-        "writes this page from the marks of the tests; a hazard without a test fails the tests of the "
-        "documentation. It is no certificate.",
-        "",
-        "Losses: " + "; ".join(f"{name} {text}" for name, text in SAID["losses"].items()) + ".",
-        "",
-        "The controller is guidance, or the person who has the hand. Its actions are: descend, commit, go around, "
-        "hold, stop the motors, hand over. Its feedback is",
-        "the estimate of the pad, the contact witnesses, the vehicle's own state and the orders of people.",
-        "",
-    ]
+    tests, words = marked_tests(), SAID["words"]
+    lines = words["head"].format(losses="; ".join(f"{name} {text}" for name, text in SAID["losses"].items())).splitlines()
     for name, hazard in SAID["hazards"].items():
         lines += [
             f"## {name}: {hazard['name']}",
@@ -59,15 +45,7 @@ def page() -> str:
             *[f"    - `{test}`" for test in tests.get(name, [])],
             "",
         ]
-    lines += ["## What is not covered", "", *[f"- {text}" for text in SAID["words"]["not_covered"]], ""]
-    lines += [
-        "## Questions of SORA to an operator",
-        "",
-        "The steps and objectives are those of JARUS SORA 2.5.",
-        "",
-        "| question | what the product answers |",
-        "|---|---|",
-    ]
+    lines += ["## What is not covered", "", *[f"- {text}" for text in words["not_covered"]], "", *words["sora"].splitlines()]
     lines += [f"| {question} | {answer} |" for question, answer in SAID["sora"].items()]
     return "\n".join(lines) + "\n"
 

@@ -62,24 +62,15 @@ from sitl.faults.kinds import (
 from sitl.flight.flight import Flight
 from sitl.perception.levels import perceive
 from sitl.perception.model import MODELLED
-from sitl.scenario.scenario import Scenario, Start, from_mapping, load, pad_model, shipped_scenarios
-from sitl.sea.sea import Sea
+from sitl.scenario.scenario import from_mapping, load, pad_model, shipped_scenarios
 from sitl.sensors.sensors import Readings
 from sitl.vehicle.vehicle import VehiclePhase
-from sitl.vessel.air import WindSettings
-from sitl.vessel.file import VesselSettings
 from sitl.world.truth import RenderedFrame
 from sitl.world.world import Stick, World
-from tests.fly import ObservedCalls, fly_for, new_flight
+from tests.fly import ObservedCalls, fly_for, near, new_flight
 from tests.make import change
 
-CALM = Scenario(
-    title="bench",
-    sea=Sea(significant_height_m=0.0),
-    vessel=VesselSettings(moored=False),
-    wind=WindSettings(speed_m_s=0.0, gust_sigma_m_s=0.0),
-    start=Start(height_m=3.0),
-)
+CALM = near(start={"height_m": 3.0})
 SIM = load_settings("sim")
 
 

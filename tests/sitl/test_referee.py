@@ -357,19 +357,10 @@ def test_a_mode_or_a_disarm_that_the_service_did_not_request_is_a_persons(stack:
     assert acts_of(flies) == [], "the first mode is there, and nobody's act"
     assert acts_of([*flies, (1.0, "in", beat(stack, his)), (1.2, "in", beat(stack, his))]) == [(1.0, "mode")]
     for asked, mode in ((asks_mode(stack, land), land), (AWAY, his if stack is Stack.PX4 else ours)):
-        assert (
-            acts_of(
-                [
-                    (0.0, "in", beat(stack, "auto.rtl" if stack is Stack.PX4 else "rtl")),
-                    (0.5, "out", asked),
-                    (3.5, "in", beat(stack, mode)),
-                ]
-            )
-            == []
-        )
-        assert acts_of([*flies, (0.5, "out", asks_mode(stack, land)), (3.6, "in", beat(stack, land))]) == [(3.6, "mode")], (
-            "too late"
-        )
+        returns: Log = [(0.0, "in", beat(stack, "auto.rtl" if stack is Stack.PX4 else "rtl"))]
+        assert acts_of([*returns, (0.5, "out", asked), (3.5, "in", beat(stack, mode))]) == []
+        late: Log = [(0.5, "out", asks_mode(stack, land)), (3.6, "in", beat(stack, land))]
+        assert acts_of([*flies, *late]) == [(3.6, "mode")], "too late"
     landed: Log = [(0.5, "out", asks_mode(stack, land)), (1.0, "in", beat(stack, land)), (1.1, "in", beat(stack, ours))]
     assert acts_of([*flies, *landed]) == [(1.1, "mode")], "a request is used up"
     assert acts_of([*flies, *landed[:2], (1.1, "in", beat(stack, ours)), (1.2, "in", beat(stack, land))])[-1] == (1.2, "mode")

@@ -22,21 +22,15 @@ from sitl.sea.sea import SEA_STATES, Sea, Waves
 from sitl.sensors.sensors import Readings, Sensors
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.vehicle import Vehicle, VehiclePhase
-from sitl.vessel.air import WindSettings
 from sitl.vessel.contact import DeckShape, Ground
 from sitl.vessel.file import VesselSettings
 from sitl.vessel.vessel import Mounted
 from sitl.world.stage import airframe
 from sitl.world.truth import RenderedFrame, Truth
 from sitl.world.world import Physics, Stick, World, decks_of
+from tests.fly import near
 
-CALM = Scenario(
-    title="bench",
-    sea=Sea(significant_height_m=0.0),
-    vessel=VesselSettings(moored=False),
-    wind=WindSettings(speed_m_s=0.0, gust_sigma_m_s=0.0),
-    start=Start(height_m=3.0),
-)
+CALM = near(start={"height_m": 3.0})
 
 
 def with_(scenario: Scenario, **parts: Any) -> Scenario:
