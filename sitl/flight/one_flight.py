@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from companion.base.health import Health
 from companion.base.observer import Observer
+from companion.guidance.pilot import Pilot
 from companion.settings.load import load
 from companion.settings.model import CameraSettings, PadSettings, Settings
 from companion.settings.vessel import VesselOptions
@@ -135,6 +136,8 @@ class FlyOptions(Struct, frozen=True):
     """Frames are rendered in a process of their own. The same bits, sooner where a second core is idle."""
     overtime_s: float = 0.0
     """Further time beyond the scenario's for a flight whose guidance is still trying to land."""
+    on_pilot: Callable[[Pilot], None] | None = None
+    """Receives the service's pilot before the first step: what its estimator answers changes no flight."""
 
 
 def fly(
@@ -164,11 +167,13 @@ def fly(
     seen_by = perceive(perception, options.perception_model)
     renew = partial(seen_by.pilot, settings, options.shadows)
     timing = Timing(overtime_s=options.overtime_s)
-    began_s = _cpu_s()
-    flight = Flight(scenario, seed, settings, renew(), observers=observers, timing=timing, renew=renew, perception=seen_by)
+    began_s, pilot = _cpu_s(), renew()
+    flight = Flight(scenario, seed, settings, pilot, observers=observers, timing=timing, renew=renew, perception=seen_by)
     flight.contained, flight.watched = True, options.on_start is not None
     if options.on_start is not None:
         options.on_start(flight.health)
+    if options.on_pilot is not None:
+        options.on_pilot(pilot)
     on_truth = options.on_truth
     with ExitStack() as stack:
         if options.render_beside and perception == "pixels":

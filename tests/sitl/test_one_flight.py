@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from companion.base.mission import FlightOutcome, State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.guidance.pilot import Pilot
 from estimator.contracts.time import NS_PER_S
 from sitl.campaign.figures import in_words
 from sitl.flight.ending import Ending
@@ -25,7 +26,9 @@ def test_the_same_arguments_give_the_same_ending() -> None:
     scenario = near(duration_limit_s=1.0)
     truth: list[Truth] = []
     first = land(scenario, 3, level="pixels", options=FlyOptions(on_truth=truth.append)).as_json()
-    again = land(scenario, 3, level="pixels", options=FlyOptions(render_beside=True)).as_json()
+    pilots: list[Pilot] = []
+    again = land(scenario, 3, level="pixels", options=FlyOptions(render_beside=True, on_pilot=pilots.append)).as_json()
+    assert len(pilots) == 1
     assert first.pop("cpu_s") > 0 < again.pop("cpu_s")
     assert first == again
     assert first["outcome"] == "time ran out"

@@ -1,8 +1,12 @@
 """The simulated pair of receivers: how it errs, and that a landing goes on by it where the lens is covered."""
 
+from types import SimpleNamespace as Of
+
 import numpy as np
 import pytest
 
+from benches.landings import Watch
+from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Baseline
 from estimator.contracts.time import after
 from sitl.flight.one_flight import fly, settings_for
@@ -57,3 +61,17 @@ def test_a_wrong_solution_after_a_float_brings_no_drone_down():
     """The first solution of this seed after a float of 9 s is wrong by 0.55 m, and the lens is covered."""
     scenario = load("faults/rtk_camera_covered")
     assert not fly("x", scenario, 411, settings_for(scenario, None), "model").judged.unsafe
+
+
+def test_the_table_judges_forecasts_from_the_first_sight_on_by_the_truth_of_their_instant():
+    watch, second, ahead_s = Watch(), 1_000_000_000, np.array([1.0, 2.0])
+    watch.on_pilot(Of(landing=Of(forecast_made=lambda at: Of(horizons_s=ahead_s, rise_m_s=np.sin(at / second + ahead_s) + 0.1))))
+    for at in range(0, 10 * second, second // 50):
+        verdict = Verdict.FUSED if at >= 2 * second else Verdict.NO_PAD
+        watch.on_frame(Of(verdict=verdict, frame=Of(stamp=Of(measured_at=at))))
+        watch.on_decision(Of(at=at, belief=Of(d_body_pad_level=(0.53, 0.04, 2.0))))
+        watch.on_truth(Of(at=at, d_body_pad_level=(0.5, 0.0, 2.0), v_pad_ned=(0.0, 0.0, -np.sin(at / second))))
+    counts, squares = np.transpose(watch.forecasts())
+    assert counts == pytest.approx([350, 300, 151, 151], abs=1)
+    assert squares / counts == pytest.approx([0.01] * 4, rel=1e-3)
+    assert watch.at_contact(5 * second) == pytest.approx((0.05, np.hypot(0.53, 0.04)))
