@@ -112,7 +112,24 @@ void write_outcome(dl_outcome *out, int verdict, int m, int axes, const double *
     }
 }
 
-bool fuse_gated(const dl_filter_params *o, dl_belief *b, covariance *c, const measured *z, int axes, dl_outcome *out)
+static bool is_velocity(int state)
+{
+    return state == DL_VEL || state == DL_VEL + 1 || state == DL_VESSEL_VEL || state == DL_VESSEL_VEL + 1;
+}
+
+/* All other states keep their values and what is known of them together, and what they share with the velocities changes.
+ * Source: Brink, Partial-update Schmidt-Kalman filter, J. Guidance, Control, and Dynamics 40(9), 2017. */
+static void keep_others(const double *before, double dx[DL_N], double *P)
+{
+    for (int i = 0; i < DL_N; i++) {
+        dx[i] = is_velocity(i) ? dx[i] : 0.0;
+        for (int j = 0; j < DL_N; j++) {
+            AT(P, i, j) = is_velocity(i) || is_velocity(j) ? AT(P, i, j) : AT(before, i, j);
+        }
+    }
+}
+
+bool fuse_gated(const dl_filter_params *o, dl_belief *b, covariance *c, const measured *z, int axes, bool velocities_alone, dl_outcome *out)
 {
     double S[DL_ROWS_MAX * DL_ROWS_MAX], dx[DL_N], nis, *P = free_place(c);
     if (!kalman_correct(DL_N, c->P, z, dx, P, S, &nis)) {
@@ -123,6 +140,9 @@ bool fuse_gated(const dl_filter_params *o, dl_belief *b, covariance *c, const me
     out->nis_max = o->nis_max[z->m - 1];
     write_outcome(out, nis > out->nis_max ? DL_GATED : DL_FUSED, z->m, axes, z->innov, S);
     if (out->verdict == DL_FUSED) {
+        if (velocities_alone) {
+            keep_others(c->P, dx, P);
+        }
         correct_belief(b, c, dx, P);
     }
     return out->verdict == DL_FUSED;

@@ -63,7 +63,7 @@ void fuse_motion(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref
         }
     }
     learn(o, b, bank, report);
-    if (fuse_gated(o, b, c, &(measured){m, innov, H, R}, axes, out)) {
+    if (fuse_gated(o, b, c, &(measured){m, innov, H, R}, axes, false, out)) {
         b->reported = b->t;
     }
 }

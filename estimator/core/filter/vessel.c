@@ -113,7 +113,14 @@ static void fuse_turn(const dl_filter_params *o, dl_belief *b, covariance *c, co
     }
 }
 
-/* Fuse velocity, heading, or both. */
+/* Whether something happened so lately that a picture is still fresh. */
+static bool lately(int64_t t, const dl_belief *b)
+{
+    return happened(t) && seconds(t, b->t) <= IN_SIGHT_S;
+}
+
+/* Fuse velocity, heading, or both. In sight of the pad a velocity says only how fast body and vessel move together: what it
+ * contradicts there is a sensor over the wrong surface, and no tilt or bias. */
 static void fuse_way(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_vessel_report *report, int has_heading, dl_outcome *out)
 {
     double innov[ROWS], H[ROWS * DL_N] = {0.0}, R[ROWS * ROWS] = {0.0};
@@ -130,7 +137,7 @@ static void fuse_way(const dl_filter_params *o, dl_belief *b, covariance *c, con
         AT(H, m - 1, DL_PAD_YAW) = 1.0;
         R[m * m - 1] = report->sigma_heading_rad * report->sigma_heading_rad;
     }
-    if (fuse_gated(o, b, c, &(measured){m, innov, H, R}, axes, out)) {
+    if (fuse_gated(o, b, c, &(measured){m, innov, H, R}, axes, !has_heading && lately(b->sighted, b), out)) {
         b->heading_known |= has_heading;
         b->turn_heading = has_heading ? b->t : b->turn_heading;
     }
@@ -139,7 +146,8 @@ static void fuse_way(const dl_filter_params *o, dl_belief *b, covariance *c, con
 void fuse_vessel(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_vessel_report *report, dl_outcome *out)
 {
     const int due = !happened(b->turn_heading) || seconds(b->turn_heading, b->t) >= HEADING_EACH_S;
-    const int has_heading = report->has_heading && (due || !report->has_turn);
+    /* A picture knows the arrow better against the body than two compasses do. */
+    const int has_heading = report->has_heading && (due || !report->has_turn) && !lately(b->heading_seen, b);
     out->verdict = DL_GATED;
     if (report->has_velocity || has_heading) {
         fuse_way(o, b, c, report, has_heading, out);

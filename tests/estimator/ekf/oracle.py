@@ -772,12 +772,12 @@ def _vessel(b: State, event: VesselReport, params: FilterParams) -> Outcome:
         R = event.cov_v_ned + (0.5**2 * np.eye(3) if o.velocity_is_over in ("either", "auto") else 0.0)
         rows, axes = [Rows(event.v_vessel_ned - H @ b.x, H, R)], (0, 1, 2)
     due = b.turn_heading < 0 or (b.t - b.turn_heading) * 1e-9 >= 1.0 or event.turn_rad_s is None
-    if event.heading_rad is not None and event.sigma_heading_rad is not None and due:
+    if event.heading_rad is not None and event.sigma_heading_rad is not None and due and not _lately(b, b.heading_seen):
         innov = np.array([wrap_pi(event.heading_rad + o.pad_yaw_in_vessel_rad - b.x[PAD_YAW])])
         rows, axes = [*rows, Rows(innov, I_N[[PAD_YAW]], np.array([[event.sigma_heading_rad**2]]))], (*axes, 3)
     if rows:
         z = _together(rows)
-        outcome = _gated(b, z, params, axes)
+        outcome = _gated(b, z, params, axes, velocities_alone=3 not in axes and _lately(b, b.sighted))
         if outcome.verdict is Verdict.FUSED and 3 in axes:
             b.heading_known, b.turn_heading = 1, b.t
     if event.turn_rad_s is None or event.sigma_turn_rad_s is None:
@@ -796,6 +796,10 @@ def _vessel(b: State, event: VesselReport, params: FilterParams) -> Outcome:
     return turned if outcome.innov is None else outcome
 
 
+def _lately(b: State, t: int) -> bool:
+    return t >= 0 and (b.t - t) * 1e-9 <= 0.6
+
+
 def _turn_shows(b: State, innov: float, sigma: float) -> bool:
     """Return whether a reported rate of turn, off by so many rad/s, shows a manoeuvre that sight does not contradict."""
     before, now = b.turn_deviate, innov / sigma
@@ -811,13 +815,18 @@ def _turn_shows(b: State, innov: float, sigma: float) -> bool:
     return bool(shows and b.t >= b.turn_left_out)
 
 
-def _gated(b: State, z: Rows, params: FilterParams, axes: tuple[int, ...], *, left_out: bool = False) -> Outcome:
-    """Correct a state by numbers that pass the gate."""
+def _gated(
+    b: State, z: Rows, params: FilterParams, axes: tuple[int, ...], *, left_out: bool = False, velocities_alone: bool = False
+) -> Outcome:
+    """Correct a state, or its horizontal velocities alone, by numbers that pass the gate."""
     fix, limit = correction(b.P, z), nis_max(params.options.gate_probability, z.innov.size)
     if fix is None:
         return Outcome(Verdict.SINGULAR, z.innov, axes=axes)
     if fix.nis > limit or left_out:
         return Outcome(Verdict.GATED, z.innov, fix.S, fix.nis, limit, axes)
+    if velocities_alone:
+        others = np.delete(np.arange(N), [6, 7, 16, 17])
+        fix.dx[others], fix.P[np.ix_(others, others)] = 0.0, b.P[np.ix_(others, others)]
     correct(b, fix)
     return Outcome(Verdict.FUSED, z.innov, fix.S, fix.nis, limit, axes)
 
@@ -839,14 +848,9 @@ def _motion(b: State, event: VesselMotion, params: FilterParams) -> Outcome:
         b.bank, b.wave_w, b.wave_zeta, b.wave_sigma = learned, learned.w_rad_s, learned.zeta, learned.sigma
     at = DECK_DISP[[k for k, *_ in rows]]
     z = Rows(np.array([value for _, value, _ in rows]) - b.x[at], I_N[at], np.diag([sigma**2 for *_, sigma in rows]))
-    fix, limit = correction(b.P, z), nis_max(params.options.gate_probability, len(rows))
-    if fix is None:
-        return Outcome(Verdict.SINGULAR, z.innov, axes=axes)
-    if fix.nis > limit:
-        return Outcome(Verdict.GATED, z.innov, fix.S, fix.nis, limit, axes)
-    correct(b, fix)
-    b.reported = b.t
-    return Outcome(Verdict.FUSED, z.innov, fix.S, fix.nis, limit, axes)
+    outcome = _gated(b, z, params, axes)
+    b.reported = b.t if outcome.verdict is Verdict.FUSED else b.reported
+    return outcome
 
 
 # The model of a sighting
