@@ -216,9 +216,7 @@ static int refused_at_an_edge(const dl_filter_params *o, const dl_belief *b, con
     if ((begun->deck_weight < 0.5 ? 1.0 : -1.0) * evidence_for_the_deck(b, P, x, v, cov, axes) <= 0.0) {
         return 0;
     }
-    write_outcome(out, DL_GATED, m, axes, innov, S);
-    out->nis = nis;
-    out->nis_max = o->nis_max[m - 1];
+    write_outcome(out, DL_GATED, m, axes, innov, S, nis, o->nis_max[m - 1]);
     return 1;
 }
 

@@ -100,8 +100,10 @@ void uncompared(dl_outcome *out, enum dl_verdict verdict)
     out->verdict = verdict;
 }
 
-void write_outcome(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S)
+void write_outcome(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S, double nis, double nis_max)
 {
+    out->nis = nis;
+    out->nis_max = nis_max;
     out->verdict = verdict;
     out->m = m;
     out->axes = axes;
@@ -133,12 +135,10 @@ bool fuse_gated(const dl_filter_params *o, dl_belief *b, covariance *c, const me
 {
     double S[DL_ROWS_MAX * DL_ROWS_MAX], dx[DL_N], nis, *P = free_place(c);
     if (!kalman_correct(DL_N, c->P, z, dx, P, S, &nis)) {
-        write_outcome(out, DL_SINGULAR, z->m, axes, z->innov, NULL);
+        write_outcome(out, DL_SINGULAR, z->m, axes, z->innov, NULL, NAN, NAN);
         return false;
     }
-    out->nis = nis;
-    out->nis_max = o->nis_max[z->m - 1];
-    write_outcome(out, nis > out->nis_max ? DL_GATED : DL_FUSED, z->m, axes, z->innov, S);
+    write_outcome(out, nis > o->nis_max[z->m - 1] ? DL_GATED : DL_FUSED, z->m, axes, z->innov, S, nis, o->nis_max[z->m - 1]);
     if (out->verdict == DL_FUSED) {
         if (velocities_alone) {
             keep_others(c->P, dx, P);

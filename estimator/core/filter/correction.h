@@ -30,8 +30,8 @@ double *changeable(covariance *c);
 void forget_state(double *P, int state, double var);
 /* Outcome of an event that was compared with nothing. */
 void uncompared(dl_outcome *out, enum dl_verdict verdict);
-/* Outcome of a measurement of m numbers; S is NULL where there is none. */
-void write_outcome(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S);
+/* Outcome of a measurement of m numbers; S is NULL where there is none, and neither are a NIS and its limit. */
+void write_outcome(dl_outcome *out, int verdict, int m, int axes, const double *innov, const double *S, double nis, double nis_max);
 /* Fuse a measurement that the gate lets through, and write its outcome; returns whether it is fused. Of `velocities_alone` it corrects
  * the horizontal velocities of body and vessel only. */
 bool fuse_gated(const dl_filter_params *o, dl_belief *b, covariance *c, const measured *z, int axes, bool velocities_alone, dl_outcome *out);

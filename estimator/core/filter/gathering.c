@@ -180,13 +180,11 @@ void gather(const dl_filter_params *o, dl_belief *b, covariance *c, int kind, co
         S[i] = begun->spread[i] + R[i];
     }
     if (!nis_of(m, innov, S, &nis)) {
-        write_outcome(out, DL_SINGULAR, m, (int)begun->axes, innov, S);
+        write_outcome(out, DL_SINGULAR, m, (int)begun->axes, innov, S, NAN, NAN);
         return;
     }
     const double nis_max = o->nis_max[m - 1];
-    write_outcome(out, nis > nis_max ? DL_GATED : DL_FUSED, m, (int)begun->axes, innov, S);
-    out->nis = nis;
-    out->nis_max = nis_max;
+    write_outcome(out, nis > nis_max ? DL_GATED : DL_FUSED, m, (int)begun->axes, innov, S, nis, nis_max);
     if (nis > nis_max) {
         int64_t since = happened(a->refused) ? a->refused : b->t;
         if (seconds(since, b->t) > STUCK_S) {

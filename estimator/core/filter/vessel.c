@@ -89,7 +89,8 @@ static void loosen_turn(const dl_filter_params *o, dl_belief *b, covariance *c, 
 
 static void fuse_turn(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_vessel_report *report, dl_outcome *out)
 {
-    double H[DL_N] = {0.0}, dx[DL_N], S, nis;
+    double H[DL_N] = {0.0};
+    dl_outcome beside;
     const double innov = report->turn_rad_s - b->x[DL_TURN_RATE] - b->x[DL_YAW_RATE];
     const double own = report->sigma_turn_rad_s * report->sigma_turn_rad_s, R = own + FUSED_RAD_S * FUSED_RAD_S;
     const measured z = {1, &innov, H, &R};
@@ -98,18 +99,8 @@ static void fuse_turn(const dl_filter_params *o, dl_belief *b, covariance *c, co
     if (shows_manoeuvre(b, innov, sqrt(fmax(var, 0.0) + own + JUDGED_RAD_S * JUDGED_RAD_S))) {
         loosen_turn(o, b, c, innov);
     }
-    double *P = free_place(c);
-    if (!kalman_correct(DL_N, c->P, &z, dx, P, &S, &nis)) {
-        return;
-    }
-    const int fused = nis <= o->nis_max[0] && b->t >= b->turn_left_out;
-    if (out->m == 0) {
-        write_outcome(out, fused ? DL_FUSED : DL_GATED, 1, 1 << ROWS, &innov, &S);
-        out->nis = nis;
-        out->nis_max = o->nis_max[0];
-    }
-    if (fused) {
-        correct_belief(b, c, dx, P);
+    if (b->t >= b->turn_left_out) {
+        fuse_gated(o, b, c, &z, 1 << ROWS, false, out->m == 0 ? out : &beside);
     }
 }
 

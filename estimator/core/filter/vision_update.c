@@ -181,6 +181,10 @@ static void initialise(const dl_filter_params *o, dl_belief *b, covariance *c, c
         }
         open_waves(b, sigma, P, 2, DL_DIRECTIONS);
     }
+    /* A velocity that counted as over the water may have been over a ship that reported hers. */
+    for (int k = 0; k < 4 && !happened(b->sighted) && o->velocity_is_over == DL_OVER_EITHER; k++) {
+        AT(P, DL_VEL + k / 2, DL_VEL + k % 2) += b->x[DL_VESSEL_VEL + k / 2] * b->x[DL_VESSEL_VEL + k % 2];
+    }
     if ((reset || !b->heading_known) && s->has_yaw && !s->yaw_ambiguous) {
         set_heading(b, P, s->yaw_rad);
     }
@@ -369,13 +373,6 @@ static int is_sure(const dl_sighting *s)
     return fmax(s->cov[0], fmax(s->cov[5], s->cov[10])) <= SURE_VAR;
 }
 
-static void write_sighting_outcome(dl_outcome *out, int verdict, const comparison *row, double nis_max)
-{
-    write_outcome(out, verdict, row->seen.m, 0, row->seen.innov, row->S);
-    out->nis = row->nis;
-    out->nis_max = nis_max;
-}
-
 /* Fuse a baseline: more of them do not know the place better than the wander that all share. One that is not sure is no sight. */
 static void fuse_baseline(dl_belief *b, covariance *c, comparison *row, int fresh, int sure)
 {
@@ -455,7 +452,7 @@ void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
         }
     }
     if (!row->ok) {
-        write_outcome(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL);
+        write_outcome(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL, NAN, NAN);
         return;
     }
     const int dof = row->seen.m;
@@ -468,14 +465,14 @@ void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
         }
         const double span = seconds(b->rejections.since, b->rejections.last);
         if (outvoted || !sure || !streak_resets(o, b) || (s->by_baseline && span < FOLLOWED_S)) {
-            write_sighting_outcome(out, DL_GATED, row, o->nis_max[dof - 1]);
+            write_outcome(out, DL_GATED, dof, 0, row->seen.innov, row->S, row->nis, o->nis_max[dof - 1]);
             return;
         }
         initialise(o, b, c, s, !s->by_baseline);
         b->nis_mean = 1.0;
         compare(o, b, c->P, s, 0, row);
         if (!row->ok) {
-            write_outcome(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL);
+            write_outcome(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL, NAN, NAN);
             return;
         }
     }
@@ -488,5 +485,5 @@ void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
     if (sure) {
         learn(o, b, bank, s, row);
     }
-    write_sighting_outcome(out, DL_FUSED, row, o->nis_max[row->seen.m - 1]);
+    write_outcome(out, DL_FUSED, row->seen.m, 0, row->seen.innov, row->S, row->nis, o->nis_max[row->seen.m - 1]);
 }

@@ -771,13 +771,13 @@ def _vessel(b: State, event: VesselReport, params: FilterParams) -> Outcome:
         H = _BY_V_PAD - np.outer(swing, turns)
         R = event.cov_v_ned + (0.5**2 * np.eye(3) if o.velocity_is_over in ("either", "auto") else 0.0)
         rows, axes = [Rows(event.v_vessel_ned - H @ b.x, H, R)], (0, 1, 2)
+    in_sight, shows_arrow = (t >= 0 and (b.t - t) * 1e-9 <= 0.6 for t in (b.sighted, b.heading_seen))
     due = b.turn_heading < 0 or (b.t - b.turn_heading) * 1e-9 >= 1.0 or event.turn_rad_s is None
-    if event.heading_rad is not None and event.sigma_heading_rad is not None and due and not _lately(b, b.heading_seen):
+    if event.heading_rad is not None and event.sigma_heading_rad is not None and due and not shows_arrow:
         innov = np.array([wrap_pi(event.heading_rad + o.pad_yaw_in_vessel_rad - b.x[PAD_YAW])])
         rows, axes = [*rows, Rows(innov, I_N[[PAD_YAW]], np.array([[event.sigma_heading_rad**2]]))], (*axes, 3)
     if rows:
-        z = _together(rows)
-        outcome = _gated(b, z, params, axes, velocities_alone=3 not in axes and _lately(b, b.sighted))
+        outcome = _gated(b, _together(rows), params, axes, velocities_alone=in_sight and 3 not in axes)
         if outcome.verdict is Verdict.FUSED and 3 in axes:
             b.heading_known, b.turn_heading = 1, b.t
     if event.turn_rad_s is None or event.sigma_turn_rad_s is None:
@@ -792,12 +792,8 @@ def _vessel(b: State, event: VesselReport, params: FilterParams) -> Outcome:
         if b.steered < 0 or (b.t - b.steered) * 1e-9 > 2.0:
             b.vessel_before = b.x[VESSEL_VEL] - b.x[VEL][:2] + b.ins_v[:2]
         b.steered, b.swung = b.t, b.t if abs(z.innov[0]) > 0.2 else b.swung
-    turned = _gated(b, z, params, (4,), left_out=b.t < b.turn_left_out)
+    turned = outcome if b.t < b.turn_left_out else _gated(b, z, params, (4,))
     return turned if outcome.innov is None else outcome
-
-
-def _lately(b: State, t: int) -> bool:
-    return t >= 0 and (b.t - t) * 1e-9 <= 0.6
 
 
 def _turn_shows(b: State, innov: float, sigma: float) -> bool:
@@ -815,14 +811,12 @@ def _turn_shows(b: State, innov: float, sigma: float) -> bool:
     return bool(shows and b.t >= b.turn_left_out)
 
 
-def _gated(
-    b: State, z: Rows, params: FilterParams, axes: tuple[int, ...], *, left_out: bool = False, velocities_alone: bool = False
-) -> Outcome:
+def _gated(b: State, z: Rows, params: FilterParams, axes: tuple[int, ...], *, velocities_alone: bool = False) -> Outcome:
     """Correct a state, or its horizontal velocities alone, by numbers that pass the gate."""
     fix, limit = correction(b.P, z), nis_max(params.options.gate_probability, z.innov.size)
     if fix is None:
         return Outcome(Verdict.SINGULAR, z.innov, axes=axes)
-    if fix.nis > limit or left_out:
+    if fix.nis > limit:
         return Outcome(Verdict.GATED, z.innov, fix.S, fix.nis, limit, axes)
     if velocities_alone:
         others = np.delete(np.arange(N), [6, 7, 16, 17])
@@ -1034,6 +1028,8 @@ def _initialise(b: State, s: Sighting, o: EkfOptions, *, reset: bool) -> None:
         size = np.maximum(b.wave_sigma, np.sqrt((np.exp(LOG_PRIOR) * SIGMA**2).sum(axis=1)))
         for states, cov in zip(WAVES[2:], waves_unknown(b, size)[2:], strict=True):
             P[np.ix_(states, states)] = cov
+    if b.sighted < 0 and o.velocity_is_over in ("either", "auto"):
+        P[6:8, 6:8] += np.outer(x[VESSEL_VEL], x[VESSEL_VEL])
     if (reset or not b.heading_known) and s.yaw_rad is not None and not s.yaw_ambiguous:
         x[PAD_YAW] = wrap_pi(heading(b.R) - s.yaw_rad)
         P = without(P, PAD_YAW, _UNIFORM_VAR)

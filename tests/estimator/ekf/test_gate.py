@@ -11,9 +11,9 @@ from msgspec import structs
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import UNKNOWN_VAR, Range
 from estimator.ekf import EkfOptions, Event, Filter
-from estimator.ekf.params import BARO_OFFSET, POS_REL, VEL, VEL_SCALE, VESSEL_VEL
+from estimator.ekf.params import ACCEL_BIAS, BARO_OFFSET, POS_REL, VEL, VEL_SCALE, VESSEL_VEL
 from tests.estimator.ekf.core_state import newest
-from tests.make import attitude, baro, imu, sighting, velocity
+from tests.make import attitude, baro, imu, sighting, velocity, vessel
 from tests.make import ns as instant
 from tests.support.estimator_truth import EPOCH_NS, OPTIONS, Setting, TruthFlight, events, ns, setting
 
@@ -162,19 +162,23 @@ def test_first_imu_alone_levels_the_body() -> None:
 # Sensors of a body that hovers, and jump for good
 
 
-def hover(seconds: float, ekf: Filter, since: float = 100.0, yaw: float = 0.0, forward_m_s: float = 0.0) -> Filter:
-    """Hover over a pad that stands two metres below, its arrow to the north-east, with a velocity sensor."""
+def hover(
+    seconds: float, ekf: Filter, since: float = 100.0, yaw: float = 0.0, forward_m_s: float = 0.0, ship: str = ""
+) -> Filter:
+    """Hover over a pad two metres below, its arrow to the north-east, with a velocity sensor; a ship may report 1.5 m/s."""
     rng = np.random.default_rng(round(10 * since))
     for k in range(round(seconds * 50)):
         t = since + 0.02 * k
         ekf.put([imu(t, 1e-3 * rng.standard_normal(3), [0.0, 0.0, -9.80665] + 1e-2 * rng.standard_normal(3))])
         ekf.put([attitude(t, yaw=yaw, var=0.005**2)])
-        if k % 5 == 0:
+        if k % 5 == 0 and ship != "unseen":
             d = np.array([0.2, -0.1, 2.0]) + 0.005 * rng.standard_normal(3)
             ekf.put([sighting(t, d, -0.7 + 0.01 * rng.standard_normal(), var=[1e-4, 1e-4, 4e-4], yaw_var=4e-4, seq=k)])
         if k % 5 == 1:
             v = np.array([forward_m_s, 0.0, 0.0]) + 0.01 * rng.standard_normal(3)
             ekf.put([velocity(t, v, var=[0.02**2, 0.02**2, UNKNOWN_VAR])])
+        if k % 10 == 2 and ship:
+            ekf.put([vessel(t, [1.5, 0.0, 0.0], 0.7)])
     return ekf
 
 
@@ -196,6 +200,13 @@ def test_a_velocity_that_jumps_for_good_comes_back_in_as_body_and_vessel_togethe
     assert abs(b.x[VEL][0] * b.x[VEL_SCALE] - 1.5) < 0.4
     assert abs(b.x[VESSEL_VEL][0] - b.x[VEL][0]) < 0.2
     np.testing.assert_allclose(b.x[POS_REL], [0.2, -0.1, 2.0], atol=0.05)
+
+
+def test_a_ship_under_way_that_reports_it_before_sight_is_no_tilt_and_no_bias() -> None:
+    """The velocity over the deck counted as one over the water, and sight of a pad that does not move contradicted it."""
+    x = newest(hover(1.0, hover(1.0, Filter(), ship="unseen"), since=101.0, ship="seen")).x
+    np.testing.assert_allclose([*x[VEL][:2], *x[VESSEL_VEL]], [1.5, 0.0, 1.5, 0.0], atol=0.15)
+    np.testing.assert_allclose(x[ACCEL_BIAS][:2], 0.0, atol=0.03)
 
 
 def test_a_barometer_that_jumps_for_good_comes_back_in_by_its_offset() -> None:

@@ -3,6 +3,7 @@
 import copy
 import itertools
 import math
+import re
 import tomllib
 from typing import Any
 
@@ -164,12 +165,8 @@ def beside(**region: Any) -> dict[str, Any]:
     ],
 )  # fmt: skip
 def test_a_fiducial_that_cannot_be_read_is_refused_with_path_value_and_cure(data: dict[str, Any], said: str) -> None:
-    with pytest.raises(BadInput) as why:
+    with pytest.raises(BadInput, match=rf"\Amine\.toml: [^\n]*{re.escape(said)}[^\n]*\Z"):
         Pad.from_mapping(data, "mine.toml")
-    text = str(why.value)
-    assert text.startswith("mine.toml: ")
-    assert "\n" not in text
-    assert said in text
 
 
 MARKERS = st.sampled_from(

@@ -1,6 +1,7 @@
 """A pad's file: what is refused and how, what is derived from the regions, edges, and the coverage of slanted shapes."""
 
 import copy
+import re
 import tomllib
 from typing import Any
 
@@ -136,12 +137,8 @@ def test_a_sheet_around_a_ring_is_its_ground(side_m: float, polygon: bool, named
     ],
 )  # fmt: skip
 def test_what_cannot_be_painted_is_refused_with_path_value_and_cure(data: dict[str, Any], said: str) -> None:
-    with pytest.raises(BadInput) as why:
+    with pytest.raises(BadInput, match=rf"\Amine\.toml: [^\n]*{re.escape(said)}[^\n]*\Z"):
         Pad.from_mapping(data, "mine.toml")
-    text = str(why.value)
-    assert text.startswith("mine.toml: ")
-    assert "\n" not in text
-    assert said in text
 
 
 @pytest.mark.parametrize("name", SHIPPED)
