@@ -99,7 +99,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
         f"{_WATCH}::test_every_response_that_may_be_flown_by_keeps_the_margin_of_60_ms[ardrone2]",
         *_LAW,
     ),
-    "companion/guidance/law/records.py": ("tests/companion/test_follow_deck.py",),
     "companion/guidance/law/margins.py": (_WATCH,),
     "companion/settings/guidance.py": ("tests/companion/test_response_fit.py",),
     "companion/guidance/law/gains.py": (

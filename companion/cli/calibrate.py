@@ -1,6 +1,6 @@
 """`decklander calibrate`: `camera` writes a camera file from images of a board, grades it, and lists what the images lack.
 
-`mount`, `delay` and `readout` are in `companion.cli.calibrate_flight`, `vehicle` in `companion.cli.identify`.
+`mount`, `delay`, `readout` and `vehicle` are in `companion.cli.calibrate_flight`.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from typing import get_args
 import numpy as np
 
 from companion.base import event_loop
-from companion.cli import board_option, calibrate_flight, identify
+from companion.cli import board_option, calibrate_flight
 from companion.cli.options import option, print_result, require_drawing
 from companion.tools.calibrate.board import BOARDS, Board, Collection
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
+from companion.tools.calibrate.flight_result import of_distance
 from companion.tools.calibrate.guide import (
     GRADES,
     Assessment,
@@ -32,7 +33,6 @@ from companion.tools.calibrate.guide import (
     watch,
 )
 from companion.tools.calibrate.solve import LEAST_VIEWS, LensChoice, Solution, solve
-from companion.tools.calibrate.touchdown_cost import of_distance
 from drivers.camera.images import PICTURES
 from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
 from estimator.contracts.errors import BadInput, file_errors, refused
@@ -52,8 +52,6 @@ def add_arguments(outer: argparse.ArgumentParser) -> None:
     actions = outer.add_subparsers(dest="action", metavar="WHAT", required=True)
     _add_camera(actions)
     calibrate_flight.add_parsers(actions)
-    vehicle = actions.add_parser("vehicle", help=identify.HELP, description=identify.DESCRIPTION)
-    identify.add_arguments(vehicle)
 
 
 def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -113,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     if args.action == "camera":
         return _run_camera(args)
-    return identify.run(args) if args.action == "vehicle" else calibrate_flight.run(args)
+    return calibrate_flight.run(args)
 
 
 def _run_camera(args: argparse.Namespace) -> int:

@@ -22,8 +22,7 @@ from companion.settings.load import Settings, load
 from companion.tools.doctor.diagnose import RULES, diagnose
 from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather import examine, wait_until
-from companion.tools.doctor.gather_log import examine_log
-from companion.tools.doctor.gather_outside import examine_service
+from companion.tools.doctor.gather_outside import examine_log, examine_service
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot, decode, encode
 from companion.tools.doctor.undo import (
     OnResult,

@@ -12,7 +12,7 @@ from msgspec import inspect
 
 from companion.facts import records as rec
 from companion.recording import foxglove as fox
-from companion.recording.scene import SceneUpdate
+from companion.recording.foxglove import SceneUpdate
 from estimator.contracts.estimates import PathName, Source
 from estimator.contracts.samples import Sample
 

@@ -22,8 +22,7 @@ from estimator.contracts.estimates import (
     Source,
     Verdict,
 )
-from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, GeoPoint, Rotation
 from estimator.contracts.samples import Attitude, GeoFix, Sample
 from estimator.contracts.time import MonoNs, Stamp, StampSource
 from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing

@@ -13,8 +13,8 @@ from companion.facts import encode
 from companion.facts import records as rec
 from companion.recording import channels
 from companion.recording import foxglove as fox
+from companion.recording.foxglove import error_ellipsoid, fixed_scene
 from companion.recording.frame_encoder import RECORDED, FrameEncoder
-from companion.recording.scene import error_ellipsoid, fixed_scene
 from companion.settings.service import FrameForm
 from estimator.contracts.estimates import FusionResult, RelativeState
 from estimator.contracts.samples import Attitude, Sample

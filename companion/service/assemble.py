@@ -11,14 +11,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.base import memory
-from companion.base.containment import RestartablePart
+from companion.base.containment import Body, RestartablePart
 from companion.base.event_loop import heeded
 from companion.base.health import SHIP_PLACE, Health
 from companion.base.liveness import Manager, Pulse, watchdog_interval_s
@@ -27,7 +27,6 @@ from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.base.signals import PROCESS, threads
-from companion.base.supervise import Body
 from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
@@ -201,6 +200,14 @@ def keeper_of(pilot: Pilot, vehicle: str, environment: Mapping[str, str], modes:
 _REPORTS_MAX = 64
 """Reports of the ship that may wait; the oldest is dropped."""
 
+
+class CountedPart(Protocol):
+    """A part that listens beside the flight and counts."""
+
+    async def run(self) -> None: ...
+    def counted(self) -> Mapping[str, float]: ...
+
+
 if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
     from companion.parts.mavlink.camera_component import Send, ShowCamera
     from drivers.mavlink.links import Tap
@@ -230,6 +237,11 @@ def make_daemon(
     if log_counts is not None:
         health.counters("log", log_counts)
     watching, extras = list(observers), dict[str, Body]()
+
+    def add(name: str, part: CountedPart) -> None:
+        extras[name] = part.run
+        health.counters(name, part.counted)
+
     recording: Callable[[bool], str | None] | None = None
     tap: Tap | None = None
     if settings.recorder.enabled or settings.mqtt.transport != "off" or isinstance(settings.vehicle, AutopilotOptions):
@@ -246,8 +258,7 @@ def make_daemon(
 
         video = VideoStreamPart(settings.video_stream, pilot, ticking)
         watching.append(video)
-        extras["video_stream"] = video.run
-        health.counters("video_stream", video.counted)
+        add("video_stream", video)
 
         def show(send: Send) -> CameraComponent:
             return CameraComponent(send, pilot.camera, settings.video_stream, video.size, lambda: video.flows)
@@ -261,27 +272,17 @@ def make_daemon(
     extras |= vehicle.extras
     reports: Line[Sample] | None = None
     vessel, choice = settings.vessel, SourceChoice()
-    if vessel.nmea or vessel.bus or vessel.mqtt or settings.rtk.source or settings.rtk.heading:
+    streams = [key for key in ("source", "heading") if getattr(settings.rtk, key)]
+    if vessel.nmea or vessel.bus or vessel.mqtt or streams:
+        from companion.parts.ship.part import BusPart, RtkPart, SentencesPart
+
         reports = Line(_REPORTS_MAX)
-    if settings.vessel.nmea and reports is not None:
-        from companion.service.vehicle_parts import SentencesPart
-
-        sentences = SentencesPart(vessel, choice, reports, ticking)
-        extras["sentences"] = sentences.run
-        health.counters("sentences", sentences.counted)
-    if vessel.bus and reports is not None:
-        from companion.parts.bus.part import BusPart
-
-        bus = BusPart(vessel.bus, vessel.nmea_simulated, choice, reports, ticking)
-        extras["bus"] = bus.run
-        health.counters("bus", bus.counted)
-    for key in ("source", "heading"):
-        if getattr(settings.rtk, key) and reports is not None:
-            from companion.parts.rtk.part import RtkPart
-
-            receiver = RtkPart(settings.rtk, key, reports, ticking)
-            extras[f"rtk_{key}"] = receiver.run
-            health.counters(f"rtk_{key}", receiver.counted)
+        if vessel.nmea:
+            add("sentences", SentencesPart(vessel, choice, reports, ticking))
+        if vessel.bus:
+            add("bus", BusPart(vessel.bus, vessel.nmea_simulated, choice, reports, ticking))
+        for key in streams:
+            add(f"rtk_{key}", RtkPart(settings.rtk, key, reports, ticking))
     if sources(settings):
         if settings.guidance.rendezvous.enabled:  # a network without a GNSS receiver is worth its motion sensor all the same
             health.awaited |= {SHIP_PLACE}
@@ -296,15 +297,13 @@ def make_daemon(
     if (path := socket_path(settings)) is not None:
         terminals = OperatorSocket(path, pilot, ticking)
         watching.append(terminals)
-        extras["operator"] = terminals.run
-        health.counters("operator", terminals.counted)
+        add("operator", terminals)
     if settings.operator.gamepad != OFF:
         from companion.parts.operator.gamepad_part import GamepadPart
         from companion.settings.referenced_files import mapping_of
 
-        gamepad = GamepadPart(mapping_of(settings.operator.gamepad), settings.operator.gamepad_device, pilot, ticking)
-        extras["gamepad"] = gamepad.run
-        health.counters("gamepad", gamepad.counted)
+        mapping = mapping_of(settings.operator.gamepad)
+        add("gamepad", GamepadPart(mapping, settings.operator.gamepad_device, pilot, ticking))
     if settings.http.endpoint != "off":
         from companion.base.http_server import HttpServer
         from companion.parts.metrics.endpoint import MetricsEndpoint

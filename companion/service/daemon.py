@@ -18,13 +18,12 @@ from typing import Protocol
 
 from msgspec.structs import replace
 
-from companion.base.containment import Audience
+from companion.base.containment import Audience, Body, run, uncancelled
 from companion.base.health import SHIP_PLACE, Health, missing_inputs
 from companion.base.memory import GroundedCollector, no_full_collections
 from companion.base.mission import FAULTS, FlightOutcome
 from companion.base.observer import Decision, FrameTimes, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder
-from companion.base.supervise import Body, run, uncancelled
 from companion.base.worker import Worker
 from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot

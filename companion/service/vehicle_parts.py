@@ -8,23 +8,22 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from companion.base.containment import Body
 from companion.base.health import Health
 from companion.base.observer import NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OrderSender, OrderSource
-from companion.base.supervise import Body
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.service.daemon import OpenLink, VehicleLink
 from companion.settings.load import camera_model
 from companion.settings.model import Settings, ardrone_options
-from companion.settings.vessel import VesselOptions
 from drivers.ardrone.link import open_ardrone
 from drivers.camera.exposure import ExposureDrive, ExposureGovernor
 from drivers.camera.open_camera import open_camera
@@ -32,9 +31,6 @@ from drivers.camera.options import CameraOptions, ExposureOptions, Size, check_s
 from drivers.camera.source import VideoSource
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
-from drivers.nmea.sentences import REFUSED_FOR, NmeaReader
-from drivers.nmea.transport import SentenceSource, sentences_from
-from drivers.one_source import SourceChoice
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState
@@ -189,49 +185,6 @@ def with_camera(
             yield LinkWithCamera(vehicle, camera)
 
     return both
-
-
-class SentencesPart(NullObserver):
-    """The supervised task.
-
-    Args:
-        choice: chooses one of several sources of the ship.
-        reports: where samples are put.
-    """
-
-    def __init__(self, options: VesselOptions, choice: SourceChoice, reports: Line[Sample], clock: Clock) -> None:
-        self._options = options
-        self._reports = reports
-        self._clock = clock
-        self._reader = NmeaReader(options.mmsi, options.nmea_simulated, choice)
-        self._source = SentenceSource(options.nmea_from, self._take)
-        self._told: set[str] = set()
-
-    def counted(self) -> Mapping[str, float]:
-        """Return the counters for health: sentences taken by kind, refused ones by reason, and both by talker and kind."""
-        refused = self._reader.refused + self._source.refused
-        out = {f"taken_{kind}": float(n) for kind, n in self._reader.taken.items()}
-        return out | {f"refused_{why}": float(n) for why, n in refused.items()} | self._reader.by_source(self._clock.now())
-
-    async def run(self) -> None:
-        """Listen until cancelled.
-
-        Raises:
-            Recoverable: they cannot be listened to, or no longer.
-        """
-        endpoint = self._options.endpoint()
-        async with sentences_from(endpoint, self._source, self._clock) as wire:
-            log.info("listening for the ship's sentences on %s", self._options.nmea)
-            await wire.broken()
-
-    def _take(self, lines: bytes, received_at: MonoNs) -> None:
-        for sample in self._reader.samples(lines, received_at):
-            self._reports.offer(sample)
-        refused = self._reader.refused + self._source.refused
-        for why in refused.keys() - self._told - {"other_sentence", "wrong_sender", "other_receiver"}:
-            self._told.add(why)
-            reason = REFUSED_FOR.get(why, why.replace("_", " "))
-            log.warning("a sentence of the ship was refused (%s); the next ones are counted only", reason)
 
 
 @dataclass(frozen=True, slots=True)

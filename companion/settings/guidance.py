@@ -21,8 +21,7 @@ from companion.settings.mission import ConeOptions, LandingLimits, ThesisOptions
 from companion.settings.vessel import RendezvousOptions
 from estimator.contracts.commands import LandingPlace
 from estimator.contracts.errors import refused
-from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, GeoPoint
 from estimator.contracts.keys import CheckedOptions, choice, name, number, text
 from estimator.contracts.motion import G_M_S2
 

@@ -20,9 +20,8 @@ from msgspec import Meta, Struct
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.links import BridgeOptions, HttpSettings, MqttSettings, OutputOptions, VideoStreamOptions
 from companion.settings.operator import LimitOptions, OperatorOptions
-from companion.settings.rtk import RtkOptions
 from companion.settings.service import RecorderOptions, RestartOptions
-from companion.settings.vessel import VesselOptions
+from companion.settings.vessel import RtkOptions, VesselOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.options import DRIVEN_SOURCES, CameraOptions
 from drivers.mavlink.options import AutopilotOptions, GimbalOptions

@@ -11,8 +11,7 @@ from typing import Any
 
 from drivers.ardrone.navdata import Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
-from estimator.contracts.geodesy import GeoPoint, height_of_pressure_m
-from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
+from estimator.contracts.geometry import F64, GeoPoint, Rotation, fixed_matrix, fixed_vector, height_of_pressure_m
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import (
     UNKNOWN_VAR,

@@ -24,8 +24,7 @@ from drivers.mavlink.options import SampleOptions
 from drivers.mavlink.timesync import MS_WRAP_NS, BootClock, boot_ms, boot_us
 from drivers.mavlink.vehicle import ARMED, Condition, Stack, flying_of, mode_name
 from estimator.contracts import samples as contract
-from estimator.contracts.geodesy import GeoPoint, height_of_pressure_m
-from estimator.contracts.geometry import F64, Rotation, fixed_matrix, fixed_vector
+from estimator.contracts.geometry import F64, GeoPoint, Rotation, fixed_matrix, fixed_vector, height_of_pressure_m
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between

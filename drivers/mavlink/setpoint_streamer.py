@@ -45,8 +45,7 @@ from estimator.contracts.commands import (
     TakeOff,
     Velocity,
 )
-from estimator.contracts.geodesy import GeoPoint, ned_between
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, GeoPoint, Rotation, ned_between
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, seconds_between
 

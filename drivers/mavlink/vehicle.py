@@ -10,7 +10,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from drivers.mavlink.dialect import Message, mav
-from estimator.contracts.geodesy import GeoPoint
+from estimator.contracts.geometry import GeoPoint
 
 
 class Stack(Enum):

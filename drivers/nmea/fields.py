@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, GeoPoint
 from estimator.contracts.time import NS_PER_S
 
 KNOT_M_S = 1852.0 / 3600.0

@@ -39,8 +39,7 @@ from drivers.nmea.fields import (
 from drivers.nmea.motion import ShipMotion, Wind
 from drivers.nmea.transport import DATAGRAM_MAX, LINES_MAX
 from drivers.one_source import SourceChoice
-from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, GeoPoint
 from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, after, seconds_between
 

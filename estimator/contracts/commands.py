@@ -5,8 +5,7 @@ import math
 import numpy as np
 from msgspec import Struct, structs
 
-from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import F64, own_array
+from estimator.contracts.geometry import F64, GeoPoint, own_array
 
 
 class Velocity(Struct, frozen=True, eq=False):

@@ -9,8 +9,7 @@ from msgspec import Struct
 from msgspec.structs import force_setattr
 from numpy.typing import NDArray
 
-from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import DOUBLE, F64, Rotation, own_array
+from estimator.contracts.geometry import DOUBLE, F64, GeoPoint, Rotation, own_array
 from estimator.contracts.time import MonoNs, Stamp
 
 SAMPLE_QUEUE_ITEMS = 4096

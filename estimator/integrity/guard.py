@@ -27,9 +27,8 @@ from estimator.contracts.samples import (
     VesselWind,
 )
 from estimator.contracts.time import MonoNs
-from estimator.integrity import baselines, crosschecks, inertial, parity, sensors, tracks
-from estimator.integrity.baselines import BaselineWatch
-from estimator.integrity.crosschecks import HeadingWatch, HeightWatch, ViewWatch
+from estimator.integrity import crosschecks, inertial, parity, sensors, tracks
+from estimator.integrity.crosschecks import BaselineWatch, HeadingWatch, HeightWatch, ViewWatch
 from estimator.integrity.options import IntegrityOptions
 from estimator.integrity.sensors import ClockWatch, FrameWatch, SensorWatch
 from estimator.integrity.tracks import Arbiter, Place, Tracks
@@ -272,7 +271,7 @@ def baseline_judged(
         sigma_m: the baseline's largest standard deviation on one axis.
         belief: the steering estimate at its instant, with it.
     """
-    guard = replace(guard, baselines=baselines.compared(guard.baselines, result, sigma_m))
+    guard = replace(guard, baselines=crosschecks.baseline_compared(guard.baselines, result, sigma_m))
     if result.verdict is not Verdict.FUSED or belief is None or attitude is None or belief.sighted != result.measured_at:
         return guard
     place = Place(int(result.measured_at), _fixed(belief.d_body_pad_level, attitude), *_sigmas(belief.cov))

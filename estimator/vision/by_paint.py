@@ -33,8 +33,8 @@ from estimator.vision.clear_deck import check_surface
 from estimator.vision.detect import verification
 from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
 from estimator.vision.detect.guesses import Plane, heading, pose_about
-from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, fade
 from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.detect.template import FRESH, LEARNED_AT, PaintMemory, fade
 from estimator.vision.detect.verification import calibrate
 from estimator.vision.detection import Detection, Opinions, PadCheck, agree, fuse
 from estimator.vision.learned.second_opinion import WORTH_ASKING
@@ -42,13 +42,13 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.ambiguity import nearest_of_four
 from estimator.vision.register.registration import (
     SRGB,
     Registration,
     RegistrationOptions,
     ToneMemory,
     learn_tone,
+    nearest_of_four,
     sighting_of_look,
     with_tone,
 )

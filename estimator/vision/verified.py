@@ -18,17 +18,22 @@ import numpy as np
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import COVERED_LOG_ODDS, SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, UNCUT, align_uncovered
-from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.pyramid import U8, FrameView
-from estimator.vision.detect.template import BLURS_M, F32, STEP_M, template
+from estimator.vision.detect.template import BLURS_M, F32, FRESH, STEP_M, PaintMemory, template
 from estimator.vision.detect.verification import confidence, support_log_odds
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import confusable_turns
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.ambiguity import LETTER_MOST, cells_log_odds, letter_log_odds
-from estimator.vision.register.registration import Registration, RegistrationOptions, look
+from estimator.vision.register.registration import (
+    LETTER_MOST,
+    Registration,
+    RegistrationOptions,
+    cells_log_odds,
+    letter_log_odds,
+    look,
+)
 from estimator.vision.srgb import LINEAR_LIGHT, LUMA, linear_light
 
 _LENS_PX = 0.75

@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from msgspec.structs import replace
 
-from estimator.contracts.geodesy import moved
-from estimator.contracts.geometry import wrap_pi
+from estimator.contracts.geometry import moved, wrap_pi
 from estimator.contracts.samples import Baseline, GeoFix, OfVessel, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
 from sitl.faults.kinds import VesselReports

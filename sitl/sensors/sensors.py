@@ -16,8 +16,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from estimator.contracts.geodesy import GeoPoint, moved
-from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.geometry import F64, GeoPoint, moved, wrap_pi
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.core.abi import DL_ECHOES_MAX, DL_SENSOR_NOISE

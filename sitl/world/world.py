@@ -35,8 +35,7 @@ from sitl.sensors.sensors import FaultySensors, Readings, Sensors
 from sitl.vehicle.airframe import StickLimits, rotors
 from sitl.vehicle.vehicle import Vehicle, VehiclePhase
 from sitl.vessel.contact import Ground
-from sitl.vessel.manoeuvre import Manoeuvre
-from sitl.vessel.vessel import Mounted
+from sitl.vessel.vessel import Manoeuvre, Mounted
 from sitl.world.stage import (
     air,
     airframe,

@@ -26,8 +26,7 @@ from companion.settings.guidance import ClimbResponse, GuidanceOptions
 from companion.settings.service import RestartOptions
 from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, Verdict
-from estimator.contracts.geodesy import GeoPoint, moved
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import GeoPoint, Rotation, moved
 from estimator.contracts.motion import G_M_S2, DeckMotion
 from estimator.contracts.samples import GeoFix
 from estimator.options import EstimatorOptions

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from companion.cli.main import main
-from companion.cli.pad_import import clicked
+from companion.cli.pad import clicked
 from companion.settings.load import read_toml
 from companion.tools.pads.price import CAMERA, VIEWS, kind_of, planted, price, view
 from companion.tools.pads.trace import drawn, read_svg, traced

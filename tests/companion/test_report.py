@@ -21,9 +21,9 @@ from msgspec.structs import replace
 
 from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
 from companion.cli import main as cli
+from companion.recording.foxglove import SIGMAS, error_ellipsoid, filled
 from companion.recording.palette import OUTLINE, bgr, colour
 from companion.recording.reading import open_recording
-from companion.recording.scene import SIGMAS, error_ellipsoid, filled
 from companion.settings.load import shipped
 from companion.tools.replay.recorded_log import log_of
 from companion.tools.report.figures import TruthTrack, all_series, deck_rows, error_rows

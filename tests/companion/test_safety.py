@@ -22,8 +22,7 @@ from companion.settings.load import camera_model, load, pad_model
 from companion.settings.mission import TryOptions
 from estimator.contracts.commands import Hover, Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert, PathName, Sighting, Verdict
-from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import GeoPoint, Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, GeoFix, Imu, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions

@@ -26,8 +26,7 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from drivers.nmea.fields import KNOT_M_S
 from drivers.nmea.sentences import REFUSED_FOR
-from estimator.contracts.geodesy import GeoPoint, moved
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, GeoPoint, moved
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.sensors.sensors import ORIGIN
 from tests.support.waiting import free_port, until

@@ -18,13 +18,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.base import event_loop
+from companion.base.containment import contain, keep_alive, run
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
 from companion.base.liveness import Manager, Pulse, stuck, watchdog_interval_s
 from companion.base.loop_lag import HELD_S, STOOD_S, Lags, LoopWatch
 from companion.base.memory import GroundedCollector, no_full_collections
 from companion.base.observer import Decision, Observer
-from companion.base.supervise import contain, keep_alive, run
 from companion.guidance.pad_search import Look
 from companion.guidance.pilot import Pilot
 from companion.parts.metrics.endpoint import MetricsEndpoint

@@ -11,7 +11,7 @@ from companion.base.mission import Reason, ReasonCause
 from companion.guidance.mission.progress import VesselPosition
 from companion.guidance.mission.vessel_track import VesselTrack
 from companion.settings.vessel import ReportLimits
-from estimator.contracts.geodesy import GeoPoint, moved
+from estimator.contracts.geometry import GeoPoint, moved
 from estimator.contracts.samples import GeoFix, VesselReport
 from tests.make import attitude, ns, stamp
 

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from estimator.contracts.commands import Velocity
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, SetupImpossible
 from estimator.contracts.estimates import Pose6, RelativeState, Sighting
-from estimator.contracts.geodesy import GeoPoint, moved, ned_between
-from estimator.contracts.geometry import Rotation, fixed_matrix, fixed_vector
+from estimator.contracts.geometry import GeoPoint, Rotation, fixed_matrix, fixed_vector, moved, ned_between
 from estimator.contracts.samples import (
     Attitude,
     Baro,

@@ -16,7 +16,7 @@ from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import AS_REPORTED, NavdataSampler
 from drivers.clock import SystemClock
-from estimator.contracts.geodesy import height_of_pressure_m, pressure_of_height_pa
+from estimator.contracts.geometry import height_of_pressure_m, pressure_of_height_pa
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from tests.drivers.captures import CAPTURES, needs_captures

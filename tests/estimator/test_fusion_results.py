@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.contracts.estimates import COMPONENTS, POSE_COMPONENTS, FusionResult, PathName, Pose6, Sighting, Verdict, source_of
-from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, GeoPoint, Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, Sample, VesselMotion
 from estimator.contracts.time import Stamp
 from estimator.ekf.options import EkfOptions

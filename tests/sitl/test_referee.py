@@ -24,8 +24,7 @@ from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, VELOCITY_MODE, Stack, custom_mode, reposition, set_mode
 from estimator.contracts.commands import Velocity
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.geodesy import GeoPoint
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import GeoPoint, Rotation
 from estimator.contracts.time import MonoNs, after
 from sitl.emulators.autopilots.observed_body import MavlinkWires
 from sitl.flight.ending import AtEnd, Grade, grade, on_pad_m, outside_commit

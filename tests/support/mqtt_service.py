@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from companion.base.containment import run
 from companion.base.health import Health
 from companion.base.observer import Decision
-from companion.base.supervise import run
 from companion.parts.mqtt.connection import BrokerEndpoint
 from companion.parts.mqtt.encode import PendingEvent
 from companion.parts.mqtt.messages import Topics

@@ -23,12 +23,16 @@ from companion.guidance.law.gains import (
     TiltGains,
     TiltWeights,
     chosen,
+    law_course,
+    law_cycle,
+    law_gains,
+    law_in_use,
+    law_params,
     observer_gains,
     tilt_gains,
     tilt_model,
 )
 from companion.guidance.law.pid import Pid, PidController
-from companion.guidance.law.records import law_course, law_cycle, law_gains, law_in_use, law_params
 from companion.guidance.law.response_watch import DELAY_MAX_S, shaped
 from companion.settings.guidance import Response, TiltResponse
 from estimator.contracts.commands import Command, Hover, Lean

@@ -15,8 +15,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.guidance.law.gains import ObserverNoise, TiltWeights, chosen, observer_gains, tilt_gains, tilt_model
-from companion.guidance.law.records import law_gains, law_in_use, law_params
+from companion.guidance.law.gains import (
+    ObserverNoise,
+    TiltWeights,
+    chosen,
+    law_gains,
+    law_in_use,
+    law_params,
+    observer_gains,
+    tilt_gains,
+    tilt_model,
+)
 from companion.settings.guidance import ClimbResponse, TiltResponse
 from estimator.contracts.geometry import F64
 from estimator.core.library import CORE

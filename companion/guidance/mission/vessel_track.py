@@ -20,8 +20,7 @@ from msgspec.structs import replace
 from companion.base.mission import Reason, ReasonCause
 from companion.guidance.mission.progress import VesselPosition
 from companion.settings.vessel import ReportLimits
-from estimator.contracts.geodesy import ned_between
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, ned_between
 from estimator.contracts.samples import Attitude, GeoFix, VesselReport
 from estimator.contracts.time import MonoNs, seconds_between
 

@@ -60,7 +60,7 @@ from drivers.mailbox import Line
 from drivers.nmea.sentences import COV_SPEED, HEADING_SIGMA_RAD
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
-from estimator.contracts.geodesy import GeoPoint
+from estimator.contracts.geometry import GeoPoint
 from estimator.contracts.samples import GeoFix, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
 

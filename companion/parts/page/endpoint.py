@@ -30,7 +30,6 @@ from companion.facts.wire import OrderRequest, SticksRequest
 from companion.guidance.advice import advice
 from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from companion.parts.page.access import own_names, refused_origin
-from companion.parts.page.file_answer import assets
 from companion.parts.page.messages import (
     MESSAGE_MAX,
     DrawnNotice,
@@ -48,6 +47,7 @@ from companion.parts.page.messages import (
     picture_message,
     request_in,
 )
+from companion.parts.page.recordings import assets
 from companion.parts.page.viewer import PageService, PageViewer, Tool, refuse
 from companion.recording.frame_encoder import FrameEncoder, VideoQuality, codec_name
 from companion.settings.links import HttpSettings

@@ -1,4 +1,4 @@
-"""The recordings that the page offers: which there are, their reports, and one-time addresses from which a browser may load one.
+"""Files for a browser: the page's own, and the recordings that it offers, with their reports and one-time addresses.
 
 A browser's download carries no token, so the page requests an address over its own connection first.
 """
@@ -13,13 +13,15 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from contextlib import closing, suppress
+from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
+from typing import BinaryIO
 
 from aiohttp import web
+from msgspec import Struct
 
 from companion.base.worker import Worker
-from companion.parts.page.file_answer import send_file
 from companion.parts.page.messages import (
     DownloadAnswer,
     DownloadRequest,
@@ -34,6 +36,82 @@ from companion.parts.page.viewer import PageService, PageViewer, Tool
 from drivers.mailbox import Line
 from estimator.contracts.errors import in_words, unusable
 from estimator.contracts.time import MonoNs, seconds_between
+
+_TYPES: Mapping[str, str] = MappingProxyType(
+    {
+        ".html": "text/html; charset=utf-8",
+        ".js": "text/javascript; charset=utf-8",
+        ".css": "text/css; charset=utf-8",
+        ".svg": "image/svg+xml",
+        ".webmanifest": "application/manifest+json",
+    }
+)
+
+
+class Asset(Struct, frozen=True):
+    """One file of the page."""
+
+    body: bytes
+    content_type: str
+
+    async def answer(self, request: web.Request) -> web.Response:
+        """Answer a request with this file."""
+        return web.Response(body=self.body, headers={"Content-Type": self.content_type})
+
+
+def assets() -> dict[str, Asset]:
+    """Return the files by their paths in an address: the page itself at `/`, the others by their names."""
+    found = {}
+    for file in (resources.files("companion.parts.page") / "static").iterdir():
+        kind = _TYPES.get("." + file.name.rpartition(".")[2])
+        if kind is not None:
+            found["/" if file.name == "index.html" else f"/{file.name}"] = Asset(file.read_bytes(), kind)
+    return found
+
+
+_PIECE_BYTES = 64 * 1024
+_PIECE_S = 10.0
+"""A browser that takes no piece for so long is hung up on."""
+
+
+async def send_file(request: web.Request, path: Path, headers: Mapping[str, str]) -> web.StreamResponse:
+    """Send a file as far as it is written at this moment; answer 404 where there is none. No symbolic link is followed.
+
+    Raises:
+        ConnectionResetError: the browser hung up or was too slow, or the disk failed, on the way.
+    """
+    worker = Worker("page file")
+    file: BinaryIO | None = None
+    try:
+        file, size = opened = await worker.run(_opened, path)
+        answer = web.StreamResponse(headers=headers)
+        answer.content_length = size
+        await answer.prepare(request)
+        while size > 0:
+            piece = await worker.run(opened[0].read, min(size, _PIECE_BYTES))
+            if not piece:
+                break
+            size -= len(piece)
+            async with asyncio.timeout(_PIECE_S):
+                await answer.write(piece)
+        return answer
+    except OSError as why:  # a hung-up browser, a slow one (TimeoutError), or the disk
+        if file is None:
+            return web.Response(status=404, text=f"{unusable(path.name, why)}\n")
+        raise ConnectionResetError(f"{path.name} was not sent to its end") from why
+    finally:
+        if file is not None:
+            with suppress(Exception):
+                await worker.run(file.close)
+        worker.close()
+
+
+def _opened(path: Path) -> tuple[BinaryIO, int]:
+    status = path.lstat()
+    if not stat.S_ISREG(status.st_mode):
+        raise FileNotFoundError(2, "not a file", str(path))
+    return path.open("rb"), status.st_size
+
 
 # The reports that the page shows of recordings are each made by a process of its own while the vehicle is on the ground.
 #

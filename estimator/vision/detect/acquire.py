@@ -37,8 +37,8 @@ from estimator.core.library import CORE
 from estimator.vision.camera import Camera
 from estimator.vision.detect.guesses import Guess, Plane
 from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, Kind, kinds
-from estimator.vision.detect.paint import FRESH, PaintMemory
 from estimator.vision.detect.pyramid import FrameView
+from estimator.vision.detect.template import FRESH, PaintMemory
 from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, confidence, log_odds
 from estimator.vision.fiducial import PaintedFiducial, cells_apart, dictionary_of
 from estimator.vision.native import checked, count_work, native_pose, pose_of, tracker_of

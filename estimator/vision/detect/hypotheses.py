@@ -39,9 +39,8 @@ from estimator.vision.detect.guesses import (
     guesses_of,
     heading,
 )
-from estimator.vision.detect.paint import PaintMemory
 from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
-from estimator.vision.detect.template import F32
+from estimator.vision.detect.template import F32, PaintMemory
 from estimator.vision.native import checked, count_work, image_of, tracker_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose

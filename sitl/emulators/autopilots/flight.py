@@ -31,7 +31,7 @@ from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
-from estimator.contracts.geodesy import ned_between
+from estimator.contracts.geometry import ned_between
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 from sitl.camera.film import SimulatedExposure
 from sitl.emulators.autopilots import arducopter, px4

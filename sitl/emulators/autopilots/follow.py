@@ -26,8 +26,7 @@ from drivers.mavlink.requests import message_id
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
-from estimator.contracts.geodesy import GeoPoint, ned_between
-from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.geometry import F64, GeoPoint, Rotation, ned_between, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 from sitl.camera.camera import Exposure

@@ -18,8 +18,7 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.requests import message_id
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.geodesy import GeoPoint, moved, ned_between
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, GeoPoint, moved, ned_between
 from estimator.contracts.time import Clock
 from sitl.core.library import SIM
 from sitl.emulators.autopilots.body import Body, Motors, Settle

@@ -22,7 +22,7 @@ from msgspec import Struct
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput, SetupImpossible
-from estimator.contracts.geodesy import GeoPoint, moved, pressure_of_height_pa
+from estimator.contracts.geometry import GeoPoint, moved, pressure_of_height_pa
 from sitl.emulators.autopilots.body import Body, BodyState, Motors, Settle, at_once
 from sitl.emulators.autopilots.program import GUIDE, parameters_of
 from sitl.sensors.sensors import ORIGIN

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from companion.tools.doctor.diagnose import LOG_RULES, PARAMETERS, diagnose
 from companion.tools.doctor.diagnose import RULES as ALL_RULES
 from companion.tools.doctor.firmware_parameters import RENAMED, defaults_of, differing, names_in
-from companion.tools.doctor.gather_log import examine_log
+from companion.tools.doctor.gather_outside import examine_log
 from companion.tools.doctor.rules_values import RULES, ValueRule
 from companion.tools.doctor.snapshot import Snapshot
 from estimator.contracts.time import Clock

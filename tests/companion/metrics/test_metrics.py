@@ -11,9 +11,9 @@ import aiohttp
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from companion.base.containment import run
 from companion.base.health import Health
 from companion.base.http_server import ConnectionLimits, HttpServer
-from companion.base.supervise import run
 from companion.parts.metrics.endpoint import MetricsEndpoint, text
 from companion.settings.links import HttpSettings
 from companion.settings.service import RestartOptions

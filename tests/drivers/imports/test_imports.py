@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.tools.doctor.gather_log import parameters_of
+from companion.tools.doctor.gather_outside import parameters_of
 from drivers.imports import ardrone_capture, dataflash, pictures, px4_ulog, tlog
 from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.stamps import Tell, timeline

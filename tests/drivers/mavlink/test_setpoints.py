@@ -23,8 +23,7 @@ from drivers.mavlink.vehicle import (
     set_mode,
 )
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, LandingPlace, Lean, LeaveEmergency, TakeOff, Velocity
-from estimator.contracts.geodesy import GeoPoint, moved
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, GeoPoint, Rotation, moved
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
 

@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.parts.bus.part import BusPart
+from companion.parts.ship.part import BusPart
 from companion.settings.load import load
 from companion.settings.referenced_files import check_installed
 from drivers.clock import SystemClock

@@ -30,8 +30,7 @@ from estimator.vision.pad_information import alike_headings, confusable_turns, p
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.regions import depth_in, outlines_of, rectangles_of
-from estimator.vision.register.ambiguity import cells_log_odds
-from estimator.vision.register.registration import RegistrationOptions, look, register
+from estimator.vision.register.registration import RegistrationOptions, cells_log_odds, look, register
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.verified import heading_z_scores, verify
 from sitl.camera.camera import Renderer

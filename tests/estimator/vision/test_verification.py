@@ -16,8 +16,8 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.vision import native
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import SIGMA_TILT_RAD, AlignedTemplate, align, search
-from estimator.vision.detect.paint import FRESH, PaintMemory, fade
 from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.detect.template import FRESH, PaintMemory, fade
 from estimator.vision.detect.verification import SEARCHED, calibrate, confidence, log_odds
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose

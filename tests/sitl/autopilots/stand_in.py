@@ -18,8 +18,7 @@ import numpy as np
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import LinkOptions, open_links
-from estimator.contracts.geodesy import GeoPoint, moved
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import GeoPoint, Rotation, moved
 from sitl.emulators.autopilots.body import BodyState, Motors, MotorVehicle
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn

@@ -20,8 +20,7 @@ from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.vehicle import Stack, set_mode
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.errors import SetupImpossible
-from estimator.contracts.geodesy import GeoPoint, ned_between
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, GeoPoint, ned_between
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.arducopter import CURVE, JsonBackend, decode

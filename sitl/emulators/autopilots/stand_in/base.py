@@ -28,8 +28,7 @@ from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode, mode_name
-from estimator.contracts.geodesy import GeoPoint, moved, ned_between
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, GeoPoint, Rotation, moved, ned_between
 from estimator.contracts.time import Clock
 from sitl.camera.gimbal import SimulatedGimbal
 from sitl.emulators.autopilots.body import Body, BodyState, Motors

@@ -12,8 +12,7 @@ import numpy as np
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.geodesy import GeoPoint, ned_between
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, GeoPoint, ned_between
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import Clock
 from sitl.emulators.autopilots import px4

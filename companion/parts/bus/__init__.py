@@ -1,1 +1,0 @@
-"""The ship's network beside the flight."""
