@@ -39,7 +39,7 @@ from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.options import TrackerOptions  # noqa: E402
-from estimator.vision.pad_pose import PadPose  # noqa: E402
+from estimator.vision.pose import PadPose  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
 from estimator.vision.srgb import LINEAR_LIGHT  # noqa: E402
 from estimator.vision.thesis.detection import detect  # noqa: E402

@@ -18,11 +18,9 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
-from estimator.vision.lamp import places_of
 from estimator.vision.options import TrackerMethod
-from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pad import Pad, places_of
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, detect_lamps, track
 from fuzz.target import Choices, Target, block
 from sitl.emulators.ardrone.wire_pictures import Encoder

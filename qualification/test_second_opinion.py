@@ -15,7 +15,7 @@ from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.verification import confidence as confidence_of
 from estimator.vision.learned.second_opinion import CHANNELS, SIDE, SecondOpinion, inputs, patch_of
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from tests.support.pad_images import STAMP, PadPlacement, image
 from tests.support.pad_scenes import pad_scene

@@ -32,8 +32,7 @@ from estimator.contracts.errors import BadInput, file_errors
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
-from estimator.vision.lamp import CENTRE_PX, LampAccuracy, lamp_accuracy
-from estimator.vision.pad import LARGEST_M, RARE, SMALLEST_M, Calibration, Pad
+from estimator.vision.pad import CENTRE_PX, LARGEST_M, RARE, SMALLEST_M, Calibration, LampAccuracy, Pad, lamp_accuracy
 from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
 from estimator.vision.regions import part_of
 from estimator.vision.srgb import LUMA, linear_light

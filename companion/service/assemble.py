@@ -21,8 +21,7 @@ from companion.base import memory
 from companion.base.containment import Body, RestartablePart
 from companion.base.event_loop import heeded
 from companion.base.health import SHIP_PLACE, Health
-from companion.base.liveness import Manager, Pulse, watchdog_interval_s
-from companion.base.loop_lag import LoopWatch
+from companion.base.loop_lag import LoopWatch, Manager, Pulse, watchdog_interval_s
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource

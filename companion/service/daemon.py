@@ -25,8 +25,7 @@ from companion.base.mission import FAULTS, FlightOutcome
 from companion.base.observer import Decision, FrameTimes, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.base.worker import Worker
-from companion.guidance.pad_search import Look
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Look, Pilot
 from companion.settings.service import RestartOptions
 from drivers.mailbox import Latest, Line
 from estimator.attitude_history import HeldCamera

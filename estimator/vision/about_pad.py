@@ -32,7 +32,7 @@ from estimator.vision.detect.pyramid import U8, FrameView
 from estimator.vision.detect.template import F32
 from estimator.vision.detection import NearThing, PadCheck
 from estimator.vision.native import checked, image_of
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 
 _LEVEL_MOST = 3
 """Smallest size of the frame that is read: of smaller ones too much is lost where the frame ends."""

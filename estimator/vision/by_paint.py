@@ -40,8 +40,7 @@ from estimator.vision.detection import Detection, Opinions, PadCheck, agree, fus
 from estimator.vision.learned.second_opinion import WORTH_ASKING
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.register.registration import (
     SRGB,
     Registration,

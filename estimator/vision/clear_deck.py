@@ -30,7 +30,7 @@ from estimator.vision.detect.template import BLURS_M, F32, STEP_M, template
 from estimator.vision.detection import PadCheck, PadThing
 from estimator.vision.native import checked
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 from estimator.vision.srgb import LINEAR_LIGHT, linear_light
 
 ACROSS = 48

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.vision.fiducial import PaintedFiducial
-from estimator.vision.markings import BARE, Markings, Rgb
 from estimator.vision.pad import Pad
+from estimator.vision.pad_rules import BARE, Markings, Rgb
 from estimator.vision.regions import Lettering, PaintedPanel, PaintedTriangle, depth_in, sides_of
 from estimator.vision.srgb import LUMA, linear_light
 

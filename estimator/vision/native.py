@@ -22,10 +22,9 @@ from estimator.vision.detect.template import polar_drawing, template
 from estimator.vision.detect.verification import COEFFICIENTS, TRACKED
 from estimator.vision.detect.verification import SEARCHED as SEARCHED
 from estimator.vision.drawing import EdgeKind, edges_of
-from estimator.vision.markings import Markings
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pad_rules import Markings
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.regions import Region, rectangles_of, slanted_sides_of
 from estimator.vision.srgb import LINEAR_LIGHT, light_of_tone, linear_light
 

@@ -37,13 +37,11 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import FRESH_SEARCH
 from estimator.vision.detect.template import paints_at
 from estimator.vision.detection import Detection
-from estimator.vision.lamp import Lamp, places_of
 from estimator.vision.native import checked, image_of, native_prior, tracker_of, work_done
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
-from estimator.vision.pad import Pad
+from estimator.vision.pad import Lamp, Pad, places_of
 from estimator.vision.pad_information import alike_headings, confusable_turns
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import SIGMA_DECK_RAD, Orientation
+from estimator.vision.pose import SIGMA_DECK_RAD, Orientation, PadPose
 from estimator.vision.register.registration import sighting_in_level
 from estimator.vision.rolling import at_one_instant
 from estimator.vision.tracker_config import TrackerConfig as TrackerConfig

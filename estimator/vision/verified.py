@@ -24,8 +24,7 @@ from estimator.vision.detect.verification import confidence, support_log_odds
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import confusable_turns
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.register.registration import (
     LETTER_MOST,
     Registration,

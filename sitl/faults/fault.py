@@ -325,3 +325,12 @@ class FaultTimer:
 def _lasts(fault: Fault, since_s: float) -> bool:
     # A tolerance far below a step keeps "for 0.5 s" from ending a step late by the rounding of a sum.
     return since_s < (math.inf if fault.for_s is None else fault.for_s - 1e-9)
+
+
+class RtkSolution(Fault, frozen=True, tag="rtk_solution"):
+    """The receivers' solution is not what it should be."""
+
+    solution: Annotated[
+        Literal["silent", "float", "wrong"],
+        choice("no solution; estimated ambiguities; or a wrong whole number of wavelengths, claimed as a right one"),
+    ] = "silent"

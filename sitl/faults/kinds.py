@@ -14,10 +14,10 @@ from sitl.faults.fault import (
     Gyro,
     HeadingReading,
     Magnetometer,
+    RtkSolution,
     Ultrasound,
     VelocityReading,
 )
-from sitl.faults.rtk import RtkSolution
 
 _FORWARD, _RIGHT = "place along the pad's arrow from its centre", "place to starboard of the pad's arrow"
 

@@ -10,7 +10,7 @@ from drivers.relpos import FLOOR_M
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.samples import Baseline, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
-from sitl.faults.rtk import RtkSolution
+from sitl.faults.fault import RtkSolution
 from sitl.flight.grader import GradedWorld
 from sitl.flight.ship_sensors import ShipAt
 from sitl.sensors.rtk import RtkErrors

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.guidance.pad_search import Look
-from companion.guidance.pilot import Pilot, make_pilot
+from companion.guidance.pilot import Look, Pilot, make_pilot
 from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import FusionResult, PathName, RelativeState, Sighting, Verdict

@@ -22,8 +22,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from companion.guidance.pad_search import Look
-from companion.guidance.pilot import Pilot, make_pilot, tracker
+from companion.guidance.pilot import Look, Pilot, make_pilot, tracker
 from companion.settings.model import Settings
 from estimator.attitude_history import HeldCamera
 from estimator.contracts.errors import BadInput
@@ -34,8 +33,7 @@ from estimator.contracts.time import MonoNs
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.register.registration import sighting_of
 from sitl.camera.camera import Exposure
 from sitl.camera.render_worker import RenderWorker

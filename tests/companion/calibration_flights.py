@@ -18,8 +18,7 @@ from estimator.contracts.samples import Attitude, Frame, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.register.registration import sighting_of
 
 GYRO_HZ, VIEW_HZ = 100.0, 10.0

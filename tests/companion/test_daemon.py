@@ -15,8 +15,7 @@ from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver
 from companion.facts import encode
-from companion.guidance.pad_search import Look
-from companion.guidance.pilot import Pilot, make_pilot
+from companion.guidance.pilot import Look, Pilot, make_pilot
 from companion.recording.decode import frame_times
 from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
 from companion.service.vehicle_parts import ExposurePart, vehicle_parts

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
-from companion.base.liveness import Pulse
+from companion.base.loop_lag import Pulse
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.parts.live.part import LiveFeed

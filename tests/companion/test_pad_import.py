@@ -26,7 +26,7 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import edges_of
 from estimator.vision.pad import RARE, Pad
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 from estimator.vision.regions import PaintedPolygon, PaintedRing, convex_pieces_of, covers, depth_in
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 

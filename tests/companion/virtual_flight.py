@@ -12,8 +12,7 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.guidance.pad_search import Look
-from companion.guidance.pilot import Pilot
+from companion.guidance.pilot import Look, Pilot
 from companion.service.daemon import Daemon, VehicleLink
 from companion.settings.guidance import GuidanceOptions
 from drivers.mailbox import Latest, Line

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 from estimator.vision.regions import part_of
 from sitl.camera.camera import Exposure
 

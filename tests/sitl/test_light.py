@@ -14,8 +14,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import BodyMotion
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.register.registration import register
 from estimator.vision.rolling import CameraMotion, at_one_instant
 from estimator.vision.srgb import linear_light

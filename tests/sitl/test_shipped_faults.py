@@ -10,9 +10,8 @@ import pytest
 from companion.guidance.operator.precedence import ControlSituation
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.camera.camera import Exposure
-from sitl.faults.fault import Fault
+from sitl.faults.fault import Fault, RtkSolution
 from sitl.faults.kinds import STREAMS, OperatorActs, PictureFault, ServiceKilled, VesselReports
-from sitl.faults.rtk import RtkSolution
 from sitl.scenario.scenario import FAULTS, Scenario, load, shipped_scenarios
 from sitl.world.world import Stick, World
 from tests.fly import fly_for

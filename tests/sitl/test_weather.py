@@ -15,8 +15,7 @@ from estimator.contracts.time import MonoNs, after
 from sitl.flight.ending import STANDS_AFTER_S, AftermathWatch
 from sitl.flight.one_flight import FlyOptions, settings_for
 from sitl.flight.referee import Errand, Referee
-from sitl.scenario.scenario import load, sea_of, wind_of
-from sitl.scenario.weather import WeatherSettings, raised_sea, raising_wind_m_s
+from sitl.scenario.scenario import WeatherSettings, load, raised_sea, raising_wind_m_s, sea_of, wind_of
 from sitl.vehicle.airframe import Airframe, ContactSettings
 from sitl.vehicle.disturbances import SPREADS, EffectSettings, WrongModel
 from sitl.vessel.file import read_log

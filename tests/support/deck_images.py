@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light
 from sitl.camera.surroundings import Decal, Deck, Surroundings

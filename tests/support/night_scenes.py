@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
-from estimator.vision.lamp import places_of
-from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pad import Pad, places_of
+from estimator.vision.pose import Orientation, PadPose
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Sensor
 from sitl.camera.settings import LampSettings

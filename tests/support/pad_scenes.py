@@ -17,7 +17,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import SURE, PadCandidate, search
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 from estimator.vision.srgb import LINEAR_LIGHT
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Sensor

@@ -10,8 +10,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Sensor
 from sitl.camera.surroundings import Decal, Deck, Surroundings

@@ -14,7 +14,7 @@ from prometheus_client.registry import Collector, CollectorRegistry
 
 from companion.base.health import EDGES_S, Health, HealthSnapshot, MissionHealth
 from companion.base.http_server import HttpServer
-from companion.base.liveness import stuck
+from companion.base.loop_lag import stuck
 
 __all__ = ["CONTENT_TYPE", "text"]
 

@@ -20,7 +20,7 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from companion.base.health import HealthSnapshot, missing_inputs
-from companion.base.liveness import stuck
+from companion.base.loop_lag import stuck
 from companion.base.mission import FAULTS, FLOWN
 from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame, ThingReport, things_of
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource

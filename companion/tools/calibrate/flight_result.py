@@ -35,7 +35,7 @@ from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Frame
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.rolling import CameraMotion, at_one_instant
 

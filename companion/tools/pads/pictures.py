@@ -26,8 +26,8 @@ from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
 from estimator.vision.detect.template import F32
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import paint_at
-from estimator.vision.pad_pose import PadPose
 from estimator.vision.pad_rules import check_regions
+from estimator.vision.pose import PadPose
 from estimator.vision.regions import PaintedDisc, PaintedRing, borders_of, covers, part_of
 from estimator.vision.srgb import LINEAR_LIGHT
 from estimator.vision.tracker_config import IMAGE_WORK

@@ -32,8 +32,7 @@ from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import support_log_odds
 from estimator.vision.pad import RARE, TOLD, Calibration, Pad
 from estimator.vision.pad_information import paint_at
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.regions import covers
 from estimator.vision.srgb import linear_light
 from estimator.vision.tracker_config import FRAME_WORK

@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64
-from estimator.vision.markings import Rgb
 from estimator.vision.pad import SMALLEST_M, check_polygon, is_simple
-from estimator.vision.pad_rules import SIDES_MOST
+from estimator.vision.pad_rules import SIDES_MOST, Rgb
 from estimator.vision.regions import PaintedPolygon
 
 _LARGEST_BYTES = 2_000_000

@@ -12,8 +12,7 @@ from msgspec import Struct
 from companion.tools.calibrate.board import Board
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.vision.lamp import places_of
-from estimator.vision.pad import Pad
+from estimator.vision.pad import Pad, places_of
 from estimator.vision.regions import PaintedDisc, outlines_of
 
 Rgb = tuple[int, int, int]

@@ -43,7 +43,7 @@ from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, confiden
 from estimator.vision.fiducial import PaintedFiducial, cells_apart, dictionary_of
 from estimator.vision.native import checked, count_work, native_pose, pose_of, tracker_of
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 
 U8 = NDArray[np.uint8]
 

@@ -35,7 +35,7 @@ from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
 from estimator.vision.detect.template import F32, disc_edge_m
 from estimator.vision.native import checked, image_of, native_pose, tracker_of
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 
 
 @dataclass(frozen=True, slots=True, eq=False)

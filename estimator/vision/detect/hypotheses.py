@@ -43,7 +43,7 @@ from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
 from estimator.vision.detect.template import F32, PaintMemory
 from estimator.vision.native import checked, count_work, image_of, tracker_of
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 from estimator.vision.regions import Region, covers
 
 _LEVELS = (0, 2)

@@ -25,7 +25,7 @@ from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.template import BLURS_M, REACH
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import paint_at
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]

@@ -40,8 +40,7 @@ from estimator.vision.drawing import EdgeKind
 from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.native import checked, edge_points, native_lens, native_pose, native_prior, tracker_of
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,7 @@ from estimator.vision.detect.acquire import SIGMA_TILT_RAD, align
 from estimator.vision.detect.guesses import Circle, Outline, Plane, Radii, blob_circles, edge_circles, guesses_from, pose_about
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.regions import circle, outlines_of
 from estimator.vision.verified import SURE, verify
 from tests.support.deck_images import shown

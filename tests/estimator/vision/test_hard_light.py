@@ -29,8 +29,7 @@ from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import FEATURES
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.register.registration import register
 from estimator.vision.tracker import TrackerMemory, track
 from estimator.vision.tracker_config import FRAME_WORK, TrackerConfig

@@ -18,8 +18,7 @@ from estimator.core.abi import DL_WRONG_SIZE
 from estimator.core.library import CORE
 from estimator.vision.native import image_of, native_camera, native_prior
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, detect_lamps, pattern_of, track
 from tests.support.night_scenes import NIGHTS, NightCondition, NightScene, night_scene
 from tests.support.pad_scenes import ROOT, load_camera, load_pad, pad_scene

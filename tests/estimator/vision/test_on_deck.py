@@ -25,7 +25,7 @@ from estimator.vision.about_pad import (
 from estimator.vision.clear_deck import LASTS_S, SurfaceMemory, check_surface
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import PadCheck
-from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import PadPose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Mast

@@ -27,8 +27,7 @@ from estimator.vision.fiducial import PaintedFiducial, dictionary_of
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings, confusable_turns, paint_at
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.regions import depth_in, outlines_of, rectangles_of
 from estimator.vision.register.registration import RegistrationOptions, cells_log_odds, look, register
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track

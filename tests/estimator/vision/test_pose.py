@@ -16,8 +16,7 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera, ray_map
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import SIGMA_LEVEL_ASSUMED_RAD, Marks, Orientation, OrientedCamera, point_modes, solve
+from estimator.vision.pose import SIGMA_LEVEL_ASSUMED_RAD, Marks, Orientation, OrientedCamera, PadPose, point_modes, solve
 from estimator.vision.register.registration import sighting_of
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from sitl.camera.projection import lens_of

@@ -17,8 +17,7 @@ from estimator.contracts.samples import Frame
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.register.registration import Registration, RegistrationOptions, register, sighting_of
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from estimator.vision.verified import CODED_PX

@@ -20,8 +20,7 @@ from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.template import FRESH, PaintMemory, fade
 from estimator.vision.detect.verification import SEARCHED, calibrate, confidence, log_odds
 from estimator.vision.pad import Pad
-from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import Orientation
+from estimator.vision.pose import Orientation, PadPose
 from estimator.vision.register.registration import (
     Registration,
     RegistrationOptions,
