@@ -32,7 +32,7 @@ from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.pilot import Pilot
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import NS_PER_S, MonoNs
-from sitl.campaign.overrides import Overridable
+from sitl.campaign.plan import Overridable
 from sitl.faults.kinds import LensCovered
 from sitl.flight.one_flight import FlyOptions, fly, settings_for
 from sitl.scenario.scenario import load

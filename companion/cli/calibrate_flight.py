@@ -30,8 +30,7 @@ from companion.tools.calibrate.flight_result import (
     tilt_of_file,
     tilt_of_sigma,
 )
-from companion.tools.calibrate.flight_views import FlightViews, flight_views
-from companion.tools.calibrate.flown_courses import FlownCourses, flown_courses
+from companion.tools.calibrate.flight_views import FlightViews, FlownCourses, flight_views, flown_courses
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput, file_errors, refused
 

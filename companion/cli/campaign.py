@@ -19,17 +19,21 @@ from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.pipeline import RelativeEstimator
 from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_columns, in_rows, in_words, tallies_of
-from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis
 from sitl.campaign.plan import (
     AnyPlan,
     CampaignPlan,
     Job,
+    Overridable,
+    Point,
     SetPlan,
     code_version,
+    described,
     digest_of,
+    factorial,
     is_set,
     load_set,
     make_plan,
+    parse_axis,
     place_of,
     seeds_of,
     set_of,
@@ -40,8 +44,7 @@ from sitl.campaign.random_faults import Cases, FaultTally, fly_with_random_fault
 from sitl.campaign.report import AXES, MAP, REPORT, render_map, render_report
 from sitl.campaign.soak import Draw, SoakOptions, soak
 from sitl.campaign.store import FLIGHTS, FolderStore, flights_in, fly_left, manifest_of, manifest_of_plan, wall_s_in, write_whole
-from sitl.campaign.task import Flight, Flyer, fly_flight, job_of
-from sitl.campaign.workers import ClusterWorkers, LocalWorkers
+from sitl.campaign.workers import ClusterWorkers, Flight, Flyer, LocalWorkers, fly_flight, job_of
 from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import FAULTS, Scenario

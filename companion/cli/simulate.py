@@ -22,7 +22,7 @@ from companion.settings.load import find_file, shipped
 from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
-from sitl.campaign.overrides import Overridable
+from sitl.campaign.plan import Overridable
 from sitl.faults.kinds import STREAMS
 from sitl.flight.ending import Ending
 from sitl.flight.one_flight import FlyOptions, fly, perception_level, settings_for

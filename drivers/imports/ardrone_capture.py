@@ -7,8 +7,8 @@ from pathlib import Path
 
 from drivers.ardrone.counters import Refusal
 from drivers.ardrone.navdata import Navdata, decode
+from drivers.ardrone.navdata_channel import AS_REPORTED, NavdataSampler
 from drivers.ardrone.pave import PaveParser, VideoDecoder
-from drivers.ardrone.samples import AS_REPORTED, NavdataSampler
 from drivers.imports.stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.samples import Frame, Sample

@@ -15,8 +15,8 @@ import numpy as np
 from msgspec import Struct, field
 
 from estimator.contracts.geometry import F64
-from sitl.campaign.overrides import Point
-from sitl.campaign.task import ERROR, Flight, error_m, job_of
+from sitl.campaign.plan import Point
+from sitl.campaign.workers import ERROR, Flight, error_m, job_of
 
 _Z95 = 1.959963984540054
 """Quantile of the standard normal distribution for 95 % between both tails."""

@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from companion.settings.model import Settings
 from sitl.campaign.figures import WORST, name_of
-from sitl.campaign.task import ERROR, Flight, fly_flight
+from sitl.campaign.workers import ERROR, Flight, fly_flight
 from sitl.faults.drawn import simpler
 from sitl.faults.kinds import AnyFault
 from sitl.flight.one_flight import Perception

@@ -27,7 +27,7 @@ from sitl.campaign.figures import (
     tallies_of,
     wilson,
 )
-from sitl.campaign.task import Flight, error_m
+from sitl.campaign.workers import Flight, error_m
 from sitl.scenario.scenario import from_mapping, pad_model
 
 REPORT, MAP = "report.html", "map.html"

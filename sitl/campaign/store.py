@@ -16,7 +16,7 @@ from typing import Any
 
 from estimator.contracts.errors import BadInput, Recoverable, file_errors, unusable
 from sitl.campaign.plan import AnyPlan, Job, SetPlan, differences
-from sitl.campaign.task import Flight, flight_hash, job_of
+from sitl.campaign.workers import Flight, flight_hash, job_of
 
 MANIFEST, FLIGHTS = "manifest.json", "flights.jsonl"
 

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from msgspec.structs import replace
 
-from sitl.faults.corrupted import FACTS, LATE_MAX_S, UNSIZED, Corrupted, Signal, SignalError, errors_of
-from sitl.faults.fault import Fault
+from sitl.faults.fault import FACTS, LATE_MAX_S, UNSIZED, Corrupted, Fault, Signal, SignalError, errors_of
 from sitl.faults.kinds import (
     AnyFault,
     CommandStream,

@@ -11,8 +11,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from estimator.contracts.time import MonoNs, after
-from sitl.faults.corrupted import Corrupted, Signal
-from sitl.faults.fault import FaultTimer
+from sitl.faults.fault import Corrupted, FaultTimer, Signal
 from sitl.faults.kinds import KIND_OF_STREAM, STREAMS, Stream
 
 _T = TypeVar("_T")

@@ -5,11 +5,11 @@ from typing import Annotated, Literal, get_args
 
 from companion.base.orders import StickPositions
 from estimator.contracts.keys import choice, number, text
-from sitl.faults.corrupted import Corrupted
 from sitl.faults.fault import (
     Accelerometer,
     AttitudeReading,
     Barometer,
+    Corrupted,
     Fault,
     Gyro,
     HeadingReading,

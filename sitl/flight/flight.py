@@ -26,8 +26,7 @@ from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.navdata import Navdata
-from drivers.ardrone.navdata_channel import NavdataOrder, SequencePlace
-from drivers.ardrone.samples import NavdataSampler
+from drivers.ardrone.navdata_channel import NavdataOrder, NavdataSampler, SequencePlace
 from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 from estimator.contracts.estimates import FusionResult, Verdict

@@ -15,8 +15,7 @@ from drivers.ardrone.at import AtCommand
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.picture_effects import Solid
-from sitl.faults.corrupted import Corruptions
-from sitl.faults.fault import FaultTimer
+from sitl.faults.fault import Corruptions, FaultTimer
 from sitl.faults.kinds import Bystander, ObjectOnPad
 from sitl.flight.ending import AtEnd, Ending, FlightGrade, grade, on_pad_m, outside_commit
 from sitl.flight.hands import of_at

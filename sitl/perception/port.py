@@ -15,8 +15,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.camera.camera import Exposure
 from sitl.camera.render_worker import RenderWorker
-from sitl.faults.corrupted import Corrupted, Corruptions
-from sitl.faults.fault import Fault, FaultTimer
+from sitl.faults.fault import Corrupted, Corruptions, Fault, FaultTimer
 from sitl.scenario.scenario import Scenario
 from sitl.vessel.vessel import Mounted, Vessel
 from sitl.world.truth import RenderedFrame, Truth

@@ -21,18 +21,19 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.core.abi import DL_ECHOES_MAX, DL_SENSOR_NOISE
 from sitl.core.library import SIM
-from sitl.faults.corrupted import Corruptions, Signal
 from sitl.faults.fault import (
     MOST_DELAY_S,
     Accelerometer,
     AttitudeReading,
     Barometer,
+    Corruptions,
     Fault,
     FaultTimer,
     Gyro,
     HeadingReading,
     Magnetometer,
     SensorFault,
+    Signal,
     Ultrasound,
     VelocityReading,
 )

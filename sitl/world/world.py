@@ -25,8 +25,7 @@ from sitl.camera.picture_effects import PictureEffects
 from sitl.camera.render_worker import RenderWorker
 from sitl.core.abi import DL_EFFECT_NOISE, DL_FLIGHT_NOISE, DL_SENSOR_NOISE
 from sitl.core.library import SIM
-from sitl.faults.corrupted import Corruptions
-from sitl.faults.fault import FaultTimer
+from sitl.faults.fault import Corruptions, FaultTimer
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, LowBattery, OtherPad, PictureFault, TiltLimited, WeakRotor
 from sitl.scenario.scenario import Scenario, pad_model, refuse_gimbal, sea_of

@@ -24,7 +24,7 @@ from companion.recording.mcap_file import Attachment
 from companion.recording.reading import open_recording
 from companion.settings.guidance import TiltResponse, response_from_mapping
 from companion.settings.load import SHIPPED, camera_model, shipped_response
-from companion.tools.calibrate.flown_courses import flown_courses
+from companion.tools.calibrate.flight_views import flown_courses
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from drivers.ardrone import at
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.counters import Counters, Refusal
-from drivers.ardrone.navdata_channel import NavdataChannel
+from drivers.ardrone.navdata_channel import AS_REPORTED, NavdataChannel, NavdataSampler
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.samples import AS_REPORTED, NavdataSampler
 from drivers.clock import SystemClock
 from estimator.contracts.geometry import height_of_pressure_m, pressure_of_height_pa
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus

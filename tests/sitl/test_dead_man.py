@@ -10,8 +10,8 @@ from msgspec import Struct
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.custody import CommandStreamer
+from drivers.ardrone.navdata_channel import NavdataSampler
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.samples import NavdataSampler
 from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between

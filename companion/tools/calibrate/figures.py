@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from companion.guidance.law.response_fit import STEP_S, ClimbFit, Fitted, FlightCourse, TiltFit
 from companion.tools.calibrate.board import BoardView
-from companion.tools.calibrate.flown_courses import FlownCourses
+from companion.tools.calibrate.flight_views import FlownCourses
 from companion.tools.calibrate.guide import CELLS, coverage
 from companion.tools.calibrate.solve import Solution
 from estimator.contracts.errors import file_errors

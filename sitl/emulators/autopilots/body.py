@@ -18,8 +18,7 @@ from sitl.camera.gimbal import SimulatedGimbal
 from sitl.camera.render_worker import RenderWorker
 from sitl.core.library import Number, Numbers
 from sitl.emulators.autopilots.station import OperatorView
-from sitl.faults.corrupted import Corruptions
-from sitl.faults.fault import FaultTimer
+from sitl.faults.fault import Corruptions, FaultTimer
 from sitl.faults.kinds import LightFalls
 from sitl.scenario.scenario import Scenario, pad_model
 from sitl.vehicle.airframe import Airframe

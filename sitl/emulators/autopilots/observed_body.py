@@ -16,8 +16,7 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 from sitl.emulators.autopilots.body import Body
-from sitl.faults.corrupted import Corruptions
-from sitl.faults.fault import FaultTimer
+from sitl.faults.fault import Corruptions, FaultTimer
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import OperatorActs
 from sitl.flight.ending import Ending

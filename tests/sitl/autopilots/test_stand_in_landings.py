@@ -18,7 +18,7 @@ from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import GimbalOptions
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
-from sitl.campaign.overrides import Overridable
+from sitl.campaign.plan import Overridable
 from sitl.emulators.autopilots import flight as autopilot_flight
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.faults.kinds import OperatorActs, ServiceKilled

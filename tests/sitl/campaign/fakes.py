@@ -12,8 +12,7 @@ from companion.settings.model import Settings
 from sitl.campaign.figures import Tally, added, tallies_of
 from sitl.campaign.plan import CampaignPlan, Job, code_version, make_plan, seeds_of
 from sitl.campaign.store import FolderStore, fly_left
-from sitl.campaign.task import Flight
-from sitl.campaign.workers import LocalWorkers
+from sitl.campaign.workers import Flight, LocalWorkers
 from sitl.flight.one_flight import Perception, settings_for
 from sitl.scenario.scenario import Scenario
 from tests.fly import near

@@ -38,12 +38,20 @@ from sitl.campaign.figures import (
     tallies_of,
     wilson,
 )
-from sitl.campaign.overrides import Overridable, Point, described, factorial, parse_axis
-from sitl.campaign.plan import Job, code_version, differences, sources_digest
+from sitl.campaign.plan import (
+    Job,
+    Overridable,
+    Point,
+    code_version,
+    described,
+    differences,
+    factorial,
+    parse_axis,
+    sources_digest,
+)
 from sitl.campaign.report import REPORT, SEA, VEHICLE, WIND, fly_again, render_map, render_report
 from sitl.campaign.store import FLIGHTS, MANIFEST, FolderStore, flights_in, manifest_of, manifest_of_plan
-from sitl.campaign.task import Flight, Order, OtherCode, fly_order
-from sitl.campaign.workers import ClusterWorkers, LocalWorkers
+from sitl.campaign.workers import ClusterWorkers, Flight, LocalWorkers, Order, OtherCode, fly_order
 from sitl.flight.one_flight import settings_for
 from tests.fly import NEAR, near
 from tests.sitl.campaign.fakes import KILLS, RAISES, fake_fly, plan, tally_of

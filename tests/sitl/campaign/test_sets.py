@@ -18,13 +18,12 @@ from companion.cli import main as cli
 from companion.settings.load import SHIPPED
 from estimator.contracts.errors import BadInput
 from sitl.campaign import random_faults
-from sitl.campaign.overrides import Overridable
-from sitl.campaign.plan import digest_of, is_set, load_set, make_plan, shipped_sets
+from sitl.campaign.plan import Overridable, digest_of, is_set, load_set, make_plan, shipped_sets
 from sitl.campaign.random_faults import FaultTally, shrunk
 from sitl.campaign.report import REPORT
-from sitl.campaign.task import Flight
-from sitl.faults.corrupted import SIGNALS, UNSIZED, Corrupted, errors_of
+from sitl.campaign.workers import Flight
 from sitl.faults.drawn import SHARES, Drawable, draw, simpler
+from sitl.faults.fault import SIGNALS, UNSIZED, Corrupted, errors_of
 from sitl.faults.kinds import AnyFault, CommandStream, LowBattery, OperatorActs, OtherPad, ServiceKilled, WeakRotor
 from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
