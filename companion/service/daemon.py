@@ -3,8 +3,8 @@
 Every frame that the driver offers gets exactly one counted verdict. Vision runs on a thread of its own; everything else runs
 on the event loop. When the service ends, for whatever reason, the driver leaves the vehicle in its own hover.
 
-Vehicle and guidance are vital; observers and every further part run beside the flight and cannot touch it (`supervise`,
-`containment`). On a machine too slow for every frame some are skipped (`FramePace`).
+Vehicle and guidance are vital; observers and every further part run beside the flight and cannot touch it
+(`containment`). On a machine too slow for every frame some are skipped (`FramePace`).
 """
 
 import asyncio
