@@ -211,15 +211,11 @@ def _heading(entries: tuple[_Entry, ...], believed: float | None) -> tuple[float
     if believed is None and plain:
         believed = circular_median(plain)
     reference = known[-1][0] if believed is None else believed
-    yaws = [_nearest_branch(yaw, reference) if ambiguous else yaw for yaw, ambiguous in known]
+    # Of an ambiguous one, the opposite angle where that is nearer.
+    yaws = [yaw + math.pi if ambiguous and math.cos(yaw - reference) < 0.0 else yaw for yaw, ambiguous in known]
     n = len(yaws)
     running = [circular_median(yaws[max(0, i - MEDIAN + 1) : i + 1]) for i in range(max(0, n - MEAN), n)]
     return circular_mean(running), believed is not None
-
-
-def _nearest_branch(yaw_rad: float, reference_rad: float) -> float:
-    """Return `yaw_rad` or the opposite angle, whichever is nearer to the reference."""
-    return yaw_rad if abs(wrap_pi(yaw_rad - reference_rad)) <= math.pi / 2 else wrap_pi(yaw_rad + math.pi)
 
 
 _SIGMA_V_M_S = 0.5

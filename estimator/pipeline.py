@@ -344,6 +344,9 @@ class RelativeEstimator:
         self._gimbal = self._gimbal.add(*[s for s in passed if type(s) is GimbalAttitude])
         if restarts:
             self._begin_again()
+        for sample in passed:
+            if isinstance(sample, VesselMotion | VesselReport):
+                self.ship_motion.feel(sample)
         if VesselMotion in {type(sample) for sample in passed}:
             admitted = [self.ship_motion.reported(s) if type(s) is VesselMotion else s for s in admitted]
             passed = [sample for sample in admitted if sample is not None and not isinstance(sample, Verdict)]
@@ -402,7 +405,8 @@ class RelativeEstimator:
             sensors = [(f"{s.sensor} delay_s", s.delay_s) for s in self.ship_motion.standings()]
             return *state.details, ("range_agrees", agrees), ("heading_off_rad", guard.heading.off_rad), *sensors
 
-        return state.marked(guard.tracks.number, integrity.alerts(guard, now), (*state.lost, *self.lost), Details(details))
+        track, lost, jolted = guard.tracks.number, (*state.lost, *self.lost), self.ship_motion.jolted(now)
+        return state.marked(integrity.alerts(guard, now), track=track, lost=lost, details=Details(details), jolted=jolted)
 
 
 def _beside(stamp: Stamp, seconds: float) -> Stamp:

@@ -20,8 +20,8 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import CheckedOptions, number, text
-from estimator.contracts.samples import VesselMotion
-from estimator.contracts.time import after
+from estimator.contracts.samples import VesselMotion, VesselReport
+from estimator.contracts.time import MonoNs, after
 
 Channel = Literal["heave", "tilt"]
 
@@ -49,6 +49,10 @@ _MEAN_FROM_S, _SLOW_S, _WANDER_M = 20.0, 30.0, 0.15
 """Time from which a heave's mean is judged and from which its slow part is, and the size of either that a sea may have."""
 _FASTEST, _SLACK = {"heave": 3.0, "tilt": math.radians(60.0)}, {"heave": 0.3, "tilt": math.radians(3.0)}
 """Rates that no ship reaches, m/s and rad/s, beyond a step, m and rad: the record begins again."""
+_JOLT, _JOLT_M_S2, _JOLT_RAD_S, _JOLTED_S = 1.5, 0.15, 0.02, 0.4
+"""A manoeuvre's change by the largest that is usual, the least of an acceleration and of a rate, and for how long it counts."""
+_JOLT_MEAN_S, _JOLT_NEW_S, _JOLT_USUAL_S, _JOLT_KNOWN_S = 0.3, 0.5, 20.0, 3.0
+"""Times over which a signal's mean goes with it, from which on a change is usual, over which it fades, and until it is known."""
 
 
 def between(known: F64, values: F64, t: F64) -> F64:
@@ -339,7 +343,8 @@ class ShipMotion:
         self._sensors: dict[str, _Sensor] = {}
         self.reports = False
         self._seen: list[tuple[float, float, float, float]] = []
-        self._judged = -math.inf
+        self._judged = self._jolted_s = -math.inf
+        self._felt: dict[str, tuple[float, float, float, deque[tuple[float, float]]]] = {}
 
     @property
     def lost(self) -> tuple[str, ...]:
@@ -385,6 +390,36 @@ class ShipMotion:
             since_s, self._judged = min(t - self._judged, _JUDGES_S), t
             for sensor in self._sensors.values():
                 sensor.compare(np.array(self._seen), since_s)
+
+    def feel(self, report: VesselMotion | VesselReport) -> None:
+        """Find the begin of a manoeuvre in a horizontal acceleration or a rate of turn, as it arrives.
+
+        From one moment to the next it changes by no more than usual, on waves as well; the begin is a change far beyond the
+        largest of the last seconds. A sensor that leaps now and then makes that usual.
+        """
+        if isinstance(report, VesselMotion):
+            name, value, least = report.sensor, report.acceleration_m_s2, _JOLT_M_S2
+        else:
+            name, value, least = "", report.turn_rad_s, _JOLT_RAD_S
+        if value is None:
+            return
+        t = 1e-9 * report.stamp.received_at
+        since, mean, usual, recent = self._felt.get(name, (t, value, 0.0, deque([(t, 0.0)])))
+        step_s, off = t - recent[-1][0], abs(value - mean)
+        if step_s > _GAP_S:
+            since, mean, usual, off, recent = t, value, 0.0, 0.0, deque()
+        # What has just begun is not usual yet.
+        while recent and t - recent[0][0] > _JOLT_NEW_S:
+            usual = max(usual, recent.popleft()[1])
+        if t - since >= _JOLT_KNOWN_S and off > max(least, _JOLT * usual):
+            self._jolted_s = t
+        recent.append((t, off))
+        mean += min(1.0, step_s / _JOLT_MEAN_S) * (value - mean)
+        self._felt[name] = since, mean, usual * math.exp(-step_s / _JOLT_USUAL_S), recent
+
+    def jolted(self, now: MonoNs) -> bool:
+        """Return whether a manoeuvre has begun a moment before."""
+        return 0.0 <= 1e-9 * now - self._jolted_s < _JOLTED_S
 
     def begin_window(self) -> None:
         """Begin the comparison again: the IMU's place has another origin."""

@@ -129,6 +129,7 @@ class MotionRecord(Struct, frozen=True, omit_defaults=True):
     sigma_tilt_rad: float = 0.0
     heave_down_m: float | None = None
     sigma_heave_m: float = 0.0
+    acceleration_m_s2: float | None = None
 
 
 class WindRecord(Struct, frozen=True):

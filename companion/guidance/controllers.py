@@ -61,10 +61,6 @@ def _follow_deck(setup: ControllerSetup) -> FollowDeck:
     )
 
 
-def _pid(setup: ControllerSetup) -> Controller[Any]:
-    return PidController(setup.guidance.pid, heaves=not setup.over_ground)
-
-
 def _policy(setup: ControllerSetup) -> Controller[Any]:
     o = setup.guidance
     shipped = "ardrone2" if o.follow_deck.response_by_vehicle else o.follow_deck.response
@@ -75,7 +71,7 @@ def _policy(setup: ControllerSetup) -> Controller[Any]:
 
 _OWN: dict[str, Callable[[ControllerSetup], Controller[Any]]] = {
     "follow_deck": _follow_deck,
-    "pid": _pid,
+    "pid": lambda setup: PidController(setup.guidance.pid, heaves=not setup.over_ground),
     "policy": _policy,
 }
 

@@ -101,10 +101,6 @@ _SAYS_CHARGE = 0.15
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
 
 
-def _law_for_ardrone(guidance: GuidanceOptions) -> Controller[Any]:
-    return make_controller(ControllerSetup(guidance, shipped_response("ardrone2")))
-
-
 class PilotOptions(Struct, frozen=True):
     """Options of a pilot and its landing, beside those of its tracker, its estimator and its guidance."""
 
@@ -112,7 +108,9 @@ class PilotOptions(Struct, frozen=True):
     """True if the approach begins as soon as the vehicle flies; otherwise it waits for `begin`."""
     shadows: Sequence[PathName] = ()
     """Estimator paths that run for comparison only and never steer."""
-    law: Callable[[GuidanceOptions], Controller[Any]] = _law_for_ardrone
+    law: Callable[[GuidanceOptions], Controller[Any]] = lambda o: make_controller(
+        ControllerSetup(o, shipped_response("ardrone2"))
+    )
     """Makes the control law from guidance's options."""
     manual: ManualOptions | None = None
     """The options of manual flight."""

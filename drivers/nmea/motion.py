@@ -20,7 +20,9 @@ from estimator.contracts.geometry import F64
 TILT_MAX_DEG, HEAVE_MAX_M, WIND_MAX_M_S, TURN_MAX_DEG_S = 60.0, 20.0, 100.0, 60.0
 """Numbers beyond these are of no ship."""
 _ANGLE, _HEAVE = re.compile(r"(?:(ROLL|HEEL)|(?:PITCH|PTCH)).*"), re.compile(r"HEAVE?\b.*")
-_TSS1 = re.compile(r":[0-9A-F]{6} ([ -]\d{4})([UGHF])([ -]\d{4}) ([ -]\d{4})", re.ASCII | re.IGNORECASE)
+_TSS1 = re.compile(r":([0-9A-F]{2})[0-9A-F]{4} ([ -]\d{4})([UGHF])([ -]\d{4}) ([ -]\d{4})", re.ASCII | re.IGNORECASE)
+_TSS1_M_S2 = 0.03835
+"""Last digit of its horizontal acceleration, m/s^2: 9.8 m/s^2 by two hexadecimal digits."""
 _EM_SIZE, EM_SYNC = 10, 0x90
 _EM_VALID = (0x00, *range(0x90, 0x9A))
 """First bytes of a record of EM1000, and of EM3000 at full or reduced accuracy."""
@@ -35,12 +37,14 @@ class ShipMotion(NamedTuple):
     """Starboard down positive."""
     pitch_rad: float | None
     """Bow up positive."""
-    heading_rad: float | None
+    sigma_tilt_rad: float
+    """Standard deviation that the digits leave; those of the heave and of the heading follow."""
     heave_down_m: float | None
-    sigma_tilt_rad: float = 0.0
-    """Standard deviation that the digits leave; those of the heading and of the heave follow."""
-    sigma_heading_rad: float = 0.0
-    sigma_heave_m: float = 0.0
+    sigma_heave_m: float
+    acceleration_m_s2: float | None
+    """Horizontal, without a direction."""
+    heading_rad: float | None
+    sigma_heading_rad: float
 
 
 def motion(roll: str, pitch: str, heave: str = "", heading: str = "", down: float = 1.0) -> ShipMotion:
@@ -58,7 +62,7 @@ def motion(roll: str, pitch: str, heave: str = "", heading: str = "", down: floa
     sigma_tilt_rad = max((rounding(cell, math.radians(1.0)) for cell in (roll, pitch) if cell), default=0.0)
     sigma_heading_rad = rounding(heading, math.radians(1.0)) if heading else 0.0
     heave_down_m, sigma_heave_m = (None, 0.0) if heave_m is None else (down * heave_m, rounding(heave))
-    return ShipMotion(roll_rad, pitch_rad, bow, heave_down_m, sigma_tilt_rad, sigma_heading_rad, sigma_heave_m)
+    return ShipMotion(roll_rad, pitch_rad, sigma_tilt_rad, heave_down_m, sigma_heave_m, None, bow, sigma_heading_rad)
 
 
 def ship_motion(sentence: str) -> ShipMotion | None:
@@ -123,10 +127,11 @@ def tss1(line: str) -> ShipMotion:
     found = _TSS1.fullmatch(line)
     if found is None:
         raise Refused("malformed")
-    heave, status, roll, pitch = (cell.replace(" ", "") for cell in found.groups())
+    aside, heave, status, roll, pitch = (cell.replace(" ", "") for cell in found.groups())
     if status.islower():
         raise Refused("bad_quality")
-    return motion(f"{roll}E-2", f"{pitch}E-2", f"{heave}E-2", down=-1.0)
+    of = motion(f"{roll}E-2", f"{pitch}E-2", f"{heave}E-2", down=-1.0)
+    return of._replace(acceleration_m_s2=_TSS1_M_S2 * int(aside, 16))
 
 
 def is_em3000(data: bytes, at: int = 0) -> bool:

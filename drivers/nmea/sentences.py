@@ -125,12 +125,17 @@ class SourceCount(Struct):
     allowance: float = _SOURCE_MAX * _BURST_MAX
     """The number of them that may be read at once now."""
 
-    def on_sentence(self, now: MonoNs) -> None:
-        """Count the time since the one before."""
+    def on_sentence(self, now: MonoNs) -> bool:
+        """Count the time since the one before; return whether there is time to read it."""
+        since_s = 0.0
         if self.last is not None:
-            gap_s = seconds_between(self.last, now)
-            self.gap_s += (gap_s - self.gap_s) / min(10, self.used + self.refused.total())
+            since_s = seconds_between(self.last, now)
+            self.gap_s += (since_s - self.gap_s) / min(10, self.used + self.refused.total())
         self.last = now
+        self.allowance = min(_SOURCE_MAX * _BURST_MAX, self.allowance + _SOURCE_MAX * _RATE_MAX * max(0.0, since_s))
+        in_time = self.allowance >= 1.0
+        self.allowance -= in_time
+        return in_time
 
     def rate_hz(self, now: MonoNs) -> float:
         """Return how many arrive each second; of one that fell silent it sinks."""
@@ -300,12 +305,9 @@ class NmeaReader:
         """Return whether there is time to read one more sentence of a source, and count it among those that came."""
         passed_s = max(0.0, seconds_between(self._tokens_at, now))
         self._tokens, self._tokens_at = min(_BURST_MAX, self._tokens + _RATE_MAX * passed_s), now
-        since_s = 0.0 if count.last is None else max(0.0, seconds_between(count.last, now))
-        count.allowance = min(_SOURCE_MAX * _BURST_MAX, count.allowance + _SOURCE_MAX * _RATE_MAX * since_s)
-        count.on_sentence(now)
-        if min(self._tokens, count.allowance) < 1.0:
+        if not count.on_sentence(now) or self._tokens < 1.0:
             return False
-        self._tokens, count.allowance = self._tokens - 1.0, count.allowance - 1.0
+        self._tokens -= 1.0
         return True
 
     def _receiver(self, talker: str) -> _Receiver:
@@ -442,16 +444,12 @@ class NmeaReader:
         if self._quality is None or seconds_between(self._quality[0], now) > _QUALITY_S:
             return found
         heave, bow, tilt = (said == _NOT_VALID for said in self._quality[1])
-        if heave:
-            found = found._replace(heave_down_m=None)
-        if bow:
-            found = found._replace(heading_rad=None)
-        if tilt:
-            found = found._replace(roll_rad=None, pitch_rad=None)
+        parts = ("heave_down_m", heave), ("heading_rad", bow), ("roll_rad", tilt), ("pitch_rad", tilt)
+        invalid: dict[str, Any] = {part: None for part, bad in parts if bad}
+        found = found._replace(**invalid)
         if found[:2] == (None, None) and found.heave_down_m is None:
             raise Refused("bad_quality")
-        if heave or bow or tilt:
-            self.refused["bad_quality"] += 1
+        self.refused["bad_quality"] += bool(invalid)
         return found
 
     def _pashr(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
@@ -506,15 +504,7 @@ class NmeaReader:
         return owner
 
     def _moved(self, sensor: str, found: ShipMotion, stamp: Stamp) -> VesselMotion:
-        return VesselMotion(
-            stamp,
-            self._prefix + sensor,
-            found.roll_rad,
-            found.pitch_rad,
-            found.sigma_tilt_rad,
-            found.heave_down_m,
-            found.sigma_heave_m,
-        )
+        return VesselMotion(stamp, self._prefix + sensor, *found[:6])
 
     def _worth(self, table: Mapping[Any, float | str], said: object) -> float:
         """Return the standard deviation of a place by what its sentence says of it, m.

@@ -24,8 +24,6 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 Samples = list[GeoFix | VesselReport | VesselMotion | VesselWind]
 Values = Mapping[str, Any]
 
-_PER_S_MAX = 50
-"""Messages of one kind and source that are taken in a second; motion sensors send 10 to 20."""
 _SOURCES_MAX = 256
 """Kinds times sources that are kept apart; an NMEA 2000 network has fewer."""
 _STEP_TILT_RAD, _STEP_HEAVE_M = 1e-4 / math.sqrt(12.0), 0.01 / math.sqrt(12.0)
@@ -61,7 +59,6 @@ class ShipSensors:
     def __init__(self, simulated: bool = False, choice: SourceChoice | None = None) -> None:
         self._simulated = simulated
         self._choice = choice or SourceChoice()
-        self._seconds: dict[str, tuple[int, int]] = {}
         self._gap_s = 1.0
         """Mean time between two messages of the kind and source that is being read."""
         self._variation_rad: float | None = None
@@ -94,9 +91,10 @@ class ShipSensors:
             self.refused["too_many_sources"] += 1
             return []
         count = self.sources.setdefault(name, SourceCount())
-        count.on_sentence(now)
+        in_time = count.on_sentence(now)
         try:
-            self._limit(name, now)
+            if not in_time:
+                raise Refused("too_many")
             self._gap_s = count.gap_s or 1.0
             made = self._table[kind](source, values, stamp)
         except (Refused, ValueError) as why:
@@ -107,13 +105,6 @@ class ShipSensors:
         self.taken[kind] += 1
         count.used += 1
         return made
-
-    def _limit(self, name: str, now: MonoNs) -> None:
-        second, n = self._seconds.get(name, (0, 0))
-        n = n + 1 if second == now // NS_PER_S else 1
-        self._seconds[name] = now // NS_PER_S, n
-        if n > _PER_S_MAX:
-            raise Refused("too_many")
 
     def _chosen(self, quantity: str, source: str, sigma: float, stamp: Stamp) -> None:
         if not self._choice.takes(quantity, source, sigma, stamp.received_at):

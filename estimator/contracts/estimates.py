@@ -226,6 +226,8 @@ class RelativeState(Struct, frozen=True, eq=False):
     """True if the pad went out of sight while its ship turned hard: `cov` says where it may have been swung."""
     steers: bool = False
     """True if the newest sightings show that the ship brakes, starts or turns hard."""
+    jolted: bool = False
+    """True if her own sensors have just shown that she begins to."""
 
     def __post_init__(self) -> None:
         force_setattr(self, "d_body_pad_level", checked_vector("RelativeState.d_body_pad_level", self.d_body_pad_level))
@@ -243,16 +245,13 @@ class RelativeState(Struct, frozen=True, eq=False):
         x, y, _ = self.d_body_pad_level.tolist()
         return math.hypot(x, y)
 
-    def marked(
-        self, track: int, alerts: tuple[IntegrityAlert, ...], lost: tuple[str, ...], details: Sequence[tuple[str, float]]
-    ) -> RelativeState:
-        """Return the estimate with what the guard says of it; with alerts it is not consistent.
+    def marked(self, alerts: tuple[IntegrityAlert, ...], **fields: object) -> RelativeState:
+        """Return the estimate with these alerts, by which it is not consistent, and other fields.
 
         It is a copy, not a construction: the arrays were checked when this estimate was made.
         """
         made = copy(self)
-        changed = (("track", track), ("alerts", alerts), ("lost", lost), ("details", details))
-        for name, value in (*changed, ("consistent", self.consistent and not alerts)):
+        for name, value in (*fields.items(), ("alerts", alerts), ("consistent", self.consistent and not alerts)):
             force_setattr(made, name, value)
         return made
 

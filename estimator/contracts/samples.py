@@ -282,6 +282,8 @@ class VesselMotion(Struct, frozen=True):
     heave_down_m: float | None = None
     """Displacement of the sensor's place from its mean, down positive."""
     sigma_heave_m: float = 0.0
+    acceleration_m_s2: float | None = None
+    """Horizontal acceleration of the sensor's place, without a direction."""
 
     def __post_init__(self) -> None:
         numbers = [number for name in self.__struct_fields__[2:] if (number := getattr(self, name)) is not None]

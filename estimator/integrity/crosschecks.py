@@ -261,10 +261,6 @@ class HeadingWatch(Struct, frozen=True):
     offs: tuple[tuple[int, float], ...] = ()
     """Instants, ns, from which corrections held, and these, rad: one for each change."""
 
-    def off_at(self, t: int) -> float:
-        """Return the correction of the heading that was reported at an instant, ns."""
-        return next((off for since, off in reversed(self.offs) if since <= t), 0.0)
-
     def _changed(self, t: int, off_rad: float) -> tuple[tuple[int, float], ...]:
         """Return the corrections with a newest one."""
         newest = self.offs[-1][1] if self.offs else 0.0

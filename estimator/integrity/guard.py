@@ -194,7 +194,8 @@ def admit_sighting(
     if guard.tracks.assumed is not None and guard.tracks.last is not None and guard.tracks.last.t == place.t:
         guard = replace(guard, tracks=guard.tracks._replace(last=place, assumed=None))
     following, explained = tracks.associate(guard.tracks, place, expected, o)
-    if not explained and belief is not None and belief.adrift and expected is not None and _swung_there(expected, place):
+    swung = expected if belief is not None and belief.adrift else None
+    if not explained and swung is not None and math.dist(swung.d[:2], place.d[:2]) <= _SWUNG_SIGMAS * swung.sigma_m:
         following, explained = Tracks(following.number, 0, place), True
     # The arbiter's doubt grows while it takes nothing, and would come to reach where the picture leapt to.
     if not explained and (following.leapt or not guard.arbiter.explains(place)):
@@ -330,17 +331,13 @@ def _pictured(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude) -> 
         return state
     R_ned_level = Rotation.from_rpy(0.0, 0.0, attitude.R_ned_body.rpy_rad[2])
     R_ned_pad = (R_ned_level @ sighting.pose6.R_level_pad).matrix
-    seen = parity.pictured(state.parity, at, attitude.R_ned_body.matrix, R_ned_pad, guard.heading.off_at(at))
+    off = next((off for since, off in reversed(guard.heading.offs) if since <= at), 0.0)
+    seen = parity.pictured(state.parity, at, attitude.R_ned_body.matrix, R_ned_pad, off)
     return replace(state, parity=seen)
 
 
 def _place(sighting: Sighting, attitude: Attitude | None) -> Place:
     return Place(sighting.stamp.measured_at, _fixed(sighting.d_body_pad_level, attitude), *_sigmas(sighting.cov))
-
-
-def _swung_there(expected: Place, place: Place) -> bool:
-    """Return whether a pad that its ship swung out of sight can be at a place, by the estimate's own deviation."""
-    return math.dist(expected.d[:2], place.d[:2]) <= _SWUNG_SIGMAS * expected.sigma_m
 
 
 def _expected(belief: RelativeState, sighting: Sighting, attitude: Attitude | None) -> Place:

@@ -509,8 +509,9 @@ def _check_distinct(a: PaintedFiducial, b: PaintedFiducial, first: int, where: s
 
 def _check_quiet(fiducial: PaintedFiducial, other: Region, index: int, where: str) -> None:
     assert isinstance(other, Lettering)
-    square = quiet_square(fiducial)
-    if not any(_overlap(square, np.array(rectangle)) for rectangle in rectangles_of([other])):
+    a = quiet_square(fiducial)
+    apart = [(max(a[0], b[0]) - min(a[1], b[1]), max(a[2], b[2]) - min(a[3], b[3])) for b in rectangles_of([other])]
+    if all(max(gap) >= -_TOUCH_M for gap in apart):
         return
     if isinstance(other, PaintedFiducial) and _is_nested(other, fiducial):
         return
@@ -518,10 +519,6 @@ def _check_quiet(fiducial: PaintedFiducial, other: Region, index: int, where: st
         f"{where}: regions[{index}] reaches into the fiducial or its border of light, one cell ({fiducial.cell_m:.4g} m) wide: "
         f"move them apart; a fiducial within another one lies in the middle of a light cell and is at most {_NESTED_MOST:g} of it"
     )
-
-
-def _overlap(a: F64, b: F64) -> bool:
-    return bool(min(a[1], b[1]) - max(a[0], b[0]) > _TOUCH_M and min(a[3], b[3]) - max(a[2], b[2]) > _TOUCH_M)
 
 
 def _is_nested(inner: PaintedFiducial, outer: PaintedFiducial) -> bool:

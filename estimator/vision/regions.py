@@ -364,7 +364,9 @@ def _ears(line: F64) -> list[F64]:
     left, out = line, []
     while len(left) > 3:
         around = [np.roll(left, 1 - i, axis=0) for i in range(len(left))]
-        ears = (i for i, corners in enumerate(around) if _is_ear(corners[:3], corners[3:]))
+        # Three corners in a row that turn clockwise about a triangle in which none of the others lies.
+        turning = ((i, c[:3], c[3:]) for i, c in enumerate(around) if _area(c[:3]) > 0.0)
+        ears = (i for i, ear, rest in turning if not np.any(_depth_within(ear, np.roll(ear, -1, axis=0), rest) > 0.0))
         # What has no ear is nearly a line: its flattest corner goes.
         cut = next(ears, None)
         if cut is None:
@@ -373,11 +375,6 @@ def _ears(line: F64) -> list[F64]:
             out.append(around[cut][:3])
         left = np.delete(left, cut, axis=0)
     return [*out, left]
-
-
-def _is_ear(corners: F64, others: F64) -> bool:
-    """Return whether three corners in a row turn clockwise about a triangle that none of the others lies in."""
-    return _area(corners) > 0.0 and not np.any(_depth_within(corners, np.roll(corners, -1, axis=0), others) > 0.0)
 
 
 def apart_m(one: Region, other: Region) -> float:

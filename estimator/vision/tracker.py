@@ -123,11 +123,6 @@ def _farthest(places: F64, among: Sequence[int]) -> list[tuple[int, int]]:
     return pairs[: DL_LAMP_PAIRS_MAX // 2]
 
 
-def is_dark(frame: Frame) -> bool:
-    """Return whether most of a frame is so dark that lamps show rather than paint."""
-    return bool(np.median(frame.px[::_EVERY_PX, ::_EVERY_PX].max(axis=2)) < _DARK)
-
-
 def by_lamps(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
 ) -> Sighting | None:
@@ -226,7 +221,9 @@ def sight(
     if not tracker.pad.lamps:
         return _painted(tracker, memory, frame, attitude, belief)
     began = work_done()
-    first = memory.lit or not tracker.pad.is_identifiable_by_paint or is_dark(frame)
+    # In the dark lamps show rather than paint.
+    lamps = memory.lit or not tracker.pad.is_identifiable_by_paint
+    first = lamps or bool(np.median(frame.px[::_EVERY_PX, ::_EVERY_PX].max(axis=2)) < _DARK)
     lit = by_lamps(tracker, memory, frame, attitude, belief) if first else None
     seen, left = Detection(None, None, MappingProxyType({})), memory
     if tracker.pad.is_identifiable_by_paint and not _is_sure(lit):

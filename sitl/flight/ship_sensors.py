@@ -22,6 +22,8 @@ _TILT_STEP_RAD, _HEAVE_STEP_M = math.radians(0.01), 0.01
 """Last digit of what it reports, as in PSXN,23."""
 _TILT_SIGMA_RAD, _MOUNT_SIGMA_RAD, _HEAVE_SIGMA_M = math.radians(0.03), math.radians(0.3), 0.02
 """Noise, and how well it is mounted along the ship's axes (assumed)."""
+_ACCELERATION_SIGMA_M_S2, _ACCELERATION_STEP_M_S2 = 0.02, 0.0383
+"""Noise of its horizontal acceleration (assumed), and that one's last digit in TSS1."""
 _WANDER_S = (20.0, 60.0)
 """Shortest and longest period of the wander of its heave (assumed)."""
 _TURN_SIGMA_RAD_S, _COMPASS_BIAS_RAD, _COMPASS_SIGMA_RAD = math.radians(0.2), math.radians(0.7), math.radians(0.2)
@@ -66,12 +68,14 @@ class MotionSensor:
     def __init__(self, world: GradedWorld) -> None:
         self._world, self._ship, self._of = world, ShipAt(world), world.scenario.vessel
         self._rng = rng = np.random.default_rng([world.seed, 0x6E57])
+        self._rng_a = np.random.default_rng([world.seed, 0x6E5A])
         self._mounted_rad = _MOUNT_SIGMA_RAD * rng.standard_normal(2)
         self._wander_rad_s = math.tau / rng.uniform(*_WANDER_S, 2)
         self._wander_from_rad = rng.uniform(0.0, math.tau, 2)
         self._slow_m = self._of.motion_at_m[2] - ship_model(world.scenario).hull.freeboard_m
         self._slow_m_s = 0.0
         self._at = world.at
+        self._v_ne, self._a_ne = self._ship.place(self._of.motion_at_m)[1][:2], np.zeros(2)
 
     def follow(self, now: MonoNs) -> None:
         """Take the sensor's own samples up to now."""
@@ -80,6 +84,8 @@ class MotionSensor:
             off_m, corner = self._down_m() - self._slow_m, math.tau / self._of.motion_high_pass_s
             self._slow_m += STEP_S * (self._slow_m_s + 2.0 * _DAMPING * corner * off_m)
             self._slow_m_s += STEP_S * corner**2 * off_m
+            before, self._v_ne = self._v_ne, self._ship.place(self._of.motion_at_m)[1][:2]
+            self._a_ne = (self._v_ne - before) / STEP_S
 
     def measured(self, now: MonoNs) -> tuple[VesselMotion]:
         """Return what it reports of this instant."""
@@ -92,7 +98,9 @@ class MotionSensor:
         tilt_sigma, heave_sigma = _TILT_STEP_RAD / math.sqrt(12.0), _HEAVE_STEP_M / math.sqrt(12.0)
         roll, pitch = (_TILT_STEP_RAD * round(angle / _TILT_STEP_RAD) for angle in (roll, pitch))
         down_m = _HEAVE_STEP_M * round(down_m / _HEAVE_STEP_M)
-        return (VesselMotion(_of(now), "simulated", roll, pitch, tilt_sigma, down_m, heave_sigma),)
+        a_m_s2 = math.hypot(*(self._a_ne + _ACCELERATION_SIGMA_M_S2 * self._rng_a.standard_normal(2)))
+        a_m_s2 = _ACCELERATION_STEP_M_S2 * round(a_m_s2 / _ACCELERATION_STEP_M_S2)
+        return (VesselMotion(_of(now), "simulated", roll, pitch, tilt_sigma, down_m, heave_sigma, a_m_s2),)
 
     def _down_m(self) -> float:
         return float(self._ship.place(self._of.motion_at_m)[0][2])

@@ -63,7 +63,7 @@ def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
             if kind.endswith("GGA"):
                 t_s = _seconds(cells[0])
             if kind.endswith("PSXN") and math.isfinite(t_s) and (motion := ship_motion(line[line.index("$") :])):
-                moved.append((t_s, *motion[:4]))
+                moved.append((t_s, motion.roll_rad, motion.pitch_rad, motion.heading_rad, motion.heave_down_m))
             elif kind.endswith("GGA") and cells[5] == _RTK:
                 north, east = _degrees(cells[1], cells[2]), _degrees(cells[3], cells[4])
                 places.append((t_s, north, east, float(cells[8]) + float(cells[10] or 0.0)))

@@ -295,7 +295,7 @@ def test_the_contact_is_that_of_the_lowest_foot_at_the_rate_that_is_flown() -> N
 def test_a_speed_that_is_no_longer_known_ends_the_commit_over_a_deck() -> None:
     """Two sigma count beyond the usual one, and a ship that is seen to brake gains speed until the contact.
 
-    Low over the deck that takes the last chance to climb. Who does not feel his own acceleration takes it for the ship's.
+    Low over the deck that takes the last chance to climb; her own sensors end it higher up as well, where a climb comes in time.
     """
     cases = (
         (0.2, 0.15, False, True, False),
@@ -304,12 +304,14 @@ def test_a_speed_that_is_no_longer_known_ends_the_commit_over_a_deck() -> None:
         (0.2, 0.02, True, False, True),
         (0.2, 0.02, True, True, False),
         (0.25, 0.02, True, False, False),
+        (0.25, 0.02, None, True, True),
+        (0.08, 0.02, None, True, False),
     )
     for height_m, sigma_m_s, steers, unfelt, ends in cases:
         seen = estimate(NOW, (0.0, 0.0, height_m), (0.2, 0.0, -0.4))
         cov = seen.cov.copy()
         cov[3, 3] = cov[4, 4] = sigma_m_s**2
-        seen = replace(seen, cov=cov, steers=steers)
+        seen = replace(seen, cov=cov, steers=bool(steers), jolted=steers is None)
         found = commit(ns(NOW), seen, Knowledge(ns(NOW), seen, deck=tilted(0.0, 0.0), unfelt=unfelt), LIMITS, CONE)
         assert (found is not None and found.cause is ReasonCause.RELATIVE_SPEED) is ends
 

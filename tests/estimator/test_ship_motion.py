@@ -12,7 +12,7 @@ import pytest
 from drivers.imports import network
 from estimator.contracts.estimates import Pose6, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix
-from estimator.contracts.samples import VesselMotion
+from estimator.contracts.samples import VesselMotion, VesselReport
 from estimator.ekf import Event, Forecast
 from estimator.options import EstimatorOptions
 from estimator.pipeline import RelativeEstimator
@@ -184,6 +184,19 @@ def test_motion_is_that_of_the_pad_and_about_its_arrow() -> None:
     # Bow up puts what lies aft of the sensor lower; starboard down what lies to starboard of it.
     assert made.heave_down_m == pytest.approx(0.1 + 20.0 * pitch + 2.0 * roll, abs=0.02)
     assert (made.roll_rad, made.pitch_rad) == pytest.approx((pitch, -roll), abs=2e-3)
+
+
+def test_the_begin_of_a_manoeuvre_is_felt_and_a_sensor_that_leaps_ends_nothing_for_long() -> None:
+    """A ship on waves of 0.3 m/s^2 brakes from 40 s on. Her rate of turn has noise alone; one acceleration leaps every 2 s."""
+    for leaps in (0.0, 1.0):
+        rng, witness, felt = np.random.default_rng(5), ShipMotion(ShipMotionOptions(), 0.0), []
+        for k in range(2050):
+            t, leap = 0.02 * k, leaps * (k % 100 == 0 and k >= 500)
+            a = abs(0.3 * math.sin(1.1 * t) + 45.0 * max(0.0, t - 40.0) ** 2 + leap + 0.02 * rng.standard_normal())
+            witness.feel(VesselMotion(stamp(t, t), "MRU", acceleration_m_s2=a))
+            witness.feel(VesselReport(stamp(t, t), None, None, None, None, 0.0035 * rng.standard_normal(), 0.0035))
+            felt += [t] if witness.jolted(ns(t)) else []
+        assert 40.0 < min(t for t in felt if t > 20.0 * leaps) < 40.25, "waves and noise are usual, and soon a leap"
 
 
 def test_steps_that_no_ship_makes_and_frozen_numbers_are_refused() -> None:

@@ -22,6 +22,7 @@ from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, after
+from sitl.faults import kinds
 from sitl.faults.fault import (
     Accelerometer,
     AttitudeReading,
@@ -35,30 +36,6 @@ from sitl.faults.fault import (
     VelocityReading,
 )
 from sitl.faults.faulty_streams import FaultyStream, InTransit
-from sitl.faults.kinds import (
-    KIND_OF_STREAM,
-    STREAMS,
-    Bystander,
-    CommandStream,
-    FlowBlind,
-    FocalLength,
-    FramesMisstamped,
-    FrameStream,
-    Glint,
-    LensCovered,
-    LightFalls,
-    LinkLost,
-    LowBattery,
-    NavdataMisstamped,
-    NavdataStream,
-    ObjectOnPad,
-    OtherPad,
-    PadCovered,
-    PictureFault,
-    ServiceKilled,
-    StreamFault,
-    WetLens,
-)
 from sitl.flight.flight import Flight
 from sitl.perception.levels import perceive
 from sitl.perception.model import MODELLED
@@ -104,14 +81,14 @@ ADDED: list[tuple[Fault, str, float | list[float]]] = [
     (Magnetometer(at_s=0.5, axis="x", offset_ut=5.0), "magnetometer", [5e-6, 0.0, 0.0]),
     (Ultrasound(at_s=0.5, offset_m=-0.5), "ultrasound_m", -0.5),
     (Barometer(at_s=0.5, offset_pa=24.0), "pressure_pa", 24.0),
-    (NavdataMisstamped(at_s=0.5, by_s=-2.0), "at", -2e9),
+    (kinds.NavdataMisstamped(at_s=0.5, by_s=-2.0), "at", -2e9),
 ]
 GIVEN: list[tuple[Fault, str, float | None]] = [
     (Gyro(at_s=0.5, axis="z", scale=0.0), "w_body", 0.0),
     (Accelerometer(at_s=0.5, limit_m_s2=1.0), "f_body", -1.0),
     (Ultrasound(at_s=0.5, dropped_fraction=1.0), "ultrasound_m", None),
     (Magnetometer(at_s=0.5, dropped_fraction=1.0), "magnetometer", None),
-    (LowBattery(at_s=0.5, fraction=0.05), "battery_fraction", 0.05),
+    (kinds.LowBattery(at_s=0.5, fraction=0.05), "battery_fraction", 0.05),
 ]
 """Numbers that a faulty sensor adds to its reading, and those that it gives as the last of its values."""
 
@@ -190,8 +167,8 @@ def test_dropped_and_noisy_readings_follow_the_seed() -> None:
 
 def test_a_recurring_fault_begins_as_often_as_it_says_and_never_overlaps_itself() -> None:
     timer, other = (
-        FaultTimer((FlowBlind(per_minute=30.0, for_s=0.5),), 4),
-        FaultTimer((FlowBlind(per_minute=30.0, for_s=0.5),), 5),
+        FaultTimer((kinds.FlowBlind(per_minute=30.0, for_s=0.5),), 4),
+        FaultTimer((kinds.FlowBlind(per_minute=30.0, for_s=0.5),), 5),
     )
     for tick in range(60_000):
         timer.update(0.01 * tick, 3.0, None)
@@ -201,7 +178,7 @@ def test_a_recurring_fault_begins_as_often_as_it_says_and_never_overlaps_itself(
     assert min(np.diff(times)) >= 0.5
     assert times != [began_s for _, began_s in other.begun]
     with pytest.raises(ValueError, match="for_s must say"):
-        FlowBlind(per_minute=3.0)
+        kinds.FlowBlind(per_minute=3.0)
 
 
 def fly_calm(fault: Fault, seconds: float = 1.2) -> tuple[Flight, ObservedCalls]:
@@ -210,40 +187,40 @@ def fly_calm(fault: Fault, seconds: float = 1.2) -> tuple[Flight, ObservedCalls]
 
 
 def test_delayed_frames_come_late_with_true_stamps_and_misstamped_ones_in_time_with_wrong_stamps() -> None:
-    _, late = fly_calm(FrameStream(at_s=0.5, delay_s=0.3))
+    _, late = fly_calm(kinds.FrameStream(at_s=0.5, delay_s=0.3))
     delays = [f.frame.stamp.delay_s for f in late.frames]
     assert delays[0] == pytest.approx(0.09, abs=0.005)
     assert delays[-1] == pytest.approx(0.39, abs=0.005)
-    _, wrong = fly_calm(FramesMisstamped(at_s=0.5, by_s=-0.3))
+    _, wrong = fly_calm(kinds.FramesMisstamped(at_s=0.5, by_s=-0.3))
     assert wrong.frames[-1].frame.stamp.delay_s == pytest.approx(0.39, abs=0.005)
     assert len(wrong.frames) > len(late.frames) + 5
-    _, ahead = fly_calm(FramesMisstamped(at_s=0.5, by_s=2.0))
+    _, ahead = fly_calm(kinds.FramesMisstamped(at_s=0.5, by_s=2.0))
     assert max(f.frame.stamp.measured_at for f in ahead.frames) > 2_900_000_000
 
 
 def test_a_lost_link_carries_nothing_either_way() -> None:
-    flight, processed = fly_calm(LinkLost(at_s=0.3), 3.0)
+    flight, processed = fly_calm(kinds.LinkLost(at_s=0.3), 3.0)
     assert max(s.stamp.received_at for s in processed.samples) < 320_000_000
     assert max(f.frame.stamp.measured_at for f in processed.frames) < 320_000_000
     assert flight._drone.state.silent, "the drone misses its client"
 
 
 def test_a_killed_service_does_nothing_and_a_new_one_remembers_nothing() -> None:
-    flight, processed = fly_calm(ServiceKilled(at_s=0.5), 3.0)
+    flight, processed = fly_calm(kinds.ServiceKilled(at_s=0.5), 3.0)
     assert max(s.stamp.received_at for s in processed.samples) < 510_000_000
     assert not flight._drone.state.silent, "its sender is another process and holds the drone"
     assert flight.world.phase is VehiclePhase.HOVERING
     first = flight._pilot
-    again, processed = fly_calm(ServiceKilled(at_s=0.5, for_s=0.5), 1.2)
+    again, processed = fly_calm(kinds.ServiceKilled(at_s=0.5, for_s=0.5), 1.2)
     assert again._pilot is not first
     received_at = np.array([s.stamp.received_at for s in processed.samples]) / 1e9
     assert np.diff(received_at).max() == pytest.approx(0.5, abs=0.02)
     with pytest.raises(BadInput, match="service_killed comes back after for_s"):
-        Flight(change(CALM, faults=(ServiceKilled(at_s=0.5, for_s=0.5),)), 1, SIM, make_pilot(SIM))
+        Flight(change(CALM, faults=(kinds.ServiceKilled(at_s=0.5, for_s=0.5),)), 1, SIM, make_pilot(SIM))
 
 
 def test_a_refusal_says_what_guidance_reported_and_what_became_of_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    flight, _ = fly_calm(LensCovered(at_s=0.0), 0.2)
+    flight, _ = fly_calm(kinds.LensCovered(at_s=0.0), 0.2)
     pilot = flight._pilot
 
     def gives_up(now: MonoNs) -> Decision:
@@ -263,7 +240,7 @@ def test_a_refusal_says_what_guidance_reported_and_what_became_of_the_frames(mon
 
 
 def test_the_simulated_drone_takes_every_key_of_the_configuration_or_the_run_ends() -> None:
-    flight, _ = fly_calm(FlowBlind(at_s=9.0), 0.02)
+    flight, _ = fly_calm(kinds.FlowBlind(at_s=9.0), 0.02)
     assert flight.world.limits.euler_angle_max_rad == pytest.approx(math.radians(SIM.vehicle.euler_angle_max_deg), abs=1e-5)  # type: ignore[union-attr]
     assert flight._drone.state.counters["config_set"] == 11
     vehicle = msgspec.structs.replace(SIM.vehicle)
@@ -282,18 +259,18 @@ def on_at(timer: FaultTimer, heights: list[float], phases: list[str | None] | No
 
 
 def test_a_fault_begins_at_a_height_or_in_a_phase_once_and_lasts() -> None:
-    below = FaultTimer((FlowBlind(below_height_m=1.0, for_s=0.2),))
+    below = FaultTimer((kinds.FlowBlind(below_height_m=1.0, for_s=0.2),))
     assert on_at(below, [0.3, 0.8, 1.2, 0.9, 1.5, 0.8, 0.5]) == [False, False, False, True, True, False, False]
-    above = FaultTimer((FlowBlind(above_height_m=1.0),))
+    above = FaultTimer((kinds.FlowBlind(above_height_m=1.0),))
     assert on_at(above, [0.3, 1.2, 0.9]) == [False, True, True]
-    phase = FaultTimer((FlowBlind(in_phase="descend"),))
+    phase = FaultTimer((kinds.FlowBlind(in_phase="descend"),))
     assert on_at(phase, [3.0] * 4, [None, "intercept", "descend", "hold blind"]) == [False, False, True, True]
 
 
 TICK_NS = 10_000_000
 
 
-def carried(*faults: StreamFault | LinkLost, seed: int = 1, packets: int = 400) -> list[tuple[int, MonoNs]]:
+def carried(*faults: kinds.StreamFault | kinds.LinkLost, seed: int = 1, packets: int = 400) -> list[tuple[int, MonoNs]]:
     """Send a packet each 10 ms over a stream of frames; return number and time of each arrival."""
     timer = FaultTimer(faults, seed)
     transit: InTransit[int] = InTransit(FaultyStream(timer, "frames", seed))
@@ -313,15 +290,15 @@ def carried(*faults: StreamFault | LinkLost, seed: int = 1, packets: int = 400) 
     [("dropped_fraction", lambda out: 1 - len(out) / 400), ("duplicated_fraction", lambda out: len(out) / 400 - 1)],
 )
 def test_a_share_is_lost_or_doubled_and_the_seed_says_which(effect: str, share: object) -> None:
-    out = carried(FrameStream(at_s=0.0, **{effect: 0.3}))
+    out = carried(kinds.FrameStream(at_s=0.0, **{effect: 0.3}))
     assert 0.22 < share(out) < 0.38  # type: ignore[operator]
-    assert out == carried(FrameStream(at_s=0.0, **{effect: 0.3}))
-    assert out != carried(FrameStream(at_s=0.0, **{effect: 0.3}), seed=2)
+    assert out == carried(kinds.FrameStream(at_s=0.0, **{effect: 0.3}))
+    assert out != carried(kinds.FrameStream(at_s=0.0, **{effect: 0.3}), seed=2)
     assert all(b - a >= -2 for a, b in itertools.pairwise(n for n, _ in out)), "a copy comes just after the packet behind it"
 
 
 def test_overtaken_packets_come_after_the_next_one_that_is_not() -> None:
-    numbers = [n for n, _ in carried(FrameStream(at_s=0.0, reordered_fraction=0.3))]
+    numbers = [n for n, _ in carried(kinds.FrameStream(at_s=0.0, reordered_fraction=0.3))]
     assert sorted(numbers) == list(range(len(numbers)))
     backward = np.diff(numbers) < 0
     assert 0.15 < backward.mean() < 0.35
@@ -330,7 +307,7 @@ def test_overtaken_packets_come_after_the_next_one_that_is_not() -> None:
 @given(st.lists(st.tuples(st.floats(0, 0.5), st.floats(0, 0.99), st.floats(0, 1)), max_size=3), st.integers(0, 50))
 def test_nothing_is_made_up_and_nothing_is_late_for_ever(effects: list[tuple[float, float, float]], seed: int) -> None:
     faults = [
-        FrameStream(at_s=0.1, for_s=0.3, delay_s=late + 0.001, dropped_fraction=lost, reordered_fraction=behind)
+        kinds.FrameStream(at_s=0.1, for_s=0.3, delay_s=late + 0.001, dropped_fraction=lost, reordered_fraction=behind)
         for late, lost, behind in effects
     ]
     numbers = [n for n, _ in carried(*faults, seed=seed, packets=100)]
@@ -338,18 +315,18 @@ def test_nothing_is_made_up_and_nothing_is_late_for_ever(effects: list[tuple[flo
     assert set(range(50, 100)) <= set(numbers)
 
 
-@pytest.mark.parametrize("stream", STREAMS)
+@pytest.mark.parametrize("stream", kinds.STREAMS)
 def test_a_lost_link_and_a_lost_stream_are_silent(stream: str) -> None:
-    lost = at(world(LinkLost(at_s=0.1)), 0.2)
-    own = at(world(KIND_OF_STREAM[stream](at_s=0.1, dropped_fraction=1.0)), 0.2)  # type: ignore[index]
+    lost = at(world(kinds.LinkLost(at_s=0.1)), 0.2)
+    own = at(world(kinds.KIND_OF_STREAM[stream](at_s=0.1, dropped_fraction=1.0)), 0.2)  # type: ignore[index]
     for w in (lost, own):
         assert getattr(w.streams, stream).silent
         assert getattr(w.streams, stream).fate().copies == 0
-    assert [getattr(own.streams, name).silent for name in STREAMS] == [name == stream for name in STREAMS]
+    assert [getattr(own.streams, name).silent for name in kinds.STREAMS] == [name == stream for name in kinds.STREAMS]
 
 
 def test_late_samples_arrive_late_and_keep_their_stamps() -> None:
-    _, seen = fly_calm(NavdataStream(at_s=0.5, delay_s=0.3))
+    _, seen = fly_calm(kinds.NavdataStream(at_s=0.5, delay_s=0.3))
     delays = np.array([s.stamp.delay_s for s in seen.samples if isinstance(s, Imu)])
     assert delays[0] == pytest.approx(0.004, abs=0.001)
     assert delays[-1] == pytest.approx(0.304, abs=0.006)
@@ -358,9 +335,9 @@ def test_late_samples_arrive_late_and_keep_their_stamps() -> None:
 
 
 def test_doubled_and_overtaken_samples_reach_the_service_once_and_in_order() -> None:
-    _, all_of_them = fly_calm(NavdataStream(at_s=9.0, delay_s=0.1), 0.6)
+    _, all_of_them = fly_calm(kinds.NavdataStream(at_s=9.0, delay_s=0.1), 0.6)
     for effect in ("duplicated_fraction", "reordered_fraction"):
-        _, seen = fly_calm(NavdataStream(at_s=0.1, **{effect: 0.4}), 0.6)
+        _, seen = fly_calm(kinds.NavdataStream(at_s=0.1, **{effect: 0.4}), 0.6)
         stamps = [s.stamp.measured_at for s in seen.samples if isinstance(s, Imu)]
         assert stamps == sorted(set(stamps))
         expected = len([s for s in all_of_them.samples if isinstance(s, Imu)])
@@ -369,11 +346,11 @@ def test_doubled_and_overtaken_samples_reach_the_service_once_and_in_order() -> 
 
 def test_late_commands_move_the_drone_later_and_lost_ones_let_it_go_on() -> None:
     taken = []
-    for fault in (CommandStream(at_s=9.0, delay_s=0.1), CommandStream(at_s=0.2, delay_s=0.1)):
+    for fault in (kinds.CommandStream(at_s=9.0, delay_s=0.1), kinds.CommandStream(at_s=0.2, delay_s=0.1)):
         flight, _ = fly_calm(fault, 0.25)
         taken.append(flight._drone.state.counters["at_taken"])
     assert taken[1] < taken[0]
-    flight, _ = fly_calm(CommandStream(at_s=0.3, dropped_fraction=1.0), 3.0)
+    flight, _ = fly_calm(kinds.CommandStream(at_s=0.3, dropped_fraction=1.0), 3.0)
     assert flight._drone.state.silent, "the drone misses its client"
 
 
@@ -389,7 +366,7 @@ def frame(*faults: Fault, seconds: float = 0.3) -> RenderedFrame:
     return at(World(msgspec.structs.replace(CALM, faults=faults), 1), seconds).render()
 
 
-def changed(fault: PictureFault, least: int = 12) -> tuple[float, float, float]:
+def changed(fault: kinds.PictureFault, least: int = 12) -> tuple[float, float, float]:
     """Return the fraction of pixels that a fault changes, and their middle right of and below the pad's centre, in radii."""
     one, other = frame(fault).px, frame().px
     v, u = np.nonzero(np.abs(one.astype(int) - other).max(axis=-1) > least)
@@ -412,7 +389,7 @@ def pad_middle(px: NDArray[np.uint8]) -> tuple[float, float]:
 def test_half_of_the_pad_is_hidden_on_the_side_that_it_says() -> None:
     whole = frame().px
     for side, right in ((90.0, True), (-90.0, False)):
-        left = green(frame(PadCovered(at_s=0.1, fraction=0.5, from_deg=side)).px)
+        left = green(frame(kinds.PadCovered(at_s=0.1, fraction=0.5, from_deg=side)).px)
         assert left.sum() == pytest.approx(0.5 * green(whole).sum(), rel=0.1)
         assert bool(np.nonzero(left)[1].mean() < pad_middle(whole)[0]) is right
 
@@ -420,16 +397,16 @@ def test_half_of_the_pad_is_hidden_on_the_side_that_it_says() -> None:
 @pytest.mark.parametrize(
     ("fault", "right", "down", "share"),
     [
-        (ObjectOnPad(at_s=0.1, right_m=0.78, size_m=0.5), 2.0, 0.0, (0.001, 0.03)),
-        (ObjectOnPad(at_s=0.1, thing="lifebuoy", forward_m=0.78, size_m=0.5), 0.0, -2.0, (0.001, 0.03)),
-        (ObjectOnPad(at_s=0.1, thing="crate", brightness=0.9, right_m=0.39, size_m=0.3), 1.0, 0.0, (0.001, 0.03)),
-        (ObjectOnPad(at_s=0.1, thing="wet patch", forward_m=-0.78, size_m=0.4), 0.0, 2.0, (0.001, 0.03)),
-        (Bystander(at_s=0.1, thing="box", right_m=0.78, width_m=0.4, height_m=0.1), 2.0, 0.0, (0.001, 0.03)),
-        (OtherPad(at_s=0.1, forward_m=1.17), 0.0, -3.0, (0.01, 0.06)),
-        (Glint(at_s=0.1, forward_m=0.0, right_m=0.39), 1.0, 0.0, (0.005, 0.1)),
+        (kinds.ObjectOnPad(at_s=0.1, right_m=0.78, size_m=0.5), 2.0, 0.0, (0.001, 0.03)),
+        (kinds.ObjectOnPad(at_s=0.1, thing="lifebuoy", forward_m=0.78, size_m=0.5), 0.0, -2.0, (0.001, 0.03)),
+        (kinds.ObjectOnPad(at_s=0.1, thing="crate", brightness=0.9, right_m=0.39, size_m=0.3), 1.0, 0.0, (0.001, 0.03)),
+        (kinds.ObjectOnPad(at_s=0.1, thing="wet patch", forward_m=-0.78, size_m=0.4), 0.0, 2.0, (0.001, 0.03)),
+        (kinds.Bystander(at_s=0.1, thing="box", right_m=0.78, width_m=0.4, height_m=0.1), 2.0, 0.0, (0.001, 0.03)),
+        (kinds.OtherPad(at_s=0.1, forward_m=1.17), 0.0, -3.0, (0.01, 0.06)),
+        (kinds.Glint(at_s=0.1, forward_m=0.0, right_m=0.39), 1.0, 0.0, (0.005, 0.1)),
     ],
 )
-def test_things_lie_where_they_say(fault: PictureFault, right: float, down: float, share: tuple[float, float]) -> None:
+def test_things_lie_where_they_say(fault: kinds.PictureFault, right: float, down: float, share: tuple[float, float]) -> None:
     part, u, v = changed(fault)
     assert share[0] < part < share[1]
     assert (u, v) == pytest.approx((right, down), abs=0.2)
@@ -440,31 +417,35 @@ def test_a_pad_in_the_place_of_the_right_one_is_no_true_sight() -> None:
     odd = from_mapping({"title": "x", "faults": [{"kind": "other_pad", "at_s": 1, "instead": True, "file": "theses"}]}, "my.toml")
     with pytest.raises(BadInput, match=r"faults\[0\].file: .*did you mean 'thesis'"):
         pad_model(odd)
-    wrong = frame(OtherPad(at_s=0.1, instead=True, size=0.5))
+    wrong = frame(kinds.OtherPad(at_s=0.1, instead=True, size=0.5))
     assert not wrong.true_view
-    assert frame(OtherPad(at_s=0.1, forward_m=1.2)).true_view
+    assert frame(kinds.OtherPad(at_s=0.1, forward_m=1.2)).true_view
     assert green(wrong.px).sum() == pytest.approx(0.25 * green(frame().px).sum(), rel=0.15)
 
 
 def test_less_light_is_darker_and_noisier_and_a_lens_blurs_and_zooms() -> None:
-    bright, dark = frame().px.astype(float), frame(LightFalls(at_s=0.1, fraction=0.1)).px.astype(float)
+    bright, dark = frame().px.astype(float), frame(kinds.LightFalls(at_s=0.1, fraction=0.1)).px.astype(float)
     assert 0.25 < dark.mean() / bright.mean() < 0.4, "a tenth of the light is a third of the value"
     deck = np.s_[100:140, 380:420]
     assert dark[deck].std() / dark[deck].mean() > 1.5 * bright[deck].std() / bright[deck].mean()
-    sharp, wet = (np.abs(np.diff(px.astype(float), axis=1)).mean() for px in (frame().px, frame(WetLens(at_s=0.1, drops=80)).px))
+    sharp, wet = (
+        np.abs(np.diff(px.astype(float), axis=1)).mean() for px in (frame().px, frame(kinds.WetLens(at_s=0.1, drops=80)).px)
+    )
     assert wet < 0.85 * sharp
-    assert np.array_equal(frame(WetLens(at_s=0.1)).px, frame(WetLens(at_s=0.1)).px)
-    assert green(frame(FocalLength(at_s=0.1, scale=1.2)).px).sum() == pytest.approx(1.44 * green(frame().px).sum(), rel=0.03)
+    assert np.array_equal(frame(kinds.WetLens(at_s=0.1)).px, frame(kinds.WetLens(at_s=0.1)).px)
+    assert green(frame(kinds.FocalLength(at_s=0.1, scale=1.2)).px).sum() == pytest.approx(
+        1.44 * green(frame().px).sum(), rel=0.03
+    )
 
 
 def test_what_acts_without_a_rendered_frame_acts_there_too() -> None:
-    clear, covered = (fly_for(1.6, CALM, level="truth", faults=f) for f in ((), (PadCovered(at_s=0.4, fraction=1.0),)))
+    clear, covered = (fly_for(1.6, CALM, level="truth", faults=f) for f in ((), (kinds.PadCovered(at_s=0.4, fraction=1.0),)))
     assert clear.health.frames[Verdict.NO_PAD] < 5 < covered.health.frames[Verdict.NO_PAD]
-    dark = fly_for(1.6, CALM, level="truth", faults=(LightFalls(at_s=0.0, fraction=0.0005),))
+    dark = fly_for(1.6, CALM, level="truth", faults=(kinds.LightFalls(at_s=0.0, fraction=0.0005),))
     scene = next(reversed(dark._perception.scenes._scenes.values()))  # type: ignore[attr-defined]
     assert scene.light_stops == pytest.approx(np.log2(0.0005))
     heights = []
-    for faults in ((), (FocalLength(at_s=0.0, scale=1.1),)):
+    for faults in ((), (kinds.FocalLength(at_s=0.0, scale=1.1),)):
         flight = fly_for(1.6, CALM, level="model", faults=faults)
         belief = flight._pilot.estimator.at(flight._clock.t)
         assert belief is not None
@@ -472,9 +453,9 @@ def test_what_acts_without_a_rendered_frame_acts_there_too() -> None:
     assert heights[1] / heights[0] == pytest.approx(1.0 / 1.1, rel=0.03)
 
 
-@pytest.mark.parametrize("kind", sorted(PictureFault.__subclasses__(), key=str))
-def test_a_level_that_cannot_show_a_picture_refuses_it_by_name(kind: type[PictureFault]) -> None:
-    fault = kind(at_s=1.0, **({"instead": True} if kind is OtherPad else {}))
+@pytest.mark.parametrize("kind", sorted(kinds.PictureFault.__subclasses__(), key=str))
+def test_a_level_that_cannot_show_a_picture_refuses_it_by_name(kind: type[kinds.PictureFault]) -> None:
+    fault = kind(at_s=1.0, **({"instead": True} if kind is kinds.OtherPad else {}))
     if kind in MODELLED:
         perceive("model").refuse([fault])
     else:
@@ -486,7 +467,7 @@ def test_a_level_that_cannot_show_a_picture_refuses_it_by_name(kind: type[Pictur
 def test_each_shipped_fault_of_the_picture_changes_it() -> None:
     beginnings = dict.fromkeys(("below_height_m", "above_height_m", "in_phase", "per_minute"))
     shipped = [(n, f) for n in shipped_scenarios() if n.startswith("faults/") for f in load(n).faults]
-    pictures = [(name, fault) for name, fault in shipped if isinstance(fault, PictureFault)]
+    pictures = [(name, fault) for name, fault in shipped if isinstance(fault, kinds.PictureFault)]
     assert len(pictures) > 10
     for name, fault in pictures:
         part, _, _ = changed(msgspec.structs.replace(fault, **beginnings, at_s=0.1), least=6)

@@ -224,7 +224,8 @@ def sensed(kind: type[Any], *faults: Fault, ship: VesselSettings = SENSING) -> t
         world.advance(after(world.started, 0.01 * n))
         t = world.truth()
         R = t.R_ned_pad.matrix
-        truth.append([t.p_pad_ned[2] + R[2] @ ship.motion_at_m, *t.R_ned_pad.rpy_rad[:2], R[2] @ t.w_pad])
+        way = t.p_pad_ned + R @ ship.motion_at_m
+        truth.append([way[2], *t.R_ned_pad.rpy_rad[:2], R[2] @ t.w_pad, *way[:2]])
         out += [(n, report) for report in reporter.reports(world.now) if isinstance(report, kind)]
     late = 10 if kind is not VesselMotion else round(100 * ship.motion_delay_s)
     return [report for _, report in out], np.array([truth[max(0, n - late - 1)] for n, _ in out])
@@ -243,6 +244,9 @@ def test_a_motion_sensor_measures_its_own_place_late_and_filters_its_heave() -> 
     assert np.std(np.array([m.heave_down_m for m in quick]) - down) > 0.1, "a filter for a short period hides the sea"
     turned, _ = sensed(VesselMotion, Corrupted(signal="ship_heave", error="sign", at_s=10.0))
     assert [m.heave_down_m for m in turned[60:]] == pytest.approx(-down[60:])
+    often, true = sensed(VesselMotion, ship=msgspec.structs.replace(SENSING, motion_hz=50.0))
+    felt, a = np.array([m.acceleration_m_s2 for m in often])[5:-5], np.diff(true[:, 4:], 2, axis=0)[4:-4] / 0.02**2
+    assert np.std(felt - np.hypot(*a.T)) < 0.06 < 0.5 * np.std(felt), "the second difference of its place"
 
 
 def test_settings_that_follow_a_scenario_know_how_her_pad_antenna_and_motion_sensor_lie() -> None:

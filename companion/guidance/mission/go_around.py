@@ -61,7 +61,7 @@ def _height_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
 def _touches(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     """Yield a contact that is not the climb's own thrust."""
     feet_m, felt = contact.feet_m(s, o.cone), contact.felt(p, s, o)
-    steers = s.estimate is not None and s.estimate.steers
+    steers = s.estimate is not None and (s.estimate.steers or s.estimate.jolted)
     if feet_m is not None and feet_m <= _TOUCHES_M and not steers and not contact.is_own_thrust(felt, s):
         yield from contact.stays(p, s, o)
 

@@ -97,8 +97,8 @@ _GUST_S = 2.0
 """Time for which a gust lasts, s."""
 _USUAL_SIGMA_M_S = 0.15
 """1-sigma of the speed along the deck that the filter has without an IMU, too, m/s; a ship that brakes makes it greater."""
-_STEERS_M_S2 = 2.5
-"""Acceleration until the contact of a ship that is seen to brake or turn, m/s^2."""
+_STEERS_M_S2, _JOLTED_M_S2 = 2.5, 10.0
+"""Acceleration until the contact of a ship that is seen to brake or turn, and of one whose own sensors show its begin, m/s^2."""
 _DECIDES_M = 0.05
 """Height over the least one for a climb from which on that ends the commit, m: two frames of 30 a second and more."""
 LEANS_MORE_M_S2 = 2.0
@@ -269,9 +269,10 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
         sigma_m_s = math.sqrt(max(estimate.cov.item(3, 3), estimate.cov.item(4, 4)))  # the larger one along the deck
         speed += SIGMAS_AHEAD * max(0.0, sigma_m_s - _USUAL_SIGMA_M_S)
         # Higher up the next frames say what she does. A body whose acceleration is not felt seems to be a ship that brakes.
-        if over_m < _DECIDES_M and estimate.steers and not knowledge.unfelt:
-            # Until all feet stand: the first that touches does not stop what she does.
-            speed += _STEERS_M_S2 * _descends_s(estimate.height_m - cone.feet_below_m, estimate, cone)
+        seen = over_m < _DECIDES_M and estimate.steers and not knowledge.unfelt
+        # Until all feet stand: the first that touches does not stop what she does.
+        gains_m_s2 = _JOLTED_M_S2 if estimate.jolted else _STEERS_M_S2 if seen else 0.0
+        speed += gains_m_s2 * _descends_s(estimate.height_m - cone.feet_below_m, estimate, cone)
     return _first(
         [
             *(ahead if turns else ahead[1:] if lifts else ()),

@@ -4,7 +4,7 @@ An aim says where to be against the deck; `allows` says what a command for it ma
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from companion.guidance.controller import Knowledge, Target
 from companion.guidance.mission import limits, out_of_reach
 from companion.guidance.mission.clearance import WAITING_SIGMAS, rise_beyond_climb_m
 from companion.guidance.mission.progress import GuidanceCycle, Progress, fit_to_steer, with_deck_m_s
-from companion.guidance.mission.rules import Events, EventWithReason, Row
+from companion.guidance.mission.rules import Events, Row
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
@@ -237,25 +237,17 @@ def _in_present_axes(held: F64, yaw_rad: float | None, estimate: RelativeState) 
     return np.array([c * x + s * y, -s * x + c * y, z])
 
 
-def _nothing(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
-    yield from ()
-
-
-def _as_it_is(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
-    return p
-
-
 class Phase(NamedTuple):
     """One state: where it leads, what it watches, what it aims at, and what it remembers."""
 
     does: str
     """The words for people: what the drone does."""
     ways: Row
-    events: Events = _nothing
+    events: Events = lambda p, s, o: iter(())
     """Events of a cycle that lead to another state."""
     aim: Callable[[Progress, GuidanceCycle, GuidanceOptions], Aimed] = still
     """The place to be: a target for the controller, or a command where no estimate will do."""
-    note: Callable[[Progress, GuidanceCycle, GuidanceOptions], Progress] = _as_it_is
+    note: Callable[[Progress, GuidanceCycle, GuidanceOptions], Progress] = lambda p, s, o: p
     """The state's own memory of a cycle, noted before its events."""
     allows: Callable[[Command, Progress, GuidanceCycle, GuidanceOptions], Command] = not_lower
     """The controller's command for the target, as far as the state allows it."""

@@ -62,7 +62,7 @@ def test_rmc_reports_place_and_velocity() -> None:
 
 def test_a_motion_sensor_says_roll_pitch_heading_and_heave() -> None:
     moved = ship_motion(line("PSXN,23,0.40,-1.75,218.25,0.60").decode().strip())
-    assert moved[:4] == pytest.approx((math.radians(0.4), math.radians(-1.75), math.radians(218.25), 0.6))
+    assert [*moved[:2], *moved[3::3]] == pytest.approx([math.radians(0.4), math.radians(-1.75), 0.6, math.radians(218.25)])
     for other in ("PSXN,20,1,0,0,0", "PSXN,23,0.4,-1.7,218.2", "PSXN,23,0.4,,218.2,0.6", "PSXN,23,nan,1,2,3", "HEHDT,218.2,T"):
         assert ship_motion(line(other).decode().strip()) is None, other
     assert ship_motion("$PSXN,23,0.40,-1.75,218.25,0.60*00") is None, "the checksum is another"

@@ -116,7 +116,7 @@ MOTIONS = [
     (line("PRDID,-1.50,2.50,218.2"), "PRDID", None),
     (line("YXXDR,C,12.0,C,AIR,A,-1.5,D,PTCH,D,-0.6,M,HEAVE,A,2.5,D,ROLL"), "YX XDR", 0.6),
     (line("IIXDR,A,2.5,D,Heel,A,-1.5,D,PITCH#1,A,4.0,D,RUDDER"), "II XDR", None),
-    (b":00FFCA -0060F 0250 -0150\r\n", "TSS1", 0.6),
+    (b":0AFFCA -0060F 0250 -0150\r\n", "TSS1", 0.6),
     (em3000(0x90, 2.5, -1.5, -0.6, 218.25), "EM3000", 0.6),
     (em3000(0x00, 2.5, -1.5, -0.6, 218.25), "EM3000", 0.6),
 ]  # fmt: skip
@@ -135,6 +135,7 @@ def test_every_format_has_its_own_signs(said: bytes, sensor: str, heave_down_m: 
     assert (one.roll_rad, one.pitch_rad) == pytest.approx((math.radians(2.5), math.radians(-1.5)))
     assert one.heave_down_m == (None if heave_down_m is None else pytest.approx(heave_down_m))
     assert math.radians(0.002) < one.sigma_tilt_rad < math.radians(0.04)
+    assert one.acceleration_m_s2 == (pytest.approx(9.81 * 10 / 255, rel=0.01) if sensor == "TSS1" else None)
 
 
 @pytest.mark.parametrize(
