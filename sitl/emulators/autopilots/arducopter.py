@@ -24,7 +24,7 @@ from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.motion import G_M_S2
 from sitl.emulators.autopilots.body import Body, BodyState, Motors, Settle, at_once
-from sitl.emulators.autopilots.own import OwnBody
+from sitl.emulators.autopilots.follow import OwnBody
 from sitl.emulators.autopilots.program import parameters_of
 from sitl.scenario.scenario import wind_of
 from sitl.sensors.sensors import ORIGIN

@@ -38,9 +38,9 @@ from sitl.emulators.autopilots import arducopter, px4
 from sitl.emulators.autopilots.arducopter import CURVE, STEP_S, JsonBackend, serve_json
 from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, beside_autopilot
 from sitl.emulators.autopilots.body import Body, Silence, view_of
+from sitl.emulators.autopilots.follow import OwnBody, OwnVehicle
 from sitl.emulators.autopilots.lock_step import FaultyLink, LockStepCamera, LockStepClock
 from sitl.emulators.autopilots.observed_body import GradedBody
-from sitl.emulators.autopilots.own import OwnBody, OwnVehicle
 from sitl.emulators.autopilots.program import Program, reserved_port, running
 from sitl.emulators.autopilots.px4 import HilBackend, serve_hil
 from sitl.emulators.autopilots.stand_in import base as in_process
