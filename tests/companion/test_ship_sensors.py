@@ -86,9 +86,16 @@ def imported(tmp_path: Path, *logs: Path, capsys: pytest.CaptureFixture[str]) ->
     return {one["sensor"]: one for one in out["ship_sensors"]} | {"differences": out["ship_differences"]}
 
 
+def begun(folder: Path, log: Path) -> Path:
+    """Return the first two fifths of a log: the replay of more, some minutes, says the same."""
+    lines = log.read_bytes().splitlines(keepends=True)
+    (folder / log.name).write_bytes(b"".join(lines[: 2 * len(lines) // 5]))
+    return folder / log.name
+
+
 @needs_palmer
 def test_logs_of_a_ship_become_a_recording_whose_replay_judges_her_sensors(tmp_path, capsys):
-    found = imported(tmp_path, *(PALMER / f"{name}.txt" for name in ("s330", "seap", "gyr1")), capsys=capsys)
+    found = imported(tmp_path, *(begun(tmp_path, PALMER / f"{name}.txt") for name in ("s330", "seap", "gyr1")), capsys=capsys)
     assert found["heading"]["rate_hz"] == pytest.approx(5.0, rel=0.05)
     for sensor in ("s330 IN PSXN", "seap GP PSXN"):
         one = found[sensor]
