@@ -22,7 +22,7 @@ from estimator.contracts.time import Clock
 
 log = logging.getLogger(__name__)
 
-_EXPECTED = {"other_sentence", "other_message", "other_ship", "other_receiver"}
+_EXPECTED = {"other_sentence", "other_message", "other_receiver"}
 _OF_A_RECEIVER = {
     "no_fix": "the receiver has no fix",
     "base_silent": "the receiver hears nothing of its base",
@@ -114,6 +114,8 @@ class BusPart(_ShipPart):
         super().__init__("a message of the ship's network", reports, clock)
         self._address, self._sensors = parse_bus(bus), ShipSensors(simulated, choice)
         self._reader = BusReader(self._sensors)
+        self._logged = {"other_ship"}
+        """A network also carries what is of the ships around."""
 
     def _counts(self) -> tuple[Mapping[str, int], Mapping[str, int]]:
         return self._sensors.taken, self._reader.refused
