@@ -24,8 +24,9 @@ from sitl.world.truth import Touchdown, Truth
 from sitl.world.world import Stick, World
 from tests.drivers.nmea.test_sentences import line
 from tests.fly import land, near
+from tests.make import change
 from tests.sitl.test_sea import WMO_3700_M
-from tests.sitl.test_world import CALM, run_world, with_
+from tests.sitl.test_world import CALM, run_world
 
 UNKIND: dict[str, Any] = {
     "rotor_saturation": True, "battery_sag": 0.15, "drag_per_m": 0.01, "rotor_drag": True, "downwash_m_s2": 1.0,
@@ -77,7 +78,7 @@ def hovered(effects: EffectSettings, height_m: float = 0.6, **more: Any) -> tupl
     """Return where a vehicle is after two seconds of flight in 6 m/s of air near the deck, and what it feels."""
     wind = msgspec.structs.replace(CALM.wind, speed_m_s=6.0)
     start = msgspec.structs.replace(CALM.start, height_m=height_m)
-    world = World(with_(CALM, effects=effects, wind=wind, start=start, **more), seed=5)
+    world = World(change(CALM, effects=effects, wind=wind, start=start, **more), seed=5)
     world.stick(Stick(pitch=-0.6, roll=0.8, gaz=-0.1, progressive=True))
     run_world(world, 2.0)
     return [round(x, 9) for x in world.truth().p_body_ned.tolist()], world.readings().f_body
@@ -100,7 +101,7 @@ def test_a_rotor_at_its_limit_gives_no_more_torque() -> None:
     """A stick thrown over asks an AR.Drone for more than four rotors of 7.5 N give."""
 
     def turned(effects: EffectSettings) -> float:
-        world = World(with_(CALM, effects=effects), seed=1)
+        world = World(change(CALM, effects=effects), seed=1)
         world.limits.euler_angle_max_rad, world.limits.vz_max_m_s = 0.5, 2.0
         world.stick(Stick(roll=1.0, gaz=1.0, progressive=True))
         run_world(world, 0.25)
@@ -111,7 +112,7 @@ def test_a_rotor_at_its_limit_gives_no_more_torque() -> None:
 
 def test_a_thing_on_the_pad_holds_a_vehicle_up() -> None:
     def stands_m(height_m: float) -> float:
-        world = World(with_(CALM, effects=EffectSettings(thing_height_m=height_m, thing_radius_m=0.5)), seed=2)
+        world = World(change(CALM, effects=EffectSettings(thing_height_m=height_m, thing_radius_m=0.5)), seed=2)
         world.vehicle.land()
         run_world(world, 12.0)
         return float(world.truth().d_body_pad_level[2])
@@ -127,7 +128,7 @@ def test_a_wrong_model_is_drawn_by_the_seed_and_leaves_the_service_s_model() -> 
     logs = np.array([math.log(WrongModel(sigma=1.0).drawn(n).tilt_frequency) for n in range(300)])
     assert logs.std() == pytest.approx(SPREADS["tilt_frequency"], rel=0.15)
     assert np.abs(logs).max() <= 2.5 * SPREADS["tilt_frequency"] + 1e-4
-    differs = with_(CALM, wrong_model=WrongModel(tilt_frequency=0.8, thrust=0.9, mount_pitch_deg=2.0, focal_length=1.02))
+    differs = change(CALM, wrong_model=WrongModel(tilt_frequency=0.8, thrust=0.9, mount_pitch_deg=2.0, focal_length=1.02))
     assert airframe(differs).loops.tilt_p == pytest.approx(0.64 * airframe(CALM).loops.tilt_p)
     assert airframe(differs).lift_share == 0.9
     assert settings_for(differs, None) == settings_for(CALM, None)

@@ -8,7 +8,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -29,12 +28,9 @@ from sitl.world.stage import airframe
 from sitl.world.truth import RenderedFrame, Truth
 from sitl.world.world import Physics, Stick, World, decks_of
 from tests.fly import near
+from tests.make import change
 
 CALM = near(start={"height_m": 3.0})
-
-
-def with_(scenario: Scenario, **parts: Any) -> Scenario:
-    return msgspec.structs.replace(scenario, **parts)
 
 
 def run_world(world: World, seconds: float) -> None:
@@ -49,13 +45,13 @@ def test_starts_where_the_scenario_says() -> None:
     for heading in (0.0, 35.0, -170.0):
         start = Start(height_m=5.0, pad_forward_m=1.5, pad_right_m=2.6, heading_deg=heading)
         ship = VesselSettings(heading_deg=70.0, pad_yaw_deg=20.0)
-        world = World(with_(CALM, start=start, vessel=ship, sea=Sea()), 1)
+        world = World(change(CALM, start=start, vessel=ship, sea=Sea()), 1)
         truth = world.truth()
         assert truth.d_body_pad_level == pytest.approx([1.5, 2.6, 5.0], abs=1e-9)
         assert math.degrees(truth.yaw_rad) == pytest.approx(heading, abs=1e-9)
         assert truth.phase == VehiclePhase.HOVERING
         assert truth.touchdown is None
-    world = World(with_(CALM, start=Start(where="pad", heading_deg=15.0)), 1)
+    world = World(change(CALM, start=Start(where="pad", heading_deg=15.0)), 1)
     run_world(world, 1.0)
     truth = world.truth()
     assert truth.phase == VehiclePhase.LANDED
@@ -113,7 +109,7 @@ def test_same_seed_same_flight_to_the_bit() -> None:
 
 
 def test_takes_off_from_a_moving_deck_and_comes_back() -> None:
-    world = World(with_(load("demo"), start=Start(where="pad")), 1)
+    world = World(change(load("demo"), start=Start(where="pad")), 1)
     world.vehicle.land()
     assert phase_of(world) == VehiclePhase.LANDED
     world.vehicle.take_off()
@@ -135,7 +131,7 @@ def test_takes_off_from_a_moving_deck_and_comes_back() -> None:
 
 def test_every_contact_of_a_flight_is_kept_with_what_the_vehicle_was_doing() -> None:
     """It strikes the deck in flight, hops off, is landed, and nothing of it is overwritten."""
-    world = World(with_(CALM, start=Start(height_m=0.6)), 1)
+    world = World(change(CALM, start=Start(height_m=0.6)), 1)
     world.guidance_phase = State.DESCEND.value
     world.stick(Stick(gaz=-0.8, progressive=True))
     run_world(world, 1.5)
@@ -166,7 +162,7 @@ def test_velocity_may_be_reported_against_the_water() -> None:
     for over in ("seen", "water"):
         ship = VesselSettings(hull="supply_ship", moored=False, speed_m_s=1.5)
         quiet = SensorSettings(velocity_over=over, tilt_bias_sigma_deg=0.0, tilt_drift_sigma_deg=0.0)
-        world = World(with_(CALM, vessel=ship, sensors=quiet), 1)
+        world = World(change(CALM, vessel=ship, sensors=quiet), 1)
         run_world(world, 0.2)
         reported.append(world.readings().v_level_m_s[0])
     assert reported[1] - reported[0] == pytest.approx(0.83 * 1.5, abs=0.1)
@@ -211,7 +207,7 @@ def fly_sensing(v: Vehicle, s: Sensors, steps: int) -> list[Readings]:
 
 def echo(cone_deg: float, p: tuple[float, float, float], roll_deg: float = 0.0) -> float | None:
     """Return the first echo of a perfect sensor at a place over the deck of `deck`."""
-    near = msgspec.structs.replace(PERFECT, ultrasound_cone_deg=cone_deg, ultrasound_rate_hz=60.0, ultrasound_max_m=20.0)
+    near = change(PERFECT, ultrasound_cone_deg=cone_deg, ultrasound_rate_hz=60.0, ultrasound_max_m=20.0)
     v, s = setup(near, p=p)
     physics = Physics(v, s, Waves.draw(SEA_STATES[0], 1))
     for _ in range(4):
@@ -243,7 +239,7 @@ def test_inertial_errors_have_their_size() -> None:
     f, w = np.array([x.f_body for x in r]), np.array([x.w_body for x in r])
     assert (np.diff(f, axis=0).std(axis=0) / math.sqrt(2)) == pytest.approx([settings.accel_noise_sigma_m_s2] * 3, rel=0.08)
     assert (np.diff(w, axis=0).std(axis=0) / math.sqrt(2)) == pytest.approx([settings.gyro_noise_sigma_rad_s] * 3, rel=0.08)
-    quiet = msgspec.structs.replace(PERFECT, accel_bias_sigma_m_s2=0.6, gyro_bias_sigma_rad_s=0.01, heading_bias_sigma_deg=3.0)
+    quiet = change(PERFECT, accel_bias_sigma_m_s2=0.6, gyro_bias_sigma_rad_s=0.01, heading_bias_sigma_deg=3.0)
     flights = [fly_sensing(*setup(quiet, seed), 1)[0] for seed in range(150)]
     bias = np.array([x.f_body for x in flights]) - [0.0, 0.0, -9.80665]
     assert bias.std(axis=0) == pytest.approx([0.6] * 3, rel=0.2)
@@ -260,7 +256,7 @@ def test_ultrasound_meets_deck_edge_and_water() -> None:
 
 
 def test_ultrasound_has_a_rate_a_delay_and_limits() -> None:
-    v, s = setup(msgspec.structs.replace(PERFECT, ultrasound_sigma_m=0.005, ultrasound_delay_s=0.06))
+    v, s = setup(change(PERFECT, ultrasound_sigma_m=0.005, ultrasound_delay_s=0.06))
     received_at = [x.ultrasound_m for x in fly_sensing(v, s, 500)]
     first = next(n for n, h in enumerate(received_at) if h is not None)
     assert (first + 1) * DT == pytest.approx(0.04 + 0.06, abs=DT)
