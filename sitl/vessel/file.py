@@ -341,8 +341,8 @@ class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
         tuple[float, float, float], choice("place of her motion sensor from the pad's centre: metres forward, to starboard, down")
     ] = (0.0, 0.0, 0.0)
     motion_delay_s: Annotated[
-        float, number("time after which a report of it arrives, which its stamp does not say", "s", 0.0, 2.0, "assumed")
-    ] = 0.1
+        float, number("time after which a report of it arrives, which its stamp does not say", "s", 0.0, 2.0, "TSS1 at 9600 Bd")
+    ] = 0.03
     motion_high_pass_s: Annotated[
         float, number("period of the corner of its heave filter, which leaves out what is slower", "s", 5.0, 600.0, "assumed")
     ] = 60.0
