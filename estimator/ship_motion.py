@@ -31,18 +31,25 @@ _RECORD_S, _SILENT_S, _STUCK_S = 60.0, 5.0, 3.0
 """Time over which a mean is taken off, of silence after which another sensor is used, and of repeated bits of one that moved."""
 _DELAYS_S, _DELAY_MAX_S = np.arange(-0.3, 1.31, 0.05), 0.6
 """Delays that are compared with the camera, and the longest of a sensor that is used."""
-_DELAY_S, _SIGMA_DELAY_S, _LATE_ODDS = 0.1, 0.2, 3.0
+_ALLOWED = _DELAYS_S <= _DELAY_MAX_S + 1e-6
+_DELAY_S, _SIGMA_DELAY_S, _LATE_ODDS = 0.1, 0.2, 4.0
 """Delay before any comparison, its standard deviation, and the logarithm of the odds from which on a sensor is too late."""
-_SEEN_HZ, _GAP_S, _WINDOW_S, _LEAST_S = 10.0, 1.0, 10.0, 2.0
-"""Rate and longest gap of the sightings that are compared, and the longest and least time that they span."""
-_MEAN_OF, _SHORT_S = 5, 4.0
+_SEEN_HZ, _GAP_S, _WINDOW_S, _LEAST_S, _SETTLES_S = 10.0, 1.0, 10.0, 1.5, 2.0
+"""Rate and longest gap of the sightings that are compared, their longest and least time, and that in which an attitude settles
+after the beginning of all: until then the IMU carries a height badly."""
+_MEAN_OF, _SHORT_S = 3, 4.0
 """Number of sightings whose mean is compared, as a picture's noise is no motion, and time for which an attitude errs evenly."""
-_JUDGES_S, _MEMORY_S = 0.5, 60.0
-"""Time between two comparisons, and the time over which they fade."""
-_PROVEN_S, _IN_SIGHT_S, _KEPT_APART_S, _AGAIN_S = 2.0, 2.0, 1.0, 20.0
-"""Time of agreement before a sensor is fused in sight, of sight, of contradiction that ends it, of agreement that forgives it."""
-_SHARE, _LIMIT, _FLOOR, _DRIFT = 0.7, 1.3, {"heave": 0.04, "tilt": math.radians(0.3)}, {"heave": 1.5e-3, "tilt": 0.0}
-"""Part of what the camera shows, or times its difference from a good sensor (m, rad; m/s^1.5 by the IMU), that one may err."""
+_JUDGES_S, _MEMORY_S, _AGAIN_S = 0.25, 60.0, 20.0
+"""Time between two comparisons, the time over which they fade, and of agreement that forgives."""
+_FALSE = {0.0: ("", 3.0), -1.0: (", and its sign is wrong", 3.0), 2.0: (", and it is double", 8.0)}
+"""Multiples of the truth that a false sensor reports, with words and the logarithm of the odds from which on it is believed."""
+_CONFIRMED, _PROVEN_S, _IN_SIGHT_S, _FLOOR = 3.0, 1.0, 2.0, {"heave": 0.04, "tilt": math.radians(0.3)}
+"""Log odds that confirm a sensor, how long they last before it is fused in sight, time of sight, and a size that shows."""
+_ERRORS = {"heave": (0.012, 0.02, 0.012, 0.01), "tilt": tuple(math.radians(one) for one in (0.1, 0.15, 0.25, 0.5))}
+"""Standard deviations (m, rad) of a good sensor's white error and of the one that is alike for a while, and the camera's two: the
+latter by the IMU's drift, or by the vehicle's attitude when it leans."""
+_ALIKE_S, _LEANS_S, _OF_SIZE, _SCALE = 3.0, 1.0, 0.03, 0.1
+"""Times for which the latter are alike; the share of the motion in that of the sensor, and the error of its scale."""
 _GOOD, _GOOD_SHARE = {"heave": 0.05, "tilt": math.radians(0.2)}, 0.05
 """Standard deviation before any comparison; makers of motion sensors state 5 % of the heave."""
 _MEAN_FROM_S, _SLOW_S, _WANDER_M = 20.0, 30.0, 0.15
@@ -68,6 +75,18 @@ def between(known: F64, values: F64, t: F64) -> F64:
     bends = s * (1.0 - s) ** 2 * slope[k] - s * s * (1.0 - s) * slope[k + 1]
     made: F64 = (1.0 - h) * values[k] + h * values[k + 1] + span * bends
     return made
+
+
+def wander(heave: F64, spans_s: float) -> tuple[float, float, float]:
+    """Return the waves in a heave, (n,), up to a minute long, what is slower, and by how much it is none of a sea: above 1 it is.
+
+    A mean, or a part slower than any swell, is none: a sensor's own high-pass leaves neither. Both are standard deviations, m.
+    """
+    mean_m, t = abs(float(np.mean(heave))), np.linspace(-1.0, 1.0, heave.size)
+    slow = np.polynomial.chebyshev.chebval(t, np.polynomial.chebyshev.chebfit(t, heave, round(spans_s / _MEAN_FROM_S)))
+    waves_m, slow_m = float(np.std(heave - slow)), float(np.std(slow)) if spans_s >= _SLOW_S else 0.0
+    worst = max(mean_m / max(_WANDER_M, 0.5 * float(np.std(heave))), slow_m / max(_WANDER_M, waves_m))
+    return waves_m, max(mean_m, slow_m), worst
 
 
 class ShipMotionOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
@@ -118,7 +137,7 @@ class _Channel:
         self.values: deque[tuple[float, ...]] = deque()
         self.mean: tuple[float, ...] = (0.0,) * (1 if kind == "heave" else 2)
         self.size = self.sigma_mean = 0.0
-        self.fault = ""
+        self.fault, self.doubted = "", False
         self.against_s = self.n = self.squares = self.proof_s = 0.0
         self.fused_at = self.changed_at = self.summed_at = -math.inf
 
@@ -141,7 +160,7 @@ class _Channel:
         while t - self.t[0] > _RECORD_S:
             self.t.popleft()
             self.values.popleft()
-        if t - self.summed_at >= _JUDGES_S:
+        if t - self.summed_at >= 2.0 * _JUDGES_S:
             self.summed_at = t
             self._sum_up()
         return None
@@ -162,40 +181,31 @@ class _Channel:
         size = max(self.size, 2.0 * _FLOOR[self.kind] if spans_s < _LEAST_S else 0.0)
         self.sigma_mean = size * min(1.0, 3.0 / max(spans_s, 1e-3))
         if self.kind == "heave" and spans_s >= _MEAN_FROM_S:
-            self._judge_wander(values[:, 0], spans_s)
+            _, size_m, worst = wander(values[:, 0], spans_s)
+            if worst > 1.0:
+                self.fault, self.against_s = f"its heave wanders by {size_m:.1f} m more slowly than a sea does", _AGAIN_S
+            elif "wanders" in self.fault and worst < 0.5:
+                self.fault = ""
 
-    def _judge_wander(self, heave: F64, spans_s: float) -> None:
-        """Name a heave with a mean, or with a part slower than any swell: a sensor's own high-pass leaves neither."""
-        off_m = abs(self.mean[0]) / max(_WANDER_M, 0.5 * self.size)
-        t = np.linspace(-1.0, 1.0, heave.size)
-        slow = np.polynomial.chebyshev.chebval(t, np.polynomial.chebyshev.chebfit(t, heave, round(spans_s / _MEAN_FROM_S)))
-        wander_m = float(np.std(slow)) if spans_s >= _SLOW_S else 0.0
-        worst = max(off_m, wander_m / max(_WANDER_M, float(np.std(heave - slow))))
-        if worst > 1.0:
-            size_m = max(abs(self.mean[0]), wander_m)
-            self.fault, self.against_s = f"its heave wanders by {size_m:.1f} m more slowly than a sea does", _AGAIN_S
-        elif "wanders" in self.fault and worst < 0.5:
-            self.fault = ""
-
-    def judge(self, differs: float, moved: float, over_s: float, since_s: float) -> None:
-        """Weigh one comparison over a window: how far sensor and camera differ and the deck moved, both without drift."""
+    def judge(self, differs: float, odds: dict[float, float], since_s: float) -> None:
+        """Weigh one comparison: how far sensor and camera differ, and the logarithms of the odds that the sensor is false."""
         fade = math.exp(-since_s / _MEMORY_S)
         self.n, self.squares = fade * self.n + since_s, fade * self.squares + since_s * differs**2
-        floor = math.hypot(_FLOOR[self.kind], _DRIFT[self.kind] * over_s**1.5)
-        self.proof_s = fade * self.proof_s + (since_s if moved > floor else 0.0)
-        if differs <= max(_LIMIT * floor, _SHARE * moved):
-            self.against_s = max(0.0, self.against_s - since_s)
+        self.proof_s = fade * self.proof_s + (since_s if max(odds[0.0], odds[-1.0]) < -_CONFIRMED else 0.0)
+        against = [g for g, (_, enough) in _FALSE.items() if odds[g] > enough]
+        if not against:
+            self.doubted, self.against_s = False, max(0.0, self.against_s - since_s)
             if self.against_s == 0.0 and "camera" in self.fault:
                 self.fault = ""
             return
-        self.against_s = min(_AGAIN_S, self.against_s + since_s)
-        if self.against_s >= _KEPT_APART_S and not self.fault:
+        if self.doubted and not self.fault:
             by = f"{differs:.2f} m" if self.kind == "heave" else f"{math.degrees(differs):.1f} deg"
-            self.fault, self.against_s = f"its {self.kind} and the camera differ by {by}", _AGAIN_S
+            self.fault = f"its {self.kind} and the camera differ by {by}{_FALSE[max(against, key=odds.__getitem__)][0]}"
+        self.doubted, self.against_s, self.proof_s = True, _AGAIN_S if self.fault else 0.0, 0.0
 
     @property
     def agrees(self) -> bool:
-        return not self.fault and self.against_s == 0.0
+        return not self.fault and not self.doubted
 
     @property
     def noise(self) -> float:
@@ -217,7 +227,7 @@ class _Sensor:
         self.channels: dict[Channel, _Channel] = {kind: _Channel(kind) for kind in get_args(Channel)}
         self.delay_s, self.sigma_delay_s = _DELAY_S, _SIGMA_DELAY_S
         self.log_odds = np.zeros(_DELAYS_S.size)
-        self.late = ""
+        self.late, self.maybe_late = "", False
 
     def add(self, sample: VesselMotion, t: float) -> Verdict | None:
         verdict = None
@@ -233,16 +243,6 @@ class _Sensor:
 
     def _tilted(self, tilt: F64) -> F64:
         return np.stack([self._c * tilt[:, 0] + self._s * tilt[:, 1], self._c * tilt[:, 1] - self._s * tilt[:, 0]], axis=1)
-
-    def moves(self, kind: Channel, t: F64) -> F64:
-        """Return the pad's displacement downward, (n, 1), or its roll and pitch, (n, 2), by the record at instants within it."""
-        heave, tilt = self.channels["heave"], self.channels["tilt"]
-        if kind == "tilt":
-            return self._tilted(tilt.at(t) - tilt.mean)
-        down = heave.at(t) - heave.mean
-        if any(self._to_pad_m) and len(tilt.t) > 1:
-            down = down + (tilt.at(t) - tilt.mean) @ self._lever_m[:, None]
-        return down
 
     def now(self, sample: VesselMotion, t: float, kinds: Sequence[Channel]) -> VesselMotion | None:
         """Return one report as the filter takes it, with the channels that are used and due; None if none is."""
@@ -272,52 +272,72 @@ class _Sensor:
 
     def compare(self, seen: F64, since_s: float) -> None:
         """Compare (n, 4) instants, the pad downward from anywhere, roll and pitch (nan if not seen) with the record."""
-        t, values = seen[:, 0], seen[:, 1:]
-        squares = np.zeros(_DELAYS_S.size)
-        for kind, columns in zip(get_args(Channel), ([0], [1, 2]), strict=True):
-            there = np.isfinite(values[:, columns]).all(axis=1)
-            bend = 2 if kind == "heave" else int(t[-1] - t[0] >= _SHORT_S)
-            if (found := self._differences(kind, t[there], values[there][:, columns], bend)) is not None:
-                least, evidence = found
-                self.channels[kind].judge(*least, since_s)
+        squares, late = np.zeros(_DELAYS_S.size), 0.0
+        for kind, columns in zip(get_args(Channel), ([0, 1], [0, 2, 3]), strict=True):
+            there = seen[np.isfinite(seen[:, columns]).all(axis=1)][:, columns]
+            if len(there) > 2 * _MEAN_OF and (found := self._odds(kind, there[:, 0], there[:, 1:])) is not None:
+                differs, odds, by_late, by_delay = found
+                self.channels[kind].judge(differs, odds, since_s)
                 if self.channels[kind].agrees:
-                    squares += evidence / (evidence.min() + (_FLOOR[kind] / 3.0) ** 2)
+                    # A vehicle that leans in a manoeuvre errs for as long as a late sensor would: heave is the better clock.
+                    squares, late = squares + by_delay, late if kind == "tilt" and self.channels["heave"].t else by_late
         if squares.any():
-            self._find_delay(squares, since_s)
+            self._find_delay(squares, late, since_s)
 
-    def _differences(self, kind: Channel, t: F64, seen: F64, bend: int) -> tuple[tuple[float, float, float], F64] | None:
-        """Return the least difference by an allowed delay, how far the deck moved, over which time; the squares by delay."""
-        channel = self.channels[kind]
-        if len(channel.t) < 3 or t.size < 3 or t[0] + _DELAYS_S[0] < channel.t[0]:
-            return None
-        reported = self.moves(kind, (t + _DELAYS_S[:, None]).ravel()).reshape(_DELAYS_S.size, t.size, -1)
-        apart, moved, over_s = np.full(_DELAYS_S.size, np.nan), np.zeros(_DELAYS_S.size), np.zeros(_DELAYS_S.size)
-        # The record reaches less far into the past of a later sensor.
-        reach = _MEAN_OF * (np.searchsorted(t, channel.t[-1] - _DELAYS_S, "right") // _MEAN_OF)
-        for n in np.unique(reach).tolist():
-            if n < 3 or t[n - 1] - t[0] < _LEAST_S:
-                continue
-            of = reach == n
-            flat = _flat(t[:n], bend).reshape(-1, _MEAN_OF, n).mean(axis=1)
-            apart[of] = np.mean((flat @ (seen[:n] - reported[of, :n])) ** 2, axis=(1, 2))
-            moved[of], over_s[of] = np.mean((flat @ seen[:n]) ** 2), t[n - 1] - t[0]
-        allowed = _DELAYS_S <= _DELAY_MAX_S + 1e-6
-        if not np.isfinite(apart[allowed]).any():
-            return None
-        # Of a shorter part of the window the camera shows less.
-        best = int(np.nanargmin(np.where(allowed, apart / (moved + _FLOOR[kind] ** 2), np.nan)))
-        # Where the record does not reach yet, nothing is said of a delay.
-        evidence = np.where(np.isfinite(apart), apart, apart[np.isfinite(apart)][-1])
-        return (math.sqrt(apart[best]), math.sqrt(moved[best]), float(over_s[best])), evidence
+    def _odds(self, kind: Channel, t: F64, seen: F64) -> tuple[float, dict[float, float], float, F64] | None:
+        """Return a good sensor's difference, the logarithms of the odds of false ones and a late one, and its squares by delay.
 
-    def _find_delay(self, squares: F64, since_s: float) -> None:
-        self.log_odds = math.exp(-since_s / _MEMORY_S) * self.log_odds - since_s * squares
-        log_odds = self.log_odds - 0.5 * ((_DELAYS_S - _DELAY_S) / _SIGMA_DELAY_S) ** 2
-        allowed = _DELAYS_S <= _DELAY_MAX_S + 1e-6
-        if self.log_odds[~allowed].max() - self.log_odds[allowed].max() > _LATE_ODDS:
-            self.late = f"it is late by {_DELAYS_S[int(self.log_odds.argmax())]:.1f} s"
+        Every reading is compared with what was seen a delay before it, both less a polynomial, and whitened. Of each delay the
+        readings count from the first one on whose instant was seen; a false sensor is compared by the same ones.
+        """
+        channel, tilt, bend = self.channels[kind], self.channels["tilt"], 2 if kind == "heave" else int(t[-1] - t[0] >= _SHORT_S)
+        steps, mean = np.vander((t - t[0]) / _WINDOW_S, bend + 1), np.full(_MEAN_OF, 1.0 / _MEAN_OF)
+        steady = seen - steps @ np.linalg.lstsq(steps, seen, rcond=None)[0]
+        t, *steady = (np.convolve(one, mean, "valid") for one in (t, *steady.T))
+        read = np.array(channel.t)
+        read = read[(np.diff(np.floor(read / _PERIOD_S), prepend=0.0) > 0.0) & (read >= t[0] + _DELAYS_S[0]) & (read <= t[-1])]
+        if read.size <= bend + 1:
+            return None
+        values, lever = channel.at(read) - channel.mean, 0.0
+        if kind == "tilt":
+            values = self._tilted(values)
+        elif any(self._to_pad_m) and len(tilt.t) > 1:
+            lever = (tilt.at(read) - tilt.mean) @ self._lever_m[:, None]
+        shown = np.stack([np.stack([np.interp(read - d, t, one) for one in steady], axis=1) for d in _DELAYS_S]) - lever
+        first, prior = np.searchsorted(read, t[0] + _DELAYS_S), ((_DELAYS_S - _DELAY_S) / _SIGMA_DELAY_S) ** 2
+        odds, late, differs = dict.fromkeys(_FALSE, np.full(_DELAYS_S.size, -np.inf)), -math.inf, 0.0
+        for begin in np.unique(first).tolist():
+            if read.size - begin <= bend + 1 or read[-1] - read[begin] < _LEAST_S:
+                break
+            known = first <= begin
+            flat, of_camera = _whitening(kind, read[begin:], bend, channel.size)
+            reported, white = flat @ values[begin:], flat @ shown[:, begin:]
+            squares = _squares(reported, 1.0, white)
+            good = np.where(known & _ALLOWED, squares + prior, np.inf)
+            false = {g: (_squares(reported, g, white) + prior)[known].min() for g in odds}
+            false[0.0] = np.sum(reported**2) + values.shape[1] * of_camera
+            # A sensor that is noisier than a good one proves less.
+            noise = max(1.0, min(good.min(), *false.values()) / reported.size)
+            odds = {g: np.where(good < np.inf, np.maximum(odds[g], 0.5 * (good - false[g]) / noise), odds[g]) for g in odds}
+            apart = _flat(read[begin:], bend) @ (values[begin:] - shown[int(good.argmin()), begin:])
+            differs = float(np.sqrt(np.mean(apart**2)))
+            if (known & ~_ALLOWED).any():
+                late = max(late, 0.5 * float(good.min() - squares[known & ~_ALLOWED].min()) / noise)
+        least = {g: float(found[_ALLOWED].min()) for g, found in odds.items()}
+        if math.isinf(least[0.0]):
+            return None
+        return differs, least, late, np.where(known, squares, squares[known][-1])
+
+    def _find_delay(self, squares: F64, late: float, since_s: float) -> None:
+        self.log_odds = math.exp(-since_s / _MEMORY_S) * self.log_odds - 0.5 * since_s / _WINDOW_S * squares
+        prior = -0.5 * ((_DELAYS_S - _DELAY_S) / _SIGMA_DELAY_S) ** 2
+        if late > _LATE_ODDS and self.maybe_late:
+            self.late = f"it is late by {_DELAYS_S[int(squares.argmin())]:.1f} s"
+        self.maybe_late = late > _LATE_ODDS
+        if self.late and late > 0.0:
             return
-        weight, self.late = np.exp(log_odds - log_odds[allowed].max()) * allowed, ""
+        log_odds = self.log_odds + prior
+        weight, self.late = np.exp(log_odds - log_odds[_ALLOWED].max()) * _ALLOWED, ""
         weight /= weight.sum()
         self.delay_s = float(weight @ _DELAYS_S)
         self.sigma_delay_s = max(0.02, math.sqrt(float(weight @ (_DELAYS_S - self.delay_s) ** 2)))
@@ -344,6 +364,7 @@ class ShipMotion:
         self.reports = False
         self._seen: list[tuple[float, float, float, float]] = []
         self._judged = self._jolted_s = -math.inf
+        self._begun = math.inf
         self._felt: dict[str, tuple[float, float, float, deque[tuple[float, float]]]] = {}
 
     @property
@@ -362,6 +383,7 @@ class ShipMotion:
         if sensor is None:
             sensor = self._sensors[sample.sensor] = _Sensor(sample.sensor, self._to_pad_m, self._turn)
             self.reports = True
+            self._begun = min(self._begun, t)
         if (verdict := sensor.add(sample, t)) is not None:
             return verdict
         in_sight = bool(self._seen) and t - self._seen[-1][0] < _IN_SIGHT_S
@@ -384,9 +406,10 @@ class ShipMotion:
             down, roll = whole.d_body_pad_level.item(2) + carried_down_m, math.atan2(R[2, 1], R[2, 2])
             pitch = -math.asin(max(-1.0, min(1.0, R[2, 0])))
         self._seen.append((t, down, roll, pitch))
-        while t - self._seen[0][0] > _WINDOW_S:
+        settled = self._begun + _SETTLES_S
+        while t - self._seen[0][0] > _WINDOW_S or self._seen[0][0] < settled < t:
             self._seen.pop(0)
-        if t - self._judged >= _JUDGES_S:
+        if t - self._judged >= _JUDGES_S and t > settled:
             since_s, self._judged = min(t - self._judged, _JUDGES_S), t
             for sensor in self._sensors.values():
                 sensor.compare(np.array(self._seen), since_s)
@@ -440,7 +463,23 @@ class ShipMotion:
 
 
 def _flat(t: F64, bend: int) -> F64:
-    """Return the matrix (n, n) that takes a polynomial of that degree off what was measured at instants, (n,)."""
-    of, _ = np.linalg.qr(np.vander((t - t[0]) / (t[-1] - t[0]), bend + 1))
-    made: F64 = np.eye(t.size) - of @ of.T
+    """Return the rows, (n - bend - 1, n), of what a polynomial of that degree leaves of what was measured at instants, (n,)."""
+    of, _ = np.linalg.qr(np.vander((t - t[0]) / (t[-1] - t[0]), bend + 1), mode="complete")
+    made: F64 = of[:, bend + 1 :].T
+    return made
+
+
+def _whitening(kind: Channel, t: F64, bend: int, size: float) -> tuple[F64, float]:
+    """Return what makes a good sensor's difference from the camera white, and the camera's part in each column's squares."""
+    flat, apart_s, (white, alike, picture, leans) = _flat(t, bend), np.abs(t[:, None] - t), _ERRORS[kind]
+    sensor = white**2 * np.eye(t.size) + (alike**2 + (_OF_SIZE * size) ** 2) * np.exp(-apart_s / _ALIKE_S)
+    camera = picture**2 * np.eye(t.size) + leans**2 * np.exp(-apart_s / _LEANS_S)
+    whiten = np.linalg.solve(np.linalg.cholesky(flat @ (sensor + camera) @ flat.T), flat)
+    return whiten, float(np.sum(whiten * (whiten @ camera)))
+
+
+def _squares(reported: F64, multiple: float, shown: F64) -> F64:
+    """Return the squares, (d,), by which readings, (n, k), differ from a multiple of what was seen, (d, n, k), but for scale."""
+    apart, scale = reported - multiple * shown, _SCALE * shown
+    made: F64 = np.sum(apart**2, axis=(1, 2)) - np.sum(apart * scale, axis=(1, 2)) ** 2 / (1.0 + np.sum(scale**2, axis=(1, 2)))
     return made

@@ -93,7 +93,8 @@ def test_delay_and_noise_are_found_against_the_camera(late_s: float) -> None:
 
 
 FAULTS: dict[str, tuple[Sensor, str]] = {
-    "wrong sign of the heave": (lambda t: (-swell(t)[0], *swell(t)[1:]), "heave and the camera"),
+    "wrong sign of the heave": (lambda t: (-swell(t)[0], *swell(t)[1:]), "its sign is wrong"),
+    "double": (lambda t: (2.0 * swell(t)[0], *swell(t)[1:]), "it is double"),
     "wrong sign of the tilt": (lambda t: (swell(t)[0], -swell(t)[1], -swell(t)[2]), "tilt and the camera"),
     "frozen": (lambda t: swell(min(t, SEEN_S - 1.0)), "repeat"),
     "always the same": (lambda t: (0.0, 0.0, 0.0), "the camera"),

@@ -14,12 +14,10 @@ from msgspec import Struct
 from companion.base.observer import NullObserver
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import GeoFix, Sample, VesselMotion, VesselReport, VesselWind
-from estimator.ship_motion import between
+from estimator.ship_motion import between, wander
 
-_WAVES_S = 30.0
-"""Longest period of waves: what is slower in a heave is none."""
-_WANDERS, _WANDERS_M = 2.0, 0.2
-"""The slow part of a heave that is none: against its waves, and in metres."""
+_MINUTE_S = 60.0
+"""Time over which a heave is judged, as in flight."""
 _FEWEST = 20
 _GAP = 3.0
 """A gap is longer than so many of a sensor's usual intervals."""
@@ -53,7 +51,7 @@ class SensorVerdict(Struct, frozen=True):
     longest_gap_s: float
     parts: tuple[Part, ...]
     waves_m: float | None = None
-    """Standard deviation of its heave within 30 s; None if it gives none, or for too short a time."""
+    """Standard deviation of the waves in its heave; None if it gives none, or for less than a minute."""
     wanders_m: float | None = None
     """Standard deviation of what is slower."""
     fault: str | None = None
@@ -172,19 +170,21 @@ def _verdict(sensor: str, rows: list[tuple[float, dict[str, float]]]) -> SensorV
 
 
 def _heave(series: F64) -> tuple[float | None, float | None, str | None]:
-    """Return the standard deviations of the waves in a heave and of what is slower, m, and why it is none, if it is none."""
-    if len(series) < _FEWEST or np.ptp(series[:, 0]) < 2.0 * _WAVES_S:
+    """Return the waves in a heave and what is slower, m, of the usual one of its minutes, and why it is none, if it is none."""
+    minutes = [series[series[:, 0] // _MINUTE_S == n, :] for n in np.unique(series[:, 0] // _MINUTE_S)] if len(series) else []
+    found = [
+        wander(one[:, 1], span) for one in minutes if len(one) >= _FEWEST and (span := float(np.ptp(one[:, 0]))) > 0.9 * _MINUTE_S
+    ]
+    if not found:
         return None, None, None
-    step_s = max(0.05, float(np.median(np.diff(series[:, 0]))))
-    even = np.interp(np.arange(series[0, 0], series[-1, 0], step_s), series[:, 0], series[:, 1])
-    width = max(3, round(_WAVES_S / step_s))
-    slow = np.convolve(even, np.full(width, 1.0 / width), mode="valid")
-    waves_m = float(np.std(even[width // 2 : width // 2 + len(slow)] - slow))
-    wanders_m = float(np.std(slow))
-    if wanders_m < max(_WANDERS_M, _WANDERS * waves_m):
-        return waves_m, wanders_m, None
-    slowly = f"its heave wanders by {wanders_m:.2f} m more slowly than in {_WAVES_S:.0f} s"
-    return waves_m, wanders_m, f"{slowly}, and its waves are {waves_m:.2f} m: it is none"
+    waves_m, slow_m, worst = sorted(found, key=lambda one: one[2])[len(found) // 2]
+    if worst <= 1.0:
+        return waves_m, slow_m, None
+    return (
+        waves_m,
+        slow_m,
+        f"its heave wanders by {slow_m:.2f} m more slowly than a sea does, and its waves are {waves_m:.2f} m: it is none",
+    )
 
 
 def _least(first: F64, second: F64) -> tuple[float, float, float] | None:
