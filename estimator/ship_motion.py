@@ -376,6 +376,11 @@ class ShipMotion:
         """Return what each sensor is worth."""
         return tuple(sensor.standing(self._used(sensor)) for sensor in self._sensors.values())
 
+    def confirmed(self, now: MonoNs) -> bool:
+        """Return whether the camera agrees with the fresh heave and tilt of sensors that are used: the deck has two witnesses."""
+        best = [(kind, self._best(kind)) for kind in get_args(Channel)] if self.reports else []
+        return bool(best) and all(s and s.proven(kind) and 1e-9 * now - s.channels[kind].t[-1] < _IN_SIGHT_S for kind, s in best)
+
     def reported(self, sample: VesselMotion) -> VesselMotion | Verdict | None:
         """Take one report; return the pad's motion by it, the verdict that refuses it, or None where it is compared only."""
         t = 1e-9 * sample.stamp.measured_at

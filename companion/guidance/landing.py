@@ -395,6 +395,7 @@ class LandingGuidance:
             swell_rad_s=round(flight.swell.rad_s, 1),
             swell_watched_s=flight.swell.known_s,
             outrun_m=0.0 if climb_m_s is None else flight.swell.gained_m(climb_m_s),
+            confirmed=estimator.ship_motion.confirmed(now),
             aim_level=(0.0, 0.0) if self._air is None else self._air.aim_level(self._guidance.cone.feet_below_m),
         )  # fmt: skip
         return structs.replace(known, at_contact=self._at_contact(known))

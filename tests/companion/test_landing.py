@@ -39,7 +39,7 @@ from tests.companion.virtual_flight import TICK_S, FakeFlight, VirtualClock, fly
 from tests.fly import ObservedCalls
 from tests.make import attitude, baro, body, deck, estimate, gimbal, imu, ns, range_down, stamp, status, velocity, vessel
 
-DT = 0.02
+DT, NO_SENSOR = 0.02, SimpleNamespace(confirmed=lambda now: False)
 WHY, THING = Reason(ReasonCause.DECK_TILT, 3.0, 2.5), PadThing(0.2, 0.3, 0.4)
 FOLLOWS = replace(GuidanceOptions(), controller="follow_deck")
 DOWN = Lean(np.zeros(2), np.zeros(2), np.array([0.0, 0.0, 0.5]), 0.0)
@@ -63,7 +63,7 @@ def knowing(
 ) -> Any:  # fmt: skip
     """Return what the landing knows by an estimator with these answers."""
     guard = SimpleNamespace(trusts_velocity=trusts, inertial=SimpleNamespace(accel_lost=unfelt))
-    estimator: Any = SimpleNamespace(motion=lambda now: (of_body, moves), guard=guard, forecast=ahead)
+    estimator: Any = SimpleNamespace(motion=lambda now: (of_body, moves), guard=guard, forecast=ahead, ship_motion=NO_SENSOR)
     return landing.knowledge(ns(t), seen, estimator)
 
 

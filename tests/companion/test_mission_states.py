@@ -379,6 +379,16 @@ def test_what_goes_for_the_deck_is_our_order_and_only_what_landed_stands() -> No
         assert after(State.DOWN, Event.GROUNDED, state).stood is (state in (State.LANDED, State.LANDED_BY_OTHERS))
 
 
+@pytest.mark.parametrize(
+    ("height_m", "off_m", "confirmed", "rate_m_s"),
+    [(0.4, 0.0, True, 0.4), (0.4, 0.0, False, 0.105), (0.4, 0.085, True, 0.105), (0.2, 0.0, True, -0.095), (2.0, 0.0, True, 0.7)],
+)
+def test_a_gate_that_two_witnesses_find_open_is_passed(height_m: float, off_m: float, confirmed: bool, rate_m_s: float) -> None:
+    s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), sees((off_m, 0.0, height_m)), confirmed=confirmed))
+    _, aim = PHASES[State.DESCEND].aim(memory(State.DESCEND), s, OPTIONS)
+    assert aim.descent_rate_m_s == pytest.approx(rate_m_s)
+
+
 def test_what_keeps_the_gate_shut_is_noted_and_the_operator_sees_one_cause_for_two_seconds() -> None:
     open_since = account(memory(State.GATE), cycle(sees((0.0, 0.0, 0.3))), OPTIONS)
     assert gate_of(open_since).good_since == ns(NOW)

@@ -168,6 +168,17 @@ def test_in_sight_nobody_is_fused_before_the_camera_has_agreed() -> None:
     assert max(taken) > 8.0
 
 
+@pytest.mark.parametrize(("sign", "confirms"), [(1.0, True), (-1.0, False)])
+def test_the_camera_confirms_a_sensor_that_begins_together_with_sight(sign: float, confirms: bool) -> None:
+    rng, witness = np.random.default_rng(1), ShipMotion(ShipMotionOptions(), 0.0)
+    for k in range(100):
+        down, roll, pitch = (sign * x for x in swell(0.1 * k))
+        witness.reported(VesselMotion(stamp(0.1 * k), "PSXN", roll, pitch, 1e-5, down, 1e-3))
+        witness.sighted(*seen(0.1 * k, rng))
+        assert k > 20 or not witness.confirmed(ns(0.1 * k))
+    assert [witness.confirmed(ns(t)) for t in (10.0, 13.0)] == [confirms, False], "a silent one says nothing of now"
+
+
 def test_motion_is_that_of_the_pad_and_about_its_arrow() -> None:
     """A sensor 20 m ahead of the pad, 2 m to port of it, and an arrow that points to starboard."""
     options, roll, pitch = ShipMotionOptions(forward_m=20.0, right_m=-2.0), 0.02, 0.03

@@ -1,5 +1,6 @@
 """Scenario files: what is shipped holds, and what is wrong is named with key, unit and file."""
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -26,17 +27,10 @@ def test_a_loaded_scenario_holds_from_anywhere(tmp_path: Path, monkeypatch: pyte
     assert camera_model(scenario).fx == pytest.approx(374.67)
 
 
-@pytest.mark.parametrize(
-    ("data", "said"),
-    [(case["data"], case["said"]) for case in REFUSED],
-)
+@pytest.mark.parametrize(("data", "said"), [(case["data"], case["said"]) for case in REFUSED])
 def test_refusals_name_the_key_and_its_unit(data: dict[str, Any], said: str) -> None:
-    with pytest.raises(BadInput) as why:
+    with pytest.raises(BadInput, match=rf"\Amine\.toml: [^\n]*{re.escape(said)}[^\n]*\Z"):
         from_mapping({"title": "x", **data}, "mine.toml")
-    text = str(why.value)
-    assert text.startswith("mine.toml: ")
-    assert said in text
-    assert "\n" not in text
 
 
 def test_a_base_gives_what_is_not_reported_and_its_faults_come_first(tmp_path: Path) -> None:

@@ -35,17 +35,19 @@ def inside(error_m: float, height_m: float, options: ConeOptions) -> bool:
     return error_m < math.sqrt(INSIDE) * limits.radius_m(height_m, options)
 
 
-def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions, ends_m: float) -> float:
+def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions, ends_m: float, ends_m_s: float = 0.0) -> float:
     """Return the rate against the deck, m/s, down positive; it falls to zero at the least height and is negative below it.
 
     Args:
         error_m: distance from the axis.
         height_m: height over the deck.
         ends_m: the height at which the descent ends.
+        ends_m_s: rate to which it falls on the way there, m/s.
     """
     share = INSIDE - (error_m / limits.radius_m(height_m, options)) ** 2
     rate = options.descent_rate_m_s * max(-1.0, min(1.0, share))
-    return min(rate, _TAPER_1_S * (height_m - ends_m))
+    tapered = _TAPER_1_S * (height_m - ends_m)
+    return min(rate, max(ends_m_s, tapered) if tapered > 0.0 else tapered)
 
 
 def _sank(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
@@ -112,7 +114,10 @@ def _aim_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
     if o.mission == "thesis":
         return p, thesis.target(o.thesis.final_height_m, o.thesis, yaw)
     least_m = waits_m(s, o)
-    rate = descent_rate_m_s(limits.beside_m(estimate, s.knowledge), estimate.height_m, o.cone, least_m)
+    # Where two witnesses of the deck find the gate open already, it is passed at the commit's rate, and not stopped at.
+    opens = s.knowledge.confirmed and least_m == o.cone.gate_m and rules.bars_commit(p, s, o) is None
+    ends_m_s = o.cone.commit_rate_m_s if opens else 0.0
+    rate = descent_rate_m_s(limits.beside_m(estimate, s.knowledge), estimate.height_m, o.cone, least_m, ends_m_s)
     over = np.array([*s.knowledge.aim_level, least_m])
     return p, Target(over, descent_rate_m_s=rate, speed_max_m_s=o.cone.intercept_speed_m_s, yaw_rad=yaw)
 

@@ -51,25 +51,22 @@ def gate_of(p: Progress) -> Gate:
 
 def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     """Note what keeps the gate shut, and since when nothing does."""
-    p, gate, blocked = rules.spend(p, s, o), gate_of(p), _blocked(p, s, o)
-    if blocked is None:
+    p, gate, shut = rules.spend(p, s, o), gate_of(p), _blocked(p, s, o)
+    if shut is None:
         return replace(p, kept=replace(gate, blocked=None, good_since=s.at if gate.good_since is None else gate.good_since))
     if gate.waits_since is None or seconds_between(gate.waits_since, s.at) >= _REASON_STANDS_S:
-        gate = replace(gate, waits_for=blocked, waits_since=s.at)
-    tilts = blocked.measured if blocked.cause is ReasonCause.DECK_TILT else None
+        gate = replace(gate, waits_for=shut, waits_since=s.at)
+    tilts = shut.measured if shut.cause is ReasonCause.DECK_TILT else None
     # A deck that tilts this far in its swing is not still for as long as a commit takes: one wait for it is enough.
     refusing = p.refusing or (tilts is not None and tilts > _TILTS_FAR * o.limits.deck_tilt_gate_deg)
-    return replace(p, kept=replace(gate, blocked=blocked, good_since=None), refusing=refusing)
+    return replace(p, kept=replace(gate, blocked=shut, good_since=None), refusing=refusing)
 
 
 def _blocked(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
-    estimate = s.estimate
-    if (lost := unfit(estimate, s.at, o.stale_after_s)) is not None or estimate is None:
-        return lost
-    if o.mission == "thesis":
-        return thesis.bars_gate(estimate, o) or s.unseen
-    of_try, aligned = limits.of_try(o.limits, p.go_arounds), o.tries.heading == "align"
-    return limits.gate(s.at, estimate, s.knowledge, s.quality, of_try, o.cone, aligned=aligned) or s.unseen
+    if o.mission != "thesis":
+        return rules.bars_commit(p, s, o)
+    lost = unfit(s.estimate, s.at, o.stale_after_s)
+    return lost if lost is not None or s.estimate is None else thesis.bars_gate(s.estimate, o) or s.unseen
 
 
 def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:

@@ -7,9 +7,9 @@ from msgspec.structs import replace
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.law.response_watch import DELAY_MAX_S
+from companion.guidance.mission import limits
 from companion.guidance.mission.clearance import SWELL_MEAN_S
 from companion.guidance.mission.held_course import LASTS_S
-from companion.guidance.mission.limits import battery_ends
 from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import IntegrityAlert, RelativeState
@@ -116,9 +116,17 @@ def bars_descent(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | 
     return windy(p, s) if low and s.wind is not None and s.wind.spent else None
 
 
+def bars_commit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return the first limit of the cone's gate that does not hold, or None."""
+    if (lost := unfit(s.estimate, s.at, o.stale_after_s)) is not None or s.estimate is None:
+        return lost
+    of_try, aligned = limits.of_try(o.limits, p.go_arounds), o.tries.heading == "align"
+    return limits.gate(s.at, s.estimate, s.knowledge, s.quality, of_try, o.cone, aligned=aligned) or s.unseen
+
+
 def conditions_count(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether wind and waves can end the tries: with a battery that ends, a pad in sight is the nearest way down."""
-    return not battery_ends(s.battery, o) or unfit_here(p, s, o) is not None
+    return not limits.battery_ends(s.battery, o) or unfit_here(p, s, o) is not None
 
 
 def too_windy(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:

@@ -203,7 +203,6 @@ def test_a_velocity_that_jumps_for_good_comes_back_in_as_body_and_vessel_togethe
 
 
 def test_a_ship_under_way_that_reports_it_before_sight_is_no_tilt_and_no_bias() -> None:
-    """The velocity over the deck counted as one over the water, and sight of a pad that does not move contradicted it."""
     x = newest(hover(1.0, hover(1.0, Filter(), ship="unseen"), since=101.0, ship="seen")).x
     np.testing.assert_allclose([*x[VEL][:2], *x[VESSEL_VEL]], [1.5, 0.0, 1.5, 0.0], atol=0.15)
     np.testing.assert_allclose(x[ACCEL_BIAS][:2], 0.0, atol=0.03)
