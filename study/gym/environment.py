@@ -1,7 +1,4 @@
-"""The training worlds as Gymnasium environments; this module registers `Decklander/Land-v0` when it is imported.
-
-`study.gym.register()` imports it, and `gymnasium.make("study.gym.environment:Decklander/Land-v0")` does.
-"""
+"""The training worlds as Gymnasium environments, which `study.gym` registers."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -225,6 +222,3 @@ class LandVectorEnv(VectorEnv[F32, F32, Any]):
         if over.any():
             info = {"final_obs": w.last_views.copy(), "_final_obs": over, "end": w.ends.copy(), "touchdown": w.touchdowns.copy()}
         return w.views.copy(), self._reward(w.terms), over & ~timed_out, timed_out, info
-
-
-gymnasium.register("Decklander/Land-v0", entry_point=LandEnv, vector_entry_point=LandVectorEnv)

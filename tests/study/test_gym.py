@@ -1,6 +1,8 @@
 """The training worlds: the same by seed however many step together, a deck as the vessel's, and every end of an episode."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 
 import gymnasium
@@ -26,7 +28,6 @@ from study.experiments.hand import (
     thesis_axes,
     thesis_yaw_rad,
 )
-from study.gym import register
 from study.gym.environment import LandEnv, LandVectorEnv, weighted
 from study.gym.training import ENDS, TERMS, TrainingOptions, TrainingWorlds
 
@@ -116,9 +117,20 @@ def test_every_action_is_flown_and_every_episode_ends() -> None:
     ],
 )
 def test_gymnasium_s_checker_finds_nothing(options: dict[str, str], recwarn: pytest.WarningsRecorder) -> None:
-    register()
     check_env(gymnasium.make("Decklander/Land-v0", **options).unwrapped, skip_render_check="render_mode" not in options)
     assert not [str(w.message) for w in recwarn if "infinity" not in str(w.message)]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import gymnasium; gymnasium.make('study.gym:Decklander/Land-v0')",
+        "import gymnasium, study.gym; gymnasium.make('Decklander/Land-v0'); study.gym.register()",
+        "import gymnasium, study.gym; gymnasium.make_vec('Decklander/Land-v0', 2, vectorization_mode='vector_entry_point')",
+    ],
+)
+def test_a_plain_import_or_the_package_in_the_name_is_enough(line: str) -> None:
+    subprocess.run([sys.executable, "-W", "error", "-c", line], check=True)
 
 
 def test_a_reward_of_one_s_own_replaces_the_shipped_one() -> None:
