@@ -251,6 +251,7 @@ def _ardrone(
     if not settings.bridge.links:
         return VehicleParts(lambda: open_ardrone(options, clock, queue_items, decoder))
     from companion.parts.mavlink.bridge import BridgePart
+    from companion.parts.mavlink.commands import tunables
     from companion.parts.mavlink.signed_links import signed_links
 
     bridge = BridgePart(
@@ -260,6 +261,7 @@ def _ardrone(
         order=PilotOperator(pilot, OrderSender(OrderSource.MAVLINK), clock).order,
         tap=tap,
         show=show,
+        store=tunables(settings, pilot),
     )
     health.counters("bridge", bridge.counted)
 

@@ -1,11 +1,11 @@
 """The MAVLink dialect in use: `common` as pymavlink ships it, plus the messages that it lacks.
 
-TIMESYNC with its target fields and five further messages are built here from their definitions.
+TIMESYNC with its target fields and six further messages are built here from their definitions.
 
     message = mav.MAVLink_heartbeat_message(...)     # any message of `common`
     message = ComponentInformationBasic(...)         # a message added by this module
 
-Source of the added definitions: mavlink.io message definitions, `common` (396, 410), `ardupilotmega` (158) and `development`
+Source of the added definitions: mavlink.io message definitions, `common` (396, 397, 410), `ardupilotmega` (158) and `development`
 (510, 511). The wire order and the CRC seed of a message follow from its fields: mavlink.io, "MAVLink serialization".
 """
 
@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import common as mav
 
 __all__ = [
     "ComponentInformationBasic",
+    "ComponentMetadata",
     "Event",
     "Message",
     "MountStatus",
@@ -167,6 +168,7 @@ ComponentInformationBasic = define(
     "uint32_t time_boot_ms, uint64_t capabilities, uint32_t time_manufacture_s, char[32] vendor_name, char[32] model_name, "
     "char[24] software_version, char[24] hardware_version, char[32] serial_number",
 )
+ComponentMetadata = define(397, "COMPONENT_METADATA", "uint32_t time_boot_ms, uint32_t file_crc, char[100] uri")
 Event = define(
     410,
     "EVENT",

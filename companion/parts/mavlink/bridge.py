@@ -18,10 +18,24 @@ import numpy as np
 from companion.base.observer import NullObserver
 from companion.base.orders import OperatorOrder
 from companion.parts.mavlink.camera_component import CameraComponent, Send, ShowCamera
-from companion.parts.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED, Offered, Refusals, link_counters
+from companion.parts.mavlink.commands import (
+    ACCEPTED,
+    CAPABILITIES,
+    DENIED,
+    PARAMETER_REQUESTS,
+    UNSUPPORTED,
+    Offered,
+    ParameterServer,
+    Refusals,
+    Tunables,
+    link_counters,
+)
+from companion.parts.mavlink.file_server import MESSAGE as FILES
+from companion.parts.mavlink.file_server import FileServer
+from companion.parts.mavlink.metadata import metadata_files, metadata_message
 from companion.settings.links import BridgeOptions
-from drivers.mavlink.access import NamedSenders
-from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.access import AccessLevel, NamedSenders
+from drivers.mavlink.dialect import ComponentMetadata, Message, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, Tap, open_links
 from drivers.mavlink.vehicle import ARMED
 from estimator.contracts.geometry import F64, Rotation
@@ -42,9 +56,10 @@ class VehicleBridge(NullObserver):
     Args:
         send: sends a message over the links.
         order: gives a person's order; returns why it is refused, or None.
+        store: the settings that it shows as the vehicle's parameters; None for none.
     """
 
-    def __init__(self, send: Send, order: Callable[[OperatorOrder], str | None]) -> None:
+    def __init__(self, send: Send, order: Callable[[OperatorOrder], str | None], store: Tunables | None = None) -> None:
         self._send = send
         self._order = order
         self._status: VehicleStatus | None = None
@@ -55,6 +70,8 @@ class VehicleBridge(NullObserver):
         self._p_ned: F64 = np.zeros(3)
         self._armed = False
         self.refusals = Refusals("bridge.operators")
+        self._parameters = None if store is None else ParameterServer(store)
+        self._files = FileServer({} if store is None else metadata_files(COMPONENT))
         self._offered = Offered(
             {
                 mav.MAVLINK_MSG_ID_HEARTBEAT: (self._heartbeat, 1.0),
@@ -64,6 +81,7 @@ class VehicleBridge(NullObserver):
                 mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (self._extended, 0.5),
                 mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: (self._version, 0.0),
             }
+            | ({} if store is None else {ComponentMetadata.id: (partial(metadata_message, COMPONENT), 0.0)})
         )
 
     def on_sample(self, sample: Sample) -> None:
@@ -85,12 +103,18 @@ class VehicleBridge(NullObserver):
 
     def tick(self, now: MonoNs) -> None:
         """Send the messages that are due."""
-        for message in self._offered.due(now):
+        for message in (*self._offered.due(now), *([] if self._parameters is None else self._parameters.due())):
             self._send(message, component=COMPONENT)
+        for message, source in self._files.due(now):
+            self._send(message, source, component=COMPONENT)
 
     def on_message(self, received: ReceivedMessage, system: int, now: MonoNs) -> None:
-        """Carry out and answer commands to component 1 of our system; ignore every other message."""
+        """Answer commands, parameter and file requests to component 1 of our system; ignore every other message."""
         m, kind = received.message, received.message.get_type()
+        if kind == FILES:
+            self._files.on_message(received, (system, COMPONENT))
+        if kind in PARAMETER_REQUESTS and self._parameters is not None:
+            self._about_parameters(self._parameters, received, (system, COMPONENT))
         if kind not in ("COMMAND_LONG", "COMMAND_INT") or (m.target_system, m.target_component) != (system, COMPONENT):
             return
         if self.refusals.refuses(received, (system, COMPONENT)):
@@ -102,6 +126,15 @@ class VehicleBridge(NullObserver):
         ack = mav.MAVLink_command_ack_message(m.command, result, 0, 0, received.system, received.component)
         for message in (ack, *extra):
             self._send(message, received.source, component=COMPONENT)
+
+    def _about_parameters(self, parameters: ParameterServer, received: ReceivedMessage, us: tuple[int, int]) -> None:
+        if self.refusals.refuses(received, us):
+            self.refusals.text_for(received)
+            for message in parameters.in_force(received.message):
+                self._send(message, received.source, component=COMPONENT)
+        elif received.access_level >= AccessLevel.PEER:
+            for message in parameters.on_message(received.message, us):
+                self._send(message, component=COMPONENT)
 
     @property
     def _flying(self) -> bool:
@@ -191,7 +224,7 @@ class VehicleBridge(NullObserver):
         return mav.MAVLink_extended_sys_state_message(0, state)
 
     def _version(self, now: MonoNs) -> Message:
-        capabilities = int(mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2)
+        capabilities = int(mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2) if self._parameters is None else CAPABILITIES
         return mav.MAVLink_autopilot_version_message(capabilities, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
 
 
@@ -211,6 +244,7 @@ class BridgePart(NullObserver):
         order: gives a station's order; returns why it is refused, or None.
         tap: receives every message; None if no one listens.
         show: makes the camera's component; None if no picture is streamed.
+        store: the settings that are shown as parameters; None for none.
     """
 
     def __init__(
@@ -222,6 +256,7 @@ class BridgePart(NullObserver):
         order: Callable[[OperatorOrder], str | None],
         tap: Tap | None = None,
         show: ShowCamera | None = None,
+        store: Tunables | None = None,
     ) -> None:
         self._endpoints = tuple(links)
         self._system = options.system_id
@@ -230,6 +265,7 @@ class BridgePart(NullObserver):
         self._order = order
         self._tap = tap
         self._show = show
+        self._store = store
         self._bridge: VehicleBridge | None = None
         self._links: Links | None = None
 
@@ -248,7 +284,7 @@ class BridgePart(NullObserver):
         identity = (self._system, int(mav.MAV_COMP_ID_ONBOARD_COMPUTER))
         async with open_links(self._endpoints, self._clock, identity, access=self._access) as links, asyncio.TaskGroup() as group:
             self._links, links.tap = links, self._tap
-            self._bridge = bridge = VehicleBridge(links.send, self._order)
+            self._bridge = bridge = VehicleBridge(links.send, self._order, self._store)
             camera = None if self._show is None else self._show(links.send)
             try:
                 listening = group.create_task(self._listen(bridge, camera, links))

@@ -39,6 +39,10 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
+CAPABILITIES = int(
+    mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_CAPABILITY_FTP | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
+"""The capabilities that components with parameters report."""
 _REAL32 = int(mav.MAV_PARAM_TYPE_REAL32)
 PARAMETER_REQUESTS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 _AT_ONCE = 4
@@ -93,6 +97,16 @@ class Tunables:
         changed = from_mapping(whole, f"parameter {name}")
         self._apply(changed)
         self._settings = changed
+
+
+def tunables(settings: Settings, pilot: Pilot) -> Tunables:
+    """Return the parameters of a service that flies by this pilot."""
+
+    def apply(changed: Settings) -> None:
+        e = changed.estimator
+        pilot.retune(changed.guidance, min_confidence=e.min_confidence, max_delay_s=e.max_delay_s)
+
+    return Tunables(settings, apply)
 
 
 class ParameterServer:

@@ -28,6 +28,7 @@ from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.version import version
 from companion.parts.mavlink.commands import (
+    CAPABILITIES,
     COMMANDS,
     PARAMETER_REQUESTS,
     CommandServer,
@@ -37,10 +38,13 @@ from companion.parts.mavlink.commands import (
     Refusals,
     Tunables,
 )
+from companion.parts.mavlink.file_server import MESSAGE as FILES
+from companion.parts.mavlink.file_server import FileServer
+from companion.parts.mavlink.metadata import metadata_files, metadata_message
 from companion.parts.mavlink.outputs import AutopilotView, Outputs
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
-from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
+from drivers.mavlink.dialect import ComponentInformationBasic, ComponentMetadata, Message, mav
 from drivers.mavlink.links import Links, ReceivedMessage
 from drivers.reconnect import running_beside
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -164,10 +168,10 @@ def _memory_field(mib: int | None) -> int:
 log = logging.getLogger(__name__)
 
 TYPE_ONBOARD, NO_AUTOPILOT = int(mav.MAV_TYPE_ONBOARD_CONTROLLER), int(mav.MAV_AUTOPILOT_INVALID)
-_CAPABILITIES = int(mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2)
+_OURS = int(mav.MAV_COMP_ID_ONBOARD_COMPUTER)
 _REPEAT_S = 60.0
 """The shortest time between two texts about the same part, which may fail and recover many times a minute, s."""
-_REQUESTS = frozenset((*COMMANDS, *PARAMETER_REQUESTS))
+_REQUESTS = frozenset((*COMMANDS, *PARAMETER_REQUESTS, FILES))
 _CHUNK = 50
 _SAID_MAX = 64
 BURST, WAITING = 5, 10
@@ -308,11 +312,13 @@ class Component(NullObserver):
                 mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: (partial(self._guarded, "computer", self._load), _COMPUTER_S),
                 mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: (partial(self._guarded, "values", self._value), values_s),
                 ComponentInformationBasic.id: (self._information, 0.0),
+                ComponentMetadata.id: (partial(metadata_message, _OURS), 0.0),
             }
         )
         self._commands = CommandServer(operator, self._offered)
         self.refusals = Refusals("vehicle.operators")
         self.texts = StatusTexts()
+        self.files = FileServer(metadata_files(_OURS))
         self._ticks: dict[str, Callable[[MonoNs], None]] = {
             "health": lambda now: self._check_health(now),
             "the messages sent by themselves": lambda now: self._send(self._offered.due(now)),
@@ -320,6 +326,7 @@ class Component(NullObserver):
             "the texts": lambda now: self._send(self.texts.due(now)),
             "the parameters": lambda now: self._send([] if self._parameters is None else self._parameters.due()),
             "the target": lambda now: self._tell_target(now),
+            "the files": lambda now: self._send_files(now),
         }
 
     def attach(self, autopilot: Autopilot) -> None:
@@ -362,10 +369,13 @@ class Component(NullObserver):
     # Messages from other components
 
     def on_message(self, received: ReceivedMessage) -> None:
-        """Answer a command or parameter message of any link to its sender, and broadcast changes to all."""
+        """Answer a command, parameter or file request of any link to its sender, and broadcast changes to all."""
         if self._links is None or received.message.get_type() not in _REQUESTS:
             return
         now, us = self._clock.now(), self._links.identity
+        if received.message.get_type() == FILES:
+            self.files.on_message(received, us)
+            return
         if self.refusals.refuses(received, us):
             self._answer(received, self.refusals.answer(received))
             if self._parameters is not None:
@@ -439,6 +449,11 @@ class Component(NullObserver):
             for message in messages:
                 self._links.send(message)
 
+    def _send_files(self, now: MonoNs) -> None:
+        if self._links is not None:
+            for message, source in self.files.due(now):
+                self._links.send(message, source)
+
     def _fault(self, now: MonoNs) -> str | None:
         if self._decided is None or seconds_between(self._decided, now) > _GUIDANCE_SILENCE_S:
             return "guidance stands still"
@@ -469,7 +484,7 @@ class Component(NullObserver):
 
     def _information(self, now: MonoNs) -> Message:
         return ComponentInformationBasic(
-            now // 1_000_000 & 0xFFFFFFFF, _CAPABILITIES, 0, "Decklander", "companion", version(), "", ""
+            now // 1_000_000 & 0xFFFFFFFF, CAPABILITIES, 0, "Decklander", "companion", version(), "", ""
         )
 
     def _value(self, now: MonoNs) -> Message | None:

@@ -15,7 +15,7 @@ from msgspec import structs
 from companion.base.health import GIMBAL, Health
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.camera_component import ShowCamera, showing
-from companion.parts.mavlink.commands import PilotTower, Tunables, link_counters
+from companion.parts.mavlink.commands import PilotTower, link_counters, tunables
 from companion.parts.mavlink.component import PARAMETERS, Component, speaking
 from companion.parts.mavlink.outputs import Outputs
 from companion.parts.mavlink.signed_links import signed_links
@@ -193,7 +193,7 @@ class AutopilotPart:
         self.component = Component(
             Outputs(settings.landing_target, pilot.pad.disc_radius_m, settings.guidance.stale_after_s),
             PilotTower(pilot, lambda: self.component.belief, clock, recording),
-            Tunables(settings, self._apply),
+            tunables(settings, pilot),
             believe=pilot.belief,
             clock=clock,
             health=health,
@@ -239,14 +239,6 @@ class AutopilotPart:
     def _engage(self) -> None:
         if self._open is not None:
             self._open.engage()
-
-    def _apply(self, settings: Settings) -> None:
-        estimator = settings.estimator
-        self._pilot.retune(
-            settings.guidance,
-            min_confidence=estimator.min_confidence,
-            max_delay_s=estimator.max_delay_s,
-        )
 
     def _counted(self) -> Mapping[str, float]:
         """Return the counters of the links since they were opened last, and of targets that were due but not sent."""
