@@ -21,9 +21,10 @@ import numpy as np
 
 from companion.cli import board_option
 from companion.cli.options import WorkProgress, option, print_result
-from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, shipped
+from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, read_text, shipped
 from companion.tools.calibrate.board import BOARDS
 from companion.tools.calibrate.guide import files_of, read_image
+from companion.tools.pads.boards import BOARD_FILES, board
 from companion.tools.pads.pictures import check_pictures, lines
 from companion.tools.pads.price import MOUNT, VIEWS, Price, price
 from companion.tools.pads.trace import Picture, drawn, fault_of, file_text, photographed, read_svg, traced
@@ -42,19 +43,23 @@ def _add_import(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     """Add `decklander pad import` to the parser."""
     p = actions.add_parser(
         "import",
-        help="make a pad file of an SVG drawing or a photograph",
-        description="Make a pad file of an SVG drawing, or of a photograph of a painted or printed pad. Up in the picture is "
-        "along the arrow. The colour at the sheet's edge is that of the sheet or deck around. Look at the result with pad print, "
-        "and judge it with pad check.",
+        help="make a pad file of an SVG drawing, a photograph or a board of tags",
+        description="Make a pad file of an SVG drawing, of a photograph of a painted or printed pad, or of a board of tags: "
+        "Landmark's landing-target.json, tags.yaml of apriltag_ros. Up in the picture is along the arrow. The colour at the "
+        "sheet's edge is that of the sheet or deck around. Look at the result with pad print, and judge it with pad check.",
     )
-    option(p, "drawing FILE", ".svg, or a photograph (.jpg, .png)")
+    option(p, "drawing FILE", ".svg, a photograph (.jpg, .png), or a board (.json, .yaml)")
     option(p, "--out FILE", "pad file to write (.toml)", required=True)
-    option(p, "--size-mm MM", "largest extent of all that is painted; with --corners WIDTHxLENGTH of the rectangle")
+    option(p, "--size-mm MM", "largest extent of all that is painted; with --corners WIDTHxLENGTH of the rectangle, "
+        "and of a board that of its sheet, about its centre")  # fmt: skip
     option(p, "--corners PX", 'pixels "u,v u,v u,v u,v" of the corners of a rectangle on the pad in a photograph: fore '
         "left, fore right, aft right, aft left; `click` asks for them in a browser on this machine")  # fmt: skip
     option(p, "--sheet", "the rectangle is the sheet that the pad is printed on: nothing beyond it is painted")
     option(p, "--paints", "paints in a photograph, the ground's among them", default=2, choices=range(2, 6))
     option(p, "--name NAME", "name of the pad (default: the file's)")
+    option(p, "--target NAME", "bundle or tag that is the pad, in a board's file that has several")
+    option(p, "--family NAME", "family of a board's tags, where its file does not say it (default: tag36h11)")
+    option(p, "--tags-turned", "each tag of a board was painted half a turn round from how its file has it")
 
 
 def _import(args: argparse.Namespace) -> int:
@@ -66,19 +71,26 @@ def _import(args: argparse.Namespace) -> int:
     path, out = Path(args.drawing), Path(args.out)
     if out.suffix != ".toml":
         raise BadInput(f"--out must end in .toml, got {args.out!r}")
-    size_m = _size_m(args.size_mm, args.corners is not None)
-    with file_errors(str(path)):
-        data = path.read_bytes()
-    picture = _picture(path, data, size_m, args)
-    keys = traced(picture, args.name or path.stem, str(path))
+    remarks: tuple[str, ...] = ()
+    if path.suffix.lower() in BOARD_FILES:
+        chosen = _size_m(args.size_mm, of_rectangle=True), args.family, args.target
+        found = board(read_text(path), args.name or path.stem, str(path), *chosen, turned=args.tags_turned)
+        keys, remarks = found.keys, found.remarks
+    else:
+        size_m = _size_m(args.size_mm, args.corners is not None)
+        with file_errors(str(path)):
+            data = path.read_bytes()
+        keys = traced(_picture(path, data, size_m, args), args.name or path.stem, str(path))
     text = file_text(keys, f"Made of {path.name} by decklander pad import.")
     pad = Pad.from_mapping(tomllib.loads(text), str(path))
     with file_errors(str(out)):
         out.write_text(text, encoding="utf-8")
     parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
     sys.stdout.write(
-        f"{out}: {pad.name}, {2000.0 * pad.disc_radius_m:.1f} mm across, {len(pad.regions)} regions ({parts}), "
-        f"ground {pad.ground}\n"
+        f"{out}: {pad.name}, {2000.0 * pad.disc_radius_m:.1f} mm across, {len(pad.regions)} regions ({parts})"
+        + (f", ground {pad.ground}" if pad.ground else "")
+        + "\n"
+        + "".join(f"{path}: {remark}\n" for remark in remarks)
     )
     return 0
 

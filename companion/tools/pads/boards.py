@@ -1,0 +1,254 @@
+"""Read boards of fiducials as other programs describe them into the keys of a pad file.
+
+Landmark's landing-target.json gives the corners of each dark square, metres, from its upper left one clockwise; Landmark and the
+BlueOS extensions that read it take the corners as OpenCV's detector does. apriltag_ros' tags.yaml gives the pose of each tag in
+its bundle's frame, x to the right, y up and z out of the board, and the tag as AprilTag draws it, which is OpenCV's drawing after
+half a turn. Up is along the arrow, and the origin is the pad's centre.
+
+Source: AprilRobotics/apriltag_ros, config/tags.yaml and common_functions.cpp; christianrauch/apriltag_ros, README;
+Wingxtra-Aerospace/wingxtra-de-precision-landing, landing_target_layout.py (the form of Landmark's file).
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from estimator.contracts.errors import BadInput, refused
+from estimator.vision.camera import shown
+from estimator.vision.fiducial import PaintedFiducial, dictionary_names
+from estimator.vision.pad import LARGEST_M, SMALLEST_M
+from estimator.vision.pad_rules import check_marker, quiet_square
+
+FAMILY, BOARD_FILES = "tag36h11", (".json", ".yaml", ".yml")
+"""The family where nothing says it; endings of the files."""
+_SHEET = 1.5
+"""Side of a sheet whose size is not known, in that which the tags need: far from the border of most, it is not measured."""
+_FLAT_M, _SQUARE, _TURN_DEG = 0.001, 0.01, 0.5
+"""Limits of a tag's distance from the board's plane, of a square's fault in its size, and of its turn from quarters."""
+
+
+class _Marker(Struct):
+    """A marker of Landmark's."""
+
+    family: str
+    id: int
+    object_points: list[tuple[float, float, float]]
+
+
+class _Landmark(Struct):
+    markers: list[_Marker]
+
+
+class _Member(Struct):
+    """A tag of apriltag_ros in its bundle; of a tag that stands alone the pose is left out."""
+
+    id: int
+    size: float
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    qw: float = 1.0
+    qx: float = 0.0
+    qy: float = 0.0
+    qz: float = 0.0
+    name: str = ""
+
+
+class _Bundle(Struct):
+    layout: list[_Member]
+    name: str = ""
+
+
+class _Tags(Struct):
+    standalone_tags: list[_Member] = []
+    tag_bundles: list[_Bundle] = []
+
+
+class _Lists(Struct):
+    ids: list[int]
+    frames: list[str] = []
+    sizes: list[float] = []
+
+
+class _Node(Struct):
+    """Parameters of the node of ROS 2."""
+
+    family: str
+    size: float
+    tag: _Lists
+
+
+class Board(Struct, frozen=True):
+    """A board that was read."""
+
+    keys: dict[str, Any]
+    """The keys of a pad file."""
+    remarks: tuple[str, ...]
+    """Sentences that name things not taken or assumed."""
+
+
+def board(
+    text: str, name: str, where: str, sheet_m: tuple[float, float] | None = None, family: str | None = None,
+    target: str | None = None, *, turned: bool = False,
+) -> Board:  # fmt: skip
+    """Return the pad of a board's file.
+
+    Args:
+        text: of Landmark's JSON, or of apriltag_ros' YAML.
+        name: of the pad.
+        where: name of the file, for errors.
+        sheet_m: width and length of the sheet that the tags are on, about the centre; None if it is not known.
+        family: of the tags, where the file does not say it; None for tag36h11.
+        target: the bundle or tag that is the pad, where the file has several.
+        turned: whether each tag was painted half a turn round from how the file has it.
+
+    Raises:
+        BadInput: it is neither, a tag is off the plane, or turned by what is no quarter, or is of a family that is not read. YAML
+            is read by the library ruamel.yaml of the extra ros2.
+    """
+    half = 180.0 if turned else 0.0
+    if where.lower().endswith(".json"):
+        with refused(f"{where}: no landing-target.json of Landmark", msgspec.MsgspecError, RecursionError):
+            found = msgspec.json.decode(text.lstrip("\ufeff"), type=_Landmark).markers
+        regions = [*_by_corners(found, half, where)]
+        remarks = [
+            "object_points alone are taken, which are the dark squares; target_num, size_mm, position_mm and the like are not",
+            "its corners are taken as OpenCV orders them: if pad check --picture finds no pad, import with --tags-turned",
+        ]
+    else:
+        regions, remarks = _by_poses(text, where, family, target, half)
+    if not regions:
+        raise BadInput(f"{where}: it has no tags")
+    for i, region in enumerate(regions):
+        check_marker(region, f"{where}: tag {i}")
+    if sheet_m is None:
+        x, y = np.abs([quiet_square(region) for region in regions]).max(axis=0).reshape(2, 2).max(axis=1).tolist()
+        sheet_m = round(2.0 * _SHEET * y, 3), round(2.0 * _SHEET * x, 3)
+        remarks.append(
+            f"the sheet is not in the file: {sheet_m[0]:g} x {sheet_m[1]:g} m is taken. Measure it across and along, and import "
+            "with --size-mm: one that is a few percent off makes the range as wrong"
+        )
+    panel = {"shape": "panel", "paint": "white", "length_m": sheet_m[1], "width_m": sheet_m[0]}
+    tags = [{"shape": "fiducial", **msgspec.structs.asdict(region)} for region in regions]
+    paints = {"white": [245, 245, 245], "black": [20, 20, 20]}
+    return Board({"name": name, "ground": "", "paints": paints, "regions": [panel, *tags]}, tuple(remarks))
+
+
+_KINDS = {name.removeprefix("DICT_").removeprefix("APRILTAG_").lower(): name for name in sorted(dictionary_names())}
+"""OpenCV's dictionaries by the names that other programs give them, without "tag" before."""
+
+
+def fiducial(
+    family: str, number: int, size_m: float, where: str, right_up_m: tuple[float, float] = (0.0, 0.0), turn_deg: float = 0.0
+) -> PaintedFiducial:
+    """Return a tag as a region.
+
+    Args:
+        right_up_m: place of its middle on the drawing, to the right and up.
+        turn_deg: its turn clockwise against OpenCV's drawing.
+
+    Raises:
+        BadInput: its family or turn is not read, or a number is no length.
+    """
+    kind = family.lower().removeprefix("tag")
+    if kind not in _KINDS:
+        raise BadInput(f"{where}: tags of the family {shown(family)} are not read: OpenCV has {', '.join(_KINDS)}")
+    if not (SMALLEST_M <= size_m <= LARGEST_M and all(abs(at) <= LARGEST_M for at in right_up_m)):
+        at = ", ".join(f"{v:g}" for v in right_up_m)
+        raise BadInput(f"{where}: size {size_m:g} m at ({at}) m: lengths are {SMALLEST_M:g} to {LARGEST_M:g} m")
+    quarters = round(turn_deg / 90.0)
+    if not abs(turn_deg - 90.0 * quarters) <= _TURN_DEG:
+        raise BadInput(f"{where}: it is turned by {turn_deg % 90.0:.1f} degrees on the board: quarter turns alone are read")
+    right_m, up_m = (round(at, 6) for at in right_up_m)
+    return PaintedFiducial("black", _KINDS[kind], number, round(size_m, 6), (up_m, right_m), 90.0 * (quarters % 4))
+
+
+def _by_corners(markers: Sequence[_Marker], half_deg: float, where: str) -> Iterator[PaintedFiducial]:
+    """Yield Landmark's tags. Its file's y is up or down; the corners go clockwise on the printed face, which tells."""
+    down = None
+    for i, marker in enumerate(markers):
+        named = f"{where}: markers[{i}] (id {marker.id})"
+        at = np.array(marker.object_points, float)
+        if at.shape != (4, 3) or not np.abs(at).max() <= LARGEST_M:
+            raise BadInput(f"{named}: object_points must be four corners of three numbers up to {LARGEST_M:g} m")
+        if np.abs(at[:, 2]).max() > _FLAT_M:
+            raise BadInput(f"{named}: it is {1e3 * np.abs(at[:, 2]).max():.0f} mm off the plane of the board: a pad is flat")
+        across, along = at[1, :2] - at[0, :2], at[2, :2] - at[1, :2]
+        size_m, turn = math.hypot(*across), across[0] * along[1] - across[1] * along[0]
+        right_angled = np.array([-across[1], across[0]]) * (1.0 if turn > 0.0 else -1.0)
+        if not math.hypot(*(along - right_angled), *(at[3] - at[2] + at[1] - at[0])) <= _SQUARE * size_m:
+            raise BadInput(f"{named}: its object_points are no square's corners in order")
+        if (turn > 0.0) != (down := turn > 0.0 if down is None else down):
+            raise BadInput(f"{named}: its corners go round the other way than those of markers[0], as in a mirror")
+        flip = -1.0 if down else 1.0
+        x, y = at[:, :2].mean(axis=0).tolist()
+        clockwise_deg = -math.degrees(math.atan2(flip * across[1], across[0]))
+        yield fiducial(marker.family, marker.id, size_m, named, (x, flip * y), clockwise_deg + half_deg)
+
+
+def _by_poses(
+    text: str, where: str, family: str | None, target: str | None, half_deg: float
+) -> tuple[list[PaintedFiducial], list[str]]:
+    """Return the tags of the target of apriltag_ros, and what was not taken."""
+    data = _yaml(text, where)
+    node = next((v["ros__parameters"] for v in data.values() if isinstance(v, Mapping) and "ros__parameters" in v), None)
+    remarks: list[str] = []
+    with refused(f"{where}: no tags.yaml of apriltag_ros", msgspec.MsgspecError, RecursionError, IndexError):
+        if node is not None:
+            of = msgspec.convert(node, _Node)
+            family = family or of.family
+            named = {f"tag_{n}": [_Member(n, of.tag.sizes[i] if of.tag.sizes else of.size)] for i, n in enumerate(of.tag.ids)}
+        else:
+            tags = msgspec.convert(data, _Tags)
+            targets = [(bundle.name or f"bundle_{i}", bundle.layout) for i, bundle in enumerate(tags.tag_bundles)]
+            targets += [(tag.name or f"tag_{tag.id}", [tag]) for tag in tags.standalone_tags]
+            if len(named := dict(targets)) < len(targets):
+                raise BadInput(f"{where}: two of its {len(targets)} targets have one name")
+            if left := [shown(key) for key in data if key not in _Tags.__struct_fields__]:
+                remarks.append(f"the keys {', '.join(left[:6])} say nothing of the board")
+    if family is None:
+        family = FAMILY
+        remarks.append(f"the family is in settings.yaml: {FAMILY} is taken; --family names another")
+    names = ", ".join(map(shown, [*named][:9]))
+    if not named:
+        raise BadInput(f"{where}: it has neither standalone_tags nor tag_bundles")
+    if (target or next(iter(named))) not in named or (target is None and len(named) > 1):
+        raise BadInput(f"{where}: it has {names}, each with a centre of its own: choose one with --target")
+    target = target or next(iter(named))
+    if len(named) > 1:
+        remarks.append(f"of {names} only {shown(target)} is taken: the others have centres of their own")
+    return [
+        _of_pose(tag, family, half_deg, f"{where}: {target}[{i}] (id {tag.id})") for i, tag in enumerate(named[target])
+    ], remarks
+
+
+def _yaml(text: str, where: str) -> dict[str, Any]:
+    try:
+        from ruamel.yaml import YAML
+        from ruamel.yaml.error import YAMLError
+    except ImportError as why:
+        raise BadInput(f"{where}: YAML is read with the extra decklander[ros2], which is not installed") from why
+    with refused(f"{where}: no YAML", YAMLError, ValueError, RecursionError):
+        data = YAML(typ="safe", pure=True).load(text.lstrip("\ufeff"))
+    if not isinstance(data, dict):
+        raise BadInput(f"{where}: it has neither standalone_tags nor tag_bundles")
+    return data
+
+
+def _of_pose(tag: _Member, family: str, half_deg: float, where: str) -> PaintedFiducial:
+    q = np.array([tag.qw, tag.qx, tag.qy, tag.qz])
+    norm = float(np.linalg.norm(q))
+    if not (0.0 < norm < math.inf):
+        raise BadInput(f"{where}: its quaternion is none: qw, qx, qy, qz are {q.tolist()}")
+    w, x, y, z = (q / norm).tolist()
+    if not math.hypot(x, y) <= math.sin(0.5 * math.radians(_TURN_DEG)):
+        tilt_deg = 2.0 * math.degrees(math.asin(min(1.0, math.hypot(x, y))))
+        raise BadInput(f"{where}: it is tilted by {tilt_deg:.1f} degrees out of the plane of the board: a pad is flat")
+    if not abs(tag.z) <= _FLAT_M:
+        raise BadInput(f"{where}: its z is {tag.z:g} m, off the plane of the bundle's origin: a pad is flat")
+    clockwise_deg = -2.0 * math.degrees(math.atan2(z, w))
+    return fiducial(family, tag.id, tag.size, where, (tag.x, tag.y), clockwise_deg + 180.0 + half_deg)
