@@ -30,8 +30,7 @@ from companion.parts.mavlink.commands import (
     Tunables,
     link_counters,
 )
-from companion.parts.mavlink.file_server import MESSAGE as FILES
-from companion.parts.mavlink.file_server import FileServer
+from companion.parts.mavlink.file_server import FILE_REQUEST, FileServer
 from companion.parts.mavlink.metadata import metadata_files, metadata_message
 from companion.settings.links import BridgeOptions
 from drivers.mavlink.access import AccessLevel, NamedSenders
@@ -71,7 +70,7 @@ class VehicleBridge(NullObserver):
         self._armed = False
         self.refusals = Refusals("bridge.operators")
         self._parameters = None if store is None else ParameterServer(store)
-        self._files = FileServer({} if store is None else metadata_files(COMPONENT))
+        self.files = FileServer({} if store is None else metadata_files(COMPONENT))
         self._offered = Offered(
             {
                 mav.MAVLINK_MSG_ID_HEARTBEAT: (self._heartbeat, 1.0),
@@ -105,14 +104,14 @@ class VehicleBridge(NullObserver):
         """Send the messages that are due."""
         for message in (*self._offered.due(now), *([] if self._parameters is None else self._parameters.due())):
             self._send(message, component=COMPONENT)
-        for message, source in self._files.due(now):
+        for message, source in self.files.due(now):
             self._send(message, source, component=COMPONENT)
 
     def on_message(self, received: ReceivedMessage, system: int, now: MonoNs) -> None:
         """Answer commands, parameter and file requests to component 1 of our system; ignore every other message."""
         m, kind = received.message, received.message.get_type()
-        if kind == FILES:
-            self._files.on_message(received, (system, COMPONENT))
+        if kind == FILE_REQUEST:
+            self.files.on_message(received, (system, COMPONENT))
         if kind in PARAMETER_REQUESTS and self._parameters is not None:
             self._about_parameters(self._parameters, received, (system, COMPONENT))
         if kind not in ("COMMAND_LONG", "COMMAND_INT") or (m.target_system, m.target_component) != (system, COMPONENT):
@@ -277,7 +276,7 @@ class BridgePart(NullObserver):
         """Return the counters of the links since they were opened last."""
         if self._links is None or self._bridge is None:
             return {}
-        return link_counters(self._links, self._bridge.refusals)
+        return link_counters(self._links, self._bridge.refusals) | {"files_refused": self._bridge.files.refused.total()}
 
     async def run(self) -> None:
         """Serve the links until cancelled; a link that fails reconnects by itself."""

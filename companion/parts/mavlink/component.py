@@ -38,8 +38,7 @@ from companion.parts.mavlink.commands import (
     Refusals,
     Tunables,
 )
-from companion.parts.mavlink.file_server import MESSAGE as FILES
-from companion.parts.mavlink.file_server import FileServer
+from companion.parts.mavlink.file_server import FILE_REQUEST, FileServer
 from companion.parts.mavlink.metadata import metadata_files, metadata_message
 from companion.parts.mavlink.outputs import AutopilotView, Outputs
 from drivers.mavlink.access import AccessLevel
@@ -171,7 +170,7 @@ TYPE_ONBOARD, NO_AUTOPILOT = int(mav.MAV_TYPE_ONBOARD_CONTROLLER), int(mav.MAV_A
 _OURS = int(mav.MAV_COMP_ID_ONBOARD_COMPUTER)
 _REPEAT_S = 60.0
 """The shortest time between two texts about the same part, which may fail and recover many times a minute, s."""
-_REQUESTS = frozenset((*COMMANDS, *PARAMETER_REQUESTS, FILES))
+_REQUESTS = frozenset((*COMMANDS, *PARAMETER_REQUESTS, FILE_REQUEST))
 _CHUNK = 50
 _SAID_MAX = 64
 BURST, WAITING = 5, 10
@@ -373,7 +372,7 @@ class Component(NullObserver):
         if self._links is None or received.message.get_type() not in _REQUESTS:
             return
         now, us = self._clock.now(), self._links.identity
-        if received.message.get_type() == FILES:
+        if received.message.get_type() == FILE_REQUEST:
             self.files.on_message(received, us)
             return
         if self.refusals.refuses(received, us):

@@ -23,7 +23,7 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
 from estimator.contracts.time import MonoNs, after
 
-MESSAGE = "FILE_TRANSFER_PROTOCOL"
+FILE_REQUEST = "FILE_TRANSFER_PROTOCOL"
 PERIOD_S = 0.1
 """The shortest time between two packets: at most 2.8 kB/s, half of what a telemetry radio of 57600 baud carries."""
 _HEADER = struct.Struct("<HBBBBBBI")
@@ -61,7 +61,6 @@ class FtpError(IntEnum):
 
 _WRITING = range(6, 14)
 """The opcodes that create, write, rename or remove."""
-
 Sender = tuple[Source, int, int]
 """The link and peer of a client, its system and its component."""
 
@@ -79,11 +78,7 @@ class _Request(Struct, frozen=True):
 
 
 class _Refused(Exception):
-    """A request that is answered by a NAK."""
-
-    def __init__(self, error: FtpError) -> None:
-        super().__init__(error.name)
-        self.error = error
+    """A request that is answered by a NAK with this `FtpError`."""
 
 
 def crc32(data: bytes) -> int:
@@ -120,19 +115,19 @@ class FileServer:
     def on_message(self, received: ReceivedMessage, us: tuple[int, int]) -> None:
         """Queue a request to us (system, component) of a receiver of telemetry, and ignore every other message.
 
-        An answer of another server is ignored too, or two servers would answer each other for ever.
+        A request to all components (pymavlink's command line) is the autopilot's. An answer of another server is ignored too,
+        or two servers would answer each other for ever.
         """
         m = received.message
-        if received.access_level < AccessLevel.PEER or (m.target_system, m.target_component) != us:
+        targets = (0, us[1]) if us[1] == mav.MAV_COMP_ID_AUTOPILOT1 else (us[1],)
+        if received.access_level < AccessLevel.PEER or m.target_system != us[0] or m.target_component not in targets:
             return
         payload, sender = bytes(m.payload), (received.source, received.system, received.component)
         sequence, session, opcode, size, _, _, _, offset = _HEADER.unpack_from(payload)
         if opcode >= _ACK:
             return
         if opcode in (Opcode.BURST_READ_FILE, Opcode.RESET_SESSIONS, Opcode.TERMINATE_SESSION):
-            bursts = (r for r in self._waiting if r.sender == sender and r.opcode == Opcode.BURST_READ_FILE)
-            for one in [*bursts]:
-                self._waiting.remove(one)
+            self._waiting = deque(r for r in self._waiting if (r.sender, r.opcode) != (sender, Opcode.BURST_READ_FILE))
         if sum(one.sender == sender for one in self._waiting) >= WAITING_EACH or len(self._waiting) >= 4 * WAITING_EACH:
             self.refused["TOO_MANY"] += 1
             return
@@ -157,8 +152,8 @@ class FileServer:
                 raise _Refused(FtpError.FILE_PROTECTED if r.opcode in _WRITING else FtpError.UNKNOWN_COMMAND)
             data = self._actions[r.opcode](r)
         except _Refused as why:
-            self.refused[why.error.name] += 1
-            opcode, data = _NAK, bytes([why.error])
+            self.refused[why.args[0].name] += 1
+            opcode, data = _NAK, bytes(why.args)
         if opcode == _ACK and r.opcode == Opcode.OPEN_FILE_RO:
             session = 0
         if opcode == _ACK and r.opcode == Opcode.BURST_READ_FILE:

@@ -245,6 +245,7 @@ class AutopilotPart:
         component = self.component
         out: dict[str, float] = {f"withheld_{why.replace(' ', '_')}": n for why, n in component.outputs.withheld.items()}
         out |= {"targets_sent": component.outputs.sent, "sends_ranges": component.sends_ranges}
+        out["files_refused"] = component.files.refused.total()
         if self._links is not None:
             out |= link_counters(self._links, component.refusals)
         if self._open is not None:

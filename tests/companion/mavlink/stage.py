@@ -283,5 +283,18 @@ async def staged(
                 task.cancel()
 
 
+async def fetched_metadata(system: Any, component: int) -> str:
+    """Return the description of a component's parameters as MAVSDK has fetched and parsed it."""
+    from mavsdk.asyncio.plugins.component_metadata import ComponentMetadataAsync
+
+    metadata = ComponentMetadataAsync(system)
+    available = metadata.subscribe_metadata_available()
+    await metadata.request_component(component)
+    async with asyncio.timeout(60):
+        update = await anext(available)
+    assert update.compid == component
+    return str(update.json_metadata)
+
+
 def count(fake: MiniatureAutopilot, kind: str) -> Callable[[], int]:
     return lambda: len(fake.of(kind))

@@ -11,6 +11,7 @@ import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,12 @@ from companion.base.health import Health
 from companion.base.orders import OperatorOrder
 from companion.parts.mavlink import make
 from companion.parts.mavlink.bridge import BridgePart, VehicleBridge
-from companion.parts.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
+from companion.parts.mavlink.commands import ACCEPTED, DENIED, NAMES, UNSUPPORTED, Tunables
 from companion.parts.mavlink.make import PART, LinkWatch
+from companion.parts.mavlink.metadata import metadata_files
 from companion.settings.links import BridgeOptions
+from companion.settings.load import load
+from companion.settings.model import Settings
 from drivers.clock import SystemClock
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import AccessLevel
@@ -37,7 +41,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.companion.mavlink.stage import HOST, wire_frame
+from tests.companion.mavlink.stage import HOST, fetched_metadata, wire_frame
 from tests.make import stamp_at
 from tests.support.waiting import PATIENCE_S, free_port, until
 
@@ -208,14 +212,17 @@ async def test_no_fields_of_any_message_end_it() -> None:
         wire.close()
 
 
-async def test_mavsdk_flies_it() -> None:
+async def test_mavsdk_flies_it_and_reads_and_sets_its_parameters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mavsdk = pytest.importorskip("mavsdk.asyncio", reason="MAVSDK is not installed")
     from mavsdk import ComponentType, Configuration
     from mavsdk.asyncio.plugins.action import ActionAsync
+    from mavsdk.asyncio.plugins.param import ParamAsync
 
-    port, clock, orders = free_port(), SystemClock(), list[OperatorOrder]()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # what was fetched before is not fetched again
+    port, clock, orders, applied = free_port(), SystemClock(), list[OperatorOrder](), list[Settings]()
+    store = Tunables(load("sim"), applied.append)
     links = [LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))]
-    part = BridgePart(BridgeOptions(system_id=7, operators="245"), links, clock, order=orders.append)
+    part = BridgePart(BridgeOptions(system_id=7, operators="245"), links, clock, order=orders.append, store=store)
     async with asyncio.TaskGroup() as group:
         flying = False
 
@@ -236,6 +243,11 @@ async def test_mavsdk_flies_it() -> None:
             flying = True
             await asyncio.sleep(0.1)
             await action.land()
+            assert (await fetched_metadata(system, 1)).encode() == metadata_files(1)["parameters.json"]
+            param = ParamAsync(system)
+            await param.set_param_float("PID_H_KP", 1.5)
+            assert {p.name for p in (await param.get_all_params()).float_params} == set(NAMES)
+            assert [one.guidance.pid.horizontal.kp for one in applied] == [1.5]
         for task in tasks:
             task.cancel()
     assert orders == [OperatorOrder.TAKE_OFF, OperatorOrder.LAND]

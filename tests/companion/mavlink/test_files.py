@@ -1,11 +1,9 @@
-"""Component metadata and MAVLink FTP: pymavlink's client and MAVSDK read them, garbage is refused, targets are not delayed."""
+"""Component metadata and MAVLink FTP: pymavlink's client reads them, garbage is refused, targets are not delayed."""
 
 import asyncio
 import json
 import lzma
 import struct
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,28 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink import mavftp, mavutil
 
-import companion.settings.load as settings_of
-from companion.parts.mavlink.bridge import BridgePart
-from companion.parts.mavlink.commands import NAMES, Tunables
+from companion.parts.mavlink.commands import NAMES
 from companion.parts.mavlink.file_server import DATA_MAX, FileServer, FtpError, Opcode, crc32
 from companion.parts.mavlink.metadata import metadata_files
-from companion.settings.links import BridgeOptions
-from companion.settings.model import Settings
-from drivers.clock import SystemClock
-from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.links import LinkOptions, ReceivedMessage
-from estimator.contracts.samples import VehicleStatus
+from drivers.mavlink.links import ReceivedMessage
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.mavlink.stage import HOST, staged
-from tests.make import stamp_at
 from tests.support.waiting import free_port
 
 S = 1_000_000_000
-US = (7, 191)
 FILES = {"a.json": bytes(range(256)) * 3, "b": b"short"}
 
 
@@ -46,16 +35,15 @@ class Client:
         self.server = FileServer(FILES)
         self.now = MonoNs(0)
 
-    def send(
-        self, opcode: int, data: bytes = b"", *, session: int = 0, offset: int = 0, size: int | None = None, **more: Any
-    ) -> None:
-        size = len(data) if size is None else size
-        head = struct.pack("<HBBBBBBI", more.get("seq", 7), session, opcode, size, 0, 0, 0, offset)
+    def send(self, opcode: int, data: bytes = b"", *, session: int = 0, offset: int = 0, **more: Any) -> None:
+        head = struct.pack("<HBBBBBBI", more.pop("seq", 7), session, opcode, more.pop("size", len(data)), 0, 0, 0, offset)
         self.throw((head + data).ljust(251, b"\0"), **more)
 
-    def throw(self, payload: bytes, system: int = 255, level: AccessLevel = AccessLevel.PEER, **more: Any) -> None:
-        m = mav.MAVLink_file_transfer_protocol_message(0, *US, list(payload))
-        self.server.on_message(ReceivedMessage(m, 0, self.now, system, 190, access_level=level), US)
+    def throw(
+        self, payload: bytes, system: int = 255, level: AccessLevel = AccessLevel.PEER, target: int = 191, us: int = 191
+    ) -> None:
+        m = mav.MAVLink_file_transfer_protocol_message(0, 7, target, list(payload))
+        self.server.on_message(ReceivedMessage(m, 0, self.now, system, 190, access_level=level), (7, us))
 
     def packets(self, seconds: float = 5.0) -> list[tuple[int, ...]]:
         """(sequence, session, opcode, size, request, last, 0, offset, data) of what arrives within these seconds of ticks."""
@@ -112,12 +100,15 @@ def test_a_senseless_request_is_refused_by_its_reason(opcode: int, data: bytes, 
     assert client.server.refused == {error.name: 1}
 
 
-def test_who_gets_no_telemetry_and_an_answer_of_another_server_get_nothing() -> None:
+def test_no_answer_goes_to_who_gets_no_telemetry_to_other_servers_and_to_what_is_for_all_but_by_the_autopilot() -> None:
     client = Client()
+    client.send(Opcode.LIST_DIRECTORY, b"/", target=0)
+    client.send(Opcode.LIST_DIRECTORY, b"/", target=1)
     client.send(Opcode.LIST_DIRECTORY, b"/", level=AccessLevel.UNKNOWN)
     client.send(128)
     client.send(129)
     assert client.packets() == []
+    assert client.one(Opcode.LIST_DIRECTORY, b"/", target=0, us=1)[2] == 128
 
 
 @settings(max_examples=300, derandomize=True)
@@ -141,7 +132,7 @@ def test_any_payload_is_answered_by_what_is_true_or_a_refusal(payloads: list[byt
 
 
 def test_clients_that_flood_share_half_of_a_slow_radio() -> None:
-    client, codec, taken = Client(), Codec(*US), {255: 0, 254: 0, 1: 0}
+    client, codec, taken = Client(), Codec(7, 191), {255: 0, 254: 0, 1: 0}
     for system in taken:
         client.send(Opcode.OPEN_FILE_RO, b"a.json", system=system)
     for _ in range(10 * 50):
@@ -157,12 +148,12 @@ def test_clients_that_flood_share_half_of_a_slow_radio() -> None:
     assert client.server.refused["TOO_MANY"] > 1000
 
 
-def read_by_pymavlink(port: int, component: int) -> dict[str, bytes]:
-    """Read COMPONENT_METADATA's file and all that it names, as a ground station of another program would."""
+def read_by_pymavlink(port: int) -> dict[str, bytes]:
+    """Return every file that pymavlink's own client lists."""
     link = mavutil.mavlink_connection(f"udpin:{HOST}:{port}", source_system=255, source_component=190)
     try:
         assert link.wait_heartbeat(timeout=30) is not None
-        client = mavftp.MAVFTP(link, US[0], component)
+        client = mavftp.MAVFTP(link, 7, 191)
         client.ftp_settings.burst_read_size = DATA_MAX
         assert client.cmd_list(["/"]).error_code == mavftp.FtpError.Success
         out = {}
@@ -171,75 +162,18 @@ def read_by_pymavlink(port: int, component: int) -> dict[str, bytes]:
             client.cmd_get([name], callback=lambda fh, got=got: got.append(fh.read() if fh else b""))
             client.process_ftp_reply("OpenFileRO", timeout=30)
             out[name] = got[-1]
-        assert client.cmd_get(["no such file"]).error_code in (mavftp.FtpError.Success, mavftp.FtpError.FileNotFound)
-        assert client.process_ftp_reply("OpenFileRO", timeout=5).error_code == mavftp.FtpError.FileNotFound
         return out
     finally:
         link.close()
 
 
 async def test_pymavlinks_client_reads_every_file_while_the_targets_go_on() -> None:
-    port = free_port()
-    fake = MiniatureAutopilot()
+    port, fake = free_port(), MiniatureAutopilot()
     async with staged(fake, f"udpout://{HOST}:{port}", operators="255") as stage:
-        before, began = len(fake.of("LANDING_TARGET")), stage.autopilot.links.all[0].counters.dropped
-        read = await asyncio.to_thread(read_by_pymavlink, port, 191)
-        assert read == metadata_files(191)
+        before = len(fake.of("LANDING_TARGET"))
+        assert await asyncio.to_thread(read_by_pymavlink, port) == metadata_files(191)
         assert len(fake.of("LANDING_TARGET")) > before
-        assert stage.autopilot.links.all[0].counters.dropped == began
         assert not stage.autopilot.links.contained.faults
-
-
-@asynccontextmanager
-async def shown_as_a_vehicle(port: int, applied: list[Settings]) -> AsyncIterator[None]:
-    """Show a drone that speaks no MAVLink, with our parameters as its own."""
-    links, store = [LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))], Tunables(settings_of.load("sim"), applied.append)
-    clock = SystemClock()
-    part = BridgePart(BridgeOptions(system_id=7, operators="245"), links, clock, order=lambda order: None, store=store)
-
-    async def live() -> None:
-        while True:
-            part.on_sample(VehicleStatus(stamp_at(clock.now()), False, "landed", 0.5, False, True))
-            await asyncio.sleep(0.05)
-
-    async with asyncio.TaskGroup() as group:
-        tasks = [group.create_task(live()), group.create_task(part.run())]
-        yield
-        for task in tasks:
-            task.cancel()
-
-
-@pytest.mark.parametrize("component", [1, 191])
-async def test_mavsdk_fetches_and_parses_the_metadata(component: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mavsdk = pytest.importorskip("mavsdk.asyncio", reason="MAVSDK is not installed")
-    from mavsdk import ComponentType, Configuration
-    from mavsdk.asyncio.plugins.component_metadata import ComponentMetadataAsync
-    from mavsdk.asyncio.plugins.param import ParamAsync
-
-    for name in ("XDG_CACHE_HOME", "HOME"):  # MAVSDK keeps what it fetched by checksum, and would fetch nothing the second time
-        monkeypatch.setenv(name, str(tmp_path))
-    port, applied = free_port(), list[Settings]()
-    served: Any = (
-        shown_as_a_vehicle(port, applied)
-        if component == 1
-        else staged(MiniatureAutopilot(), f"udpout://{HOST}:{port}", operators="245")
-    )
-    async with served, mavsdk.Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as station:
-        await station.add_any_connection(f"udpin://{HOST}:{port}")
-        async with asyncio.timeout(60):
-            while not (systems := await station.get_systems()) or component not in await systems[0].component_ids():  # noqa: ASYNC110
-                await asyncio.sleep(0.05)
-            metadata = ComponentMetadataAsync(systems[0])
-            available = metadata.subscribe_metadata_available()
-            await metadata.request_component(component)
-            update = await anext(available)
-            if component == 1:
-                param = ParamAsync(systems[0])
-                await param.set_param_float("PID_H_KP", 1.5)
-                assert {p.name for p in (await param.get_all_params()).float_params} == set(NAMES)
-                assert applied[-1].guidance.pid.horizontal.kp == 1.5
-    assert update.compid == component
-    assert update.json_metadata.encode() == metadata_files(component)["parameters.json"]
 
 
 def test_the_parameters_are_described_by_the_settings() -> None:

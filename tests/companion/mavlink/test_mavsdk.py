@@ -4,17 +4,19 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from companion.parts.mavlink.camera_component import CameraComponent, Send, showing
 from companion.parts.mavlink.commands import NAMES, LandingProgress
+from companion.parts.mavlink.metadata import metadata_files
 from companion.settings.links import VideoStreamOptions
 from companion.settings.load import camera_model, load
 from drivers.clock import SystemClock
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
-from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged
+from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, fetched_metadata, staged
 from tests.support.waiting import free_port
 
 mavsdk = pytest.importorskip("mavsdk.asyncio", reason="MAVSDK is not installed")
@@ -106,6 +108,19 @@ async def test_mavsdk_reads_and_sets_our_parameters() -> None:
         assert stage.applied[-1].guidance.pid.horizontal.kp == pytest.approx(before + 0.25)
         everything = await param.get_all_params()
         assert {p.name for p in everything.float_params} == set(NAMES)
+
+
+@pytest.fixture
+def no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let MAVSDK fetch metadata that it had before: it keeps them by their checksum."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path))
+
+
+async def test_mavsdk_fetches_what_our_parameters_mean(no_cache) -> None:
+    async with met() as (stage, system):
+        assert (await fetched_metadata(system, 191)).encode() == metadata_files(191)["parameters.json"]
+        assert not stage.component.files.refused.keys() - {"EOF"}
 
 
 async def test_mavsdk_finds_the_camera_and_where_its_stream_goes() -> None:
