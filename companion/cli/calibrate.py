@@ -64,8 +64,16 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "do not hold. If the grade is worse than --accept, write no file, list what the images lack, and return exit code 1.",
     )
     option(p, "paths PATH", "images, folders of images, or videos", nargs="*")
-    option(p, "--device NAME", "use a live camera instead: a V4L2 name or path, or an address (rtsp://...)")
-    option(p, "--pipeline TEXT", "use a live camera by GStreamer instead: a pipeline up to raw frames, as libcamerasrc")
+    option(
+        p,
+        "--device NAME",
+        "use a live camera instead: a V4L2 name or path, libcamera or libcamera:NAME for a Raspberry Pi's, or an address (rtsp://...)",
+    )
+    option(
+        p,
+        "--pipeline TEXT",
+        "use a live camera by GStreamer instead: a pipeline up to raw frames, as nvarguscamerasrc ! nvvidconv",
+    )
     option(p, "--size WxH", "frame size of the live camera, V4L2's or the pipeline's")
     option(p, "--rate HZ", "frame rate of the live camera (default: %(default)s)", default=30.0)
     option(p, "--format", "pixel format of the live camera (default: %(default)s)", default="auto", choices=["auto", *FORMATS])
@@ -194,6 +202,9 @@ def _camera(args: argparse.Namespace) -> tuple[CameraOptions, Size | None]:
         size = check_size((int(match[1]), int(match[2])))
         if args.device is None:
             return CameraOptions(source="gstreamer", device=args.pipeline, rate_hz=args.rate), size
+        kind, _, name = args.device.partition(":")
+        if kind == "libcamera":
+            return CameraOptions(source="libcamera", device=name, rate_hz=args.rate), size
         return CameraOptions(source="v4l2", device=args.device, format=args.format, rate_hz=args.rate), size
 
 

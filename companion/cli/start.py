@@ -18,6 +18,7 @@ from companion.cli.keys import write_secret
 from companion.cli.options import option
 from companion.parts.page.access import make_token
 from companion.settings.load import SHIPPED
+from drivers.camera.camera_process import libcamera_models
 from drivers.camera.v4l2 import cameras
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
@@ -47,7 +48,7 @@ class Answers(Struct, frozen=True):
     link: str
     """MAVLink link of an autopilot; address of an AR.Drone."""
     camera: str
-    """V4L2 device, or "vehicle"."""
+    """V4L2 device, "libcamera:" and the name of a Raspberry Pi's camera, or "vehicle"."""
     camera_file: str
     pad: str
     place: str
@@ -66,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     option(parser, "--vehicle", "vehicle", choices=sorted(VEHICLES))
     option(parser, "--link URL", "MAVLink link of an autopilot, or address of an AR.Drone (default: found)")
-    option(parser, "--camera DEVICE", "V4L2 camera: a path or a part of its name (default: found)")
+    option(parser, "--camera DEVICE", "camera: a V4L2 path or a part of its name, or libcamera:NAME (default: found)")
     option(parser, "--camera-file FILE", "camera file of yours (default: a shipped one to begin with)")
     option(parser, "--pad NAME", "pad: a shipped one or a file of yours")
     option(parser, "--where", "place of the flights", choices=sorted(PLACES))
@@ -114,7 +115,8 @@ def _answers(args: argparse.Namespace) -> Answers:
     there = [] if flies_itself else [one for one in cameras() if one.index == 0]
     device = "vehicle" if flies_itself else args.camera or ""
     if not device:
-        names = {str(one.path): one.card for one in there} or {"usb": "the one USB camera, once it is plugged in"}
+        on_board = {f"libcamera:{model}": "a Raspberry Pi's own camera" for model in ([] if flies_itself else libcamera_models())}
+        names = on_board | {str(one.path): one.card for one in there} or {"usb": "the one USB camera, once it is plugged in"}
         device = ask("camera", names, next(iter(names)))
     shipped = {"sim": "sim", "ardrone1": "ardrone1_bottom", "ardrone2": "ardrone2_bottom"}.get(vehicle, "usb_640x480")
     pads = {path.stem: "" for path in sorted((SHIPPED / "pads").glob("*.toml"))}
@@ -228,7 +230,11 @@ def settings_text(answers: Answers, out: Path) -> str:
         model = ['model = "1.0"'] if answers.vehicle == "ardrone1" else []
         sections.append(["[vehicle]", 'kind = "ardrone"', f'host = "{answers.link}"', *model])
     camera = ["[camera]", f'file = "{answers.camera_file}"    # measure yours: decklander calibrate camera']
-    if autopilot:
+    kind, _, name = answers.camera.partition(":")
+    if kind == "libcamera":
+        camera += ['source = "libcamera"', f'device = "{name}"    # empty: the only one', "[camera.exposure]"]
+        camera += ['mode = "pad"    # by the light on the pad, and short: motion blurs']
+    elif autopilot:
         camera += ['source = "v4l2"', f'device = "{answers.camera}"']
         if answers.place != "indoors":
             camera += ['controls = "auto_exposure=1, exposure_time_absolute=50"    # short: motion blurs', "exposure_s = 0.005"]

@@ -23,7 +23,7 @@ from companion.settings.operator import LimitOptions, OperatorOptions
 from companion.settings.service import RecorderOptions, RestartOptions
 from companion.settings.vessel import RtkOptions, VesselOptions
 from drivers.ardrone.options import ArDroneOptions
-from drivers.camera.options import DRIVEN_SOURCES, CameraOptions
+from drivers.camera.options import DRIVEN_SOURCES, SOURCES, CameraOptions
 from drivers.mavlink.options import AutopilotOptions, GimbalOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import PUBLIC, choice, number, text
@@ -101,13 +101,13 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
         """Return the reason why keys do not go together, beginning with the key, or None if they do."""
         if isinstance(self.vehicle, AutopilotOptions):
             if self.camera.source == "vehicle":
-                return 'camera.source must be "v4l2", "gstreamer" or "stream": an autopilot has no frames'
+                return f"camera.source must be one of {', '.join(SOURCES)}: an autopilot has no frames"
             if self.bridge.links:
                 return "bridge.links must be empty: an autopilot speaks MAVLink itself"
         if self.camera.exposure.driven and self.camera.source not in DRIVEN_SOURCES:
             return (
                 f'camera.exposure.mode must be "camera" with camera.source "{self.camera.source}": '
-                f'only that of a camera with source "v4l2" can be driven'
+                f"only that of a camera with one of {', '.join(DRIVEN_SOURCES)} can be driven"
             )
         if self.vessel.mqtt and (self.mqtt.transport == "off" or self.mqtt.commands == "off"):
             return "vessel.mqtt needs mqtt.transport and mqtt.commands: reports come from whom commands may come"

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from msgspec import NODEFAULT, Struct
 
 from companion.settings.model import Settings, in_file
+from drivers.camera.options import DRIVEN_SOURCES
 from drivers.mavlink.options import AutopilotOptions
 
 _AIS_PERIOD_S = 10.0
@@ -98,11 +99,16 @@ _RULES = (
         'landing_target.ranges is "off"',
     ),
     _Rule("vehicle.descent_rate_m_s vehicle.landing_most_s vehicle.landing_depth_m", 'vehicle.landing is "mode"'),
-    _Rule("camera.format camera.controls camera.buffers", 'camera.source is not "v4l2"'),
+    _Rule("camera.format camera.buffers", 'camera.source is not "v4l2"'),
+    _Rule(
+        "camera.controls",
+        'camera.source is neither "v4l2" nor "libcamera"',
+        idle=lambda s: s.camera.source not in DRIVEN_SOURCES,
+    ),
     _Rule(
         "camera.rate_hz camera.arrival_sigma_s",
-        'camera.source is neither "v4l2" nor "gstreamer"',
-        idle=lambda s: s.camera.source not in ("v4l2", "gstreamer"),
+        'camera.source is "vehicle" or "stream"',
+        idle=lambda s: s.camera.source in ("vehicle", "stream"),
     ),
     _Rule(
         "camera.repeat",

@@ -45,6 +45,8 @@ _LENGTHEN = 1.9
 """The time is made longer at the gain's cost only where the limit has grown by this factor: each change costs pictures."""
 _RUNGS = 2.0
 """Limits on the time in an octave: a limit that follows each sway would change the exposure with every picture."""
+FRAME_PART = 0.8
+"""Largest part of a frame's time that is exposed: read-out takes the rest, and a longer time would slow the camera down."""
 
 
 class ExposureSetting(Struct, frozen=True):
@@ -161,13 +163,13 @@ class ExposureDrive:
         """Reason for which it refused the newest setting; None if it took it."""
         self._before: ExposureSetting | None = None
         self._wanted: ExposureSetting | None = None
-        self._busy = False
+        self._under_way: ExposureSetting | None = None
         self._old_until = self._new_from = 0
 
     def opened(self, can: ExposureRange, held: ExposureSetting) -> None:
         """Note that the camera is open, and counts its frames from 0 on."""
         self.can, self.held, self._before, self._wanted = can, held, None, None
-        self._old_until, self._new_from, self._busy = -1, 0, False
+        self._old_until, self._new_from, self._under_way = -1, 0, None
 
     def closed(self) -> None:
         """Note that the camera is gone."""
@@ -179,9 +181,8 @@ class ExposureDrive:
 
     def take(self) -> ExposureSetting | None:
         """Return the setting that is to be set now; `changed` or `refuse` follows."""
-        wanted, self._wanted = self._wanted, None
-        self._busy = wanted is not None
-        return wanted
+        self._under_way, self._wanted = self._wanted, None
+        return self._under_way
 
     def changed(self, held: ExposureSetting, asked_at: int, done_at: int) -> None:
         """Note what the camera holds after a setting.
@@ -190,7 +191,7 @@ class ExposureDrive:
             asked_at: number of the newest frame before the setting.
             done_at: number of the newest frame after it.
         """
-        self.why_refused, self._busy = None, False
+        self.why_refused, self._under_way = None, None
         if held == self.held:
             return
         self.changes += 1
@@ -200,11 +201,16 @@ class ExposureDrive:
     def refuse(self, why: str) -> None:
         """Note that the camera refused a setting."""
         self.refused += 1
-        self.why_refused, self._busy = why, False
+        self.why_refused, self._under_way = why, None
+
+    @property
+    def due(self) -> ExposureSetting | None:
+        """The setting that the camera will hold once what is requested is set; None while it is not open."""
+        return self._wanted or self._under_way or self.held
 
     def settled(self, number: int) -> bool:
         """Return whether the frame of this number shows the camera's setting, and no other is requested."""
-        return self._wanted is None and not self._busy and number >= self._new_from
+        return self._wanted is None and self._under_way is None and number >= self._new_from
 
     def of(self, number: int) -> tuple[ExposureSetting, float] | None:
         """Return the setting with which a frame was taken, and the largest error of its exposure time, s; None if not known."""
@@ -337,16 +343,16 @@ class ExposureGovernor:
             outline_px: (N, 2) convex outline of the pad, where it is tracked; None while it is looked for.
             speed_px_s: how fast the picture moves over the sensor.
         """
-        can, held = self._drive.can, self._drive.held
-        if can is None or held is None:
+        can, held, due = self._drive.can, self._drive.held, self._drive.due
+        if can is None or held is None or due is None:
             return
         # The longest exposure during which a picture that moves at this speed is smeared by no more than `blur_px`. It is
         # `longest_s` or one of a few times below, half an octave apart.
         octaves = math.log2(max(1.0, speed_px_s * self._o.longest_s / self._o.blur_px))
         limit_s = self._o.longest_s * math.exp2(-math.ceil(_RUNGS * octaves) / _RUNGS)
         if not self._drive.settled(frame.seq):
-            if held.exposure_s > limit_s and held.exposure_s > can.shortest_s:
-                self._drive.ask(can.split(held.product_s, limit_s))
+            if due.exposure_s > limit_s and due.exposure_s > can.shortest_s:
+                self._drive.ask(can.split(due.product_s, limit_s))
             return
         metered = None if outline_px is None else meter_inside(frame.px, outline_px)
         if outline_px is None:

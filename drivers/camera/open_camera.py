@@ -1,4 +1,4 @@
-"""Open a camera that is not part of the vehicle: a V4L2 device, a GStreamer pipeline, a network camera or a video file.
+"""Open a camera that is not part of the vehicle: of V4L2, libcamera or GStreamer, a network camera or a video file.
 
 options = CameraOptions(source="v4l2", device="/dev/v4l/by-id/usb-...")
 async with open_camera(options, (640, 480), clock) as camera:
@@ -33,7 +33,9 @@ async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -
         BadInput: the device cannot do what the options request (size, format, control).
         SetupImpossible: permission is missing, or the device is not a camera.
     """
-    camera = VideoSource(ExposureDrive(options.exposure.settle_frames) if options.exposure.driven else None)
+    # Each frame of libcamera says with which exposure it was taken: nothing has to settle.
+    settle_frames = 0 if options.source == "libcamera" else options.exposure.settle_frames
+    camera = VideoSource(ExposureDrive(settle_frames) if options.exposure.driven else None)
     # Each kind loads what it reads by only when it is used.
     if options.source == "vehicle":
         raise ValueError("the frames of this camera come with the vehicle")
@@ -49,10 +51,10 @@ async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -
 
         body = V4l2Channel(options, size, clock, camera).run
     else:
-        from drivers.camera.gstreamer import GstreamerChannel
+        from drivers.camera.camera_process import ProcessChannel
 
-        body = GstreamerChannel(options, size, clock, camera).run
-    name, longest_s = options.device, options.reconnect_most_s
+        body = ProcessChannel(options, size, clock, camera).run
+    name, longest_s = options.device or options.source, options.reconnect_most_s
     back_off = BackOff(options.reconnect_first_s, longest_s, healthy_after_s=longest_s)
 
     async def attempt() -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 
 from estimator.contracts.keys import CheckedOptions, choice, number, text
 
-DRIVEN_SOURCES = ("v4l2",)
+DRIVEN_SOURCES = ("v4l2", "libcamera")
 """Sources of frames whose exposure can be driven from here."""
 
 
@@ -19,7 +19,7 @@ class ExposureOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, k
         Literal["camera", "pad"],
         choice(
             "camera: the camera's own automatics, or what camera.controls fixes; pad: the service sets exposure time and gain by "
-            'the light on the pad, and fixes the white balance (source "v4l2" alone)',
+            'the light on the pad, and fixes the white balance (sources "v4l2" and "libcamera")',
             public=True,
         ),
     ] = "camera"
@@ -33,8 +33,8 @@ class ExposureOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, k
     gain_ratio: Annotated[
         float,
         number(
-            "amplification at the upper end of the camera's gain control against the lower end, between which it is taken as "
-            "linear; 1 leaves the gain alone",
+            "v4l2: amplification at the upper end of the camera's gain control against the lower end, between which it is taken "
+            "as linear; 1 leaves the gain alone",
             "1",
             1.0,
             256.0,
@@ -57,12 +57,15 @@ class ExposureOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, k
 Format = Literal["YUYV", "NV12", "MJPG", "H264", "GREY"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 """The supported pixel formats of a V4L2 device, in the order in which `auto` prefers them: raw colour, compressed, grey."""
+SOURCES = ("v4l2", "libcamera", "gstreamer", "stream")
+"""Sources of frames that are not the vehicle's."""
 Size = tuple[int, int]
 """The width and height of a frame, px."""
 _DRIVEN = frozenset(
     {
         "auto_exposure", "exposure_auto", "exposure_time_absolute", "exposure_absolute", "gain", "gain_automatic",
-        "white_balance_automatic", "white_balance_temperature_auto", "white_balance_temperature",
+        "white_balance_automatic", "white_balance_temperature_auto", "white_balance_temperature", "AeEnable", "ExposureTime",
+        "AnalogueGain", "ExposureTimeMode", "AnalogueGainMode", "AwbEnable", "AwbMode", "ColourTemperature", "ColourGains",
     }
 )  # fmt: skip
 """Controls, by their present and former names, that are set with `exposure.mode` "pad"."""
@@ -76,19 +79,19 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
     """
 
     source: Annotated[
-        Literal["vehicle", "v4l2", "gstreamer", "stream"],
+        Literal["vehicle", "v4l2", "libcamera", "gstreamer", "stream"],
         choice(
-            "where frames come from: the vehicle itself; a camera of this computer by the kernel's V4L2, or by a GStreamer "
-            "pipeline (libcamera, Jetson); a network camera or a video file",
+            "where frames come from: the vehicle itself; a camera of this computer by the kernel's V4L2, a Raspberry Pi's by "
+            "libcamera (picamera2), or by a GStreamer pipeline (Jetson); a network camera or a video file",
             public=True,
         ),
     ] = "vehicle"
     device: Annotated[
         str,
         text(
-            "of v4l2: a path under /dev/v4l/by-id or a part of its name; of gstreamer: the pipeline up to raw frames, as "
-            "libcamerasrc ! video/x-raw,width=640,height=480; of stream: an address (rtsp://...), its description (.sdp), "
-            "a named pipe or a file",
+            "of v4l2: a path under /dev/v4l/by-id or a part of its name; of libcamera: number or part of a name, empty for the "
+            "only one; of gstreamer: the pipeline up to raw frames, as nvarguscamerasrc ! nvvidconv; of stream: an address "
+            "(rtsp://...), its description (.sdp), a named pipe or a file",
             4096,
             shortest=0,
             public=True,
@@ -102,13 +105,16 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
         ),
     ] = "auto"
     rate_hz: Annotated[
-        float, number("frame rate requested from v4l2; of gstreamer, what its pipeline gives", "Hz", 0.1, 1000.0, public=True)
+        float,
+        number(
+            "frame rate requested from v4l2 and libcamera; of gstreamer, what its pipeline gives", "Hz", 0.1, 1000.0, public=True
+        ),
     ] = 30.0
     controls: Annotated[
         str,
         text(
-            "controls of v4l2 that are fixed, as name=value with commas between; all others stay the camera's. "
-            "For a steady frame: auto_exposure=1, exposure_time_absolute=50",
+            "controls of v4l2 or libcamera that are fixed, as name=value with commas between; all others stay the camera's. "
+            "For a steady frame: auto_exposure=1, exposure_time_absolute=50 (v4l2)",
             4096,
             shortest=0,
             public=True,
@@ -119,7 +125,7 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
     latency_s: Annotated[
         float,
         number(
-            "v4l2: delay of the kernel's stamp after the end of the exposure (after its start, "
+            "v4l2 and libcamera: delay of the kernel's stamp after the end of the exposure (after its start, "
             "where the driver stamps that); gstreamer: from mid-exposure to the buffer's stamp, below zero where that is "
             "the start of the exposure; stream: from mid-exposure to arrival",
             "s",
@@ -136,7 +142,10 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
         ),
     ] = 0.02
     exposure_s: Annotated[
-        float, number("exposure time, 0 if unknown; a time reported by v4l2 takes precedence", "s", 0.0, 0.5, public=True)
+        float,
+        number(
+            "exposure time, 0 if unknown; a time reported by v4l2 takes precedence, libcamera sets it", "s", 0.0, 0.5, public=True
+        ),
     ] = 0.0
     silence_s: Annotated[float, number("time without a frame after which the camera is opened again", "s", 0.02, 30.0)] = 2.0
     reconnect_first_s: Annotated[float, number("first back-off before a lost camera is opened again", "s", 0.01, 60.0)] = 0.2
@@ -146,10 +155,10 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.source != "vehicle" and not self.device:
+        if self.source not in ("vehicle", "libcamera") and not self.device:
             raise ValueError(f'device must be given with source "{self.source}"')
         if self.source == "vehicle" and self.device:
-            raise ValueError(f'device {self.device!r} is given, so source must be "v4l2", "gstreamer" or "stream"')
+            raise ValueError(f"device {self.device!r} is given, so source must be one of: {', '.join(SOURCES)}")
         if self.latency_s < 0.0 and self.source != "gstreamer":
             raise ValueError(f'latency_s ({self.latency_s:g} s) may be below zero with source "gstreamer" alone')
         if self.reconnect_most_s < self.reconnect_first_s:

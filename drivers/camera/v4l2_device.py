@@ -20,7 +20,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from drivers.camera import v4l2_kernel as kernel
-from drivers.camera.exposure import ExposureRange, ExposureSetting
+from drivers.camera.exposure import FRAME_PART, ExposureRange, ExposureSetting
 from drivers.camera.images import ImageRefused, decode
 from drivers.camera.options import FORMATS, CameraOptions, ExposureOptions, Size
 from drivers.camera.videos import most_pixels
@@ -150,8 +150,6 @@ _AUTOGAIN, _GAINS = 0x00980912, (0x00980913, 0x009E0903)
 _AUTO_WHITE_BALANCE, _TEMPERATURE = 0x0098090C, 0x0098091A
 _MANUAL = 1
 _UNIT_S = 100e-6
-_PART_OF_FRAME = 0.8
-"""Largest part of a frame's time that is exposed: read-out takes the rest, and a longer time would slow the camera down."""
 
 
 class KernelExposure:
@@ -184,7 +182,7 @@ class KernelExposure:
             nearest = min(max(options.white_balance_k, balance.minimum), balance.maximum)
             step = max(1, int(balance.step))
             self._fix(balance, balance.minimum + (nearest - balance.minimum) // step * step)
-        longest_s = min(_UNIT_S * self._time.maximum, _PART_OF_FRAME / rate_hz)
+        longest_s = min(_UNIT_S * self._time.maximum, FRAME_PART / rate_hz)
         shortest_s = _UNIT_S * max(1, self._time.minimum)
         self.can = ExposureRange(shortest_s, max(longest_s, shortest_s), self._ratio if self._gain is not None else 1.0)
         try:

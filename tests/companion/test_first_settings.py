@@ -62,6 +62,15 @@ def test_an_autopilot_on_the_network_is_found(monkeypatch: pytest.MonkeyPatch) -
     assert found == [start.FoundVehicle("px4", f"udpin://0.0.0.0:{port}")]
 
 
+def test_a_raspberry_pis_own_camera_is_proposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(start, "libcamera_models", lambda: ["imx708_wide"])
+    out = tmp_path / "rig.toml"
+    words = "start --yes --no-doctor --vehicle px4 --link udpin://127.0.0.1:14540 --out"
+    assert main([*words.split(), str(out)]) == 0
+    camera = load(out).camera
+    assert (camera.source, camera.device, camera.exposure.driven) == ("libcamera", "imx708_wide", True)
+
+
 def test_the_code_in_the_terminal_is_read_by_a_phone() -> None:
     address = "https://192.168.1.20:8480/#token=3f2a91c07d5e3f2a91c07d5e3f2a91c0"
     light = {"█": (1, 1), "▀": (1, 0), "▄": (0, 1), " ": (0, 0)}

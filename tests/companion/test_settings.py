@@ -181,11 +181,11 @@ def test_any_bytes_in_a_file_are_either_settings_or_one_line(tmp_path_factory: p
     [
         (
             ('source = "v4l2"\ndevice = "Test camera"', ""),
-            'camera.source must be "v4l2", "gstreamer" or "stream": an autopilot has no frames',
+            "camera.source must be one of v4l2, libcamera, gstreamer, stream: an autopilot has no frames",
         ),
         (
             ('source = "v4l2"\ndevice = "Test camera"', 'source = "stream"\ndevice = "a.mp4"\n[camera.exposure]\nmode = "pad"'),
-            'camera.exposure.mode must be "camera" with camera.source "stream": only that of a camera with source "v4l2"',
+            'camera.exposure.mode must be "camera" with camera.source "stream": only that of a camera with one of v4l2',
         ),
         (
             ('device = "Test camera"', 'device = "a"\ncontrols = "gain=4"\n[camera.exposure]\nmode = "pad"'),

@@ -6,7 +6,6 @@ import os
 import signal
 import socket
 import stat
-import struct
 import subprocess
 import sys
 import threading
@@ -25,8 +24,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.camera import gstreamer_program as wire
-from drivers.camera.gstreamer import PYTHONS, GstreamerChannel
+from drivers.camera import camera_program as wire
+from drivers.camera.camera_process import PYTHONS, ProcessChannel
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions
 from drivers.camera.source import CameraLost, VideoSource
@@ -325,7 +324,7 @@ def camera_options(pipeline: str, **more: Any) -> CameraOptions:
 
 
 def message(magic: bytes, content: bytes = b"", stamp_ns: int = wire.UNKNOWN, number: int = wire.UNKNOWN) -> bytes:
-    return wire.HEADER.pack(magic, len(content), stamp_ns, number) + content
+    return wire.HEADER.pack(magic, len(content), stamp_ns, number, 0.0, 0.0) + content
 
 
 def rows(value: int) -> bytes:
@@ -345,7 +344,7 @@ def program(folder: Path, said: bytes, code: int = 0, *, stays: bool = False) ->
 async def ending(python: str, *, silence_s: float = 5.0) -> tuple[Exception, VideoSource, list[Frame]]:
     """Run once on this program; return what ended it, and the frames that came before."""
     camera, frames = VideoSource(), []
-    channel = GstreamerChannel(camera_options("any", silence_s=silence_s), (PIPED_W, PIPED_H), CLOCK, camera, [python])
+    channel = ProcessChannel(camera_options("any", silence_s=silence_s), (PIPED_W, PIPED_H), CLOCK, camera, [python])
 
     async def read() -> None:
         async for frame in camera.frames:
@@ -389,14 +388,14 @@ async def test_a_stamp_of_another_clock_is_refused_and_none_is_the_arrival(tmp_p
 
 async def test_each_end_has_its_error(tmp_path: Path) -> None:
     cases = (
-        (message(wire.FAULT, b'no element "foo"'), wire.WRONG_PIPELINE, BadInput, 'no element "foo"'),
+        (message(wire.FAULT, b'no element "foo"'), wire.WRONG_SETTINGS, BadInput, 'no element "foo"'),
         (message(wire.FAULT, b"No module named gi"), wire.NO_BINDINGS, SetupImpossible, "python3-gi"),
         (message(wire.FAULT, b"\xff\xfe strange"), 1, CameraLost, "strange"),
         (message(wire.READY) + message(wire.FAULT, b"camera0: in use"), 0, CameraLost, "camera0: in use"),
         (message(wire.READY) + message(wire.FRAME, b"short"), 0, CameraLost, "no frame"),
         (message(wire.READY) + message(wire.FRAME, rows(1))[:200], 0, CameraLost, "its process ended"),
-        (message(wire.READY) + struct.pack("<4sIqq", wire.FRAME, 0xFFFFFFFF, 0, 0), 0, CameraLost, "no frame"),
-        (b"hello, I am no camera at all", 0, CameraLost, "no message of ours"),
+        (message(wire.READY) + wire.HEADER.pack(wire.FRAME, 0xFFFFFFFF, 0, 0, 0.0, 0.0), 0, CameraLost, "no frame"),
+        (b"hello, I am no camera at all, and write", 0, CameraLost, "no message of ours"),
         (b"", 0, CameraLost, "its process ended"),
     )
     for i, (output, code, kind, words) in enumerate(cases):
@@ -410,13 +409,13 @@ async def test_each_end_has_its_error(tmp_path: Path) -> None:
     assert isinstance(why, CameraLost)
 
 
-@pytest.mark.parametrize("code", [wire.WRONG_PIPELINE, wire.NO_BINDINGS])
+@pytest.mark.parametrize("code", [wire.WRONG_SETTINGS, wire.NO_BINDINGS])
 async def test_a_pipeline_that_cannot_be_built_again_is_lost_and_tried_again(tmp_path: Path, code: int) -> None:
     # In flight an error of the settings would end the service; only the first opening tells of the settings.
     good, bad = message(wire.READY) + message(wire.FRAME, rows(1)), message(wire.FAULT, b'no element "camerasrc"')
     python = program(tmp_path, good)
     camera = VideoSource()
-    channel = GstreamerChannel(camera_options("any"), (PIPED_W, PIPED_H), CLOCK, camera, [python])
+    channel = ProcessChannel(camera_options("any"), (PIPED_W, PIPED_H), CLOCK, camera, [python])
     async with asyncio.timeout(60):
         with pytest.raises(CameraLost, match="its process ended"):
             await channel.run()
@@ -481,7 +480,7 @@ def children() -> list[int]:
     for task in Path("/proc/self/task").iterdir():
         with suppress(OSError):
             found += [int(pid) for pid in (task / "children").read_text().split()]
-    return [pid for pid in found if b"gstreamer_program" in _command(pid)]
+    return [pid for pid in found if b"camera_program" in _command(pid)]
 
 
 def _command(pid: int) -> bytes:
