@@ -42,6 +42,29 @@ ENV MPLCONFIGDIR=/tmp
 ENV STATE_DIRECTORY=/var/lib/decklander
 WORKDIR /var/lib/decklander
 USER decklander
+# What BlueOS reads of an extension. It starts the container by the permissions, which are the engine's own interface for that: as
+# root without capabilities, since it makes the folder of the settings as root. The page is https, with a token.
+LABEL version="1.0.0"
+LABEL type="device-integration"
+LABEL requirements="core >= 1.1"
+LABEL tags='["navigation", "camera", "landing"]'
+LABEL authors='[{"name": "The authors of Decklander", "email": ""}]'
+LABEL company='{"name": "Decklander", "about": "Lands a copter on a moving ship with one camera", "email": ""}'
+LABEL permissions='{ \
+  "Cmd": ["run", "--config", "/var/lib/decklander/rig.toml"], \
+  "User": "0:0", \
+  "Healthcheck": {"Test": ["NONE"]}, \
+  "HostConfig": { \
+    "NetworkMode": "host", \
+    "CapDrop": ["ALL"], \
+    "SecurityOpt": ["no-new-privileges:true"], \
+    "ReadonlyRootfs": true, \
+    "Tmpfs": {"/tmp": ""}, \
+    "Init": true, \
+    "DeviceCgroupRules": ["c 81:* rw"], \
+    "Binds": ["/usr/blueos/extensions/decklander:/var/lib/decklander", "/dev:/dev"] \
+  } \
+}'
 # Asks the metrics endpoint of the settings, which must be on, at its usual port.
 HEALTHCHECK --interval=10s --timeout=3s --start-period=20s --retries=3 \
   CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8480/health', timeout=2)"]

@@ -2,9 +2,11 @@
 
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import get_args
 
@@ -14,7 +16,7 @@ from companion.base.health import Health
 from companion.base.mission import ENDED, State
 from companion.parts.metrics.endpoint import families
 from companion.settings.files import CREDENTIAL
-from companion.settings.links import HttpSettings
+from companion.settings.links import HttpSettings, on_loopback
 from companion.settings.load import load
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
@@ -69,6 +71,39 @@ def test_the_service_is_built_in_two_stages_and_runs_as_nobody_special() -> None
     assert "HEALTHCHECK" in words
     assert words.index("USER") < words.index("ENTRYPOINT")
     assert not any("pip" in step.text or "venv" in step.text for step in last.steps if step.word == "RUN")
+
+
+def test_the_labels_of_blueos_start_the_service_as_its_compose_file_does() -> None:
+    """Its store reads authors, company, tags and permissions as JSON; its starter gives the last to the engine."""
+    _, last = stages((ROOT / "Dockerfile").read_text())
+    labels = dict(shlex.split(step.text)[0].split("=", 1) for step in last.steps if step.word == "LABEL")
+    assert labels["type"] in ("device-integration", "example", "theme", "other", "tool")
+    assert re.fullmatch(r"core >= \d+\.\d+", labels["requirements"])
+    assert labels["version"] == tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert {"name", "email"} == set(json.loads(labels["authors"])[0]) <= set(json.loads(labels["company"]))
+    assert all(re.fullmatch("[a-z0-9-]+", tag) for tag in json.loads(labels["tags"]))
+    permissions = json.loads(labels["permissions"])
+    host = permissions["HostConfig"]
+    lines = re.findall(r"^    (\w+): (\S.*)$", (COMPOSE / "blueos.yaml").read_text(), re.MULTILINE)
+    service = {key: json.loads(value) for key, value in lines}
+    assert (service["command"], service["user"]) == (permissions["Cmd"], permissions["User"])
+    assert (service["network_mode"], service["read_only"], service["init"]) == (
+        host["NetworkMode"],
+        host["ReadonlyRootfs"],
+        host["Init"],
+    )
+    assert (service["cap_drop"], service["security_opt"]) == (host["CapDrop"], host["SecurityOpt"])
+    assert (service["volumes"], service["device_cgroup_rules"]) == (host["Binds"], host["DeviceCgroupRules"])
+    assert service["tmpfs"] == list(host["Tmpfs"])
+    assert service["healthcheck"]["disable"] is (permissions["Healthcheck"] == {"Test": ["NONE"]})
+    command, *words = permissions["Cmd"]
+    (state,) = [step.text.partition("=")[2] for step in last.steps if step.text.startswith("STATE_DIRECTORY=")]
+    assert (command, words) == ("run", ["--config", f"{state}/rig.toml"])
+    rig = load(COMPOSE / "blueos.toml")
+    assert state in [bind.split(":")[1] for bind in host["Binds"]]
+    assert rig.fault() is None
+    assert rig.http.page
+    assert not on_loopback(rig.http.host)
 
 
 def test_the_rig_of_compose_fits_its_services() -> None:
