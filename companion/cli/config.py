@@ -4,6 +4,7 @@ import argparse
 import re
 import sys
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
 from companion.cli.options import option
@@ -20,7 +21,7 @@ from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.total_table import next_states
 
-DESCRIPTION = "Check, show or explain settings."
+DESCRIPTION = "Check, show, import or explain settings."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,6 +38,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "show", help="print a settings file with every default", description="Print a settings file with every default."
     )
     option(show, "file FILE", names)
+    imports = actions.add_parser(
+        "import",
+        help="make a settings file of another landing program's",
+        description="Make a settings file of another landing program's, with a pad file beside it. Read are vision_landing.conf "
+        "and the JSON of two extensions of BlueOS, rmackay9's and Wingxtra's. Each key that is not taken is printed.",
+    )
+    option(imports, "foreign FILE", "the other program's file", type=Path)
+    option(imports, "--out FILE", "settings file to write (.toml)", required=True, type=Path)
+    option(imports, "--tag-mm MM", "side of the tag's dark square, where the file does not say it", type=float)
     schema = actions.add_parser(
         "schema",
         help="print the JSON Schema of settings files or MQTT messages",
@@ -70,6 +80,12 @@ def run(args: argparse.Namespace) -> int:
             sys.stdout.write(f"{file}: good{not_checked(unchecked)}\n")
             for line in remarks(settings):
                 sys.stdout.write(f"{file}: {line}\n")
+    elif args.action == "import":
+        from companion.cli.config_import import write  # a pad's tags need OpenCV, and the other actions do not
+
+        tag_m = None if args.tag_mm is None else args.tag_mm / 1000.0
+        left = write(args.foreign, args.out, tag_m)
+        sys.stdout.write(f"{args.out}: written\n" + "".join(f"{args.foreign}: {line}\n" for line in left))
     elif args.action == "show":
         sys.stdout.write(schema.toml(load(args.file)))
     elif args.action == "schema":

@@ -121,6 +121,17 @@ def board(
         ]
     else:
         regions, remarks = _by_poses(text, where, family, target, half)
+    return painted(regions, name, where, sheet_m, remarks)
+
+
+def painted(
+    regions: Sequence[PaintedFiducial], name: str, where: str, sheet_m: tuple[float, float] | None, remarks: list[str]
+) -> Board:
+    """Return tags on a sheet, with a remark if the sheet is not known.
+
+    Raises:
+        BadInput: there is none, or an id is unknown.
+    """
     if not regions:
         raise BadInput(f"{where}: it has no tags")
     for i, region in enumerate(regions):
@@ -129,8 +140,8 @@ def board(
         x, y = np.abs([quiet_square(region) for region in regions]).max(axis=0).reshape(2, 2).max(axis=1).tolist()
         sheet_m = round(2.0 * _SHEET * y, 3), round(2.0 * _SHEET * x, 3)
         remarks.append(
-            f"the sheet is not in the file: {sheet_m[0]:g} x {sheet_m[1]:g} m is taken. Measure it across and along, and import "
-            "with --size-mm: one that is a few percent off makes the range as wrong"
+            f"the sheet is not in the file: {sheet_m[0]:g} x {sheet_m[1]:g} m is taken. Measure it across and along, for "
+            "--size-mm of pad import or the pad's panel: one that is a few percent off makes the range as wrong"
         )
     panel = {"shape": "panel", "paint": "white", "length_m": sheet_m[1], "width_m": sheet_m[0]}
     tags = [{"shape": "fiducial", **msgspec.structs.asdict(region)} for region in regions]
