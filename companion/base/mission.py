@@ -33,6 +33,7 @@ class ReasonCause(Enum):
     REACHED = "contact: by sight and what was reckoned since, the feet are {measured:.2f} m over the deck"
     PRESSED = "pressed on for {measured:.1f} s"
     HIGH_ENOUGH = "{measured:.1f} m over the deck"
+    STAYED = "stayed over the pad for {measured:.0f} s (limit {limit:g} s)"
     VESSEL_FAR = "the vessel was {measured:.0f} m away"
     VESSEL_AWAY = "the vessel is {measured:.0f} m away"
     VESSEL_NEAR = "at the hold-off point, {measured:.0f} m from the pad"
@@ -179,6 +180,7 @@ class State(Enum):
     RENDEZVOUS = "rendezvous"
     SEARCH = "search"
     INTERCEPT = "intercept"
+    STAY = "stay over the pad"
     DESCEND = "descend"
     GATE = "gate"
     COMMIT = "commit"
@@ -210,6 +212,7 @@ class Event(Enum):
     """The vehicle's mode is no longer the one in which it obeys: a failsafe or a person has it."""
     ABORT = "abort ordered"
     PAUSE = "pause ordered"
+    STAY = "stay ordered"
     BEGIN = "landing ordered"
     OTHER_PAD = "another pad seen"
     CONTACT = "contact"
@@ -253,7 +256,7 @@ ENDED = frozenset({State.LANDED, State.LANDED_BY_OTHERS, State.TAKEN, State.EMER
 """States that end a flight; the next one begins when the vehicle has stood and flies again."""
 FLOWN = frozenset(State) - GROUND - ENDED - {State.READY, State.PAUSED}
 """States in which the machine flies a landing."""
-DESCENDS = frozenset({State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN})
+DESCENDS = frozenset({State.INTERCEPT, State.STAY, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN})
 """States in which the drone may be commanded to come nearer to the deck."""
 CONTACT_INTENDED = frozenset({State.COMMIT, State.PRESS, State.DOWN})
 """States in which the drone may touch the deck with its motors turning."""

@@ -23,6 +23,8 @@ class OperatorOrder(Enum):
     """Hover in place until BEGIN."""
     TAKE_OFF = "takeoff"
     """Leave the ground and hover; call off a landing that a person ordered."""
+    STAY = "stay"
+    """Fly over the pad, wait there at a height and follow the ship; no landing begins by it."""
     BEGIN = "begin"
     """Begin the automatic landing, or resume it."""
     RELEASE = "release"

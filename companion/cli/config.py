@@ -132,13 +132,13 @@ def _graph() -> Iterator[str]:
     yield from (
         "```",
         "",
-        "Left out are the operator's pause and abort, and the vehicle's reports that it stands or cut its motors.",
+        "Left out are the operator's pause, stay and abort, and the vehicle's reports that it stands or cut its motors.",
         "",
     )
 
 
 _PLACES = re.compile(r"\{[^}]*\}")
-_ALWAYS = (Event.PAUSE, Event.ABORT, Event.GROUNDED, Event.GROUNDED_BY_OTHERS)
+_ALWAYS = (Event.PAUSE, Event.STAY, Event.ABORT, Event.GROUNDED, Event.GROUNDED_BY_OTHERS)
 
 
 def _states() -> Iterator[str]:

@@ -53,6 +53,7 @@ KEYS: dict[str, OperatorOrder] = {
     "t": OperatorOrder.TAKE_OFF,
     "l": OperatorOrder.LAND,
     "b": OperatorOrder.BEGIN,
+    "p": OperatorOrder.STAY,
     "x": OperatorOrder.ABORT,
     " ": OperatorOrder.HOLD,
     "c": OperatorOrder.CLEAR,
@@ -60,7 +61,8 @@ KEYS: dict[str, OperatorOrder] = {
 }
 HELP = (
     "m take or give back the hand   w/s up, down   a/d turn   arrows move   +/- faster, slower",
-    "t take off   l land   b begin the landing   x abort it   c pad is clear   space hold   E E cut the motors   R reset   q end",
+    "t take off   l land   p stay over the pad   b begin the landing   x abort it   c pad is clear",
+    "space hold   E E cut the motors   R reset   q end",
 )
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
 _KEY = re.compile(r"\x1b[\[O][0-9;]*([A-Z~])|\x1b|.", re.DOTALL)
@@ -188,7 +190,13 @@ class _Keyboard:
         finally:
             self._asking = False
         self.say(f"{order.value}: {answer.text}")
-        if answer.accepted and order in (OperatorOrder.HOLD, OperatorOrder.LAND, OperatorOrder.BEGIN, OperatorOrder.EMERGENCY):
+        if answer.accepted and order in (
+            OperatorOrder.HOLD,
+            OperatorOrder.LAND,
+            OperatorOrder.STAY,
+            OperatorOrder.BEGIN,
+            OperatorOrder.EMERGENCY,
+        ):
             self._hand = False
         return answer.accepted
 
@@ -237,6 +245,7 @@ ORDERS = {
         OperatorOrder.TAKE_OFF,
         OperatorOrder.HOLD,
         OperatorOrder.LAND,
+        OperatorOrder.STAY,
         OperatorOrder.BEGIN,
         OperatorOrder.ABORT,
         OperatorOrder.EMERGENCY,

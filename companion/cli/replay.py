@@ -62,7 +62,7 @@ class _Deaf:
     def start(self) -> str | None:
         return _REFUSAL
 
-    pause = abort = clear = start
+    stay = pause = abort = clear = start
 
     def steer_by(self, path: PathName) -> str | None:
         return f"{_REFUSAL}, not even of {path}"

@@ -41,11 +41,13 @@ class FlightMemory(Struct, frozen=True):
     """Least height over the deck; None if it is not known."""
     modes: tuple[str, ...] = ()
     """Modes of a vehicle that nobody has taken since; empty where modes do not say who has it."""
+    stays: bool = False
+    """The order was to stay over the pad, not to land."""
 
 
 def memory_of(p: Progress, s: GuidanceCycle) -> FlightMemory:
     """Return what to keep of a guidance cycle."""
-    return FlightMemory(s.at, p.state.name, p.begun, height_m(p, s))
+    return FlightMemory(s.at, p.state.name, p.begun, height_m(p, s), stays=p.stays)
 
 
 def resumed_by(memory: FlightMemory | None, now: MonoNs, mode: str) -> Event | None:
@@ -68,7 +70,7 @@ def carried_on(p: Progress, memory: FlightMemory, now: MonoNs, *, taken: bool) -
     Args:
         taken: whether a person has the vehicle, so that nothing is requested any more.
     """
-    p = replace(p, begun=memory.begun and not taken)
+    p = replace(p, begun=memory.begun and not taken, stays=memory.stays)
     if memory.height_m is None:
         return p
     return replace(p, seen_height_m=max(0.0, memory.height_m - _NEARER_M_S * seconds_between(memory.at, now)))

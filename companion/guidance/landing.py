@@ -80,6 +80,7 @@ _PLAIN = (
     State.PAUSED,
     State.SEARCH,
     State.INTERCEPT,
+    State.STAY,
     State.DESCEND,
     State.COMMIT,
     State.PRESS,
@@ -226,6 +227,9 @@ class LandingGuidance:
             return Reason(ReasonCause.VESSEL_AWAY, self._vessel.distance_m).text
         if self.mission.state is State.INTERCEPT and self._thing is not None:
             return self._thing.text
+        ended = self.mission.reason
+        if self.mission.state is State.PAUSED and ended is not None and ended.cause is ReasonCause.STAYED:
+            return ended.text
         if self.mission.state in _PLAIN:
             return "" if (late := self._late_video()) is None or self.mission.state not in FLOWN else late.text
         why = self.mission.fault if self.mission.state in _FAULTED else self.mission.reason
@@ -247,7 +251,7 @@ class LandingGuidance:
 
     def order(self, event: Event) -> None:
         """Take an order of the operator."""
-        if event is Event.BEGIN:
+        if event in (Event.BEGIN, Event.STAY):
             self._vessel_track = self._vessel_track.restarted()
             self._flight.climb_watch = ClimbWatch()
             # What refused it for late answers flies by no tilt any more, by which its answers could be seen to be in time.

@@ -220,6 +220,11 @@ class Pilot:
         self.landing.order(Event.BEGIN)
         self.engage()
 
+    def stay(self) -> None:
+        """Fly over the pad for the operator and wait there; `begin` lands."""
+        self.landing.order(Event.STAY)
+        self.engage()
+
     def pause(self) -> None:
         """Hold still for the operator until `begin` is called."""
         self.landing.order(Event.PAUSE)

@@ -21,6 +21,8 @@ class Operated(Protocol):
 
     def start(self) -> str | None: ...
 
+    def stay(self) -> str | None: ...
+
     def pause(self) -> str | None: ...
 
     def abort(self) -> str | None: ...
@@ -68,6 +70,10 @@ class PilotOperator:
     def start(self) -> str | None:
         """Begin the approach, or resume it."""
         return self.order(OperatorOrder.BEGIN)
+
+    def stay(self) -> str | None:
+        """Fly over the pad and wait there until `start`."""
+        return self.order(OperatorOrder.STAY)
 
     def pause(self) -> str | None:
         """Hover until `start`."""

@@ -335,6 +335,10 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     ] = "signal"
     rate_hz: Annotated[float, number("rate of guidance cycles", "Hz", 5.0, 200.0, "controller of the thesis: 100 Hz")] = 50.0
     stale_after_s: Annotated[float, number("age of the newest sighting above which the drone hovers", "s", 0.05, 10.0)] = 0.5
+    stay_height_m: Annotated[
+        float, number("height over the pad at which it waits by the order stay", "m", 0.5, 30.0, public=True)
+    ] = 3.0
+    stay_s: Annotated[float, number("longest wait there; after it the drone holds where it is", "s", 1.0, 36000.0)] = 600.0
     land_timeout_s: Annotated[
         float,
         number("longest time from the land command to the landing; after it the drone goes around", "s", 1.0, 120.0),

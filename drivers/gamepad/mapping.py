@@ -17,7 +17,7 @@ from estimator.contracts.keys import CheckedOptions, choice, number, text
 from estimator.contracts.time import MonoNs, seconds_between
 
 Stick = Literal["climb", "turn", "forward", "right"]
-ButtonOrder = Literal["takeoff", "land", "emergency", "reset", "manual", "begin", "abort", "hold"]
+ButtonOrder = Literal["takeoff", "land", "emergency", "reset", "manual", "begin", "stay", "abort", "hold"]
 STICKS: tuple[Stick, ...] = get_args(Stick)
 _BOUNCE_S = 0.08
 """A button that is pressed again within this time bounced."""

@@ -236,11 +236,11 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
     """A person takes over; after `for_s`, or by order begin, he gives the vehicle back and lets guidance begin again."""
 
     order: Annotated[
-        Literal["hold", "manual", "abort", "land", "emergency", "begin", "clear", "mode", "disarm"],
+        Literal["hold", "manual", "abort", "land", "emergency", "begin", "stay", "clear", "mode", "disarm"],
         choice(
             "hold in place, fly by hand with the sticks below, end the landing and hover, land where the vehicle is, cut the "
-            "motors; give it back and let guidance begin; say that the pad is clear; or, beside an autopilot, switch it by "
-            "remote control to its mode that holds, or disarm it"
+            "motors; give it back and let guidance begin, or stay over the pad; say that the pad is clear; or, beside an "
+            "autopilot, switch it by remote control to its mode that holds, or disarm it"
         ),
     ] = "hold"
     forward: Annotated[float, number("stick forward, with manual", "1", -1.0, 1.0)] = 0.0
@@ -253,7 +253,7 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
             raise ValueError(f"forward, right, climb and turn are sticks: they go with order manual, not with {self.order}")
         if self.order in ("abort", "land", "emergency", "disarm") and self.for_s is not None:
             raise ValueError(f"for_s does not go with {self.order}, which ends the flight")
-        if self.order in ("begin", "clear") and self.for_s is not None:
+        if self.order in ("begin", "stay", "clear") and self.for_s is not None:
             raise ValueError(f"for_s does not go with {self.order}, after which guidance flies on")
 
     @property

@@ -19,7 +19,7 @@ HANDS_ON = ("manual", "land", "emergency", *BY_REMOTE)
 """Acts after which the flight is the person's, until he gives it back."""
 STOPS = ("emergency", "disarm")
 """Acts that stop the motors wherever the vehicle is."""
-GIVES_BACK = ("begin", "release", "takeoff", "reset")
+GIVES_BACK = ("begin", "stay", "release", "takeoff", "reset")
 OBEYED_S = 0.3
 """Longest time in which an act is obeyed: a person's own time of reaction."""
 

@@ -39,6 +39,12 @@ def test_a_landing_goes_on_and_a_person_s_hold_stays_one(state: State, begun: bo
     assert loop.pilot.landing.mission.begun is (then is State.SEARCH or (begun and then is not State.READY))
 
 
+def test_a_service_that_comes_back_stays_over_the_pad_where_that_was_the_order() -> None:
+    for state in (State.STAY, State.HOLD_BLIND, State.SEARCH):
+        assert back(FlightMemory(ns(100.0), state.name, True, 3.0, stays=True)).pilot.landing.mission.stays
+    assert not back(FlightMemory(ns(100.0), "STAY", True, 3.0)).pilot.landing.mission.stays
+
+
 @pytest.mark.parametrize(
     ("memory", "more"),
     [
@@ -100,14 +106,9 @@ def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_the_ne
 @pytest.mark.parametrize(
     "text",
     [
-        b"",
-        b"{",
-        b"[1]",
-        b'{"boot": 1}',
-        b"\xff" * 9000,
-        b'{"boot": "b", "vehicle": "v", "memory": {}}',
+        b"", b"{", b"[1]", b'{"boot": 1}', b"\xff" * 9000, b'{"boot": "b", "vehicle": "v", "memory": {}}',
     ],
-)
+)  # fmt: skip
 def test_a_file_with_a_fault_is_named_and_not_used(text: bytes, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "flight").write_bytes(text)
     pilot = Loop().pilot

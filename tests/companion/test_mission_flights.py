@@ -30,6 +30,8 @@ from estimator.contracts.geometry import F64, wrap_pi
 from tests.make import change, deck, estimate, ns, status
 
 DT = 0.05
+KINDS = ("fresh", "fresh", "gate", "none", "stale", "inconsistent", "another")
+ACTS = (None, Event.STAY, Event.STAY, Event.BEGIN, Event.PAUSE, "taken", "given back")
 WAY_DOWN = [State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN]
 
 
@@ -297,6 +299,60 @@ def test_until_a_landing_is_requested_nothing_but_the_vehicles_own_hover_is_comm
     assert isinstance(mission_step(take_status(stands, status(0.2, True), o)[0], s, o)[1], Hover)
 
 
+@pytest.mark.parametrize("mission", ["cone", "thesis"])
+def test_it_stays_over_a_pad_that_moves_until_begin_lands_or_its_time_ends_in_a_hold(mission: str) -> None:
+    moves = {"pad_v": (0.8, 0.3, 0.0), "response": None, "over_ground": True}
+    flight = PointFlight([3.0, 1.0, 6.0], replace(guided(mission), stay_height_m=2.5, stay_s=400.0), **moves)
+    flight.order(Event.STAY)
+    flight.run(300.0)
+    assert flight.states == [State.INTERCEPT, State.STAY], "longer than a landing may take"
+    stayed = [d for t, d, *_ in flight.rows if t > 20.0]
+    assert max(math.hypot(*d[:2]) for d in stayed) < 0.6
+    assert {round(float(d[2]), 1) for d in stayed} == {2.5}
+    flight.sight = lambda t, d: not 305.0 < t < 307.0
+    flight.run(20.0)
+    assert flight.states[2:] == [State.HOLD_BLIND, State.STAY]
+    also = PointFlight([0.2, 0.0, 2.5], replace(guided(mission), stay_height_m=2.5, stay_s=30.0), **moves)
+    also.order(Event.STAY)
+    assert also.run(60.0).progress.state is State.PAUSED
+    assert causes(also, State.PAUSED) == [ReasonCause.STAYED]
+    flight.battery = 0.09
+    assert flight.run(1.0).progress.state is State.REFUSED
+    flight.order(Event.BEGIN)
+    assert mission == "thesis" or flight.run(60.0).progress.state is State.LANDED
+
+
+@pytest.mark.hazard("H6")
+@settings(max_examples=80)
+@given(
+    acts=st.lists(st.tuples(st.sampled_from(ACTS), st.sampled_from(KINDS), st.integers(1, 40)), min_size=1, max_size=14),
+    mission=st.sampled_from(["cone", "thesis"]),
+)
+def test_no_order_to_stay_begins_a_landing_whatever_is_seen_or_taken(acts: Any, mission: str) -> None:
+    o = guided(mission, tries={"another_pad": "automatic", "another_pad_s": 1.0})
+    p, _ = take_status(Progress.start(automatic=True), status(0.0, True), o)
+    t, track, ordered = 0.0, 1, False
+    for act, kind, ticks in acts:
+        if isinstance(act, Event):
+            p, _ = take_order(p, act, ns(t), o)
+            ordered = act is Event.STAY or (ordered and act is Event.PAUSE)
+        elif act is not None:
+            given = replace(status(t + 0.01, True), taken="mode stabilize" if act == "taken" else None)
+            p, _ = take_status(p, given, o, resumes=True)
+        track += kind == "another"
+        for _ in range(ticks):
+            t += 0.1
+            where = (0.01, 0.0, 0.3) if kind == "gate" and p.state is not State.INTERCEPT else (0.1, 0.0, 2.4)
+            known = {"age": 2.0} if kind == "stale" else {}
+            seen = None if kind == "none" else estimate(t, where, track=track, **known)
+            p, aim, _ = mission_step(p, GuidanceCycle(ns(t), Knowledge(ns(t), seen)), o)
+            if ordered:
+                assert p.state not in DESCENDS - {State.INTERCEPT, State.STAY}
+                assert not isinstance(aim, Land)
+                if p.state is State.STAY and isinstance(aim, Target):
+                    assert aim.d_body_pad_level[2] >= o.stay_height_m
+
+
 def test_no_contact_that_nobody_felt_stops_the_motors_of_a_cone() -> None:
     flight = PointFlight([0.0, 0.0, 1.0], feels=False, sight=lambda t, d: True).run(12)
     assert State.PRESS not in flight.states
@@ -308,7 +364,6 @@ def test_no_contact_that_nobody_felt_stops_the_motors_of_a_cone() -> None:
 
 
 SHORT = guided(tries={"search_s": 10.0, "landing_s": 25.0, "try_s": 12.0, "leg_s": 8.0, "operator_wait_s": 6.0})
-KINDS = ("fresh", "fresh", "gate", "none", "stale", "inconsistent", "another")
 
 
 def tail_s(o: GuidanceOptions) -> float:

@@ -50,9 +50,14 @@ def breach(name: str, state: State, event: Event) -> str:
         or state in DESCENDS
         or event is Event.CONTACT
         or (target is State.INTERCEPT and event in (Event.SIGHT, Event.CLEAR)),
+        "an order to stay leads up, over the pad, or to a search": event is not Event.STAY
+        or target in (State.WAIT, State.SEARCH, State.INTERCEPT, State.GO_AROUND),
+        "what stays goes down by no way of its own": state is not State.STAY
+        or target not in DESCENDS
+        or (event, target) == (Event.OUT_OF_CONE, State.INTERCEPT),
         "an end is left by a take-off, the operator or a battery that ends": state not in ENDED
         or event is Event.TAKEN_OFF
-        or (event is Event.BEGIN and state in AGAIN)
+        or (event in (Event.BEGIN, Event.STAY) and state in AGAIN)
         or (event is Event.BATTERY_ENDS and state in (State.REFUSED, State.GAVE_UP)),
         "the ground is left by a take-off": state not in GROUND or target in GROUND | ENDED or event is Event.TAKEN_OFF,
     }
@@ -71,7 +76,8 @@ def test_the_operators_hand_wins_in_every_state_of_the_flight(name: str) -> None
         assert table[state][Event.ABORT] is State.ABORTED
         assert table[state][Event.PAUSE] is State.PAUSED
     for state in (State.READY, State.PAUSED, State.ANOTHER_PAD, *AGAIN):
-        assert table[state][Event.BEGIN] is State.SEARCH
+        assert table[state][Event.BEGIN] is table[state][Event.STAY] is State.SEARCH
+    assert table[State.STAY][Event.BEGIN] is State.SEARCH
     for state in ENDED:
         assert table[state][Event.ABORT] is state
 
@@ -207,7 +213,7 @@ def test_whoever_takes_the_vehicle_is_the_outcome_until_it_is_given_back() -> No
 
 NO_FAULT = {
     ReasonCause.VEHICLE_FLIES, ReasonCause.OPERATOR, ReasonCause.AUTOMATIC, ReasonCause.PAD_SEEN, ReasonCause.ARRIVED,
-    ReasonCause.OUT_OF_CONE, ReasonCause.LOW_ENOUGH, ReasonCause.ALL_LIMITS_HOLD, ReasonCause.FELT,
+    ReasonCause.OUT_OF_CONE, ReasonCause.LOW_ENOUGH, ReasonCause.ALL_LIMITS_HOLD, ReasonCause.FELT, ReasonCause.STAYED,
     ReasonCause.HELD_UP, ReasonCause.PRESSED, ReasonCause.HIGH_ENOUGH, ReasonCause.VESSEL_FAR, ReasonCause.VESSEL_AWAY,
     ReasonCause.VESSEL_NEAR, ReasonCause.REACHED, ReasonCause.GIVEN_BACK, ReasonCause.RESTARTED,
 }  # fmt: skip

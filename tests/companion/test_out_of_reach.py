@@ -164,14 +164,10 @@ def test_what_a_person_holds_moves_by_a_witness_alone(state: State) -> None:
 @pytest.mark.parametrize(
     ("age_s", "range_m", "height_m", "alerts", "climbs"),
     [
-        (20.0, 5.0, 5.1, (), False),
-        (20.0, 5.0, 3.9, (), True),
-        (20.0, 6.0, 4.5, (), True),
-        (20.0, None, 5.1, (), True),
-        (0.0, None, 5.1, (), False),
-        (20.0, 5.0, 5.1, (IntegrityAlert.RANGE,), True),
+        (20.0, 5.0, 5.1, (), False), (20.0, 5.0, 3.9, (), True), (20.0, 6.0, 4.5, (), True), (20.0, None, 5.1, (), True),
+        (0.0, None, 5.1, (), False), (20.0, 5.0, 5.1, (IntegrityAlert.RANGE,), True),
     ],
-)
+)  # fmt: skip
 def test_a_refused_drone_climbs_no_further_where_range_and_estimate_agree_that_it_is_high(
     age_s, range_m, height_m, alerts, climbs
 ):

@@ -51,7 +51,7 @@ def over_the_pad(d: F64, yaw_rad: float) -> tuple[float, float]:
 
 
 def test_what_may_descend_is_named_and_nothing_else_does_however_good_the_sight() -> None:
-    down, descends = Lean(np.ones(2), np.zeros(2), np.array([0.0, 0.0, 0.5]), 0.0), set(WAY_DOWN)
+    down, descends = Lean(np.ones(2), np.zeros(2), np.array([0.0, 0.0, 0.5]), 0.0), {State.STAY, *WAY_DOWN}
     fit, old = (GuidanceCycle(ns(NOW), known(age=age)) for age in (0.0, 9.0))
     for s, o, may in (
         (fit, guided(), descends), (fit, guided("thesis"), descends | {State.INTERCEPT}), (old, guided(), {State.PRESS}),
@@ -397,14 +397,10 @@ def commands(down_m_s: float) -> tuple[Velocity, Lean]:
 @pytest.mark.parametrize(
     ("deck_m_s", "fit", "over_ground", "velocity_m_s", "lean_m_s"),
     [
-        (0.2, True, False, 0.2, 0.2),
-        (0.2, True, True, 0.0, 0.2),
-        (0.2, False, False, 0.0, 0.0),
-        (0.9, True, False, 0.5, 0.5),
-        (-0.3, True, False, 0.0, 0.0),
-        (None, True, False, 0.0, 0.0),
+        (0.2, True, False, 0.2, 0.2), (0.2, True, True, 0.0, 0.2), (0.2, False, False, 0.0, 0.0),
+        (0.9, True, False, 0.5, 0.5), (-0.3, True, False, 0.0, 0.0), (None, True, False, 0.0, 0.0),
     ],
-)
+)  # fmt: skip
 def test_nothing_goes_down_but_with_a_deck_that_is_known_to_fall(deck_m_s, fit, over_ground, velocity_m_s, lean_m_s):
     s = falling(deck_m_s, over_ground=over_ground)
     for command, rate in zip(commands(0.5), (velocity_m_s, lean_m_s), strict=True):

@@ -9,6 +9,7 @@ from companion.settings.load import load
 from estimator.contracts.commands import Land, Lean, Velocity
 from sitl.faults.kinds import KIND_OF_STREAM, LensCovered, StreamFault
 from sitl.flight.flight import Flight
+from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load as load_scenario
 from tests.fly import ObservedCalls, fly_for, land, new_flight
 from tests.make import change
@@ -55,6 +56,22 @@ def test_it_lands_after_the_lens_was_covered_for_a_while_in_which_it_never_sank_
     assert result.on_pad
     assert result.frames.total() == len(calls.frames), "every frame is counted"
     assert "go around" in {d.phase for d in calls.decisions}
+
+
+def test_it_stays_over_the_pad_of_a_ship_in_sea_state_4_until_a_person_begins_the_landing() -> None:
+    scenario = load_scenario("stay")
+    flight, aside_m, heights_m = new_flight(scenario, 2, level="model", settings=settings_for(scenario, None)), [0.0], [3.0]
+    while flight.step():
+        truth = flight.world.truth()
+        if 9.0 < (truth.at - flight.world.started) * 1e-9 < 29.9:
+            assert flight.world.guidance_phase == State.STAY.value
+            aside_m.append(float(np.hypot(*truth.d_body_pad_level[:2])))
+            heights_m.append(float(truth.d_body_pad_level[2]))
+    print(f"20.9 s within {max(aside_m):.2f} m of the axis, {min(heights_m):.2f} to {max(heights_m):.2f} m over the deck")
+    assert max(aside_m) < 0.5
+    assert min(heights_m) > 2.7
+    assert max(heights_m) < 4.0
+    assert flight.result().on_pad
 
 
 class Errors(NullObserver):

@@ -22,6 +22,9 @@ class FakeOperator:
     def start(self) -> str | None:
         return self._do("start")
 
+    def stay(self) -> str | None:
+        return self._do("stay")
+
     def pause(self) -> str | None:
         return self._do("pause")
 

@@ -176,6 +176,9 @@ class Guidance:
         self.outcome, self.paused, self.command = None, False, self.resumed
         self.take_back()
 
+    def stay(self) -> None:
+        self.begin()
+
     def pause(self) -> None:
         self.paused, self.command = True, Hover()
 

@@ -49,7 +49,7 @@ def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Event
 PHASES = {
     State.ANOTHER_PAD: Phase(
         "Climbing, then waiting for the operator's decision about a pad in another place.",
-        {**LANDING, Event.BEGIN: State.SEARCH, Event.TIMEOUT: State.GAVE_UP},
+        {**LANDING, Event.BEGIN: State.SEARCH, Event.STAY: State.SEARCH, Event.TIMEOUT: State.GAVE_UP},
         _events,
         note=_note,
     ),

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, rules
-from companion.guidance.mission.phase import AROUND, LANDING, Aimed, Phase, not_lower, still, turn_rad
+from companion.guidance.mission.phase import AROUND, CALLED_OFF, LANDING, Aimed, Phase, not_lower, still, turn_rad
 from companion.guidance.mission.progress import BOUNCES_MOST, GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
@@ -106,6 +106,7 @@ PHASES = {
         {
             **LANDING,
             **AROUND,
+            **CALLED_OFF,
             Event.OTHER_PAD: State.ANOTHER_PAD,
             Event.SIGHT_LOST: State.GO_AROUND,
             Event.CONTACT: State.PRESS,

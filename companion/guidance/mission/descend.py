@@ -13,21 +13,18 @@ import numpy as np
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import limits, rules, thesis
-from companion.guidance.mission.phase import TRY, Aimed, Phase, not_lower, still, turn_rad, waits_m
+from companion.guidance.mission.phase import STAYS, TRY, Aimed, Phase, not_lower, still, turn_rad, waits_m
 from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions
 from estimator.contracts.commands import Command
-from estimator.contracts.time import seconds_between
 
 INSIDE = 1.2
 """The share of the descent rate on the axis, which is limited to 1: near the axis the rate does not depend on the error."""
 _TAPER_1_S = 1.0
 """Rate per metre of height left over the gate."""
 _AT_GATE_M = 0.08
-_ENDS_S, _SANK_M = 0.4, 0.1
-"""Time that a way down takes to end at a height that is kept, and the least that the drone has sunk below that."""
 
 
 def inside(error_m: float, height_m: float, options: ConeOptions) -> bool:
@@ -50,22 +47,18 @@ def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions, ends
     return min(rate, max(ends_m_s, tapered) if tapered > 0.0 else tapered)
 
 
-def _sank(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
-    """Return that a drone which keeps its height sinks onto the deck; None while it does not."""
-    if o.mission == "thesis" or p.since is None or s.estimate is None or not rules.reaches_deck(s.estimate, s, o, _ENDS_S):
-        return None
-    sank_m = p.entered_height_m - s.estimate.height_m
-    return Reason(ReasonCause.SANK_AGAINST, sank_m, round(seconds_between(p.since, s.at), 1)) if sank_m >= _SANK_M else None
-
-
 def _over_pad(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     yield from rules.other_pad(p, s, o)
     yield from rules.try_ends(p, s, o)
-    if (limit := rules.try_over(p, s, o) or _sank(p, s, o)) is not None:
+    if (limit := rules.try_over(p, s, o) or rules.sank(p, s, o)) is not None:
         yield Event.LIMIT, limit
     yield from rules.time_over(p.attempt.spent_s.get(p.state, 0.0), o.tries.leg_s, s.thing)
     if (estimate := rules.fit_estimate(p, s, o)) is None:
         yield from rules.sight_lost(p, s, o)
+    elif p.stays:
+        error_m = limits.beside_m(estimate, s.knowledge)
+        if inside(error_m, estimate.height_m, o.cone):
+            yield Event.ARRIVED, Reason(ReasonCause.ARRIVED, error_m, limits.radius_m(estimate.height_m, o.cone))
     elif o.mission == "thesis":
         yield from thesis.over_pad(s, o, estimate)
     else:
@@ -130,11 +123,16 @@ def _allows(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions)
 
 PHASES = {
     State.INTERCEPT: Phase(
-        "Flying over the pad at height.", {**TRY, Event.IN_CONE: State.DESCEND}, _over_pad, _aim_over, rules.spend, _allows
+        "Flying over the pad at height.",
+        {**TRY, Event.IN_CONE: State.DESCEND, Event.ARRIVED: State.STAY},
+        _over_pad,
+        _aim_over,
+        rules.spend,
+        _allows,
     ),
     State.DESCEND: Phase(
         "Descending in the cone over the pad.",
-        {**TRY, Event.OUT_OF_CONE: State.INTERCEPT, Event.AT_GATE: State.GATE},
+        {**TRY, **STAYS, Event.OUT_OF_CONE: State.INTERCEPT, Event.AT_GATE: State.GATE},
         _down,
         _aim_down,
         rules.spend,

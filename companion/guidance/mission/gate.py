@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, rules, thesis
-from companion.guidance.mission.phase import TRY, Aimed, Phase, agreed, not_lower, still, turn_rad, waits_m
+from companion.guidance.mission.phase import STAYS, TRY, Aimed, Phase, agreed, not_lower, still, turn_rad, waits_m
 from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
@@ -111,7 +111,7 @@ def _allows(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions)
 PHASES = {
     State.GATE: Phase(
         "Following the deck just above it until every limit holds.",
-        {**TRY, Event.CONTACT: State.PRESS, Event.OUT_OF_CONE: State.DESCEND, Event.GATE_OPEN: State.COMMIT},
+        {**TRY, **STAYS, Event.CONTACT: State.PRESS, Event.OUT_OF_CONE: State.DESCEND, Event.GATE_OPEN: State.COMMIT},
         _events,
         _aim,
         _note,

@@ -3,7 +3,8 @@
 Theory of operation
 -------------------
 **Phases.** A landing is a way down a chain of states, each with one purpose. SEARCH and RENDEZVOUS find the pad (`search`).
-INTERCEPT brings the drone over it and DESCEND down the cone (`descend`). GATE is the last place to wait: it follows the deck
+INTERCEPT brings the drone over it and DESCEND down the cone (`descend`); where a person ordered to stay, STAY waits
+there instead (`stay`). GATE is the last place to wait: it follows the deck
 until every limit holds (`gate`). COMMIT goes down to the deck (`commit`), PRESS and DOWN keep it there and stop the motors
 (`press`). Three states lead back: HOLD_BLIND waits for a lost sight (`hold_blind`), GO_AROUND climbs to begin again
 (`go_around`), ANOTHER_PAD asks (`another_pad`). In all others no landing is flown (`waiting`). `thesis` has what differs in the
@@ -52,6 +53,7 @@ from companion.guidance.mission import (
     out_of_reach,
     press,
     search,
+    stay,
     thesis,
     waiting,
 )
@@ -68,7 +70,7 @@ from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.contracts.total_table import total
 
-_STATES = (waiting, search, descend, gate, commit, press, hold_blind, go_around, another_pad)
+_STATES = (waiting, search, descend, stay, gate, commit, press, hold_blind, go_around, another_pad)
 PHASES: Mapping[State, Phase] = {state: phase for file in _STATES for state, phase in file.PHASES.items()}
 _CONE: Mapping[State, Row] = {state: phase.ways for state, phase in PHASES.items()}
 TABLES: Mapping[str, Mapping[State, Row]] = MappingProxyType(
@@ -133,7 +135,10 @@ def take(p: Progress, event: Event, reason: Reason, at: MonoNs, o: GuidanceOptio
 
 
 def take_order(p: Progress, event: Event, at: MonoNs, o: GuidanceOptions) -> tuple[Progress, Transitions]:
-    """Take an order of the operator: BEGIN, PAUSE or ABORT."""
+    """Take an order of the operator: BEGIN, STAY, PAUSE or ABORT."""
+    if event in (Event.BEGIN, Event.STAY) and p.stays != (event is Event.STAY):
+        # On the way to the pad the order alone decides what follows there.
+        p = replace(p, stays=event is Event.STAY)
     return take(p, event, Reason(ReasonCause.OPERATOR), at, o)
 
 

@@ -38,6 +38,9 @@ TRY: Row = {
     Event.NO_CONDITIONS: State.GO_AROUND,
     Event.SIGHT_LOST: State.HOLD_BLIND,
 }
+STAYS: Row = {Event.STAY: State.INTERCEPT}
+CALLED_OFF: Row = {Event.STAY: State.GO_AROUND}
+"""An order to stay climbs first where the drone is on its last way to the deck."""
 
 Aim = Target | Command | None
 """Target, finished command, or None: guidance leaves the vehicle alone."""

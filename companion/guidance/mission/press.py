@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, rules, thesis
-from companion.guidance.mission.phase import AROUND, LANDING, Aimed, Phase, descending
+from companion.guidance.mission.phase import AROUND, CALLED_OFF, LANDING, Aimed, Phase, descending
 from companion.guidance.mission.progress import BOUNCES_MOST, GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
@@ -150,11 +150,13 @@ def _pressing(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOption
 PHASES = {
     State.PRESS: Phase(
         "Pressing on level after the contact.",
-        {**LANDING, **AROUND, Event.PRESSED: State.DOWN},
+        {**LANDING, **AROUND, **CALLED_OFF, Event.PRESSED: State.DOWN},
         _presses,
         _press,
         _note,
         _pressing,
     ),
-    State.DOWN: Phase("Ordering the vehicle to stop its motors, in every cycle.", {**LANDING, **AROUND}, _stops, _down),
+    State.DOWN: Phase(
+        "Ordering the vehicle to stop its motors, in every cycle.", {**LANDING, **AROUND, **CALLED_OFF}, _stops, _down
+    ),
 }

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from companion.base.mission import FLOWN, Event, Reason, ReasonCause, State, StateChange
+from companion.base.mission import DESCENDS, FLOWN, Event, Reason, ReasonCause, State, StateChange
 from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.mission.held_course import HeldCourse
 from companion.guidance.mission.wind import WindOverDrone
@@ -238,7 +238,13 @@ class Attempt(Struct, frozen=True):
 
     def again(self) -> Attempt:
         """Return the budget of the next attempt: the remaining time without sight carries over."""
-        return Attempt(without_sight_s=self.without_sight_s)
+        stayed_s: dict[State, float] = {state: s for state, s in self.spent_s.items() if state is State.STAY}
+        return Attempt(without_sight_s=self.without_sight_s, spent_s=stayed_s)
+
+    def stayed(self, now: MonoNs) -> Attempt:
+        """Return the budget after a cycle over the pad in unbroken sight: a wait there costs a landing nothing."""
+        spent_s: dict[State, float] = {State.STAY: self.spent_s.get(State.STAY, 0.0)}
+        return Attempt(now, without_sight_s=self.without_sight_s, spent_s=spent_s, with_sight_s=self.with_sight_s)
 
     def used_up(self, options: TryOptions, now: MonoNs) -> Reason | None:
         """Return what is used up, or None while nothing is."""
@@ -293,6 +299,8 @@ class Progress(Struct, frozen=True, eq=False):
     """The vehicle has stood on the ground since the flight ended."""
     begun: bool = False
     """A landing was requested in this flight."""
+    stays: bool = False
+    """The newest order of a person to fly to the pad was to stay over it: nothing goes down the cone."""
     ordered: bool = False
     """This flight has gone for the deck by our order."""
 
@@ -360,10 +368,13 @@ def entered(p: Progress, change: StateChange) -> Progress:
     )  # fmt: skip
     match change.event:
         case Event.TAKEN_OFF:
-            p = _asked(replace(_fresh(p), stood=False, ordered=False), change.at)
+            stays = p.stays and change.source is State.WAIT
+            p = _asked(replace(_fresh(p), stood=False, ordered=False, stays=stays), change.at)
         case Event.BATTERY_ENDS:
-            p = _asked(_fresh(p), change.at)
-        case Event.BEGIN:
+            p = _asked(replace(_fresh(p), stays=False), change.at)
+        case Event.STAY if change.source in DESCENDS:
+            p = _asked(replace(p, attempt=p.attempt.again()), change.at)
+        case Event.BEGIN | Event.STAY:
             p = _fresh(p)
             if change.reason.cause is not ReasonCause.AUTOMATIC:
                 p = _asked(p, change.at)

@@ -25,6 +25,8 @@ _SPENT_WAIT_S = 8.0
 """Time for which it waits out of sight where the lean takes all of the tilt, s: the gust may pass, but the drone is blown off."""
 _WIND_DWELL_S = 2.0
 """Time for which the wind must be too strong before anything is done about it, s."""
+_ENDS_S, _SANK_M = 0.4, 0.1
+"""Time that a way down takes to end at a height that is kept, and the least that the drone has sunk below that."""
 _DEVIATES_MOST = 0.12
 """Standard deviation of a height, m, or its rate, m/s, that counts at most: a path without the IMU hardly knows them."""
 
@@ -91,6 +93,14 @@ def reaches_deck(estimate: RelativeState | None, s: GuidanceCycle, o: GuidanceOp
     height_m = estimate.height_m - min(_DEVIATES_MOST, math.sqrt(estimate.cov.item(2, 2)))
     rises_m_s = min(_DEVIATES_MOST, math.sqrt(estimate.cov.item(5, 5))) - estimate.v_pad_level.item(2)
     return min(height_m, math.inf if s.range_m is None else s.range_m) - o.cone.feet_below_m < rises_m_s * within_s
+
+
+def sank(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    """Return that a drone which keeps its height sinks onto the deck; None while it does not."""
+    if o.mission == "thesis" or p.since is None or s.estimate is None or not reaches_deck(s.estimate, s, o, _ENDS_S):
+        return None
+    sank_m = p.entered_height_m - s.estimate.height_m
+    return Reason(ReasonCause.SANK_AGAINST, sank_m, round(seconds_between(p.since, s.at), 1)) if sank_m >= _SANK_M else None
 
 
 def windy_s(p: Progress, s: GuidanceCycle) -> float:

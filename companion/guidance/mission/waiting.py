@@ -43,13 +43,14 @@ def _refused(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
 
 
 _NEXT: Row = {Event.TAKEN_OFF: State.READY}
-_AGAIN: Row = {**_NEXT, Event.BEGIN: State.SEARCH}
+_SEARCHES: Row = {Event.BEGIN: State.SEARCH, Event.STAY: State.SEARCH}
+_AGAIN: Row = {**_NEXT, **_SEARCHES}
 _TRIES_AGAIN: Row = {**_AGAIN, Event.BATTERY_ENDS: State.SEARCH}
 
 PHASES = {
     State.STANDBY: Phase(
         "The vehicle is on the ground, or its state is unknown; no landing is ordered.",
-        {Event.BEGIN: State.WAIT, Event.TAKEN_OFF: State.READY, Event.ABORT: State.ABORTED},
+        {Event.BEGIN: State.WAIT, Event.STAY: State.WAIT, Event.TAKEN_OFF: State.READY, Event.ABORT: State.ABORTED},
     ),
     State.WAIT: Phase(
         "A landing was requested; the vehicle does not fly yet.",
@@ -57,9 +58,9 @@ PHASES = {
     ),
     State.READY: Phase(
         "Flying, in its own hover until somebody requests a landing; an autopilot stays with whoever flies it.",
-        {**FLIGHT, Event.BEGIN: State.SEARCH},
+        {**FLIGHT, **_SEARCHES},
     ),
-    State.PAUSED: Phase("Held still by the operator.", {**HELD, Event.BEGIN: State.SEARCH}, aim=still_as_ordered),
+    State.PAUSED: Phase("Held still by the operator.", {**HELD, **_SEARCHES}, aim=still_as_ordered),
     State.LANDED: Phase("The vehicle is on the ground after our order.", _NEXT),
     State.LANDED_BY_OTHERS: Phase("The vehicle is on the ground without our order.", _NEXT),
     State.REFUSED: Phase("Held still: the conditions are beyond the limits.", _TRIES_AGAIN, _battery_ends, _refused),

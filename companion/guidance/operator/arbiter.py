@@ -55,6 +55,8 @@ class Guided(Protocol):
 
     def begin(self) -> None: ...
 
+    def stay(self) -> None: ...
+
     def pause(self) -> None: ...
 
     def abort(self) -> None: ...
@@ -387,9 +389,9 @@ class OperatorArbiter:
                 # During a landing it may only end that: the motors of a vehicle that has just touched down would start.
                 begins, ends = (given, None) if control.landing is None else (None, given)
                 self._control = replace(control, take_off=begins, called_off=ends, landing=None)
-            case OperatorOrder.BEGIN:
+            case OperatorOrder.BEGIN | OperatorOrder.STAY:
                 self._control = replace(control, hand=None)
-                guided.begin()
+                (guided.begin if order is OperatorOrder.BEGIN else guided.stay)()
             case OperatorOrder.RELEASE:
                 self._control = replace(control, hand=None)
             case OperatorOrder.RESET:

@@ -23,6 +23,7 @@ RANKED = (
     OperatorOrder.ABORT,
     OperatorOrder.HOLD,
     OperatorOrder.TAKE_OFF,
+    OperatorOrder.STAY,
     OperatorOrder.BEGIN,
 )
 """The orders that command the vehicle; the first wins over all that follow."""
@@ -106,6 +107,7 @@ TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyTyp
         OperatorOrder.ABORT: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _L, _O),
         OperatorOrder.HOLD: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _L, _O),
         OperatorOrder.TAKE_OFF: _row(_U, _Y, _Y, _F, _F, _F, _H, _Y, _E),
+        OperatorOrder.STAY: _row(_T, _Y, _O, _Y, _Y, _T, _H, _L, _O),
         OperatorOrder.BEGIN: _row(_T, _Y, _O, _Y, _Y, _T, _H, _L, _O),
         OperatorOrder.RELEASE: _row(_N, _N, _N, _N, _N, _N, _H, _N, _N),
         OperatorOrder.RESET: _row(_X, _X, _X, _X, _X, _X, _X, _X, _Y),

@@ -5,6 +5,7 @@
 | command | meaning |
 |---|---|
 | NAV_LAND (21) | start the landing; IN_PROGRESS with percent until it ends |
+| NAV_LOITER_UNLIM (17) | fly over the pad and stay there; its place and radius are the pad's and the settings' |
 | DO_PAUSE_CONTINUE (193) | param1 0: hover where it is; 1: go on |
 | DO_GO_AROUND (191) | call the landing off and hover |
 | USER_1 (31010) | param1: estimator path, 0 median_mean, 1 dead_reckoning, 2 ekf, 3 constant_velocity |
@@ -391,6 +392,8 @@ class CommandServer:
             if first not in (0.0, 1.0):
                 return self._denied(f"pause or continue, not {first:g}"), []
             return self._handler(self._operator.start() if first else self._operator.pause()), []
+        if command == mav.MAV_CMD_NAV_LOITER_UNLIM:
+            return self._handler(self._operator.stay()), []
         if command == mav.MAV_CMD_DO_GO_AROUND:
             return self._handler(self._operator.abort()), []
         if command == mav.MAV_CMD_USER_1:

@@ -155,6 +155,10 @@ class StartCommand(OperatorCommand, frozen=True, kw_only=True, tag="start"):
     """Begin or resume the approach."""
 
 
+class StayCommand(OperatorCommand, frozen=True, kw_only=True, tag="stay"):
+    """Fly over the pad, and wait there until `start`."""
+
+
 class PauseCommand(OperatorCommand, frozen=True, kw_only=True, tag="pause"):
     """Hover until `start`."""
 
@@ -204,7 +208,7 @@ class ShipReport(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             raise ValueError("speed_m_s and course_deg need each other")
 
 
-Command = StartCommand | PauseCommand | AbortCommand | ClearCommand | SetPathCommand | SetRecordingCommand
+Command = StartCommand | StayCommand | PauseCommand | AbortCommand | ClearCommand | SetPathCommand | SetRecordingCommand
 
 Refusal = Literal[
     "malformed",

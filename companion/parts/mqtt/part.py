@@ -50,6 +50,7 @@ from companion.parts.mqtt.messages import (
     ShipReport,
     StartCommand,
     StatusMessage,
+    StayCommand,
     Topics,
     encode,
 )
@@ -211,6 +212,8 @@ class CommandHandler:
         match command:
             case StartCommand():
                 cannot = self.operated.start()
+            case StayCommand():
+                cannot = self.operated.stay()
             case PauseCommand():
                 cannot = self.operated.pause()
             case AbortCommand():

@@ -211,6 +211,10 @@ class Replay:
         """Hand an order on; carry out the one that shows in no phase."""
         if handled.accepted and handled.order is OperatorOrder.CLEAR:
             self._pilot.overrule()
+        elif handled.accepted and handled.order is OperatorOrder.STAY:
+            self._pilot.stay()
+        elif handled.accepted and handled.order is OperatorOrder.BEGIN and self._pilot.landing.mission.stays:
+            self._pilot.begin()
         for observer in self._observers:
             observer.on_order(handled)
 

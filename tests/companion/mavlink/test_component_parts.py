@@ -65,24 +65,13 @@ def acks(messages: list[Message]) -> list[tuple[int, int, int]]:
 @pytest.mark.parametrize(
     ("command", "params", "result", "done"),
     [
-        (193, (0,), ACCEPTED, ["pause"]),
-        (193, (1,), ACCEPTED, ["start"]),
-        (191, (), ACCEPTED, ["abort"]),
-        (31010, (0,), ACCEPTED, ["path median_mean"]),
-        (31010, (2,), ACCEPTED, ["path ekf"]),
-        (2510, (), ACCEPTED, ["record True"]),
-        (2511, (), ACCEPTED, ["record False"]),
-        (193, (7,), DENIED, []),
-        (193, (math.nan,), DENIED, []),
-        (31010, (9,), DENIED, []),
-        (31010, (0.5,), DENIED, []),
-        (400, (1,), UNSUPPORTED, []),
-        (512, (math.nan,), UNSUPPORTED, []),
-        (512, (1,), FAILED, []),
-        (511, (2, -5), DENIED, []),
-        (510, (-1,), DENIED, []),
+        (193, (0,), ACCEPTED, ["pause"]), (193, (1,), ACCEPTED, ["start"]), (17, (0, 0, 0, math.nan), ACCEPTED, ["stay"]),
+        (191, (), ACCEPTED, ["abort"]), (31010, (0,), ACCEPTED, ["path median_mean"]), (31010, (2,), ACCEPTED, ["path ekf"]),
+        (2510, (), ACCEPTED, ["record True"]), (2511, (), ACCEPTED, ["record False"]), (193, (7,), DENIED, []),
+        (193, (math.nan,), DENIED, []), (31010, (9,), DENIED, []), (31010, (0.5,), DENIED, []), (400, (1,), UNSUPPORTED, []),
+        (512, (math.nan,), UNSUPPORTED, []), (512, (1,), FAILED, []), (511, (2, -5), DENIED, []), (510, (-1,), DENIED, []),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("kind", ["long", "int"])
 def test_a_command_is_done_once_or_refused_and_answered_to_who_gave_it(command, params, result, done, kind):
     tower = FakeOperator()

@@ -126,13 +126,14 @@ async def test_a_command_is_carried_out_once_and_answered_where_it_asks(broker: 
             to = TREE + "reply/tablet-1"
             assert (await ask(command="path", path="median_mean", id="a2", reply_to=to)).accepted
             assert (await ask(command="record", on=True, id="a3", reply_to=to)).accepted
+            assert (await ask(command="stay", id="a5", reply_to=to)).accepted
             late = await ask(command="abort", id="a4", expires_ns=rig.clock.now() - 1, reply_to=to)
             assert (late.id, late.accepted, late.reason) == ("a4", False, "expired")
             rig.operator.cannot = "the flight is over: landed"
             cannot = await ask(command="pause", id="a6")
             assert (cannot.reason, cannot.text) == ("not_possible", "the flight is over: landed")
-            assert rig.operator.done == ["start", "path median_mean", "record True"]
-        assert rig.count("commands_accepted") == 3
+            assert rig.operator.done == ["start", "path median_mean", "record True", "stay"]
+        assert rig.count("commands_accepted") == 4
         assert rig.count("commands_repeated") == 1
 
 

@@ -116,14 +116,11 @@ def undisturbed(flight: Flight) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"user": "wrong"}, "ot authorized"),
-        ({"user": "wrong", "protocol": "3.1.1"}, "ot authori"),
-        ({"ca": "stranger_ca.crt"}, "CERTIFICATE_VERIFY_FAILED"),
-        ({"host": "127.0.0.2"}, "efused"),
-        ({"host": "no such host"}, ""),
-        ({"transport": "tcp"}, ""),
+        ({"user": "wrong"}, "ot authorized"), ({"user": "wrong", "protocol": "3.1.1"}, "ot authori"),
+        ({"ca": "stranger_ca.crt"}, "CERTIFICATE_VERIFY_FAILED"), ({"host": "127.0.0.2"}, "efused"),
+        ({"host": "no such host"}, ""), ({"transport": "tcp"}, ""),
     ],
-)
+)  # fmt: skip
 async def test_a_broker_that_will_not_have_us(broker: Broker, tmp_path: Path, changes: dict[str, str], said: str) -> None:
     changes = dict(changes)
     user = changes.pop("user", "drone")

@@ -43,6 +43,10 @@ class Guidance:
         self.told.append("begin")
         self.outcome, self.paused = None, False
 
+    def stay(self) -> None:
+        self.told.append("stay")
+        self.outcome, self.paused = None, False
+
     def pause(self) -> None:
         self.told.append("pause")
         self.paused = True
@@ -145,6 +149,8 @@ def test_of_two_crossing_orders_the_first_in_the_table_wins_whichever_arrives_fi
     for first, second in (
         (OperatorOrder.ABORT, OperatorOrder.BEGIN),
         (OperatorOrder.HOLD, OperatorOrder.BEGIN),
+        (OperatorOrder.STAY, OperatorOrder.BEGIN),
+        (OperatorOrder.HOLD, OperatorOrder.STAY),
         (OperatorOrder.LAND, OperatorOrder.HOLD),
     ):
         bridge = bridge_in(ControlSituation.GUIDED)

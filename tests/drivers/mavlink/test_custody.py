@@ -68,7 +68,7 @@ COMMANDS = (
 )  # fmt: skip
 OWN_MODES = {stack: {VELOCITY_MODE[stack], LAND_MODE[stack]} for stack in STACKS}
 ENDS = (OperatorOrder.HOLD, OperatorOrder.ABORT, OperatorOrder.LAND, OperatorOrder.EMERGENCY)
-TAKES = (OperatorOrder.BEGIN, OperatorOrder.LAND, OperatorOrder.TAKE_OFF)
+TAKES = (OperatorOrder.BEGIN, OperatorOrder.STAY, OperatorOrder.LAND, OperatorOrder.TAKE_OFF)
 
 
 class RandomHands(RuleBasedStateMachine):
@@ -141,7 +141,7 @@ class RandomHands(RuleBasedStateMachine):
         elif order in TAKES:
             self.his = self.off = self.disarms = False
             self.mode = None
-            self.begun |= order is OperatorOrder.BEGIN
+            self.begun |= order in (OperatorOrder.BEGIN, OperatorOrder.STAY)
         self.wait(STEP_S)
 
     @rule(modes=st.sampled_from([PERSONS_MODE, MANUAL_MODE, HOLD_MODE, LAND_MODE, RETURN_MODE, VELOCITY_MODE]))

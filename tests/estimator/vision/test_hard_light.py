@@ -49,15 +49,10 @@ def scene(camera: Camera, name: str, height_m: float, k: int) -> PadScene:
 @pytest.mark.parametrize(
     ("name", "height_m", "k"),
     [
-        ("grey", 10.0, 13),
-        ("grey", 15.0, 2),
-        ("haze 15", 15.0, 2),
-        ("haze 15", 15.0, 12),
-        ("dusk noise 20", 10.0, 2),
-        ("dusk noise 20", 15.0, 0),
-        ("black on white", 15.0, 8),
+        ("grey", 10.0, 13), ("grey", 15.0, 2), ("haze 15", 15.0, 2), ("haze 15", 15.0, 12), ("dusk noise 20", 10.0, 2),
+        ("dusk noise 20", 15.0, 0), ("black on white", 15.0, 8),
     ],
-)
+)  # fmt: skip
 def test_found_from_afar_and_sure(camera: Camera, name: str, height_m: float, k: int) -> None:
     seen, stamp = scene(camera, name, height_m, k), Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
     attitude = None if seen.R_level_body is None else Attitude(stamp, seen.R_level_body, np.eye(3) * 3e-4)

@@ -3,7 +3,7 @@ const ANSWER_MS = 3000;
 const KNOB_PX = 62;
 const CONFIRMED = 0.95;
 const NAMES = {
-  takeoff: "Take off", begin: "Begin landing", hold: "Hold", land: "Land here", abort: "Abort", emergency: "Emergency",
+  takeoff: "Take off", begin: "Begin landing", stay: "Stay over the pad", hold: "Hold", land: "Land here", abort: "Abort", emergency: "Emergency",
   clear: "Call the pad clear", reset: "Leave the emergency state", manual: "Fly by hand", release: "Give the hand back",
 };
 
