@@ -43,6 +43,8 @@ class OrderSource(Enum):
     """The way on which an order arrives."""
 
     GAMEPAD = "gamepad"
+    SWITCH = "switch"
+    """A switch on the transmitter, as the autopilot reports its channel."""
     TERMINAL = "terminal"
     PAGE = "page"
     """The operator page in a browser."""

@@ -22,6 +22,27 @@ class ManualOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         return math.radians(self.turn_max_deg_s)
 
 
+SwitchOrder = Literal["none", "begin", "stay", "hold", "abort"]
+
+
+class SwitchOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """A switch of two or three positions on the transmitter, read from the autopilot's RC_CHANNELS.
+
+    Raises:
+        ValueError: a channel of the sticks.
+    """
+
+    channel: Annotated[int, number("its channel, 5 to 18; 0 for no switch", "1", 0, 18, public=True)] = 0
+    low: Annotated[SwitchOrder, choice("order when it is moved to its low position, 800 to 1300 us")] = "hold"
+    middle: Annotated[SwitchOrder, choice("the same of the middle position, 1400 to 1600 us, if it has one")] = "stay"
+    high: Annotated[SwitchOrder, choice("the same of the high position, 1700 to 2200 us")] = "begin"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if 0 < self.channel < 5:
+            raise ValueError(f"channel must be 5 to 18, or 0 for no switch, got {self.channel}: 1 to 4 are the sticks")
+
+
 class OperatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The commands of people on this computer: the terminal (`decklander fly`) and the gamepad.
 
@@ -50,6 +71,7 @@ class OperatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         str, text('a part of the gamepad\'s name, or its path; "any" for the first one that is found', 256, public=True)
     ] = "any"
     manual: ManualOptions = ManualOptions()
+    switch: SwitchOptions = SwitchOptions()
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -13,11 +13,14 @@ import numpy as np
 from msgspec import structs
 
 from companion.base.health import GIMBAL, Health
+from companion.base.orders import OrderSender, OrderSource
 from companion.guidance.pilot import Pilot
+from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.mavlink.camera_component import ShowCamera, showing
 from companion.parts.mavlink.commands import PilotTower, link_counters, tunables
 from companion.parts.mavlink.component import PARAMETERS, Component, speaking
 from companion.parts.mavlink.outputs import Outputs
+from companion.parts.mavlink.rc_switch import RcSwitch, switching
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.model import Settings
 from companion.tools.doctor.finding import Finding, Severity
@@ -201,6 +204,11 @@ class AutopilotPart:
         pilot.engage = self._engage
         health.counters("mavlink", self._counted)
         self._gimbal = Gimbal(settings.camera.gimbal, clock) if settings.camera.gimbal.given else None
+        channel = settings.operator.switch.channel
+        operator = PilotOperator(pilot, OrderSender(OrderSource.SWITCH, f"channel {channel}"), clock)
+        self._switch = RcSwitch(settings.operator.switch, operator.order) if channel else None
+        if self._switch is not None:
+            health.counters("switch", self._switch.counted)
         if self._gimbal is not None:
             health.awaited |= {GIMBAL}
             health.counters("gimbal", self._gimbal.counted)
@@ -228,6 +236,7 @@ class AutopilotPart:
                 speaking(self.component, autopilot, self._clock),
                 showing(self._show, autopilot, self._clock),
                 tending(self._gimbal, autopilot, self._clock),
+                switching(self._switch, autopilot, self._clock),
                 running_beside([("link-watch", LinkWatch(autopilot, self._options.system_id, self._health, self._clock).run())]),
             ):
                 self._open = autopilot
