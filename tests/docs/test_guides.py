@@ -193,8 +193,8 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             "operator",
             "## Flying by the keyboard",
             [
-                *(("takeoff", False), ("begin", False), ("clear", False), ("hold", False), ("abort", False), ("land", True)),
-                *(("status", True), ("emergency", True), ("reset", True)),
+                *(("takeoff", False), ("begin", False), ("stay", False), ("clear", False), ("hold", False), ("abort", False)),
+                *(("land", True), ("status", True), ("emergency", True), ("reset", True)),
             ],
         ),
     ],
