@@ -121,12 +121,14 @@ def test_a_bug_of_ours_is_not_hidden(command: SimpleNamespace) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["demi"], "did you mean 'demo'?"), (["zzz"], "known are demo, detect"), (["--nonsense"], "--nonsense"),
+        (["demi"], "did you mean 'demo'?"),
+        (["zzz"], "known are demo, detect"),
+        (["--nonsense"], "--nonsense"),
         (["config", "chekc", "x"], "chekc"),
         (["simulate", "calm", "--recrod", "x"], "did you mean '--record'? (see decklander simulate --help)"),
         (["report", "x.mcap", "--report", "x"], "unrecognized arguments: --report x (see decklander report --help)"),
     ],
-)  # fmt: skip
+)
 def test_wrong_use_ends_with_two_and_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(words)
@@ -243,12 +245,15 @@ def test_the_version_is_the_project_s() -> None:
 
 
 FILES = {
-    "bad.toml": "width = 640\nheight = 360\n", "small.toml": "width=320\nheight=180\nfx=187\nfy=187\ncx=159.5\ncy=89.5\n",
-    "headless.csv": "a.png,1,2\n", "flat.csv": "source,roll_deg,pitch_deg\npad.jpg,flat,0\n",
+    "bad.toml": "width = 640\nheight = 360\n",
+    "small.toml": "width=320\nheight=180\nfx=187\nfy=187\ncx=159.5\ncy=89.5\n",
+    "headless.csv": "a.png,1,2\n",
+    "flat.csv": "source,roll_deg,pitch_deg\npad.jpg,flat,0\n",
     "other.csv": "source,roll_deg,pitch_deg\nz.png,1,2\n",
-    "twice.csv": "source,roll_deg,pitch_deg\npad.jpg,1,2\npad.jpg,1,2\n", "link.key": "x" * 32,
+    "twice.csv": "source,roll_deg,pitch_deg\npad.jpg,1,2\npad.jpg,1,2\n",
+    "link.key": "x" * 32,
     "empty/notes.txt": "no image\n",
-}  # fmt: skip
+}
 """Files of the folder in which wrong use is tried, beside the shipped image pad.jpg."""
 WRONG: dict[str, str] = tomllib.loads(Path(__file__).with_name("wrong_use.toml").read_text(encoding="utf-8"))
 """Command lines that cannot be carried out, and what the one line says that each ends with."""

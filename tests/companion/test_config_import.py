@@ -65,17 +65,22 @@ def test_settings_are_ours_and_good(tmp_path: Path, capsys, name: str, text: str
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("v.conf", "", "'Defaults'"), ("v.conf", "connect=1", "no section headers"),
+        ("v.conf", "", "'Defaults'"),
+        ("v.conf", "connect=1", "no section headers"),
         ("v.conf", CONF.replace("udp:", "wifi:"), "connect 'wifi:127"),
-        ("v.conf", CONF.replace("0.446", "nan"), "size nan m"), ("v.conf", CONF.replace("25", "nan"), "rate_hz must be"),
-        ("v.conf", CONF + "fps=2\n", "already exists"), ("v.conf", CONF.replace("TAG16h5", "CHILITAGS"), "are not read"),
-        ("v.conf", CONF.replace("11:", "99:"), "id must be 0 to 29"), ("m.json", "{}", "'last_used'"),
+        ("v.conf", CONF.replace("0.446", "nan"), "size nan m"),
+        ("v.conf", CONF.replace("25", "nan"), "rate_hz must be"),
+        ("v.conf", CONF + "fps=2\n", "already exists"),
+        ("v.conf", CONF.replace("TAG16h5", "CHILITAGS"), "are not read"),
+        ("v.conf", CONF.replace("11:", "99:"), "id must be 0 to 29"),
+        ("m.json", "{}", "'last_used'"),
         ("m.json", "[" * 100_000, "no settings that are read"),
         ("m.json", mackay(mavlink={"sysid": 3000}), "system_id must be"),
         ("m.json", mackay(last_used=3), "no settings that are read"),
-        ("w.json", wingxtra(kind="carrier pigeon"), "'carrier pigeon'"), ("w.json", wingxtra(fps=-1), "rate_hz must be"),
+        ("w.json", wingxtra(kind="carrier pigeon"), "'carrier pigeon'"),
+        ("w.json", wingxtra(fps=-1), "rate_hz must be"),
     ],
-)  # fmt: skip
+)
 def test_settings_that_are_none_are_refused_and_nothing_is_left(tmp_path: Path, capsys, name: str, text: str, said: str) -> None:
     (tmp_path / name).write_text(text)
     more = ["--tag-mm", "200"] if name == "m.json" else []

@@ -259,12 +259,16 @@ def settings_with_everything(folder: Path) -> Settings:
 
 
 PARTS: dict[str, tuple[type, ...]] = {
-    "__init__": (Recorder, MqttPart), "run": (Recorder, MqttPart, HttpServer, LiveFeed, PageEndpoint, Pulse, BridgePart),
-    "on_sample": (Recorder, MqttPart, LiveFeed, PageEndpoint, BridgePart), "on_fusion": (Recorder, MqttPart, LiveFeed),
+    "__init__": (Recorder, MqttPart),
+    "run": (Recorder, MqttPart, HttpServer, LiveFeed, PageEndpoint, Pulse, BridgePart),
+    "on_sample": (Recorder, MqttPart, LiveFeed, PageEndpoint, BridgePart),
+    "on_fusion": (Recorder, MqttPart, LiveFeed),
     "on_frame": (Recorder, MqttPart, LiveFeed, PageEndpoint),
     "on_decision": (Recorder, MqttPart, LiveFeed, PageEndpoint, Pulse),
-    "on_order": (Recorder, MqttPart, LiveFeed, PageEndpoint), "counts": (MqttPart,), "tell": (MqttPart,),
-}  # fmt: skip
+    "on_order": (Recorder, MqttPart, LiveFeed, PageEndpoint),
+    "counts": (MqttPart,),
+    "tell": (MqttPart,),
+}
 """Methods, and the parts of which each is broken at once."""
 
 

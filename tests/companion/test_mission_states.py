@@ -269,11 +269,14 @@ def test_late_answers_and_a_late_imu_end_every_try_whatever_the_battery() -> Non
 @pytest.mark.parametrize(
     ("changed", "event"),
     [
-        ({}, Event.CLEAR), ({"refusing": True}, Event.NO_CONDITIONS), ({"go_arounds": 9}, Event.NO_CONDITIONS),
-        ({"go_arounds": 9, "fault": WHY}, Event.HOPELESS), ({"landing_began": ns(NOW - 1e4), "fault": WHY}, Event.HOPELESS),
+        ({}, Event.CLEAR),
+        ({"refusing": True}, Event.NO_CONDITIONS),
+        ({"go_arounds": 9}, Event.NO_CONDITIONS),
+        ({"go_arounds": 9, "fault": WHY}, Event.HOPELESS),
+        ({"landing_began": ns(NOW - 1e4), "fault": WHY}, Event.HOPELESS),
         ({"seen_height_m": 1.0, "go_arounds": 9, "refusing": True}, None),
     ],
-)  # fmt: skip
+)
 def test_a_go_around_ends_the_tries_once_it_is_high_enough(changed: dict[str, Any], event: Event | None) -> None:
     gust = Reason(ReasonCause.WIND, 16.0, 15.0)
     found = first(memory(State.GO_AROUND, **{"seen_height_m": 2.0, "fault": gust, "go_arounds": 1, **changed}), cycle(sees()))

@@ -100,10 +100,12 @@ def test_a_command(command: Command | None) -> None:
 @pytest.mark.parametrize(
     "response",
     [
-        ResponseInUse(ResponseState.ASSUMED, 0.05, None), ResponseInUse(ResponseState.IDENTIFIED, 0.15, 0.012, 0.1),
-        ResponseInUse(ResponseState.KNOWN, 0.05, 0.02, shape=SLOWER), None,
+        ResponseInUse(ResponseState.ASSUMED, 0.05, None),
+        ResponseInUse(ResponseState.IDENTIFIED, 0.15, 0.012, 0.1),
+        ResponseInUse(ResponseState.KNOWN, 0.05, 0.02, shape=SLOWER),
+        None,
     ],
-)  # fmt: skip
+)
 def test_a_response_that_a_flight_has_found(response: ResponseInUse | None) -> None:
     record = encode.decision(Decision(AT, "descend", None, None, response=response))
     assert decode.response(over_the_wire(record).response) == response

@@ -227,11 +227,13 @@ def test_frames_of_another_place_end_in_a_question_from_the_safe_height(path: Pa
 @pytest.mark.parametrize(
     ("fault", "alert"),
     [
-        ("imu frozen", IntegrityAlert.IMU_FROZEN), ("attitude frozen", IntegrityAlert.ATTITUDE_FROZEN),
-        ("half aside", IntegrityAlert.ELSEWHERE), ("range wrong", IntegrityAlert.RANGE),
+        ("imu frozen", IntegrityAlert.IMU_FROZEN),
+        ("attitude frozen", IntegrityAlert.ATTITUDE_FROZEN),
+        ("half aside", IntegrityAlert.ELSEWHERE),
+        ("range wrong", IntegrityAlert.RANGE),
         ("stamps old", IntegrityAlert.STAMPS),
     ],
-)  # fmt: skip
+)
 def test_what_is_dead_or_contradicts_stops_the_descent_and_is_reported(fault: str, alert: IntegrityAlert) -> None:
     loop = Loop()
     loop.until(below(1.8, loop))

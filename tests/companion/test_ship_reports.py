@@ -120,11 +120,14 @@ async def flying(settings: Settings, port: int) -> AsyncIterator[Flying]:
 
 
 GARBAGE = {
-    b"\x00\xff\x80 no sentence\r\n": "checksum", b"$GPRMC,0818": "cut",
+    b"\x00\xff\x80 no sentence\r\n": "checksum",
+    b"$GPRMC,0818": "cut",
     sentence("GPRMC,081836.00,A,9924.0180,N,01012.0660,E,002.9,004.0,211126,,"): "impossible",
-    sentence("GPRMC,,V,,,,,,,211126,,"): "no_fix", sentence("GPRMC,noon,A,5424.0180,N,01012.0660,E,slow,,,,"): "malformed",
-    sentence("AIVDM,1,1,,A,139Lg0?P0O0fdB0O8<01i1NIP000,0", "!"): "other_ship", b"$" + b"x" * 4000 + b"\r\n": "too_long",
-}  # fmt: skip
+    sentence("GPRMC,,V,,,,,,,211126,,"): "no_fix",
+    sentence("GPRMC,noon,A,5424.0180,N,01012.0660,E,slow,,,,"): "malformed",
+    sentence("AIVDM,1,1,,A,139Lg0?P0O0fdB0O8<01i1NIP000,0", "!"): "other_ship",
+    b"$" + b"x" * 4000 + b"\r\n": "too_long",
+}
 """Datagrams from the ship that are no place of hers, and what they are counted as."""
 
 

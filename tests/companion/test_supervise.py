@@ -463,13 +463,17 @@ def at_age(health: Health, flow: str, age_s: float) -> None:
 @pytest.mark.parametrize(
     ("ages", "frames_done", "flying", "why"),
     [
-        ({}, 0, False, "guidance has not begun"), ({"Decision": 2.0}, 0, False, "guidance has decided nothing"),
-        ({"Decision": 0.0}, 0, False, None), ({"Decision": 0.0, "Frame": 5.0}, 0, True, "vision has not been done"),
-        ({"Decision": 0.0, "Frame": 5.0}, 1, True, None), ({"Decision": 0.0, "Frame": 0.1}, 0, True, None),
+        ({}, 0, False, "guidance has not begun"),
+        ({"Decision": 2.0}, 0, False, "guidance has decided nothing"),
+        ({"Decision": 0.0}, 0, False, None),
+        ({"Decision": 0.0, "Frame": 5.0}, 0, True, "vision has not been done"),
+        ({"Decision": 0.0, "Frame": 5.0}, 1, True, None),
+        ({"Decision": 0.0, "Frame": 0.1}, 0, True, None),
         ({"Decision": 0.0, "Imu": 30.0}, 0, True, "no sample of the flying vehicle"),
-        ({"Decision": 0.0, "Imu": 30.0, "Attitude": 0.1}, 0, True, None), ({"Decision": 0.0, "Imu": 30.0}, 0, False, None),
+        ({"Decision": 0.0, "Imu": 30.0, "Attitude": 0.1}, 0, True, None),
+        ({"Decision": 0.0, "Imu": 30.0}, 0, False, None),
     ],
-)  # fmt: skip
+)
 def test_what_counts_as_stuck(ages: dict[str, float], frames_done: int, flying: bool, why: str | None) -> None:
     health = Health(CLOCK)
     for flow, age_s in ages.items():

@@ -37,16 +37,24 @@ def state(d=V, v=V, cov=C7):
 
 
 VECTORS = {
-    "Imu.w": lambda v: Imu(STAMP, v, V), "Imu.f": lambda v: Imu(STAMP, V, v),
-    "BodyVelocity": lambda v: BodyVelocity(STAMP, v, C3), "VesselReport": lambda v: VesselReport(STAMP, v, C3, None, None),
-    "Sighting": lambda v: any_sighting(d=v), "Pose6": lambda v: Pose6(v, R, np.eye(6)),
-    "RelativeState.d": lambda v: state(d=v), "RelativeState.v": lambda v: state(v=v), "Velocity": lambda v: Velocity(v, 0.0),
-}  # fmt: skip
+    "Imu.w": lambda v: Imu(STAMP, v, V),
+    "Imu.f": lambda v: Imu(STAMP, V, v),
+    "BodyVelocity": lambda v: BodyVelocity(STAMP, v, C3),
+    "VesselReport": lambda v: VesselReport(STAMP, v, C3, None, None),
+    "Sighting": lambda v: any_sighting(d=v),
+    "Pose6": lambda v: Pose6(v, R, np.eye(6)),
+    "RelativeState.d": lambda v: state(d=v),
+    "RelativeState.v": lambda v: state(v=v),
+    "Velocity": lambda v: Velocity(v, 0.0),
+}
 COVARIANCES = {
-    "Attitude": (3, lambda c: Attitude(STAMP, R, c)), "BodyVelocity": (3, lambda c: BodyVelocity(STAMP, V, c)),
-    "VesselReport": (3, lambda c: VesselReport(STAMP, V, c, None, None)), "Sighting": (4, lambda c: any_sighting(cov=c)),
-    "Pose6": (6, lambda c: Pose6(V, R, c)), "RelativeState": (7, lambda c: state(cov=c)),
-}  # fmt: skip
+    "Attitude": (3, lambda c: Attitude(STAMP, R, c)),
+    "BodyVelocity": (3, lambda c: BodyVelocity(STAMP, V, c)),
+    "VesselReport": (3, lambda c: VesselReport(STAMP, V, c, None, None)),
+    "Sighting": (4, lambda c: any_sighting(cov=c)),
+    "Pose6": (6, lambda c: Pose6(V, R, c)),
+    "RelativeState": (7, lambda c: state(cov=c)),
+}
 
 
 @pytest.mark.parametrize("make", VECTORS.values(), ids=VECTORS)
@@ -70,14 +78,23 @@ def test_what_is_no_covariance_is_refused(n, make):
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: Range(STAMP, math.nan, 0.1), lambda: Range(STAMP, -0.1, 0.1), lambda: Range(STAMP, 1.0, 0.0),
-        lambda: Range(STAMP, 1.0, math.inf), lambda: Baro(STAMP, math.nan, 0.1), lambda: Baro(STAMP, 1.0, -0.1),
-        lambda: Velocity(V, math.nan), lambda: any_sighting(yaw=math.nan), lambda: any_sighting(yaw=4.0),
-        lambda: any_sighting(confidence=math.nan), lambda: any_sighting(confidence=1.1),
-        lambda: VesselReport(STAMP, V, None, None, None), lambda: VesselReport(STAMP, None, None, 0.1, None),
-        lambda: Frame(STAMP, 0, np.zeros((4, 4), np.uint8)), lambda: Frame(STAMP, 0, np.zeros((4, 4, 3))),
+        lambda: Range(STAMP, math.nan, 0.1),
+        lambda: Range(STAMP, -0.1, 0.1),
+        lambda: Range(STAMP, 1.0, 0.0),
+        lambda: Range(STAMP, 1.0, math.inf),
+        lambda: Baro(STAMP, math.nan, 0.1),
+        lambda: Baro(STAMP, 1.0, -0.1),
+        lambda: Velocity(V, math.nan),
+        lambda: any_sighting(yaw=math.nan),
+        lambda: any_sighting(yaw=4.0),
+        lambda: any_sighting(confidence=math.nan),
+        lambda: any_sighting(confidence=1.1),
+        lambda: VesselReport(STAMP, V, None, None, None),
+        lambda: VesselReport(STAMP, None, None, 0.1, None),
+        lambda: Frame(STAMP, 0, np.zeros((4, 4), np.uint8)),
+        lambda: Frame(STAMP, 0, np.zeros((4, 4, 3))),
     ],
-)  # fmt: skip
+)
 def test_nonsense_is_refused_at_the_border(make):
     with pytest.raises(ValueError, match=r"need|must"):
         make()

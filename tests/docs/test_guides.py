@@ -43,10 +43,12 @@ from tests.support.waiting import free_port
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = {
-    "demo": "tests/companion/test_cli.py", "doctor": "tests/companion/doctor/test_gather.py",
-    "fly": "tests/companion/operator/test_local_socket.py", "gamepad show": "tests/companion/operator/test_gamepad_part.py",
+    "demo": "tests/companion/test_cli.py",
+    "doctor": "tests/companion/doctor/test_gather.py",
+    "fly": "tests/companion/operator/test_local_socket.py",
+    "gamepad show": "tests/companion/operator/test_gamepad_part.py",
     "calibrate camera": "tests/companion/test_calibrate.py",
-}  # fmt: skip
+}
 """Beginnings of commands that are not run here, and the test that runs each."""
 _BASE = '[vehicle]\nkind = "ardrone"\n[camera]\nfile = "ardrone2_bottom"\n[pad]\nfile = "thesis"\n'
 _HOVER_M, _LIMIT_S = 2.5, 60.0

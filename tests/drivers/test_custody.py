@@ -372,11 +372,16 @@ def test_it_is_held_for_a_bounded_time() -> None:
 @pytest.mark.parametrize(
     ("control", "flying", "on_ground"),
     [
-        (nd.ControlState.LANDED, False, True), (nd.ControlState.INIT, False, True), (nd.ControlState.DEFAULT, False, True),
-        (None, False, True), (nd.ControlState.HOVERING, False, False), (nd.ControlState.LANDING, False, False),
-        (nd.ControlState.LANDED, True, False), (None, True, False),
+        (nd.ControlState.LANDED, False, True),
+        (nd.ControlState.INIT, False, True),
+        (nd.ControlState.DEFAULT, False, True),
+        (None, False, True),
+        (nd.ControlState.HOVERING, False, False),
+        (nd.ControlState.LANDING, False, False),
+        (nd.ControlState.LANDED, True, False),
+        (None, True, False),
     ],
-)  # fmt: skip
+)
 def test_it_stands_where_state_and_control_both_say_so(control: nd.ControlState | None, flying: bool, on_ground: bool) -> None:
     arbiter = CommandArbiter(60.0, 2.0)
     assert not arbiter.on_ground(ms(200)), "nobody has said so"
@@ -400,11 +405,14 @@ SILENT = nd.NavdataState.COM_WATCHDOG | nd.NavdataState.COMMUNICATION_LOST
 @pytest.mark.parametrize(
     ("bits", "first_at", "cause"),
     [
-        (SILENT, None, Cause.SILENCE), (nd.NavdataState.COM_WATCHDOG, None, Cause.SILENCE), (SILENT, 9000, Cause.OTHERS),
-        (0, None, Cause.OTHERS), (SILENT | nd.NavdataState.BATTERY_LOW, None, Cause.OTHERS),
+        (SILENT, None, Cause.SILENCE),
+        (nd.NavdataState.COM_WATCHDOG, None, Cause.SILENCE),
+        (SILENT, 9000, Cause.OTHERS),
+        (0, None, Cause.OTHERS),
+        (SILENT | nd.NavdataState.BATTERY_LOW, None, Cause.OTHERS),
         (SILENT | nd.NavdataState.USER_EMERGENCY, None, Cause.OTHERS),
     ],
-)  # fmt: skip
+)
 def test_whose_landing_it_is(bits: int, first_at: int | None, cause: Cause) -> None:
     """A landing is attributed to our silence only if it began in a gap of navdata; never if a battery or a person began it."""
     watch = LandingWatch()

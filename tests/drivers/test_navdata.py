@@ -203,14 +203,21 @@ GPS: dict[str, Any] = {
     ("kind", "known", "wrong", "state"),
     [
         (Range, DEMO | {"altitude_raw_mm": 900}, {"altitude_raw_mm": 0}, 0),
-        (Range, DEMO | {"altitude_raw_mm": 900}, {}, nd.NavdataState.ULTRASOUND_DEAF), (Range, DEMO, {"altitude_mm": 0}, 0),
-        (Attitude, DEMO, {"psi_mdeg": math.nan}, 0), (BodyVelocity, DEMO, {"vy_mm_s": math.inf}, 0),
-        (Imu, IMU, {"ay_mg": math.nan}, 0), (Baro, {"pressure_pa": 100}, {"pressure_pa": 0}, 0),
-        (GeoFix, GPS, {"gps_plugged": 0}, 0), (GeoFix, GPS, {"data_available": 0}, 0), (GeoFix, GPS, {"nb_satellites": 4}, 0),
-        (GeoFix, GPS, {"lat_deg": math.nan}, 0), (GeoFix, GPS, {"lat_deg": 95.0}, 0), (GeoFix, GPS, {"hdop": 0.0}, 0),
+        (Range, DEMO | {"altitude_raw_mm": 900}, {}, nd.NavdataState.ULTRASOUND_DEAF),
+        (Range, DEMO, {"altitude_mm": 0}, 0),
+        (Attitude, DEMO, {"psi_mdeg": math.nan}, 0),
+        (BodyVelocity, DEMO, {"vy_mm_s": math.inf}, 0),
+        (Imu, IMU, {"ay_mg": math.nan}, 0),
+        (Baro, {"pressure_pa": 100}, {"pressure_pa": 0}, 0),
+        (GeoFix, GPS, {"gps_plugged": 0}, 0),
+        (GeoFix, GPS, {"data_available": 0}, 0),
+        (GeoFix, GPS, {"nb_satellites": 4}, 0),
+        (GeoFix, GPS, {"lat_deg": math.nan}, 0),
+        (GeoFix, GPS, {"lat_deg": 95.0}, 0),
+        (GeoFix, GPS, {"hdop": 0.0}, 0),
         (GeoFix, GPS, {"elevation_m": math.inf}, 0),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_known_is_left_out(kind: type[Any], known: dict[str, Any], wrong: dict[str, Any], state: int) -> None:
     assert [s for s in samples_of(**known) if isinstance(s, kind)]
     assert not [s for s in samples_of(state, **known | wrong) if isinstance(s, kind)]

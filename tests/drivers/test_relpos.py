@@ -72,12 +72,18 @@ def test_a_float_claims_decimetres_whatever_the_receiver_does_and_extrapolation_
 @pytest.mark.parametrize(
     ("changed", "why"),
     [
-        ({"gnssFixOK": 0}, "no_fix"), ({"diffSoln": 0}, "base_silent"), ({"relPosValid": 0}, "base_silent"),
-        ({"refPosMiss": 1}, "base_silent"), ({"isMoving": 0}, "base_not_moving"), ({"carrSoln": 0}, "no_carrier_solution"),
-        ({"carrSoln": 3}, "no_carrier_solution"), ({"relPosE": 40_000}, "too_long"), ({"relPosNormalized": 1}, "too_long"),
+        ({"gnssFixOK": 0}, "no_fix"),
+        ({"diffSoln": 0}, "base_silent"),
+        ({"relPosValid": 0}, "base_silent"),
+        ({"refPosMiss": 1}, "base_silent"),
+        ({"isMoving": 0}, "base_not_moving"),
+        ({"carrSoln": 0}, "no_carrier_solution"),
+        ({"carrSoln": 3}, "no_carrier_solution"),
+        ({"relPosE": 40_000}, "too_long"),
+        ({"relPosNormalized": 1}, "too_long"),
         ({"accD": 4e5}, "inaccurate"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_baseline_is_refused_with_its_reason(changed, why):
     read = reader()
     assert read.take(message(**changed), at(0.0)) == []
@@ -149,12 +155,14 @@ def test_another_sender_is_refused_until_the_first_is_silent():
 @pytest.mark.parametrize(
     ("changed", "match"),
     [
-        ({"source": "here"}, "source must be ADDRESS:PORT"), ({"source": "udpout://10.0.0.1:5"}, "source must be"),
-        ({"heading": "ship:99"}, "heading must be"), ({"antenna_m": "1, 2"}, "antenna_m must be three numbers"),
+        ({"source": "here"}, "source must be ADDRESS:PORT"),
+        ({"source": "udpout://10.0.0.1:5"}, "source must be"),
+        ({"heading": "ship:99"}, "heading must be"),
+        ({"antenna_m": "1, 2"}, "antenna_m must be three numbers"),
         ({"ship_antenna_m": "1, 2, nan"}, "ship_antenna_m: each number must lie in"),
         ({"delay_s": 2.0}, "delay_s must lie in"),
     ],
-)  # fmt: skip
+)
 def test_settings_that_cannot_be_are_refused_by_their_key(changed, match):
     with pytest.raises(ValueError, match=match):
         RtkOptions(**changed)

@@ -30,12 +30,14 @@ SPIKE = (1.0, 1.0, 1.0, 1.0, 1.0, 90.0)
 READINGS: dict[str, Callable[[Stamp, float, F64], Sample]] = {
     "imu": lambda at, k, n: imu(at, n, k * (np.array([0.0, 0.0, -9.8]) + n)),
     "attitude": lambda at, k, n: attitude(at, k * n[0], n[1], 0.4 * k + n[2], var=1e-5),
-    "velocity": lambda at, k, n: velocity(at, k * n), "range": lambda at, k, n: range_down(at, k * (2.0 + abs(n[0]))),
-    "baro": lambda at, k, n: baro(at, 30.0 * k + n[0]), "report": lambda at, k, n: vessel(at, k * n, 0.4),
+    "velocity": lambda at, k, n: velocity(at, k * n),
+    "range": lambda at, k, n: range_down(at, k * (2.0 + abs(n[0]))),
+    "baro": lambda at, k, n: baro(at, 30.0 * k + n[0]),
+    "report": lambda at, k, n: vessel(at, k * n, 0.4),
     "fix": lambda at, k, n: GeoFix(at, "vehicle", GeoPoint(0.9, 0.1, 2.0), 2.0),
     "status": lambda at, k, n: status(at, k == 1.0),
     "motion": lambda at, k, n: VesselMotion(at, "IN PSXN", k * n[0], n[1], 1e-4, n[2], 0.01),
-}  # fmt: skip
+}
 """Readings as of a vehicle that hovers, by stamp, how many times too large they are, and noise."""
 USUAL = ("imu", "attitude", "velocity", "range", "baro", "imu", "attitude", "velocity", "report", "fix", "status", "motion")
 DATAGRAM = st.lists(
@@ -176,13 +178,16 @@ def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_re
     [
         (velocity(1.01, var=0.01), COMPONENTS["velocity"]),
         (velocity(1.01, var=(0.01, 0.01, UNKNOWN_VAR)), ("forward_m_s", "right_m_s")),
-        (velocity(1.01, var=(UNKNOWN_VAR, UNKNOWN_VAR, 0.01)), ("down_m_s",)), (attitude(1.01), COMPONENTS["attitude"]),
-        (range_down(1.01, 2.0, 0.05), COMPONENTS["range"]), (baro(1.01, 2.0, 0.3), COMPONENTS["baro"]),
+        (velocity(1.01, var=(UNKNOWN_VAR, UNKNOWN_VAR, 0.01)), ("down_m_s",)),
+        (attitude(1.01), COMPONENTS["attitude"]),
+        (range_down(1.01, 2.0, 0.05), COMPONENTS["range"]),
+        (baro(1.01, 2.0, 0.3), COMPONENTS["baro"]),
         (vessel(1.01, np.zeros(3), 0.0, sigma_rad=0.1), COMPONENTS["vessel"][:3]),
-        (vessel(1.01, turn_rad_s=0.0), ("turn_rad_s",)), (pad_seen(1.01, yaw_rad=None), ("x_m", "y_m", "z_m")),
+        (vessel(1.01, turn_rad_s=0.0), ("turn_rad_s",)),
+        (pad_seen(1.01, yaw_rad=None), ("x_m", "y_m", "z_m")),
         (pad_seen(1.01, pose6=Pose6(D, Rotation.from_rpy(0.0, 0.0, -0.3), 1e-4 * np.eye(6))), POSE_COMPONENTS),
     ],
-)  # fmt: skip
+)
 def test_each_source_names_what_it_compared(hovering, event, components):
     result = ekf_result(hovering[0], event)
     assert (result.source, result.components) == (source_of(event), components)

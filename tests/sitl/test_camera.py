@@ -254,8 +254,12 @@ FINE = 24
 """Rays along a pixel's side that the coverage is counted with."""
 PAINTS = SIM.names("dl_sim_paint")
 _PART = {
-    "rim": "DL_PAD_RIM", "disc": "DL_PAD_DISC", "ring": "DL_PAD_ORANGE", "letter": "DL_PAD_WHITE", "triangle": "DL_PAD_WHITE",
-}  # fmt: skip
+    "rim": "DL_PAD_RIM",
+    "disc": "DL_PAD_DISC",
+    "ring": "DL_PAD_ORANGE",
+    "letter": "DL_PAD_WHITE",
+    "triangle": "DL_PAD_WHITE",
+}
 SLANTED = Pad.from_mapping({
     "name": "slanted", "paints": {"grey": [60, 60, 60], "white": [240, 240, 240]},
     "regions": [

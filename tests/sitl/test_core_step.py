@@ -34,9 +34,11 @@ DT = 0.004
 SHAPES = (DeckShape(3.0, 2.0, 1.4, 1.4), DeckShape(3.0, 2.0, 1.0, 1.5, taper_m=1.0, pad_yaw_rad=0.6))
 HEXA = load(SHIPPED / "vehicles/hexa_7kg.toml").airframe()
 FRAMES = (
-    Airframe(), HEXA, replace(Airframe(), ground_effect="rotors", avionics=Avionics(flow_sees_deck=False)),
+    Airframe(),
+    HEXA,
+    replace(Airframe(), ground_effect="rotors", avionics=Avionics(flow_sees_deck=False)),
     replace(Airframe(), command_delay_s=0.0, motor_lag_s=0.0),
-)  # fmt: skip
+)
 GUST = GustOnce(0.5, 0.4, 0.6, (3.0, -2.0))
 AIRS = (
     None,

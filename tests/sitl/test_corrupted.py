@@ -73,10 +73,15 @@ def corrupted(faults: tuple[Corrupted, ...], seconds: float, stick: Stick | None
 @pytest.mark.parametrize(
     ("signal", "field", "place"),
     [
-        ("accelerometer", "f_body", 1), ("gyro", "w_body", 1), ("attitude", "rpy_rad", 1), ("heading", "rpy_rad", 2),
-        ("velocity", "v_level_m_s", 1), ("range", "ultrasound_m", None), ("barometer", "pressure_pa", None),
+        ("accelerometer", "f_body", 1),
+        ("gyro", "w_body", 1),
+        ("attitude", "rpy_rad", 1),
+        ("heading", "rpy_rad", 2),
+        ("velocity", "v_level_m_s", 1),
+        ("range", "ultrasound_m", None),
+        ("barometer", "pressure_pa", None),
     ],
-)  # fmt: skip
+)
 def test_a_bias_reaches_one_axis_of_one_sensor_alone(signal: Any, field: str, place: int | None) -> None:
     axis = "y" if FACTS[signal].axes > 1 else "all"
     wrong = corrupted((Corrupted(signal=signal, error="biased", size=2.0, axis=axis, at_s=0.1),), 0.5).readings()

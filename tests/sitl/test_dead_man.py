@@ -103,12 +103,18 @@ class Moment(Struct, frozen=True):
 
 
 MOMENTS = {
-    "before take-off": Moment(0.0, Hover(), 1.0, VehiclePhase.LANDED), "taking off": Moment(0.0, TakeOff(), 0.5),
-    "waiting": Moment(2.0, Hover(), 1.0), "approach": Moment(3.0, go(0.4), 1.0), "descend": Moment(2.2, go(0.1, 0.3), 1.5),
-    "last half metre": Moment(0.8, go(0.05, 0.2), 1.5), "landing ordered high": Moment(1.8, Land(), 0.5),
-    "landing ordered low": Moment(0.35, Land(), 0.2, VehiclePhase.LANDED), "lost": Moment(1.5, Hover(), 1.0),
-    "climb": Moment(1.0, go(0.0, -0.3), 1.0), "after landing": Moment(0.3, Land(), 2.5, VehiclePhase.LANDED),
-}  # fmt: skip
+    "before take-off": Moment(0.0, Hover(), 1.0, VehiclePhase.LANDED),
+    "taking off": Moment(0.0, TakeOff(), 0.5),
+    "waiting": Moment(2.0, Hover(), 1.0),
+    "approach": Moment(3.0, go(0.4), 1.0),
+    "descend": Moment(2.2, go(0.1, 0.3), 1.5),
+    "last half metre": Moment(0.8, go(0.05, 0.2), 1.5),
+    "landing ordered high": Moment(1.8, Land(), 0.5),
+    "landing ordered low": Moment(0.35, Land(), 0.2, VehiclePhase.LANDED),
+    "lost": Moment(1.5, Hover(), 1.0),
+    "climb": Moment(1.0, go(0.0, -0.3), 1.0),
+    "after landing": Moment(0.3, Land(), 2.5, VehiclePhase.LANDED),
+}
 
 
 @pytest.mark.hazard("H5")

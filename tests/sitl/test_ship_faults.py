@@ -84,9 +84,11 @@ def test_a_wake_lifts_and_rolls_the_deck_and_passes() -> None:
 
 
 ALL = [
-    ShipSpeed(at_s=0.7, to_m_s=0.0, over_s=2.0), ShipTurn(at_s=0.9, rate_deg_s=-8.0, over_s=1.5, for_s=4.0),
-    DeckRoll(at_s=0.3, period_s=2.5), FerryWake(at_s=0.2, height_m=1.0, period_s=3.0, waves=3.0, from_deg=60.0),
-]  # fmt: skip
+    ShipSpeed(at_s=0.7, to_m_s=0.0, over_s=2.0),
+    ShipTurn(at_s=0.9, rate_deg_s=-8.0, over_s=1.5, for_s=4.0),
+    DeckRoll(at_s=0.3, period_s=2.5),
+    FerryWake(at_s=0.2, height_m=1.0, period_s=3.0, waves=3.0, from_deg=60.0),
+]
 
 
 @pytest.mark.parametrize("faults", [[fault] for fault in ALL] + [ALL])

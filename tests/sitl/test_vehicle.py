@@ -83,10 +83,12 @@ def test_keeps_its_angular_momentum_when_tumbling() -> None:
 @pytest.mark.parametrize(
     ("stick", "expected"),
     [
-        ((0.5, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0)), ((0.0, -0.5, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),
-        ((0.0, 0.0, 0.5, 0.0), (0.0, 0.0, -1.0, 0.0)), ((0.0, 0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0)),
+        ((0.5, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0)),
+        ((0.0, -0.5, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 0.5, 0.0), (0.0, 0.0, -1.0, 0.0)),
+        ((0.0, 0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0)),
     ],
-)  # fmt: skip
+)
 def test_each_stick_moves_its_own_way(yaw_rad, stick, expected):
     v = flying(yaw_rad=yaw_rad)
     v.command(*stick, progressive=True)

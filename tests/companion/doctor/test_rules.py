@@ -267,13 +267,16 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
 
 OTHER_MESSAGE = {k: v for k, v in ARDUPILOT.rates_hz.items() if k != "ATTITUDE_QUATERNION"} | {"ATTITUDE": 90.0}
 HARMLESS = {
-    "ArduPilot": GOOD, "PX4": GOOD_PX4, "nothing known": Snapshot(0.0),
+    "ArduPilot": GOOD,
+    "PX4": GOOD_PX4,
+    "nothing known": Snapshot(0.0),
     "another message of the same": ardupilot(refused={"ATTITUDE_QUATERNION": 2}, rates_hz=OTHER_MESSAGE),
     "an old refusal to arm": ardupilot(armed=True, texts=("PreArm: Need Position Estimate",)),
-    "a cable": link(url="serial:///dev/ttyAMA0:921600", signed=False), "loopback": link(url="udpin://[::1]:1", signed=False),
+    "a cable": link(url="serial:///dev/ttyAMA0:921600", signed=False),
+    "loopback": link(url="udpin://[::1]:1", signed=False),
     "a name of loopback": link(url="tcp://localhost:5760", signed=False),
     "signed": link(url="udpin://0.0.0.0:14550", signed=True),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("snapshot", HARMLESS.values(), ids=HARMLESS)

@@ -47,13 +47,17 @@ def test_each_field_goes_where_it_belongs_and_none_is_made_up() -> None:
 @pytest.mark.parametrize(
     ("payload", "retained", "reason"),
     [
-        (b"$GPRMC,081836", False, "malformed"), (ship_report(latitude_deg=90.1), False, "malformed"),
-        (ship_report(longitude_deg=math.nan), False, "malformed"), (ship_report(speed_m_s=2.0), False, "malformed"),
-        (ship_report(knots=2.0), False, "malformed"), (ship_report() + b" " * REPORT_MAX_BYTES, False, "too_long"),
-        (ship_report(), True, "retained"), (ship_report(run="another"), False, "other_run"),
+        (b"$GPRMC,081836", False, "malformed"),
+        (ship_report(latitude_deg=90.1), False, "malformed"),
+        (ship_report(longitude_deg=math.nan), False, "malformed"),
+        (ship_report(speed_m_s=2.0), False, "malformed"),
+        (ship_report(knots=2.0), False, "malformed"),
+        (ship_report() + b" " * REPORT_MAX_BYTES, False, "too_long"),
+        (ship_report(), True, "retained"),
+        (ship_report(run="another"), False, "other_run"),
         (ship_report(at_ns=NOW + 1), False, "ahead"),
     ],
-)  # fmt: skip
+)
 def test_a_refusal_is_counted_by_its_reason(payload: bytes, retained: bool, reason: str) -> None:
     reader = ShipReportReader(TOPICS, RUN)
     assert reader.samples(payload, NOW, retained=retained) == []

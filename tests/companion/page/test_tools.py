@@ -265,10 +265,12 @@ async def test_garbage_is_reported_and_what_is_no_message_ends_its_connection(tm
 @pytest.mark.parametrize(
     ("was", "becomes", "line"),
     [
-        ("20.0", "-1", 17), ("[pad]", "[pad]\ncolour = 1", 11), ("[guidance]", "[recorder]\nframe = 1\n[guidance]", 14),
+        ("20.0", "-1", 17),
+        ("[pad]", "[pad]\ncolour = 1", 11),
+        ("[guidance]", "[recorder]\nframe = 1\n[guidance]", 14),
         ("[pad]", "[pad", 10),
     ],
-)  # fmt: skip
+)
 def test_a_fault_is_refused_with_its_line(was: str, becomes: str, line: int) -> None:
     text = RIG.replace(was, becomes, 1)
     assert line_of(text, refused(text)) == line

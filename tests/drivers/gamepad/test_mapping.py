@@ -45,10 +45,13 @@ def test_the_requests_are_the_kernels() -> None:
 @pytest.mark.parametrize(
     ("axis", "value", "stick", "position"),
     [
-        ("ABS_Y", 0, "climb", 1.0), ("ABS_Y", 255, "climb", -1.0), ("ABS_X", 255, "turn", 1.0), ("ABS_RY", 0, "forward", 1.0),
+        ("ABS_Y", 0, "climb", 1.0),
+        ("ABS_Y", 255, "climb", -1.0),
+        ("ABS_X", 255, "turn", 1.0),
+        ("ABS_RY", 0, "forward", 1.0),
         ("ABS_RX", 0, "right", -1.0),
     ],
-)  # fmt: skip
+)
 def test_the_sticks_are_those_of_the_thesis(axis: str, value: int, stick: str, position: float) -> None:
     memory, _ = step(start(THESIS, RANGES), moved_stick(axis, value))
     assert positions(THESIS, memory) == {**dict.fromkeys(("climb", "turn", "forward", "right"), 0.0), stick: position}
@@ -134,10 +137,12 @@ def test_no_events_raise_and_orders_are_bounded(events: list[InputEvent]) -> Non
         ("ABS_RX|ABS_RW", "there is no axis 'ABS_RW'; did you mean ABS_"),
         ("ABS_RX|ABS_X", "the axis ABS_X has two meanings"),
         ("BTN_SOUTH|BTN_SUOTH", "there is no button 'BTN_SUOTH'; did you mean BTN_SOUTH?"),
-        ('"takeoff"|"jump"', "buttons.BTN_SOUTH must be one of takeoff, land"), ("limit = 1.0|limits = 1.0", "limit"),
-        ("[sticks]|[stick]", "stick"), ("name = |name ", "not valid TOML"),
+        ('"takeoff"|"jump"', "buttons.BTN_SOUTH must be one of takeoff, land"),
+        ("limit = 1.0|limits = 1.0", "limit"),
+        ("[sticks]|[stick]", "stick"),
+        ("name = |name ", "not valid TOML"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_file_is_refused_with_its_name_and_the_key(change: str, why: str, tmp_path: Path) -> None:
     shipped = (Path(__file__).parents[3] / "configs/gamepads/thesis.toml").read_text()
     before, _, after = change.partition("|")

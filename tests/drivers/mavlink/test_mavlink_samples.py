@@ -74,13 +74,17 @@ def test_imu_of_both_stacks() -> None:
 @pytest.mark.parametrize(
     ("stack", "values", "delay_ms"),
     [
-        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 20.0}, 11.254), (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 40.0}, 5.627),
-        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 1.0}, 50.0), (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 0.0}, 0.0),
-        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": -20.0}, 0.0), (Stack.ARDUPILOT, {"IMU_INTEG_RATE": 200.0}, 0.0),
-        (Stack.PX4, {"IMU_INTEG_RATE": 200.0}, 2.5), (Stack.PX4, {"INS_GYRO_FILTER": 20.0}, 0.0),
+        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 20.0}, 11.254),
+        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 40.0}, 5.627),
+        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 1.0}, 50.0),
+        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": 0.0}, 0.0),
+        (Stack.ARDUPILOT, {"INS_GYRO_FILTER": -20.0}, 0.0),
+        (Stack.ARDUPILOT, {"IMU_INTEG_RATE": 200.0}, 0.0),
+        (Stack.PX4, {"IMU_INTEG_RATE": 200.0}, 2.5),
+        (Stack.PX4, {"INS_GYRO_FILTER": 20.0}, 0.0),
         (Stack.OTHER, {"INS_GYRO_FILTER": 20.0, "IMU_INTEG_RATE": 200.0}, 0.0),
     ],
-)  # fmt: skip
+)
 def test_the_delay_of_inertial_readings_by_parameter(stack: Stack, values: dict[str, float], delay_ms: float) -> None:
     assert 1e3 * inertial_delay_s(stack, values) == pytest.approx(delay_ms, abs=0.001)
 
@@ -88,11 +92,13 @@ def test_the_delay_of_inertial_readings_by_parameter(stack: Stack, values: dict[
 @pytest.mark.parametrize(
     ("stack", "values", "tilt_deg"),
     [
-        (Stack.ARDUPILOT, {}, None), (Stack.ARDUPILOT, {"ANGLE_MAX": 3000.0, "PSC_ANGLE_MAX": 0.0}, 30.0),
+        (Stack.ARDUPILOT, {}, None),
+        (Stack.ARDUPILOT, {"ANGLE_MAX": 3000.0, "PSC_ANGLE_MAX": 0.0}, 30.0),
         (Stack.ARDUPILOT, {"ATC_ANGLE_MAX": 40.0, "PSC_ANGLE_MAX": 25.0}, 25.0),
-        (Stack.PX4, {"MPC_TILTMAX_AIR": 45.0, "ANGLE_MAX": 3000.0}, 45.0), (Stack.OTHER, {"ANGLE_MAX": 3000.0}, None),
+        (Stack.PX4, {"MPC_TILTMAX_AIR": 45.0, "ANGLE_MAX": 3000.0}, 45.0),
+        (Stack.OTHER, {"ANGLE_MAX": 3000.0}, None),
     ],
-)  # fmt: skip
+)
 def test_the_limit_of_the_tilt_is_in_the_status(stack: Stack, values: dict[str, float], tilt_deg: float | None) -> None:
     s = sampler()
     s.tilt_max_deg = tilt_max_deg(stack, values)

@@ -100,7 +100,9 @@ def test_the_named_ship_s_ais_is_taken_and_no_other_s() -> None:
 @pytest.mark.parametrize(
     ("sentence", "reason"),
     [
-        (b"$HEHDT,123.4,T*00\r\n", "checksum"), (b"$HEHDT,123.4,T\r\n", "checksum"), (b"\xff\xfe\x00garbage", "checksum"),
+        (b"$HEHDT,123.4,T*00\r\n", "checksum"),
+        (b"$HEHDT,123.4,T\r\n", "checksum"),
+        (b"\xff\xfe\x00garbage", "checksum"),
         (line("GPRMC,081836,V,3751.65,S,14507.36,E,005.5,360.0,130998,011.3,E"), "no_fix"),
         (line("GPGGA,134658.00,5106.9,N,11402.3,W,0,09,1.0,10.0,M,-16.27,M,08,AAAA"), "no_fix"),
         (line("GPRMC,081836,A,9951.65,S,14507.36,E,005.5,360.0,130998,011.3,E"), "impossible"),
@@ -114,12 +116,18 @@ def test_the_named_ship_s_ais_is_taken_and_no_other_s() -> None:
         (line("GPRMC,081836,A,3751.65,S,14507.36,E,005.5,540.0,130998,011.3,E"), "impossible"),
         (line("GPVTG,-90.0,T,,M,010.0,N,18.5,K,A"), "impossible"),
         (line("GPGGA,134658.00,5106.9,N,11402.3,W,12,09,1.0,10.0,M,-16.27,M,08,AAAA"), "impossible"),
-        (line("GPRMC,,V,,,,,,,,,,N"), "no_fix"), (line("GPGGA,,,,,,0,,,,,,,,"), "no_fix"), (line("HEHDT,,T"), "no_heading"),
-        (line("GPVTG,,T,,M,,N,,K"), "no_fix"), (line("GPVTG,,,,,,,,,N"), "no_fix"), (ais(second=61), "typed_in"),
-        (ais(second=63), "no_fix"), (line("GPGSV,3,1,11,03,03,111,00"), "other_sentence"),
-        (line("PGRMC,A,110.1,100,6378137.0,298.257,0.0,0.0,0.0,A,3,1,1,4,30"), "other_sentence"), (b"A" * 3000, "too_long"),
+        (line("GPRMC,,V,,,,,,,,,,N"), "no_fix"),
+        (line("GPGGA,,,,,,0,,,,,,,,"), "no_fix"),
+        (line("HEHDT,,T"), "no_heading"),
+        (line("GPVTG,,T,,M,,N,,K"), "no_fix"),
+        (line("GPVTG,,,,,,,,,N"), "no_fix"),
+        (ais(second=61), "typed_in"),
+        (ais(second=63), "no_fix"),
+        (line("GPGSV,3,1,11,03,03,111,00"), "other_sentence"),
+        (line("PGRMC,A,110.1,100,6378137.0,298.257,0.0,0.0,0.0,A,3,1,1,4,30"), "other_sentence"),
+        (b"A" * 3000, "too_long"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_counted_by_its_reason(sentence: bytes, reason: str) -> None:
     reader = NmeaReader(MMSI)
     assert reader.samples(sentence, NOW) == []

@@ -93,9 +93,12 @@ def named(states: list[Inertial]) -> tuple[str, float]:
 
 
 FAULTS: dict[str, Change] = {
-    "sign": lambda x: -x, "a third": lambda x: 0.334 * x, "frozen on an axis": lambda x: x * (np.arange(len(x)) != 0),
-    "twice": lambda x: 2.0 * x, "swapped": lambda x: x[[1, 0, *range(2, len(x))]],
-}  # fmt: skip
+    "sign": lambda x: -x,
+    "a third": lambda x: 0.334 * x,
+    "frozen on an axis": lambda x: x * (np.arange(len(x)) != 0),
+    "twice": lambda x: 2.0 * x,
+    "swapped": lambda x: x[[1, 0, *range(2, len(x))]],
+}
 
 
 @pytest.mark.parametrize("fault", FAULTS)

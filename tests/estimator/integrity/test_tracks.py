@@ -174,14 +174,19 @@ def corners(right_m: float, half_m: float = 1.8) -> NDArray[np.float64]:
 @pytest.mark.parametrize(
     ("back", "out_s", "before", "after", "same"),
     [
-        ((1.7, 0.2), 0.4, corners(0.0), corners(0.0), True), ((1.7, 0.2), 0.4, corners(0.0), None, False),
-        ((1.7, 0.2), 0.4, None, corners(0.0), False), ((1.7, 0.2), 0.4, corners(0.0, 1.75), corners(0.0, 1.0), False),
-        ((1.7, 0.5), 0.4, corners(0.0), corners(0.0), True), ((1.6, 0.1), 0.04, None, None, True),
-        ((1.6, 0.1), 0.04, None, np.empty((0, 2)), False), ((1.7, 0.2), 0.4, np.empty((0, 2)), corners(0.0), False),
-        ((1.7, 0.2), 0.4, corners(-5.0), corners(4.6), False), ((-1.7, 0.2), 0.4, corners(0.0), corners(0.0), False),
+        ((1.7, 0.2), 0.4, corners(0.0), corners(0.0), True),
+        ((1.7, 0.2), 0.4, corners(0.0), None, False),
+        ((1.7, 0.2), 0.4, None, corners(0.0), False),
+        ((1.7, 0.2), 0.4, corners(0.0, 1.75), corners(0.0, 1.0), False),
+        ((1.7, 0.5), 0.4, corners(0.0), corners(0.0), True),
+        ((1.6, 0.1), 0.04, None, None, True),
+        ((1.6, 0.1), 0.04, None, np.empty((0, 2)), False),
+        ((1.7, 0.2), 0.4, np.empty((0, 2)), corners(0.0), False),
+        ((1.7, 0.2), 0.4, corners(-5.0), corners(4.6), False),
+        ((-1.7, 0.2), 0.4, corners(0.0), corners(0.0), False),
         ((1.7, 0.2), 2.4, corners(0.0), corners(0.0), False),
     ],
-)  # fmt: skip
+)
 def test_a_pad_that_left_the_picture_is_known_again_where_any_other_one_would_have_shown(
     back: tuple[float, float],
     out_s: float,

@@ -321,11 +321,15 @@ def test_a_piece_of_the_letter_gives_a_pose_to_start_from_but_no_certainty(camer
 
 
 LIGHTS = {
-    "3000 K, dark": Light(3000.0, exposure_ev=-2.0), "3000 K, bright": Light(3000.0, exposure_ev=1.5),
-    "9000 K, bright": Light(9000.0, exposure_ev=2.0), "white balance 20 % to magenta": Light(white_balance=(1.2, 0.8, 1.2)),
-    "white balance 20 % to blue": Light(white_balance=(0.8, 1.0, 1.2)), "glare": Light(glare=0.8, glare_centre_m=(0.1, 0.15)),
-    "wet": Light(wetness=0.8), "own shadow": Light(drone_shadow=0.7, sun_elevation_rad=1.3),
-}  # fmt: skip
+    "3000 K, dark": Light(3000.0, exposure_ev=-2.0),
+    "3000 K, bright": Light(3000.0, exposure_ev=1.5),
+    "9000 K, bright": Light(9000.0, exposure_ev=2.0),
+    "white balance 20 % to magenta": Light(white_balance=(1.2, 0.8, 1.2)),
+    "white balance 20 % to blue": Light(white_balance=(0.8, 1.0, 1.2)),
+    "glare": Light(glare=0.8, glare_centre_m=(0.1, 0.15)),
+    "wet": Light(wetness=0.8),
+    "own shadow": Light(drone_shadow=0.7, sun_elevation_rad=1.3),
+}
 
 
 @pytest.mark.parametrize("name", LIGHTS)

@@ -37,14 +37,18 @@ def chosen() -> Configuration:
 @pytest.mark.parametrize(
     ("name", "value", "answer", "kept"),
     [
-        ("general:navdata_demo", "TRUE", Answer.SET, "TRUE"), ("GENERAL:navdata_demo", " true ", Answer.SET, "TRUE"),
+        ("general:navdata_demo", "TRUE", Answer.SET, "TRUE"),
+        ("GENERAL:navdata_demo", " true ", Answer.SET, "TRUE"),
         ("general:navdata_demo", "maybe", Answer.BAD_VALUE, "FALSE"),
-        ("general:num_version_soft", "9", Answer.READ_ONLY, "2.4.8"), ("control:euler_angle_max", "0.3", Answer.SET, "0.3"),
+        ("general:num_version_soft", "9", Answer.READ_ONLY, "2.4.8"),
+        ("control:euler_angle_max", "0.3", Answer.SET, "0.3"),
         ("control:euler_angle_max", "2.0", Answer.BAD_VALUE, "0.20943952"),
-        ("control:euler_angle_max", "nan", Answer.BAD_VALUE, "0.20943952"), ("video:video_channel", "1", Answer.SET, "1"),
-        ("video:video_channel", "7", Answer.BAD_VALUE, "0"), ("general:ardrone_name", "a\nb", Answer.BAD_VALUE, "Decklander"),
+        ("control:euler_angle_max", "nan", Answer.BAD_VALUE, "0.20943952"),
+        ("video:video_channel", "1", Answer.SET, "1"),
+        ("video:video_channel", "7", Answer.BAD_VALUE, "0"),
+        ("general:ardrone_name", "a\nb", Answer.BAD_VALUE, "Decklander"),
     ],
-)  # fmt: skip
+)
 def test_set_answers_and_keeps(name: str, value: str, answer: Answer, kept: str) -> None:
     config = Configuration()
     assert config.set(name, value) is answer

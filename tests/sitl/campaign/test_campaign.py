@@ -295,10 +295,12 @@ def test_a_factorial_design_combines_all_values() -> None:
         ("wind.speed_m_s", "write KEY=LOW:HIGH:STEP or KEY=A,B,C"),
         ("wind.speed_m_s=0:1:0", "steps of 0 do not lead from 0 to 1"),
         ("wind.speed_m_s=0:1:-1", "steps of -1 do not lead from 0 to 1"),
-        ("wind.speed_m_s=0:1:2:3", "a range is LOW:HIGH:STEP"), ("wind.speed_m_s=0:9999999:1", "are more than 1000000"),
-        ("wind.speed_m_s=a:2:1", "needs a number, found 'a'"), ("vessel.moored=1,2", "is true or false, found '1'"),
+        ("wind.speed_m_s=0:1:2:3", "a range is LOW:HIGH:STEP"),
+        ("wind.speed_m_s=0:9999999:1", "are more than 1000000"),
+        ("wind.speed_m_s=a:2:1", "needs a number, found 'a'"),
+        ("vessel.moored=1,2", "is true or false, found '1'"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_axis_is_refused(text: str, said: str) -> None:
     with pytest.raises(BadInput) as why:
         parse_axis(text, overridable(), AT)

@@ -40,10 +40,12 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="t
 @pytest.mark.parametrize(
     ("leak", "said"),
     [
-        ({}, []), ({"memory": 0.2}, ["memory grew"]), ({"descriptors": 0.1}, ["descriptors grew"]),
+        ({}, []),
+        ({"memory": 0.2}, ["memory grew"]),
+        ({"descriptors": 0.1}, ["descriptors grew"]),
         ({"tasks": 0.1}, ["tasks grew"]),
     ],
-)  # fmt: skip
+)
 def test_what_grows_after_the_warm_up_is_reported(leak: dict[str, float], said: list[str]) -> None:
     memory, descriptors, tasks = (leak.get(name, 0.0) for name in ("memory", "descriptors", "tasks"))
     readings = [Reading(float(i), 0, 100.0 + 10.0 * i, 10, 3, 5, 0.5 * i) for i in range(5)]
