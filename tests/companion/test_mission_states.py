@@ -19,6 +19,7 @@ from companion.guidance.mission.search import Search
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import IntegrityAlert, Verdict
+from tests.companion.test_limits import HORIZONS_S, forecast
 from tests.companion.test_mission_flights import guided
 from tests.make import estimate, ns
 
@@ -380,12 +381,14 @@ def test_what_goes_for_the_deck_is_our_order_and_only_what_landed_stands() -> No
 
 
 @pytest.mark.parametrize(
-    ("height_m", "off_m", "confirmed", "rate_m_s"),
-    [(0.4, 0.0, True, 0.4), (0.4, 0.0, False, 0.105), (0.4, 0.085, True, 0.105), (0.2, 0.0, True, -0.095), (2.0, 0.0, True, 0.7)],
-)
-def test_a_gate_that_two_witnesses_find_open_is_passed(height_m: float, off_m: float, confirmed: bool, rate_m_s: float) -> None:
-    s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), sees((off_m, 0.0, height_m)), confirmed=confirmed))
-    _, aim = PHASES[State.DESCEND].aim(memory(State.DESCEND), s, OPTIONS)
+    ("height_m", "off_m", "sigma_m_s", "rate_m_s"),
+    [(0.4, 0.0, 0.05, 0.4), (0.4, 0.0, None, 0.105), (0.4, 0.085, 0.05, 0.105), (0.2, 0.0, 0.05, -0.095), (2.0, 0.0, 0.05, 0.7),
+     (0.4, 0.0, 0.2, 0.105)],
+)  # fmt: skip
+def test_a_gate_is_passed_that_is_surely_open(height_m: float, off_m: float, sigma_m_s: float | None, rate_m_s: float) -> None:
+    ahead = forecast(np.full(len(HORIZONS_S), -0.3), NOW, sigma_m_s or 0.05)
+    known = Knowledge(ns(NOW), sees((off_m, 0.0, height_m)), forecast=ahead, confirmed=sigma_m_s is not None)
+    _, aim = PHASES[State.DESCEND].aim(memory(State.DESCEND), GuidanceCycle(ns(NOW), known), OPTIONS)
     assert aim.descent_rate_m_s == pytest.approx(rate_m_s)
 
 

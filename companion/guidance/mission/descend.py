@@ -107,9 +107,10 @@ def _aim_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
     if o.mission == "thesis":
         return p, thesis.target(o.thesis.final_height_m, o.thesis, yaw)
     least_m = waits_m(s, o)
-    # Where two witnesses of the deck find the gate open already, it is passed at the commit's rate, and not stopped at.
-    opens = s.knowledge.confirmed and least_m == o.cone.gate_m and rules.bars_commit(p, s, o) is None
-    ends_m_s = o.cone.commit_rate_m_s if opens else 0.0
+    # Where two witnesses of the deck find the gate open already, and surely so, it is passed at the commit's rate.
+    falls_m_s = limits.fall_m_s(s.knowledge, limits.to_contact_s(estimate, s.knowledge, o.cone), o.cone, limits.SIGMAS_AHEAD)
+    surely = s.knowledge.confirmed and least_m == o.cone.gate_m and (falls_m_s or 0.0) <= o.limits.deck_fall_m_s
+    ends_m_s = o.cone.commit_rate_m_s if surely and rules.bars_commit(p, s, o) is None else 0.0
     rate = descent_rate_m_s(limits.beside_m(estimate, s.knowledge), estimate.height_m, o.cone, least_m, ends_m_s)
     over = np.array([*s.knowledge.aim_level, least_m])
     return p, Target(over, descent_rate_m_s=rate, speed_max_m_s=o.cone.intercept_speed_m_s, yaw_rad=yaw)

@@ -173,7 +173,7 @@ def gate(
         *_at_contact(knowledge, limits, 1.0),
         *_of_the_deck(knowledge, limits, contact_s),
         (ReasonCause.DECK_RISE, rise_beyond_climb_m(knowledge), limits.deck_rise_m),
-        (ReasonCause.DECK_FALL, _fall_m_s(knowledge, contact_s, cone), limits.deck_fall_m_s),
+        (ReasonCause.DECK_FALL, fall_m_s(knowledge, contact_s, cone), limits.deck_fall_m_s),
     ]
     if aligned:
         off_rad = math.pi if estimate.yaw_rad is None else abs(wrap_pi(estimate.yaw_rad))
@@ -348,15 +348,13 @@ def _surely_deg(roll_pitch: Sequence[float], sigmas: Sequence[float]) -> float:
     return math.degrees(max(0.0, tilt - sigma))
 
 
-def _fall_m_s(knowledge: Knowledge, to_contact_s: float, cone: ConeOptions) -> float | None:
+def fall_m_s(knowledge: Knowledge, to_contact_s: float, cone: ConeOptions, sigmas: float = 0.0) -> float | None:
     """Return the fastest fall of the deck that is forecast from the contact until the motors stand, m/s; None without one."""
     ahead = knowledge.forecast
     if ahead is None:
         return None
-    contact_s = seconds_between(ahead.at, knowledge.at) + to_contact_s
-    stand_s = contact_s + cone.press_s + _MOTORS_STOP_S
-    rises = np.interp([contact_s, 0.5 * (contact_s + stand_s), stand_s], ahead.horizons_s, ahead.rise_m_s)
-    return -float(rises.min())
+    then_s = seconds_between(ahead.at, knowledge.at) + to_contact_s + (cone.press_s + _MOTORS_STOP_S) * np.array([0.0, 0.5, 1.0])
+    return float(np.interp(then_s, ahead.horizons_s, sigmas * ahead.sigma_rise_m_s - ahead.rise_m_s).max())
 
 
 def _first(comparisons: list[Comparison]) -> Reason | None:
