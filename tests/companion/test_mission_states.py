@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.base.mission import ENDED, FLOWN, Event, Reason, ReasonCause, State, StateChange
-from companion.guidance.controller import Impact, Knowledge
+from companion.guidance.controller import HORIZONS_S, Impact, Knowledge
 from companion.guidance.mission.another_pad import OtherPad
 from companion.guidance.mission.commit import Commit
 from companion.guidance.mission.gate import Gate, gate_of
@@ -19,7 +19,7 @@ from companion.guidance.mission.search import Search
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import IntegrityAlert, Verdict
-from tests.companion.test_limits import HORIZONS_S, forecast
+from tests.companion.test_limits import forecast
 from tests.companion.test_mission_flights import guided
 from tests.make import estimate, ns
 
