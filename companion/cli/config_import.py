@@ -107,8 +107,8 @@ def _of_blueos(text: str, path: Path, tag_m: float | None) -> Imported:
     data = msgspec.json.decode(text, type=dict[str, dict[str, Any] | Any])
     if "output" in data:
         camera, link = data["camera"], data["output"]
-        source = {"rtsp": "stream", "mjpeg": "stream", "v4l2": "v4l2", "picamera2": "gstreamer"}[camera["kind"]]
-        device = "libcamerasrc ! video/x-raw" if source == "gstreamer" else camera["source"]
+        source = {"rtsp": "stream", "mjpeg": "stream", "v4l2": "v4l2", "picamera2": "libcamera"}[camera["kind"]]
+        device = "" if source == "libcamera" else camera["source"]
         remarks = [_STOP, "the board is in landing-target.json: decklander pad import makes a pad file of it, for pad.file"]
         remarks += _left([*data, *camera], "camera output schema_version kind source fps")
         to = f"udpin://{link['listen_host']}:{link['listen_port']}"

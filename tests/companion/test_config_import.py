@@ -44,7 +44,7 @@ def wingxtra(**keys: Any) -> str:
     [
         ("v.conf", CONF, ("udpin://127.0.0.1:14572", 0), ("v4l2", "/dev/video0", 25.0), ("16h5", 11, 0.446), "of [16] is not"),
         ("m.json", mackay(), ("udpin://127.0.0.1:14551", 3), ("stream", VIEW["rtsp"], 30.0), ("25h9", 5, 0.2), "horizontal_fov"),
-        ("w.json", wingxtra(), ("udpin://127.0.0.1:14771", 7), ("v4l2", "/dev/video2", 20.0), None, "startup_mode"),
+        ("w.json", wingxtra(kind="picamera2"), ("udpin://127.0.0.1:14771", 7), ("libcamera", "", 20.0), None, "startup_mode"),
     ],
 )  # fmt: skip
 def test_settings_are_ours_and_good(tmp_path: Path, capsys, name: str, text: str, vehicle, camera, tag, left: str) -> None:

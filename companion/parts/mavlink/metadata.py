@@ -32,7 +32,8 @@ _json = partial(json.dumps, separators=(",", ":"))
 @cache
 def metadata_files(component: int) -> dict[str, bytes]:
     """Return the files of a component of ours by name: which metadata there are, and the parameters, plain and compressed."""
-    plain = _json({"version": 1, "parameters": [_parameter(name, key) for name, key in NAMES.items()]}).encode()
+    fields = dict(walk(Settings))
+    plain = _json({"version": 1, "parameters": [_parameter(name, key, fields[key]) for name, key in NAMES.items()]}).encode()
     # Ground stations decompress with XZ Embedded, which checks CRC-32 and allocates the whole dictionary.
     small = lzma.compress(plain, check=lzma.CHECK_CRC32, filters=[{"id": lzma.FILTER_LZMA2, "dict_size": 1 << 16}])
     found = {
@@ -57,8 +58,7 @@ def _uri(component: int, name: str) -> str:
     return f"mftp://[;comp={component}]/{name}"
 
 
-def _parameter(name: str, key: str) -> dict[str, Any]:
-    field = dict(walk(Settings))[key]
+def _parameter(name: str, key: str, field: inspect.Field) -> dict[str, Any]:
     assert isinstance(field.type, inspect.Metadata)
     assert isinstance(field.type.type, inspect.FloatType | inspect.IntType)
     notes = field.type.extra_json_schema or {}
