@@ -45,6 +45,8 @@ class OrderSource(Enum):
     GAMEPAD = "gamepad"
     SWITCH = "switch"
     """A switch on the transmitter, as the autopilot reports its channel."""
+    HANDOVER = "handover"
+    """The end of a mission or a return of the autopilot's own, which may only begin."""
     TERMINAL = "terminal"
     PAGE = "page"
     """The operator page in a browser."""

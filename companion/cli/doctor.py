@@ -19,6 +19,7 @@ from companion.base import event_loop
 from companion.cli.options import option
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.load import Settings, load
+from companion.tools.doctor import rules_switch
 from companion.tools.doctor.diagnose import RULES, diagnose
 from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather import examine, wait_until
@@ -342,7 +343,8 @@ async def _examined(args: argparse.Namespace) -> Snapshot:
         return Snapshot(0.0, service=service)
     options, links = found
     gimbal = None if settings is None else settings.camera.gimbal
-    snapshot = await examine(options, SystemClock(), args.seconds, _progress, links, gimbal)
+    channel = 0 if settings is None else settings.operator.switch.channel
+    snapshot = await examine(options, SystemClock(), args.seconds, _progress, links, gimbal, channel)
     return replace(snapshot, service=service)
 
 
@@ -404,7 +406,7 @@ def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
             ", ".join(f"{name} {_short(value)} ({_short(default)})" for name, (value, default) in differs.items()),
             120, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False,
         )  # fmt: skip
-    lines += _ship_lines(snapshot)
+    lines += rules_switch.line(snapshot) + _ship_lines(snapshot)
     lines += [f"{f.severity.name.lower()}: {f.what} [{f.rule}]\n    fix: {f.fix}" for f in found]
     lines.append(f"{len(found)} of {len(RULES)} known faults found" if found else f"none of {len(RULES)} known faults found")
     return "\n".join(lines) + "\n"

@@ -13,15 +13,21 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from companion.base import event_loop
 from companion.cli import config, doctor
 from companion.cli.keys import write_secret
 from companion.cli.options import option
 from companion.parts.page.access import make_token
 from companion.settings.load import SHIPPED
+from companion.settings.operator import SwitchOptions
+from companion.tools.doctor.gather import seen_moving
 from drivers.camera.camera_process import libcamera_models
 from drivers.camera.v4l2 import cameras
+from drivers.clock import SystemClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.rc_channels import POSITIONS
 from estimator.contracts.errors import BadInput, file_errors
 
 VEHICLES = {
@@ -38,6 +44,7 @@ _ARDRONE = ("192.168.1.1", 5559)
 """An AR.Drone's address in its own network, and its port of the configuration."""
 _UDP_PORTS = (14550, 14540)
 _SPEEDS = (921600, 57600, 115200)
+_FLIP_S = 20.0
 _SERIAL = ("/dev/serial/by-id/*", "/dev/serial0", "/dev/ttyAMA0")
 
 
@@ -54,6 +61,8 @@ class Answers(Struct, frozen=True):
     place: str
     page: str
     """Address that the page listens on; empty for none."""
+    channel: int = 0
+    """Channel of the transmitter's switch; 0 for none."""
 
 
 DESCRIPTION = (
@@ -72,6 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--pad NAME", "pad: a shipped one or a file of yours")
     option(parser, "--where", "place of the flights", choices=sorted(PLACES))
     option(parser, "--page ADDRESS", "address for the operator page: 127.0.0.1, one of this computer's by TLS, or off")
+    option(parser, "--switch CHANNEL", "channel of a switch on the transmitter that gives orders; 0 for none", type=int)
     option(parser, "--out FILE", "file to write (default: rig.toml)", default=Path("rig.toml"))
     option(parser, "--yes", "ask nothing: take what is found or usual")
     option(parser, "--no-doctor", "skip the diagnosis")
@@ -123,7 +133,29 @@ def _answers(args: argparse.Namespace) -> Answers:
     pad = args.pad or ask("pad", pads, "thesis" if flies_itself else "printed")
     place = args.where or ask("place", PLACES, "indoors" if flies_itself else "outdoors")
     page = args.page or ask("page", _page_addresses(), "127.0.0.1")
-    return Answers(vehicle, link, device, args.camera_file or shipped, pad, place, "" if page == "off" else page)
+    channel = args.switch
+    if channel is None:
+        channel = _switch(link) if received and not args.yes else 0
+    return Answers(vehicle, link, device, args.camera_file or shipped, pad, place, "" if page == "off" else page, channel)
+
+
+def _switch(link: str) -> int:
+    """Ask for a switch on the transmitter, show which channel moves, and return it if the user agrees; else 0."""
+    wants = {"no": "", "yes": "a free one gives orders: flip it through its positions when you have answered"}
+    if _ask("switch on the transmitter", wants, "no") == "no":
+        return 0
+    sys.stdout.write(f"flip it now ({_FLIP_S:.0f} s) ...\n")
+    sys.stdout.flush()
+    seen, orders = event_loop.run(seen_moving(AutopilotOptions(link), SystemClock(), _FLIP_S)), SwitchOptions()
+    for channel, stood in (seen or {}).items():
+        found = [f"{n} {stood[n]} us: {getattr(orders, n)}" for n in POSITIONS if n in stood]
+        sys.stdout.write(f"  channel {channel}: {', '.join(found)}\n")
+    if not seen:
+        sys.stdout.write("no RC_CHANNELS arrives: is the receiver bound?\n" if seen is None else "no channel moved\n")
+        return 0
+    among = {str(channel): "" for channel in seen} | {"no": "none of them"}
+    answer = _ask("channel of the switch", among, next(iter(among)))
+    return 0 if answer == "no" else int(answer)
 
 
 def _ask(what: str, among: dict[str, str], usual: str) -> str:
@@ -245,6 +277,10 @@ def settings_text(answers: Answers, out: Path) -> str:
     sections.append(["[guidance]", 'start = "signal"    # wait for an order: decklander fly begin, or the page'])
     if autopilot:
         sections.append(["[guidance.cone]", "feet_below_m = 0.1    # measure: the feet below the autopilot"])
+    if answers.channel:
+        sections.append(
+            ["[operator.switch]", f"channel = {answers.channel}    # low: hold, middle: stay over the pad, high: land"]
+        )
     fence, height_m = ("ship", 30) if answers.place == "ship" else ("start", 4 if answers.place == "indoors" else 30)
     sections.append(["[limits]", f'fence = "{fence}"', f"fence_radius_m = {max(height_m, 5)}.0", f"height_max_m = {height_m}.0"])
     sections.append(["[recorder]", "enabled = true    # every flight, in the folder recordings"])

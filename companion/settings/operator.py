@@ -43,6 +43,26 @@ class SwitchOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             raise ValueError(f"channel must be 5 to 18, or 0 for no switch, got {self.channel}: 1 to 4 are the sticks")
 
 
+class HandoverOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
+    """A landing that is begun by the autopilot's own flight, once the pad is in sight below (docs/operator.md)."""
+
+    after: Annotated[
+        Literal["nothing", "mission", "return", "mission or return"],
+        choice("flight of the autopilot's own after which the landing begins by itself", public=True),
+    ] = "nothing"
+    failsafe: Annotated[bool, choice("whether that is so of a return, or a mission's end, with a failsafe in force too")] = False
+
+    @property
+    def mission(self) -> bool:
+        """True if a landing begins at a mission's end."""
+        return self.after in ("mission", "mission or return")
+
+    @property
+    def returns(self) -> bool:
+        """True if a landing begins from a return over the pad."""
+        return self.after in ("return", "mission or return")
+
+
 class OperatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The commands of people on this computer: the terminal (`decklander fly`) and the gamepad.
 
@@ -72,6 +92,7 @@ class OperatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     ] = "any"
     manual: ManualOptions = ManualOptions()
     switch: SwitchOptions = SwitchOptions()
+    handover: HandoverOptions = HandoverOptions()
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -131,6 +131,11 @@ class Streams:
         """True if every request was answered or given up."""
         return all(s.result is not None or s.tries >= self._tries for s in self._streams.values())
 
+    def also(self, name: str, rate_hz: float) -> None:
+        """Request one more message from now on, over restarts too."""
+        if name not in self._streams:
+            self._streams[name], self._ids[name] = _Stream(1.0 / rate_hz), message_id(name)
+
     def restart(self) -> None:
         """Request every message again, because the link or the autopilot was restarted."""
         self._streams = {name: _Stream(s.interval_s) for name, s in self._streams.items()}

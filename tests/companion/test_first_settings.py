@@ -1,9 +1,13 @@
 """`decklander start` and what a person reads first: settings that load, a QR code that reads back, help, carets, completion."""
 
+import io
 import socket
 import subprocess
+import sys
 import threading
 import tomllib
+from collections.abc import Iterator
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
 
@@ -39,27 +43,52 @@ def test_the_file_is_short_commented_good_and_never_overwritten(vehicle, where, 
     assert out.read_text() == text
 
 
-def test_an_autopilot_on_the_network_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def copter(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Send a PX4's HEARTBEAT to a port that `start` listens on, and RC_CHANNELS: channel 7 is flipped once answered."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     monkeypatch.setattr(start, "_UDP_PORTS", (port,))
     monkeypatch.setattr(start, "_SERIAL", ())
     monkeypatch.setattr(start, "_ARDRONE", ("127.0.0.1", 1))
-    beat = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_PX4, 0, 0, 0, 3)
-    data, over = Codec(1, 1).pack(beat), threading.Event()
+    codec, over = Codec(1, 1), threading.Event()
 
     def beating() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            while not over.wait(0.05):
-                sender.sendto(data, ("127.0.0.1", port))
+            sender.setblocking(False)
+            n = 0
+            while True:
+                with suppress(BlockingIOError):
+                    n = max(n, len(sender.recv(2048)) > 0)
+                n += n > 0
+                pulses = [1500, 1500, 1100, 1500, 1000, 0, (1000, 1500, 1990)[min(n // 10, 2)], *[0] * 11]
+                beat = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_PX4, 0, 0, 0, 3)
+                for message in (beat, mav.MAVLink_rc_channels_message(0, 16, *pulses, 255)):
+                    sender.sendto(codec.pack(message), ("127.0.0.1", port))
+                if over.wait(0.05):
+                    return
 
     thread = threading.Thread(target=beating)
     thread.start()
-    found = start.found_vehicles(1.0)
+    yield port
     over.set()
     thread.join()
-    assert found == [start.FoundVehicle("px4", f"udpin://0.0.0.0:{port}")]
+
+
+def test_an_autopilot_on_the_network_is_found(copter: int) -> None:
+    assert start.found_vehicles(1.0) == [start.FoundVehicle("px4", f"udpin://0.0.0.0:{copter}")]
+
+
+@pytest.mark.parametrize(("answers", "channel"), [("yes\n\n", 7), ("yes\nno\n", 0), ("\n", 0)])
+def test_the_switch_that_moves_is_proposed(answers, channel, copter, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdin", io.StringIO(answers))
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+    words = "start --no-doctor --vehicle px4 --camera usb --pad printed --where ship --page off --out"
+    assert main([*words.split(), str(tmp_path / "rig.toml")]) == 0
+    assert load(tmp_path / "rig.toml").operator.switch.channel == channel
+    shown = "channel 7: low 1000 us: hold, middle 1500 us: stay, high 1990 us: begin"
+    assert (shown in capsys.readouterr().out) == answers.startswith("yes")
 
 
 def test_a_raspberry_pis_own_camera_is_proposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

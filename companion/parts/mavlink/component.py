@@ -26,6 +26,7 @@ from msgspec import Struct
 from companion.base.health import Health
 from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSource
 from companion.base.version import version
 from companion.parts.mavlink.commands import (
     CAPABILITIES,
@@ -364,6 +365,13 @@ class Component(NullObserver):
             severity = _SEVERITIES.get(decision.phase, MavSeverity.INFO)
             why = decision.transitions[-1].reason.text if decision.transitions and decision.phase in _SEVERITIES else ""
             self.texts.say(severity, ": ".join(filter(None, ("Decklander", decision.phase, why))), decision.at)
+
+    def on_order(self, handled: HandledOrder) -> None:
+        """Say by what a landing or a stay is begun, and why it is not where the sender has no screen."""
+        if handled.accepted and handled.order in (OperatorOrder.BEGIN, OperatorOrder.STAY):
+            self.texts.say(MavSeverity.INFO, f"Decklander: {handled.order.value} by {handled.sender}", handled.at)
+        elif not handled.accepted and handled.sender.source in (OrderSource.SWITCH, OrderSource.HANDOVER):
+            self.texts.say(MavSeverity.WARNING, f"Decklander: {handled}", handled.at)
 
     # Messages from other components
 

@@ -7,20 +7,22 @@ import math
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import NoReturn, Protocol
 
 import numpy as np
 from msgspec import structs
 
 from companion.base.health import GIMBAL, Health
-from companion.base.orders import OrderSender, OrderSource
+from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.mavlink.camera_component import ShowCamera, showing
 from companion.parts.mavlink.commands import PilotTower, link_counters, tunables
 from companion.parts.mavlink.component import PARAMETERS, Component, speaking
+from companion.parts.mavlink.handover import Handover
 from companion.parts.mavlink.outputs import Outputs
-from companion.parts.mavlink.rc_switch import RcSwitch, switching
+from companion.parts.mavlink.rc_switch import RcSwitch
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.model import Settings
 from companion.tools.doctor.finding import Finding, Severity
@@ -204,11 +206,17 @@ class AutopilotPart:
         pilot.engage = self._engage
         health.counters("mavlink", self._counted)
         self._gimbal = Gimbal(settings.camera.gimbal, clock) if settings.camera.gimbal.given else None
-        channel = settings.operator.switch.channel
-        operator = PilotOperator(pilot, OrderSender(OrderSource.SWITCH, f"channel {channel}"), clock)
-        self._switch = RcSwitch(settings.operator.switch, operator.order) if channel else None
-        if self._switch is not None:
-            health.counters("switch", self._switch.counted)
+
+        def by(source: OrderSource, name: str) -> PilotOperator:
+            return PilotOperator(pilot, OrderSender(source, name), clock)
+
+        switch, after = settings.operator.switch, settings.operator.handover
+        self._watchers: list[RcSwitch | Handover] = []
+        if switch.channel:
+            self._watchers.append(rc := RcSwitch(switch, by(OrderSource.SWITCH, f"channel {switch.channel}").order))
+            health.counters("switch", rc.counted)
+        if after.mission or after.returns:
+            self._watchers.append(Handover(after, pilot, lambda name: by(OrderSource.HANDOVER, name).order(OperatorOrder.BEGIN)))
         if self._gimbal is not None:
             health.awaited |= {GIMBAL}
             health.counters("gimbal", self._gimbal.counted)
@@ -231,12 +239,13 @@ class AutopilotPart:
         )
         async with opening as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap
+            for watcher in self._watchers:
+                autopilot.add_listener(partial(watcher.on_message, autopilot))
             autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot, self._pilot.landing.vessel_velocity)
             async with (
                 speaking(self.component, autopilot, self._clock),
                 showing(self._show, autopilot, self._clock),
                 tending(self._gimbal, autopilot, self._clock),
-                switching(self._switch, autopilot, self._clock),
                 running_beside([("link-watch", LinkWatch(autopilot, self._options.system_id, self._health, self._clock).run())]),
             ):
                 self._open = autopilot

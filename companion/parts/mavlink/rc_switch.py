@@ -10,9 +10,7 @@ Source: mavlink.io, common message set: RC_CHANNELS (65), SYS_STATUS (1), MAV_SY
 """
 
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
-from typing import NoReturn
+from collections.abc import Callable
 
 from msgspec import Struct
 
@@ -22,17 +20,11 @@ from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
-from drivers.mavlink.requests import Streams
-from drivers.reconnect import running_beside
-from estimator.contracts.time import Clock, MonoNs, seconds_between
+from drivers.mavlink.rc_channels import RATE_HZ, band_of, pulse_us
+from estimator.contracts.time import MonoNs, seconds_between
 
 DEBOUNCE_S, GAP_S = 0.3, 1.0
 """Time for which a position must be held, and the gap between two messages after which it is forgotten, s."""
-BANDS_US = ((800, 1300), (1400, 1600), (1700, 2200))
-"""Pulse widths of the low, the middle and the high position, microseconds."""
-_THROTTLE_LOST_US = 950
-"""Throttle at or below which a receiver says by it that its transmitter is lost: autopilots take 975 and less for that."""
-_RATE_HZ, _TICK_S = 10.0, 0.1
 _RECEIVER = int(mav.MAV_SYS_STATUS_SENSOR_RC_RECEIVER)
 _WAITS = frozenset({OperatorOrder.BEGIN, OperatorOrder.STAY})
 """Orders that fly the vehicle to the pad."""
@@ -50,17 +42,17 @@ class SwitchPosition(Struct, frozen=True):
     """Time of the newest message."""
 
 
-def moved(before: SwitchPosition, pulse_us: int | None, now: MonoNs) -> tuple[SwitchPosition, bool]:
+def moved(before: SwitchPosition, pulse: int | None, now: MonoNs) -> tuple[SwitchPosition, bool]:
     """Return the memory after a message, and whether the switch was moved to the position that it is in.
 
     Args:
-        pulse_us: pulse width, microseconds; None where the input is lost.
+        pulse: pulse width, microseconds; None where the input is lost.
     """
-    if pulse_us is None:
+    if pulse is None:
         return SwitchPosition(), False
     if before.at is not None and not 0.0 <= seconds_between(before.at, now) <= GAP_S:
         before = SwitchPosition()
-    band = next((n for n, (least, most) in enumerate(BANDS_US) if least <= pulse_us <= most), None)
+    band = band_of(pulse)
     if band is None or band == before.position:
         return SwitchPosition(before.position, at=now), False
     if band != before.next or before.since is None:
@@ -68,14 +60,6 @@ def moved(before: SwitchPosition, pulse_us: int | None, now: MonoNs) -> tuple[Sw
     if seconds_between(before.since, now) < DEBOUNCE_S:
         return SwitchPosition(before.position, band, before.since, now), False
     return SwitchPosition(band, at=now), before.position is not None
-
-
-def pulse_us(message: Message, channel: int) -> int | None:
-    """Return the pulse width of a channel, microseconds; None where it is not there or the input is lost."""
-    width, throttle = getattr(message, f"chan{channel}_raw"), message.chan3_raw
-    if channel > message.chancount or not BANDS_US[0][0] <= width <= BANDS_US[-1][1] or throttle <= _THROTTLE_LOST_US:
-        return None
-    return int(width)
 
 
 class RcSwitch:
@@ -87,7 +71,7 @@ class RcSwitch:
 
     def __init__(self, options: SwitchOptions, order: Callable[[OperatorOrder], str | None]) -> None:
         self._o, self._order = options, order
-        self._streams, self._connects = Streams({"RC_CHANNELS": _RATE_HZ}), -1
+        self._connects = -1
         self._memory = SwitchPosition()
         self._waiting: tuple[OperatorOrder, MonoNs] | None = None
         self._strength = False
@@ -106,7 +90,10 @@ class RcSwitch:
             return
         if received.access_level < AccessLevel.PEER:
             return
-        self._streams.on_message(m, received.received_at)
+        if autopilot.connects != self._connects:
+            self._connects, self._memory, self._waiting = autopilot.connects, SwitchPosition(), None
+        if autopilot.streams is not None:
+            autopilot.streams.also("RC_CHANNELS", RATE_HZ)
         if kind == "SYS_STATUS":
             self._on_status(m, received.received_at)
         elif kind == "RC_CHANNELS":
@@ -139,36 +126,3 @@ class RcSwitch:
     def _give(self, order: OperatorOrder) -> None:
         self.counts["orders"] += 1
         self._order(order)
-
-    def due(self, autopilot: Autopilot, now: MonoNs) -> list[Message]:
-        """Return the requests to send now."""
-        identity, streams = autopilot.identity, autopilot.streams
-        if identity is None or streams is None or not autopilot.connected:
-            return []
-        if autopilot.connects != self._connects:
-            self._connects, self._memory, self._waiting = autopilot.connects, SwitchPosition(), None
-            self._streams.restart()
-        # An answer does not name the stream that it is for: the autopilot has answered all others first.
-        return self._streams.due(now, identity.address) if streams.settled else []
-
-
-@asynccontextmanager
-async def switching(switch: RcSwitch | None, autopilot: Autopilot, clock: Clock) -> AsyncIterator[None]:
-    """Read the switch on the links of an autopilot. Without one do nothing."""
-    if switch is None:
-        yield
-        return
-
-    def step() -> None:
-        if autopilot.unclear is None:
-            for message in switch.due(autopilot, clock.now()):
-                autopilot.send(message)
-
-    async def tick() -> NoReturn:
-        while True:
-            autopilot.links.contained.run("the switch's tick", "us", step)
-            await clock.sleep(_TICK_S)
-
-    autopilot.add_listener(lambda received: switch.on_message(autopilot, received))
-    async with running_beside([("mavlink-switch", tick())]):
-        yield

@@ -235,7 +235,8 @@ class DoctorTool(Tool):
         if autopilot is not None and isinstance(vehicle, AutopilotOptions):
             from companion.tools.doctor.gather import examine_open
 
-            snapshot = await examine_open(autopilot, vehicle.system_id, service.clock, LISTENING_S)
+            channel = service.settings.operator.switch.channel
+            snapshot = await examine_open(autopilot, vehicle.system_id, service.clock, LISTENING_S, channel)
         elif isinstance(vehicle, AutopilotOptions):
             part = service.health.snapshot().parts.get("vehicle")
             why = "" if part is None else part.last_error

@@ -1,6 +1,6 @@
 """Apply all rules to one snapshot; those for what a flight log shows, whatever the parameters say, are here. Pure."""
 
-from companion.tools.doctor import rules_autopilots, rules_links, rules_values
+from companion.tools.doctor import rules_autopilots, rules_links, rules_switch, rules_values
 from companion.tools.doctor.finding import Finding, Row, Rule, Severity, error, warning
 from companion.tools.doctor.snapshot import Snapshot
 from drivers.imports.log_history import VIBRATION_LIMIT_M_S2, Excess
@@ -112,7 +112,7 @@ LOG_RULES: tuple[Rule, ...] = (
 
 RULES: tuple[Rule, ...] = (
     *rules_links.RULES, *rules_values.ARMING, *LOG_RULES, *rules_autopilots.RULES, *rules_autopilots.PX4_RULES,
-    *rules_values.FAILSAFE_RULES, *rules_values.RULES,
+    *rules_values.FAILSAFE_RULES, *rules_values.RULES, *rules_switch.RULES,
 )  # fmt: skip
 
 

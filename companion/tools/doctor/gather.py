@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 
 from msgspec import Struct, field, structs
 
+from companion.tools.doctor import rules_switch
 from companion.tools.doctor.diagnose import PARAMETERS
 from companion.tools.doctor.firmware_parameters import defaults_of, differing, names_in
 from companion.tools.doctor.snapshot import (
@@ -20,6 +21,7 @@ from drivers.mavlink.dialect import mav
 from drivers.mavlink.gimbal import Gimbal, tending
 from drivers.mavlink.links import Link, LinkOptions, ReceivedMessage
 from drivers.mavlink.options import AutopilotOptions, GimbalOptions
+from drivers.mavlink.rc_channels import FIRST, LAST, POSITIONS, RATE_HZ, band_of, pulse_us
 from drivers.mavlink.requests import RATES_HZ
 from drivers.mavlink.vehicle import is_autopilot, stack_of
 from estimator.contracts.time import Clock, MonoNs, seconds_between
@@ -32,6 +34,8 @@ _FIRST_ANSWER_S = 5.0
 """Time after which an autopilot that answered nothing at all is not waited for, seconds."""
 _POLL_S = 0.05
 _FOUND_MAX = 256
+_RESTS_S = 3.0
+"""Time without a move after which a switch counts as tried, seconds."""
 
 Say = Callable[[str], None]
 
@@ -42,6 +46,9 @@ class Notes(Struct):
     systems: dict[tuple[int, int], FoundSystem] = field(default_factory=dict)
     enabled: bool | None = None
     healthy: bool | None = None
+    channels: dict[int, dict[str, int]] = field(default_factory=dict)
+    before: dict[int, int | None] = field(default_factory=dict)
+    """Position of each channel in the message before: one that is passed on the way is not noted."""
 
     def on_message(self, received: ReceivedMessage) -> None:
         m, name = received.message, received.message.get_type()
@@ -55,6 +62,18 @@ class Notes(Struct):
         elif name == "SYS_STATUS" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
             self.enabled = bool(m.onboard_control_sensors_enabled & _PRECLAND_BIT)
             self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
+        elif name == "RC_CHANNELS" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
+            for channel in range(FIRST, LAST + 1):
+                band = band_of(pulse := pulse_us(m, channel))
+                if pulse is not None and band is not None and band == self.before.get(channel):
+                    stood = self.channels.setdefault(channel, {})
+                    stood.pop(POSITIONS[band], None)
+                    stood[POSITIONS[band]] = pulse
+                self.before[channel] = band
+
+    def moved(self) -> dict[int, dict[str, int]]:
+        """Return the channels that stood in more than one position."""
+        return {channel: stood for channel, stood in self.channels.items() if len(stood) > 1}
 
 
 async def examine(
@@ -64,6 +83,7 @@ async def examine(
     say: Say = lambda text: None,
     links: Sequence[LinkOptions] | None = None,
     gimbal: GimbalOptions | None = None,
+    channel: int = 0,
 ) -> Snapshot:
     """Listen to the links, query the autopilot, and return the snapshot.
 
@@ -72,6 +92,7 @@ async def examine(
         say: called with a progress line for a terminal.
         links: the links of the options with their keys; None for those of the options without any key.
         gimbal: the camera's gimbal, whose reports are requested and which is left where it points; None without one.
+        channel: channel of the transmitter's switch; 0 without one.
     """
     notes = Notes()
     began = clock.now()
@@ -82,14 +103,14 @@ async def examine(
         await wait_until(clock, seconds, lambda: autopilot.connected)
         rates: dict[str, float] = {}
         if autopilot.identity is not None:
-            rates = await _ask(autopilot, notes, clock, seconds, say)
+            rates = await _ask(autopilot, notes, clock, seconds, say, channel)
         snapshot = snapshot_of(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
         if found is None or snapshot.autopilot is None:
             return snapshot
         return structs.replace(snapshot, gimbal=GimbalSnapshot(found.device_id, found.rate_hz, dict(found.sampler.refused)))
 
 
-async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds: float) -> Snapshot:
+async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds: float, channel: int = 0) -> Snapshot:
     """Examine the autopilot over the links that a service has open; cancelled, it sends nothing more.
 
     The links' counters are those since they were opened; texts and events are those of this examination.
@@ -105,7 +126,7 @@ async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds:
         if autopilot.identity is None:
             await clock.sleep(seconds)
         else:
-            rates = await _ask(autopilot, notes, clock, seconds, lambda text: None)
+            rates = await _ask(autopilot, notes, clock, seconds, lambda text: None, channel)
         snapshot = snapshot_of(autopilot, notes, rates, wanted, seconds_between(began, clock.now()))
     finally:
         autopilot.remove_listener(notes.on_message)
@@ -119,7 +140,29 @@ async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds:
     return structs.replace(snapshot, autopilot=structs.replace(snapshot.autopilot, texts=texts, events=numbers))
 
 
-async def _ask(autopilot: Autopilot, notes: Notes, clock: Clock, seconds: float, say: Say) -> dict[str, float]:
+async def seen_moving(options: AutopilotOptions, clock: Clock, seconds: float) -> dict[int, dict[str, int]] | None:
+    """Watch the transmitter until one of its switches has moved and rested, and return the channels that moved, as in a snapshot.
+
+    Args:
+        seconds: how long to wait for that.
+
+    Returns:
+        None where no RC_CHANNELS arrives.
+    """
+    notes, began, rests = Notes(), clock.now(), clock.now()
+    async with open_autopilot(options, clock) as autopilot:
+        autopilot.add_listener(notes.on_message)
+        known = notes.moved()
+        while seconds_between(began, clock.now()) < seconds and not (known and seconds_between(rests, clock.now()) > _RESTS_S):
+            await clock.sleep(_POLL_S)
+            if autopilot.streams is not None:
+                autopilot.streams.also("RC_CHANNELS", RATE_HZ)
+            if known.keys() != (now := notes.moved()).keys() or any(list(known[n]) != list(now[n]) for n in known):
+                known, rests = {channel: dict(stood) for channel, stood in now.items()}, clock.now()
+        return known if autopilot.counts["RC_CHANNELS"] else None
+
+
+async def _ask(autopilot: Autopilot, notes: Notes, clock: Clock, seconds: float, say: Say, channel: int) -> dict[str, float]:
     identity, parameters, streams = autopilot.identity, autopilot.parameters, autopilot.streams
     assert identity is not None
     assert parameters is not None
@@ -128,7 +171,11 @@ async def _ask(autopilot: Autopilot, notes: Notes, clock: Clock, seconds: float,
     await wait_until(clock, _VERSION_S, lambda: autopilot.version is not None)
     firmware = _firmware(autopilot)
     known = defaults_of(identity.stack.value, firmware)
-    parameters.request(dict.fromkeys((*names_in(PARAMETERS[identity.stack.value], firmware), *known)))
+    names = names_in(PARAMETERS[identity.stack.value], firmware)
+    if channel:
+        streams.also("RC_CHANNELS", RATE_HZ)
+        names = (*names, *rules_switch.parameters(identity.stack.value, channel))
+    parameters.request(dict.fromkeys((*names, *known)))
 
     def answered() -> bool:
         found = bool(parameters.values) or autopilot.counts["COMMAND_ACK"] > 0
@@ -192,6 +239,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
             refused={} if streams is None else streams.refused,
             texts=tuple(text for _, _, text in autopilot.texts),
             events=tuple(autopilot.events),
+            channels=notes.channels,
             precland_enabled=notes.enabled,
             precland_healthy=notes.healthy,
             differs=differing(values, defaults_of(identity.stack.value, _firmware(autopilot))),

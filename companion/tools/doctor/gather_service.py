@@ -56,6 +56,9 @@ def files_of(settings: Settings) -> ServiceSnapshot:
     """Return the snapshot of the files that settings name. It reads them, so it belongs on a thread."""
     feet_m = None if isinstance(settings.vehicle, ArDroneOptions) else settings.guidance.cone.feet_below_m
     snapshot = ServiceSnapshot(ship_place=contradiction(settings), without_effect=without_effect(settings), feet_below_m=feet_m)
+    if (switch := settings.operator.switch).channel and feet_m is not None:
+        orders = (switch.low, switch.middle, switch.high)
+        snapshot = structs.replace(snapshot, switch=orders, switch_channel=switch.channel)
     try:
         check_files(settings)
     except BadInput as why:

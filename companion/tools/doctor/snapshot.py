@@ -84,6 +84,8 @@ class AutopilotSnapshot(Struct, frozen=True):
     differs: dict[str, tuple[float, float]] = field(default_factory=dict)
     """The parameters that touch modes, time limits, sources of the EKF and loops, and are not what the firmware begins with: each
     with its value and the default."""
+    channels: dict[int, dict[str, int]] = field(default_factory=dict)
+    """Channels of the transmitter: the newest width, us, in each position in which they stood, the newest position last."""
     precland_enabled: bool | None = None
     precland_healthy: bool | None = None
     """True if SYS_STATUS reports precision landing as enabled by parameter and its backend as running."""
@@ -160,6 +162,9 @@ class ServiceSnapshot(Struct, frozen=True):
     drone_fault: str | None = None
     feet_below_m: float | None = None
     """Distance of an autopilot's feet below it by the settings, m; None for an AR.Drone."""
+    switch: tuple[str, ...] = ()
+    """Orders of the low, the middle and the high position of the transmitter's switch; empty without one."""
+    switch_channel: int = 0
     ship_place: Contradiction | None = None
     """Contradiction in the settings about the ship's place."""
     places_refused: dict[str, int] = field(default_factory=dict)

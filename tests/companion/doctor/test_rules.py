@@ -123,6 +123,16 @@ ONE_WAY = replace(GOOD, autopilot=UNANSWERED, sync=TimeSyncSnapshot(False), syst
 NO_SOURCE = out_of_place(guidance={"rendezvous": {"enabled": True}})
 UNUSED = out_of_place(vessel={"nmea": "127.0.0.1:10110"})
 
+SWITCH = replace(SERVICE, switch_channel=7, switch=("hold", "stay", "begin"))
+MOVED = {7: {"middle": 1500, "high": 1990, "low": 1000}}
+
+
+def switched(of: AutopilotSnapshot = ARDUPILOT, channels: Any = MOVED, rate_hz: float = 10.0, **values: float) -> Snapshot:
+    rates = of.rates_hz | ({"RC_CHANNELS": rate_hz} if rate_hz else {})
+    with_switch = replace(of, parameters=of.parameters | values, rates_hz=rates, channels=channels)
+    return replace(GOOD, service=SWITCH, autopilot=with_switch)
+
+
 BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     # what is broken: the rule that names it, the frame, a word of the cure
     "serial port without permission": ("link-down", link(down="[Errno 13] Permission denied: '/dev/ttyAMA0'"), "usermod"),
@@ -261,6 +271,12 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
         px4(events=(event_id("mavlink_rcv_lnd_target_unsup_coord"),)),
         "another program",
     ),
+    "no receiver": ("switch-silent", switched(channels={}, rate_hz=0.0), "bind"),
+    "a transmitter that is off": ("switch-no-pulse", switched(channels={5: {"low": 1000}}), "transmitter on"),
+    "a switch that nobody flipped": ("switch-unmoved", switched(channels={7: {"low": 1000}}), "flip"),
+    "a switch that ArduPilot has too": ("switch-used", switched(RC7_OPTION=41.0, FLTMODE_CH=5.0), "free channel"),
+    "the mode switch of PX4": ("switch-used", switched(PX4, RC_MAP_FLTMODE=7.0, RC_MAP_KILL_SW=8.0), "free channel"),
+    "a mode button of PX4": ("switch-used", switched(PX4, RC_MAP_FLTM_BTN=64.0), "free channel"),
     "pad out of the frame": ("targets-withheld", service(targets_sent=0, withheld={"not seen": 90, "on ground": 3}), "detect"),
 }
 
@@ -276,6 +292,8 @@ HARMLESS = {
     "loopback": link(url="udpin://[::1]:1", signed=False),
     "a name of loopback": link(url="tcp://localhost:5760", signed=False),
     "signed": link(url="udpin://0.0.0.0:14550", signed=True),
+    "a free switch": switched(RC7_OPTION=0.0, FLTMODE_CH=5.0, TUNE=3.0),
+    "a free switch of PX4": switched(PX4, RC_MAP_FLTMODE=5.0, RC_MAP_FLTM_BTN=16.0),
 }
 
 

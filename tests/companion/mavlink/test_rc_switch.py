@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.base.orders import OperatorOrder
-from companion.parts.mavlink.rc_switch import BANDS_US, DEBOUNCE_S, RcSwitch, SwitchPosition, moved, switching
+from companion.parts.mavlink.rc_switch import DEBOUNCE_S, RcSwitch, SwitchPosition, moved
 from companion.settings.operator import SwitchOptions
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.rc_channels import BANDS_US
 from tests.companion.mavlink.stage import US, bordered
 from tests.make import ns
 
@@ -42,7 +43,8 @@ def test_only_a_held_change_between_two_known_positions_is_a_move(spells: Any) -
 async def test_the_real_messages_order_by_a_move_alone_and_never_by_what_is_lost() -> None:
     orders = list[OperatorOrder]()
     switch = RcSwitch(SwitchOptions(channel=7), lambda order: orders.append(order))
-    async with bordered() as border, switching(switch, border.autopilot, border.clock):
+    async with bordered() as border:
+        border.autopilot.add_listener(lambda received: switch.on_message(border.autopilot, received))
 
         async def held(message: Message, *, well: bool = True) -> list[OperatorOrder]:
             """Send a message for longer than a switch must hold, then the receiver's state; return the orders by it."""

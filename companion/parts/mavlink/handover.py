@@ -1,0 +1,166 @@
+"""A landing begun by the autopilot's own flight: at the end of a mission, or by a return that has come over the pad.
+
+The settings say at which of the two. Nothing of it takes the vehicle from a person or a failsafe
+(docs/decisions/mavlink.md): an order to begin is given to the arbiter, once in a
+journey, while nobody has ordered or taken anything in this flight, the pad is in sight, and the vehicle hovers or sinks over it.
+
+Source: mavlink.io, common message set: MISSION_CURRENT (42) with MISSION_STATE, MISSION_ITEM_REACHED (46), HEARTBEAT (0) with
+MAV_STATE. PX4 reports no MISSION_STATE and goes from AUTO.MISSION to AUTO.LOITER behind the last item.
+"""
+
+import logging
+import math
+from collections.abc import Callable
+
+from msgspec import Struct
+
+from companion.base.mission import State
+from companion.guidance.operator.precedence import ControlSituation
+from companion.guidance.pilot import Pilot
+from companion.settings.operator import HandoverOptions
+from drivers.mavlink.access import AccessLevel
+from drivers.mavlink.autopilot import Autopilot
+from drivers.mavlink.custody import Hand
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.links import ReceivedMessage
+from drivers.mavlink.vehicle import HOLD_MODE, RETURN_MODE, Stack
+from estimator.contracts.time import MonoNs, seconds_between
+
+log = logging.getLogger(__name__)
+
+MISSION, RETURN = "at the mission's end", "from the return over the pad"
+_RATE_HZ = 2.0
+_MISSION_MODES, _RETURNS = ("auto", "auto.mission"), tuple(RETURN_MODE.values())
+_ACTIVE, _COMPLETE = 3, 5
+"""MISSION_STATE_ACTIVE and MISSION_STATE_COMPLETE."""
+_CRITICAL = int(mav.MAV_STATE_CRITICAL)
+_WARNING = 4
+_BEFORE_S, _AFTER_S = 5.0, 2.0
+"""Time before and after the beginning of a return in which a grave text says that a failsafe chose it, s."""
+_LAST_S = 3.0
+"""Time in which PX4 leaves the mission's mode by itself, and the largest gap between HEARTBEATs, s: in a longer one a mode may
+have been chosen unseen."""
+SETTLED_S, _STILL_M_S, _CLIMB_M_S, _SIGHT_S, _LOW_M = 2.0, 1.0, 0.5, 0.5, 2.0
+"""Time for which it must be over the pad and slow, s; the speeds over the ground, m/s; the age of sight, s; and the height over
+the pad below which a return is left to land, m."""
+
+
+class Journey(Struct):
+    """One spell of one mode of the autopilot."""
+
+    mode: str
+    since: MonoNs
+    ran: bool = False
+    """True once a mission ran in it."""
+    ended: bool = False
+    """True once that mission was flown to its end."""
+    last: MonoNs | None = None
+    """Time when its last item was reached."""
+    settled: MonoNs | None = None
+    """Time since when it has been over the pad and slow."""
+    done: bool = False
+    """True once it was handed over, or was found to be a failsafe's."""
+
+
+class Handover:
+    """Watches one autopilot's journeys.
+
+    Args:
+        begin: gives the order to begin, with the words that name the journey.
+    """
+
+    def __init__(self, options: HandoverOptions, pilot: Pilot, begin: Callable[[str], str | None]) -> None:
+        self._o, self._pilot, self._begin = options, pilot, begin
+        self._journey = Journey("", MonoNs(0))
+        self._beat: MonoNs | None = None
+        self._critical: MonoNs | None = None
+        """Time of the newest report of a failsafe."""
+        self._items: int | None = None
+        self._reached: int | None = None
+
+    def on_message(self, autopilot: Autopilot, received: ReceivedMessage) -> None:
+        """Take any message of the autopilot's links."""
+        identity, m, now = autopilot.identity, received.message, received.received_at
+        if identity is None or (received.system, received.component) != identity.address or autopilot.streams is None:
+            return
+        if received.access_level < AccessLevel.PEER:
+            return
+        autopilot.streams.also("MISSION_CURRENT", _RATE_HZ)
+        match m.get_type():
+            case "HEARTBEAT":
+                self._critical = now if m.system_status >= _CRITICAL else self._critical
+                seen = self._beat is not None and seconds_between(self._beat, now) <= _LAST_S
+                if (mode := autopilot.condition.mode) != self._journey.mode:
+                    # Nobody knows what chose a return whose beginning was not reported.
+                    self._journey = self._next(mode, now, done=mode in _RETURNS and not seen)
+                self._beat = now
+            case "MISSION_CURRENT":
+                self._on_mission(m)
+            case "MISSION_ITEM_REACHED":
+                # PX4 repeats it for some seconds.
+                if m.seq != self._reached and self._items is not None and m.seq == self._items - 1:
+                    self._journey.last = now
+                self._reached = m.seq
+            case "LOCAL_POSITION_NED":
+                self._judge(autopilot, now)
+
+    def _next(self, mode: str, now: MonoNs, *, done: bool) -> Journey:
+        before = self._journey
+        left = before.ended or (before.last is not None and seconds_between(before.last, now) <= _LAST_S)
+        ended = before.mode == "auto.mission" and mode == HOLD_MODE[Stack.PX4] and left
+        return Journey(mode, now, ended=ended, done=done)
+
+    def _on_mission(self, m: Message) -> None:
+        journey, state = self._journey, getattr(m, "mission_state", 0)
+        self._items = getattr(m, "total", 0) or None
+        if journey.mode in _MISSION_MODES:
+            # The state of the mission before stands in the first reports.
+            journey.ran |= state == _ACTIVE
+            journey.ended |= journey.ran and state == _COMPLETE
+
+    def _judge(self, autopilot: Autopilot, now: MonoNs) -> None:
+        journey = self._journey
+        returns = journey.mode in _RETURNS
+        name, wanted = (RETURN, self._o.returns) if returns else (MISSION, self._o.mission)
+        if journey.done or not wanted or not (returns or journey.ended):
+            return
+        if not (self._free(autopilot, now) and self._over_pad(autopilot, now)):
+            journey.settled = None
+            return
+        journey.settled = journey.settled or now
+        if seconds_between(journey.settled, now) < SETTLED_S:
+            return
+        journey.done = True
+        if (why := self._failsafe(autopilot, journey.since if returns else None, now)) and not self._o.failsafe:
+            log.warning("handover %s: none, a failsafe has the vehicle: %s", name, why)
+        else:
+            self._begin(name)
+
+    def _free(self, autopilot: Autopilot, now: MonoNs) -> bool:
+        """Return whether nobody has ordered, held or taken anything in this flight."""
+        condition, streamer = autopilot.condition, autopilot.streamer
+        waits = self._pilot.state is State.READY and self._pilot.operator.situation(now) is ControlSituation.GUIDED
+        ours = autopilot.unclear is None and streamer is not None and streamer.hand is Hand.NOBODY
+        return waits and ours and bool(condition.armed and condition.flying)
+
+    def _over_pad(self, autopilot: Autopilot, now: MonoNs) -> bool:
+        """Return whether the pad is in sight, well below, and the vehicle slow over the ground."""
+        belief = self._pilot.belief(now)
+        if belief is None or not belief.consistent or belief.age_s(now) > _SIGHT_S or not autopilot.positions:
+            return False
+        north, east, down = autopilot.positions[-1].v_body_ned
+        return belief.height_m >= _LOW_M and math.hypot(north, east) <= _STILL_M_S and down >= -_CLIMB_M_S
+
+    def _failsafe(self, autopilot: Autopilot, chosen: MonoNs | None, now: MonoNs) -> str:
+        """Return the words by which a failsafe chose the mode, or acts now; empty without one.
+
+        Args:
+            chosen: time when a return was chosen; None for a mission.
+        """
+        if self._critical is not None and seconds_between(chosen or now, self._critical) >= -_BEFORE_S:
+            return "HEARTBEAT reports a failsafe"
+        for at, severity, text in autopilot.texts:
+            grave = severity <= _WARNING or "fence" in text.lower() or "failsafe" in text.lower()
+            if grave and -_BEFORE_S <= seconds_between(chosen or now, at) <= _AFTER_S:
+                return text
+        return ""

@@ -1,0 +1,147 @@
+"""A landing begun by a mission's end or a return: on both stacks, once, and never against a person or a failsafe."""
+
+from collections import deque
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.base.mission import State
+from companion.base.orders import OperatorOrder, OrderSender, OrderSource
+from companion.parts.mavlink.handover import MISSION, RETURN, Handover
+from companion.settings.operator import HandoverOptions
+from drivers.mavlink.access import AccessLevel
+from drivers.mavlink.custody import Hand
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.vehicle import RETURN_MODE, VELOCITY_MODE, Identity, Stack
+from estimator.contracts.estimates import RelativeState
+from tests.support.toy_autopilot import PERSONS_MODE, STILL, Flown
+
+STACKS = [Stack.ARDUPILOT, Stack.PX4]
+AUTO = {Stack.ARDUPILOT: "auto", Stack.PX4: "auto.mission"}
+
+
+class Journeyed(Flown):
+    """A toy that flies by itself, watched by the handover."""
+
+    def __init__(self, stack: Stack, after: str = "mission or return", **options: Any) -> None:
+        super().__init__(stack)
+        self.critical, self.sees, self.v_ned, self.texts = False, True, np.zeros(3), deque[Any]()
+        given: Any = {"after": after, **options}
+        self.handover = Handover(HandoverOptions(**given), self.pilot(), self._begin)
+        self.begun: list[str] = []
+        self.run(1.0)
+
+    def pilot(self) -> Any:
+        flown = self
+
+        class Pilot:
+            operator = flown.arbiter
+
+            @property
+            def state(self) -> State:
+                return State.READY if flown.guidance.command is None else State.DESCEND
+
+            def belief(self, now: Any) -> RelativeState | None:
+                d = np.array([0.1, 0.2, flown.toy.height_m])
+                state = RelativeState(now, "ekf", d, np.zeros(3), 0.0, np.eye(7) * 1e-4, now, True)
+                return state if flown.sees else None
+
+        return Pilot()
+
+    def _begin(self, name: str) -> str | None:
+        self.begun.append(name)
+        return self.arbiter.take(OperatorOrder.BEGIN, OrderSender(OrderSource.HANDOVER, name), self.now).refusal
+
+    def say(self, message: Message) -> None:
+        """Let the autopilot report this."""
+        identity = Identity(1, 1, self.toy.stack, 2)
+        autopilot: Any = SimpleNamespace(
+            identity=identity, streams=self.streams, streamer=self.streamer, unclear=None, condition=self.reported,
+            texts=self.texts, positions=(SimpleNamespace(v_body_ned=self.v_ned),),
+        )  # fmt: skip
+        heard: Any = SimpleNamespace(
+            system=1, component=1, message=message, received_at=self.now, access_level=AccessLevel.OPERATOR
+        )
+        self.handover.on_message(autopilot, heard)
+
+    def step(self) -> None:
+        super().step()
+        if self.reported is not None:
+            status = mav.MAV_STATE_CRITICAL if self.critical else mav.MAV_STATE_ACTIVE
+            self.say(mav.MAVLink_heartbeat_message(2, 3, 128, 0, status, 3))
+            self.say(mav.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0))
+
+    def goes(self, mode: str, seconds: float = 4.0) -> list[str]:
+        """Let somebody choose a mode, and return what was begun some seconds later."""
+        self.toy.switch(mode)
+        self.run(seconds)
+        return self.begun
+
+    def mission(self) -> list[str]:
+        """Fly a mission of three items to its end."""
+        stack = self.toy.stack
+        states = {Stack.ARDUPILOT: (5, 3, 3, 5), Stack.PX4: (0, 0, 0, 0)}[stack]
+        self.goes(AUTO[stack], 1.5)
+        for item, state in zip((2, 0, 2, 2), states, strict=True):
+            self.say(mav.MAVLink_mission_current_message(item, 3, state))
+            self.run(1.5)
+        self.say(mav.MAVLink_mission_item_reached_message(2))
+        return self.goes("auto.loiter" if stack is Stack.PX4 else "auto")
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_a_missions_end_and_a_return_begin_once_and_the_pilot_wins_at_once(stack: Stack) -> None:
+    for flown, journey in ((Journeyed(stack), RETURN), (Journeyed(stack), MISSION)):
+        assert (flown.goes(RETURN_MODE[stack]) if journey is RETURN else flown.mission()) == [journey]
+        flown.until(lambda f=flown: f.hand is Hand.OURS)
+        assert flown.toy.mode == VELOCITY_MODE[stack]
+        assert str(flown.answers[-1]) == f"handover {journey}: begin: accepted"
+        flown.toy.switch(PERSONS_MODE[stack])
+        flown.until(lambda f=flown: f.hand is Hand.PERSON)
+        flown.guidance.command = None
+        since_s = flown.now_s
+        assert flown.goes(RETURN_MODE[stack], 10.0) == [journey], "a return by which a person took the vehicle is theirs"
+        assert flown.sent(since_s) == []
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize(
+    "why", ["critical", "text", "text late", "fence", "unseen", "low", "fast", "climbs", "held", "ordered", "off"]
+)
+def test_nothing_begins_against_a_failsafe_a_person_or_without_the_pad(stack: Stack, why: str) -> None:
+    flown = Journeyed(stack, "mission" if why == "off" else "mission or return")
+    flown.critical, flown.sees = why == "critical", why != "unseen"
+    texts = {"text": (4, "Battery 1 is low"), "fence": (5, "Fence Breached"), "text late": (3, "GCS Failsafe")}
+    if why in texts:
+        flown.texts.append((flown.now if why != "text late" else flown.now + int(1e9), *texts[why]))
+    flown.v_ned = np.array({"fast": [2.0, 0.0, 0.0], "climbs": [0.0, 0.0, -1.0]}.get(why, [0.0, 0.0, 0.0]))
+    flown.toy.height_m = 1.5 if why == "low" else 5.0
+    if why == "held":
+        assert flown.order(OperatorOrder.HOLD) is None
+        flown.guidance.command = None
+    if why == "ordered":
+        flown.guidance.command = STILL
+    flown.goes(RETURN_MODE[stack], 1.5)
+    flown.critical = False  # a failsafe that passes has chosen the return all the same
+    assert flown.goes(RETURN_MODE[stack]) == []
+    if why in ("critical", "text", "fence"):
+        explicit = Journeyed(stack, failsafe=True)
+        explicit.critical, explicit.texts = True, flown.texts
+        assert explicit.goes(RETURN_MODE[stack]) == [RETURN], "the settings say so of a failsafe too"
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_a_return_whose_beginning_nobody_saw_and_a_mission_left_by_a_person_begin_nothing(stack: Stack) -> None:
+    flown = Journeyed(stack)
+    flown.reported, flown.silent = None, True
+    flown.toy.switch(RETURN_MODE[stack])
+    flown.run(5.0)
+    flown.silent = False
+    assert flown.goes(RETURN_MODE[stack]) == []
+    left = Journeyed(stack)
+    left.goes(AUTO[stack])
+    left.say(mav.MAVLink_mission_current_message(1, 3, 3))
+    left.say(mav.MAVLink_mission_item_reached_message(1))
+    assert left.goes("auto.loiter" if stack is Stack.PX4 else "loiter") == []
