@@ -114,10 +114,9 @@ def _of_blueos(text: str, path: Path, tag_m: float | None) -> Imported:
         to = f"udpin://{link['listen_host']}:{link['listen_port']}"
         return Imported(to, source, device, remarks, float(camera["fps"]), link["target_system"])
     seen, tag, number = data["last_used"], data.get("apriltag", {}), data.get("apriltag", {}).get("target_id", -1)
-    remarks = [_STOP, "MAVLink: in BlueOS add an endpoint, UDP client to 127.0.0.1:14551"]
-    found = Imported(
-        "udpin://127.0.0.1:14551", "stream", seen["rtsp"], remarks, system_id=data.get("mavlink", {}).get("sysid", 0)
-    )
+    remarks = [_STOP, "MAVLink: by BlueOS' own router, as configs/compose/blueos.toml has it"]
+    system_id = data.get("mavlink", {}).get("sysid", 0)
+    found = Imported("tcp://127.0.0.1:5777", "stream", seen["rtsp"], remarks, system_id=system_id)
     if number < 0 or tag_m is None:
         remarks.append("apriltag is not taken: a pad is one tag of known size: set its target_id, and give --tag-mm")
     else:

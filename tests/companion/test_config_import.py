@@ -43,7 +43,7 @@ def wingxtra(**keys: Any) -> str:
     ("name", "text", "vehicle", "camera", "tag", "left"),
     [
         ("v.conf", CONF, ("udpin://127.0.0.1:14572", 0), ("v4l2", "/dev/video0", 25.0), ("16h5", 11, 0.446), "of [16] is not"),
-        ("m.json", mackay(), ("udpin://127.0.0.1:14551", 3), ("stream", VIEW["rtsp"], 30.0), ("25h9", 5, 0.2), "horizontal_fov"),
+        ("m.json", mackay(), ("tcp://127.0.0.1:5777", 3), ("stream", VIEW["rtsp"], 30.0), ("25h9", 5, 0.2), "horizontal_fov"),
         ("w.json", wingxtra(kind="picamera2"), ("udpin://127.0.0.1:14771", 7), ("libcamera", "", 20.0), None, "startup_mode"),
     ],
 )  # fmt: skip

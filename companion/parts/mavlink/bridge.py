@@ -30,6 +30,7 @@ from companion.parts.mavlink.commands import (
     Tunables,
     link_counters,
 )
+from companion.parts.mavlink.component import MavSeverity, StatusTexts
 from companion.parts.mavlink.file_server import FILE_REQUEST, FileServer
 from companion.parts.mavlink.metadata import metadata_files, metadata_message
 from companion.settings.links import BridgeOptions
@@ -69,6 +70,7 @@ class VehicleBridge(NullObserver):
         self._p_ned: F64 = np.zeros(3)
         self._armed = False
         self.refusals = Refusals("bridge.operators")
+        self._texts = StatusTexts()
         self._parameters = None if store is None else ParameterServer(store)
         self.files = FileServer({} if store is None else metadata_files(COMPONENT))
         self._offered = Offered(
@@ -102,7 +104,8 @@ class VehicleBridge(NullObserver):
 
     def tick(self, now: MonoNs) -> None:
         """Send the messages that are due."""
-        for message in (*self._offered.due(now), *([] if self._parameters is None else self._parameters.due())):
+        parameters = [] if self._parameters is None else self._parameters.due()
+        for message in (*self._offered.due(now), *parameters, *self._texts.due(now)):
             self._send(message, component=COMPONENT)
         for message, source in self.files.due(now):
             self._send(message, source, component=COMPONENT)
@@ -113,11 +116,11 @@ class VehicleBridge(NullObserver):
         if kind == FILE_REQUEST:
             self.files.on_message(received, (system, COMPONENT))
         if kind in PARAMETER_REQUESTS and self._parameters is not None:
-            self._about_parameters(self._parameters, received, (system, COMPONENT))
+            self._about_parameters(self._parameters, received, (system, COMPONENT), now)
         if kind not in ("COMMAND_LONG", "COMMAND_INT") or (m.target_system, m.target_component) != (system, COMPONENT):
             return
         if self.refusals.refuses(received, (system, COMPONENT)):
-            self.refusals.text_for(received)
+            self._tell(self.refusals.text_for(received), now)
             for message in self.refusals.answer(received):
                 self._send(message, received.source, component=COMPONENT)
             return
@@ -126,14 +129,21 @@ class VehicleBridge(NullObserver):
         for message in (ack, *extra):
             self._send(message, received.source, component=COMPONENT)
 
-    def _about_parameters(self, parameters: ParameterServer, received: ReceivedMessage, us: tuple[int, int]) -> None:
+    def _about_parameters(self, parameters: ParameterServer, received: ReceivedMessage, us: tuple[int, int], now: MonoNs) -> None:
         if self.refusals.refuses(received, us):
-            self.refusals.text_for(received)
+            self._tell(self.refusals.text_for(received), now)
             for message in parameters.in_force(received.message):
                 self._send(message, received.source, component=COMPONENT)
         elif received.access_level >= AccessLevel.PEER:
             for message in parameters.on_message(received.message, us):
                 self._send(message, component=COMPONENT)
+            self._tell(parameters.refused, now)
+            parameters.refused = None
+
+    def _tell(self, why: str | None, now: MonoNs) -> None:
+        """Say to the stations why something was refused."""
+        if why is not None:
+            self._texts.say(MavSeverity.WARNING, f"Decklander: {why}", now)
 
     @property
     def _flying(self) -> bool:

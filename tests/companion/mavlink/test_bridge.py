@@ -194,6 +194,23 @@ async def test_it_is_closed_to_whoever_is_not_named(operators: str) -> None:
         wire.close()
 
 
+async def test_a_refused_parameter_is_answered_with_its_value_and_the_reason() -> None:
+    async with bridged(operators="255", store=Tunables(load("sim"), lambda settings: None)) as (_part, links, _orders):
+        named, other = Wire(links, (255, 190)), Wire(links, (254, 190))
+        for wire, name, value, why in (
+            (named, b"PID_H_KP", 99.0, "PID_H_KP"), (named, b"NO_SUCH", 1.0, "NO_SUCH"), (named, b"PID_H_KP", 0.5, ""),
+            (other, b"PID_H_KP", 0.5, ""),
+        ):  # fmt: skip
+            heard = await wire.say(
+                mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), mav.MAVLink_param_set_message(7, 1, name, value, 9)
+            )
+            texts = "".join(m.text for m in heard if m.get_type() == "STATUSTEXT")
+            assert (why in texts) if why else texts == ""
+            assert not why or texts.startswith("Decklander: ")
+        for wire in (named, other):
+            wire.close()
+
+
 async def test_no_fields_of_any_message_end_it() -> None:
     chance = random.Random(5)
     async with bridged(operators="255") as (_part, links, orders):
