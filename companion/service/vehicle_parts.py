@@ -27,7 +27,7 @@ from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone.link import open_ardrone
 from drivers.camera.exposure import ExposureDrive, ExposureGovernor
 from drivers.camera.open_camera import open_camera
-from drivers.camera.options import CameraOptions, ExposureOptions, Size, check_size
+from drivers.camera.options import CameraOptions, ExposureOptions, Lens, Size, check_size
 from drivers.camera.source import VideoSource
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
@@ -170,17 +170,19 @@ def with_camera(
     size: Size,
     clock: Clock,
     attach: Callable[[ExposureDrive | None], None] = lambda drive: None,
+    lens: Lens = None,
 ) -> OpenLink:
     """Return what opens both. A camera that goes away comes back by itself, and the vehicle is not involved.
 
     Args:
         size: the width and height of the camera's frames, px.
         attach: receives the exposure of each camera that was opened; None if it is not driven.
+        lens: of the camera file.
     """
 
     @asynccontextmanager
     async def both() -> AsyncIterator[VehicleLink]:
-        async with open_vehicle() as vehicle, open_camera(options, size, clock) as camera:
+        async with open_vehicle() as vehicle, open_camera(options, size, clock, lens) as camera:
             attach(camera.exposure)
             yield LinkWithCamera(vehicle, camera)
 
@@ -234,7 +236,8 @@ def vehicle_parts(
     except ValueError as why:
         raise BadInput(f"{settings.camera.file}: {why}") from why
     if not settings.camera.exposure.driven:
-        return replace(parts, open_link=with_camera(parts.open_link, settings.camera, size, clock))
+        lens = (camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2])
+        return replace(parts, open_link=with_camera(parts.open_link, settings.camera, size, clock, lens=lens))
     exposure = ExposurePart(settings.camera.exposure, pilot)
     health.counters("exposure", exposure.counted)
     open_link = with_camera(parts.open_link, settings.camera, size, clock, exposure.attach)

@@ -24,6 +24,7 @@ from drivers.endpoint import NMEA2000, RELPOS, parse_bus, require_ship
 from drivers.gamepad.mapping import GamepadMapping
 from drivers.mavlink.options import AutopilotOptions
 from drivers.pyav import require_pyav
+from drivers.ros2 import require_rosbags
 from estimator.contracts.errors import BadInput, refused
 
 if TYPE_CHECKING:
@@ -215,6 +216,8 @@ def check_installed(settings: Settings) -> None:
     for setting, wants in wanting.items():
         if wants:
             require_pyav(setting)
+    if camera.source == "ros2":
+        require_rosbags('camera.source = "ros2"')
     if (bus := settings.vessel.bus) and parse_bus(bus).signalk is None:
         require_ship(f"vessel.bus {bus}", NMEA2000)
     for key in ("source", "heading"):

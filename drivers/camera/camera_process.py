@@ -1,6 +1,6 @@
-"""Read frames from a process that opens the camera: a Raspberry Pi's by libcamera, a Jetson's or another one's by GStreamer.
+"""Read frames from a process that opens the camera: a Pi's by libcamera, one by GStreamer, or an image topic of ROS 2.
 
-It runs `camera_program` under the system's Python: a crash of the camera's stack is a camera that is lost and opened again.
+It runs `camera_program`: a crash of the camera's stack is a camera that is lost and opened again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from drivers.camera import camera_program as wire
 from drivers.camera.exposure import FRAME_PART, ExposureDrive, ExposureRange, ExposureSetting
-from drivers.camera.options import CameraOptions, Size, check_size
+from drivers.camera.options import CameraOptions, Lens, Size, check_size
 from drivers.camera.source import CameraCounters, CameraLost, VideoSource, stamp_of
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, SetupImpossible
@@ -62,6 +62,7 @@ _LIBRARIES = {
         "python3-gi, gir1.2-gstreamer-1.0 and gstreamer1.0-plugins-base",
         "camera.device {!r} is no pipeline that GStreamer can build",
     ),
+    "ros2": _Library("ROS 2", "the extra decklander[ros2]", "camera.device {!r} cannot be opened"),
     "libcamera": _Library("picamera2", "python3-picamera2 (of Raspberry Pi OS)", "camera {!r} cannot do what the settings want"),
 }
 
@@ -110,7 +111,7 @@ class ProcessChannel:
     """One run from starting the process to its end; run it again after that."""
 
     def __init__(
-        self, options: CameraOptions, size: Size, clock: Clock, camera: VideoSource, pythons: Sequence[str] = ()
+        self, options: CameraOptions, size: Size, clock: Clock, camera: VideoSource, lens: Lens, pythons: Sequence[str] = ()
     ) -> None:
         self._o = options
         self._size = check_size(size)
@@ -121,6 +122,8 @@ class ProcessChannel:
         self._opened_before = False
         self._coded = options.source == "gstreamer" and _PREDICTING.search(options.device) is not None
         self._text = libcamera_request(options) if options.source == "libcamera" else options.device
+        if options.source == "ros2":
+            self._text = json.dumps({"topic": options.device, "lens": lens})
 
     async def run(self) -> None:
         """Read frames until the process ends or is silent.
@@ -301,7 +304,8 @@ class _Pipeline:
 
     def _spawn(self, python: str) -> None:
         self.close()
-        words = [python, "-I", str(_PROGRAM), str(os.getpid()), *map(str, self._size), self._o.source, self._said]
+        program = ["-P", "-m", wire.__name__] if self._o.source == "ros2" else ["-I", str(_PROGRAM)]
+        words = [python, *program, str(os.getpid()), *map(str, self._size), self._o.source, self._said]
         try:
             self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, env=_environment())
         except OSError as why:
@@ -312,6 +316,13 @@ class _Pipeline:
 
     def _image(self) -> _Image:
         magic, length, stamp_ns, number, exposure_s, gain = self._header()
+        while magic == wire.DAMAGED:
+            text = self._text(length)
+            if not self._counters.frames_damaged:
+                log.warning("camera %s: an image is not used: %s; more are counted", self._o.device, text)
+            self._counters.buffers += 1
+            self._counters.frames_damaged += 1
+            magic, length, stamp_ns, number, exposure_s, gain = self._header()
         received_at = self._clock.now()
         width, height = self._size
         stride = length // height

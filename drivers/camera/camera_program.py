@@ -2,22 +2,24 @@
 
     python3 -I camera_program.py PARENT WIDTH HEIGHT gstreamer PIPELINE
     python3 -I camera_program.py PARENT WIDTH HEIGHT libcamera JSON
+    python3 -P -m drivers.camera.camera_program PARENT WIDTH HEIGHT ros2 JSON
 
 A vendor's camera stack that crashes or hangs ends this process and no other. GStreamer's bindings (PyGObject) and picamera2 come
 with the system's Python, so this file runs under that one, whatever environment the service lives in: it needs no other module,
-and nothing newer than Python 3.8.
+and nothing newer than Python 3.8. A topic of ROS 2 is read by `drivers.camera.ros2`, under the service's own Python.
 
 Wire format: `HEADER` (little-endian magic, length of what follows, stamp, sequence number, exposure time, gain), then for `FRAME`
-the rows of a BGR image, all with the same padding, for `FAULT` a line of text in UTF-8, for `READY` nothing or JSON of what the
-camera is. The stamp is of CLOCK_MONOTONIC in ns; stamp and number are `UNKNOWN`, time (s) and gain 0, where they are not known.
-Lines "EXPOSURE_US GAIN" on standard input set the exposure of libcamera. Source of times and numbers: GStreamer's design
-documents "Clocks" (clock time is base time plus running time) and "GstBuffer" (offset of live video is its frame number), and
-libcamera's control_ids_core.yaml.
+the rows of a BGR image, all with the same padding, for `FAULT` and `DAMAGED` (an image that is not used) a line of text in UTF-8,
+for `READY` nothing or JSON of what the camera is. The stamp is of CLOCK_MONOTONIC in ns; stamp and number are `UNKNOWN`, time (s)
+and gain 0, where they are not known. Lines "EXPOSURE_US GAIN" on standard input set the exposure of libcamera. Source of times
+and numbers: GStreamer's design documents "Clocks" (clock time is base time plus running time) and "GstBuffer" (offset of live
+video is its frame number), and libcamera's control_ids_core.yaml.
 """
 
 from __future__ import annotations
 
 import ctypes
+import functools
 import importlib
 import json
 import os
@@ -29,7 +31,7 @@ import time
 from typing import Any
 
 HEADER = struct.Struct("<4sIqqff")
-READY, FRAME, FAULT = b"DLok", b"DLfr", b"DLno"
+READY, FRAME, FAULT, DAMAGED = b"DLok", b"DLfr", b"DLno", b"DLbd"
 UNKNOWN = -1
 NO_BINDINGS = 3
 """Exit code: this Python cannot load the library."""
@@ -61,6 +63,8 @@ def main(words: list[str]) -> int:
     try:
         if library == "libcamera":
             picamera2: Any = importlib.import_module("picamera2")
+        elif library == "ros2":
+            ros2: Any = importlib.import_module("drivers.camera.ros2")
         else:
             gi = importlib.import_module("gi")
             gi.require_version("Gst", "1.0")
@@ -72,6 +76,8 @@ def main(words: list[str]) -> int:
     try:
         if library == "libcamera":
             return _capture(picamera2, out, json.loads(text), (width, height))
+        if library == "ros2":
+            return int(ros2.capture(functools.partial(_send, out), json.loads(text), (width, height)))
         return _play(gst, out, text, width, height)
     except BrokenPipeError:
         return 0

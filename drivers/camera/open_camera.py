@@ -1,4 +1,4 @@
-"""Open a camera that is not part of the vehicle: of V4L2, libcamera or GStreamer, a network camera or a video file.
+"""Open a camera that is not part of the vehicle: of V4L2, libcamera, GStreamer or ROS 2, a network camera or a video file.
 
 options = CameraOptions(source="v4l2", device="/dev/v4l/by-id/usb-...")
 async with open_camera(options, (640, 480), clock) as camera:
@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from drivers.camera.exposure import ExposureDrive
-from drivers.camera.options import CameraOptions, Size
+from drivers.camera.options import CameraOptions, Lens, Size
 from drivers.camera.source import CameraLost, VideoSource
 from drivers.pyav import require_pyav
 from drivers.reconnect import BackOff, reconnect, running_beside
@@ -18,7 +18,7 @@ from estimator.contracts.time import Clock
 
 
 @asynccontextmanager
-async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -> AsyncIterator[VideoSource]:
+async def open_camera(options: CameraOptions, size: Size | None, clock: Clock, lens: Lens = None) -> AsyncIterator[VideoSource]:
     """Open the camera and keep it open; it does not wait for the first frame.
 
     A camera that is unplugged, silent or absent is opened again with back-off, and counted; the reader of `frames` just waits.
@@ -27,6 +27,7 @@ async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -
     Args:
         size: the width and height of the camera's frames, px. A device needs it; frames of a stream that have more than four
             times as many pixels are not decoded, and with None any size is taken.
+        lens: of the camera file; a topic whose camera_info has another one is refused.
 
     Raises:
         ValueError: the frames are the vehicle's, or the size of a device's frames is missing or out of range.
@@ -53,7 +54,7 @@ async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -
     else:
         from drivers.camera.camera_process import ProcessChannel
 
-        body = ProcessChannel(options, size, clock, camera).run
+        body = ProcessChannel(options, size, clock, camera, lens).run
     name, longest_s = options.device or options.source, options.reconnect_most_s
     back_off = BackOff(options.reconnect_first_s, longest_s, healthy_after_s=longest_s)
 

@@ -3,6 +3,7 @@
 With them stand those of the exposure of a camera that we drive: the table [camera.exposure].
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -57,10 +58,12 @@ class ExposureOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, k
 Format = Literal["YUYV", "NV12", "MJPG", "H264", "GREY"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 """The supported pixel formats of a V4L2 device, in the order in which `auto` prefers them: raw colour, compressed, grey."""
-SOURCES = ("v4l2", "libcamera", "gstreamer", "stream")
+SOURCES = ("v4l2", "libcamera", "gstreamer", "stream", "ros2")
 """Sources of frames that are not the vehicle's."""
 Size = tuple[int, int]
 """The width and height of a frame, px."""
+Lens = Sequence[float] | None
+"""fx, fy, cx, cy of a camera file, px, which a topic's camera_info must have; None compares nothing."""
 _DRIVEN = frozenset(
     {
         "auto_exposure", "exposure_auto", "exposure_time_absolute", "exposure_absolute", "gain", "gain_automatic",
@@ -79,10 +82,11 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
     """
 
     source: Annotated[
-        Literal["vehicle", "v4l2", "libcamera", "gstreamer", "stream"],
+        Literal["vehicle", "v4l2", "libcamera", "gstreamer", "stream", "ros2"],
         choice(
             "where frames come from: the vehicle itself; a camera of this computer by the kernel's V4L2, a Raspberry Pi's by "
-            "libcamera (picamera2), or by a GStreamer pipeline (Jetson); a network camera or a video file",
+            "libcamera (picamera2), or by a GStreamer pipeline (Jetson); a network camera or a video file; an "
+            "image topic of ROS 2",
             public=True,
         ),
     ] = "vehicle"
@@ -91,7 +95,7 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
         text(
             "of v4l2: a path under /dev/v4l/by-id or a part of its name; of libcamera: number or part of a name, empty for the "
             "only one; of gstreamer: the pipeline up to raw frames, as nvarguscamerasrc ! nvvidconv; of stream: an address "
-            "(rtsp://...), its description (.sdp), a named pipe or a file",
+            "(rtsp://...), its description (.sdp), a named pipe or a file; of ros2: a topic such as /camera/image_raw",
             4096,
             shortest=0,
             public=True,
@@ -157,6 +161,8 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
         super().__post_init__()
         if self.source not in ("vehicle", "libcamera") and not self.device:
             raise ValueError(f'device must be given with source "{self.source}"')
+        if self.source == "ros2" and not self.device.startswith("/"):
+            raise ValueError(f"device must be a topic such as /camera/image_raw, got {self.device!r}")
         if self.source == "vehicle" and self.device:
             raise ValueError(f"device {self.device!r} is given, so source must be one of: {', '.join(SOURCES)}")
         if self.latency_s < 0.0 and self.source != "gstreamer":

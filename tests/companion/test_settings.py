@@ -181,7 +181,7 @@ def test_any_bytes_in_a_file_are_either_settings_or_one_line(tmp_path_factory: p
     [
         (
             ('source = "v4l2"\ndevice = "Test camera"', ""),
-            "camera.source must be one of v4l2, libcamera, gstreamer, stream: an autopilot has no frames",
+            "camera.source must be one of v4l2, libcamera, gstreamer, stream, ros2: an autopilot has no frames",
         ),
         (
             ('source = "v4l2"\ndevice = "Test camera"', 'source = "stream"\ndevice = "a.mp4"\n[camera.exposure]\nmode = "pad"'),

@@ -344,7 +344,7 @@ def program(folder: Path, said: bytes, code: int = 0, *, stays: bool = False) ->
 async def ending(python: str, *, silence_s: float = 5.0) -> tuple[Exception, VideoSource, list[Frame]]:
     """Run once on this program; return what ended it, and the frames that came before."""
     camera, frames = VideoSource(), []
-    channel = ProcessChannel(camera_options("any", silence_s=silence_s), (PIPED_W, PIPED_H), CLOCK, camera, [python])
+    channel = ProcessChannel(camera_options("any", silence_s=silence_s), (PIPED_W, PIPED_H), CLOCK, camera, None, [python])
 
     async def read() -> None:
         async for frame in camera.frames:
@@ -415,7 +415,7 @@ async def test_a_pipeline_that_cannot_be_built_again_is_lost_and_tried_again(tmp
     good, bad = message(wire.READY) + message(wire.FRAME, rows(1)), message(wire.FAULT, b'no element "camerasrc"')
     python = program(tmp_path, good)
     camera = VideoSource()
-    channel = ProcessChannel(camera_options("any"), (PIPED_W, PIPED_H), CLOCK, camera, [python])
+    channel = ProcessChannel(camera_options("any"), (PIPED_W, PIPED_H), CLOCK, camera, None, [python])
     async with asyncio.timeout(60):
         with pytest.raises(CameraLost, match="its process ended"):
             await channel.run()

@@ -15,14 +15,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 
 from companion.recording.reading import Recording, instant
-from companion.tools.ros2.messages import LEVEL, UP, Message, RosMessages, from_enu_attitude, require_rosbags, typestore
-from companion.tools.ros2.node import KEPT
-from drivers.camera.images import ImageRefused, decode
+from companion.tools.ros2.messages import KEPT, LEVEL, UP, Message, RosMessages, from_enu_attitude
+from drivers.camera.images import ImageRefused
+from drivers.camera.ros2 import image_px
 from drivers.imports.stamps import SIGMA_S, SIGMA_TILT_RAD, SIGMA_YAW_RAD, Tell, timeline
+from drivers.ros2 import require_rosbags, typestore
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, Sample
@@ -124,17 +124,6 @@ _KINDS: Final = {
     "sensor_msgs/msg/Imu": "IMU", "sensor_msgs/msg/Range": "range", "sensor_msgs/msg/Image": "camera",
     "sensor_msgs/msg/CompressedImage": "camera", "geometry_msgs/msg/TwistWithCovarianceStamped": "velocity",
 }  # fmt: skip
-_COLOURS: Final[Mapping[str, tuple[int, type, int | None]]] = {
-    "bgr8": (3, np.uint8, None), "rgb8": (3, np.uint8, cv2.COLOR_RGB2BGR), "mono8": (1, np.uint8, cv2.COLOR_GRAY2BGR),
-    "8UC1": (1, np.uint8, cv2.COLOR_GRAY2BGR), "8UC3": (3, np.uint8, None), "bgra8": (4, np.uint8, cv2.COLOR_BGRA2BGR),
-    "rgba8": (4, np.uint8, cv2.COLOR_RGBA2BGR), "mono16": (1, np.uint16, cv2.COLOR_GRAY2BGR),
-    "16UC1": (1, np.uint16, cv2.COLOR_GRAY2BGR), "yuv422": (2, np.uint8, cv2.COLOR_YUV2BGR_UYVY),
-    "yuv422_yuy2": (2, np.uint8, cv2.COLOR_YUV2BGR_YUYV), "bayer_rggb8": (1, np.uint8, cv2.COLOR_BayerRGGB2BGR),
-    "bayer_bggr8": (1, np.uint8, cv2.COLOR_BayerBGGR2BGR), "bayer_gbrg8": (1, np.uint8, cv2.COLOR_BayerGBRG2BGR),
-    "bayer_grbg8": (1, np.uint8, cv2.COLOR_BayerGRBG2BGR),
-}  # fmt: skip
-"""Values of a pixel, their type and the conversion, by the encoding's name in sensor_msgs/image_encodings."""
-_WHITE_16 = 257.0
 _ANY = Stamp(MonoNs(0), MonoNs(0), SIGMA_S, "synced")
 
 
@@ -260,7 +249,7 @@ class _Import:
                     yield one
         except ImageRefused as why:
             self._left_out[f"of {topic} are no image that can be used: {why}"] += 1
-        except (ValueError, ArithmeticError, cv2.error):
+        except (ValueError, ArithmeticError):
             self._left_out[f"of {topic} hold what no sensor measures"] += 1
 
     def imu(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Sample]:
@@ -291,27 +280,10 @@ class _Import:
             self._left_out[f"of {topic} are velocities in {m.header.frame_id!r} and not in {LEVEL!r}"] += 1
 
     def image(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Frame]:
-        """Yield a raw image."""
-        if m.encoding not in _COLOURS:
-            raise ImageRefused(f"the encoding {m.encoding[:40]!r} is not read")
-        channels, kind, conversion = _COLOURS[m.encoding]
-        item = np.dtype(kind).newbyteorder(">" if m.is_bigendian else "<")
-        width, height, step = int(m.width), int(m.height), int(m.step)
-        if not 0 < width * channels * item.itemsize <= step or not 0 < step * height <= len(m.data):
-            raise ImageRefused(f"{width}x{height} px in lines of {step} bytes do not fit {len(m.data)} bytes")
-        lines = np.asarray(m.data, np.uint8)[: step * height].reshape(height, step)[:, : width * channels * item.itemsize]
-        px = np.ascontiguousarray(lines).view(item).reshape(height, width, channels)
-        if item.itemsize == 2:
-            px = np.rint(px / _WHITE_16).astype(np.uint8)
-        yield self._frame(px if conversion is None else cv2.cvtColor(px, conversion), stamp)
-
-    def compressed(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Frame]:
-        """Yield an image of a file's format."""
-        yield self._frame(decode(np.asarray(m.data, np.uint8).tobytes()), stamp)
-
-    def _frame(self, px: Any, stamp: Stamp) -> Frame:
+        """Yield an image, raw or of a file's format."""
+        px = image_px(m)
         self._frames += 1
-        return Frame(stamp, self._frames, np.ascontiguousarray(px, np.uint8))
+        yield Frame(stamp, self._frames, px)
 
 
 def _vector(v: Any) -> F64:
@@ -326,6 +298,5 @@ def _is_turned(m: Any) -> bool:
 
 _MAKE: Final[Mapping[str, Callable[[_Import, str, Any, Stamp], Iterator[Sample | Frame]]]] = {
     "sensor_msgs/msg/Imu": _Import.imu, "sensor_msgs/msg/Range": _Import.range, "sensor_msgs/msg/Image": _Import.image,
-    "sensor_msgs/msg/CompressedImage": _Import.compressed,
-    "geometry_msgs/msg/TwistWithCovarianceStamped": _Import.velocity,
+    "sensor_msgs/msg/CompressedImage": _Import.image, "geometry_msgs/msg/TwistWithCovarianceStamped": _Import.velocity,
 }  # fmt: skip

@@ -7,7 +7,6 @@ in a covariance of `sensor_msgs/Imu`, nan for a place's height, and the variance
 
 import math
 from collections.abc import Iterator, Mapping
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -18,22 +17,10 @@ from companion.facts.encode import held_rotation
 from companion.recording.frame_encoder import VideoImage
 from companion.recording.message_encoder import packed
 from companion.recording.reading import Event, RecordedFrame, instant
+from estimator.contracts import samples
 from estimator.contracts.commands import Hover, Lean, Velocity
-from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import (
-    Attitude,
-    Baro,
-    BodyVelocity,
-    GeoFix,
-    Imu,
-    Range,
-    VehicleStatus,
-    VesselMotion,
-    VesselReport,
-    VesselWind,
-)
 from estimator.contracts.time import NS_PER_S, MonoNs
 from estimator.vision.camera import Camera
 
@@ -127,6 +114,8 @@ def _padded(cov: F64) -> F64:
     return out
 
 
+KEPT = ("/tf_static",)
+"""Topics whose newest message a late subscriber gets, too (transient local)."""
 Message = tuple[str, str, int, Any]
 """Topic, type, time in the bag in ns, and the message."""
 _Topic = tuple[str, Any]
@@ -136,6 +125,9 @@ _SECONDS_MAX = 2**31 - 1
 _INFO, _OK, _ERROR = 20, 0, 2
 _JPEG_QUALITY = 90
 _FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
+_CYLINDER, _LINE_LIST = 3, 5
+_CONE_M, _CONE_LINES = 5.0, 16
+"""Height of the cone that is drawn, and the number of its lines."""
 
 
 class RosMessages:
@@ -162,6 +154,30 @@ class RosMessages:
             stamped.append(self._transform(at, BODY, CAMERA, *_mount(self._camera, self._camera.T_body_cam.R)))
         message = self._make("tf2_msgs/msg/TFMessage", transforms=stamped)
         return "/tf_static", message.__msgtype__, self._time(at), message
+
+    def markers(self, at: MonoNs, radius_m: float, slope: float) -> Message:
+        """Return the pad's disc and the cone of the way down in `deck`; `slope` is the cone's radius over its height."""
+        turns = np.linspace(0.0, 2.0 * math.pi, _CONE_LINES, endpoint=False)
+        rim = np.stack([slope * _CONE_M * np.cos(turns), slope * _CONE_M * np.sin(turns), np.full(_CONE_LINES, _CONE_M)], axis=1)
+        lines = [end for i in range(_CONE_LINES) for end in (np.zeros(3), rim[i], rim[i - 1], rim[i])]
+        disc = self._marker(at, 0, _CYLINDER, [2.0 * radius_m, 2.0 * radius_m, 0.01], (0.1, 0.7, 0.2), [])
+        cone = self._marker(at, 1, _LINE_LIST, [0.02, 0.0, 0.0], (1.0, 0.6, 0.0), lines)
+        message = self._make("visualization_msgs/msg/MarkerArray", markers=[disc, cone])
+        return "/markers", message.__msgtype__, self._time(at), message
+
+    def _marker(self, at: MonoNs, number: int, form: int, scale: list[float], rgb: tuple[float, ...], ends: list[F64]) -> Any:
+        r, g, b = rgb
+        header, empty = self._header(at, DECK), np.zeros(0, np.uint8)
+        return self._make(
+            "visualization_msgs/msg/Marker",
+            header=header, ns="decklander", id=number, type=form, action=0,
+            pose=self._pose(np.zeros(3), Rotation.identity(), np.zeros((6, 6))).pose, scale=self._vector(np.array(scale)),
+            color=self._make("std_msgs/msg/ColorRGBA", r=r, g=g, b=b, a=0.7),
+            lifetime=self._make("builtin_interfaces/msg/Duration", sec=3, nanosec=0), frame_locked=True,
+            points=[self._point(end) for end in ends], colors=[], uv_coordinates=[], texture_resource="", text="",
+            texture=self._make("sensor_msgs/msg/CompressedImage", header=header, format="", data=empty), mesh_resource="",
+            mesh_file=self._make("visualization_msgs/msg/MeshFile", filename="", data=empty), mesh_use_embedded_materials=False,
+        )  # fmt: skip
 
     def of(self, event: Event) -> Iterator[Message]:
         """Yield the messages of an event; none of one that ROS has no standard message for."""
@@ -207,10 +223,12 @@ class RosMessages:
         w, x, y, z = R.quat_wxyz.tolist()
         return self._make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
-    def _pose(self, place: F64, R: Rotation, cov: F64) -> Any:
+    def _point(self, place: F64) -> Any:
         x, y, z = place.tolist()
-        point = self._make("geometry_msgs/msg/Point", x=x, y=y, z=z)
-        pose = self._make("geometry_msgs/msg/Pose", position=point, orientation=self._quaternion(R))
+        return self._make("geometry_msgs/msg/Point", x=x, y=y, z=z)
+
+    def _pose(self, place: F64, R: Rotation, cov: F64) -> Any:
+        pose = self._make("geometry_msgs/msg/Pose", position=self._point(place), orientation=self._quaternion(R))
         return self._make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=_row(cov))
 
     def _twist(self, v: F64, yaw_rate_rad_s: float = 0.0) -> Any:
@@ -234,35 +252,35 @@ class RosMessages:
 
     def _sample(self, of: object) -> Iterator[_Topic]:
         match of:
-            case Imu():
+            case samples.Imu():
                 yield "/imu/data_raw", self._imu(of)
-            case Attitude():
+            case samples.Attitude():
                 yield "/imu/data", self._attitude(of)
                 yield self._moving(of.stamp.measured_at, LEVEL, BODY, np.zeros(3), body_in_level(of.R_ned_body))
-            case BodyVelocity():
+            case samples.BodyVelocity():
                 twist = self._twist_with_cov(up(of.v_level), up_cov(of.cov_level))
                 yield "/velocity", self._stamped("TwistWithCovarianceStamped", of.stamp.measured_at, LEVEL, twist=twist)
-            case Range():
+            case samples.Range():
                 yield "/range", self._range(of)
-            case Baro():
+            case samples.Baro():
                 yield "/baro/height", self._make("std_msgs/msg/Float64", data=of.height_m)
-            case GeoFix():
+            case samples.GeoFix():
                 yield f"/{of.whose}/fix", self._fix(of)
-            case VesselReport():
+            case samples.VesselReport():
                 yield from self._vessel(of)
-            case VesselMotion():
+            case samples.VesselMotion():
                 yield from self._motion(of)
-            case VesselWind():
+            case samples.VesselWind():
                 toward = -of.speed_m_s * np.array([math.sin(of.from_rad), math.cos(of.from_rad), 0.0])
                 yield "/vessel/wind", self._stamped("Vector3Stamped", of.stamp.measured_at, MAP, vector=self._vector(toward))
-            case VehicleStatus():
+            case samples.VehicleStatus():
                 yield "/battery", self._battery(of)
                 yield "/mode", self._make("std_msgs/msg/String", data=of.mode)
 
     def _stamped(self, kind: str, at: MonoNs, frame: str, **fields: Any) -> Any:
         return self._make(f"geometry_msgs/msg/{kind}", header=self._header(at, frame), **fields)
 
-    def _imu(self, of: Imu) -> Any:
+    def _imu(self, of: samples.Imu) -> Any:
         """Return rates and specific force in `base_link`: at rest and level it reads +9.81 on z."""
         return self._make(
             "sensor_msgs/msg/Imu",
@@ -272,7 +290,7 @@ class RosMessages:
             linear_acceleration=self._vector(up(of.f_body)), linear_acceleration_covariance=np.zeros(9),
         )  # fmt: skip
 
-    def _attitude(self, of: Attitude) -> Any:
+    def _attitude(self, of: samples.Attitude) -> Any:
         """Return the orientation of `base_link` in `map`; its covariance is about the axes of `base_link`."""
         nothing = self._vector(np.zeros(3))
         return self._make(
@@ -283,7 +301,7 @@ class RosMessages:
             linear_acceleration=nothing, linear_acceleration_covariance=_NOT_GIVEN,
         )  # fmt: skip
 
-    def _range(self, of: Range) -> Any:
+    def _range(self, of: samples.Range) -> Any:
         return self._make(
             "sensor_msgs/msg/Range",
             header=self._header(of.stamp.measured_at, BEAM),
@@ -291,7 +309,7 @@ class RosMessages:
             range=of.range_m, variance=of.sigma_m**2,
         )  # fmt: skip
 
-    def _fix(self, of: GeoFix) -> Any:
+    def _fix(self, of: samples.GeoFix) -> Any:
         """Return a place without its height: ours is above mean sea level, that of the message above the ellipsoid."""
         place, variance = of.place, of.sigma_m**2
         return self._make(
@@ -303,7 +321,7 @@ class RosMessages:
             position_covariance_type=_DIAGONAL_KNOWN,
         )  # fmt: skip
 
-    def _vessel(self, of: VesselReport) -> Iterator[_Topic]:
+    def _vessel(self, of: samples.VesselReport) -> Iterator[_Topic]:
         at = of.stamp.measured_at
         if of.v_vessel_ned is not None and of.cov_v_ned is not None:
             twist = self._twist_with_cov(_ENU_NED @ of.v_vessel_ned, _ENU_NED @ of.cov_v_ned @ _ENU_NED.T)
@@ -316,7 +334,7 @@ class RosMessages:
             turn = self._vector(np.array([0.0, 0.0, -of.turn_rad_s]))
             yield "/vessel/turn", self._stamped("Vector3Stamped", at, MAP, vector=turn)
 
-    def _motion(self, of: VesselMotion) -> Iterator[_Topic]:
+    def _motion(self, of: samples.VesselMotion) -> Iterator[_Topic]:
         """Yield roll and pitch, and heave as a height, each in a frame with the sensor's name."""
         at = of.stamp.measured_at
         if of.roll_rad is not None and of.pitch_rad is not None:
@@ -326,7 +344,7 @@ class RosMessages:
             height = self._vector(np.array([0.0, 0.0, -of.heave_down_m]))
             yield "/vessel/heave", self._stamped("Vector3Stamped", at, of.sensor, vector=height)
 
-    def _battery(self, of: VehicleStatus) -> Any:
+    def _battery(self, of: samples.VehicleStatus) -> Any:
         return self._make(
             "sensor_msgs/msg/BatteryState",
             header=self._header(of.stamp.measured_at, BODY),
@@ -450,25 +468,3 @@ def _image(frame: RecordedFrame) -> tuple[str, bytes] | None:
         px = frame.image.px()
         return None if px is None else ("jpeg", packed(px, "jpeg", _JPEG_QUALITY))
     return ("png" if frame.image.startswith(b"\x89PNG") else "jpeg"), frame.image
-
-
-def require_rosbags(option: str) -> None:
-    """Refuse `option` where rosbags is not installed.
-
-    Raises:
-        BadInput: it is not; the message says how to install it.
-    """
-    if find_spec("rosbags") is None:
-        raise BadInput(
-            f"{option} needs rosbags, which is not installed: install requirements/ros2.txt, or the extra decklander[ros2]"
-        )
-
-
-def typestore() -> Any:
-    """Return the standard messages.
-
-    Those that later grew have the fields of Jazzy. An older ROS reads them: it leaves out what comes after the end.
-    """
-    from rosbags.typesys import Stores, get_typestore
-
-    return get_typestore(Stores.ROS2_JAZZY)

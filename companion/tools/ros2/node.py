@@ -1,26 +1,28 @@
-"""A flight in ROS 2 while it is flown: the data of the service's live port, as the messages of a recording's bag.
-
-The node sends messages as the bytes that they are (CDR), so only their types come from the installed ROS.
+"""A flight in ROS 2 while it is flown: the service's live data as the messages of a recording's bag, and orders the other way.
 
 Protocol of the live port: github.com/foxglove/ws-protocol, docs/spec.md, version 1.
 """
 
 import asyncio
-import importlib
+import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Annotated, Any
 
 import aiohttp
 import msgspec
 from msgspec import Meta, Struct
 
+from companion.base.orders import OperatorOrder
 from companion.facts import records as rec
+from companion.facts.wire import RequestRate
 from companion.recording import channels
 from companion.recording.foxglove_protocol import MESSAGE, MESSAGE_DATA, SUBPROTOCOLS
 from companion.recording.reading import FOR_VIEWERS, NOT_UNDERSTOOD, EventAssembly, instant
-from companion.tools.ros2.messages import RosMessages, typestore
+from companion.tools.ros2.messages import KEPT, Message, RosMessages
+from drivers.ros2 import Request, RosNode, typestore
 from estimator.contracts.errors import BadInput
+from estimator.contracts.time import Clock
 from estimator.vision.camera import Camera
 
 _AGAIN_S = 1.0
@@ -128,63 +130,8 @@ class LiveClient:
             self._note(what)
 
 
-KEPT = ("/tf_static",)
-"""Topics whose newest message a late subscriber gets, too (transient local)."""
-_DEPTH = 10
-
-
-class RosNode:
-    """A node with a publisher for each topic, made with its first message.
-
-    Raises:
-        BadInput: there is no ROS 2 for this Python.
-    """
-
-    def __init__(self, name: str) -> None:
-        try:
-            self._rclpy: Any = importlib.import_module("rclpy")
-            self._qos: Any = importlib.import_module("rclpy.qos")
-            self._utilities: Any = importlib.import_module("rosidl_runtime_py.utilities")
-            signals: Any = importlib.import_module("rclpy.signals")
-        except ImportError as why:
-            raise BadInput(
-                f"there is no ROS 2 for this Python: {why}; source /opt/ros/DISTRO/setup.bash, install decklander for its Python"
-            ) from why
-        # Our own handlers end the bridge; rclpy's would take their place.
-        self._rclpy.init(args=[], signal_handler_options=signals.SignalHandlerOptions.NO)
-        self._node: Any = self._rclpy.create_node(name)
-        self._publishers: dict[str, Any] = {}
-        self._unknown: dict[str, str] = {}
-
-    @property
-    def unknown(self) -> Mapping[str, str]:
-        """Topics that are not published, because this ROS has no such message; and its name."""
-        return self._unknown
-
-    def publish(self, topic: str, kind: str, message: bytes) -> None:
-        """Publish a message, given as CDR with its header; it is left out if this ROS does not know its type."""
-        if topic in self._unknown:
-            return
-        if topic not in self._publishers:
-            try:
-                known = self._utilities.get_message(kind)
-            except (ImportError, AttributeError, LookupError, ValueError):
-                self._unknown[topic] = kind
-                return
-            self._publishers[topic] = self._node.create_publisher(known, topic, self._quality(topic))
-        self._publishers[topic].publish(message)
-
-    def close(self) -> None:
-        """End the node."""
-        self._node.destroy_node()
-        self._rclpy.try_shutdown()
-
-    def _quality(self, topic: str) -> Any:
-        if topic not in KEPT:
-            return self._qos.QoSProfile(depth=_DEPTH)
-        return self._qos.QoSProfile(depth=1, durability=self._qos.DurabilityPolicy.TRANSIENT_LOCAL)
-
-
+_COMMON = ("/tf", "/tf_static", "/diagnostics", "/rosout")
+"""Topics that all nodes share, outside the namespace."""
 _NO_MESSAGES = (rec.FusionRecord, rec.LinkRecord, rec.OrderRecord)
 """Records for which ROS has no standard message."""
 
@@ -198,18 +145,29 @@ class RosBridge:
     """Publishes what a client receives.
 
     Args:
+        namespace: the begin of the topics' names.
         camera: the vehicle's camera; None leaves out its place on the vehicle and `/camera/camera_info`.
         note: receives what a person should know.
         gimballed: whether a gimbal turns the camera.
+        drawn: the pad's radius in m and the radius of the cone of the way down over its height, for `/markers`.
     """
 
     def __init__(
-        self, client: LiveClient, node: RosNode, camera: Camera | None, note: Callable[[str], None], *, gimballed: bool = False
+        self,
+        client: LiveClient,
+        node: RosNode,
+        namespace: str,
+        camera: Camera | None,
+        note: Callable[[str], None],
+        *,
+        gimballed: bool = False,
+        drawn: tuple[float, float] | None = None,
     ) -> None:
         self._client = client
-        self._node = node
+        self._node, self._namespace = node, namespace
         self._camera, self._gimballed = camera, gimballed
-        self._note = note
+        self._note, self._drawn = note, drawn
+        self._writers: dict[str, Callable[[bytes], None] | None] = {}
         self._store: Any = typestore()
         self.published: Counter[str] = Counter()
         """Messages by topic."""
@@ -236,16 +194,67 @@ class RosBridge:
                     self._publish(messages.fixed(instant(event)))
                 for message in messages.of(event):
                     self._publish(message)
+                if self._drawn is not None and isinstance(event, rec.HealthRecord):
+                    self._publish(messages.markers(instant(event), *self._drawn))
             except NOT_UNDERSTOOD:
                 self.skipped[topic] += 1
                 if self.skipped[topic] == 1:
                     self._note(f"{topic}: a message is not understood: is the service of another version? More are counted")
 
-    def _publish(self, message: tuple[str, str, int, Any]) -> None:
+    def _publish(self, message: Message) -> None:
         topic, kind, _, value = message
-        known = len(self._node.unknown)
-        self._node.publish(topic, kind, bytes(self._store.serialize_cdr(value, kind)))
-        if len(self._node.unknown) > known:
-            self._note(f"{topic}: this ROS has no {kind}; the topic is left out")
-        if topic not in self._node.unknown:
+        if topic not in self._writers:
+            name = topic if topic in _COMMON else f"/{self._namespace}{topic}"
+            self._writers[topic] = self._node.writer(name, kind, topic in KEPT)
+            if self._writers[topic] is None:
+                self._note(f"{name}: this ROS has no {kind}; the topic is left out")
+        if (write := self._writers[topic]) is not None:
+            write(bytes(self._store.serialize_cdr(value, kind)))
             self.published[topic] += 1
+
+
+ORDERS = {order.value: order for order in (OperatorOrder.BEGIN, OperatorOrder.HOLD, OperatorOrder.STAY, OperatorOrder.ABORT)}
+"""Orders by the name of their topic (std_msgs/Empty) and service (std_srvs/Trigger)."""
+_LATE_S = 5.0
+"""Age from which a begin is refused: it may have waited in a network that was away."""
+_EACH_SECOND_MOST = 10
+
+
+class RosOrders:
+    """Takes the orders that come by ROS: each has a topic, and a service that answers.
+
+    Args:
+        namespace: the begin of their names.
+    """
+
+    def __init__(self, node: RosNode, namespace: str, clock: Clock) -> None:
+        self._clock = clock
+        self.refused: Counter[str] = Counter()
+        """Orders that were not passed on: `late` and `flood`."""
+        self._ends = [
+            (
+                name,
+                RequestRate(_EACH_SECOND_MOST),
+                node.reader(f"/{namespace}/{name}", "std_msgs/msg/Empty", reliable=True),
+                node.server(f"/{namespace}/{name}"),
+            )
+            for name in ORDERS
+        ]
+
+    def come(self) -> Iterator[tuple[str, Request]]:
+        """Yield the orders that came by their names, without those that are refused here."""
+        for name, rate, messages, requests in self._ends:
+            for request in (*(Request(at, _unanswered) for _, at in messages()), *requests()):
+                late_s = 1e-9 * (time.time_ns() - request.sent_at_ns)
+                if rate.exceeded(self._clock.now()):
+                    self.refused["flood"] += 1
+                    request.answer(False, f"refused: more than {_EACH_SECOND_MOST} of them in a second")
+                elif ORDERS[name] is OperatorOrder.BEGIN and not abs(late_s) <= _LATE_S:
+                    self.refused["late"] += 1
+                    request.answer(False, f"refused: sent {late_s:.1f} s ago by its sender's clock, at most {_LATE_S:g} s")
+                else:
+                    yield name, request
+
+
+def _unanswered(accepted: bool, text: str) -> None:
+    """Answer a message on a topic: nobody expects that."""

@@ -23,8 +23,9 @@ from companion.cli import main as cli
 from companion.facts.records import TruthRecord
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.tools.ros2 import bags
-from companion.tools.ros2.messages import RosMessages, typestore
+from companion.tools.ros2.messages import RosMessages
 from drivers.imports.kinds import FileKind, kind_of
+from drivers.ros2 import typestore
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, VesselMotion, VesselReport, VesselWind
@@ -232,7 +233,7 @@ GOLDEN = Path(__file__).parents[2] / "golden/frames.mcap"
 
 
 def test_without_the_library_one_line_says_how_to_get_it(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("companion.tools.ros2.messages.find_spec", lambda name: None)
+    monkeypatch.setattr("drivers.ros2.find_spec", lambda name: None)
     assert cli.main(["record", "export", str(GOLDEN), "--format", "ros2", "--output", str(tmp_path / "bag")]) == 2
     printed = capsys.readouterr().err
     assert printed.count("\n") == 1
@@ -434,12 +435,13 @@ async def test_a_flight_is_published_while_it_is_flown_and_again_after_the_servi
     assert "this ROS has no diagnostic_msgs/msg/DiagnosticArray; the topic is left out" in output
     assert re.search(r"[1-9]\d+ messages on \d+ topics; 0 of the service not understood", output)
     topics = published(file)
-    wanted = {"/imu/data", "/tf", "/tf_static", "/velocity", "/range", "/camera/image_raw/compressed", "/camera/camera_info"}
-    assert wanted | {"/detection/pad_pose", "/dead_reckoning/pad_pose", "/cmd_vel", "/phase"} <= set(topics)
+    wanted = {"imu/data", "velocity", "range", "camera/image_raw/compressed", "camera/camera_info", "detection/pad_pose"}
+    wanted |= {"dead_reckoning/pad_pose", "cmd_vel", "phase", "markers"}
+    assert {"/tf", "/tf_static", *(f"/decklander/{name}" for name in wanted)} <= set(topics)
     assert {t.child_frame_id for t in topics["/tf_static"][0].transforms} == {"camera_optical_frame", "range_down"}
-    gravity = topics["/imu/data_raw"][0].linear_acceleration
+    gravity = topics["/decklander/imu/data_raw"][0].linear_acceleration
     assert gravity.z == pytest.approx(9.81, abs=1.5)
-    pose = topics["/dead_reckoning/pad_pose"][-1]
+    pose = topics["/decklander/dead_reckoning/pad_pose"][-1]
     assert pose.header.frame_id == "base_stabilized"
     assert pose.pose.pose.position.z < -0.5, "the pad is below, and z is up"
     assert np.isfinite(pose.pose.covariance).all()
