@@ -115,7 +115,9 @@ last known, or time. Before the first order to land it stays in its own hover.
 
 def mission_page() -> str:
     """Return docs/mission.md."""
-    return "\n".join((_HEAD, *_graph(), *_states(), *_events(), *_causes(), *_table("cone"), *_thesis()))
+    return "\n".join(
+        (_HEAD, *_graph(), *_states(), *_events(), *_causes(), *_table("cone"), *_other("thesis"), *_other("targets"))
+    )
 
 
 def _graph() -> Iterator[str]:
@@ -168,9 +170,9 @@ def _table(name: str) -> Iterator[str]:
     yield from _rows(name, {state: dict.fromkeys(Event, state) for state in State})
 
 
-def _thesis() -> Iterator[str]:
-    yield from ('## What differs with `guidance.mission = "thesis"`', "")
-    yield from _rows("thesis", TABLES["cone"])
+def _other(name: str) -> Iterator[str]:
+    yield from (f'## What differs with `guidance.mission = "{name}"`', "")
+    yield from _rows(name, TABLES["cone"])
 
 
 def _rows(name: str, usual: Mapping[State, Row]) -> Iterator[str]:

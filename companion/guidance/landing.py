@@ -10,6 +10,7 @@ from msgspec import Struct, field, structs
 
 from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, Event, Reason, ReasonCause, State, StateChange
 from companion.base.observer import ResponseInUse
+from companion.guidance import targets
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, FieldOfView, Impact, Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.flight_memory import FlightMemory, carried_on, memory_of, resumed_by
@@ -327,7 +328,7 @@ class LandingGuidance:
                 self._flight.impact = after.newest
 
     def _on_status(self, status: VehicleStatus) -> None:
-        self.vehicle = status
+        before, self.vehicle = self.vehicle, status
         self._charge = self._charge.reported(status.stamp.received_at, status.battery_fraction)
         if status.flying is False:
             self.before = None
@@ -335,6 +336,12 @@ class LandingGuidance:
         resumes = self._resumes and not self._left
         self.mission, changes = take_status(self.mission, status, self._guidance, resumes=resumes)
         self._changes += changes
+        chosen = status.mode in targets.MODES and (before is None or before.mode != status.mode) and status.taken is None
+        if chosen and self._guidance.mission == "targets" and self.state not in GROUND:
+            # The pilot's own choice of the landing mode is the order to lead it.
+            reason = Reason(ReasonCause.PILOT_LANDS, detail=status.mode)
+            self.mission, begun = take(self.mission, Event.BEGIN, reason, status.stamp.received_at, self._guidance)
+            self._changes += begun
         if any(change.event is Event.TAKEN_OFF for change in changes):
             self._flight = _Flight(self._law.start())
             self._response.begin()
@@ -446,6 +453,7 @@ class LandingGuidance:
             self._flight.contact.feels and not knowledge.unfelt,
             self._response.late_s, self._flight.touch, range_m, self._hold, self._thing, unseen, self._off_orders(knowledge),
             0.0 if self._measured is None else max(0.0, seconds_between(self._measured, now)),
+            "" if self.vehicle is None else self.vehicle.mode,
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance)
         self._changes += changes

@@ -320,13 +320,22 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Guidance: from the estimate to commands."""
 
     mission: Annotated[
-        Literal["cone", "thesis"],
+        Literal["cone", "thesis", "targets"],
         choice(
-            "the way down: in a cone to a gate over the deck and from there to the contact under full control; or the way points "
-            "of the thesis and the vehicle's own landing from the last of them",
+            "the way down: in a cone to a gate over the deck and from there to the contact under full control; the way points "
+            "of the thesis and the vehicle's own landing from the last of them; or the autopilot's own precision landing, which "
+            "is led by LANDING_TARGETs alone: no velocity of ours leaves",
             public=True,
         ),
     ] = "cone"
+    mode_changes: Annotated[
+        bool,
+        choice(
+            "whether the mission targets may ask the autopilot for its landing and, to call that off, for its hold; otherwise "
+            "the pilot chooses the modes",
+            public=True,
+        ),
+    ] = False
     start: Annotated[
         Literal["automatic", "signal"],
         choice(
@@ -385,6 +394,8 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.mission == "targets" and (self.refused == "land elsewhere" or self.rendezvous.enabled):
+            raise ValueError('mission = "targets" flies nowhere: refused = "land elsewhere" and rendezvous need another mission')
         if self.refused == "land elsewhere" and self.elsewhere == ElsewhereOptions():
             raise ValueError(
                 'refused = "land elsewhere" needs a place: set latitude_deg, longitude_deg and height_m of elsewhere'

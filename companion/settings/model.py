@@ -97,13 +97,19 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     vessel: VesselOptions = VesselOptions()
     rtk: RtkOptions = RtkOptions()
 
-    def fault(self) -> str | None:
-        """Return the reason why keys do not go together, beginning with the key, or None if they do."""
+    def fault(self, *, by_autopilot: bool = False) -> str | None:
+        """Return the reason why keys do not go together, beginning with the key, or None if they do.
+
+        Args:
+            by_autopilot: whether an autopilot takes the place of the vehicle.
+        """
         if isinstance(self.vehicle, AutopilotOptions):
             if self.camera.source == "vehicle":
                 return f"camera.source must be one of {', '.join(SOURCES)}: an autopilot has no frames"
             if self.bridge.links:
                 return "bridge.links must be empty: an autopilot speaks MAVLink itself"
+        elif self.guidance.mission == "targets" and not by_autopilot:
+            return 'guidance.mission "targets" needs an autopilot that lands on LANDING_TARGETs, and an AR.Drone has none'
         if self.camera.exposure.driven and self.camera.source not in DRIVEN_SOURCES:
             return (
                 f'camera.exposure.mode must be "camera" with camera.source "{self.camera.source}": '

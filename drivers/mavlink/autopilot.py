@@ -10,7 +10,7 @@ from msgspec import Struct, field
 
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
-from drivers.mavlink.custody import LEFT_ALONE, Hand, HandEvent
+from drivers.mavlink.custody import LEFT_ALONE, Authority, Hand, HandEvent
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import AutopilotOptions
@@ -100,9 +100,15 @@ class Autopilot:
     """An open link to an autopilot: read `samples`, give a `command`, add a listener, `send` messages. See `open_autopilot`."""
 
     def __init__(
-        self, options: AutopilotOptions, links: Links, clock: Clock, parameters: tuple[str, ...], sample_queue_items: int
+        self,
+        options: AutopilotOptions,
+        links: Links,
+        clock: Clock,
+        parameters: tuple[str, ...],
+        sample_queue_items: int,
+        authority: Authority = Authority.SETPOINTS,
     ) -> None:
-        self._o = options
+        self._o, self._authority = options, authority
         self._wanted = parameters
         self._clock = clock
         self._open = True
@@ -484,7 +490,7 @@ class Autopilot:
         clock = BootClock(sync)
         sampler = MavlinkSampler(stack, clock, self._o.samples)
         parameters = Parameters(stack, self._wanted_of(stack))
-        streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o)
+        streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o, self._authority)
         self._known = _Known(identity, sync, clock, sampler, streams, parameters, streamer, received.source, received.received_at)
         self.links.identify(received.system, self._o.component_id)
         self._boots = 0
@@ -587,6 +593,7 @@ async def open_autopilot(
     parameters: tuple[str, ...] = (),
     sample_queue_items: int = SAMPLE_QUEUE_ITEMS,
     waits: bool = False,
+    authority: Authority = Authority.SETPOINTS,
 ) -> AsyncIterator[Autopilot]:
     """Open the links and keep them open; it does not wait for the autopilot (see `Autopilot.connected`).
 
@@ -598,13 +605,14 @@ async def open_autopilot(
         parameters: names of the autopilot's parameters that are read on each connect.
         sample_queue_items: samples that may wait for the reader; the oldest is dropped and counted.
         waits: let datagrams wait until samples are taken or setpoints sent, instead of waking the loop for each.
+        authority: what may be sent to move the vehicle, whoever orders it.
     """
     if links is None:
         links = tuple(LinkOptions(endpoint, limits=options) for endpoint in options.endpoints())
     identity = (options.system_id or 1, options.component_id)
     access = NamedSenders(options.named_operators(), frozenset({options.vessel_id} - {0}))
     async with open_links(links, clock, identity, access=access, waits=waits) as opened:
-        autopilot = Autopilot(options, opened, clock, parameters, sample_queue_items)
+        autopilot = Autopilot(options, opened, clock, parameters, sample_queue_items, authority)
         async with running_beside([("autopilot-read", autopilot._read()), ("autopilot-tick", autopilot._tick())]):
             try:
                 yield autopilot

@@ -52,6 +52,15 @@ LAPSES_S = 3.0
 """Age at which a request that was not obeyed is no longer expected to be, s: that of an autopilot that counts as silent."""
 
 
+class Authority(Enum):
+    """The messages that may leave to move the vehicle. The cut of the motors, which a person orders, is never held back."""
+
+    SETPOINTS = "setpoints"
+    MODES = "modes"
+    """Requests for the autopilot's own modes alone: its hold takes the place of the velocity mode, and no setpoint leaves."""
+    NOTHING = "nothing"
+
+
 class Hand(Enum):
     """The party that has the vehicle, and what it does with it."""
 

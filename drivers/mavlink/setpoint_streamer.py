@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.mavlink.custody import LEFT_ALONE, TABLE, Hand, HandEvent, ModeRequests
+from drivers.mavlink.custody import LEFT_ALONE, TABLE, Authority, Hand, HandEvent, ModeRequests
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import SHOWN_S, Rested, RestVelocity, TakingOff, velocity_setpoint
@@ -27,6 +27,7 @@ from drivers.mavlink.vehicle import (
     HOLD_MODE,
     LAND_MODE,
     RETURN_MODE,
+    TARGET_MODE,
     VELOCITY_MODE,
     Condition,
     Identity,
@@ -154,9 +155,10 @@ class _Landing:
 class SetpointStreamer:
     """Holds the newest command and decides what to send."""
 
-    def __init__(self, identity: Identity, options: AutopilotOptions) -> None:
+    def __init__(self, identity: Identity, options: AutopilotOptions, authority: Authority = Authority.SETPOINTS) -> None:
         self._id = identity
         self._o = options
+        self._authority = authority
         self._now = MonoNs(0)
         self._motion: Velocity | Lean = STILL
         self._motion_at: MonoNs | None = None
@@ -198,11 +200,17 @@ class SetpointStreamer:
 
     @property
     def _mode(self) -> str | None:
-        return VELOCITY_MODE.get(self._id.stack)
+        return (HOLD_MODE if self._authority is Authority.MODES else VELOCITY_MODE).get(self._id.stack)
+
+    @property
+    def _land_mode(self) -> str | None:
+        """The autopilot's own landing: on targets where guidance has nothing else, for a person's order the plain one."""
+        led = self._authority is Authority.MODES and not self._landing.order.persistent
+        return (TARGET_MODE if led else LAND_MODE).get(self._id.stack)
 
     @property
     def _lands_by_velocity(self) -> bool:
-        chosen = self._o.landing
+        chosen = self._o.landing if self._authority is Authority.SETPOINTS else "mode"
         return chosen == "velocity" or (chosen == "by stack" and self._id.stack is Stack.PX4)
 
     def _on(self, event: HandEvent) -> bool:
@@ -230,6 +238,8 @@ class SetpointStreamer:
             v_deck_level: (3,) m/s, velocity of the surface below, already included in a velocity; None if it is not known.
         """
         self._now = now
+        if self._withholds(command):
+            return
         match command:
             case CutMotors():
                 if not self._on(HandEvent.CUT) and self.motors_cut and self._condition.armed:
@@ -246,6 +256,12 @@ class SetpointStreamer:
                 self._take_hover(command, now, v_deck_level)
             case _:
                 self._take_velocity(command, now, v_deck_level)
+
+    def _withholds(self, command: Command) -> bool:
+        """Return whether a command, whoever gives it, may not leave in any form."""
+        if self._authority is Authority.SETPOINTS or isinstance(command, CutMotors | LeaveEmergency):
+            return False
+        return self._authority is Authority.NOTHING or isinstance(command, Velocity | Lean | TakeOff)
 
     def _take_land(self, command: Land, now: MonoNs) -> None:
         landing = self._landing
@@ -335,7 +351,7 @@ class SetpointStreamer:
         ours, in_mode = self._modes.on_mode(now.mode, self._now) if beat else None, now.mode == self._mode
         if ours is False and not (self.hand is Hand.TAKING and in_mode and self._tries.begun):
             yield HandEvent.MODE_SINCE if self._engaged else HandEvent.OTHER_MODE
-            if in_mode and self._o.mode_is_order:
+            if in_mode and self._o.mode_is_order and self._authority is Authority.SETPOINTS:
                 yield HandEvent.MODE_ORDER
         elif ours and not in_mode:
             yield HandEvent.LATE
@@ -401,7 +417,7 @@ class SetpointStreamer:
         landing = self._landing
         if self.hand is Hand.LANDING and landing.order.persistent:
             descends, landing.by_velocity = landing.by_velocity, False
-            return self._ask(LAND_MODE.get(self._id.stack), now) if descends else []
+            return self._ask(self._land_mode, now) if descends else []
         if self.hand is Hand.STANDING:
             return [disarm(self._id.address, forced=self._forced(now))] if self._armed(now) is not False else []
         if self.hand not in (Hand.TAKING, Hand.OURS, Hand.LANDING, Hand.HOLDING):
@@ -435,10 +451,15 @@ class SetpointStreamer:
             return self._hold(now)
         out = self._setpoint(now, self._motion if fresh and self._motion is not STILL else self._held(now))
         there = self._condition.mode == self._mode and not self._modes.pending
-        if self.hand is not Hand.TAKING or not out or self._streamed is None or there:
+        if self.hand is not Hand.TAKING or there:
             return out
-        streamed_s = seconds_between(self._streamed[0], now)
-        if (self._id.stack is not Stack.PX4 or streamed_s >= self._o.prestream_s) and self._due(now):
+        if self._authority is Authority.SETPOINTS:
+            if not out or self._streamed is None:
+                return out
+            ready = self._id.stack is not Stack.PX4 or seconds_between(self._streamed[0], now) >= self._o.prestream_s
+        else:
+            ready = True
+        if ready and self._due(now):
             return out + self._ask(self._mode, now)
         if self._tries.spent(now):
             self._on(HandEvent.REFUSED)
@@ -488,7 +509,7 @@ class SetpointStreamer:
         if landing.by_velocity:
             v = np.array([self._mean_velocity[0], self._mean_velocity[1], self._o.descent_rate_m_s])
             return self._setpoint(now, Velocity(v, 0.0))
-        mode = LAND_MODE.get(self._id.stack)
+        mode = self._land_mode
         return [] if self._condition.mode == mode or not self._due(now) else self._ask(mode, now)
 
     def _wanted(self, now: MonoNs) -> bool:
@@ -515,7 +536,7 @@ class SetpointStreamer:
     def _forced(self, now: MonoNs) -> bool:
         """Return whether the motors are stopped by force: guidance reports in every cycle that it feels the deck, in our mode."""
         fresh = self._felt_at is not None and seconds_between(self._felt_at, now) <= self._o.command_timeout_s
-        lands = self._modes.own in (self._mode, LAND_MODE.get(self._id.stack))
+        lands = self._modes.own in (self._mode, self._land_mode)
         return self._o.disarm_on_contact and fresh and lands and self._condition.mode == self._modes.own
 
     def _armed(self, now: MonoNs) -> bool | None:
@@ -569,7 +590,7 @@ class SetpointStreamer:
         return np.asarray(Rotation.from_rpy(0.0, 0.0, yaw_rad).inv @ mean)
 
     def _setpoint(self, now: MonoNs, velocity: Velocity | Lean) -> list[Message]:
-        attitude = self._attitude
+        attitude = self._attitude if self._authority is Authority.SETPOINTS else None
         fresh = attitude is not None and seconds_between(attitude.stamp.measured_at, now) <= self._o.attitude_timeout_s
         if attitude is None or (self.hand is Hand.TAKING and not fresh):
             return []

@@ -48,6 +48,8 @@ _PX4_NUMBERS = {name: number for number, name in PX4_MODES.items()}
 VELOCITY_MODE = {Stack.ARDUPILOT: "guided", Stack.PX4: "offboard"}
 """The mode in which each stack follows velocity setpoints."""
 LAND_MODE = {Stack.ARDUPILOT: "land", Stack.PX4: "auto.land"}
+TARGET_MODE = {Stack.ARDUPILOT: "land", Stack.PX4: "auto.precland"}
+"""The mode in which each stack lands on LANDING_TARGETs by itself."""
 RETURN_MODE = {Stack.ARDUPILOT: "rtl", Stack.PX4: "auto.rtl"}
 HOLD_MODE = {Stack.ARDUPILOT: "brake", Stack.PX4: "auto.loiter"}
 

@@ -106,7 +106,7 @@ class Overridable:
             for path, value in placed[1]:
                 put(tables[1], path, value)
             settings = settings_from_mapping(tables[1], where)
-            if fault := settings.fault():
+            if fault := settings.fault(by_autopilot=self._by_autopilot):
                 raise BadInput(f"{where}: {fault}")
         return scenario, settings
 

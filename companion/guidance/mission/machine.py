@@ -7,8 +7,8 @@ INTERCEPT brings the drone over it and DESCEND down the cone (`descend`); where 
 there instead (`stay`). GATE is the last place to wait: it follows the deck
 until every limit holds (`gate`). COMMIT goes down to the deck (`commit`), PRESS and DOWN keep it there and stop the motors
 (`press`). Three states lead back: HOLD_BLIND waits for a lost sight (`hold_blind`), GO_AROUND climbs to begin again
-(`go_around`), ANOTHER_PAD asks (`another_pad`). In all others no landing is flown (`waiting`). `thesis` has what differs in the
-thesis' mission.
+(`go_around`), ANOTHER_PAD asks (`another_pad`). In all others no landing is flown (`waiting`). `thesis` and `targets` have what
+differs in the thesis' mission, and in the one in which the autopilot lands by itself.
 
 **A file is a state.** It says what the state watches and where each event leads, what it aims at, its time budget, its
 constants, and the memory that only it needs (`Progress.kept`, empty on entry). What several states watch or fly is in `rules`
@@ -22,7 +22,7 @@ changes of state.
 - Nothing descends without a fresh, consistent estimate of the pad. `allows` of each state cuts the controller's command to
   that, whatever the target was. Low without sight the drone only climbs (`out_of_reach`).
 - A state that waits has a time, and when that is over the drone goes up or stays: to a go-around, a hold or a refusal.
-- Motors stop only in DOWN, which is entered by a contact and a press (in the thesis' mission by the vehicle's own landing).
+- Motors stop only in DOWN, which is entered by a contact and a press (in the other missions by the vehicle's own landing).
 - On the ground, before the first order, and while somebody else has the vehicle, guidance sends nothing but a hover.
 
 **What a go-around costs.** Some ten seconds, a new budget for the attempt, and one of the allowed go-arounds; the time without
@@ -42,6 +42,7 @@ from types import MappingProxyType
 from msgspec.structs import replace
 
 from companion.base.mission import ENDED, FLOWN, GROUND, Event, Reason, ReasonCause, State, StateChange
+from companion.guidance import targets
 from companion.guidance.controller import Target
 from companion.guidance.mission import (
     another_pad,
@@ -72,9 +73,14 @@ from estimator.contracts.total_table import total
 
 _STATES = (waiting, search, descend, stay, gate, commit, press, hold_blind, go_around, another_pad)
 PHASES: Mapping[State, Phase] = {state: phase for file in _STATES for state, phase in file.PHASES.items()}
+_LED = targets.phases(PHASES)
 _CONE: Mapping[State, Row] = {state: phase.ways for state, phase in PHASES.items()}
 TABLES: Mapping[str, Mapping[State, Row]] = MappingProxyType(
-    {"cone": total(_CONE, Event), "thesis": total(thesis.ways(_CONE), Event)}
+    {
+        "cone": total(_CONE, Event),
+        "thesis": total(thesis.ways(_CONE), Event),
+        "targets": total(targets.ways(_CONE), Event),
+    }
 )
 """The tables by `guidance.mission`."""
 
@@ -90,6 +96,11 @@ _FASTEST_M_S = 1.0
 """Vertical speed of a vehicle whose law does not say, m/s."""
 _LEAN_SETTLES_S = 10.0
 """Time after the flight to the ship until the mean lean is the wind's alone: twice the time of the mean."""
+
+
+def phase_of(state: State, o: GuidanceOptions) -> Phase:
+    """Return the phase of a state in the mission that the settings choose."""
+    return (_LED if o.mission == "targets" else PHASES)[state]
 
 
 def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress, Aim, Transitions]:
@@ -117,12 +128,12 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
     if not p.begun or p.state is State.TAKEN or (p.stood and p.state in ENDED):
         # A velocity would take an autopilot from whoever flies it; a hover takes nothing.
         return p, Hover()
-    return PHASES[p.state].aim(replace(p, climbs_m_s=0.0), s, o)
+    return phase_of(p.state, o).aim(replace(p, climbs_m_s=0.0), s, o)
 
 
 def allowed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
     """Return the controller's command for a target as far as the state allows it."""
-    return PHASES[p.state].allows(command, p, s, o)
+    return phase_of(p.state, o).allows(command, p, s, o)
 
 
 def take(p: Progress, event: Event, reason: Reason, at: MonoNs, o: GuidanceOptions) -> tuple[Progress, Transitions]:
@@ -173,7 +184,7 @@ def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resum
 
 def _first(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress, StateChange | None]:
     """Take the first event of the cycle that leads to another state."""
-    for event, reason in PHASES[p.state].events(p, s, o):
+    for event, reason in phase_of(p.state, o).events(p, s, o):
         moved, changes = take(p, event, reason, s.at, o)
         if changes:
             return moved, changes[0]
@@ -189,7 +200,7 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         return _seen_from(p, s, o)
     p = _in_wind(replace(p, attempt=p.attempt.cycle(since_last_s)), s)
     # A question leaves the sight of the pad that was flown to as it was.
-    return PHASES[p.state].note(p if p.state is State.ANOTHER_PAD else _in_sight(p, s, o), s, o)
+    return phase_of(p.state, o).note(p if p.state is State.ANOTHER_PAD else _in_sight(p, s, o), s, o)
 
 
 def _in_sight(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:

@@ -133,6 +133,9 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     age_s: float = 0.0
     """Age of the newest measurement of the vehicle: where samples come late, its driver flies by none of them."""
 
+    mode: str = ""
+    """The vehicle's own name for its mode; empty before it reports one."""
+
     @property
     def unflown(self) -> bool:
         """True if its own landing is better than to press on: its motion is so old that its driver is about to let it hover.

@@ -28,6 +28,7 @@ from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSource
 from companion.base.version import version
+from companion.guidance.targets import LED
 from companion.parts.mavlink.commands import (
     CAPABILITIES,
     COMMANDS,
@@ -260,8 +261,9 @@ _SEVERITIES = {
 """The severities of those phases that are more than information."""
 
 
-PARAMETERS = ("PLND_LAG", "PLND_ENABLED", "PLND_TYPE", "RNGFND1_TYPE", "RNGFND2_TYPE", "RNGFND3_TYPE", "RNGFND4_TYPE")
+PARAMETERS = ("PLND_LAG", "PLND_ENABLED", "PLND_TYPE", "MPC_ACC_HOR", "MPC_JERK_AUTO", *(f"RNGFND{n}_TYPE" for n in range(1, 5)))
 """The parameters that are requested from the autopilot (see `open_autopilot`)."""
+_LED = frozenset(state.value for state in LED)
 _TICK_S, _FINE_TICK_S, _HEARTBEAT_S, _STATE_S, _COMPUTER_S = 0.02, 0.01, 1.0, 0.2, 1.0
 """The periods of ticks, of those where something is due between them, HEARTBEAT, NAMED_VALUE_FLOAT, ONBOARD_COMPUTER_STATUS."""
 _BELIEF_S = 0.035
@@ -353,6 +355,8 @@ class Component(NullObserver):
 
     def on_decision(self, decision: Decision) -> None:
         self._decided = decision.at
+        if self.outputs.lead is not None:
+            self.outputs.lead.wanted = decision.phase in _LED
         if decision.response is not None and decision.response.contradicts:
             self.texts.say(MavSeverity.WARNING, f"Decklander: {decision.response.text}", decision.at)
         lost = () if decision.belief is None else decision.belief.lost

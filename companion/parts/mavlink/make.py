@@ -21,9 +21,10 @@ from companion.parts.mavlink.camera_component import ShowCamera, showing
 from companion.parts.mavlink.commands import PilotTower, link_counters, tunables
 from companion.parts.mavlink.component import PARAMETERS, Component, speaking
 from companion.parts.mavlink.handover import Handover
-from companion.parts.mavlink.outputs import Outputs
+from companion.parts.mavlink.outputs import Lead, Outputs
 from companion.parts.mavlink.rc_switch import RcSwitch
 from companion.parts.mavlink.signed_links import signed_links
+from companion.settings.guidance import GuidanceOptions
 from companion.settings.model import Settings
 from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather import Notes, snapshot_of
@@ -31,6 +32,7 @@ from companion.tools.doctor.rules_links import WATCHED
 from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
+from drivers.mavlink.custody import Authority
 from drivers.mavlink.gimbal import Gimbal, tending
 from drivers.mavlink.links import Links, Tap
 from drivers.mavlink.options import AutopilotOptions
@@ -162,6 +164,13 @@ class DeckVelocity:
         return newest.v_body_ned + level @ belief.v_pad_level
 
 
+def authority_of(guidance: GuidanceOptions) -> Authority:
+    """Return what the settings let leave to move the vehicle."""
+    if guidance.mission != "targets":
+        return Authority.SETPOINTS
+    return Authority.MODES if guidance.mode_changes else Authority.NOTHING
+
+
 class AutopilotPart:
     """Opens the autopilot with our component on its links. The component is an observer of the service.
 
@@ -193,10 +202,16 @@ class AutopilotPart:
         self._open: Autopilot | None = None
         self._links: Links | None = None
         self._options = vehicle
+        self._authority = authority_of(settings.guidance)
         self._endpoints = signed_links(vehicle)
         self._sample_queue_items = settings.service.sample_queue_items
         self.component = Component(
-            Outputs(settings.landing_target, pilot.pad.disc_radius_m, settings.guidance.stale_after_s),
+            Outputs(
+                settings.landing_target,
+                pilot.pad.disc_radius_m,
+                settings.guidance.stale_after_s,
+                self._lead(settings.guidance),
+            ),
             PilotTower(pilot, lambda: self.component.belief, clock, recording),
             tunables(settings, pilot),
             believe=pilot.belief,
@@ -236,6 +251,7 @@ class AutopilotPart:
             parameters=PARAMETERS,
             sample_queue_items=self._sample_queue_items,
             waits=isinstance(self._clock, SystemClock),  # in virtual time the kernel's instants would be another clock's
+            authority=self._authority,
         )
         async with opening as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap
@@ -254,6 +270,11 @@ class AutopilotPart:
                 finally:
                     self._open = None
 
+    def _lead(self, guidance: GuidanceOptions) -> Lead | None:
+        if guidance.mission != "targets":
+            return None
+        return Lead(lambda now: self._pilot.estimator.motion(now)[1], guidance.limits.commit_sighting_age_s)
+
     def _engage(self) -> None:
         if self._open is not None:
             self._open.engage()
@@ -263,6 +284,7 @@ class AutopilotPart:
         component = self.component
         out: dict[str, float] = {f"withheld_{why.replace(' ', '_')}": n for why, n in component.outputs.withheld.items()}
         out |= {"targets_sent": component.outputs.sent, "sends_ranges": component.sends_ranges}
+        out["leads"] = component.outputs.lead is not None
         out["files_refused"] = component.files.refused.total()
         if self._links is not None:
             out |= link_counters(self._links, component.refusals)

@@ -88,6 +88,7 @@ def figures(
         frame_rate_hz=rates_hz.get("Frame"),
         exposure_to_belief_s=medians_s.get("exposure_to_belief"),
         targets_sent=None if sent is None else int(sent),
+        leads=bool(counted.get("leads")),
         sends_ranges=None if ranges is None else bool(ranges),
         places_taken=taken if settings.guidance.rendezvous.enabled else None,
         ship_sources=ship_sources(counts),

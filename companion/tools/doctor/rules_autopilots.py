@@ -239,8 +239,8 @@ RULES: tuple[Rule, ...] = (
 
 
 PX4_PARAMETERS = (
-    "PLD_HACC_RAD", "PLD_BTOUT", "LTEST_MODE", "VTE_EN", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "EKF2_EV_CTRL", "EKF2_HGT_REF",
-    "MAV_PROTO_VER",
+    "PLD_HACC_RAD", "PLD_BTOUT", "MPC_JERK_AUTO", "LTEST_MODE", "VTE_EN", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "EKF2_EV_CTRL",
+    "EKF2_HGT_REF", "MAV_PROTO_VER",
 )  # fmt: skip
 _RANGE_HEIGHT = 2.0
 _OFFBOARD_ACTIONS = {
@@ -283,6 +283,7 @@ def targets_withheld(p: Snapshot) -> Finding | None:
     cures = {
         "not seen": "the pad is not in the frame, or colours and light do not suit: decklander detect on a frame shows why",
         "on ground": "no targets are sent while the vehicle reports that it is on the ground: this is as it should be",
+        "not ordered": "guidance.mission is targets, and nobody has begun: give the order, or choose the landing mode",
         "taking off": "no targets are sent during a take-off: this is as it should be",
         "no attitude": "no attitude covers the instant: see attitude-slow and clock-not-locked",
         "no local position": "LOCAL_POSITION_NED does not come: see stream-silent",
@@ -290,7 +291,7 @@ def targets_withheld(p: Snapshot) -> Finding | None:
         "not below": "the pad is not below the vehicle: check the camera's mount (rpy_body_cam_deg)",
         "unknown autopilot": "neither ArduPilot nor PX4: no form of target is known to be obeyed",
     }
-    make = advice if why in ("on ground", "taking off") else error
+    make = advice if why in ("on ground", "taking off", "not ordered") else error
     return make("targets-withheld", f"no target was sent: {why}", cures.get(why, "see the log"))
 
 
@@ -303,19 +304,25 @@ def _foreign_frame(p: Snapshot) -> bool:
     return in_text or event_id("mavlink_rcv_lnd_target_unsup_coord") in a.events
 
 
-def _lands_on_moving(p: Snapshot) -> bool:
-    """Return whether PX4 is in AUTO.PRECLAND over a pad that moves, on which it never descends."""
-    a = _of(p, "PX4")
-    return a is not None and p.moving_pad and a.mode == "auto.precland"
+def _precland_of(p: Snapshot, name: str, least: float) -> str | None:
+    """Return the value of a parameter with which PX4's own landing, where it is to land, loses a pad that moves."""
+    a, value = _of(p, "PX4"), _value(p, name, "PX4")
+    lands = a is not None and p.moving_pad and (p.service.leads or a.mode == "auto.precland")
+    return f"{value:g}" if lands and value is not None and value < least else None
 
 
 PX4_RULES: tuple[Rule, ...] = (
     Row("px4-precland-missing", _WARNING, lambda p: _without(p, "PX4", "PLD_HACC_RAD"),
         "this firmware has no precision landing (no parameter PLD_HACC_RAD): AUTO.PRECLAND does not exist",
         "fly by velocity (OFFBOARD), which needs no module, or build with CONFIG_NAVIGATOR precision landing"),
-    Row("px4-precland-moving", _ERROR, _lands_on_moving,
-        "AUTO.PRECLAND never descends on a pad that moves at 1 m/s",
-        "fly by velocity: let the service take the vehicle in OFFBOARD"),
+    Row("px4-precland-moving", _ERROR, lambda p: _precland_of(p, "PLD_HACC_RAD", 5.0),
+        "PLD_HACC_RAD is {0}: AUTO.PRECLAND stays behind a pad that moves, and descends no farther from it than this",
+        "set PLD_HACC_RAD 8 for guidance.mission \"targets\", or let the service fly it in OFFBOARD",
+        {"PLD_HACC_RAD": 8.0}),
+    Row("px4-precland-jerk", _WARNING, lambda p: _precland_of(p, "MPC_JERK_AUTO", 15.0),
+        "MPC_JERK_AUTO is {0}: AUTO.PRECLAND stays some seconds behind a pad that moves, and loses it from sight",
+        "set MPC_JERK_AUTO 20",
+        {"MPC_JERK_AUTO": 20.0}),
     Row("px4-frame", _ERROR, _foreign_frame,
         "PX4 reported that a landing target's coordinate frame is unsupported",
         "another program sends LANDING_TARGET in a wrong frame: stop it; ours are MAV_FRAME_LOCAL_NED (1)"),

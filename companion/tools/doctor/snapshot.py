@@ -149,6 +149,8 @@ class ServiceSnapshot(Struct, frozen=True):
     """Size of the frames in the camera file, px."""
     exposure_to_belief_s: float | None = None
     """Median delay from the exposure until the estimator has used the frame, seconds."""
+    leads: bool = False
+    """True if the running service has the autopilot's own landing led by targets alone."""
     sends_ranges: bool | None = None
     """True if DISTANCE_SENSOR is sent."""
     withheld: dict[str, int] = field(default_factory=dict)

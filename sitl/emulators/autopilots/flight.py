@@ -28,7 +28,7 @@ from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.links import LinkOptions, Links, open_links
-from drivers.mavlink.vehicle import Stack
+from drivers.mavlink.vehicle import LAND_MODE, TARGET_MODE, Stack
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import ned_between
@@ -180,7 +180,10 @@ class AutopilotFlight:
 
     def _station(self, ground_m: float = 0.0) -> GroundStation:
         stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
-        return GroundStation(stack, height_m=self.height_m + ground_m, unaided=self.autopilot.unaided)
+        guidance, lands_by = self.settings.guidance, LAND_MODE[stack] if self.autopilot.unaided else None
+        if guidance.mission == "targets" and not guidance.mode_changes and lands_by is None:
+            lands_by = TARGET_MODE[stack]
+        return GroundStation(stack, height_m=self.height_m + ground_m, lands_by=lands_by)
 
     def service_settings(self, port: int) -> Settings:
         """Return the settings that the daemon flies with, which receives the autopilot at a UDP port of this machine."""

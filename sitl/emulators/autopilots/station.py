@@ -16,7 +16,7 @@ from msgspec import Struct, field
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.setpoint_streamer import disarm
-from drivers.mavlink.vehicle import ARMED, HOLD_MODE, LAND_MODE, VELOCITY_MODE, JoinedTexts, Stack, mode_name, set_mode
+from drivers.mavlink.vehicle import ARMED, HOLD_MODE, VELOCITY_MODE, JoinedTexts, Stack, mode_name, set_mode
 from estimator.contracts.commands import Velocity
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
@@ -82,11 +82,11 @@ class GroundStation:
 
     Args:
         height_m: height of the take-off, before going to the start.
-        unaided: whether the autopilot is ordered to land by its own landing mode, and the companion is not.
+        lands_by: the autopilot's own mode by which the pilot lands; None orders the companion to land.
     """
 
-    def __init__(self, stack: Stack, *, height_m: float, unaided: bool = False) -> None:
-        self.stack, self._height_m, self._unaided = stack, height_m, unaided
+    def __init__(self, stack: Stack, *, height_m: float, lands_by: str | None = None) -> None:
+        self.stack, self._height_m, self._lands_by = stack, height_m, lands_by
         self._autopilot, self._companion = (1, _AUTOPILOT), (1, COMPANION)
         self._since: MonoNs | None = None
         self._asked: dict[str, MonoNs] = {}
@@ -120,7 +120,7 @@ class GroundStation:
                 self._next(Task.ARM, now)
             elif self.task is Task.ARM and self.armed:
                 self._next(Task.TAKE_OFF, now)
-            elif self.task is Task.ORDER and self._unaided and self.mode == LAND_MODE[self.stack]:
+            elif self.task is Task.ORDER and self._lands_by and self.mode == self._lands_by:
                 self._watch(now)
         elif kind == "COMMAND_ACK":
             self._answered(int(message.command), int(message.result), component, now)
@@ -144,7 +144,7 @@ class GroundStation:
             self.results.append((command, result))
             if self._brought_back and self.task is Task.TAKE_OFF and command == mav.MAV_CMD_NAV_TAKEOFF:
                 self._next(Task.GO, now)
-        asked = self.task is Task.ORDER and not self._unaided
+        asked = self.task is Task.ORDER and self._lands_by is None
         ordered = asked and command == mav.MAV_CMD_NAV_LAND and component == COMPANION
         if ordered and result in (mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_IN_PROGRESS):
             self._watch(now)
@@ -167,7 +167,7 @@ class GroundStation:
         out: list[Message] = [mav.MAVLink_heartbeat_message(*heartbeat)] if self._due("heartbeat", now) else []
         task = self.task
         if task in _LIMITS and seconds_between(self._since, now) > _LIMITS[task][0]:
-            lander = "autopilot" if self._unaided else "companion"
+            lander = "autopilot" if self._lands_by else "companion"
             self._fail(_LIMITS[task][1].format(text=self._last_status_text, lander=lander))
         return out + self._handlers[task](self, now, view)
 
@@ -228,8 +228,8 @@ class GroundStation:
         return velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, 0.0), view.yaw_rad)
 
     def _order_to_land(self) -> Message:
-        if self._unaided:
-            return set_mode(self.stack, self._autopilot, LAND_MODE[self.stack])
+        if self._lands_by is not None:
+            return set_mode(self.stack, self._autopilot, self._lands_by)
         return self._command(mav.MAV_CMD_NAV_LAND, to=self._companion)
 
     def _watch(self, now: MonoNs) -> None:

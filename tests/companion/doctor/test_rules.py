@@ -266,6 +266,14 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
         "OFFBOARD",
     ),
     "PX4 precision landing on a ship": ("px4-precland-moving", px4(mode="auto.precland"), "OFFBOARD"),
+    "PX4 led, and slow": (
+        "px4-precland-jerk",
+        replace(
+            px4(parameters=PX4.parameters | {"PLD_HACC_RAD": 8.0, "MPC_JERK_AUTO": 4.0}),
+            service=replace(GOOD_PX4.service, leads=True),
+        ),
+        "MPC_JERK_AUTO 20",
+    ),
     "PX4 and another program's frame": (
         "px4-frame",
         px4(events=(event_id("mavlink_rcv_lnd_target_unsup_coord"),)),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from drivers.mavlink.custody import Hand
+from drivers.mavlink.custody import Authority, Hand
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import RestVelocity, velocity_setpoint
@@ -37,8 +37,15 @@ def ms(t: float) -> MonoNs:
 class Flight:
     """A streamer in virtual time: `periods` with a nose to the east, `sends` with one to the north."""
 
-    def __init__(self, stack: Stack = Stack.ARDUPILOT, mode: str = "loiter", **options: object) -> None:
-        self.streamer = SetpointStreamer(Identity(7, 1, stack, 2), AutopilotOptions("udpin://127.0.0.1:0", **options))  # type: ignore[arg-type]
+    def __init__(
+        self,
+        stack: Stack = Stack.ARDUPILOT,
+        mode: str = "loiter",
+        authority: Authority = Authority.SETPOINTS,
+        **options: object,
+    ) -> None:
+        all_options = AutopilotOptions("udpin://127.0.0.1:0", **options)  # type: ignore[arg-type]
+        self.streamer = SetpointStreamer(Identity(7, 1, stack, 2), all_options, authority)
         self.now = ms(0)
         self.mode = mode
         self.told()
@@ -613,3 +620,52 @@ def test_what_was_flown_is_held_once_when_it_is_unclear_who_is_the_autopilot(sta
     taken = ours(stack)
     taken.told("poshold" if stack is Stack.ARDUPILOT else "posctl")
     assert taken.streamer.suspend(ms(40)) == []
+
+
+LEDS = [(Stack.ARDUPILOT, "land", "brake"), (Stack.PX4, "auto.precland", "auto.loiter")]
+
+
+@pytest.mark.parametrize(("stack", "lands", "holds"), LEDS)
+def test_where_modes_alone_may_leave_no_setpoint_does_and_the_landing_ends_in_the_autopilots_hold(
+    stack: Stack, lands: str, holds: str
+) -> None:
+    flight = Flight(stack, authority=Authority.MODES, landing="velocity", mode_is_order=True)
+    assert flight.periods(1.0, GO) + flight.periods(1.0, TakeOff()) + flight.periods(1.0, Hover()) == []
+    assert asked(flight.periods(0.1, Land()), stack) == {lands}
+    flight.told(lands)
+    assert flight.periods(3.0, Land()) + flight.periods(0.4, GO) == [], "the other orders change nothing"
+    assert asked(flight.periods(0.1, Hover()), stack) == {holds}
+    flight.told(holds)
+    assert flight.periods(20.0, Hover()) == []
+    assert asked(flight.periods(0.1, Land()), stack) == {lands}
+    flight.told(lands)
+    assert asked(flight.periods(1.0), stack) == {holds}, "a landing that guidance does not renew is called off"
+
+
+@pytest.mark.parametrize(("stack", "lands", "holds"), LEDS)
+def test_a_pilots_own_mode_is_never_touched(stack: Stack, lands: str, holds: str) -> None:
+    flight = Flight(stack, authority=Authority.MODES, mode_is_order=True)
+    flight.told(lands)
+    assert flight.periods(3.0, Hover()) == [], "the pilot lands: that is not called off"
+    flight.told("loiter" if stack is Stack.ARDUPILOT else "posctl")
+    flight.periods(0.1, Land())
+    flight.told(lands)
+    for other in ("stabilize" if stack is Stack.ARDUPILOT else "manual", lands, holds):
+        flight.told(other)
+        assert flight.streamer.hand is Hand.PERSON
+        assert flight.periods(2.0, Hover()) + flight.periods(2.0, Land()) == []
+
+
+@pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
+def test_where_nothing_may_leave_only_a_persons_cut_does(stack: Stack) -> None:
+    flight = Flight(stack, authority=Authority.NOTHING)
+    for command in (GO, Land(), Land(persistent=True), Land(on_deck=True), Hover(calls_off=True), TakeOff()):
+        assert flight.periods(1.0, command) == []
+    assert [m.command for m in flight.periods(0.05, CutMotors())] == [mav.MAV_CMD_COMPONENT_ARM_DISARM]
+
+
+def asked(messages: list[Message], stack: Stack) -> set[str]:
+    """Return the modes that are requested, by name; nothing else may be in the messages."""
+    assert len(modes(messages)) == len(messages)
+    names = PX4_MODES if stack is Stack.PX4 else {(number, 0): name for number, name in COPTER_MODES.items()}
+    return {names[(int(main), int(sub))] for main, sub in modes(messages)}

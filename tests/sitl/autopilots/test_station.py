@@ -46,8 +46,8 @@ def ack(command: int, result: int, component: int = 1) -> Message:
 class CommandHandler:
     """The station and its clock."""
 
-    def __init__(self, stack: Stack = Stack.ARDUPILOT, *, unaided: bool = False) -> None:
-        self.station = GroundStation(stack, height_m=4.0, unaided=unaided)
+    def __init__(self, stack: Stack = Stack.ARDUPILOT, *, lands_by: str | None = None) -> None:
+        self.station = GroundStation(stack, height_m=4.0, lands_by=lands_by)
         self.t_s = 10.0
         self.view = FAR
 
