@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 from estimator.contracts.errors import BadInput, Recoverable, refused
 
 MIDDLEWARES = ("auto", "rclpy", "dds")
+_DEPTH = 10
+"""Messages of a topic that wait for a reader; a newer one takes the oldest one's place."""
 _TRIGGER = "std_srvs/srv/Trigger"
 _BY_NAMES = "<Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>"
 """Compare types by their names, as ROS does: what Fast DDS says of bytes is not what this library has for them."""
@@ -42,9 +44,7 @@ def require_rosbags(wanted: str) -> None:
         BadInput: it is not; the message says how to install it.
     """
     if find_spec("rosbags") is None:
-        raise BadInput(
-            f"{wanted} needs rosbags, which is not installed: install requirements/ros2.txt, or the extra decklander[ros2]"
-        )
+        raise BadInput(f"{wanted} needs rosbags, which is not installed: install the extra decklander[ros2]")
 
 
 def typestore() -> Any:
@@ -72,8 +72,8 @@ def open_node(name: str, middleware: str = "auto") -> "RosNode":
     if not (domain.isascii() and domain.isdigit() and int(domain) <= 232):
         raise BadInput(f"ROS_DOMAIN_ID must be a number from 0 to 232, found {domain!r}")
     why: ImportError | None = None
-    for kind in (_RclpyNode, _DdsNode):
-        if middleware in ("auto", kind.middleware):
+    for known, kind in (("rclpy", _RclpyNode), ("dds", _DdsNode)):
+        if middleware in ("auto", known):
             try:
                 return kind(name, int(domain))
             except ImportError as missing:
@@ -85,8 +85,6 @@ def open_node(name: str, middleware: str = "auto") -> "RosNode":
 
 class _RclpyNode:
     """See `_DdsNode`: the same, by the installed ROS. Its `lost` counts nothing."""
-
-    middleware = "rclpy"
 
     def __init__(self, name: str, domain: int) -> None:
         self._rclpy: Any = import_module("rclpy")
@@ -105,15 +103,17 @@ class _RclpyNode:
         except (ImportError, AttributeError, LookupError, ValueError):
             return None
         durability = self._qos.DurabilityPolicy.TRANSIENT_LOCAL if kept else self._qos.DurabilityPolicy.VOLATILE
-        publisher = self._node.create_publisher(known, topic, self._qos.QoSProfile(depth=_depth(kept), durability=durability))
+        publisher = self._node.create_publisher(
+            known, topic, self._qos.QoSProfile(depth=1 if kept else _DEPTH, durability=durability)
+        )
         return publisher.publish  # type: ignore[no-any-return]
 
     def reader(self, topic: str, kind: str, *, reliable: bool) -> _Take:
-        qos = self._qos.QoSProfile(depth=_depth()) if reliable else self._qos.qos_profile_sensor_data
+        qos = self._qos.QoSProfile(depth=_DEPTH) if reliable else self._qos.qos_profile_sensor_data
         reader = self._node.create_subscription(self._types.get_message(kind), topic, print, qos, raw=True)
 
         def take() -> list[tuple[bytes, int]]:
-            taken = [one for _ in range(_depth()) if (one := reader.handle.take_message(reader.msg_type, True))]
+            taken = [one for _ in range(_DEPTH) if (one := reader.handle.take_message(reader.msg_type, True))]
             return [(bytes(message), about["source_timestamp"]) for message, about in taken]
 
         return take
@@ -139,15 +139,13 @@ class _RclpyNode:
 class _DdsNode:
     """Writers, readers and servers of topics and services, which take what came since the last call; for one thread."""
 
-    middleware = "dds"
-
     def __init__(self, name: str, domain: int) -> None:
         self._core: Any = import_module("cyclonedds.core")
         self.lost = Counter[str]()
         """Messages that are `blocked`, as a reader does not take them, and requests that are `unreadable`."""
         self._types: dict[str, Any] = {}
         os.environ["CYCLONEDDS_URI"] = f"{_BY_NAMES},{os.environ.get('CYCLONEDDS_URI', '')}".rstrip(",")
-        with self._guard():
+        with refused("DDS", self._core.DDSException, by=Recoverable):
             self._participant: Any = import_module("cyclonedds.domain").DomainParticipant(domain)
 
     def writer(self, topic: str, kind: str, kept: bool = False, prefix: str = "rt") -> Callable[[bytes], None]:
@@ -165,8 +163,8 @@ class _DdsNode:
         reader, _ = self._endpoint("sub", "DataReader", prefix + topic, kind, reliable, False)
 
         def take() -> list[tuple[bytes, int]]:
-            with self._guard():
-                return [(m.cdr, m.sample_info.source_timestamp) for m in reader.take(_depth()) if hasattr(m, "cdr")]
+            with refused("DDS", self._core.DDSException, by=Recoverable):
+                return [(m.cdr, m.sample_info.source_timestamp) for m in reader.take(_DEPTH) if hasattr(m, "cdr")]
 
         return take
 
@@ -191,19 +189,16 @@ class _DdsNode:
     def close(self) -> None:
         self._participant = None
 
-    def _guard(self) -> Any:
-        return refused("DDS", self._core.DDSException, by=Recoverable)
-
     def _endpoint(self, module: str, end: str, name: str, kind: str, reliable: bool, kept: bool) -> tuple[Any, Any]:
         policy, of = self._core.Policy, self._types.setdefault(kind, _bytes_of(kind))
         qos = self._core.Qos(
             # A reader that stands still costs it messages, and us no time.
             policy.Reliability.Reliable(max_blocking_time=0) if reliable else policy.Reliability.BestEffort,
             policy.Durability.TransientLocal if kept else policy.Durability.Volatile,
-            policy.History.KeepLast(_depth(kept)),
+            policy.History.KeepLast(1 if kept else _DEPTH),
             policy.DataRepresentation(use_cdrv0_representation=True),
         )
-        with self._guard():
+        with refused("DDS", self._core.DDSException, by=Recoverable):
             topic = import_module("cyclonedds.topic").Topic(self._participant, name, of)
             return getattr(import_module(f"cyclonedds.{module}"), end)(self._participant, topic, qos), of
 
@@ -225,8 +220,3 @@ def _bytes_of(kind: str) -> Any:
     of.serialize = lambda self, *args, **kwargs: self.cdr
     of.deserialize = of.deserialize_key = staticmethod(deserialize)
     return of
-
-
-def _depth(kept: bool = False) -> int:
-    """Return how many messages of a topic wait for a reader; a newer one takes the oldest one's place."""
-    return 1 if kept else 10

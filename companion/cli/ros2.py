@@ -6,18 +6,18 @@ import argparse
 import asyncio
 import re
 import sys
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from companion.cli.options import option
 from drivers.ros2 import MIDDLEWARES
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import BadInput, Recoverable, in_words
 
 if TYPE_CHECKING:
     from companion.settings.model import Settings
     from companion.tools.ros2.node import RosBridge, RosOrders
 
 
-_EACH_S = 0.02
 DESCRIPTION = (
     "Publish the service's live data ([http] foxglove) in ROS 2 until interrupted, in the domain ROS_DOMAIN_ID. "
     "The topics are those of 'record export --format ros2' (docs/ros2.md). Needs the extra ros2, and no ROS. "
@@ -58,15 +58,18 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
     token = files.token(args.token_file, "ros2", "--token-file")
     settings = None if args.config is None else load(args.config)
-    camera, gimballed = (None, False) if settings is None else (camera_model(settings), settings.camera.gimbal.given)
+    known: dict[str, Any] = {"camera": None}
+    if settings is not None:
+        drawn = (pad_model(settings).disc_radius_m, settings.guidance.cone.slope)
+        known = {"camera": camera_model(settings), "gimballed": settings.camera.gimbal.given, "drawn": drawn}
     from companion.base import event_loop
-    from companion.tools.ros2.node import LiveClient, RosBridge, RosOrders, wanted
+    from companion.tools.ros2.messages import RosMessages
+    from companion.tools.ros2.node import LiveClient, RosBridge, RosOrders
     from drivers.clock import SystemClock
 
-    drawn = None if settings is None else (pad_model(settings).disc_radius_m, settings.guidance.cone.slope)
-    client = LiveClient(args.url, None if token is None else token.decode(), wanted, _note)
+    client = LiveClient(args.url, None if token is None else token.decode(), _note)
     node = open_node("decklander", args.middleware)
-    bridge = RosBridge(client, node, args.namespace, camera, _note, gimballed=gimballed, drawn=drawn)
+    bridge = RosBridge(client, node, args.namespace, partial(RosMessages, **known), _note)
     orders = RosOrders(node, args.namespace, SystemClock()) if args.orders else None
     try:
         event_loop.run(_bounded(bridge, orders, settings, args.seconds))
@@ -104,11 +107,11 @@ async def _obey(orders: RosOrders, settings: Settings | None) -> None:
                 async with connected(running(settings)) as client:
                     answer = await client.order(ORDERS[name])
                 accepted, text = answer.accepted, answer.text
-            except (BadInput, Recoverable) as why:
-                accepted, text = False, f"refused: {why}"
+            except (BadInput, Recoverable, ExceptionGroup) as why:
+                accepted, text = False, f"refused: {in_words(why)}"
             request.answer(accepted, text)
             _note(f"{name}: {text}")
-        await asyncio.sleep(_EACH_S)
+        await asyncio.sleep(0.02)
 
 
 def _note(what: str) -> None:

@@ -73,11 +73,9 @@ def capture(send: Callable[..., None], request: Mapping[str, Any], size: Size) -
         send: sends a message of `camera_program`.
         request: the `topic`, and the `lens` that its camera_info must have.
     """
-    topic, kind = request["topic"], "sensor_msgs/msg/Image"
-    base = topic.removesuffix("/compressed")
-    if base != topic:
-        kind = "sensor_msgs/msg/CompressedImage"
-    about, info = base.rpartition("/")[0] + "/camera_info", "sensor_msgs/msg/CameraInfo"
+    topic, info = request["topic"], "sensor_msgs/msg/CameraInfo"
+    kind = "sensor_msgs/msg/" + ("CompressedImage" if topic.endswith("/compressed") else "Image")
+    about = topic.removesuffix("/compressed").rpartition("/")[0] + "/camera_info"
     store, number = typestore(), 0
     try:
         node = open_node("decklander_camera")

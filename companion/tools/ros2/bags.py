@@ -17,8 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from companion.recording.reading import Recording, instant
-from companion.tools.ros2.messages import KEPT, LEVEL, UP, Message, RosMessages, from_enu_attitude
+from companion.recording.reading import Recording
+from companion.tools.ros2.messages import ENU_NED, KEPT, LEVEL, UP, Message, RosMessages
 from drivers.camera.images import ImageRefused
 from drivers.camera.ros2 import image_px
 from drivers.imports.stamps import SIGMA_S, SIGMA_TILT_RAD, SIGMA_YAW_RAD, Tell, timeline
@@ -48,10 +48,8 @@ def export(recording: Recording, folder: Path) -> dict[str, int]:
     with refused(f"{folder}: cannot write a bag there", OSError):
         bag = _Bag(folder)
     try:
-        messages = RosMessages(bag.types, offset_ns, camera, gimballed=_gimballed(recording))
+        messages = RosMessages(bag.store, offset_ns, camera, gimballed=_gimballed(recording))
         for event in recording.events():
-            if not bag.counts:
-                bag.add(messages.fixed(instant(event)))
             for message in messages.of(event):
                 bag.add(message)
         bag.close()
@@ -71,8 +69,7 @@ class _Bag:
         from rosbags.rosbag2 import Writer
 
         self._folder = folder
-        self._store: Any = typestore()
-        self.types = self._store.types
+        self.store: Any = typestore()
         self._connections: dict[str, Any] = {}
         self.counts: Counter[str] = Counter()
         self._writer: Any = Writer(folder, version=_METADATA_VERSION)
@@ -82,8 +79,8 @@ class _Bag:
         topic, kind, at_ns, value = message
         if topic not in self._connections:
             qos = [_kept()] if topic in KEPT else []
-            self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._store, offered_qos_profiles=qos)
-        self._writer.write(self._connections[topic], at_ns, self._store.serialize_cdr(value, kind))
+            self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self.store, offered_qos_profiles=qos)
+        self._writer.write(self._connections[topic], at_ns, self.store.serialize_cdr(value, kind))
         self.counts[topic] += 1
 
     def close(self) -> None:
@@ -120,10 +117,6 @@ _LATEST_S = 5.0
 """A header whose stamp is older than this when its message is written is of another clock."""
 _DOWN = ("down", "rangefinder", "altimeter")
 """Names in the topic or frame of a range sensor that looks down; the message itself has no direction."""
-_KINDS: Final = {
-    "sensor_msgs/msg/Imu": "IMU", "sensor_msgs/msg/Range": "range", "sensor_msgs/msg/Image": "camera",
-    "sensor_msgs/msg/CompressedImage": "camera", "geometry_msgs/msg/TwistWithCovarianceStamped": "velocity",
-}  # fmt: skip
 _ANY = Stamp(MonoNs(0), MonoNs(0), SIGMA_S, "synced")
 
 
@@ -201,7 +194,7 @@ class _Import:
         by_kind: dict[str, list[Any]] = {}
         for connection in self._bag.connections:
             if connection.msgtype in _KINDS:
-                by_kind.setdefault(_KINDS[connection.msgtype], []).append(connection)
+                by_kind.setdefault(_KINDS[connection.msgtype][0], []).append(connection)
         for kind, found in by_kind.items():
             counts: Counter[str] = Counter()
             for connection in found:
@@ -244,7 +237,7 @@ class _Import:
 
     def _of(self, topic: str, message: Any, stamp: Stamp) -> Iterator[Sample | Frame]:
         try:
-            for one in _MAKE[message.__msgtype__](self, topic, message, stamp):
+            for one in _KINDS[message.__msgtype__][1](self, topic, message, stamp):
                 if self._source_of.get(type(one), topic) == topic:
                     yield one
         except ImageRefused as why:
@@ -257,12 +250,13 @@ class _Import:
         if m.angular_velocity_covariance[0] != -1.0 and m.linear_acceleration_covariance[0] != -1.0:
             yield Imu(stamp, UP @ _vector(m.angular_velocity), UP @ _vector(m.linear_acceleration))
         q = m.orientation
-        # A driver that knows no orientation says -1, or leaves all of it at zero.
-        if m.orientation_covariance[0] != -1.0 and abs(math.hypot(q.w, q.x, q.y, q.z) - 1.0) < 0.01 and _is_turned(m):
+        # A driver that knows no orientation says -1, or leaves all of it at zero or the identity.
+        known = m.orientation_covariance[0] != -1.0 and (np.any(m.orientation_covariance) or any((q.x, q.y, q.z)))
+        if known and abs(math.hypot(q.w, q.x, q.y, q.z) - 1.0) < 0.01:
             cov = UP @ np.asarray(m.orientation_covariance).reshape(3, 3) @ UP
             if not np.trace(cov) > 0.0:
                 cov = np.diag([SIGMA_TILT_RAD**2, SIGMA_TILT_RAD**2, SIGMA_YAW_RAD**2])
-            yield Attitude(stamp, from_enu_attitude(Rotation.from_quat([q.w, q.x, q.y, q.z])), cov)
+            yield Attitude(stamp, Rotation(ENU_NED.T @ Rotation.from_quat([q.w, q.x, q.y, q.z]).matrix @ UP), cov)
 
     def range(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Sample]:
         """Yield the distance below."""
@@ -290,13 +284,8 @@ def _vector(v: Any) -> F64:
     return np.array([v.x, v.y, v.z], float)
 
 
-def _is_turned(m: Any) -> bool:
-    """Return whether an orientation is more than the identity of a driver that fills nothing in."""
-    q = m.orientation
-    return bool(np.any(np.asarray(m.orientation_covariance)) or any((q.x, q.y, q.z)))
-
-
-_MAKE: Final[Mapping[str, Callable[[_Import, str, Any, Stamp], Iterator[Sample | Frame]]]] = {
-    "sensor_msgs/msg/Imu": _Import.imu, "sensor_msgs/msg/Range": _Import.range, "sensor_msgs/msg/Image": _Import.image,
-    "sensor_msgs/msg/CompressedImage": _Import.image, "geometry_msgs/msg/TwistWithCovarianceStamped": _Import.velocity,
+_KINDS: Final[Mapping[str, tuple[str, Callable[[_Import, str, Any, Stamp], Iterator[Sample | Frame]]]]] = {
+    "sensor_msgs/msg/Imu": ("IMU", _Import.imu), "sensor_msgs/msg/Range": ("range", _Import.range),
+    "sensor_msgs/msg/Image": ("camera", _Import.image), "sensor_msgs/msg/CompressedImage": ("camera", _Import.image),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": ("velocity", _Import.velocity),
 }  # fmt: skip

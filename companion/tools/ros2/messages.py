@@ -6,7 +6,7 @@ in a covariance of `sensor_msgs/Imu`, nan for a place's height, and the variance
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -38,34 +38,14 @@ CAMERA, BEAM = "camera_optical_frame", "range_down"
 
 UP = np.diag([1.0, -1.0, -1.0])
 """Takes forward-right-down to forward-left-up, and back."""
-_ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 R_BODY_BEAM = Rotation.from_rpy(0.0, 0.5 * math.pi, 0.0)
 """The rotation from `range_down` to `base_link`: the beam's x axis points down."""
 
 
-def up(v: F64) -> F64:
-    """Return a vector (3,) of `body`, `level` or `pad` in the axes of ROS."""
-    return UP @ v
-
-
-def up_cov(cov: F64) -> F64:
-    """Return a covariance (3, 3) of `body`, `level` or `pad` in the axes of ROS."""
-    return np.asarray(UP @ cov @ UP)
-
-
-def body_in_level(R_ned_body: Rotation) -> Rotation:
-    """Return the rotation from `base_link` to `base_stabilized` of an attitude: its roll and pitch."""
-    return Rotation(UP @ R_ned_body.without_heading().matrix @ UP)
-
-
 def enu_attitude(R_ned_body: Rotation) -> Rotation:
     """Return the rotation from `base_link` to `map` of an attitude."""
-    return Rotation(_ENU_NED @ R_ned_body.matrix @ UP)
-
-
-def from_enu_attitude(R_map_link: Rotation) -> Rotation:
-    """Return the attitude of a rotation from `base_link` to `map`: the inverse of `enu_attitude`."""
-    return Rotation(_ENU_NED.T @ R_map_link.matrix @ UP)
+    return Rotation(ENU_NED @ R_ned_body.matrix @ UP)
 
 
 def deck_heading(yaw_rad: float) -> Rotation:
@@ -95,7 +75,7 @@ def level_in_deck(d_body_pad_level: F64, yaw_rad: float, cov: F64) -> tuple[F64,
         yaw_rad: the heading against the arrow.
         cov: the covariance (7, 7) of [d, v, yaw].
     """
-    R, d = deck_heading(yaw_rad).matrix, up(d_body_pad_level)
+    R, d = deck_heading(yaw_rad).matrix, UP @ d_body_pad_level
     # The place is -R d, and R turns with the heading: d/d(heading) of R d is z x (R d).
     turned = np.cross([0.0, 0.0, 1.0], R @ d)
     J = np.zeros((4, 4))
@@ -134,55 +114,50 @@ class RosMessages:
     """Turns events into messages; it remembers the phase last sent and where the newest estimate has the pad.
 
     Args:
-        types: the class of each message by its name, such as `sensor_msgs/msg/Imu`.
+        store: the definitions and classes of messages, `typestore()`.
         offset_ns: the offset from the events' instants to the time axis, ns.
         camera: the recording's camera; None leaves out what needs one.
         gimballed: whether a gimbal turns the camera, so that its transform comes with each frame.
+        drawn: the pad's radius in m and the radius of the cone of the way down over its height, for `/markers`.
     """
 
-    def __init__(self, types: Mapping[str, Any], offset_ns: int, camera: Camera | None, *, gimballed: bool = False) -> None:
-        self._types = types
-        self._gimballed = gimballed
+    def __init__(
+        self, store: Any, offset_ns: int, camera: Camera | None, *, gimballed: bool = False, drawn: tuple[float, ...] = ()
+    ) -> None:
+        self._store = store
+        self._gimballed, self._drawn = gimballed, drawn
         self._offset_ns = offset_ns
         self._camera = camera
-        self._phase = ""
+        self._phase, self._fixed_sent = "", False
 
-    def fixed(self, at: MonoNs) -> Message:
+    def _fixed(self, at: MonoNs) -> _Topic:
         """Return the transforms that never change: the camera's mount and the range sensor's beam."""
         stamped = [self._transform(at, BODY, BEAM, np.zeros(3), R_BODY_BEAM)]
         if self._camera is not None and not self._gimballed:
             stamped.append(self._transform(at, BODY, CAMERA, *_mount(self._camera, self._camera.T_body_cam.R)))
-        message = self._make("tf2_msgs/msg/TFMessage", transforms=stamped)
-        return "/tf_static", message.__msgtype__, self._time(at), message
+        return "/tf_static", self._make("tf2_msgs/msg/TFMessage", transforms=stamped)
 
-    def markers(self, at: MonoNs, radius_m: float, slope: float) -> Message:
+    def _markers(self, at: MonoNs, radius_m: float, slope: float) -> _Topic:
         """Return the pad's disc and the cone of the way down in `deck`; `slope` is the cone's radius over its height."""
         turns = np.linspace(0.0, 2.0 * math.pi, _CONE_LINES, endpoint=False)
         rim = np.stack([slope * _CONE_M * np.cos(turns), slope * _CONE_M * np.sin(turns), np.full(_CONE_LINES, _CONE_M)], axis=1)
         lines = [end for i in range(_CONE_LINES) for end in (np.zeros(3), rim[i], rim[i - 1], rim[i])]
-        disc = self._marker(at, 0, _CYLINDER, [2.0 * radius_m, 2.0 * radius_m, 0.01], (0.1, 0.7, 0.2), [])
-        cone = self._marker(at, 1, _LINE_LIST, [0.02, 0.0, 0.0], (1.0, 0.6, 0.0), lines)
-        message = self._make("visualization_msgs/msg/MarkerArray", markers=[disc, cone])
-        return "/markers", message.__msgtype__, self._time(at), message
-
-    def _marker(self, at: MonoNs, number: int, form: int, scale: list[float], rgb: tuple[float, ...], ends: list[F64]) -> Any:
-        r, g, b = rgb
-        header, empty = self._header(at, DECK), np.zeros(0, np.uint8)
-        return self._make(
-            "visualization_msgs/msg/Marker",
-            header=header, ns="decklander", id=number, type=form, action=0,
-            pose=self._pose(np.zeros(3), Rotation.identity(), np.zeros((6, 6))).pose, scale=self._vector(np.array(scale)),
-            color=self._make("std_msgs/msg/ColorRGBA", r=r, g=g, b=b, a=0.7),
-            lifetime=self._make("builtin_interfaces/msg/Duration", sec=3, nanosec=0), frame_locked=True,
-            points=[self._point(end) for end in ends], colors=[], uv_coordinates=[], texture_resource="", text="",
-            texture=self._make("sensor_msgs/msg/CompressedImage", header=header, format="", data=empty), mesh_resource="",
-            mesh_file=self._make("visualization_msgs/msg/MeshFile", filename="", data=empty), mesh_use_embedded_materials=False,
-        )  # fmt: skip
+        both = [
+            self._stamped(
+                "visualization_msgs/Marker", at, DECK, ns="decklander", id=form, type=form, scale=np.array(scale),
+                color={"r": r, "g": 0.7, "b": 0.0, "a": 0.7}, lifetime=3 * NS_PER_S, frame_locked=True, points=points,
+            )
+            for form, scale, r, points in (
+                (_CYLINDER, [2.0 * radius_m, 2.0 * radius_m, 0.01], 0.1, []), (_LINE_LIST, [0.02, 0.0, 0.0], 1.0, lines),
+            )
+        ]  # fmt: skip
+        return "/markers", self._make("visualization_msgs/msg/MarkerArray", markers=both)
 
     def of(self, event: Event) -> Iterator[Message]:
         """Yield the messages of an event; none of one that ROS has no standard message for."""
         at = self._time(instant(event))
-        for topic, message in self._messages(event):
+        fixed, self._fixed_sent = () if self._fixed_sent else (self._fixed(instant(event)),), True
+        for topic, message in (*fixed, *self._messages(event)):
             yield topic, message.__msgtype__, at, message
 
     def _messages(self, event: Event) -> Iterator[_Topic]:
@@ -196,56 +171,55 @@ class RosMessages:
                 yield "/truth/odometry", self._odometry(MonoNs(event.at_ns), d, v, event.yaw_rad, np.zeros((7, 7)))
             case rec.HealthRecord():
                 yield "/diagnostics", self._diagnostics(event)
+                if self._drawn:
+                    yield self._markers(instant(event), *self._drawn)
             case rec.FusionRecord() | rec.LinkRecord() | rec.OrderRecord():
                 return
             case _:
                 yield from self._sample(event)
 
-    def _make(self, name: str, /, **fields: Any) -> Any:
-        return self._types[name](**fields)
+    def _make(self, kind: str, /, **fields: Any) -> Any:
+        """Return a message; what is not given is zero, empty or the identity."""
+        given = {name: self._value(int(node), what, fields.get(name)) for name, (node, what) in self._store.fielddefs[kind][1]}
+        return self._store.types[kind](**given)
+
+    def _value(self, node: int, what: Any, given: Any) -> Any:
+        """Return a field's value: of a message a stamp's nanoseconds, a vector, a rotation or a dict; of an array a matrix.
+
+        Args:
+            node: the kind of field in rosbags: 1 plain, 2 a message, 3 an array, 4 a sequence.
+            what: its type.
+        """
+        match node, given:
+            case 1, None:
+                return "" if what[0] == "string" else 0
+            case 2, int():
+                sec, nanosec = divmod(given, NS_PER_S)
+                return self._make(what, sec=sec, nanosec=nanosec)
+            case 2, Rotation():
+                return self._make(what, **dict(zip("wxyz", given.quat_wxyz.tolist(), strict=True)))
+            case 2, np.ndarray():
+                return self._make(what, **dict(zip("xyz", given.tolist(), strict=True)))
+            case 2, None | dict():
+                return self._make(what, **(given or ({"w": 1.0} if what.endswith("Quaternion") else {})))
+            case 3, _:
+                return np.zeros(what[1]) if given is None else np.ascontiguousarray(given, np.float64).ravel()
+            case 4, None:
+                return np.zeros(0, what[0][1][0]) if int(what[0][0]) == 1 else []
+            case 4, list():
+                return [self._value(int(what[0][0]), what[0][1], one) for one in given]
+        return given
 
     def _time(self, at: MonoNs) -> int:
         """Return an instant on the time axis, ns, as far as a stamp of ROS reaches."""
         return min(max(0, int(at) + self._offset_ns), _SECONDS_MAX * NS_PER_S)
 
-    def _stamp(self, at: MonoNs) -> Any:
-        sec, nanosec = divmod(self._time(at), NS_PER_S)
-        return self._make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-
-    def _header(self, at: MonoNs, frame: str) -> Any:
-        return self._make("std_msgs/msg/Header", stamp=self._stamp(at), frame_id=frame)
-
-    def _vector(self, v: F64) -> Any:
-        x, y, z = v.tolist()
-        return self._make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-    def _quaternion(self, R: Rotation) -> Any:
-        w, x, y, z = R.quat_wxyz.tolist()
-        return self._make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-
-    def _point(self, place: F64) -> Any:
-        x, y, z = place.tolist()
-        return self._make("geometry_msgs/msg/Point", x=x, y=y, z=z)
-
-    def _pose(self, place: F64, R: Rotation, cov: F64) -> Any:
-        pose = self._make("geometry_msgs/msg/Pose", position=self._point(place), orientation=self._quaternion(R))
-        return self._make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=_row(cov))
-
-    def _twist(self, v: F64, yaw_rate_rad_s: float = 0.0) -> Any:
-        turn = self._vector(np.array([0.0, 0.0, yaw_rate_rad_s]))
-        return self._make("geometry_msgs/msg/Twist", linear=self._vector(v), angular=turn)
-
-    def _twist_with_cov(self, v: F64, cov: F64) -> Any:
-        """Return a twist with an unknown turn: the variances are very large."""
-        whole = np.diag([0.0, 0.0, 0.0, 1e6, 1e6, 1e6])
-        whole[:3, :3] = cov
-        return self._make("geometry_msgs/msg/TwistWithCovariance", twist=self._twist(v), covariance=_row(whole))
+    def _stamped(self, kind: str, at: MonoNs, frame: str, **fields: Any) -> Any:
+        return self._make(kind.replace("/", "/msg/"), header={"stamp": self._time(at), "frame_id": frame}, **fields)
 
     def _transform(self, at: MonoNs, parent: str, child: str, place: F64, R: Rotation) -> Any:
-        transform = self._make("geometry_msgs/msg/Transform", translation=self._vector(place), rotation=self._quaternion(R))
-        return self._make(
-            "geometry_msgs/msg/TransformStamped", header=self._header(at, parent), child_frame_id=child, transform=transform
-        )
+        transform = {"translation": place, "rotation": R}
+        return self._stamped("geometry_msgs/TransformStamped", at, parent, child_frame_id=child, transform=transform)
 
     def _moving(self, at: MonoNs, parent: str, child: str, place: F64, R: Rotation) -> _Topic:
         return "/tf", self._make("tf2_msgs/msg/TFMessage", transforms=[self._transform(at, parent, child, place, R)])
@@ -256,12 +230,18 @@ class RosMessages:
                 yield "/imu/data_raw", self._imu(of)
             case samples.Attitude():
                 yield "/imu/data", self._attitude(of)
-                yield self._moving(of.stamp.measured_at, LEVEL, BODY, np.zeros(3), body_in_level(of.R_ned_body))
+                yield self._moving(
+                    of.stamp.measured_at, LEVEL, BODY, np.zeros(3), Rotation(UP @ of.R_ned_body.without_heading().matrix @ UP)
+                )
             case samples.BodyVelocity():
-                twist = self._twist_with_cov(up(of.v_level), up_cov(of.cov_level))
-                yield "/velocity", self._stamped("TwistWithCovarianceStamped", of.stamp.measured_at, LEVEL, twist=twist)
+                twist = _twist_with_cov(UP @ of.v_level, UP @ of.cov_level @ UP)
+                yield (
+                    "/velocity",
+                    self._stamped("geometry_msgs/TwistWithCovarianceStamped", of.stamp.measured_at, LEVEL, twist=twist),
+                )
             case samples.Range():
-                yield "/range", self._range(of)
+                known = {"max_range": math.inf, "range": of.range_m, "variance": of.sigma_m**2}
+                yield "/range", self._stamped("sensor_msgs/Range", of.stamp.measured_at, BEAM, **known)
             case samples.Baro():
                 yield "/baro/height", self._make("std_msgs/msg/Float64", data=of.height_m)
             case samples.GeoFix():
@@ -272,87 +252,64 @@ class RosMessages:
                 yield from self._motion(of)
             case samples.VesselWind():
                 toward = -of.speed_m_s * np.array([math.sin(of.from_rad), math.cos(of.from_rad), 0.0])
-                yield "/vessel/wind", self._stamped("Vector3Stamped", of.stamp.measured_at, MAP, vector=self._vector(toward))
+                yield "/vessel/wind", self._stamped("geometry_msgs/Vector3Stamped", of.stamp.measured_at, MAP, vector=toward)
             case samples.VehicleStatus():
                 yield "/battery", self._battery(of)
                 yield "/mode", self._make("std_msgs/msg/String", data=of.mode)
 
-    def _stamped(self, kind: str, at: MonoNs, frame: str, **fields: Any) -> Any:
-        return self._make(f"geometry_msgs/msg/{kind}", header=self._header(at, frame), **fields)
-
     def _imu(self, of: samples.Imu) -> Any:
         """Return rates and specific force in `base_link`: at rest and level it reads +9.81 on z."""
-        return self._make(
-            "sensor_msgs/msg/Imu",
-            header=self._header(of.stamp.measured_at, BODY),
-            orientation=self._quaternion(Rotation.identity()), orientation_covariance=_NOT_GIVEN,
-            angular_velocity=self._vector(up(of.w_body)), angular_velocity_covariance=np.zeros(9),
-            linear_acceleration=self._vector(up(of.f_body)), linear_acceleration_covariance=np.zeros(9),
+        rates, force = UP @ of.w_body, UP @ of.f_body
+        return self._stamped(
+            "sensor_msgs/Imu", of.stamp.measured_at, BODY, orientation_covariance=_NOT_GIVEN, angular_velocity=rates,
+            linear_acceleration=force,
         )  # fmt: skip
 
     def _attitude(self, of: samples.Attitude) -> Any:
         """Return the orientation of `base_link` in `map`; its covariance is about the axes of `base_link`."""
-        nothing = self._vector(np.zeros(3))
-        return self._make(
-            "sensor_msgs/msg/Imu",
-            header=self._header(of.stamp.measured_at, BODY),
-            orientation=self._quaternion(enu_attitude(of.R_ned_body)), orientation_covariance=_row(up_cov(of.cov_body)),
-            angular_velocity=nothing, angular_velocity_covariance=_NOT_GIVEN,
-            linear_acceleration=nothing, linear_acceleration_covariance=_NOT_GIVEN,
-        )  # fmt: skip
-
-    def _range(self, of: samples.Range) -> Any:
-        return self._make(
-            "sensor_msgs/msg/Range",
-            header=self._header(of.stamp.measured_at, BEAM),
-            radiation_type=0, field_of_view=0.0, min_range=0.0, max_range=math.inf,
-            range=of.range_m, variance=of.sigma_m**2,
+        return self._stamped(
+            "sensor_msgs/Imu", of.stamp.measured_at, BODY, orientation=enu_attitude(of.R_ned_body),
+            orientation_covariance=UP @ of.cov_body @ UP, angular_velocity_covariance=_NOT_GIVEN,
+            linear_acceleration_covariance=_NOT_GIVEN,
         )  # fmt: skip
 
     def _fix(self, of: samples.GeoFix) -> Any:
         """Return a place without its height: ours is above mean sea level, that of the message above the ellipsoid."""
         place, variance = of.place, of.sigma_m**2
-        return self._make(
-            "sensor_msgs/msg/NavSatFix",
-            header=self._header(of.stamp.measured_at, BODY if of.whose == "vehicle" else "vessel"),
-            status=self._make("sensor_msgs/msg/NavSatStatus", status=_FIX, service=_GPS),
-            latitude=math.degrees(place.latitude_rad), longitude=math.degrees(place.longitude_rad), altitude=math.nan,
-            position_covariance=np.array([variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 1e6]),
-            position_covariance_type=_DIAGONAL_KNOWN,
+        return self._stamped(
+            "sensor_msgs/NavSatFix", of.stamp.measured_at, BODY if of.whose == "vehicle" else "vessel",
+            status={"status": _FIX, "service": _GPS}, latitude=math.degrees(place.latitude_rad),
+            longitude=math.degrees(place.longitude_rad), altitude=math.nan,
+            position_covariance=np.diag([variance, variance, 1e6]), position_covariance_type=_DIAGONAL_KNOWN,
         )  # fmt: skip
 
     def _vessel(self, of: samples.VesselReport) -> Iterator[_Topic]:
         at = of.stamp.measured_at
         if of.v_vessel_ned is not None and of.cov_v_ned is not None:
-            twist = self._twist_with_cov(_ENU_NED @ of.v_vessel_ned, _ENU_NED @ of.cov_v_ned @ _ENU_NED.T)
-            yield "/vessel/velocity", self._stamped("TwistWithCovarianceStamped", at, MAP, twist=twist)
+            twist = _twist_with_cov(ENU_NED @ of.v_vessel_ned, ENU_NED @ of.cov_v_ned @ ENU_NED.T)
+            yield "/vessel/velocity", self._stamped("geometry_msgs/TwistWithCovarianceStamped", at, MAP, twist=twist)
         if of.heading_rad is not None:
             R = enu_attitude(Rotation.from_rpy(0.0, 0.0, of.heading_rad))
-            yield "/vessel/heading", self._stamped("QuaternionStamped", at, MAP, quaternion=self._quaternion(R))
+            yield "/vessel/heading", self._stamped("geometry_msgs/QuaternionStamped", at, MAP, quaternion=R)
 
         if of.turn_rad_s is not None:
-            turn = self._vector(np.array([0.0, 0.0, -of.turn_rad_s]))
-            yield "/vessel/turn", self._stamped("Vector3Stamped", at, MAP, vector=turn)
+            turn = np.array([0.0, 0.0, -of.turn_rad_s])
+            yield "/vessel/turn", self._stamped("geometry_msgs/Vector3Stamped", at, MAP, vector=turn)
 
     def _motion(self, of: samples.VesselMotion) -> Iterator[_Topic]:
         """Yield roll and pitch, and heave as a height, each in a frame with the sensor's name."""
         at = of.stamp.measured_at
         if of.roll_rad is not None and of.pitch_rad is not None:
             R = Rotation(UP @ Rotation.from_rpy(of.roll_rad, of.pitch_rad, 0.0).matrix @ UP)
-            yield "/vessel/tilt", self._stamped("QuaternionStamped", at, of.sensor, quaternion=self._quaternion(R))
+            yield "/vessel/tilt", self._stamped("geometry_msgs/QuaternionStamped", at, of.sensor, quaternion=R)
         if of.heave_down_m is not None:
-            height = self._vector(np.array([0.0, 0.0, -of.heave_down_m]))
-            yield "/vessel/heave", self._stamped("Vector3Stamped", at, of.sensor, vector=height)
+            height = np.array([0.0, 0.0, -of.heave_down_m])
+            yield "/vessel/heave", self._stamped("geometry_msgs/Vector3Stamped", at, of.sensor, vector=height)
 
     def _battery(self, of: samples.VehicleStatus) -> Any:
-        return self._make(
-            "sensor_msgs/msg/BatteryState",
-            header=self._header(of.stamp.measured_at, BODY),
-            voltage=math.nan, temperature=math.nan, current=math.nan, charge=math.nan, capacity=math.nan,
-            design_capacity=math.nan, percentage=math.nan if of.battery_fraction is None else of.battery_fraction,
-            power_supply_status=0, power_supply_health=0, power_supply_technology=0, present=True,
-            cell_voltage=np.zeros(0, np.float32), cell_temperature=np.zeros(0, np.float32), location="", serial_number="",
-        )  # fmt: skip
+        unknown = dict.fromkeys(("voltage", "temperature", "current", "charge", "capacity", "design_capacity"), math.nan)
+        charge = math.nan if of.battery_fraction is None else of.battery_fraction
+        return self._stamped("sensor_msgs/BatteryState", of.stamp.measured_at, BODY, percentage=charge, present=True, **unknown)
 
     def _frame(self, frame: RecordedFrame) -> Iterator[_Topic]:
         exposed = frame.stamp.measured_at
@@ -362,10 +319,8 @@ class RosMessages:
         image = _image(frame)
         if image is not None:
             form, data = image
-            yield "/camera/image_raw/compressed", self._make(
-                "sensor_msgs/msg/CompressedImage",
-                header=self._header(exposed, CAMERA), format=f"bgr8; {form} compressed bgr8", data=np.frombuffer(data, np.uint8),
-            )  # fmt: skip
+            packed_as = {"format": f"bgr8; {form} compressed bgr8", "data": np.frombuffer(data, np.uint8)}
+            yield "/camera/image_raw/compressed", self._stamped("sensor_msgs/CompressedImage", exposed, CAMERA, **packed_as)
             if self._camera is not None:
                 yield "/camera/camera_info", self._camera_info(exposed, self._camera)
         detection = frame.detection()
@@ -374,29 +329,24 @@ class RosMessages:
 
     def _camera_info(self, at: MonoNs, camera: Camera) -> Any:
         K = camera.K
-        roi = self._make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
-        return self._make(
-            "sensor_msgs/msg/CameraInfo",
-            header=self._header(at, CAMERA), height=camera.height, width=camera.width,
+        return self._stamped(
+            "sensor_msgs/CameraInfo", at, CAMERA, height=camera.height, width=camera.width,
             distortion_model="plumb_bob" if camera.lens == "brown" else "equidistant",
-            d=np.array(camera.distortion), k=_row(K), r=_row(np.eye(3)), p=_row(np.hstack([K, np.zeros((3, 1))])),
-            binning_x=0, binning_y=0, roi=roi,
+            d=np.array(camera.distortion), k=K, r=np.eye(3), p=np.hstack([K, np.zeros((3, 1))]),
         )  # fmt: skip
 
     def _pad_pose(self, measured_at: MonoNs, of: Sighting | RelativeState) -> Any:
         """Return the pad's pose in `base_stabilized`; an unknown heading has the variance of anything."""
         R = deck_heading(of.yaw_rad or 0.0).inv
-        pose = self._pose(up(of.d_body_pad_level), R, pad_in_level(of.cov))
-        return self._stamped("PoseWithCovarianceStamped", measured_at, LEVEL, pose=pose)
+        pose = _pose(UP @ of.d_body_pad_level, R, pad_in_level(of.cov))
+        return self._stamped("geometry_msgs/PoseWithCovarianceStamped", measured_at, LEVEL, pose=pose)
 
     def _odometry(self, at: MonoNs, d: F64, v_pad: F64, yaw_rad: float, cov: F64) -> Any:
         """Return the pose of `base_stabilized` in `deck`, and its velocity against the deck in its own axes."""
         place, cov_pose = level_in_deck(d, yaw_rad, cov)
-        return self._make(
-            "nav_msgs/msg/Odometry",
-            header=self._header(at, DECK), child_frame_id=LEVEL,
-            pose=self._pose(place, deck_heading(yaw_rad), cov_pose),
-            twist=self._twist_with_cov(up(-v_pad), up_cov(cov[3:6, 3:6])),
+        return self._stamped(
+            "nav_msgs/Odometry", at, DECK, child_frame_id=LEVEL, pose=_pose(place, deck_heading(yaw_rad), cov_pose),
+            twist=_twist_with_cov(-UP @ v_pad, UP @ cov[3:6, 3:6] @ UP),
         )  # fmt: skip
 
     def _decision(self, of: Decision) -> Iterator[_Topic]:
@@ -411,7 +361,8 @@ class RosMessages:
         yield from self._command(of)
         for change in of.transitions:
             text = f"{change.source.value}: {change.event.value}, {change.reason.text}: {change.target.value}"
-            yield "/rosout", self._log(change.at, text)
+            stamp = self._time(change.at)
+            yield "/rosout", self._make("rcl_interfaces/msg/Log", stamp=stamp, level=_INFO, name="guidance", msg=text)
         if of.phase != self._phase:
             self._phase = of.phase
             yield "/phase", self._make("std_msgs/msg/String", data=of.phase)
@@ -419,45 +370,46 @@ class RosMessages:
     def _command(self, of: Decision) -> Iterator[_Topic]:
         match of.command:
             case Velocity(v_level=v, yaw_rate_rad_s=rate) | Lean(v_level=v, yaw_rate_rad_s=rate):
-                twist = self._twist(up(v), -rate)
+                twist = _twist(UP @ v, -rate)
             case Hover():
-                twist = self._twist(np.zeros(3))
+                twist = _twist(np.zeros(3))
             case _:
                 return
-        yield "/cmd_vel", self._stamped("TwistStamped", of.at, LEVEL, twist=twist)
+        yield "/cmd_vel", self._stamped("geometry_msgs/TwistStamped", of.at, LEVEL, twist=twist)
         if isinstance(of.command, Lean):
             forward, right = of.command.a_level.tolist()
-            linear, still = self._vector(np.array([forward, -right, 0.0])), self._vector(np.zeros(3))
-            accel = self._make("geometry_msgs/msg/Accel", linear=linear, angular=still)
-            yield "/cmd_accel", self._stamped("AccelStamped", of.at, LEVEL, accel=accel)
-
-    def _log(self, at: MonoNs, text: str) -> Any:
-        return self._make(
-            "rcl_interfaces/msg/Log",
-            stamp=self._stamp(at), level=_INFO, name="guidance", msg=text, file="", function="", line=0,
-        )  # fmt: skip
+            accel = {"linear": np.array([forward, -right, 0.0])}
+            yield "/cmd_accel", self._stamped("geometry_msgs/AccelStamped", of.at, LEVEL, accel=accel)
 
     def _diagnostics(self, of: rec.HealthRecord) -> Any:
         statuses = [
-            self._make(
-                "diagnostic_msgs/msg/DiagnosticStatus",
-                level=_OK if part.up else _ERROR, name=part.name, message="up" if part.up else part.last_error or "down",
-                hardware_id="", values=[self._make("diagnostic_msgs/msg/KeyValue", key="restarts", value=str(part.restarts))],
-            )
+            {
+                "level": _OK if part.up else _ERROR, "name": part.name, "message": "up" if part.up else part.last_error or "down",
+                "values": [{"key": "restarts", "value": str(part.restarts)}],
+            }
             for part in of.parts
         ]  # fmt: skip
-        header = self._header(MonoNs(of.at_ns), "")
-        return self._make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=statuses)
+        return self._stamped("diagnostic_msgs/DiagnosticArray", MonoNs(of.at_ns), "", status=statuses)
+
+
+def _pose(place: F64, R: Rotation, cov: F64) -> dict[str, Any]:
+    return {"pose": {"position": place, "orientation": R}, "covariance": cov}
+
+
+def _twist(v: F64, yaw_rate_rad_s: float = 0.0) -> dict[str, Any]:
+    return {"linear": v, "angular": np.array([0.0, 0.0, yaw_rate_rad_s])}
+
+
+def _twist_with_cov(v: F64, cov: F64) -> dict[str, Any]:
+    """Return a twist with an unknown turn: the variances are very large."""
+    whole = np.diag([0.0, 0.0, 0.0, 1e6, 1e6, 1e6])
+    whole[:3, :3] = cov
+    return {"twist": {"linear": v}, "covariance": whole}
 
 
 def _mount(camera: Camera, R_body_cam: Rotation) -> tuple[F64, Rotation]:
     """Return the place and the rotation of `camera_optical_frame` in `base_link`."""
-    return up(camera.T_body_cam.t), Rotation(UP @ R_body_cam.matrix)
-
-
-def _row(matrix: F64) -> F64:
-    """Return a matrix row by row."""
-    return np.ascontiguousarray(matrix, dtype=np.float64).ravel()
+    return UP @ camera.T_body_cam.t, Rotation(UP @ R_body_cam.matrix)
 
 
 def _image(frame: RecordedFrame) -> tuple[str, bytes] | None:

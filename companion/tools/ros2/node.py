@@ -23,7 +23,6 @@ from companion.tools.ros2.messages import KEPT, Message, RosMessages
 from drivers.ros2 import Request, RosNode, typestore
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import Clock
-from estimator.vision.camera import Camera
 
 _AGAIN_S = 1.0
 _ALIVE_S = 4.0
@@ -45,8 +44,6 @@ class _ServerInfo(Struct, frozen=True, tag_field="op", tag="serverInfo"):
     name: str
 
 
-LiveMessage = tuple[str, int, bytes]
-"""Topic, time on the viewers' axis in ns, and the message as JSON."""
 _texts: msgspec.json.Decoder[_Advertise | _ServerInfo] = msgspec.json.Decoder(_Advertise | _ServerInfo)
 _subscribe = msgspec.json.Encoder()
 
@@ -57,21 +54,21 @@ class LiveClient:
     Args:
         url: the address, ws://HOST:PORT/live.
         token: its token; None for none.
-        wanted: says of a topic whether its messages are wanted.
         note: receives what a person should know: a connection, its loss and why.
     """
 
-    def __init__(self, url: str, token: str | None, wanted: Callable[[str], bool], note: Callable[[str], None]) -> None:
+    def __init__(self, url: str, token: str | None, note: Callable[[str], None]) -> None:
         self._url = url
         self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
-        self._wanted = wanted
         self._note = note
         self._told = ""
         self.connections = 0
         """Number of connections to the service."""
 
-    async def messages(self) -> AsyncIterator[LiveMessage]:
-        """Yield the messages of one connection after the other, without end; `connections` counts up before each one's first.
+    async def messages(self) -> AsyncIterator[tuple[str, int, bytes]]:
+        """Yield topic, time on the viewers' axis in ns and JSON of one connection after the other, without end.
+
+        `connections` counts up before each one's first message.
 
         Raises:
             BadInput: the address is none, or the token is refused.
@@ -97,7 +94,7 @@ class LiveClient:
                 self._say(f"{self._url}: {why or type(why).__name__}; trying again")
             await asyncio.sleep(_AGAIN_S)
 
-    async def _from(self, socket: aiohttp.ClientWebSocketResponse[bool]) -> AsyncIterator[LiveMessage]:
+    async def _from(self, socket: aiohttp.ClientWebSocketResponse[bool]) -> AsyncIterator[tuple[str, int, bytes]]:
         self.connections += 1
         topics: dict[int, str] = {}
         async for message in socket:
@@ -120,7 +117,7 @@ class LiveClient:
             self._say(f"{self._url}: connected to {known.name[:80]!r}")
             return
         for channel in known.channels:
-            if channel.encoding == "json" and self._wanted(channel.topic):
+            if channel.encoding == "json" and wanted(channel.topic):
                 topics[channel.id] = channel.topic
                 yield {"id": channel.id, "channelId": channel.id}
 
@@ -146,27 +143,16 @@ class RosBridge:
 
     Args:
         namespace: the begin of the topics' names.
-        camera: the vehicle's camera; None leaves out its place on the vehicle and `/camera/camera_info`.
+        messages: what makes the messages, but for the store and the offset of the time axis.
         note: receives what a person should know.
-        gimballed: whether a gimbal turns the camera.
-        drawn: the pad's radius in m and the radius of the cone of the way down over its height, for `/markers`.
     """
 
     def __init__(
-        self,
-        client: LiveClient,
-        node: RosNode,
-        namespace: str,
-        camera: Camera | None,
-        note: Callable[[str], None],
-        *,
-        gimballed: bool = False,
-        drawn: tuple[float, float] | None = None,
+        self, client: LiveClient, node: RosNode, namespace: str, messages: Callable[..., RosMessages], note: Callable[[str], None]
     ) -> None:
         self._client = client
         self._node, self._namespace = node, namespace
-        self._camera, self._gimballed = camera, gimballed
-        self._note, self._drawn = note, drawn
+        self._messages, self._note = messages, note
         self._writers: dict[str, Callable[[bytes], None] | None] = {}
         self._store: Any = typestore()
         self.published: Counter[str] = Counter()
@@ -190,12 +176,9 @@ class RosBridge:
                     continue
                 if messages is None:
                     # The viewers' time axis is Unix time, and the events have the service's own clock.
-                    messages = RosMessages(self._store.types, at_ns - instant(event), self._camera, gimballed=self._gimballed)
-                    self._publish(messages.fixed(instant(event)))
+                    messages = self._messages(self._store, at_ns - instant(event))
                 for message in messages.of(event):
                     self._publish(message)
-                if self._drawn is not None and isinstance(event, rec.HealthRecord):
-                    self._publish(messages.markers(instant(event), *self._drawn))
             except NOT_UNDERSTOOD:
                 self.skipped[topic] += 1
                 if self.skipped[topic] == 1:
@@ -232,19 +215,14 @@ class RosOrders:
         self.refused: Counter[str] = Counter()
         """Orders that were not passed on: `late` and `flood`."""
         self._ends = [
-            (
-                name,
-                RequestRate(_EACH_SECOND_MOST),
-                node.reader(f"/{namespace}/{name}", "std_msgs/msg/Empty", reliable=True),
-                node.server(f"/{namespace}/{name}"),
-            )
-            for name in ORDERS
+            (name, RequestRate(_EACH_SECOND_MOST), node.reader(path, "std_msgs/msg/Empty", reliable=True), node.server(path))
+            for name, path in ((name, f"/{namespace}/{name}") for name in ORDERS)
         ]
 
     def come(self) -> Iterator[tuple[str, Request]]:
         """Yield the orders that came by their names, without those that are refused here."""
         for name, rate, messages, requests in self._ends:
-            for request in (*(Request(at, _unanswered) for _, at in messages()), *requests()):
+            for request in (*(Request(at, lambda accepted, text: None) for _, at in messages()), *requests()):
                 late_s = 1e-9 * (time.time_ns() - request.sent_at_ns)
                 if rate.exceeded(self._clock.now()):
                     self.refused["flood"] += 1
@@ -254,7 +232,3 @@ class RosOrders:
                     request.answer(False, f"refused: sent {late_s:.1f} s ago by its sender's clock, at most {_LATE_S:g} s")
                 else:
                     yield name, request
-
-
-def _unanswered(accepted: bool, text: str) -> None:
-    """Answer a message on a topic: nobody expects that."""

@@ -131,9 +131,9 @@ def test_a_camera_on_a_gimbal_is_turned_with_each_frame(flight_file: Path) -> No
     frame = next(e for e in recording.events() if isinstance(e, RecordedFrame))
     held = camera.T_body_cam.R @ Rotation.from_rpy(0.2, -0.1, 0.3)
     turned = RecordedFrame(replace(frame.record, R_body_cam=held.matrix.ravel().tolist()), None)
-    ros = RosMessages(typestore().types, 0, camera, gimballed=True)
-    assert [t.child_frame_id for t in ros.fixed(frame.done)[3].transforms] == ["range_down"]
-    topic, _, _, message = next(iter(ros.of(turned)))
+    ros = RosMessages(typestore(), 0, camera, gimballed=True)
+    (_, _, _, fixed), (topic, _, _, message), *_ = ros.of(turned)
+    assert [t.child_frame_id for t in fixed.transforms] == ["range_down"]
     (transform,) = message.transforms
     assert (topic, transform.header.frame_id, transform.child_frame_id) == ("/tf", "base_link", "camera_optical_frame")
     axis = held @ np.array([0.0, 0.0, 1.0])
@@ -366,7 +366,7 @@ def test_a_damaged_bag_is_refused_or_reported(n: int, tmp_path: Path) -> None:
 
 def test_a_ship_s_own_sensors_have_the_axes_of_ros() -> None:
     """Port side down, bow up, 0.5 m below her mean, turning to starboard, in a wind from the east."""
-    ros, stamp = RosMessages(typestore().types, 0, None), Stamp(MonoNs(10**9), MonoNs(10**9), 0.1, "arrival")
+    ros, stamp = RosMessages(typestore(), 0, None), Stamp(MonoNs(10**9), MonoNs(10**9), 0.1, "arrival")
     moved = VesselMotion(stamp, "IN PSXN", -0.1, 0.2, 0.0, 0.5)
     turned = VesselReport(stamp, None, None, None, None, 0.3, 0.01)
     sent = {
