@@ -266,6 +266,11 @@ class Autopilot:
             self._known.streamer.engage()
             self._tell_hand(self._known, self._clock.now())
 
+    def is_own(self, received: ReceivedMessage) -> bool:
+        """Return whether a message is the autopilot's own, by way of a peer whose messages are read."""
+        at = None if self._known is None else self._known.identity.address
+        return at == (received.system, received.component) and received.access_level >= AccessLevel.PEER
+
     def send(self, message: Message) -> bool:
         """Send a message to the autopilot if one is known; return whether it was sent."""
         return self._known is not None and self.links.send(message, self._known.source)

@@ -18,7 +18,6 @@ from companion.base.mission import State
 from companion.guidance.operator.precedence import ControlSituation
 from companion.guidance.pilot import Pilot
 from companion.settings.operator import HandoverOptions
-from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.custody import Hand
 from drivers.mavlink.dialect import Message, mav
@@ -80,10 +79,8 @@ class Handover:
 
     def on_message(self, autopilot: Autopilot, received: ReceivedMessage) -> None:
         """Take any message of the autopilot's links."""
-        identity, m, now = autopilot.identity, received.message, received.received_at
-        if identity is None or (received.system, received.component) != identity.address or autopilot.streams is None:
-            return
-        if received.access_level < AccessLevel.PEER:
+        m, now = received.message, received.received_at
+        if not autopilot.is_own(received) or autopilot.streams is None:
             return
         autopilot.streams.also("MISSION_CURRENT", _RATE_HZ)
         match m.get_type():

@@ -16,7 +16,6 @@ from msgspec import Struct
 
 from companion.base.orders import OperatorOrder
 from companion.settings.operator import SwitchOptions
-from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
@@ -85,15 +84,12 @@ class RcSwitch:
 
     def on_message(self, autopilot: Autopilot, received: ReceivedMessage) -> None:
         """Take any message of the autopilot's links."""
-        identity, m, kind = autopilot.identity, received.message, received.message.get_type()
-        if identity is None or (received.system, received.component) != (identity.system, identity.component):
+        m, kind = received.message, received.message.get_type()
+        if not autopilot.is_own(received) or autopilot.streams is None:
             return
-        if received.access_level < AccessLevel.PEER:
-            return
+        autopilot.streams.also("RC_CHANNELS", RATE_HZ)
         if autopilot.connects != self._connects:
             self._connects, self._memory, self._waiting = autopilot.connects, SwitchPosition(), None
-        if autopilot.streams is not None:
-            autopilot.streams.also("RC_CHANNELS", RATE_HZ)
         if kind == "SYS_STATUS":
             self._on_status(m, received.received_at)
         elif kind == "RC_CHANNELS":

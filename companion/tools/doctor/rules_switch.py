@@ -1,7 +1,7 @@
 """Rules for the switch on the transmitter: its channel arrives, has a pulse, moves, and is used by nothing of the autopilot."""
 
 from companion.tools.doctor.finding import Row, Rule, Severity
-from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
+from companion.tools.doctor.snapshot import Snapshot
 from drivers.mavlink.rc_channels import POSITIONS
 
 _STICKS = ("RCMAP_ROLL", "RCMAP_PITCH", "RCMAP_THROTTLE", "RCMAP_YAW")
@@ -23,35 +23,25 @@ def parameters(stack: str, channel: int) -> tuple[str, ...]:
     return (f"RC{channel}_OPTION", "FLTMODE_CH", *_STICKS, *(("TUNE",) if channel == _TUNED else ()))
 
 
-def _of(p: Snapshot) -> AutopilotSnapshot | None:
-    """Return the autopilot that was examined beside a switch; None without both, and of a log."""
-    return p.autopilot if p.service.switch_channel and p.log is None and p.autopilot is not None else None
+def _stood(p: Snapshot) -> dict[str, int] | None:
+    """Return the positions in which the switch stood; None without a switch, or where no rates were measured."""
+    a = p.autopilot
+    return a.channels.get(p.service.switch_channel, {}) if p.service.switch_channel and a is not None and a.rates_hz else None
 
 
-def _silent(p: Snapshot) -> bool:
-    a = _of(p)
-    return a is not None and bool(a.rates_hz) and "RC_CHANNELS" not in a.rates_hz
-
-
-def _without_pulse(p: Snapshot) -> int | None:
-    a = _of(p)
-    return p.service.switch_channel if a is not None and "RC_CHANNELS" in a.rates_hz and not _stood(p) else None
-
-
-def _stood(p: Snapshot) -> dict[str, int]:
-    a = _of(p)
-    return {} if a is None else a.channels.get(p.service.switch_channel, {})
+def _arrives(p: Snapshot) -> bool:
+    return p.autopilot is not None and "RC_CHANNELS" in p.autopilot.rates_hz
 
 
 def _unmoved(p: Snapshot) -> tuple[int, str] | None:
-    stood = _stood(p)
+    stood = _stood(p) or {}
     return (p.service.switch_channel, next(iter(stood))) if len(stood) == 1 else None
 
 
 def _used(p: Snapshot) -> tuple[int, str] | None:
     """Return the channel and the parameters by which the autopilot uses it too."""
-    a, channel = _of(p), p.service.switch_channel
-    if a is None:
+    a, channel = p.autopilot, p.service.switch_channel
+    if a is None or _stood(p) is None:
         return None
     used = []
     for name in parameters(a.stack, channel):
@@ -74,10 +64,10 @@ def line(p: Snapshot) -> list[str]:
 
 
 RULES: tuple[Rule, ...] = (
-    Row("switch-silent", Severity.ERROR, _silent,
+    Row("switch-silent", Severity.ERROR, lambda p: _stood(p) is not None and not _arrives(p),
         "no RC_CHANNELS arrives: the switch on the transmitter orders nothing",
         "bind the receiver and let the autopilot see it (RC calibration of the ground station shows its channels)"),
-    Row("switch-no-pulse", Severity.ERROR, _without_pulse,
+    Row("switch-no-pulse", Severity.ERROR, lambda p: _stood(p) == {} and _arrives(p) and p.service.switch_channel,
         "channel {0} has no pulse, or the transmitter is lost",
         "switch the transmitter on, and give the switch this channel on it; decklander start shows which channel moves"),
     Row("switch-used", Severity.ERROR, _used,

@@ -11,10 +11,9 @@ from companion.base.mission import State
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.parts.mavlink.handover import MISSION, RETURN, Handover
 from companion.settings.operator import HandoverOptions
-from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.custody import Hand
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.vehicle import RETURN_MODE, VELOCITY_MODE, Identity, Stack
+from drivers.mavlink.vehicle import RETURN_MODE, VELOCITY_MODE, Stack
 from estimator.contracts.estimates import RelativeState
 from tests.support.toy_autopilot import PERSONS_MODE, STILL, Flown
 
@@ -56,14 +55,11 @@ class Journeyed(Flown):
 
     def say(self, message: Message) -> None:
         """Let the autopilot report this."""
-        identity = Identity(1, 1, self.toy.stack, 2)
         autopilot: Any = SimpleNamespace(
-            identity=identity, streams=self.streams, streamer=self.streamer, unclear=None, condition=self.reported,
+            is_own=lambda received: True, streams=self.streams, streamer=self.streamer, unclear=None, condition=self.reported,
             texts=self.texts, positions=(SimpleNamespace(v_body_ned=self.v_ned),),
         )  # fmt: skip
-        heard: Any = SimpleNamespace(
-            system=1, component=1, message=message, received_at=self.now, access_level=AccessLevel.OPERATOR
-        )
+        heard: Any = SimpleNamespace(message=message, received_at=self.now)
         self.handover.on_message(autopilot, heard)
 
     def step(self) -> None:
