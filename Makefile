@@ -54,6 +54,7 @@ wheels: $(VENV)/.dev $(VENV)/.compiler
 # The package on a booted Debian 12: install, update, return, remove. As root, with debootstrap and a Debian mirror in reach.
 test-install: deb
 	$(BIN)/python -m qualification.packaging.boot --deb dist/decklander_*_$$(dpkg --print-architecture).deb $(if $(WORK),--work $(WORK))
+	$(BIN)/python -m qualification.packaging.card --deb dist/decklander_*_$$(dpkg --print-architecture).deb $(if $(WORK),--work $(WORK)/card)
 
 # A Debian package that carries every wheel, in dist/: make deb, or make deb ARCHITECTURE=aarch64. WHEELS=DIR fetches nothing.
 deb: $(VENV)/.supply $(VENV)/.compiler

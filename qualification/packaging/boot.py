@@ -26,10 +26,12 @@ MIRROR = "http://deb.debian.org/debian"
 PACKAGES = "systemd,systemd-sysv,udev,dbus,python3,python3-venv,iproute2"
 _SPACES = ("--mount", "--pid", "--net", "--cgroup", "--uts", "--ipc")
 BOOT_S, LONG_S = 120.0, 900.0
-# Devices are made, not lent, and the kernel's settings are read only: what boots in there must not change this machine.
+# Devices are made, not lent, and the kernel's settings are read only: what boots in there must not change this machine. The root
+# is shared as a container manager makes it: systemd mounts a unit's credentials from a namespace of its own.
 _BOOT = """set -e
 r={root}
-mount --make-rprivate / && mount --bind $r $r && mount -t proc proc $r/proc && mount -t sysfs -o ro sysfs $r/sys
+mount --make-rprivate / && mount --bind $r $r && mount --make-shared $r
+mount -t proc proc $r/proc && mount -t sysfs -o ro sysfs $r/sys
 mount --bind $r/proc/sys $r/proc/sys && mount -o remount,ro,bind $r/proc/sys
 for f in dev run; do mount -t tmpfs -o mode=755 tmpfs $r/$f; done
 while read n major minor; do mknod -m 666 $r/dev/$n c $major $minor; done << END
@@ -171,8 +173,18 @@ def fly(guest: Guest) -> None:
     guest.expect("ls -d /opt/decklander /etc/decklander /var/lib/decklander /var/lib/private/decklander 2>/dev/null", 2)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description="Installation on a booted Debian 12.")
+def main(
+    what: str = "Installation on a booted Debian 12.",
+    packages: str = PACKAGES,
+    prepare: Callable[[Path, Path], None] = lambda root, package: None,
+    act: Callable[[Guest], None] = fly,
+) -> int:
+    """Boot a bare root with some packages, and act on it.
+
+    Args:
+        prepare: changes the root before it is booted, given with the Debian package.
+    """
+    parser = argparse.ArgumentParser(description=what)
     parser.add_argument("--deb", type=Path, required=True)
     parser.add_argument("--work", type=Path, help="working folder; a base made there before is used again")
     parser.add_argument("--keep", action="store_true", help="leave it")
@@ -184,15 +196,16 @@ def main() -> int:
     base, root = work / "base", work / "root"
     if not (base / "usr/bin/systemctl").exists():
         subprocess.run(
-            ["debootstrap", "--variant=minbase", f"--include={PACKAGES}", "bookworm", str(base), MIRROR],
+            ["debootstrap", "--variant=minbase", f"--include={packages}", "bookworm", str(base), MIRROR],
             check=True, stdout=subprocess.DEVNULL,
         )  # fmt: skip
     shutil.rmtree(root, ignore_errors=True)
     subprocess.run(["cp", "--archive", "--reflink=auto", str(base), str(root)], check=True)
     shutil.copyfile(asked.deb, root / "decklander.deb")
+    prepare(root, asked.deb.resolve())
     guest = Guest(root)
     try:
-        fly(guest)
+        act(guest)
     except Failed as why:
         print(f"FAILED: {why}\n{guest.run('journalctl --unit decklander --no-pager --lines 30').stdout}", file=sys.stderr)
         return 1
