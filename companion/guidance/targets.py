@@ -15,12 +15,13 @@ from msgspec.structs import replace
 from companion.base.mission import CONDITIONS, Event, Reason, ReasonCause, State
 from companion.guidance.mission import limits, rules
 from companion.guidance.mission.gate import Gate
-from companion.guidance.mission.phase import CALLED_OFF, LANDING, Aimed, Phase, waits_m
+from companion.guidance.mission.phase import CALLED_OFF, LANDING, Aimed, Phase, turn_rad, waits_m
 from companion.guidance.mission.progress import GuidanceCycle, Progress
 from companion.guidance.mission.rules import EventWithReason, Row
 from companion.settings.guidance import GuidanceOptions
 from drivers.mavlink.vehicle import TARGET_MODE
 from estimator.contracts.commands import Hover, Land
+from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.time import seconds_between
 
 MODES = frozenset(TARGET_MODE.values())
@@ -88,7 +89,12 @@ def _hover(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
 
 
 def _land(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
-    return p, Land() if _ours(p) else Hover()
+    if not _ours(p):
+        return p, Hover()
+    wanted = None if s.estimate is None else turn_rad(s, o, s.estimate)
+    if s.estimate is None or s.estimate.yaw_rad is None or wanted is None or rules.fit_estimate(p, s, o) is None:
+        return p, Land()
+    return p, Land(turn_rad=wrap_pi(wanted - s.estimate.yaw_rad))
 
 
 def _ours(p: Progress) -> bool:

@@ -54,6 +54,8 @@ FORCE = 21196.0
 """Parameter 2 of COMPONENT_ARM_DISARM that disarms whatever the autopilot takes itself to do (mavlink.io)."""
 OUTLIVE_S = 0.5
 """Time for which setpoints go on after the report that the motors stand, s."""
+_TURNS_RAD, _TURN_DEG_S = math.radians(3.0), 30.0
+"""Turn from which on a landing's heading is requested, and its rate."""
 _EACH_S, _SLOW_S = 0.2, 1.0
 _QUICK_S = 5.0
 """Time after which requests are rarer, s."""
@@ -188,6 +190,8 @@ class SetpointStreamer:
         self._attitude: Attitude | None = None
         self._modes = ModeRequests()
         self._tries = Tries(options)
+        self._turned: MonoNs | None = None
+        """Time of the newest request for a heading; None before one."""
         self._engaged = False
         """True from a person's order to begin in flight until the vehicle is taken."""
         self.hand = Hand.NOBODY
@@ -272,6 +276,8 @@ class SetpointStreamer:
                 landing.order, landing.at, landing.began, landing.spent = command, now, now, False
             elif not landing.spent:
                 landing.at = now
+                if not landing.order.persistent:
+                    landing.order = command
         elif (command.on_deck or not landing.spent) and (self.hand is not Hand.NOBODY or self._condition.armed is not False):
             self._on(HandEvent.CONTACT if command.on_deck else HandEvent.LAND)
             if self.hand is Hand.LANDING:
@@ -510,7 +516,22 @@ class SetpointStreamer:
             v = np.array([self._mean_velocity[0], self._mean_velocity[1], self._o.descent_rate_m_s])
             return self._setpoint(now, Velocity(v, 0.0))
         mode = self._land_mode
-        return [] if self._condition.mode == mode or not self._due(now) else self._ask(mode, now)
+        if self._condition.mode == mode:
+            return self._turns(now)
+        return self._ask(mode, now) if self._due(now) else []
+
+    def _turns(self, now: MonoNs) -> list[Message]:
+        """Return the heading for ArduPilot's own landing, once a second while it is off the wanted one; PX4's takes none."""
+        turn_rad, attitude = self._landing.order.turn_rad, self._attitude
+        recent = self._turned is not None and seconds_between(self._turned, now) < _SLOW_S
+        if self._id.stack is not Stack.ARDUPILOT or abs(turn_rad) < _TURNS_RAD or attitude is None or recent:
+            return []
+        if seconds_between(attitude.stamp.measured_at, now) > self._o.attitude_timeout_s:
+            return []
+        self._turned = now
+        heading_deg = math.degrees(attitude.R_ned_body.rpy_rad[2] + turn_rad) % 360.0
+        number, shortest = mav.MAV_CMD_CONDITION_YAW, 0.0
+        return [mav.MAVLink_command_long_message(*self._id.address, number, 0, heading_deg, _TURN_DEG_S, shortest, 0, 0, 0, 0)]
 
     def _wanted(self, now: MonoNs) -> bool:
         """Return whether the landing continues, by velocity or by mode."""

@@ -90,6 +90,8 @@ class Land(Struct, frozen=True):
     """A person's order: it needs no repeating and holds until the vehicle is on the ground or commanded to take off."""
     on_deck: bool = False
     """True if contact with the deck was felt: the vehicle is down, and its motors are to be stopped at once."""
+    turn_rad: float = 0.0
+    """Turn that is left to the wanted heading, clockwise from above positive, for a vehicle whose own landing takes one."""
 
 
 class CutMotors(Struct, frozen=True):

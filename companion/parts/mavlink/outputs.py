@@ -287,11 +287,15 @@ def range_along_down(d_body_pad_ned: F64, R_ned_body: Rotation) -> float | None:
 
 # Lead the place of a deck that moves, for an autopilot that follows its targets by itself and so comes late.
 
-LAGS: Mapping[Stack, tuple[float, float]] = {Stack.ARDUPILOT: (0.35, 0.5), Stack.PX4: (0.5, 0.1)}
+LAGS: Mapping[Stack, tuple[float, float]] = {Stack.ARDUPILOT: (0.2, 0.5), Stack.PX4: (0.7, 0.1)}
 """Distance that each autopilot's own landing leaves to a deck in waves: s for its velocity, s^2 for its acceleration, both less
 their mean. They were fitted to flights of ArduCopter 4.5.7 and PX4 1.16.2 over our seas (docs/evidence.md)."""
+PX4_LATE_S = 0.06
+"""Lag of PX4 behind a steady ship beyond that of its law, s."""
 _WAY_S = 20.0
 """Time over which the ship's way is averaged, s."""
+_CHANGE_S = 0.5
+"""Time over which the velocity's change is taken for the acceleration, s."""
 _BLIND_BELOW_M = 1.0
 """Height below which the camera may lose the pad, so that the target is carried on for longer, m."""
 
@@ -312,8 +316,9 @@ class Lead:
         self._motion, self.blind_s = motion, blind_s
         self.wanted = False
         """True while the mission wants targets to be sent."""
-        self._way: F64 | None = None
-        self._at = MonoNs(0)
+        self._way, self._before = np.zeros(3), np.zeros(3)
+        """The means of the deck's velocity over `_WAY_S` and `_CHANGE_S`, (3,) m/s in ned."""
+        self._at: MonoNs | None = None
 
     def ahead(self, now: MonoNs, R_ned_body: Rotation, vehicle: AutopilotView) -> F64:
         """Return the horizontal way, (3,) m in ned, from the pad to where the autopilot is to find it."""
@@ -321,14 +326,19 @@ class Lead:
         if deck is None or vehicle.stack not in LAGS:
             return np.zeros(3)
         R_ned_level = Rotation.from_rpy(0.0, 0.0, R_ned_body.rpy_rad[2])
-        v, a = R_ned_level @ (deck.v_level * (1.0, 1.0, 0.0)), R_ned_level @ (deck.a_level * (1.0, 1.0, 0.0))
-        since_s, self._at = seconds_between(self._at, now), now
-        self._way = v if self._way is None or since_s > _SPAN_S else self._way + (v - self._way) * min(1.0, since_s / _WAY_S)
+        v = R_ned_level @ (deck.v_level * (1.0, 1.0, 0.0))
+        since_s = math.inf if self._at is None else seconds_between(self._at, now)
+        self._at = now
+        for_way, for_change = (1.0, 1.0) if since_s > _SPAN_S else (since_s / _WAY_S, min(1.0, since_s / _CHANGE_S))
+        self._way = self._way + for_way * (v - self._way)
+        self._before = self._before + for_change * (v - self._before)
+        # The estimated acceleration of the deck hardly follows the waves to the side.
+        a = (v - self._before) / _CHANGE_S
         by_velocity_s, by_acceleration_s2 = LAGS[vehicle.stack]
         ahead = by_velocity_s * (v - self._way) + by_acceleration_s2 * a
         if vehicle.stack is Stack.PX4:
             brakes, jerk = (vehicle.parameter_values.get(*known) for known in (("MPC_ACC_HOR", 3.0), ("MPC_JERK_AUTO", 4.0)))
-            ahead = ahead + v * (2.0 * brakes / jerk + math.hypot(*v) / (2.0 * brakes))
+            ahead = ahead + v * (2.0 * brakes / jerk + math.hypot(*v) / (2.0 * brakes) + PX4_LATE_S)
         return np.asarray(ahead)
 
 

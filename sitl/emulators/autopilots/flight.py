@@ -181,9 +181,10 @@ class AutopilotFlight:
     def _station(self, ground_m: float = 0.0) -> GroundStation:
         stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
         guidance, lands_by = self.settings.guidance, LAND_MODE[stack] if self.autopilot.unaided else None
-        if guidance.mission == "targets" and not guidance.mode_changes and lands_by is None:
+        led = guidance.mission == "targets"
+        if led and not guidance.mode_changes and lands_by is None:
             lands_by = TARGET_MODE[stack]
-        return GroundStation(stack, height_m=self.height_m + ground_m, lands_by=lands_by)
+        return GroundStation(stack, height_m=self.height_m + ground_m, lands_by=lands_by, steers_on=led)
 
     def service_settings(self, port: int) -> Settings:
         """Return the settings that the daemon flies with, which receives the autopilot at a UDP port of this machine."""

@@ -83,10 +83,11 @@ class GroundStation:
     Args:
         height_m: height of the take-off, before going to the start.
         lands_by: the autopilot's own mode by which the pilot lands; None orders the companion to land.
+        steers_on: whether it goes on with the start after the order until the mode changes, for a companion that does not steer.
     """
 
-    def __init__(self, stack: Stack, *, height_m: float, lands_by: str | None = None) -> None:
-        self.stack, self._height_m, self._lands_by = stack, height_m, lands_by
+    def __init__(self, stack: Stack, *, height_m: float, lands_by: str | None = None, steers_on: bool = False) -> None:
+        self.stack, self._height_m, self._lands_by, self._steers_on = stack, height_m, lands_by, steers_on
         self._autopilot, self._companion = (1, _AUTOPILOT), (1, COMPANION)
         self._since: MonoNs | None = None
         self._asked: dict[str, MonoNs] = {}
@@ -236,6 +237,10 @@ class GroundStation:
         self.began = self.began or now
         self._next(Task.WATCH, now)
 
+    def _steer_on(self, now: MonoNs, view: OperatorView) -> list[Message]:
+        steers = self._steers_on and self.mode == VELOCITY_MODE[self.stack]
+        return [self._goes_with(view, now)] if steers else []
+
     def _nothing(self, now: MonoNs, view: OperatorView) -> list[Message]:
         return []
 
@@ -246,7 +251,7 @@ class GroundStation:
         Task.GO: _go,
         Task.REST: _rest,
         Task.ORDER: _order,
-        Task.WATCH: _nothing,
+        Task.WATCH: _steer_on,
         Task.FAILED: _nothing,
     }
 

@@ -634,6 +634,8 @@ def test_where_modes_alone_may_leave_no_setpoint_does_and_the_landing_ends_in_th
     assert asked(flight.periods(0.1, Land()), stack) == {lands}
     flight.told(lands)
     assert flight.periods(3.0, Land()) + flight.periods(0.4, GO) == [], "the other orders change nothing"
+    turns = flight.periods(1.5, Land(turn_rad=math.radians(20.0)))
+    assert [(m.command, round(m.param1), m.param4) for m in turns] == [(115, 110, 0)] * (2 if stack is Stack.ARDUPILOT else 0)
     assert asked(flight.periods(0.1, Hover()), stack) == {holds}
     flight.told(holds)
     assert flight.periods(20.0, Hover()) == []
