@@ -110,6 +110,7 @@ class _RclpyNode:
 
     def reader(self, topic: str, kind: str, *, reliable: bool) -> _Take:
         qos = self._qos.QoSProfile(depth=_DEPTH) if reliable else self._qos.qos_profile_sensor_data
+        # Nothing spins the node: what came is taken when it is called for, and no callback is ever called.
         reader = self._node.create_subscription(self._types.get_message(kind), topic, print, qos, raw=True)
 
         def take() -> list[tuple[bytes, int]]:

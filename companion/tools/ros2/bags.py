@@ -48,7 +48,11 @@ def export(recording: Recording, folder: Path) -> dict[str, int]:
     with refused(f"{folder}: cannot write a bag there", OSError):
         bag = _Bag(folder)
     try:
-        messages = RosMessages(bag.store, offset_ns, camera, gimballed=_gimballed(recording))
+        settings = None
+        with suppress(BadInput):  # settings of another version are not understood, and had no gimbal
+            settings = recording.settings()
+        gimballed = settings is not None and settings.camera.gimbal.given
+        messages = RosMessages(bag.store, offset_ns, camera, gimballed=gimballed)
         for event in recording.events():
             for message in messages.of(event):
                 bag.add(message)
@@ -91,15 +95,6 @@ class _Bag:
         with suppress(Exception):  # of the storage, which may be what failed
             self._writer.abort()
         shutil.rmtree(self._folder, ignore_errors=True)
-
-
-def _gimballed(recording: Recording) -> bool:
-    """Return whether a gimbal turned the camera; settings of another version are not understood, and had none."""
-    try:
-        settings = recording.settings()
-    except BadInput:
-        return False
-    return settings is not None and settings.camera.gimbal.given
 
 
 def _kept() -> Any:

@@ -291,7 +291,6 @@ class RosMessages:
         if of.heading_rad is not None:
             R = enu_attitude(Rotation.from_rpy(0.0, 0.0, of.heading_rad))
             yield "/vessel/heading", self._stamped("geometry_msgs/QuaternionStamped", at, MAP, quaternion=R)
-
         if of.turn_rad_s is not None:
             turn = np.array([0.0, 0.0, -of.turn_rad_s])
             yield "/vessel/turn", self._stamped("geometry_msgs/Vector3Stamped", at, MAP, vector=turn)

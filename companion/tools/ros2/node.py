@@ -46,6 +46,9 @@ class _ServerInfo(Struct, frozen=True, tag_field="op", tag="serverInfo"):
 
 _texts: msgspec.json.Decoder[_Advertise | _ServerInfo] = msgspec.json.Decoder(_Advertise | _ServerInfo)
 _subscribe = msgspec.json.Encoder()
+_NO_MESSAGES = (rec.FusionRecord, rec.LinkRecord, rec.OrderRecord)
+"""Records for which ROS has no standard message."""
+_WANTED = {t for t, of in channels.TOPICS.items() if t not in FOR_VIEWERS and not issubclass(of, _NO_MESSAGES)}
 
 
 class LiveClient:
@@ -117,7 +120,7 @@ class LiveClient:
             self._say(f"{self._url}: connected to {known.name[:80]!r}")
             return
         for channel in known.channels:
-            if channel.encoding == "json" and wanted(channel.topic):
+            if channel.encoding == "json" and channel.topic in _WANTED:
                 topics[channel.id] = channel.topic
                 yield {"id": channel.id, "channelId": channel.id}
 
@@ -129,13 +132,6 @@ class LiveClient:
 
 _COMMON = ("/tf", "/tf_static", "/diagnostics", "/rosout")
 """Topics that all nodes share, outside the namespace."""
-_NO_MESSAGES = (rec.FusionRecord, rec.LinkRecord, rec.OrderRecord)
-"""Records for which ROS has no standard message."""
-
-
-def wanted(topic: str) -> bool:
-    """Return whether a topic of the live port leads to messages of ROS."""
-    return topic in channels.TOPICS and topic not in FOR_VIEWERS and not issubclass(channels.TOPICS[topic], _NO_MESSAGES)
 
 
 class RosBridge:
