@@ -45,6 +45,8 @@ _ARDRONE = ("192.168.1.1", 5559)
 _UDP_PORTS = (14550, 14540)
 _SPEEDS = (921600, 57600, 115200)
 _FLIP_S = 20.0
+_UNIT_FOLDER, _UNIT_STORE = Path("/etc/decklander"), Path("/etc/credstore")
+"""Folders of the unit's settings and of its credentials: it runs as a user of its own, who cannot read root's files."""
 _SERIAL = ("/dev/serial/by-id/*", "/dev/serial0", "/dev/ttyAMA0")
 
 
@@ -286,18 +288,28 @@ def settings_text(answers: Answers, out: Path) -> str:
     sections.append(["[recorder]", "enabled = true    # every flight, in the folder recordings"])
     if answers.page:
         secure = answers.page != "127.0.0.1"
-        page = ["[http]", f'endpoint = "{"https" if secure else "http"}"', f'token_file = "{out.stem}.token"']
+        (token, _), (key, _) = _secret("token", out), _secret("key", out)
+        page = ["[http]", f'endpoint = "{"https" if secure else "http"}"', f'token_file = "{token}"']
         if secure:
-            page += [f'host = "{answers.page}"', f'certificate_file = "{out.stem}.crt"', f'key_file = "{out.stem}.key"']
+            page += [f'host = "{answers.page}"', f'certificate_file = "{out.stem}.crt"', f'key_file = "{key}"']
         sections.append(page)
     return "\n".join("\n".join(lines) for lines in sections) + "\n"
 
 
+def _secret(what: str, out: Path) -> tuple[str, Path]:
+    """Return the word of the settings for the page's token or key, and its file: beside them, or a credential of the unit."""
+    if out.resolve().parent != _UNIT_FOLDER:
+        return f"{out.stem}.{what}", out.with_name(f"{out.stem}.{what}")
+    name = {"token": "page", "key": "page-key"}[what]
+    return f"credential:{name}", _UNIT_STORE / f"decklander.{name}"
+
+
 def _write(out: Path, text: str) -> None:
     """Write the settings, and the token and certificate that they name, each new and readable by its user alone."""
-    token, certificate, key = (out.with_name(out.stem + ending) for ending in (".token", ".crt", ".key"))
+    (word, token), (_, key), certificate = _secret("token", out), _secret("key", out), out.with_name(out.stem + ".crt")
     with file_errors(str(out)):
-        if f'"{token.name}"' in text and not token.exists():
+        token.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if f'"{word}"' in text and not token.exists():
             write_secret(token, make_token().encode() + b"\n")
         if f'"{certificate.name}"' in text and not certificate.exists():
             _certify(certificate, key, text.partition('host = "')[2].rpartition('host = "')[2].partition('"')[0])
@@ -325,10 +337,12 @@ def _certify(certificate: Path, key: Path, address: str) -> None:
 def _next_steps(answers: Answers, out: Path) -> None:
     say: Callable[[str], int] = sys.stdout.write
     command = "decklander" if shutil.which("decklander") else sys.argv[0]
-    say(f"\nstart the service:  {command} run --config {out}\nfly:                {command} fly takeoff --wait 20\n")
+    word, token_file = _secret("token", out)
+    start = "systemctl start decklander" if word.startswith("credential:") else f"{command} run --config {out}"
+    say(f"\nstart the service:  {start}\nfly:                {command} fly takeoff --wait 20\n")
     if not answers.page:
         return
-    token = out.with_name(out.stem + ".token").read_text(encoding="utf-8").strip()
+    token = token_file.read_text(encoding="utf-8").strip()
     secure = answers.page != "127.0.0.1"
     address = f"{'https' if secure else 'http'}://{answers.page}:8480/#token={token}"
     say(f"page:               {address}\n")

@@ -43,6 +43,20 @@ def test_the_file_is_short_commented_good_and_never_overwritten(vehicle, where, 
     assert out.read_text() == text
 
 
+def test_the_units_settings_name_its_credentials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    monkeypatch.setattr(start, "_UNIT_FOLDER", tmp_path / "etc")
+    monkeypatch.setattr(start, "_UNIT_STORE", tmp_path / "credstore")
+    (tmp_path / "etc").mkdir()
+    words = "start --yes --vehicle sim --page 127.0.0.1 --out"
+    assert main([*words.split(), str(tmp_path / "etc/rig.toml")]) == 1, "no drone is there"
+    assert load(tmp_path / "etc/rig.toml").http.token_file == "credential:page"
+    token = tmp_path / "credstore/decklander.page"
+    assert token.stat().st_mode & 0o777 == 0o600
+    output = capsys.readouterr().out
+    assert f"#token={token.read_text().strip()}" in output
+    assert "systemctl start decklander" in output
+
+
 @pytest.fixture
 def copter(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """Send a PX4's HEARTBEAT to a port that `start` listens on, and RC_CHANNELS: channel 7 is flipped once answered."""
