@@ -19,12 +19,12 @@ from companion.guidance.mission.phase import CALLED_OFF, LANDING, Aimed, Phase, 
 from companion.guidance.mission.progress import GuidanceCycle, Progress
 from companion.guidance.mission.rules import EventWithReason, Row
 from companion.settings.guidance import GuidanceOptions
-from drivers.mavlink.vehicle import TARGET_MODE
+from drivers.mavlink.options import TARGET_MODES
 from estimator.contracts.commands import Hover, Land
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.time import seconds_between
 
-MODES = frozenset(TARGET_MODE.values())
+MODES = frozenset(TARGET_MODES)
 """The autopilot's modes that land on targets."""
 LED = frozenset({State.GATE, State.DOWN, State.GO_AROUND})
 """States in which targets are sent."""

@@ -10,6 +10,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.options import TARGET_MODES
 from estimator.contracts.geometry import GeoPoint
 
 
@@ -48,7 +49,7 @@ _PX4_NUMBERS = {name: number for number, name in PX4_MODES.items()}
 VELOCITY_MODE = {Stack.ARDUPILOT: "guided", Stack.PX4: "offboard"}
 """The mode in which each stack follows velocity setpoints."""
 LAND_MODE = {Stack.ARDUPILOT: "land", Stack.PX4: "auto.land"}
-TARGET_MODE = {Stack.ARDUPILOT: "land", Stack.PX4: "auto.precland"}
+TARGET_MODE = dict(zip((Stack.ARDUPILOT, Stack.PX4), TARGET_MODES, strict=True))
 """The mode in which each stack lands on LANDING_TARGETs by itself."""
 RETURN_MODE = {Stack.ARDUPILOT: "rtl", Stack.PX4: "auto.rtl"}
 HOLD_MODE = {Stack.ARDUPILOT: "brake", Stack.PX4: "auto.loiter"}
