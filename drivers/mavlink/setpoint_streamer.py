@@ -356,7 +356,8 @@ class SetpointStreamer:
         """Yield the events in a report; each is taken before the next is looked for."""
         ours, in_mode = self._modes.on_mode(now.mode, self._now) if beat else None, now.mode == self._mode
         if ours is False and not (self.hand is Hand.TAKING and in_mode and self._tries.begun):
-            yield HandEvent.MODE_SINCE if self._engaged else HandEvent.OTHER_MODE
+            if not self._engaged or not self._awaits(now.mode):
+                yield HandEvent.MODE_SINCE if self._engaged else HandEvent.OTHER_MODE
             if in_mode and self._o.mode_is_order and self._authority is Authority.SETPOINTS:
                 yield HandEvent.MODE_ORDER
         elif ours and not in_mode:
@@ -373,6 +374,11 @@ class SetpointStreamer:
             yield HandEvent.LIFTED if in_mode else HandEvent.OTHER_MODE
         if in_mode:
             yield HandEvent.IN_MODE
+
+    def _awaits(self, mode: str) -> bool:
+        """Return whether a mode that a person chooses after the order to begin is what that order waits for."""
+        lands = self._authority is Authority.MODES and mode == TARGET_MODE.get(self._id.stack)
+        return lands or self._authority is Authority.NOTHING
 
     def on_position(self, down_m: float) -> None:
         """Take the autopilot's position below its own origin, metres."""

@@ -357,6 +357,8 @@ class Component(NullObserver):
         self._decided = decision.at
         if self.outputs.lead is not None:
             self.outputs.lead.wanted = decision.phase in _LED
+            if decision.phase == State.GATE.value and decision.reason:
+                self.texts.say(MavSeverity.NOTICE, f"Decklander: {decision.reason}", decision.at)
         if decision.response is not None and decision.response.contradicts:
             self.texts.say(MavSeverity.WARNING, f"Decklander: {decision.response.text}", decision.at)
         lost = () if decision.belief is None else decision.belief.lost

@@ -15,9 +15,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from companion.base.health import Health
+from companion.base.mission import ReasonCause, State
 from companion.base.observer import Decision, ResponseInUse, ResponseState, TiltShape
-from companion.parts.mavlink.component import Component
-from companion.parts.mavlink.outputs import Outputs
+from companion.parts.mavlink.component import Component, StatusTexts
+from companion.parts.mavlink.outputs import Lead, Outputs
 from companion.settings.links import OutputOptions
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
@@ -277,6 +278,16 @@ def test_the_ground_station_learns_of_a_response_only_if_it_contradicts_its_file
     texts = [text for _, text in component.texts._waiting if "answers" in text]
     assert texts == [f"Decklander: {later.text}", f"Decklander: {slower.text}"]
     assert "this vehicle answers 25 % slower than its file (sigma 5 %), damped 10 % less; the vehicle's" in texts[1]
+
+
+def test_a_pilot_who_is_to_choose_the_landing_mode_is_asked_for_it_on_the_ground_station(health: Health) -> None:
+    component, words = component_of(health, SteppedClock()), ReasonCause.AWAITS_PILOT.value
+    for lead, asked in ((None, 0), (Lead(lambda now: None, 1.5), 2)):
+        component.outputs.lead, component.texts = lead, StatusTexts()
+        for at in (1, 6, 12):
+            component.on_decision(Decision(MonoNs(at * 10**9), State.GATE.value, None, None, reason=words))
+        assert [text for _, text in component.texts._waiting].count(f"Decklander: {words}") == asked
+        assert lead is None or lead.wanted
 
 
 @pytest.fixture(scope="module")

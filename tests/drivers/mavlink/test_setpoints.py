@@ -658,6 +658,18 @@ def test_a_pilots_own_mode_is_never_touched(stack: Stack, lands: str, holds: str
         assert flight.periods(2.0, Hover()) + flight.periods(2.0, Land()) == []
 
 
+@pytest.mark.parametrize("authority", list(Authority))
+@pytest.mark.parametrize(("stack", "lands", "holds"), LEDS)
+def test_the_landing_mode_after_the_order_to_begin_takes_nothing_over_where_it_is_waited_for(
+    authority: Authority, stack: Stack, lands: str, holds: str
+) -> None:
+    for mode, waited in ((lands, authority is not Authority.SETPOINTS), (holds, authority is Authority.NOTHING)):
+        flight = Flight(stack, authority=authority)
+        flight.streamer.engage()
+        flight.told(mode)
+        assert flight.streamer.hand is (Hand.NOBODY if waited else Hand.PERSON)
+
+
 @pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
 def test_where_nothing_may_leave_only_a_persons_cut_does(stack: Stack) -> None:
     flight = Flight(stack, authority=Authority.NOTHING)
