@@ -30,6 +30,7 @@ class Journeyed(Flown):
         given: Any = {"after": after, **options}
         self.handover = Handover(HandoverOptions(**given), self.pilot(), self._begin)
         self.begun: list[str] = []
+        self.state, self.refuses = State.READY, False
         self.run(1.0)
 
     def pilot(self) -> Any:
@@ -40,7 +41,7 @@ class Journeyed(Flown):
 
             @property
             def state(self) -> State:
-                return State.READY if flown.guidance.command is None else State.DESCEND
+                return flown.state if flown.guidance.command is None else State.DESCEND
 
             def belief(self, now: Any) -> RelativeState | None:
                 d = np.array([0.1, 0.2, flown.toy.height_m])
@@ -51,6 +52,8 @@ class Journeyed(Flown):
 
     def _begin(self, name: str) -> str | None:
         self.begun.append(name)
+        if self.refuses:
+            return "refused"
         return self.arbiter.take(OperatorOrder.BEGIN, OrderSender(OrderSource.HANDOVER, name), self.now).refusal
 
     def say(self, message: Message) -> None:
@@ -87,6 +90,7 @@ class Journeyed(Flown):
         return self.goes("auto.loiter" if stack is Stack.PX4 else "auto")
 
 
+@pytest.mark.hazard("H6")
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_missions_end_and_a_return_begin_once_and_the_pilot_wins_at_once(stack: Stack) -> None:
     for flown, journey in ((Journeyed(stack), RETURN), (Journeyed(stack), MISSION)):
@@ -102,9 +106,10 @@ def test_a_missions_end_and_a_return_begin_once_and_the_pilot_wins_at_once(stack
         assert flown.sent(since_s) == []
 
 
+@pytest.mark.hazard("H6")
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize(
-    "why", ["critical", "text", "text late", "fence", "unseen", "low", "fast", "climbs", "held", "ordered", "off"]
+    "why", ["critical", "text", "text late", "fence", "unseen", "low", "fast", "climbs", "held", "ordered", "begun", "off"]
 )
 def test_nothing_begins_against_a_failsafe_a_person_or_without_the_pad(stack: Stack, why: str) -> None:
     flown = Journeyed(stack, "mission" if why == "off" else "mission or return")
@@ -117,6 +122,7 @@ def test_nothing_begins_against_a_failsafe_a_person_or_without_the_pad(stack: St
     if why == "held":
         assert flown.order(OperatorOrder.HOLD) is None
         flown.guidance.command = None
+    flown.state = State.SEARCH if why == "begun" else State.READY
     if why == "ordered":
         flown.guidance.command = STILL
     flown.goes(RETURN_MODE[stack], 1.5)
@@ -141,3 +147,14 @@ def test_a_return_whose_beginning_nobody_saw_and_a_mission_left_by_a_person_begi
     left.say(mav.MAVLink_mission_current_message(1, 3, 3))
     left.say(mav.MAVLink_mission_item_reached_message(1))
     assert left.goes("auto.loiter" if stack is Stack.PX4 else "loiter") == []
+    left.goes(AUTO[stack])
+    for _ in range(5):  # PX4 repeats the last item, and a person chooses Hold later
+        left.say(mav.MAVLink_mission_item_reached_message(2))
+        left.run(1.0)
+    assert left.goes("auto.loiter" if stack is Stack.PX4 else "loiter") == []
+
+
+def test_a_refused_handover_is_not_repeated() -> None:
+    flown = Journeyed(Stack.ARDUPILOT)
+    flown.refuses = True
+    assert flown.goes(RETURN_MODE[Stack.ARDUPILOT], 8.0) == [RETURN]
