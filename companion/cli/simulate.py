@@ -75,7 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--report DIR", "write a report into this folder", type=Path)
     kept_flight.add_arguments(parser)
     beside = parser.add_argument_group("real autopilots (docs/sitl.md)")
-    option(beside, "--autopilot", "fly this autopilot program over the simulated sea and vehicle", choices=("arducopter", "px4"))
+    flown = "fly this autopilot program over the simulated sea and vehicle"
+    option(beside, "--autopilot", flown, choices=("arducopter", "arduplane", "px4"))
     option(beside, "--binary PATH", "path of the autopilot program; `stand-in` flies a stand-in for it")
     whose = "the vehicle is simulated by us, or by the program (its own)"
     option(beside, "--physics", whose, default="ours", choices=("ours", "own"))

@@ -49,14 +49,16 @@ _PRESSURE_HPA = (100.0, 1200.0)
 _M_S2_PER_MG = 1e-3 * G_M_S2
 
 _CUTOFF_HZ, _INTERVALS_HZ = "INS_GYRO_FILTER", "IMU_INTEG_RATE"
-_JERKS_M_S3 = ("PSC_JERK_XY", "PSC_JERK_NE")
+_JERKS_M_S3 = ("PSC_JERK_XY", "PSC_JERK_NE", "Q_P_JERK_XY")
 _TILTS_DEG = {
     Stack.ARDUPILOT: {"ANGLE_MAX": 0.01, "ATC_ANGLE_MAX": 1.0, "PSC_ANGLE_MAX": 1.0},
+    Stack.PLANE: {"Q_ANGLE_MAX": 0.01},
     Stack.PX4: {"MPC_TILTMAX_AIR": 1.0},
 }
 """Parameters that limit the tilt, each with its unit in degrees; the least limit is flown."""
 SAMPLE_PARAMETERS: dict[Stack, tuple[str, ...]] = {
     Stack.ARDUPILOT: (_CUTOFF_HZ, *_JERKS_M_S3, *_TILTS_DEG[Stack.ARDUPILOT]),
+    Stack.PLANE: (_CUTOFF_HZ, _JERKS_M_S3[-1], *_TILTS_DEG[Stack.PLANE]),
     Stack.PX4: (_INTERVALS_HZ, *_TILTS_DEG[Stack.PX4]),
 }
 """Parameters that samples depend on, by stack; the first one is that of the inertial delay."""
@@ -299,7 +301,7 @@ class MavlinkSampler:
         return [GeoFix(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), "vehicle", place, self._o.sigma_fix_m, v_ned)]
 
     def _raw_imu(self, m: Message, received_at: MonoNs) -> list[Sample]:
-        if self._stack is not Stack.ARDUPILOT:
+        if not self._stack.is_ardupilot:
             # Only there is "raw" known to mean milli-g and mrad/s in body axes.
             return []
         f_body = fixed_vector(m.xacc * _M_S2_PER_MG, m.yacc * _M_S2_PER_MG, m.zacc * _M_S2_PER_MG)

@@ -166,7 +166,7 @@ class TakingOff:
         if self._asked is not None and seconds_between(self._asked, now) < period_s:
             return []
         mode = VELOCITY_MODE[self._id.stack]
-        if condition.mode == mode and condition.armed and (self._id.stack is not Stack.ARDUPILOT or condition.flying):
+        if condition.mode == mode and condition.armed and (not self._id.stack.is_ardupilot or condition.flying):
             return []
         self._asked = now
         if condition.mode != mode:

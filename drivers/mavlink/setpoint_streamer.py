@@ -215,7 +215,7 @@ class SetpointStreamer:
     @property
     def _lands_by_velocity(self) -> bool:
         chosen = self._o.landing if self._authority is Authority.SETPOINTS else "mode"
-        return chosen == "velocity" or (chosen == "by stack" and self._id.stack is Stack.PX4)
+        return chosen == "velocity" or (chosen == "by stack" and self._id.stack is not Stack.ARDUPILOT)
 
     def _on(self, event: HandEvent) -> bool:
         """Take an event; return whether another one has the vehicle now, or it does another thing."""
@@ -251,7 +251,9 @@ class SetpointStreamer:
             case LeaveEmergency():
                 self._on(HandEvent.RESET)
             case TakeOff():
-                if not self._condition.flying and self._on(HandEvent.TAKE_OFF):
+                # A QuadPlane's GUIDED winds up on a deck under way, and leaps astern as it leaves: its pilot takes off.
+                by_us = self._id.stack is not Stack.PLANE
+                if by_us and not self._condition.flying and self._on(HandEvent.TAKE_OFF):
                     self._climb = TakingOff(now, self._id, self._down_m, self._o.take_off_height_m)
             case Land():
                 self._motion_at = now
@@ -495,7 +497,7 @@ class SetpointStreamer:
             return out
         if self._there:
             return out + self._ask(mode, now)
-        self._modes.ask("guided" if self._id.stack is Stack.ARDUPILOT else "auto.loiter", now)
+        self._modes.ask("guided" if self._id.stack.is_ardupilot else "auto.loiter", now)
         return [*out, reposition(self._id.address, goal)]
 
     def _held(self, now: MonoNs) -> Velocity:

@@ -18,10 +18,20 @@ class Stack(Enum):
     """The autopilot's firmware family, which decides what messages it obeys."""
 
     ARDUPILOT = "ArduPilot"
+    """ArduCopter."""
+    PLANE = "ArduPlane"
+    """ArduPilot's Plane: other mode numbers, and velocities only by `configs/autopilot/decklander_plane.lua`."""
     PX4 = "PX4"
     OTHER = "other"
 
+    @property
+    def is_ardupilot(self) -> bool:
+        """True for ArduCopter and ArduPlane, whose messages are the same."""
+        return self in (Stack.ARDUPILOT, Stack.PLANE)
 
+
+_FIXED_WING, _VTOLS = 1, frozenset(range(19, 26))
+"""MAV_TYPEs of a QuadPlane: ArduPlane reports a fixed wing unless Q_MAV_TYPE says otherwise."""
 MULTICOPTERS = frozenset({2, 3, 4, 13, 14, 15, 19, 20, 21, 22, 23, 24, 25, 29, 35})
 """MAV_TYPEs that can hover: multicopters, helicopters and convertibles."""
 
@@ -36,6 +46,13 @@ COPTER_MODES = {
 }  # fmt: skip
 """ArduCopter's custom_mode by name of the mode. Source: ArduCopter/mode.h."""
 
+PLANE_MODES = {
+    0: "manual", 1: "circle", 2: "stabilize", 3: "training", 4: "acro", 5: "fbwa", 6: "fbwb", 7: "cruise", 8: "autotune",
+    10: "auto", 11: "rtl", 12: "loiter", 13: "takeoff", 14: "avoid_adsb", 15: "guided", 16: "initialising", 17: "qstabilize",
+    18: "qhover", 19: "qloiter", 20: "qland", 21: "qrtl", 22: "qautotune", 23: "qacro", 24: "thermal", 25: "loiter_alt_qland",
+}  # fmt: skip
+"""ArduPlane's custom_mode by name of the mode. Source: ArduPlane/mode.h."""
+
 PX4_MODES = {
     (1, 0): "manual", (2, 0): "altctl", (3, 0): "posctl", (4, 1): "auto.ready", (4, 2): "auto.takeoff", (4, 3): "auto.loiter",
     (4, 4): "auto.mission", (4, 5): "auto.rtl", (4, 6): "auto.land", (4, 8): "auto.follow_target", (4, 9): "auto.precland",
@@ -43,16 +60,18 @@ PX4_MODES = {
 }  # fmt: skip
 """PX4's (main, sub) mode by name of the mode. Source: px4_custom_mode.h."""
 
-_COPTER_NUMBERS = {name: number for number, name in COPTER_MODES.items()}
+_MODES = {Stack.ARDUPILOT: COPTER_MODES, Stack.PLANE: PLANE_MODES}
+_NUMBERS = {stack: {name: number for number, name in modes.items()} for stack, modes in _MODES.items()}
 _PX4_NUMBERS = {name: number for number, name in PX4_MODES.items()}
 
-VELOCITY_MODE = {Stack.ARDUPILOT: "guided", Stack.PX4: "offboard"}
+VELOCITY_MODE = {Stack.ARDUPILOT: "guided", Stack.PLANE: "guided", Stack.PX4: "offboard"}
 """The mode in which each stack follows velocity setpoints."""
-LAND_MODE = {Stack.ARDUPILOT: "land", Stack.PX4: "auto.land"}
-TARGET_MODE = dict(zip((Stack.ARDUPILOT, Stack.PX4), TARGET_MODES, strict=True))
-"""The mode in which each stack lands on LANDING_TARGETs by itself."""
-RETURN_MODE = {Stack.ARDUPILOT: "rtl", Stack.PX4: "auto.rtl"}
-HOLD_MODE = {Stack.ARDUPILOT: "brake", Stack.PX4: "auto.loiter"}
+LAND_MODE = {Stack.ARDUPILOT: "land", Stack.PLANE: "qland", Stack.PX4: "auto.land"}
+TARGET_MODE = dict(zip((Stack.ARDUPILOT, Stack.PX4), TARGET_MODES, strict=True)) | {Stack.PLANE: "qland"}
+"""The mode in which each stack lands on LANDING_TARGETs by itself; ArduPlane by its own script alone."""
+RETURN_MODE = {Stack.ARDUPILOT: "rtl", Stack.PLANE: "qrtl", Stack.PX4: "auto.rtl"}
+HOLD_MODE = {Stack.ARDUPILOT: "brake", Stack.PLANE: "guided", Stack.PX4: "auto.loiter"}
+"""The mode in which each stack holds by itself. QLOITER descends where the throttle stick is low or no remote is there."""
 
 
 def modes_left(mode: str) -> tuple[str, ...]:
@@ -63,14 +82,14 @@ def modes_left(mode: str) -> tuple[str, ...]:
 def stack_of(heartbeat: Message) -> Stack:
     """Return the firmware family that sent a HEARTBEAT."""
     if heartbeat.autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
-        return Stack.ARDUPILOT
+        return Stack.PLANE if heartbeat.type == _FIXED_WING or heartbeat.type in _VTOLS else Stack.ARDUPILOT
     return Stack.PX4 if heartbeat.autopilot == mav.MAV_AUTOPILOT_PX4 else Stack.OTHER
 
 
 def mode_name(stack: Stack, custom_mode: int) -> str:
     """Return the mode's name in lower case, or its number if it has no name."""
-    if stack is Stack.ARDUPILOT:
-        return COPTER_MODES.get(custom_mode, f"mode {custom_mode}")
+    if stack in _MODES:
+        return _MODES[stack].get(custom_mode, f"mode {custom_mode}")
     if stack is Stack.PX4:
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
         return PX4_MODES.get((main, sub)) or PX4_MODES.get((main, 0)) or f"mode {main}.{sub}"
@@ -83,8 +102,8 @@ def custom_mode(stack: Stack, name: str) -> int:
     Raises:
         KeyError: the stack has no such mode.
     """
-    if stack is Stack.ARDUPILOT:
-        return _COPTER_NUMBERS[name]
+    if stack in _NUMBERS:
+        return _NUMBERS[stack][name]
     main, sub = _PX4_NUMBERS[name]
     return main << 16 | sub << 24
 
@@ -95,7 +114,7 @@ def set_mode(stack: Stack, target: tuple[int, int], name: str) -> Message:
     Raises:
         KeyError: the stack has no such mode.
     """
-    main, sub = _PX4_NUMBERS[name] if stack is Stack.PX4 else (_COPTER_NUMBERS[name], 0)
+    main, sub = _PX4_NUMBERS[name] if stack is Stack.PX4 else (_NUMBERS[stack][name], 0)
     return mav.MAVLink_command_long_message(*target, mav.MAV_CMD_DO_SET_MODE, 0, CUSTOM, main, sub, 0, 0, 0, 0)
 
 
@@ -147,7 +166,8 @@ def version_of(m: Message) -> Version:
 
 def is_autopilot(heartbeat: Message, component: int) -> bool:
     """Return whether a HEARTBEAT comes from an autopilot of a vehicle that can hover, not from a station, a gimbal or a ship."""
-    return component == mav.MAV_COMP_ID_AUTOPILOT1 and heartbeat.autopilot != 8 and heartbeat.type in MULTICOPTERS
+    hovers = heartbeat.type in MULTICOPTERS or stack_of(heartbeat) is Stack.PLANE
+    return component == mav.MAV_COMP_ID_AUTOPILOT1 and heartbeat.autopilot != 8 and hovers
 
 
 @dataclass(frozen=True, slots=True)

@@ -401,7 +401,7 @@ class Outputs:
         if self._o.ranges != "auto":
             return self._o.ranges == "on"
         kinds = (vehicle.parameter_values.get(f"RNGFND{n}_TYPE") for n in range(1, 5))
-        return vehicle.stack is Stack.ARDUPILOT and _MAVLINK_RANGEFINDER in kinds
+        return vehicle.stack.is_ardupilot and _MAVLINK_RANGEFINDER in kinds
 
     def is_due(self, now: MonoNs, ranges: bool) -> bool:
         """Return whether `due` has something to do at this instant; `ranges` as `sends_ranges` returns it."""
@@ -432,7 +432,7 @@ class Outputs:
             self.withheld[why] += 1
             return []
         time_us, p_body_ned = now // 1000, None
-        if vehicle.stack is not Stack.ARDUPILOT:
+        if not vehicle.stack.is_ardupilot:
             time_us, p_body_ned = seen.at // 1000, position_at(vehicle.positions, seen.at)
             if p_body_ned is None:
                 self.withheld["no local position"] += 1
@@ -465,7 +465,7 @@ class Outputs:
             return None, "not ordered"
         if sighted is None or seconds_between(sighted, now) > self._stale_s(now):
             return None, "not seen"
-        if vehicle.stack is Stack.ARDUPILOT:
+        if vehicle.stack.is_ardupilot:
             lag_s = min(max(vehicle.parameter_values.get("PLND_LAG", DEFAULT_PLND_LAG_S), 0.0), PLND_LAG_MAX_S)
             transit_s = 0.5 * (vehicle.round_trip_s or 0.0) + self._o.receiver_s
             return lag_locked(self.track, now, lag_s, transit_s), "no attitude"

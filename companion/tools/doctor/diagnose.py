@@ -112,16 +112,18 @@ LOG_RULES: tuple[Rule, ...] = (
 
 RULES: tuple[Rule, ...] = (
     *rules_links.RULES, *rules_values.ARMING, *LOG_RULES, *rules_autopilots.RULES, *rules_autopilots.PX4_RULES,
+    *rules_autopilots.PLANE_RULES,
     *rules_values.FAILSAFE_RULES, *rules_values.RULES, *rules_switch.RULES,
 )  # fmt: skip
 
 
 def _asked(stack: str, own: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((*own, *rules_values.FAILSAFE_PARAMETERS[stack], *rules_values.PARAMETERS[stack])))
+    return tuple(dict.fromkeys((*own, *rules_values.FAILSAFE_PARAMETERS.get(stack, ()), *rules_values.PARAMETERS[stack])))
 
 
 PARAMETERS = {
     "ArduPilot": _asked("ArduPilot", rules_autopilots.PARAMETERS),
+    "ArduPlane": _asked("ArduPlane", rules_autopilots.PLANE_PARAMETERS),
     "PX4": _asked("PX4", rules_autopilots.PX4_PARAMETERS),
     "other": (),
 }

@@ -238,6 +238,42 @@ RULES: tuple[Rule, ...] = (
 )  # fmt: skip
 
 
+PLANE_PARAMETERS = ("Q_ENABLE", "Q_GUIDED_MODE", "SCR_ENABLE", "DKP_ENABLE", "STICK_MIXING")
+_Q, _STEERS = "ArduPlane", "configs/autopilot/decklander_plane.lua"
+
+
+def _no_steering(p: Snapshot) -> str | None:
+    """Return why an ArduPlane runs no script that flies our velocities."""
+    a = _of(p, _Q)
+    if a is None or not a.parameters:
+        return None
+    if _value(p, "SCR_ENABLE", _Q) != 1.0:
+        return "SCR_ENABLE is not 1"
+    return "there is no parameter DKP_ENABLE" if "DKP_ENABLE" in a.absent else None
+
+
+PLANE_RULES: tuple[Rule, ...] = (
+    Row("plane-fixed-wing", _ERROR, lambda p: _value(p, "Q_ENABLE", _Q) == 0.0,
+        "Q_ENABLE is 0: a fixed wing cannot hover over a deck",
+        "land a QuadPlane: Q_ENABLE 1 and VTOL motors"),
+    Row("plane-guided", _ERROR, lambda p: _value(p, "Q_GUIDED_MODE", _Q) == 0.0,
+        "Q_GUIDED_MODE is 0: GUIDED circles as a fixed wing does",
+        "set Q_GUIDED_MODE 1",
+        {"Q_GUIDED_MODE": 1.0}),
+    Row("plane-script", _ERROR, _no_steering,
+        "{0}: ArduPlane flies no velocities by itself, and the script that does is not running",
+        f"copy {_STEERS} to APM/scripts on the SD card, set SCR_ENABLE 1 and reboot"),
+    Row("plane-script-off", _ERROR, lambda p: _value(p, "DKP_ENABLE", _Q) == 0.0,
+        "DKP_ENABLE is 0: our velocities are not flown",
+        "set DKP_ENABLE 1",
+        {"DKP_ENABLE": 1.0}),
+    Row("plane-no-turn", _WARNING, lambda p: _value(p, "STICK_MIXING", _Q) == 0.0,
+        "STICK_MIXING is 0: it does not turn to the pad's arrow, and the gate stays closed",
+        "set STICK_MIXING 1",
+        {"STICK_MIXING": 1.0}),
+)  # fmt: skip
+
+
 PX4_PARAMETERS = (
     "PLD_HACC_RAD", "PLD_BTOUT", "MPC_JERK_AUTO", "LTEST_MODE", "VTE_EN", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "EKF2_EV_CTRL",
     "EKF2_HGT_REF", "MAV_PROTO_VER",

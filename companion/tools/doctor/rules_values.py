@@ -227,7 +227,7 @@ class ValueRule(Struct, frozen=True):
         return max(self.low, self.per_m_s * (snapshot.ship_speed_m_s + self.over_ship))
 
 
-_A, _P = "ArduPilot", "PX4"
+_A, _P, _Q = "ArduPilot", "PX4", "ArduPlane"
 _ARDUPILOT = (
     ValueRule("guided-timeout", _A, "GUID_TIMEOUT", 1,
               "a gap in the link stops it over the ground, or a dead service flies on", 1, 5),
@@ -375,9 +375,17 @@ _PX4 = (
     ValueRule("px4-land-speed", _P, "MPC_LAND_SPEED", 0.5,
               "it strikes the deck where its own mode lands", 0.2, 0.9, on_ship=False),
 )  # fmt: skip
-RULES: tuple[ValueRule, ...] = (*_ARDUPILOT, *_PX4)
+_PLANE = (
+    ValueRule("plane-jerk", _Q, "Q_P_JERK_XY", 20, "it follows too late for a deck", 15),
+    ValueRule("plane-accel", _Q, "Q_WP_ACCEL", 500, "in a fresh wind it stands decimetres off", 400, severity=_ADVICE),
+    ValueRule("plane-jerk-z", _Q, "Q_P_JERK_Z", 20, "it comes up late before a deck that rises", 10),
+    ValueRule("plane-accel-z", _Q, "Q_PILOT_ACCEL_Z", 3, "it comes up late before a deck that rises", 2, severity=_ADVICE),
+    ValueRule("plane-speed", _Q, "Q_WP_SPEED", 1000, "it cannot overtake the ship", 300, over_ship=3, per_m_s=100),
+    ValueRule("plane-lean-limit", _Q, "Q_ANGLE_MAX", 3000, "it cannot hold against wind and follow the deck", 1500),
+)
+RULES: tuple[ValueRule, ...] = (*_ARDUPILOT, *_PX4, *_PLANE)
 PARAMETERS = {
     stack: tuple(name for rule in RULES if rule.stack == stack for name in (rule.parameter, rule.like) if name)
-    for stack in (_A, _P)
+    for stack in (_A, _P, _Q)
 }
 """The parameters that the rules read, by stack."""

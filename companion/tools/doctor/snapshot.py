@@ -60,7 +60,7 @@ class TimeSyncSnapshot(Struct, frozen=True):
 class AutopilotSnapshot(Struct, frozen=True):
     """The autopilot that was found."""
 
-    stack: Literal["ArduPilot", "PX4", "other"]
+    stack: Literal["ArduPilot", "ArduPlane", "PX4", "other"]
     system: int
     others: tuple[int, ...] = ()
     """System ids of further autopilots."""

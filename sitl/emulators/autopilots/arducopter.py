@@ -1,4 +1,4 @@
-"""Start ArduCopter on the simulated physics, and answer it by its JSON interface: servo outputs in, state out, in lock step.
+"""Start ArduCopter or ArduPlane on the simulated physics, and answer by its JSON interface: servo outputs in, state out.
 
     sim_vehicle.py -v ArduCopter -f JSON:127.0.0.1 --no-rebuild ...      # ArduPilot sends requests, this module answers
 
@@ -19,6 +19,7 @@ from typing import Any
 
 from msgspec import Struct
 
+from companion.settings.load import SHIPPED, read_text
 from drivers.mailbox import Latest
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.geometry import wrap_pi
@@ -53,10 +54,21 @@ OWN: dict[str, float] = {
 """The parameters for a vehicle that ArduCopter simulates by itself."""
 
 
+_OUTPUTS = ("SERVO", "Q_A_")
+PLANE: dict[str, float] = {
+    **{name: value for name, value in PARAMETERS.items() if name.startswith(("COMPASS_", "INS_", "RNGFND1_", "PLND_", "LOG_"))},
+    **parameters_of("arduplane.parm"),
+}
+"""The parameters of a QuadPlane that differ from ArduPlane's defaults."""
+PLANE_SCRIPT = "decklander_plane.lua"
+"""The script that makes a QuadPlane fly our velocities, in `configs/autopilot`."""
+
+
 def argv(
     binary: Path,
     folder: Path,
     *,
+    plane: bool = False,
     physics: int | OwnBody,
     mavlink_ports: tuple[int, int],
     parameters: Mapping[str, float] | None = None,
@@ -65,12 +77,21 @@ def argv(
     """Return the command line, and write the file of parameters.
 
     Args:
+        plane: whether it is ArduPlane; `PLANE_SCRIPT` is added to its scripts.
         physics: UDP port on which `serve_json` answers, or the body that the program simulates by itself.
         mavlink_ports: UDP ports on the loopback to which its first two MAVLink ports send.
     """
     defaults = folder / DEFAULTS
-    home, asked, model = ORIGIN, PARAMETERS, ["JSON:127.0.0.1", "--sim-address", "127.0.0.1", "--sim-port-out", str(physics)]
-    if isinstance(physics, OwnBody):
+    home, model = ORIGIN, ["JSON:127.0.0.1", "--sim-address", "127.0.0.1", "--sim-port-out", str(physics)]
+    asked = PLANE if plane else PARAMETERS
+    if plane:
+        (scripts := folder / "scripts").mkdir(exist_ok=True)
+        (scripts / PLANE_SCRIPT).write_text(read_text(SHIPPED / "autopilot" / PLANE_SCRIPT))
+    if isinstance(physics, OwnBody) and plane:
+        home, model, away = physics.home, ["quadplane"], (*_OUTPUTS, "Q_M_THST_HOVER", "Q_P_ACCZ_FF")
+        asked = {name: value for name, value in PLANE.items() if not name.startswith(away)}
+        asked |= {"RNGFND1_TYPE": 10, "SIM_WIND_T": 1}
+    elif isinstance(physics, OwnBody):
         home, model, hover = physics.home, [f"x:{FRAME}"], physics.airframe.mass_kg * G_M_S2 / physics.airframe.thrust_max_n
         asked = {**OWN, "MOT_THST_HOVER": hover, "PSC_ACCZ_FF": hover}
         (folder / FRAME).write_text(json.dumps(frame(physics.airframe)))

@@ -57,10 +57,11 @@ from sitl.scenario.scenario import Scenario, vehicle_model
 from sitl.sensors.sensors import ORIGIN
 from sitl.world.truth import Touchdown, Truth
 
-Name = Literal["arducopter", "px4"]
+Name = Literal["arducopter", "arduplane", "px4"]
 HOST = "127.0.0.1"
 COM_WATCHDOG_S: dict[Name, float] = {
     "arducopter": arducopter.PARAMETERS["GUID_TIMEOUT"],
+    "arduplane": 0.5,
     "px4": px4.PARAMETERS["COM_OF_LOSS_T"],
 }
 """Time for which each program flies on with the last setpoint."""
@@ -172,6 +173,8 @@ class AutopilotFlight:
             raise BadInput("gimbal: only the stand-in (--binary stand-in) with rendered frames (--perception pixels) has one")
         if self.autopilot.own and self.autopilot.binary is None:
             raise BadInput("--physics own: the stand-in simulates no vehicle by itself; name a program with --binary PATH")
+        if self.autopilot.name == "arduplane" and self.autopilot.binary is None:
+            raise BadInput("--autopilot arduplane: there is no stand-in for it; name the program with --binary PATH")
         self.station = self._station()
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
         self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s)
@@ -179,7 +182,7 @@ class AutopilotFlight:
         self._reporter = VesselReporter(self.graded)
 
     def _station(self, ground_m: float = 0.0) -> GroundStation:
-        stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
+        stack = {"arducopter": Stack.ARDUPILOT, "arduplane": Stack.PLANE, "px4": Stack.PX4}[self.autopilot.name]
         guidance, lands_by = self.settings.guidance, LAND_MODE[stack] if self.autopilot.unaided else None
         led = guidance.mission == "targets"
         if led and not guidance.mode_changes and lands_by is None:
@@ -217,7 +220,7 @@ class AutopilotFlight:
         stays = self.settings.guidance.refused == "hold" and not person
         service = self._service = KillableService(lambda once: self._serving(settings, once and stays))
         # The world begins before the program does: at the level `truth` the pilot reads it from its first cycle on.
-        copter = self.autopilot.name == "arducopter"
+        copter = self.autopilot.name != "px4"
         step_s = in_process.STEP_S if self.autopilot.binary is None else STEP_S if copter else px4.STEP_S
         self._make(step_s, CURVE if copter else 0.0)
         link = LinkOptions(parse_endpoint(f"udpin://{HOST}:{to_station}"))
@@ -390,7 +393,7 @@ class AutopilotFlight:
         if self.autopilot.own:
             body = self.body = OwnBody(on_pad, self.seed, self.clock, self.graded.faults)
             self.station = self._station(-float(body.p_pad_ned[2]))
-            around = arducopter.around if self.autopilot.name == "arducopter" else lambda body: []
+            around = arducopter.around if self.autopilot.name != "px4" else lambda body: []
             self._own = OwnVehicle(body, self._stepped, self._settle, around)
             self.link.ahead_s = self._own.ahead_s
         else:
@@ -464,8 +467,9 @@ class AutopilotFlight:
                 argv, environment = px4.start(chosen.binary, height_m=self.height_m, parameters=given, own=self.body.home)
             else:
                 argv = arducopter.argv(
-                    chosen.binary, self.folder, physics=self.body, mavlink_ports=ports, parameters=given, speedup=_PACE
-                )
+                    chosen.binary, self.folder, plane=chosen.name == "arduplane", physics=self.body, mavlink_ports=ports,
+                    parameters=given, speedup=_PACE,
+                )  # fmt: skip
                 environment = {}
             async with running(argv, self.folder, environment) as program:
                 yield program
@@ -483,7 +487,7 @@ class AutopilotFlight:
         backend = JsonBackend(lambda step_s: self._make(step_s, CURVE), self._stepped, self.body)
         async with serve_json(backend, HOST, 0, settle=self._settle) as port:
             argv = arducopter.argv(
-                chosen.binary, self.folder, physics=port, mavlink_ports=ports, speedup=_PACE,
+                chosen.binary, self.folder, plane=chosen.name == "arduplane", physics=port, mavlink_ports=ports, speedup=_PACE,
                 parameters=dict(chosen.parameters),
             )  # fmt: skip
             async with running(argv, self.folder) as program:

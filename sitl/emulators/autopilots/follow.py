@@ -50,7 +50,7 @@ from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.stage import flight_seeds, renderer, sea_and_vessel
 from sitl.world.truth import RenderedFrame, Surface, Touchdown
 
-TRUTH = {Stack.ARDUPILOT: "SIM_STATE", Stack.PX4: "HIL_STATE_QUATERNION"}
+TRUTH = {Stack.ARDUPILOT: "SIM_STATE", Stack.PLANE: "SIM_STATE", Stack.PX4: "HIL_STATE_QUATERNION"}
 """The message in which the simulator of each stack reports the true state."""
 STEP_S = 0.005
 """Interval at which the true state is requested."""

@@ -106,7 +106,7 @@ class MavlinkWires:
                 self._requested[Asks.STOP.value] = at
             return Asks.ARM if m.param1 else Asks.STOP
         if m.command == mav.MAV_CMD_DO_REPOSITION:
-            self._requested["guided" if self._stack is mavlink.Stack.ARDUPILOT else mavlink.HOLD_MODE[mavlink.Stack.PX4]] = at
+            self._requested["guided" if self._stack.is_ardupilot else mavlink.HOLD_MODE[mavlink.Stack.PX4]] = at
             return Asks.LEAVE
         if m.command == mav.MAV_CMD_NAV_TAKEOFF:
             # PX4 climbs in a mode of its own, and then holds by itself.

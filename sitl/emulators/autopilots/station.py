@@ -173,7 +173,8 @@ class GroundStation:
         return out + self._handlers[task](self, now, view)
 
     def _arm(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        mode = VELOCITY_MODE[self.stack]
+        # In GUIDED a QuadPlane on a deck under way winds up its velocity controller, and leaps astern as it leaves.
+        mode = "qloiter" if self.stack is Stack.PLANE else VELOCITY_MODE[self.stack]
         out = self._carried(now, view, 0.0)
         if self.mode != mode:
             return [*out, *([set_mode(self.stack, self._autopilot, mode)] if self._due("mode", now) else [])]
@@ -187,6 +188,8 @@ class GroundStation:
             return self._carried(now, view, -_CLIMB_M_S)
         if view.height_m > 0.5 or not self._due("take off", now):
             return []
+        if self.mode != VELOCITY_MODE[self.stack]:
+            return [set_mode(self.stack, self._autopilot, VELOCITY_MODE[self.stack])]
         return [self._command(mav.MAV_CMD_NAV_TAKEOFF, height_m=self._height_m)]
 
     def _carried(self, now: MonoNs, view: OperatorView, v_down_m_s: float) -> list[Message]:

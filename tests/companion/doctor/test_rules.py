@@ -43,12 +43,7 @@ SERVICE = ServiceSnapshot(
     drone="192.168.1.1:5559",
 )
 ARDUPILOT = AutopilotSnapshot(
-    stack="ArduPilot",
-    system=1,
-    firmware=(4, 5, 7),
-    mode="loiter",
-    armed=True,
-    flying=True,
+    stack="ArduPilot", system=1, firmware=(4, 5, 7), mode="loiter", armed=True, flying=True,
     parameters={
         "PLND_ENABLED": 1.0, "PLND_TYPE": 1.0, "PLND_EST_TYPE": 1.0, "PLND_LAG": 0.05, "PLND_OPTIONS": 1.0, "PLND_STRICT": 1.0,
         "PLND_ORIENT": 25.0, "PLND_YAW_ALIGN": 0.0, "PLND_CAM_POS_X": 0.0, "PLND_CAM_POS_Y": 0.0, "PLND_CAM_POS_Z": 0.0,
@@ -58,21 +53,18 @@ ARDUPILOT = AutopilotSnapshot(
     },
     rates_hz={"ATTITUDE_QUATERNION": 99.0, "LOCAL_POSITION_NED": 49.0, "EXTENDED_SYS_STATE": 5.0},
     wanted_hz=dict(RATES_HZ[Stack.ARDUPILOT]),
-    texts=("PrecLand: Target Found",),
-    precland_enabled=True,
-    precland_healthy=True,
+    texts=("PrecLand: Target Found",), precland_enabled=True, precland_healthy=True,
 )  # fmt: skip
 PX4 = AutopilotSnapshot(
-    stack="PX4",
-    system=1,
-    firmware=(1, 16, 2),
-    mode="offboard",
-    armed=True,
-    flying=True,
+    stack="PX4", system=1, firmware=(1, 16, 2), mode="offboard", armed=True, flying=True,
     parameters={"PLD_HACC_RAD": 0.2, "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0.0, "EKF2_HGT_REF": 1.0, "EKF2_EV_CTRL": 0.0},
     rates_hz={"ATTITUDE_QUATERNION": 99.0, "LOCAL_POSITION_NED": 49.0, "EXTENDED_SYS_STATE": 5.0},
     wanted_hz=dict(RATES_HZ[Stack.PX4]),
-)
+)  # fmt: skip
+PLANE = replace(
+    ARDUPILOT, stack="ArduPlane", mode="guided", texts=(), precland_enabled=None, precland_healthy=None,
+    parameters={"Q_ENABLE": 1.0, "Q_GUIDED_MODE": 1.0, "SCR_ENABLE": 1.0, "DKP_ENABLE": 1.0, "STICK_MIXING": 1.0},
+)  # fmt: skip
 SYNC = TimeSyncSnapshot(True, 0.004)
 GOOD = Snapshot(8.0, (LINK,), ARDUPILOT, SYNC, SERVICE)
 GOOD_PX4 = replace(GOOD, autopilot=PX4)
@@ -88,6 +80,10 @@ def ardupilot(**changes: Any) -> Snapshot:
 
 def px4(**changes: Any) -> Snapshot:
     return replace(GOOD_PX4, autopilot=replace(PX4, **changes))
+
+
+def plane(name: str, value: float, absent: tuple[str, ...] = ()) -> Snapshot:
+    return replace(GOOD, autopilot=replace(PLANE, parameters=PLANE.parameters | {name: value}, absent=absent))
 
 
 def parameter(name: str, value: float) -> Snapshot:
@@ -142,56 +138,32 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "wire not connected": ("link-silent", link(bytes_in=0, messages=0), "SERIALn_PROTOCOL"),
     "wrong speed": ("link-garbage", link(bytes_in=9000, messages=3, damaged=800), "same speed"),
     "key on one side only": ("link-signature", link(refused_signature=40), "same key"),
-    "an autopilot whose clock is not set yet": (
-        "link-signature",
-        link(refused_signature=40, refused_time=40, behind_s=259_200.0, signed=True),
-        "GNSS",
-    ),
+    "an autopilot whose clock is not set yet": ("link-signature",
+        link(refused_signature=40, refused_time=40, behind_s=259_200.0, signed=True), "GNSS"),
     "nobody listens there": ("link-refused", link(bytes_in=0, messages=0, refused_datagrams=30), "router"),
     "a line that stands still": ("link-late", link(late=300), "RTS/CTS"),
-    "two autopilots of one id": (
-        "autopilot-id-twice",
-        replace(
-            GOOD,
-            id_conflicts=(
-                IdConflictSnapshot("autopilot-id-twice", "two autopilots have one id", "choose by vehicle.system_id", True),
-            ),
-        ),
-        "vehicle.system_id",
-    ),
-    "another program with our ids": (
-        "component-id-twice",
-        replace(
-            GOOD, id_conflicts=(IdConflictSnapshot("component-id-twice", "another sends as us", "vehicle.component_id", False),)
-        ),
-        "vehicle.component_id",
-    ),
+    "two autopilots of one id": ("autopilot-id-twice", replace(GOOD, id_conflicts=(
+        IdConflictSnapshot("autopilot-id-twice", "two autopilots have one id", "choose by vehicle.system_id", True), ), ),
+        "vehicle.system_id"),
+    "another program with our ids": ("component-id-twice", replace(
+        GOOD, id_conflicts=(IdConflictSnapshot("component-id-twice", "another sends as us", "vehicle.component_id", False),) ),
+        "vehicle.component_id"),
     "not signed in a network": ("link-unsigned", link(url="udpin://0.0.0.0:14550", signed=False), "decklander keys"),
     "a station that is not named": ("link-unknown-senders", link(unknown_senders=300), "vehicle.operators"),
     "MAVLink 1 on the port": ("link-mavlink1", link(old_version=2900), "SERIALn_PROTOCOL 2"),
     "overloaded link": ("link-lossy", link(lost=600), "921600"),
-    "only a ground station found": (
-        "no-autopilot",
-        replace(GOOD, autopilot=None, sync=None, systems=(FoundSystem(255, 190, "", "gcs", False),)),
-        "frame type",
-    ),
+    "only a ground station found": ("no-autopilot",
+        replace(GOOD, autopilot=None, sync=None, systems=(FoundSystem(255, 190, "", "gcs", False),)), "frame type"),
     "nothing with a heart": ("no-autopilot", replace(GOOD, autopilot=None, sync=None), "frame type"),
-    "a rover": (
-        "no-autopilot",
+    "a rover": ("no-autopilot",
         replace(GOOD, autopilot=None, sync=None, systems=(FoundSystem(1, 1, "ArduPilot", "ground rover", False),)),
-        "lands copters",
-    ),
-    "another id than the wished one": (
-        "wrong-system",
+        "lands copters"),
+    "another id than the wished one": ("wrong-system",
         replace(GOOD, autopilot=None, sync=None, wanted_system=5, systems=(FOUND, FoundSystem(3, 1, "PX4", "hexarotor", True))),
-        "--system 1 or 3",
-    ),
+        "--system 1 or 3"),
     "a radio that passes one direction": ("link-one-way", ONE_WAY, "TX"),
-    "a radio that passes MAVLink 1 only": (
-        "link-one-way",
-        replace(ONE_WAY, links=(replace(LINK, messages=40, old_version=40),)),
-        "MAVLink 2",
-    ),
+    "a radio that passes MAVLink 1 only": ("link-one-way",
+        replace(ONE_WAY, links=(replace(LINK, messages=40, old_version=40),)), "MAVLink 2"),
     "two drones, one network": ("several-autopilots", ardupilot(others=(2, 5)), "SYSID_THISMAV"),
     "firmware without a stream": ("stream-refused", ardupilot(refused={"LOCAL_POSITION_NED": 2}), "update the firmware"),
     "stream silent": ("stream-silent", ardupilot(rates_hz=ARDUPILOT.rates_hz | {"LOCAL_POSITION_NED": 0.0}), "SRn_"),
@@ -219,18 +191,11 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "the ship is silent": ("ship-silent", service(places_taken=0), "firewall"),
     "her sentences are damaged": ("ship-silent", service(places_taken=0, places_refused={"checksum": 9}), "rendezvous.md"),
     "another program has her port": ("ship-source", service(ship_fault="vessel.nmea: address already in use"), "[http]"),
-    "her gyro has not settled": (
-        "ship-sentences",
-        service(ship_sources=(ShipSource("TIROT", 0, 1.0, {"not_valid": 9}),)),
-        "settle",
-    ),
-    "firmware without precision landing": (
-        "plnd-missing",
-        ardupilot(
-            parameters={k: v for k, v in ARDUPILOT.parameters.items() if not k.startswith("PLND_")}, absent=("PLND_ENABLED",)
-        ),
-        "custom",
-    ),
+    "her gyro has not settled": ("ship-sentences", service(ship_sources=(ShipSource("TIROT", 0, 1.0, {"not_valid": 9}),)),
+        "settle"),
+    "firmware without precision landing": ("plnd-missing", ardupilot(
+        parameters={k: v for k, v in ARDUPILOT.parameters.items() if not k.startswith("PLND_")}, absent=("PLND_ENABLED",) ),
+        "custom"),
     "set but not rebooted": ("plnd-not-rebooted", ardupilot(precland_healthy=False), "reboot"),
     "lag far from what is measured": ("plnd-lag", service(exposure_to_belief_s=0.16), "PLND_LAG 0.16"),
     "pad taken to stand still": ("plnd-still-target", parameter("PLND_OPTIONS", 4.0), "PLND_OPTIONS 5"),
@@ -239,60 +204,50 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "gyros calibrated at sea": ("gyro-calibration", parameter("INS_GYR_CAL", 1.0), "ashore"),
     "another program's frame": ("frame-not-supported", ardupilot(texts=("Plnd: Frame not supported",)), "another program"),
     "targets at 1 Hz": ("target-too-rare", ardupilot(texts=("PrecLand: Init Failed",)), "10 Hz"),
-    "nobody disarms it on deck": (
-        "disarm-script",
-        ardupilot(parameters=ARDUPILOT.parameters | {"SCR_ENABLE": 0.0}),
-        "SCR_ENABLE 1",
-    ),
+    "nobody disarms it on deck": ("disarm-script", ardupilot(parameters=ARDUPILOT.parameters | {"SCR_ENABLE": 0.0}),
+        "SCR_ENABLE 1"),
     "target lost": ("target-lost", ardupilot(texts=("PrecLand: Target Lost",)), "light"),
-    "refuses to arm": (
-        "arming-refused",
-        ardupilot(
-            armed=False, texts=("PreArm: Need Position Estimate", "PreArm: Battery 1 low", "PreArm: Need Position Estimate")
-        ),
-        "open sky",
-    ),
-    "PX4 refuses to arm": (
-        "arming-refused",
-        px4(
-            armed=False, texts=("Preflight Fail: Compass Sensor 0 missing", "Arming denied: Resolve system health failures first")
-        ),
-        "steel",
-    ),
+    "refuses to arm": ("arming-refused", ardupilot(
+        armed=False, texts=("PreArm: Need Position Estimate", "PreArm: Battery 1 low", "PreArm: Need Position Estimate") ),
+        "open sky"),
+    "PX4 refuses to arm": ("arming-refused", px4(
+        armed=False, texts=("Preflight Fail: Compass Sensor 0 missing", "Arming denied: Resolve system health failures first")
+        ), "steel"),
     "ArduPilot 4.0": ("firmware-old", ardupilot(firmware=(4, 0, 7)), "update"),
-    "PX4 without the module": (
-        "px4-precland-missing",
-        px4(parameters={k: v for k, v in PX4.parameters.items() if k != "PLD_HACC_RAD"}, absent=("PLD_HACC_RAD",)),
-        "OFFBOARD",
-    ),
+    "PX4 without the module": ("px4-precland-missing",
+        px4(parameters={k: v for k, v in PX4.parameters.items() if k != "PLD_HACC_RAD"}, absent=("PLD_HACC_RAD",)), "OFFBOARD"),
     "PX4 precision landing on a ship": ("px4-precland-moving", px4(mode="auto.precland"), "OFFBOARD"),
-    "PX4 led, and slow": (
-        "px4-precland-jerk",
-        replace(
-            px4(parameters=PX4.parameters | {"PLD_HACC_RAD": 8.0, "MPC_JERK_AUTO": 4.0}),
-            service=replace(GOOD_PX4.service, leads=True),
-        ),
-        "MPC_JERK_AUTO 20",
-    ),
-    "PX4 and another program's frame": (
-        "px4-frame",
-        px4(events=(event_id("mavlink_rcv_lnd_target_unsup_coord"),)),
-        "another program",
-    ),
+    "PX4 led, and slow": ("px4-precland-jerk", replace(
+        px4(parameters=PX4.parameters | {"PLD_HACC_RAD": 8.0, "MPC_JERK_AUTO": 4.0}),
+        service=replace(GOOD_PX4.service, leads=True), ), "MPC_JERK_AUTO 20"),
+    "PX4 and another program's frame": ("px4-frame", px4(events=(event_id("mavlink_rcv_lnd_target_unsup_coord"),)),
+        "another program"),
     "no receiver": ("switch-silent", switched(channels={}, rate_hz=0.0), "bind"),
     "a transmitter that is off": ("switch-no-pulse", switched(channels={5: {"low": 1000}}), "transmitter on"),
     "a switch that nobody flipped": ("switch-unmoved", switched(channels={7: {"low": 1000}}), "flip"),
     "a switch that ArduPilot has too": ("switch-used", switched(RC7_OPTION=41.0, FLTMODE_CH=5.0), "free channel"),
     "the mode switch of PX4": ("switch-used", switched(PX4, RC_MAP_FLTMODE=7.0, RC_MAP_KILL_SW=8.0), "free channel"),
     "a mode button of PX4": ("switch-used", switched(PX4, RC_MAP_FLTM_BTN=64.0), "free channel"),
+    "a QuadPlane without the script": ("plane-script", plane("Q_ENABLE", 1.0, ("DKP_ENABLE",)), "decklander_plane.lua"),
+    **{
+        f"{name} of a QuadPlane": (f"plane-{rule}", plane(name, value), word)
+        for name, value, rule, word in (
+            ("Q_ENABLE", 0.0, "fixed-wing", "VTOL"), ("Q_GUIDED_MODE", 0.0, "guided", "Q_GUIDED_MODE 1"),
+            ("SCR_ENABLE", 0.0, "script", "APM/scripts"), ("DKP_ENABLE", 0.0, "script-off", "DKP_ENABLE 1"),
+            ("STICK_MIXING", 0.0, "no-turn", "STICK_MIXING 1"), ("Q_P_JERK_XY", 2.0, "jerk", "20"),
+            ("Q_ANGLE_MAX", 9.0, "lean-limit", "3000"), ("Q_P_JERK_Z", 5.0, "jerk-z", "20"),
+            ("Q_WP_ACCEL", 100.0, "accel", "500"), ("Q_PILOT_ACCEL_Z", 1.0, "accel-z", "3"), ("Q_WP_SPEED", 9.0, "speed", "1000"),
+        )
+    },
     "pad out of the frame": ("targets-withheld", service(targets_sent=0, withheld={"not seen": 90, "on ground": 3}), "detect"),
-}
+}  # fmt: skip
 
 
 OTHER_MESSAGE = {k: v for k, v in ARDUPILOT.rates_hz.items() if k != "ATTITUDE_QUATERNION"} | {"ATTITUDE": 90.0}
 HARMLESS = {
     "ArduPilot": GOOD,
     "PX4": GOOD_PX4,
+    "a QuadPlane": plane("Q_ENABLE", 1.0),
     "nothing known": Snapshot(0.0),
     "another message of the same": ardupilot(refused={"ATTITUDE_QUATERNION": 2}, rates_hz=OTHER_MESSAGE),
     "an old refusal to arm": ardupilot(armed=True, texts=("PreArm: Need Position Estimate",)),

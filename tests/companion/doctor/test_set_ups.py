@@ -15,10 +15,11 @@ from companion.tools.doctor.gather_outside import examine_log
 from companion.tools.doctor.rules_values import RULES, ValueRule
 from companion.tools.doctor.snapshot import Snapshot
 from estimator.contracts.time import Clock
+from sitl.emulators.autopilots import arducopter
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
-from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, PX4
+from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, PLANE, PX4
 from tests.support.flight_logs import copter_log, px4_log
 
 DATA = {
@@ -121,6 +122,9 @@ def test_limits_of_speed_are_judged_against_the_ship_s() -> None:
 
 def stand_in(stack: str, **changes: float) -> Snapshot:
     """Return a set-up with the parameters of a stand-in: the program's defaults, and those with which `simulate` starts it."""
+    if stack == "ArduPlane":  # it has none: those of the program alone
+        started = {n: v for n, v in arducopter.PLANE.items() if n in PARAMETERS[stack]}
+        return replace(GOOD, autopilot=replace(PLANE, parameters=PLANE.parameters | started | changes))
     clock: Clock = LockStepClock()
     flown = CopterStandIn(clock, changes) if stack == "ArduPilot" else Px4StandIn(clock, changes)
     of = ARDUPILOT if stack == "ArduPilot" else PX4

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from pymavlink import mavutil
 
 from drivers.mavlink.custody import Authority, Hand
 from drivers.mavlink.dialect import Message, mav
@@ -13,14 +14,17 @@ from drivers.mavlink.setpoint import RestVelocity, velocity_setpoint
 from drivers.mavlink.setpoint_streamer import SetpointStreamer
 from drivers.mavlink.vehicle import (
     COPTER_MODES,
+    PLANE_MODES,
     PX4_MODES,
     Condition,
     Identity,
     Stack,
     custom_mode,
+    is_autopilot,
     mode_name,
     modes_left,
     set_mode,
+    stack_of,
 )
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, LandingPlace, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import F64, GeoPoint, Rotation, moved
@@ -120,6 +124,28 @@ def test_every_mode_has_one_name_and_one_number() -> None:
     m = set_mode(Stack.ARDUPILOT, (7, 1), "land")
     assert (m.param1, m.param2, m.param3) == (1, 9, 0)
     assert (modes_left("guided"), modes_left("offboard")) == (("guided",), ("offboard", "auto.loiter"))
+
+
+def test_a_quadplane_is_no_copter_whatever_its_heartbeat_calls_it() -> None:
+    """Copter's numbers would put it into ACRO (4) and QSTABILIZE (17)."""
+    theirs = mavutil.mode_mapping_bynumber(1)
+    assert all(name.replace("_", "") == theirs[n].lower().replace("_", "") for n, name in PLANE_MODES.items())
+    for kind in (1, *range(19, 26)):
+        beat = mav.MAVLink_heartbeat_message(kind, 3, 0, 15, 4, 3)
+        assert (stack_of(beat), is_autopilot(beat, 1)) == (Stack.PLANE, True)
+        px4 = mav.MAVLink_heartbeat_message(kind, 12, 0, 0, 4, 3)
+        assert (stack_of(px4), is_autopilot(px4, 1)) == (Stack.PX4, kind != 1), "PX4's fixed wing does not hover"
+    assert stack_of(mav.MAVLink_heartbeat_message(2, 3, 0, 4, 4, 3)) is Stack.ARDUPILOT
+    flight = Flight(Stack.PLANE, "qloiter")
+    assert modes(flight.periods(0.5, GO)) == [(15, 0)]
+    flight.told("guided")
+    assert said(flight.streamer.leave(ms(2000)))[1] == [], "GUIDED holds by itself; QLOITER descends where no stick holds it"
+    landing = Flight(Stack.PLANE, "guided")
+    landing.periods(0.5, GO)
+    assert modes(landing.periods(1.0, Land())) == [], "it lands by velocity: QLAND would come down where it is"
+    deck = Flight(Stack.PLANE, "qloiter")
+    deck.told(flying=False, armed=False)
+    assert deck.periods(2.0, TakeOff()) == [], "its pilot takes off"
 
 
 def test_ardupilot_is_taken_into_guided_by_the_first_velocity() -> None:

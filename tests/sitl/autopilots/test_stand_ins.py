@@ -306,34 +306,14 @@ class Scripting:
         self.now_s = 0.0
         runtime = lua54.LuaRuntime(encoding=None)  # messages are bytes
         self._update: Any = None
-        give: Callable[..., Any] = runtime.eval(
-            b"function(millis, armed, disarm, mode, accel, throttle, get, add_table, add_param, receive, send) "
-            b"  _G.millis = function() return { tofloat = function() return millis() end } end "
-            b"  _G.arming = { is_armed = function() return armed() end, disarm = function() return disarm() end } "
-            b"  _G.vehicle = { get_mode = function() return mode() end } "
-            b"  _G.ahrs = { get_accel = function() return { z = function() return accel() end } end } "
-            b"  _G.motors = { get_throttle = function() return throttle() end } "
-            b"  _G.param = { get = function(_, n) return get(n) end, "
-            b"    add_table = function(_, k, p, n) return add_table(k, p) end, "
-            b"    add_param = function(_, k, i, n, v) return add_param(k, n, v) end } "
-            b"  _G.mavlink = { init = function() end, register_rx_msgid = function(_, id) return id == 0 end, "
-            b"    receive_chan = function() return receive() end } "
-            b"  _G.gcs = { send_text = function(_, s, t) send(t) end } "
-            b"end"
-        )
+        give: Callable[..., Any] = runtime.execute(Path(__file__).with_name("copter_scripting.lua").read_bytes())
         give(
-            lambda: 1000.0 * self.now_s,
-            lambda: pilot.armed,
-            self._disarm,
-            lambda: _NUMBERS[pilot.mode],
-            lambda: float(self.f_body[2]),
-            lambda: pilot._cascade.thrust_fraction,
+            lambda: 1000.0 * self.now_s, lambda: pilot.armed, self._disarm, lambda: _NUMBERS[pilot.mode],
+            lambda: float(self.f_body[2]), lambda: pilot._cascade.thrust_fraction,
             lambda name: self.parameters.get(name.decode()),
-            lambda key, prefix: self.tables.setdefault(key, prefix.decode()) == prefix.decode(),
-            self._add,
-            lambda: self.received.pop(0) if self.received else None,
-            lambda text: self.texts.append(text.decode()),
-        )
+            lambda key, prefix: self.tables.setdefault(key, prefix.decode()) == prefix.decode(), self._add,
+            lambda: self.received.pop(0) if self.received else None, lambda text: self.texts.append(text.decode()),
+        )  # fmt: skip
         self._update, period_ms = runtime.execute(SCRIPT.read_bytes())
         assert period_ms == 1000.0 * PERIOD_S
 
