@@ -57,6 +57,7 @@ PX4_MODES = {
     (1, 0): "manual", (2, 0): "altctl", (3, 0): "posctl", (4, 1): "auto.ready", (4, 2): "auto.takeoff", (4, 3): "auto.loiter",
     (4, 4): "auto.mission", (4, 5): "auto.rtl", (4, 6): "auto.land", (4, 8): "auto.follow_target", (4, 9): "auto.precland",
     (4, 10): "auto.vtol_takeoff", (5, 0): "acro", (6, 0): "offboard", (7, 0): "stabilized", (8, 0): "rattitude",
+    (10, 0): "termination", (11, 0): "altitude_cruise",
 }  # fmt: skip
 """PX4's (main, sub) mode by name of the mode. Source: px4_custom_mode.h."""
 

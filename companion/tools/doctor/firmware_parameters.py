@@ -3,8 +3,10 @@
 Rules are written in the names and units of 4.5. Source: ArduPilot, "Parameter Name Changes" (4.5 to 4.6, 4.6 to 4.7).
 """
 
+import functools
+import operator
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 Firmware = tuple[int, int, int]
@@ -90,6 +92,12 @@ def names_in(names: Iterable[str], firmware: Firmware | None) -> tuple[str, ...]
     return tuple(out)
 
 
+def earlier_names(absent: Iterable[str]) -> tuple[str, ...]:
+    """Return the earlier names of parameters that a firmware does not know: a development build has them for a year or more."""
+    earlier = {later.name: name for name, later in RENAMED.items()}
+    return tuple(earlier[name] for name in absent if name in earlier)
+
+
 _ARDUPILOT: dict[str, float] = {
     # modes and what takes the vehicle
     "GUID_OPTIONS": 0, "GUID_TIMEOUT": 3, "FLTMODE_GCSBLOCK": 0, "FS_THR_ENABLE": 1, "FS_GCS_ENABLE": 0, "FS_OPTIONS": 16,
@@ -131,6 +139,11 @@ _PX4: dict[str, float] = {
     "MC_PITCH_P": 6.5, "MC_ROLLRATE_P": 0.15, "MC_PITCHRATE_P": 0.15, "MC_ROLLRATE_MAX": 220, "MC_PITCHRATE_MAX": 220,
     "MC_YAWRATE_MAX": 200, "IMU_GYRO_CUTOFF": 40, "IMU_DGYRO_CUTOFF": 30, "IMU_ACCEL_CUTOFF": 30, "IMU_GYRO_RATEMAX": 400,
 }  # fmt: skip
+_PX4_SINCE: dict[Firmware, dict[str, float]] = {
+    (1, 16, 0): {"EKF2_GPS_CHECK": 1023},
+    (1, 17, 0): {"EKF2_GPS_CHECK": 2047, "IMU_DGYRO_CUTOFF": 20, "MC_ROLL_P": 4, "MC_PITCH_P": 4},
+}
+"""Defaults of PX4 that a later release changed."""
 _TOUCHES = re.compile(
     r"AHRS_EKF_TYPE|ANGLE_MAX|ARMING_|ATC_|BATT\d?_FS_|COM_(?!FLIGHT_UUID)|DISARM_DELAY|EK3_|EKF2_|FD_|FENCE_|FLTMODE|FS_|GF_|GUID_|"
     r"IMU_(GYRO|DGYRO|ACCEL)_|INS_(GYRO|ACCEL)_FILTER|INS_HNTC|LAND_|LNDMC_|LOIT_|MC_|MOT_(SPIN|SPOOL|SLEW)|MPC_|NAV_|PILOT_|PLND_|"
@@ -140,15 +153,22 @@ _TOUCHES = re.compile(
 _EQUAL = 1e-5
 
 
-def defaults_of(stack: str, firmware: Firmware | None) -> dict[str, float]:
-    """Return the known defaults of a firmware under its own names and in its own units; none of another stack."""
+def defaults_of(stack: str, firmware: Firmware | None, read: Collection[str] = ()) -> dict[str, float]:
+    """Return the known defaults of a firmware under its own names and in its own units; none of another stack.
+
+    Args:
+        read: names that the autopilot knew, which decide before its release does.
+    """
     if stack == "ArduPilot":
         out = {}
         for name, default in _ARDUPILOT.items():
-            (own,) = names_in((name,), firmware) or (name,)
+            (own,) = (name,) if name in read else names_in((name,), firmware) or (name,)
             out[own] = default if own == name else round(default * RENAMED[name].factor, 6)
         return out
-    return _PX4 if stack == "PX4" else {}
+    if stack != "PX4":
+        return {}
+    later = [changed for since, changed in _PX4_SINCE.items() if firmware is not None and firmware >= since]
+    return functools.reduce(operator.or_, later, _PX4)
 
 
 def differing(parameters: Mapping[str, float], defaults: Mapping[str, float]) -> dict[str, tuple[float, float]]:

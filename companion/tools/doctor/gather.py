@@ -6,7 +6,7 @@ from msgspec import Struct, field, structs
 
 from companion.tools.doctor import rules_switch
 from companion.tools.doctor.diagnose import PARAMETERS
-from companion.tools.doctor.firmware_parameters import defaults_of, differing, names_in
+from companion.tools.doctor.firmware_parameters import defaults_of, differing, earlier_names, names_in
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
     FoundSystem,
@@ -184,6 +184,8 @@ async def _ask(autopilot: Autopilot, notes: Notes, clock: Clock, seconds: float,
     await wait_until(clock, _FIRST_ANSWER_S, answered)
     if answered():
         await wait_until(clock, _ASKING_MAX_S, lambda: parameters.settled and streams.settled)
+        parameters.request(earlier_names(parameters.absent))
+        await wait_until(clock, _ASKING_MAX_S, lambda: parameters.settled)
     if autopilot.condition.armed is False:
         check = mav.MAV_CMD_RUN_PREARM_CHECKS
         autopilot.send(mav.MAVLink_command_long_message(*identity.address, check, 0, 0, 0, 0, 0, 0, 0, 0))
@@ -242,7 +244,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
             channels=notes.channels,
             precland_enabled=notes.enabled,
             precland_healthy=notes.healthy,
-            differs=differing(values, defaults_of(identity.stack.value, _firmware(autopilot))),
+            differs=differing(values, defaults_of(identity.stack.value, _firmware(autopilot), values)),
         ),
         TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
         wanted_system=wanted,

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from companion.tools.doctor.diagnose import LOG_RULES, PARAMETERS, diagnose
 from companion.tools.doctor.diagnose import RULES as ALL_RULES
-from companion.tools.doctor.firmware_parameters import RENAMED, defaults_of, differing, names_in
+from companion.tools.doctor.firmware_parameters import RENAMED, defaults_of, differing, earlier_names, names_in
 from companion.tools.doctor.gather_outside import examine_log
 from companion.tools.doctor.rules_values import RULES, ValueRule
 from companion.tools.doctor.snapshot import Snapshot
@@ -173,7 +173,7 @@ def test_every_rule_has_a_name_of_its_own() -> None:
     assert len({(rule.stack, rule.parameter) for rule in RULES}) == len(RULES)
 
 
-@pytest.mark.parametrize(("stack", "firmware"), [("ArduPilot", (4, 5, 7)), ("ArduPilot", (4, 7, 1)), ("PX4", (1, 16, 2))])
+@pytest.mark.parametrize(("stack", "firmware"), [("ArduPilot", (4, 5, 7)), ("ArduPilot", (4, 7, 1)), ("PX4", (1, 16, 2)), ("PX4", (1, 17, 0))])
 def test_a_firmware_s_own_defaults_differ_in_nothing_and_each_of_them_is_looked_at(stack, firmware):
     defaults = defaults_of(stack, firmware)
     assert differing(defaults, defaults) == {}
@@ -187,6 +187,17 @@ def test_later_releases_are_queried_by_their_names_and_judged_in_their_units() -
     assert not set(new) & {name for name, later in RENAMED.items() if later.name != name}
     assert differing({"PSC_D_ACC_P": 0.05000000074505806, "WP_SPD": 3.0}, new) == {"WP_SPD": (3.0, 10.0)}
     assert defaults_of("other", None) == {}
+
+
+def test_a_development_build_that_has_the_earlier_names_is_judged_by_them() -> None:
+    read = {"WPNAV_SPEED": 300.0, "LAND_SPD_MS": 0.5}
+    assert earlier_names({"WP_SPD", "PLND_ENABLED"}) == ("WPNAV_SPEED",)
+    assert differing(read, defaults_of("ArduPilot", (4, 7, 0), read)) == {"WPNAV_SPEED": (300.0, 1000.0)}
+
+
+def test_a_default_that_a_release_changed_is_judged_by_the_release() -> None:
+    assert [defaults_of("PX4", (1, minor, 0))["MC_ROLL_P"] for minor in (15, 16, 17)] == [6.5, 6.5, 4]
+    assert [defaults_of("PX4", (1, minor, 0))["EKF2_GPS_CHECK"] for minor in (15, 16, 17)] == [245, 1023, 2047]
 
 
 def test_what_no_landing_feels_is_left_out() -> None:
