@@ -1,8 +1,8 @@
 """Rules for parameters that can spoil or endanger a landing: harmless ranges, failsafes together, arming.
 
 Each row is one rule. The limits are meant for a landing by setpoints on a deck that moves; a value inside them is not praised,
-only not named. Sources: parameter references of ArduCopter 4.5 and PX4 1.16, and flights of both on a deck (docs/ardupilot.md,
-docs/px4.md).
+only not named. Sources: parameter references of ArduCopter 4.5, PX4 1.16 and 1.17, and flights of both on a deck
+(docs/ardupilot.md, docs/px4.md).
 """
 
 import math

@@ -173,7 +173,9 @@ def test_every_rule_has_a_name_of_its_own() -> None:
     assert len({(rule.stack, rule.parameter) for rule in RULES}) == len(RULES)
 
 
-@pytest.mark.parametrize(("stack", "firmware"), [("ArduPilot", (4, 5, 7)), ("ArduPilot", (4, 7, 1)), ("PX4", (1, 16, 2)), ("PX4", (1, 17, 0))])
+@pytest.mark.parametrize(
+    ("stack", "firmware"), [("ArduPilot", (4, 5, 7)), ("ArduPilot", (4, 7, 1)), ("PX4", (1, 16, 2)), ("PX4", (1, 17, 0))]
+)
 def test_a_firmware_s_own_defaults_differ_in_nothing_and_each_of_them_is_looked_at(stack, firmware):
     defaults = defaults_of(stack, firmware)
     assert differing(defaults, defaults) == {}
