@@ -287,9 +287,9 @@ def range_along_down(d_body_pad_ned: F64, R_ned_body: Rotation) -> float | None:
 
 # Lead the place of a deck that moves, for an autopilot that follows its targets by itself and so comes late.
 
-LAGS: Mapping[Stack, tuple[float, float]] = {Stack.ARDUPILOT: (0.2, 0.5), Stack.PX4: (0.7, 0.1)}
-"""Distance that each autopilot's own landing leaves to a deck in waves: s for its velocity, s^2 for its acceleration, both less
-their mean. They were fitted to flights of ArduCopter 4.5.7 and PX4 1.16.2 over our seas (docs/evidence.md)."""
+LAGS: Mapping[Stack, tuple[float, float]] = {Stack.ARDUPILOT: (0.15, 0.5), Stack.PX4: (0.5, 0.55)}
+"""Distance that each autopilot's own landing leaves to a deck in waves: s for its velocity less the way, s^2 for the change of
+that, which comes `_CHANGE_S` late. They were fitted to flights of ArduCopter 4.5.7 and PX4 1.16.2 (docs/evidence.md)."""
 PX4_LATE_S = 0.06
 """Lag of PX4 behind a steady ship beyond that of its law, s."""
 _WAY_S = 20.0
