@@ -24,6 +24,7 @@ from companion.tools.doctor.diagnose import RULES, diagnose
 from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather import examine, wait_until
 from companion.tools.doctor.gather_outside import examine_log, examine_service
+from companion.tools.doctor.parameter_file import stack_named, wanted_by_default, wanted_of, write_parameters_file
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot, decode, encode
 from companion.tools.doctor.undo import (
     OnResult,
@@ -260,6 +261,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--ship-speed M_S", "the ship's greatest speed, m/s: judge limits of speed against it", type=float)
     option(parser, "--snapshot FILE", "examine a saved snapshot instead of this machine; - for stdin")
     option(parser, "--save FILE", "save the snapshot into this file, to examine it elsewhere")
+    option(
+        parser,
+        "--write FILE",
+        "write the parameters that fix what was found into a file that ground stations load; without an autopilot and a LOG, "
+        "what one with its firmware's defaults needs (ardupilot.param or px4.params: the name says for which)",
+    )
     option(parser, "--json", "print JSON Lines, one object per finding")
     option(
         parser, "--fix", "ask for each change of a parameter that fixes a fault, write it, and read it back; never while armed"
@@ -293,6 +300,8 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("a log cannot be fixed: examine the autopilot with --link URL --fix")
     if args.undo:
         return undo(args)
+    if args.write and not (args.log or args.link or args.config or args.snapshot):
+        return _write_defaults(args)
     snapshot = _snapshot(args)
     speed_m_s = snapshot.ship_speed_m_s if args.ship_speed is None else args.ship_speed
     moving = snapshot.moving_pad and not args.still_pad
@@ -301,6 +310,8 @@ def run(args: argparse.Namespace) -> int:
         with file_errors(f"--save {args.save}"):
             Path(args.save).write_bytes(encode(snapshot))
     found = diagnose(snapshot)
+    if args.write and (autopilot := snapshot.autopilot) is not None:
+        write_parameters_file(Path(args.write), autopilot.stack, wanted_of(found), autopilot.system)
     if args.json:
         for finding in found:
             sys.stdout.write(json.dumps(asdict(finding) | {"severity": finding.severity.name.lower()}) + "\n")
@@ -313,6 +324,16 @@ def run(args: argparse.Namespace) -> int:
     if args.fix:
         return fix(args, snapshot, found)
     return 1 if any(f.severity is not Severity.ADVICE for f in found) else 0
+
+
+def _write_defaults(args: argparse.Namespace) -> int:
+    path = Path(args.write)
+    stack = stack_named(path)
+    wanted = wanted_by_default(stack, moving_pad=not args.still_pad)
+    write_parameters_file(path, stack, wanted)
+    _say(args, f"{path}: " + "   ".join(f"{name} {value:g}" for name, (value, _) in wanted.items()))
+    _say(args, f"load it in a ground station, reboot, then examine the autopilot: {_command(args)} --link URL")
+    return 0
 
 
 def _snapshot(args: argparse.Namespace) -> Snapshot:

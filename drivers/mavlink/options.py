@@ -189,8 +189,9 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
     landing: Annotated[
         Literal["by stack", "mode", "velocity"],
         choice(
-            "the last metre: by the autopilot's own mode, by velocities, or what suits it: mode for ArduPilot, velocity for PX4, "
-            "whose own modes hold still over the ground and lose a moving deck",
+            "how it comes down where guidance does not fly to the contact itself (`fly land`, the mission thesis): by the "
+            "autopilot's own mode, by velocities, or what suits it: mode for ArduPilot, velocity for PX4, whose own modes lose a "
+            "moving deck",
             public=True,
         ),
     ] = "by stack"

@@ -191,8 +191,8 @@ class ValueRule(Struct, frozen=True):
     like: str = ""
     """Parameter whose value is the good one, where it is known: two thirds of it to 1.5 times it pass."""
     severity: Severity = _WARNING
-    lacking: Severity | None = None
-    """Severity where a needed bit alone is missing; None leaves it."""
+    lacking: tuple[Severity, str] | None = None
+    """Severity and effect where a needed bit alone is missing; None leaves both."""
     on_ship: bool = True
     """True if it only matters where the pad moves."""
 
@@ -213,12 +213,13 @@ class ValueRule(Struct, frozen=True):
         masked = self.bits or self.needed
         to = float(int(value) & ~self.bits | self.needed) if masked else good if self.over_ship is None else max(good, low)
         to = named.there(to)
-        what = f"{named.name} is {named.there(value):g}: {self.why}"
+        severity, why = self.severity, self.why
+        if self.lacking is not None and inside and not int(value) & self.bits:
+            severity, why = self.lacking
+        what = f"{named.name} is {named.there(value):g}: {why}"
         if self.over_ship is not None and low > self.low:
             what += f" (she makes {snapshot.ship_speed_m_s:g} m/s)"
         fix = f"set {named.name} {to:g}"
-        lacks = inside and not int(value) & self.bits
-        severity = self.lacking if lacks and self.lacking is not None else self.severity
         return Finding(self.rule, severity, what, fix, (ParameterChange(named.name, to),))
 
     def _low(self, snapshot: Snapshot) -> float:
@@ -258,8 +259,9 @@ _ARDUPILOT = (
     ValueRule("notch-low", _A, "INS_HNTCH_FREQ", 80, "a notch so low delays the loops", 30, on_ship=False),
     ValueRule("disarm-delay", _A, "DISARM_DELAY", 10, "it disarms before it has climbed, or stays armed on deck", 5, 30),
     ValueRule("spin-min", _A, "MOT_SPIN_MIN", 0.15, "it cannot descend on a deck that falls away", -1, 0.3, on_ship=False),
-    ValueRule("guided-options", _A, "GUID_OPTIONS", 16, "GUIDED holds no velocity (bit 5), or pulls to a place against the law",
-              bits=0b100000, needed=0b010000, severity=_ERROR, lacking=_ADVICE, on_ship=False),
+    ValueRule("guided-options", _A, "GUID_OPTIONS", 16, "by bit 5 GUIDED holds no velocity",
+              bits=0b100000, needed=0b010000, severity=_ERROR, on_ship=False,
+              lacking=(_ADVICE, "without bit 4 GUIDED pulls to a place against the law")),
     ValueRule("slow-too-late", _A, "LAND_ALT_LOW", 1000, "LAND slows down only so high over the ground", 500, on_ship=False),
     ValueRule("cruise-speed", _A, "WPNAV_SPEED", 1000, "it cannot overtake the ship on its way to her", 300,
               over_ship=3, per_m_s=100),

@@ -153,7 +153,8 @@ def test_a_value_that_spoils_a_landing_is_named_with_its_fix_and_nothing_else(ru
     assert [f.rule for f in found] == [rule.rule]
     assert rule.parameter in found[0].what
     lacks = rule.lacking is not None and not int(value) & rule.bits
-    assert found[0].severity is (rule.lacking if lacks else rule.severity)
+    severity, why = rule.lacking if rule.lacking is not None and lacks else (rule.severity, rule.why)
+    assert (found[0].severity, why in found[0].what) == (severity, True)
     (change,) = found[0].changes
     assert found[0].fix == f"set {rule.parameter} {change.value:g}"
     assert snapshot.autopilot is not None

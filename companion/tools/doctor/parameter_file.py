@@ -1,0 +1,77 @@
+"""Files of the parameters that an autopilot needs for a landing, as ground stations load them; the doctor's own rules make them.
+
+Sources: Mission Planner, parameter files (a name and a value a line, a comment after #); QGroundControl, parameter files (five
+fields with tabs: system, component, name, value, MAV_PARAM_TYPE).
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from companion.tools.doctor.diagnose import diagnose
+from companion.tools.doctor.finding import Finding
+from companion.tools.doctor.firmware_parameters import Firmware, defaults_of
+from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
+from estimator.contracts.errors import BadInput, file_errors
+
+_PX4_INTEGERS = frozenset((
+    "COM_ARM_MAG_STR", "COM_DLL_EXCEPT", "COM_FLT_TIME_MAX", "COM_LOW_BAT_ACT", "COM_OBL_RC_ACT", "COM_RCL_EXCEPT",
+    "COM_RC_IN_MODE", "EKF2_EV_CTRL", "EKF2_GPS_CHECK", "EKF2_GPS_CTRL", "EKF2_HGT_REF", "EKF2_MAG_TYPE", "EKF2_OF_CTRL",
+    "EKF2_RNG_CTRL", "FD_FAIL_P", "FD_FAIL_R", "GF_ACTION", "IMU_GYRO_RATEMAX", "LTEST_MODE", "MAV_FWDEXTSP", "MAV_PROTO_VER",
+    "NAV_DLL_ACT", "NAV_RCL_ACT", "RTL_PLD_MD", "VTE_EN",
+))  # fmt: skip
+"""PX4's parameters of type INT32 among those that rules change: QGroundControl loads a value of its own type alone."""
+_INT32, _REAL32 = 6, 9
+_HOVER_THRUST = {"MOT_THST_HOVER": 0.35}
+"""ArduPilot's value before a flight has learnt it."""
+
+Wanted = Mapping[str, tuple[float, str]]
+"""Values by name, each with the reason for it."""
+
+
+def wanted_of(found: Iterable[Finding]) -> dict[str, tuple[float, str]]:
+    """Return the parameters that fix findings."""
+    return {change.parameter: (change.value, f.what) for f in found for change in f.changes}
+
+
+def wanted_by_default(stack: str, firmware: Firmware | None = None, *, moving_pad: bool = True) -> dict[str, tuple[float, str]]:
+    """Return what an autopilot with its firmware's defaults needs, fixed until no fix shows another fault."""
+    values, out = defaults_of(stack, firmware) | _HOVER_THRUST, dict[str, tuple[float, str]]()
+    while True:
+        kind = "ArduPilot" if stack == "ArduPilot" else "PX4"
+        snapshot = Snapshot(0.0, (), AutopilotSnapshot(kind, 1, firmware=firmware, parameters=values), moving_pad=moving_pad)
+        more = {name: one for name, one in wanted_of(diagnose(snapshot)).items() if name not in out}
+        if not more:
+            return dict(sorted(out.items()))
+        out |= more
+        values |= {name: value for name, (value, _) in more.items()}
+
+
+def stack_named(path: Path) -> str:
+    """Return the stack that a file's name says.
+
+    Raises:
+        BadInput: the name says neither stack.
+    """
+    for word, stack in (("px4", "PX4"), ("ardu", "ArduPilot"), ("copter", "ArduPilot")):
+        if word in path.name.lower():
+            return stack
+    raise BadInput(f"--write {path}: name it ardupilot.param or px4.params, or give the autopilot by --link or a LOG")
+
+
+def write_parameters_file(path: Path, stack: str, wanted: Wanted, system: int = 1) -> None:
+    """Write a file of parameters; one that exists is left.
+
+    Raises:
+        BadInput: the file is there already, or cannot be written.
+    """
+    with file_errors(f"--write {path}"), path.open("x") as file:
+        file.writelines(_lines(stack, wanted, system))
+
+
+def _lines(stack: str, wanted: Wanted, system: int) -> Sequence[str]:
+    lines = []
+    for name, (value, why) in wanted.items():
+        kind = _INT32 if name in _PX4_INTEGERS else _REAL32
+        entry = f"{name},{value:g}" if stack == "ArduPilot" else f"{system}\t1\t{name}\t{value:g}\t{kind}"
+        lines += [f"# {why}\n", f"{entry}\n"]
+    return lines
