@@ -21,7 +21,7 @@ from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.total_table import next_states
 
-DESCRIPTION = "Check, show, import or explain settings."
+DESCRIPTION = "Check, show, import or look up settings."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,9 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(schema, "--mqtt", "print that of the messages over MQTT")
     reference = actions.add_parser(
         "reference",
-        help="print the reference of all settings",
-        description="Print the reference of the settings (docs/configuration.md) in Markdown.",
+        help="look up a key, or print the reference of all settings",
+        description="Print default, range, unit and meaning of the keys that contain a word, or the reference of all settings "
+        "(docs/configuration.md) in Markdown.",
     )
+    option(reference, "word WORD", "a key or a part of one, such as guidance.cone", nargs="?")
     option(reference, "--expert", "print the expert keys instead")
     actions.add_parser(
         "mission",
@@ -93,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "mission":
         sys.stdout.write(mission_page())
     else:
-        sys.stdout.write(schema.reference(expert=args.expert))
+        sys.stdout.write(schema.looked_up(args.word) if args.word else schema.reference(expert=args.expert))
     return 0
 
 

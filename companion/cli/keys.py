@@ -83,7 +83,9 @@ def _make(path: Path) -> int:
     write_secret(path, key.secret)
     sys.stdout.write(
         f"{path}: a new key, fingerprint {key.fingerprint}\n"
-        f'next: decklander keys install --link URL {path}; then signing_key_file = "{path}" under [vehicle]; keep a copy\n'
+        f'next, to sign MAVLink: decklander keys install --link URL {path}; then signing_key_file = "{path}" under [vehicle]\n'
+        f'or, to sign orders over MQTT: commands = "signed" and command_key_file = "{path}" under [mqtt], not in the autopilot\n'
+        "keep a copy, and a key of its own for each of the two\n"
     )
     return 0
 

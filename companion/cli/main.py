@@ -31,7 +31,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "detect": ("companion.cli.detect", "find the pad in images, videos or recordings"),
         "report": ("companion.cli.report", "write the report of a recorded flight, or compare two"),
         "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
-        "record": ("companion.cli.record", "inspect, cut, repair, export, import and upload recordings"),
+        "record": ("companion.cli.record", "show what is in recordings; cut, repair, export, import and upload them"),
     },
     "fly": {
         "run": ("companion.cli.run", "run the landing service"),
@@ -42,7 +42,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     },
     "set up": {
         "start": ("companion.cli.start", "make the settings of your drone: asks, writes, checks"),
-        "config": ("companion.cli.config", "check, show or explain settings"),
+        "config": ("companion.cli.config", "check, show, import or look up settings"),
         "calibrate": ("companion.cli.calibrate", "calibrate camera and vehicle"),
         "pad": ("companion.cli.pad", "list, import, check or print pads"),
         "doctor": ("companion.cli.doctor", "diagnose the setup: autopilot, links, camera, broker"),

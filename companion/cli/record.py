@@ -33,8 +33,8 @@ from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp
 
 DESCRIPTION = (
-    "Inspect, cut, repair, export, import and upload recordings. The service makes recordings if [recorder] is "
-    "enabled; simulate and demo make them with --record."
+    "Show what is in recordings (info); cut, repair, export, import and upload them. The service makes recordings if "
+    "[recorder] is enabled; simulate and demo make them with --record."
 )
 
 

@@ -13,7 +13,8 @@ from typing import Any
 import msgspec
 from msgspec import Struct, inspect
 
-from companion.settings.model import EXPERT, Settings, split
+from companion.settings.model import EXPERT, Settings, in_file, split
+from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import PUBLIC
 
 
@@ -239,6 +240,25 @@ def reference(*, expert: bool = False) -> str:
             lines += ["", f"## {heading}", "", meaning, "", *_HEADER, *public]
     lines += ["", "## Expert keys", "", *_EXPERT_WORDS, "`decklander config reference --expert` prints all of them."]
     return "\n".join(lines) + "\n"
+
+
+def looked_up(word: str) -> str:
+    """Return what is known of each key whose path in a file contains a word: default, range, unit and meaning.
+
+    Raises:
+        BadInput: there is no such key.
+    """
+    out = {}
+    for path, field in walk(Settings):
+        assert isinstance(field.type, inspect.Metadata)
+        name, unit = in_file(path), unit_of(field.type)
+        if word in name:
+            default = "must be given" if field.required else value_text(field.default)
+            given = f"{_range(field.type.type)}{'' if unit in ('1', 'id', '') else ' ' + unit}".replace("`", "")
+            out[name] = f"{name} = {default}    ({given})\n    {(field.type.extra_json_schema or {})['description']}\n"
+    if not out:
+        raise BadInput(f"no key of the settings contains {word!r}")
+    return "".join(out.values())
 
 
 _EXPERT_WORDS = (

@@ -428,3 +428,11 @@ def test_links_that_are_not_signed_are_reported_with_the_cure(links, level, capl
     output = capsys.readouterr().out
     assert "not signed: decklander keys make" in output
     assert "commands from the autopilot's own link" in output
+
+
+def test_a_key_is_looked_up_by_a_part_of_it(capsys) -> None:
+    assert cli.main(["config", "reference", "cone.gate_height"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("guidance.cone.gate_height_m = 0.25    (0.1 to 3 m)\n    height of the feet"), out
+    assert out.count("\n") == 2
+    assert cli.main(["config", "reference", "no_such_key"]) == 2
