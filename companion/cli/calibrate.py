@@ -18,6 +18,7 @@ import numpy as np
 from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight
 from companion.cli.options import option, print_result, require_drawing
+from companion.cli.outputs import CAMERA_FILE, output
 from companion.tools.calibrate.board import BOARDS, Board, Collection
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
 from companion.tools.calibrate.flight_result import of_distance
@@ -80,7 +81,7 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     option(p, "--seconds S", "stop the live camera after this many seconds (default: %(default)s)", default=120.0)
     option(p, "--board", "kind of the printed board (default: %(default)s)", default="charuco", choices=BOARDS)
     board_option.add(p)
-    option(p, "--out FILE", "camera file to write", required=True)
+    output(p, "--out FILE", "camera file to write", CAMERA_FILE, required=True)
     option(
         p,
         "--export",
@@ -92,11 +93,10 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     option(
         p,
         "--accept",
-        "write the camera file if the grade is this or better; poor is --force (default: %(default)s)",
+        "write the camera file if the grade is this or better; of a poor one the cost is printed (default: %(default)s)",
         default="good",
         choices=GRADES,
     )
-    option(p, "--force", "write the camera file even if it is poor, and print what that costs")
     option(
         p,
         "--lens",
@@ -133,9 +133,7 @@ def _run_camera(args: argparse.Namespace) -> int:
     board = board_option.board(args, args.board)
     position, rpy = _three(args.position_m, "--position-m"), _three(args.rpy_deg, "--rpy-deg")
     mount = Transform(Rotation.from_rpy(*(math.radians(a) for a in rpy)), np.array(position))
-    out = Path(args.out)
-    if not out.parent.is_dir():
-        raise BadInput(f"--out: there is no folder {str(out.parent)!r}")
+    out = args.out
     collection = _gather(args, board)
     size = collection.size or (0, 0)
     if len(collection.views) < LEAST_VIEWS:
@@ -153,7 +151,7 @@ def _run_camera(args: argparse.Namespace) -> int:
         figures.write_coverage([f.view for f in solution.fits], size, Path(args.figures) / "coverage.png")
         figures.write_residuals(solution, Path(args.figures) / "residuals.png")
     found = assess(solution, size)
-    accepted = args.force or GRADES.index(found.grade) <= GRADES.index(args.accept)
+    accepted = GRADES.index(found.grade) <= GRADES.index(args.accept)
     if accepted:
         source = args.device or args.pipeline or f"{len(args.paths)} files or folders"
         with file_errors(f"--out {out}"):
@@ -234,8 +232,7 @@ def _say(
     if written:
         lines.append(f"{found.grade}: written to {args.out}" + ("; it would be better with:" if found.missing else ""))
     else:
-        flag = "--force" if found.grade == "poor" else f"--accept {found.grade}"
-        hint = "" if solution is None else f" ({flag} writes it all the same)"
+        hint = "" if solution is None else f" (--accept {found.grade} writes it all the same)"
         lines.append(f"{found.grade}: nothing written{hint}; it lacks:")
     lines += [f"  - {lack}" for lack in found.missing]
     print_result(args, _record(args, collection, solution, found, written=written), "\n".join(lines))
@@ -263,7 +260,7 @@ def _record(
         "good": found.grade == "good",
         "grade": found.grade,
         "missing": found.missing,
-        "file": args.out if written else None,
+        "file": str(args.out) if written else None,
         "images": collection.image_count,
         "views": len(collection.views),
         "without_board": collection.without,

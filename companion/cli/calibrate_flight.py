@@ -13,7 +13,8 @@ import numpy as np
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from companion.cli.options import check_new, option, print_result, recording_argument, require_drawing
+from companion.cli.options import option, print_result, recording_argument, require_drawing
+from companion.cli.outputs import CAMERA_FILE, PLOT, RESPONSE_FILE, SETTINGS, output
 from companion.guidance.law.margins import LoopMargins, margins
 from companion.guidance.law.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt, text
 from companion.recording.channels import CAMERA
@@ -54,8 +55,8 @@ def _add_vehicle(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser = actions.add_parser("vehicle", help=_HELP, description=_DESCRIPTION)
     recording_argument(parser)
     option(parser, "--response NAME", "shipped response or file to begin from (default: the one of the recorded settings)")
-    option(parser, "--out FILE", "write the response file (TOML)", type=Path)
-    option(parser, "--plot FILE", "draw commanded, reported and modelled courses into this PNG", type=Path)
+    output(parser, "--out FILE", "write the response file (TOML)", RESPONSE_FILE)
+    output(parser, "--plot FILE", "draw commanded, reported and modelled courses into this file (png, svg, pdf)", PLOT)
     option(parser, "--json", "print one JSON object")
 
 
@@ -290,20 +291,20 @@ def add_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="measure how the camera is turned on the vehicle, from a recorded flight",
         description=f"Measure how the camera is turned on the vehicle. {_HOW}",
     )
-    option(mount, "--out FILE", "write the recorded camera file with the new mount; a new file", type=Path)
+    output(mount, "--out FILE", "write the recorded camera file with the new mount", CAMERA_FILE)
     delay = actions.add_parser(
         "delay",
         help="measure the delay of the camera's frames, from a recorded flight",
         description=f"Measure how late frames are against the gyro. {_HOW}",
     )
     option(delay, "--config FILE", "settings file to change; with --out")
-    option(delay, "--out FILE", "write the settings file with the new delay; a new file", type=Path)
+    output(delay, "--out FILE", "write the settings file with the new delay", SETTINGS)
     readout = actions.add_parser(
         "readout",
         help="measure the readout time of a rolling shutter, from a recorded flight",
         description=f"Measure how long the camera takes from its first row to its last. {_HOW} It needs the images.",
     )
-    option(readout, "--out FILE", "write the recorded camera file with readout_s; a new file", type=Path)
+    output(readout, "--out FILE", "write the recorded camera file with readout_s", CAMERA_FILE)
     for parser in (mount, delay, readout):
         recording_argument(parser)
         option(parser, "--json", "print one JSON object")
@@ -312,7 +313,6 @@ def add_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    check_new(args.out)
     recording = open_recording(args.recording)
     actions = {"mount": _mount, "delay": _delay, "readout": _readout, "vehicle": _vehicle}
     return actions[args.action](args, recording)

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from companion.base.signals import Stopped
 from companion.cli import perception_option
 from companion.cli.options import WorkProgress, option, require_drawing
+from companion.cli.outputs import PLOT, output
 from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.pipeline import RelativeEstimator
@@ -401,7 +402,7 @@ def _add_soak_arguments(parser: argparse.ArgumentParser) -> None:
     option(faults, "--no-faults", "fly without faults")
     option(faults, "--fault NAME", "fly this fault in every flight (needs --virtual; default: at random)")
     option(group, "--failed-max N", "allow this many failed flights (default: 0)", type=int)
-    option(group, "--plot FILE", "plot memory, counts and outcomes over time (png, svg, pdf)", type=Path)
+    output(group, "--plot FILE", "plot memory, counts and outcomes over time (png, svg, pdf)", PLOT)
     option(group, "--readings FILE", "write every reading as a line of JSON into this file", type=Path)
 
 

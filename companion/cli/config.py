@@ -8,6 +8,7 @@ from pathlib import Path
 
 from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
 from companion.cli.options import option
+from companion.cli.outputs import SETTINGS, output
 from companion.guidance.advice import CAUSES
 from companion.guidance.mission.machine import PHASES, TABLES
 from companion.guidance.mission.phase import LANDING
@@ -45,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and the JSON of two extensions of BlueOS, rmackay9's and Wingxtra's. Each key that is not taken is printed.",
     )
     option(imports, "foreign FILE", "the other program's file", type=Path)
-    option(imports, "--out FILE", "settings file to write (.toml)", required=True, type=Path)
+    output(imports, "--out FILE", "settings file to write (.toml)", SETTINGS, required=True)
     option(imports, "--tag-mm MM", "side of the tag's dark square, where the file does not say it", type=float)
     schema = actions.add_parser(
         "schema",

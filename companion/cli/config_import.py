@@ -55,15 +55,15 @@ def write(path: Path, out: Path, tag_m: float | None) -> list[str]:
 
     Args:
         path: vision_landing.conf, or the JSON of an extension of BlueOS.
-        out: settings file that is written (.toml), new.
+        out: settings file that is written (.toml).
         tag_m: side of the tag's dark square, metres, where the file does not say it.
 
     Raises:
         BadInput: it is none of these, a value is none, or a file is there already.
     """
     pad_file, text = out.with_suffix(".pad.toml"), read_text(path).lstrip("\ufeff")
-    if out.suffix != ".toml" or out.exists() or pad_file.exists():
-        raise BadInput(f"--out {out}: it must end in .toml, and neither it nor {pad_file.name} may be there")
+    if pad_file.exists():
+        raise BadInput(f"--out {out}: {pad_file}, which it would be written with, is there already")
     with refused(f"{path}: no settings that are read", msgspec.MsgspecError, configparser.Error, KeyError, TypeError, ValueError):
         read = _of_blueos if path.suffix.lower() == ".json" else _of_vision_landing
         found = read(text, path, tag_m)

@@ -22,7 +22,8 @@ from companion.base.mission import FlightOutcome
 from companion.base.signals import check, ending_signal
 from companion.cli import kept_flight
 from companion.cli.kept_flight import compared_paths
-from companion.cli.options import check_seed, named_wait, option, prepare_folder, print_result, shown
+from companion.cli.options import check_seed, named_wait, option, print_result, shown
+from companion.cli.outputs import prepare_folder
 from companion.guidance.pilot import make_pilot
 from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon

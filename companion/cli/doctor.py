@@ -17,6 +17,7 @@ from msgspec.structs import replace
 
 from companion.base import event_loop
 from companion.cli.options import option
+from companion.cli.outputs import PARAMETERS, SNAPSHOT, output
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.load import Settings, load
 from companion.tools.doctor import rules_switch
@@ -260,12 +261,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--still-pad", "skip the checks that matter on a moving ship only")
     option(parser, "--ship-speed M_S", "the ship's greatest speed, m/s: judge limits of speed against it", type=float)
     option(parser, "--snapshot FILE", "examine a saved snapshot instead of this machine; - for stdin")
-    option(parser, "--save FILE", "save the snapshot into this file, to examine it elsewhere")
-    option(
+    output(parser, "--save FILE", "save the snapshot into this file, to examine it elsewhere", SNAPSHOT)
+    output(
         parser,
         "--write FILE",
         "write the parameters that fix what was found into a file that ground stations load; without an autopilot and a LOG, "
         "what one with its firmware's defaults needs (ardupilot.param or px4.params: the name says for which)",
+        PARAMETERS,
     )
     option(parser, "--json", "print JSON Lines, one object per finding")
     option(
@@ -308,10 +310,10 @@ def run(args: argparse.Namespace) -> int:
     snapshot = replace(snapshot, moving_pad=moving, ship_speed_m_s=speed_m_s)
     if args.save:
         with file_errors(f"--save {args.save}"):
-            Path(args.save).write_bytes(encode(snapshot))
+            args.save.write_bytes(encode(snapshot))
     found = diagnose(snapshot)
     if args.write and (autopilot := snapshot.autopilot) is not None:
-        write_parameters_file(Path(args.write), autopilot.stack, wanted_of(found), autopilot.system)
+        write_parameters_file(args.write, autopilot.stack, wanted_of(found), autopilot.system)
     if args.json:
         for finding in found:
             sys.stdout.write(json.dumps(asdict(finding) | {"severity": finding.severity.name.lower()}) + "\n")
@@ -327,11 +329,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write_defaults(args: argparse.Namespace) -> int:
-    path = Path(args.write)
-    stack = stack_named(path)
+    stack = stack_named(args.write)
     wanted = wanted_by_default(stack, moving_pad=not args.still_pad)
-    write_parameters_file(path, stack, wanted)
-    _say(args, f"{path}: " + "   ".join(f"{name} {value:g}" for name, (value, _) in wanted.items()))
+    write_parameters_file(args.write, stack, wanted)
+    _say(args, f"{args.write}: " + "   ".join(f"{name} {value:g}" for name, (value, _) in wanted.items()))
     _say(args, f"load it in a ground station, reboot, then examine the autopilot: {_command(args)} --link URL")
     return 0
 

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, get_args
 from companion.base.health import Health
 from companion.base.observer import Observer, Relay
 from companion.base.version import version
-from companion.cli.options import option, prepare_folder, video_progress, written
+from companion.cli.options import option, video_progress, written
+from companion.cli.outputs import RECORDING, output, prepare_folder
 from companion.facts.records import ContactRecord, TruthRecord
 from companion.settings.load import body_camera, camera_model, pad_model
 from companion.settings.model import Settings
@@ -169,7 +170,7 @@ def keeping(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of a command that records its flight."""
-    option(parser, "--record FILE", "record the flight into this file (MCAP; see docs/recordings.md)", type=Path)
+    output(parser, "--record FILE", "record the flight into this file (MCAP; see docs/recordings.md)", RECORDING)
     option(
         parser, "--record-frames", "encode recorded frames like this (default: jpeg)", choices=get_args(FrameForm), default="jpeg"
     )

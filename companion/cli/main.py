@@ -218,6 +218,9 @@ def _dispatch(argv: list[str], load: Load) -> int:
     args, unknown = parser.parse_known_args(argv)
     if unknown:
         _refuse_words(subparsers.choices[asked], unknown)
+    from companion.cli.outputs import check_outputs  # a help needs none of it
+
+    check_outputs(args)
     return int(module.run(args))
 
 

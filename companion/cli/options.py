@@ -7,7 +7,6 @@ import argparse
 import json
 import os
 import sys
-import tempfile
 import threading
 import time
 from collections import deque
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
-from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, seconds_between
 
 
@@ -57,16 +56,6 @@ def check_seed(args: argparse.Namespace) -> None:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
 
 
-def check_new(path: Path | None) -> None:
-    """Refuse an `--out` that would overwrite a file.
-
-    Raises:
-        BadInput: there is a file of that name.
-    """
-    if path is not None and path.exists():
-        raise BadInput(f"--out {path}: there is such a file already; name a new one")
-
-
 def print_result(args: argparse.Namespace, record: object, text: str) -> None:
     """Print a result as one line of JSON with `--json`, else as text."""
     sys.stdout.write((json.dumps(record) if args.json else text.removesuffix("\n")) + "\n")
@@ -75,20 +64,6 @@ def print_result(args: argparse.Namespace, record: object, text: str) -> None:
 def written(page: Path) -> str:
     """Return the line that says where the report is and how large."""
     return f"report: {page} ({page.stat().st_size / 1e6:.1f} MB, one file; open it in a browser)\n"
-
-
-def prepare_folder(folder: Path | None) -> None:
-    """Create the report's folder and check that files can be written into it; do nothing without a folder.
-
-    Raises:
-        BadInput: the folder cannot be created or written.
-    """
-    if folder is None:
-        return
-    with refused(f"--report {folder}", OSError):
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
 
 
 def require_drawing(option: str, instead: str = "") -> None:

@@ -21,6 +21,7 @@ import numpy as np
 
 from companion.cli import board_option
 from companion.cli.options import WorkProgress, option, print_result
+from companion.cli.outputs import PAD_FILE, SHEETS, output
 from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, read_text, shipped
 from companion.tools.calibrate.board import BOARDS
 from companion.tools.calibrate.guide import files_of, read_image
@@ -49,7 +50,7 @@ def _add_import(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "sheet's edge is that of the sheet or deck around. Look at the result with pad print, and judge it with pad check.",
     )
     option(p, "drawing FILE", ".svg, a photograph (.jpg, .png), or a board (.json, .yaml)")
-    option(p, "--out FILE", "pad file to write (.toml)", required=True)
+    output(p, "--out FILE", "pad file to write (.toml)", PAD_FILE, required=True)
     option(p, "--size-mm MM", "largest extent of all that is painted; with --corners WIDTHxLENGTH of the rectangle, "
         "and of a board that of its sheet, about its centre")  # fmt: skip
     option(p, "--corners PX", 'pixels "u,v u,v u,v u,v" of the corners of a rectangle on the pad in a photograph: fore '
@@ -68,9 +69,7 @@ def _import(args: argparse.Namespace) -> int:
     Raises:
         BadInput: a file cannot be read or written, an argument is wrong, or the drawing cannot be measured as a pad.
     """
-    path, out = Path(args.drawing), Path(args.out)
-    if out.suffix != ".toml":
-        raise BadInput(f"--out must end in .toml, got {args.out!r}")
+    path, out = Path(args.drawing), args.out
     remarks: tuple[str, ...] = ()
     if path.suffix.lower() in BOARD_FILES:
         chosen = _size_m(args.size_mm, of_rectangle=True), args.family, args.target
@@ -233,7 +232,7 @@ def _add_print(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "the marks, which lie in the middle of each overlap, and join the sheets edge to edge.",
     )
     option(p, "pad PAD", "pad file, or the name of a shipped one (default: %(default)s)", nargs="?", default="thesis")
-    option(p, "--out FILE", "file to write: .pdf (all sheets) or .svg (one file per sheet)", required=True)
+    output(p, "--out FILE", "file to write: .pdf (all sheets) or .svg (one file per sheet)", SHEETS, required=True)
     option(
         p, "--paper", "paper size; full is one sheet as large as needed (default: a4)", default="a4", choices=[*PAPERS, "full"]
     )
@@ -276,9 +275,7 @@ def _print(args: argparse.Namespace) -> int:
         drawing = board_drawing(board_option.board(args, args.board))
     else:
         drawing = pad_drawing(pad_of_file(find_file(args.pad, "pads", Path(), "PAD")))
-    out = Path(args.out)
-    if out.suffix.lower() not in (".pdf", ".svg"):
-        raise BadInput(f"--out must end in .pdf or .svg, got {args.out!r}")
+    out = args.out
     pages = sheets(drawing, args.paper, args.margin_mm, args.overlap_mm)
     if args.board is not None and len(pages) > 1:
         raise BadInput(

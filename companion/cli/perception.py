@@ -5,7 +5,8 @@ import math
 from pathlib import Path
 
 from companion.cli.options import option, print_result
-from estimator.contracts.errors import BadInput, file_errors
+from companion.cli.outputs import ERROR_MODEL, output
+from estimator.contracts.errors import file_errors
 from sitl.perception.model import symmetric
 from sitl.perception.parameters import PerceptionModel, dump
 from study.perception.fit import fit
@@ -24,14 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "recorded with --perception pixels. The more heights, tilts and lights they hold, the wider the models reach.",
     )
     option(fitting, "recordings RECORDING", "recording of one simulated flight", nargs="+", type=Path)
-    option(fitting, "--output FILE", "file to write (TOML)", required=True, type=Path)
+    output(fitting, "--output FILE", "file to write (TOML)", ERROR_MODEL, required=True)
     option(fitting, "--json", "print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    if args.output.suffix != ".toml":
-        raise BadInput(f"--output {args.output}: the name must end in .toml")
     model = fit([read(path) for path in args.recordings])
     with file_errors(f"--output {args.output}"):
         args.output.write_text(dump(model), encoding="utf-8")

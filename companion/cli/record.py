@@ -18,6 +18,7 @@ from msgspec import Struct, structs
 from companion.base import signals
 from companion.base.observer import ProcessedFrame
 from companion.cli.options import option, print_result
+from companion.cli.outputs import RECORDING, output
 from companion.parts.recorder.recorder import digest_file, recordings
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant, open_recording
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         description="Write a part of a recording, or all that can be read of a damaged one, complete and indexed.",
     )
     option(mend, "files FILE", "recording, or the files of one in order", nargs="+", type=Path)
-    option(mend, "--output FILE", "recording to write", required=True, type=Path)
+    output(mend, "--output FILE", "recording to write", RECORDING, required=True)
     option(mend, "--from S", "start this many seconds after the beginning", dest="from_s", default=0.0)
     option(mend, "--to S", "stop this many seconds after the beginning", dest="to_s", type=float)
     option(mend, "--inputs", "keep samples, frames and truth, drop everything computed from them")
@@ -77,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     option(foreign, "sources SOURCE[@SECONDS]", "file to import", nargs="+")
     option(foreign, "--config FILE", f"settings file with the camera and pad ({', '.join(shipped())})", required=True)
-    option(foreign, "--output FILE", "recording to write", required=True, type=Path)
+    output(foreign, "--output FILE", "recording to write", RECORDING, required=True)
     sent = actions.add_parser(
         "upload",
         help="upload the service's finished recordings to object storage",
@@ -163,11 +164,9 @@ def _cut(args: argparse.Namespace) -> int:
         raise BadInput("--samples-each and --frames-each must be 1 or more")
     if args.to_s is not None and args.to_s <= args.from_s:
         raise BadInput(f"--to {args.to_s:g} must be later than --from {args.from_s:g}")
-    if any(path.resolve() == args.output.resolve() for path in args.files):
-        raise BadInput(f"--output {args.output} is one of the files that are read")
     recording = open_recording(args.files)
     what = Cut(args.from_s, args.to_s, args.inputs, args.samples_each, args.frames_each, not args.no_frames)
-    n = _written(args.output, lambda: rewrite(recording, args.output, what))
+    n = _written(args.output, lambda part: rewrite(recording, part, what))
     sys.stdout.write(f"{args.output}: {n} events, {args.output.stat().st_size / 1e6:.2f} MB\n")
     return 0
 
@@ -235,7 +234,7 @@ def _import(args: argparse.Namespace) -> int:
     lead = max(0, -min(s.offset_ns for s in sources))
     sources = [structs.replace(s, offset_ns=s.offset_ns + lead) for s in sources]
     settings = load(args.config)
-    n = _written(args.output, lambda: _import_into(args.output, sources, settings))
+    n = _written(args.output, lambda part: _import_into(part, sources, settings))
     sys.stdout.write(f"{args.output}: {n['samples']} samples, {n['frames']} frames\n")
     return 0
 
@@ -281,15 +280,17 @@ def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -
     return counts
 
 
-def _written(output: Path, handler: Callable[[], Any]) -> Any:
+def _written(output: Path, write: Callable[[Path], Any]) -> Any:
+    """Write a file under another name, and give it its own once it is whole: what is there stays until then."""
+    part = output.with_name(f"{output.name}.part")
     try:
-        output.open("ab").close()
-        return handler()
+        done = write(part)
+        part.replace(output)
     except OSError as why:
         raise BadInput(f"{output}: {why.strerror or why}") from why
-    except BadInput:
-        output.unlink(missing_ok=True)
-        raise
+    finally:
+        part.unlink(missing_ok=True)
+    return done
 
 
 # Upload finished recordings to object storage: a folder, S3 or whatever else fsspec has a file system for.

@@ -20,13 +20,13 @@ from companion.base.observer import Decision, NullObserver, Observer
 from companion.cli.options import (
     WorkProgress,
     option,
-    prepare_folder,
     print_result,
     recording_argument,
     shown,
     video_progress,
     written,
 )
+from companion.cli.outputs import RECORDING, output, prepare_folder
 from companion.facts.records import TruthRecord
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.commands import LandingProgress
@@ -176,7 +176,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--set KEY=VALUE", "give a key of these settings another value", default=[], action="append")
     option(parser, "--against SETTINGS", "replay with these settings too, and print the differences")
     option(parser, "--compare OTHER", "compare with the estimates in this recording", type=Path)
-    option(parser, "--record FILE", "record the estimates of the replay, for --compare", type=Path)
+    output(parser, "--record FILE", "record the estimates of the replay, for --compare", RECORDING)
     option(parser, "--report DIR", "write a report into this folder", type=Path)
     option(parser, "--realtime", "replay at the pace of the recording")
     option(parser, "--mavlink URL", "send the outputs to an autopilot or ground station (needs --realtime)", action="append")

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from companion.cli.options import WorkProgress, option, video_progress, written
+from companion.cli.outputs import ANIMATION, REPORT, check_output, output
 from companion.recording.reading import open_recording
 from companion.tools.replay.recorded_log import log_of
 from companion.tools.report.page import write_flights
@@ -21,16 +22,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     option(parser, "recording RECORDING", "MCAP file", type=Path)
     option(parser, "other OTHER", "another flight to compare it with", nargs="?", type=Path)
-    option(parser, "--output FILE", "file to write (default: the recording's name with .html, in this folder)", type=Path)
+    output(parser, "--output FILE", "file to write (default: the recording's name with .html, in this folder)", REPORT)
     option(parser, "--no-video", "leave the video out, which is most of the file")
-    option(parser, "--animation FILE", "write an animated GIF of the landing instead (camera, track and height)", type=Path)
+    output(parser, "--animation FILE", "write an animated GIF of the landing instead (camera, track and height)", ANIMATION)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     paths = [args.recording] if args.other is None else [args.recording, args.other]
+    page = args.output or Path("-".join(path.stem for path in paths) + ".html")
+    if args.output is None and args.animation is None:
+        check_output(page, REPORT, "--output", paths)
     recordings = [open_recording([path]) for path in paths]
-    output = args.output or Path("-".join(path.stem for path in paths) + ".html")
     for recording in recordings:
         recording.watch = WorkProgress(f"reading {recording.name}", "kB").take
     logs = [log_of(recording, path.stem, images=not args.no_video) for recording, path in zip(recordings, paths, strict=True)]
@@ -41,5 +44,5 @@ def run(args: argparse.Namespace) -> int:
         size = write_animation(logs[0], args.animation)
         sys.stdout.write(f"animation: {args.animation} ({size / 1e6:.1f} MB)\n")
         return 0
-    sys.stdout.write(written(write_flights(output, logs, video_progress(output, quiet=False))))
+    sys.stdout.write(written(write_flights(page, logs, video_progress(page, quiet=False))))
     return 0

@@ -17,6 +17,7 @@ from companion.base import event_loop
 from companion.cli import config, doctor
 from companion.cli.keys import write_secret
 from companion.cli.options import option
+from companion.cli.outputs import SETTINGS, output
 from companion.parts.page.access import make_token
 from companion.settings.load import SHIPPED
 from companion.settings.operator import SwitchOptions
@@ -84,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--where", "place of the flights", choices=sorted(PLACES))
     option(parser, "--page ADDRESS", "address for the operator page: 127.0.0.1, one of this computer's by TLS, or off")
     option(parser, "--switch CHANNEL", "channel of a switch on the transmitter that gives orders; 0 for none", type=int)
-    option(parser, "--out FILE", "file to write (default: rig.toml)", default=Path("rig.toml"))
+    output(parser, "--out FILE", "file to write (default: rig.toml)", SETTINGS, default=Path("rig.toml"))
     option(parser, "--yes", "ask nothing: take what is found or usual")
     option(parser, "--no-doctor", "skip the diagnosis")
 
@@ -93,10 +94,8 @@ def run(args: argparse.Namespace) -> int:
     """Make the settings file and return the exit code.
 
     Raises:
-        BadInput: the file exists, an answer is wrong, or no terminal can answer.
+        BadInput: an answer is wrong, or no terminal can answer.
     """
-    if args.out.exists():
-        raise BadInput(f"{args.out}: it exists and is not overwritten; give --out FILE")
     if not args.yes and not sys.stdin.isatty():
         raise BadInput("no terminal to ask at: give --yes, and --vehicle, --camera, --pad, --where as you need them")
     answers = _answers(args)

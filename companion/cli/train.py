@@ -12,6 +12,7 @@ import numpy as np
 
 from companion.base.version import version
 from companion.cli.options import option
+from companion.cli.outputs import POLICY, output
 from companion.guidance.law.policy import Policy, read_policy
 from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput, refused
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         default=["weather_2", "weather_3", "weather_4"],
     )
-    option(parser, "--out FILE", "policy file to write (npz)", type=Path, required=True)
+    output(parser, "--out FILE", "policy file to write (npz)", POLICY, required=True)
     option(parser, "--from FILE", "policy to train further (default: a new policy)", dest="first", type=Path)
     how_long = parser.add_mutually_exclusive_group()
     option(how_long, "--minutes M", "train for so long", type=float)
@@ -55,8 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    if args.out.suffix != ".npz":
-        raise BadInput(f"--out {args.out}: the name must end in .npz")
     if args.minutes is not None and not 0.05 <= args.minutes <= 10_000.0:
         raise BadInput(f"--minutes must lie in 0.05 to 10000, got {args.minutes:g}")
     if args.rounds is not None and not 1 <= args.rounds <= 100_000:

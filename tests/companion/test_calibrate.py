@@ -117,16 +117,18 @@ def test_what_a_calibration_says_of_itself_is_the_same_in_any_unit_and_true(tilt
 
 
 @pytest.mark.hazard("H12")
-def test_a_flat_set_is_written_by_force_alone_and_its_cost_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_flat_set_is_written_by_consent_alone_and_its_cost_is_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     studio, out = Studio(STRAIGHT, CHESSBOARD), tmp_path / "camera.toml"
     for i in range(4):
         px = studio.aim((200.0 + 15 * i, 180.0 - 8 * i), 0.55 + 0.02 * i, (0.6, -0.6, 7.0 * i))
         cv2.imwrite(str(tmp_path / f"{i}.png"), px)
     words = ["calibrate", "camera", str(tmp_path), "--board", "chessboard", "--squares", "8x5", "--out", str(out)]
     assert main([*words, "--accept", "fair"]) == 1
-    assert "(--force writes it all the same)" in capsys.readouterr().out
+    assert "(--accept poor writes it all the same)" in capsys.readouterr().out
     assert not out.exists()
-    assert main([*words, "--force"]) == 0
+    assert main([*words, "--accept", "poor"]) == 0
     output = capsys.readouterr().out
     assert "at touchdown" in output or "Distances are not known" in output
     assert Camera.from_mapping(tomllib.loads(out.read_text())).focal_sigma > 0.02

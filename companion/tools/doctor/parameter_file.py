@@ -59,12 +59,12 @@ def stack_named(path: Path) -> str:
 
 
 def write_parameters_file(path: Path, stack: str, wanted: Wanted, system: int = 1) -> None:
-    """Write a file of parameters; one that exists is left.
+    """Write a file of parameters.
 
     Raises:
-        BadInput: the file is there already, or cannot be written.
+        BadInput: the file cannot be written.
     """
-    with file_errors(f"--write {path}"), path.open("x") as file:
+    with file_errors(f"--write {path}"), path.open("w") as file:
         file.writelines(_lines(stack, wanted, system))
 
 

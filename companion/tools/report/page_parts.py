@@ -26,7 +26,7 @@ def document(title: str, body: str, more_style: str = "", head: str = "") -> str
     """Return a whole page with the style of our reports. `body` and `head` are HTML, `more_style` is CSS."""
     style = files("companion.tools.report").joinpath("style.css").read_text("utf-8")
     return (
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{head}'
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="decklander">\n{head}'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>\n{style}{more_style}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
     )
