@@ -110,6 +110,8 @@ class ServiceLog(logging.Handler):
         self.addFilter(_admits)
         self.setFormatter(OneLine(timed=timed))
         self._descriptor = descriptor
+        self._before = "\r\x1b[2K" if os.isatty(descriptor) else ""
+        """Control sequence that takes away a line of progress, in whose place ours stands."""
         self._limit = KindLimit()
         self._queue: queue.Queue[str | None] = queue.Queue(maxsize=_WAITING_MAX)
         self._missing = 0
@@ -178,7 +180,7 @@ class ServiceLog(logging.Handler):
         return self._write(self.format(logging.LogRecord(name, logging.WARNING, __file__, 0, words, None, None)))
 
     def _write(self, line: str) -> bool:
-        data = (line + "\n").encode(errors="backslashreplace")
+        data = f"{self._before}{line}\n".encode(errors="backslashreplace")
         while data:
             try:
                 data = data[os.write(self._descriptor, data) :]

@@ -22,7 +22,7 @@ from companion.base.mission import FlightOutcome
 from companion.base.signals import check, ending_signal
 from companion.cli import kept_flight
 from companion.cli.kept_flight import compared_paths
-from companion.cli.options import check_seed, named_wait, option, print_result, shown
+from companion.cli.options import check_seed, named_wait, option, print_line, print_result, shown
 from companion.cli.outputs import prepare_folder
 from companion.guidance.pilot import make_pilot
 from companion.parts.page.access import make_token
@@ -59,7 +59,7 @@ DESCRIPTION = (
     "Land a simulated AR.Drone on a ship's pad in real time. The drone and the sea run in a process of "
     "their own; "
     "the landing service flies the drone through UDP and TCP sockets. Exit code 0 if it landed on the pad, else 1. If the "
-    "machine is too slow to fly in real time, the last line says so, with figures."
+    "machine is too slow to fly in real time, a line at the end says so, with figures."
 )
 
 
@@ -136,6 +136,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                     outcome = None
                 stopped = ending_signal() is not None
                 if ending_signal() == signal.SIGTERM:  # no time for a report; after Ctrl-C there is
+                    print_line(f"stopped by SIGTERM after {seconds_between(began, clock.now()):.0f} s: there is no report")
                     check()
                 ended = clock.now()
                 await asyncio.sleep(_SETTLE_S)
@@ -281,10 +282,10 @@ async def _announce(http: HttpSettings, token: str) -> None:
         await asyncio.sleep(_PROBE_S)
     address = f"{http.host}:{http.port}"
     if http.page:
-        sys.stderr.write(f"operator page: http://{address}/#token={token}\n")
+        print_line(f"operator page: http://{address}/#token={token}")
     if http.foxglove:
         query = f"?token={token}" if http.page else ""
-        sys.stderr.write(f"live for Foxglove (Open connection, Foxglove WebSocket): ws://{address}/live{query}\n")
+        print_line(f"live for Foxglove (Open connection, Foxglove WebSocket): ws://{address}/live{query}")
 
 
 def _refuse_port(option: str, host: str, port: int) -> None:

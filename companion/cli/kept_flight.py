@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from companion.base.health import Health
@@ -23,7 +21,6 @@ from companion.facts.records import ContactRecord, TruthRecord
 from companion.settings.load import body_camera, camera_model, pad_model
 from companion.settings.model import Settings
 from companion.settings.service import FrameForm
-from estimator.contracts.errors import BadInput, file_errors
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs
@@ -93,20 +90,21 @@ class KeptFlight:
         return None if self.log is None and self.recorder is None else self._keep
 
     def write_report(self, ending: Ending, wall_s: float, time: str) -> str:
-        """Write the report if one is wanted, and return the line that says where it is.
+        """Write the report if one is wanted, and return the lines that say where it and the recording are.
 
         Args:
             time: the time in which it was flown, in words.
         """
+        recorded = "" if self.recorder is None else f"recording: {self.args.record}\n"
         if self.log is None:
-            return ""
+            return recorded
         from companion.tools.report.page import PAGE, write_report
 
         ending.write_into(self.log)
         self.log.facts += [("scenario", self.args.scenario), ("seed", str(self.args.seed)), ("decklander", version())]
         self.log.facts += [("flown in", f"{wall_s:.1f} s, {time}"), *ending.facts()]
         page = self.args.report / PAGE
-        return written(write_report(self.log, self.args.report, video_progress(page, quiet=self.args.json)))
+        return recorded + written(write_report(self.log, self.args.report, video_progress(page, quiet=self.args.json)))
 
     def _keep(self, truth: Truth) -> None:
         for observer in self.held_back:
@@ -193,23 +191,12 @@ def recording(
     from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
     from drivers.clock import SystemClock
 
-    _require_writable(args.record)
     offset_ns = wall_offset_ns(SystemClock()) if live else 0
     described = about(settings, flight, offset_ns)
     with recorder_to_file(args.record, body_camera(settings), described, frames=args.record_frames, live=live) as recorder:
         yield recorder
     if recorder.why or recorder.faults:
         sys.stderr.write(f"the recording is incomplete: {recorder.why or 'a fault of the recorder'}\n")
-
-
-def _require_writable(path: Path) -> None:
-    there = os.path.lexists(path)
-    if there and not path.is_file():
-        raise BadInput(f"--record {path}: is there already and is no regular file; name a new file")
-    with file_errors(f"--record {path}"):
-        path.open("ab").close()
-        if not there:
-            path.unlink()
 
 
 def truth_record(truth: Truth) -> TruthRecord:

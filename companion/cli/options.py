@@ -56,6 +56,16 @@ def check_seed(args: argparse.Namespace) -> None:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
 
 
+_ERASED = "\r\x1b[2K"
+"""Control sequence that empties the line of a terminal where progress stands (ECMA-48, EL)."""
+
+
+def print_line(text: str) -> None:
+    """Write a line to standard error, in the place of a line of progress."""
+    sys.stderr.write(f"{_ERASED if sys.stderr.isatty() else ''}{text}\n")
+    sys.stderr.flush()
+
+
 def print_result(args: argparse.Namespace, record: object, text: str) -> None:
     """Print a result as one line of JSON with `--json`, else as text."""
     sys.stdout.write((json.dumps(record) if args.json else text.removesuffix("\n")) + "\n")
@@ -116,7 +126,7 @@ class ProgressObserver(NullObserver):
         columns = self._columns()
         line = self._line(decision) if columns >= _WIDE else self._short_line(decision)
         line = line[: columns - 1] if self._live else line
-        self._out.write(f"\r\x1b[2K{line}" if self._live else f"{line}\n")
+        self._out.write(f"{_ERASED}{line}" if self._live else f"{line}\n")
         self._out.flush()
 
     def close(self) -> None:
@@ -212,7 +222,7 @@ def video_progress(page: Path, *, quiet: bool) -> Callable[[int, int], None]:
 @contextmanager
 def named_wait(title: str) -> Iterator[None]:
     """Print the title of a step whose length is unknown when it has taken two seconds."""
-    timer = threading.Timer(_SILENT_S, lambda: sys.stderr.write(f"{title} ...\n"))
+    timer = threading.Timer(_SILENT_S, lambda: print_line(f"{title} ..."))
     timer.start()
     try:
         yield

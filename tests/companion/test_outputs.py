@@ -71,3 +71,12 @@ def test_each_output_of_the_command_line_is_declared_as_one() -> None:
         "--animation",
     }
     assert len(OUTPUTS) > 15
+
+
+def test_a_folder_or_a_device_is_no_file_to_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "folder.mcap").mkdir()
+    (tmp_path / "null.mcap").symlink_to("/dev/null")
+    for name in ("folder.mcap", "null.mcap"):
+        assert main(["simulate", "calm", "--force", "--record", str(tmp_path / name)]) == 2
+        assert "name a new one" in capsys.readouterr().err
+    assert Path("/dev/null").is_char_device()

@@ -93,24 +93,11 @@ def test_a_flight_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_a_flight_that_is_refused_leaves_no_recording(tmp_path, capsys, key, code, said):
     path, older = tmp_path / "new.mcap", tmp_path / "older.mcap"
     older.write_bytes(b"as it was")
-    for out in (path, older):
-        assert cli.main(["simulate", "calm", "--perception", "truth", "--set", key, "--record", str(out)]) == code
+    for out, force in ((path, []), (older, ["--force"])):
+        assert cli.main(["simulate", "calm", "--perception", "truth", "--set", key, "--record", str(out), *force]) == code
         assert said in capsys.readouterr().err
     assert not path.exists()
     assert older.read_bytes() == b"as it was"
-
-
-def test_a_recording_replaces_a_file_and_nothing_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for out, output in (
-        (tmp_path, "is there already and is no regular file"),
-        (Path("/dev/null"), "is there already and is no regular file"),
-        (tmp_path / "none" / "new.mcap", "No such file or directory"),
-    ):
-        assert cli.main(["simulate", "calm", "--perception", "truth", "--record", str(out)]) == 2
-        err = capsys.readouterr().err
-        assert err.startswith(f"decklander: --record {out}: {output}")
-        assert err.count("\n") == 1
-    assert Path("/dev/null").is_char_device()
 
 
 def test_a_landing_on_fiducials(capsys: pytest.CaptureFixture[str]) -> None:

@@ -67,9 +67,9 @@ def time_over(spent_s: float, limit_s: float, reason: Reason | None = None) -> I
 
 
 def landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
-    """Return that the time of the whole landing is used up, or None while it is not."""
+    """Return what used up the time of the whole landing, or None while it is not: a thing that bars the pad, else the time."""
     spent_s = 0.0 if p.landing_began is None else seconds_between(p.landing_began, s.at)
-    return Reason(ReasonCause.LANDING_TIME, spent_s, o.tries.landing_s) if spent_s > o.tries.landing_s else None
+    return None if spent_s <= o.tries.landing_s else s.thing or Reason(ReasonCause.LANDING_TIME, spent_s, o.tries.landing_s)
 
 
 def against_order(p: Progress, s: GuidanceCycle) -> Reason | None:
