@@ -35,17 +35,7 @@ from drivers.mavlink.vehicle import (
     reposition,
     set_mode,
 )
-from estimator.contracts.commands import (
-    Command,
-    CutMotors,
-    Hover,
-    Land,
-    LandingPlace,
-    Lean,
-    LeaveEmergency,
-    TakeOff,
-    Velocity,
-)
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LandingPlace, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import F64, GeoPoint, Rotation, ned_between
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, seconds_between

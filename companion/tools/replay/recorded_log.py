@@ -16,14 +16,7 @@ from companion.recording.channels import SETTINGS
 from companion.recording.frame_encoder import VideoImage
 from companion.recording.reading import RecordedFrame, Recording, instant
 from companion.tools.report.figures import body_over_pad
-from companion.tools.report.flight_log import (
-    FlightLog,
-    FrameRecord,
-    LoggedContact,
-    LogObserver,
-    StageTime,
-    TruthSample,
-)
+from companion.tools.report.flight_log import FlightLog, FrameRecord, LoggedContact, LogObserver, StageTime, TruthSample
 from companion.tools.report.overlay import less_innovation
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import FusionResult, PathName, RelativeState, Verdict
