@@ -6,6 +6,7 @@ fields with tabs: system, component, name, value, MAV_PARAM_TYPE).
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 from companion.tools.doctor.diagnose import diagnose
 from companion.tools.doctor.finding import Finding
@@ -24,6 +25,8 @@ _INT32, _REAL32 = 6, 9
 _HOVER_THRUST = {"MOT_THST_HOVER": 0.35}
 """ArduPilot's value before a flight has learnt it."""
 
+Kept = Literal["ArduPilot", "PX4"]
+"""Stacks whose defaults are known."""
 Wanted = Mapping[str, tuple[float, str]]
 """Values by name, each with the reason for it."""
 
@@ -33,12 +36,11 @@ def wanted_of(found: Iterable[Finding]) -> dict[str, tuple[float, str]]:
     return {change.parameter: (change.value, f.what) for f in found for change in f.changes}
 
 
-def wanted_by_default(stack: str, firmware: Firmware | None = None, *, moving_pad: bool = True) -> dict[str, tuple[float, str]]:
+def wanted_by_default(stack: Kept, firmware: Firmware | None = None, *, moving_pad: bool = True) -> dict[str, tuple[float, str]]:
     """Return what an autopilot with its firmware's defaults needs, fixed until no fix shows another fault."""
     values, out = defaults_of(stack, firmware) | _HOVER_THRUST, dict[str, tuple[float, str]]()
     while True:
-        kind = "ArduPilot" if stack == "ArduPilot" else "PX4"
-        snapshot = Snapshot(0.0, (), AutopilotSnapshot(kind, 1, firmware=firmware, parameters=values), moving_pad=moving_pad)
+        snapshot = Snapshot(0.0, (), AutopilotSnapshot(stack, 1, firmware=firmware, parameters=values), moving_pad=moving_pad)
         more = {name: one for name, one in wanted_of(diagnose(snapshot)).items() if name not in out}
         if not more:
             return dict(sorted(out.items()))
@@ -46,13 +48,14 @@ def wanted_by_default(stack: str, firmware: Firmware | None = None, *, moving_pa
         values |= {name: value for name, (value, _) in more.items()}
 
 
-def stack_named(path: Path) -> str:
+def stack_named(path: Path) -> Kept:
     """Return the stack that a file's name says.
 
     Raises:
         BadInput: the name says neither stack.
     """
-    for word, stack in (("px4", "PX4"), ("ardu", "ArduPilot"), ("copter", "ArduPilot")):
+    stacks: Mapping[str, Kept] = {"px4": "PX4", "ardupilot": "ArduPilot", "copter": "ArduPilot"}
+    for word, stack in stacks.items():
         if word in path.name.lower():
             return stack
     raise BadInput(f"--write {path}: name it ardupilot.param or px4.params, or give the autopilot by --link or a LOG")
@@ -72,6 +75,6 @@ def _lines(stack: str, wanted: Wanted, system: int) -> Sequence[str]:
     lines = []
     for name, (value, why) in wanted.items():
         kind = _INT32 if name in _PX4_INTEGERS else _REAL32
-        entry = f"{name},{value:g}" if stack == "ArduPilot" else f"{system}\t1\t{name}\t{value:g}\t{kind}"
+        entry = f"{name},{value:g}" if stack != "PX4" else f"{system}\t1\t{name}\t{value:g}\t{kind}"
         lines += [f"# {why}\n", f"{entry}\n"]
     return lines
