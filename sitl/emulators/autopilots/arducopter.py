@@ -55,6 +55,8 @@ OWN: dict[str, float] = {
 
 
 _OUTPUTS = ("SERVO", "Q_A_")
+_OWN_GAINS = {"Q_A_RAT_RLL_P": 0.15, "Q_A_RAT_PIT_P": 0.15, "Q_A_RAT_RLL_D": 0.002, "Q_A_RAT_PIT_D": 0.002}
+"""Gains of ArduPlane's own QuadPlane, which swings by the defaults. Source: Tools/autotest/default_params/quadplane.parm."""
 PLANE: dict[str, float] = {
     **{name: value for name, value in PARAMETERS.items() if name.startswith(("COMPASS_", "INS_", "RNGFND1_", "PLND_", "LOG_"))},
     **parameters_of("arduplane.parm"),
@@ -90,7 +92,7 @@ def argv(
     if isinstance(physics, OwnBody) and plane:
         home, model, away = physics.home, ["quadplane"], (*_OUTPUTS, "Q_M_THST_HOVER", "Q_P_ACCZ_FF")
         asked = {name: value for name, value in PLANE.items() if not name.startswith(away)}
-        asked |= {"RNGFND1_TYPE": 10, "SIM_WIND_T": 1}
+        asked |= {"RNGFND1_TYPE": 10, "SIM_WIND_T": 1, **_OWN_GAINS}
     elif isinstance(physics, OwnBody):
         home, model, hover = physics.home, [f"x:{FRAME}"], physics.airframe.mass_kg * G_M_S2 / physics.airframe.thrust_max_n
         asked = {**OWN, "MOT_THST_HOVER": hover, "PSC_ACCZ_FF": hover}
