@@ -242,6 +242,18 @@ def _add_print(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     board_option.add(p)
 
 
+def shipped_pads() -> dict[str, str]:
+    """Return what each shipped pad is, by its name: how large, and its parts."""
+    out = {}
+    for name in shipped("pads"):
+        pad = pad_of_file(SHIPPED / "pads" / f"{name}.toml")
+        parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
+        lamps = f", {len(pad.lamps)} lamps" if pad.lamps else ""
+        only = "" if pad.lamps or pad.is_identifiable_by_paint else " (not detected: print and paint only)"
+        out[name] = f"{2 * pad.disc_radius_m:5.2f} m across: {parts}{lamps}{only}"
+    return out
+
+
 def run(args: argparse.Namespace) -> int:
     """List, check or print; return 0.
 
@@ -250,12 +262,8 @@ def run(args: argparse.Namespace) -> int:
     """
     match args.action:
         case "list":
-            for name in shipped("pads"):
-                pad = pad_of_file(SHIPPED / "pads" / f"{name}.toml")
-                parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
-                lamps = f", {len(pad.lamps)} lamps" if pad.lamps else ""
-                only = "" if pad.lamps or pad.is_identifiable_by_paint else " (not detected: print and paint only)"
-                sys.stdout.write(f"{name:10s} {2 * pad.disc_radius_m:5.2f} m across: {parts}{lamps}{only}\n")
+            width = max(map(len, shipped("pads")))
+            sys.stdout.writelines(f"{name:{width}} {described}\n" for name, described in shipped_pads().items())
             return 0
         case "check":
             return _check(args)

@@ -3,6 +3,7 @@
 import argparse
 import itertools
 import selectors
+import shlex
 import shutil
 import socket
 import subprocess
@@ -18,8 +19,9 @@ from companion.cli import config, doctor
 from companion.cli.keys import write_secret
 from companion.cli.options import option
 from companion.cli.outputs import SETTINGS, output
+from companion.cli.pad import shipped_pads
 from companion.parts.page.access import make_token
-from companion.settings.load import SHIPPED
+from companion.settings.load import find_file, pad_of_file
 from companion.settings.operator import SwitchOptions
 from companion.tools.doctor.gather import seen_moving
 from drivers.camera.camera_process import libcamera_models
@@ -29,7 +31,7 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.rc_channels import POSITIONS
-from estimator.contracts.errors import BadInput, file_errors
+from estimator.contracts.errors import BadInput, file_errors, refused
 
 VEHICLES = {
     "sim": "the simulated AR.Drone of this machine (python -m sitl.emulators.ardrone.serve demo)",
@@ -108,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.no_doctor:
         doctor.add_arguments(examined)
         code = doctor.run(examined.parse_args(["--config", str(args.out)]))
-    _next_steps(answers, args.out)
+    _next_steps(answers, args.out, sound=code == 0)
     return code
 
 
@@ -118,6 +120,9 @@ def _answers(args: argparse.Namespace) -> Answers:
     vehicle = args.vehicle or ask("vehicle", VEHICLES, received[0].name if received else "ardrone2")
     flies_itself = vehicle in _OWN_LINK
     link = args.link or next((one.link for one in received if one.name == vehicle), "")
+    if args.link and not flies_itself:
+        with refused(f"--link {link}", ValueError):
+            AutopilotOptions(link)
     if not link:
         own = {"sim": "127.0.0.1", "ardrone1": _ARDRONE[0], "ardrone2": _ARDRONE[0]}
         link = own.get(vehicle, "serial:///dev/ttyAMA0:921600")
@@ -130,8 +135,9 @@ def _answers(args: argparse.Namespace) -> Answers:
         names = on_board | {str(one.path): one.card for one in there} or {"usb": "the one USB camera, once it is plugged in"}
         device = ask("camera", names, next(iter(names)))
     shipped = {"sim": "sim", "ardrone1": "ardrone1_bottom", "ardrone2": "ardrone2_bottom"}.get(vehicle, "usb_640x480")
-    pads = {path.stem: "" for path in sorted((SHIPPED / "pads").glob("*.toml"))}
-    pad = args.pad or ask("pad", pads, "thesis" if flies_itself else "printed")
+    find_file(args.camera_file or shipped, "cameras", args.out.parent, "--camera-file")
+    pad = args.pad or ask("pad", shipped_pads(), "thesis" if flies_itself else "printed")
+    pad_of_file(find_file(pad, "pads", args.out.parent, "--pad"))
     place = args.where or ask("place", PLACES, "indoors" if flies_itself else "outdoors")
     page = args.page or ask("page", _page_addresses(), "127.0.0.1")
     channel = args.switch
@@ -174,9 +180,9 @@ def _ask(what: str, among: dict[str, str], usual: str) -> str:
         answer = line.strip() or usual
         if answer.isdecimal() and 1 <= int(answer) <= len(names):
             return names[int(answer) - 1]
-        if answer in names or what in ("pad", "camera"):
+        if answer in names or what == "camera" or (what == "pad" and Path(answer).is_file()):
             return answer
-        sys.stdout.write(f"  a number from 1 to {len(names)}, or a name\n")
+        sys.stdout.write(f"  a number from 1 to {len(names)}, or a name{' or a file' if what == 'pad' else ''}\n")
 
 
 class FoundVehicle(Struct, frozen=True):
@@ -333,12 +339,23 @@ def _certify(certificate: Path, key: Path, address: str) -> None:
     key.chmod(0o600)
 
 
-def _next_steps(answers: Answers, out: Path) -> None:
+def _next_steps(answers: Answers, out: Path, *, sound: bool) -> None:
     say: Callable[[str], int] = sys.stdout.write
-    command = "decklander" if shutil.which("decklander") else sys.argv[0]
+    command, file = "decklander" if shutil.which("decklander") else sys.argv[0], shlex.quote(str(out))
     word, token_file = _secret("token", out)
-    start = "systemctl start decklander" if word.startswith("credential:") else f"{command} run --config {out}"
-    say(f"\nstart the service:  {start}\nfly:                {command} fly takeoff --wait 20\n")
+    start = "systemctl start decklander" if word.startswith("credential:") else f"{command} run --config {file}"
+    autopilot = answers.vehicle in ("ardupilot", "px4")
+    say("\n")
+    if not sound:
+        fix = f" ({command} doctor --config {file} --fix sets parameters)" if autopilot else ""
+        say(f"first:              mend what is named above{fix}\n")
+    if autopilot:
+        say(f"then:               measure feet_below_m, and the camera: {command} calibrate camera --help\n")
+    say(f"start the service:  {start}\n")
+    if autopilot:
+        say(f"first flights:      by hand, a pad on the ground below: docs/{answers.vehicle}.md\n")
+    elif sound:
+        say(f"fly:                {command} fly takeoff --wait 20\n")
     if not answers.page:
         return
     token = token_file.read_text(encoding="utf-8").strip()

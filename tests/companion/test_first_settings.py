@@ -177,3 +177,20 @@ def test_work_announces_itself_and_is_silent_while_it_is_short(capsys: pytest.Ca
         progress.take(done, 10, ", dry")
     WorkProgress("raking", "leaves").take(5, 5)
     assert capsys.readouterr().err == "digging: 0 of 10 holes, dry\ndigging: 10 of 10 holes, dry\n"
+
+
+@pytest.mark.parametrize("wrong", [("--pad", "nosuch"), ("--camera-file", "nosuch"), ("--link", "serial:nope")])
+def test_a_wrong_answer_is_refused_before_anything_is_written(wrong: tuple[str, str], tmp_path: Path, capsys) -> None:
+    words = ["start", "--yes", "--no-doctor", "--vehicle", "px4", "--link", "udpin://127.0.0.1:14999", *wrong]
+    assert main([*words, "--out", str(tmp_path / "rig.toml")]) == 2
+    assert wrong[0] in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_after_a_fault_the_first_thing_to_do_is_to_mend_it(tmp_path: Path, capsys) -> None:
+    out = tmp_path / "a rig.toml"
+    assert main(["start", "--yes", "--vehicle", "px4", "--link", "udpin://127.0.0.1:0", "--out", str(out)]) in (1, 2)
+    *_, steps = capsys.readouterr().out.partition("known faults found\n")
+    assert [line.partition(":")[0] for line in steps.split("\n") if line][:2] == ["first", "then"]
+    assert f"'{out}'" in steps
+    assert "takeoff" not in steps
