@@ -7,6 +7,8 @@ from pathlib import Path
 from companion.base.observer import Decision
 from companion.recording.reading import RecordedFrame, instant, open_recording
 
+if len(sys.argv) != 2:
+    sys.exit(__doc__)
 recording = open_recording([Path(sys.argv[1])])
 verdicts: Counter[str] = Counter()
 start = None

@@ -13,6 +13,7 @@ import difflib
 import errno
 import gc
 import importlib
+import io
 import os
 import re
 import sys
@@ -183,6 +184,9 @@ def _lend_streams() -> None:
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDONLY if mode == "r" else os.O_WRONLY), mode))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a name that the terminal's encoding lacks is no reason to end
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _drop_output() -> None:

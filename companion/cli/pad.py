@@ -84,9 +84,9 @@ def _import(args: argparse.Namespace) -> int:
     pad = Pad.from_mapping(tomllib.loads(text), str(path))
     with file_errors(str(out)):
         out.write_text(text, encoding="utf-8")
-    parts = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions))
+    parts, n = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions)), len(pad.regions)
     sys.stdout.write(
-        f"{out}: {pad.name}, {2000.0 * pad.disc_radius_m:.1f} mm across, {len(pad.regions)} regions ({parts})"
+        f"{out}: {pad.name}, {2000.0 * pad.disc_radius_m:.1f} mm across, {n} region{'s' * (n != 1)} ({parts})"
         + (f", ground {pad.ground}" if pad.ground else "")
         + "\n"
         + "".join(f"{path}: {remark}\n" for remark in remarks)
@@ -212,6 +212,8 @@ def clicked(photo: bytes, tell: Callable[[str], None]) -> F64:
     return found[0]
 
 
+_PAD = "thesis"
+"""The pad that is printed where none is named."""
 DESCRIPTION = "List and check pads, make one of a drawing or photograph, print one or a calibration board to scale."
 
 
@@ -231,7 +233,7 @@ def _add_print(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         description="Print a pad or a calibration board to scale. Print at 100 % and measure the ruler on each sheet. Cut at "
         "the marks, which lie in the middle of each overlap, and join the sheets edge to edge.",
     )
-    option(p, "pad PAD", "pad file, or the name of a shipped one (default: %(default)s)", nargs="?", default="thesis")
+    option(p, "pad PAD", f"pad file, or the name of a shipped one (default: {_PAD})", nargs="?")
     output(p, "--out FILE", "file to write: .pdf (all sheets) or .svg (one file per sheet)", SHEETS, required=True)
     option(
         p, "--paper", "paper size; full is one sheet as large as needed (default: a4)", default="a4", choices=[*PAPERS, "full"]
@@ -279,10 +281,12 @@ def _print(args: argparse.Namespace) -> int:
     Raises:
         BadInput: the pad, the board, the paper or the file's name is wrong.
     """
+    if args.board is not None and args.pad is not None:
+        raise BadInput(f"--board {args.board} prints a calibration board and no pad: leave {args.pad} out")
     if args.board is not None:
         drawing = board_drawing(board_option.board(args, args.board))
     else:
-        drawing = pad_drawing(pad_of_file(find_file(args.pad, "pads", Path(), "PAD")))
+        drawing = pad_drawing(pad_of_file(find_file(args.pad or _PAD, "pads", Path(), "PAD")))
     out = args.out
     pages = sheets(drawing, args.paper, args.margin_mm, args.overlap_mm)
     if args.board is not None and len(pages) > 1:

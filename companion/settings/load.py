@@ -343,7 +343,7 @@ def find_file(text: str, folder: str, base: Path, what: str) -> Path:
     if exists and text:
         return path
     near = difflib.get_close_matches(text, shipped(folder), n=1)
-    hint = f"did you mean {near[0]!r}" if near else f"shipped ones are {', '.join(shipped(folder))}"
+    hint = f"did you mean {near[0]!r}?" if near else f"shipped ones are {', '.join(shipped(folder))}"
     raise BadInput(f"{what}: there is no file {str(path) if text else text!r} and no shipped one of that name ({hint})")
 
 

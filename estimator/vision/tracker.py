@@ -343,6 +343,7 @@ class PadTracker:
         sigma_deck_rad: one standard deviation of the deck's roll and pitch, rad.
 
     Raises:
+        TypeError: `camera` is no Camera, or `pad` no Pad.
         ValueError: there is no such method or colours, `min_confidence` is outside 0..1, or `sigma_deck_rad` is outside 0 to
             30 degrees.
     """
@@ -357,6 +358,9 @@ class PadTracker:
         min_confidence: float = 0.2,
         sigma_deck_rad: float = SIGMA_DECK_RAD,
     ) -> None:
+        for given, kind in ((camera, Camera), (pad, Pad)):
+            if not isinstance(given, kind):
+                raise TypeError(f"PadTracker(camera, pad) takes a {kind.__name__}, got a {type(given).__name__}")
         if not 0.0 <= min_confidence <= 1.0:
             raise ValueError(f"min_confidence must lie in 0..1, got {min_confidence!r}")
         self._config = TrackerConfig(camera, pad, TrackerOptions(method, colours, math.degrees(sigma_deck_rad)))
@@ -394,8 +398,11 @@ class PadTracker:
             that a fresh `expected` excludes: an estimator refuses that one as `Verdict.ELSEWHERE`.
 
         Raises:
+            TypeError: `stamp` is no Stamp.
             ValueError: the image is no (H, W, 3), (H, W, 1) or (H, W) uint8 array, or not of the camera's size.
         """
+        if stamp is not None and not isinstance(stamp, Stamp):
+            raise TypeError(f"stamp must be a Stamp, got a {type(stamp).__name__}")
         camera = self._config.camera
         pixels = np.asarray(image)[...]  # a view: Frame makes its array read-only, and the caller's stays writable
         if pixels.shape[:2] != (camera.height, camera.width):

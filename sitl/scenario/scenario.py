@@ -572,6 +572,10 @@ def _explain(data: dict[str, Any], said: str, inherited: int = 0) -> str:
     return explain(Scenario, data, said)
 
 
+_SHOWN = 12
+"""Number of shipped files that a refusal names."""
+
+
 def _find(name: str, folder: str, base: Path, what: str) -> Path:
     known = shipped_scenarios() if folder == "scenarios" else shipped(folder)
     if name in known:
@@ -585,5 +589,7 @@ def _find(name: str, folder: str, base: Path, what: str) -> Path:
     except (OSError, ValueError) as why:
         raise BadInput(f"{what}: not a usable file name {name[:60]!r}") from why
     near = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {near[0]!r}" if near else f"shipped ones are {', '.join(known)}"
+    shown = sorted(known, key=lambda one: ("/" in one, one))[:_SHOWN]
+    more = f" and {len(known) - _SHOWN} more in configs/{folder}" if len(known) > _SHOWN else ""
+    hint = f"did you mean {near[0]!r}?" if near else f"shipped ones are {', '.join(shown)}{more}"
     raise BadInput(f"{what}: there is no file {str(path) if name else name!r} and no shipped one of that name ({hint})")

@@ -469,3 +469,10 @@ def test_without_pyav_a_pixhawk_and_a_webcam_work_and_other_video_is_refused_by_
     assert f"{film}: a video needs PyAV" in printed
     assert printed.count("decklander[video]") == 2
     assert "Traceback" not in printed
+
+
+def test_a_name_that_the_terminal_s_encoding_lacks_is_refused_and_no_traceback(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    words = [sys.executable, "-m", "companion.cli.main", "detect", str(tmp_path / "foto é.jpg")]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=240, env=environment)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)

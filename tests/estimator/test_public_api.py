@@ -215,3 +215,11 @@ def test_the_estimator_takes_every_kind_of_sample() -> None:
     assert filter.on_baro(Baro(stamp, 12.0, 0.3)) is not None
     assert filter.on_vessel(VesselReport(stamp, np.zeros(3), np.eye(3) * 0.01, None, None)) is Verdict.FUSED
     assert filter.on_status(VehicleStatus(stamp, True, "flying", 0.8, False, True)) is None
+
+
+def test_arguments_that_were_mixed_up_are_named() -> None:
+    for camera, pad in ((PAD, CAMERA), ("sim", PAD), (CAMERA, "thesis")):
+        with pytest.raises(TypeError, match="takes a"):
+            PadTracker(camera, pad)
+    with pytest.raises(TypeError, match="must be a Stamp"):
+        PadTracker(CAMERA, PAD).track(shipped_image(), stamp=1.0)
