@@ -14,7 +14,7 @@ from drivers.mavlink.custody import LEFT_ALONE, Authority, Hand, HandEvent
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.requests import RATES_HZ, Parameters, RateLimit, Streams, VersionRequest
+from drivers.mavlink.requests import RATES_HZ, Parameters, RateLimit, Streams, VersionRequest, is_for
 from drivers.mavlink.roster import Bound, IdConflict, Origins, Roster
 from drivers.mavlink.samples import (
     SAMPLE_PARAMETERS,
@@ -67,6 +67,8 @@ _MOVED_S, _OVERTAKEN_S = 0.1, 0.05
 The second is the time by which a message of the old port may be late.
 """
 _HOLDER = {Hand.NOBODY: "nobody", Hand.PERSON: "a person", Hand.CUT: "nobody, its motors are cut,"}
+_BEAT_S = 5.0
+"""Age of the newest HEARTBEAT beyond which nothing is commanded: mode and motors may be others by then."""
 _BESIDE_S = 5.0
 """Time for which nothing is followed once two senders have used the autopilot's ids at the same time."""
 
@@ -84,8 +86,12 @@ class _Known(Struct):
     source: Source
     """The link and the peer that its messages come from; a message with its ids from elsewhere is not accepted as its own."""
     received_at: MonoNs
+    beat_at: MonoNs
+    """Time of the newest HEARTBEAT."""
     origins: Origins = field(default_factory=Origins)
     lost: bool = False
+    mute: bool = False
+    """True while its HEARTBEATs have ended and other messages go on."""
     version: Version | None = None
     """Its firmware and hardware, once it reported them."""
     hand: Hand = Hand.NOBODY
@@ -158,8 +164,8 @@ class Autopilot:
 
     @property
     def connected(self) -> bool:
-        """True if the autopilot sent a message lately."""
-        return self._known is not None and not self._known.lost
+        """True if the autopilot sent a message lately, and a HEARTBEAT."""
+        return self._known is not None and not (self._known.lost or self._known.mute)
 
     @property
     def id_conflicts(self) -> tuple[IdConflict, ...]:
@@ -240,7 +246,7 @@ class Autopilot:
         if not self._open:
             raise Recoverable("the link to the autopilot is closed")
         known = self._known
-        why = "no autopilot is connected" if known is None or known.lost else self.unclear
+        why = self.unclear if self.connected else "no autopilot is connected"
         ends = isinstance(command, CutMotors | LeaveEmergency) or (isinstance(command, Hover) and command.calls_off)
         if known is not None and (why is None or (ends and (known.streamer.commanded or self.unclear is None))):
             self._take(known, command)
@@ -356,6 +362,7 @@ class Autopilot:
         known.received_at = received_at
         self.counts[name] += 1
         if name == "HEARTBEAT":
+            known.beat_at, known.mute = received_at, False
             self._roster.on_own_heartbeat(message)
         elif name == "TIMESYNC":
             known.sync.on_message(message, received_at)
@@ -363,6 +370,8 @@ class Autopilot:
             for severity, text in self._joined.on_message(message, sender):
                 self.texts.append((received_at, severity, text))
             self._tell_hand(known, received_at)
+        elif name == "COMMAND_ACK" and not is_for(message, self.links.identity):
+            return
         elif name == "COMMAND_ACK" and message.result != mav.MAV_RESULT_IN_PROGRESS:
             if (message.target_system, message.target_component) == self.links.identity:
                 known.streamer.on_answer(int(message.command), accepted=message.result == mav.MAV_RESULT_ACCEPTED)
@@ -401,7 +410,7 @@ class Autopilot:
         taken = self._taken(known, now)
         if (taken, streamer.motors_cut) != (sampler.taken, sampler.motors_cut):
             sampler.taken, sampler.motors_cut = taken, streamer.motors_cut
-            self.samples.offer(sampler.status(now, link_ok=not known.lost))
+            self.samples.offer(sampler.status(now, link_ok=self.connected))
 
     def _taken(self, known: _Known, now: MonoNs) -> str | None:
         """Return who has taken the vehicle, with the autopilot's critical text about it; None while nobody has."""
@@ -496,7 +505,8 @@ class Autopilot:
         sampler = MavlinkSampler(stack, clock, self._o.samples)
         parameters = Parameters(stack, self._wanted_of(stack))
         streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o, self._authority)
-        self._known = _Known(identity, sync, clock, sampler, streams, parameters, streamer, received.source, received.received_at)
+        at = received.received_at
+        self._known = _Known(identity, sync, clock, sampler, streams, parameters, streamer, received.source, at, at)
         self.links.identify(received.system, self._o.component_id)
         self._boots = 0
         self._version = VersionRequest()
@@ -551,10 +561,16 @@ class Autopilot:
             known.lost = True
             self.samples.offer(known.sampler.status(now, link_ok=False))
             _log.warning("autopilot: silent for %.1f s", self._o.silence_s)
+        elif not (known.lost or known.mute) and listened and seconds_between(known.beat_at, now) > _BEAT_S:
+            known.mute = True
+            self.samples.offer(known.sampler.status(now, link_ok=False))
+            _log.warning(
+                "autopilot: no HEARTBEAT for %.0f s, although it sends: its mode is unknown, nothing is commanded", _BEAT_S
+            )
         unclear = self.unclear is not None
-        if known.streamer.hand is Hand.CUT or not (known.lost or unclear):
+        if known.streamer.hand is Hand.CUT or not (known.lost or known.mute or unclear):
             self._send_all(known, known.streamer.period(now))
-        elif unclear and not known.suspended:
+        elif unclear and not (known.suspended or known.mute):
             self._send_all(known, known.streamer.suspend(now))
         known.suspended = unclear
         self._tell_hand(known, now)
@@ -581,7 +597,7 @@ class Autopilot:
 
     def _close(self) -> None:
         self._open = False
-        if self._known is not None and not self._known.lost and self.unclear is None:
+        if self._known is not None and self.connected and self.unclear is None:
             for message in self._known.streamer.leave(self._clock.now()):
                 self.links.send(message, self._known.source)
         closed = Recoverable("the link to the autopilot is closed")

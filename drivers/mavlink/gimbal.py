@@ -29,7 +29,7 @@ from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.options import GimbalOptions
-from drivers.mavlink.requests import Streams
+from drivers.mavlink.requests import Streams, is_for
 from drivers.mavlink.timesync import MS_WRAP_NS, BootClock, boot_ms
 from drivers.reconnect import running_beside
 from estimator.contracts.geometry import Rotation
@@ -315,6 +315,8 @@ class Gimbal:
                 self._manager = (received.system, received.component)
             return None
         if kind == "COMMAND_ACK":
+            if not is_for(m, autopilot.links.identity):
+                return None
             sender = (received.system, received.component)
             if sender == self._device(identity.address):
                 self._streams.on_message(received.message, received.received_at)

@@ -1,8 +1,10 @@
 """Requests to the autopilot that need an answer: message streams and parameters. This module does no I/O.
 
-Both classes repeat a request until it is answered and note what was refused, so a lost answer only costs a repetition.
+No request is settled for good. The way up may come later than the way down, and another station may slow or stop a stream
+that was granted, so what arrives is compared with what was requested, and requested again with a growing pause.
 """
 
+import logging
 import math
 import struct
 from collections import deque
@@ -12,10 +14,19 @@ from msgspec import Struct
 
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
+from estimator.contracts.time import MonoNs, seconds_between
 
+_log = logging.getLogger(__name__)
 _ACCEPTED = int(mav.MAV_RESULT_ACCEPTED)
-_BUSY = int(mav.MAV_RESULT_TEMPORARILY_REJECTED)
+_NO_ANSWER = (int(mav.MAV_RESULT_TEMPORARILY_REJECTED), int(mav.MAV_RESULT_IN_PROGRESS))
+_PAUSE_MAX_S = 30.0
+"""The longest pause between two requests for the same."""
+_SILENT_S = 5.0
+"""The first pause for a parameter that counts as absent."""
+_REFUSED_TRIES = 3
+"""The requests without an answer that a refusal counts as."""
+_ENOUGH = 0.5
+"""The share of its rate with which a stream counts as granted: the stacks choose divisors of their own rates."""
 _REAL = (int(mav.MAV_PARAM_TYPE_REAL32), int(mav.MAV_PARAM_TYPE_REAL64))
 _VALUES_MAX = 4096
 """Largest number of parameters kept of an autopilot; ArduPilot has about 1,500."""
@@ -73,8 +84,9 @@ RATES_HZ: dict[Stack, dict[str, float]] = {
 """Message rates, Hz, to request on a new link. Until then ArduPilot sends only HEARTBEAT and TIMESYNC."""
 POLLED = "HEARTBEAT"
 """The message that is requested one by one where its stream is refused or slower than asked for."""
-_POLL_INTERVALS, _LATE_INTERVALS = 0.75, 1.5
-"""Ages at which a polled message is requested, in its intervals: where its stream is refused, and where it is too slow."""
+_POLL_INTERVALS, _LATE_INTERVALS, _POLL_AGES = 0.75, 1.5, 0.2
+"""Ages at which a polled message is requested, in its intervals: where its stream is refused, and where it is too slow. The
+third is the least pause in parts of its age: none arrives where requests cannot."""
 INSTEAD = {"ATTITUDE_QUATERNION": "ATTITUDE", "GIMBAL_DEVICE_ATTITUDE_STATUS": "MOUNT_ORIENTATION"}
 """The message to request if the first is refused: ArduCopter 4.0 does not stream the quaternion, nor older mounts theirs."""
 
@@ -89,6 +101,17 @@ def message_id(name: str) -> int:
     return int(found[name])
 
 
+def is_for(message: Message, us: tuple[int, int]) -> bool:
+    """Return whether a COMMAND_ACK is for this program: it names it, or nobody, as one of MAVLink 1 does."""
+    return message.target_system in (0, us[0]) and message.target_component in (0, us[1])
+
+
+def _pause_over(asked: MonoNs | None, now: MonoNs, first_s: float, over: int) -> bool:
+    """Return whether a request may be repeated; each one over the usual number of tries doubles the pause."""
+    pause_s = min(first_s * 2.0 ** min(max(over, 0), 10), max(_PAUSE_MAX_S, first_s))
+    return asked is None or seconds_between(asked, now) >= pause_s
+
+
 def request_message(target: tuple[int, int], number: int) -> Message:
     """Return the request for one message, by its number."""
     return mav.MAVLink_command_long_message(*target, mav.MAV_CMD_REQUEST_MESSAGE, 0, number, 0, 0, 0, 0, 0, 0)
@@ -100,10 +123,17 @@ class _Stream(Struct):
     asked: MonoNs | None = None
     result: int | None = None
     received_at: MonoNs | None = None
+    count: int = 0
+    """Messages since `since`."""
+    since: MonoNs | None = None
+    share: float | None = None
+    """Share of the requested rate in the last whole window; None if there was none since the last request."""
+    flowed: bool = False
+    """True if it has arrived often enough and no word was written since about its end."""
 
 
 class Streams:
-    """Request each message stream with MAV_CMD_SET_MESSAGE_INTERVAL.
+    """Request each message stream with MAV_CMD_SET_MESSAGE_INTERVAL, and again wherever it does not arrive.
 
     Requests go out one at a time because the acknowledgement does not name the message that it is for. A `POLLED` message that
     does not arrive often enough is requested with MAV_CMD_REQUEST_MESSAGE each time, whose acknowledgement is not awaited.
@@ -111,14 +141,14 @@ class Streams:
     Args:
         rates_hz: rate by message name, Hz.
         retry_s: time after which an unanswered request is repeated, s.
-        tries: number of requests after which an unanswered message is given up.
-        silence_s: an accepted message that does not arrive for this long, and for ten of its intervals, is requested again.
+        tries: number of requests after which a message counts as unanswered, and the pauses grow.
+        window_s: time over which arrivals are counted, s; ten intervals if that is longer.
     """
 
-    def __init__(self, rates_hz: Mapping[str, float], *, retry_s: float = 0.5, tries: int = 4, silence_s: float = 3.0) -> None:
+    def __init__(self, rates_hz: Mapping[str, float], *, retry_s: float = 0.5, tries: int = 4, window_s: float = 3.0) -> None:
         self._streams = {name: _Stream(1.0 / rate) for name, rate in rates_hz.items()}
         self._ids = {name: message_id(name) for name in rates_hz}
-        self._retry_s, self._tries, self._silence_s = retry_s, tries, silence_s
+        self._retry_s, self._tries, self._window_s = retry_s, tries, window_s
         self._waiting: str | None = None
         self._polled: MonoNs | None = None
 
@@ -130,8 +160,9 @@ class Streams:
 
     @property
     def settled(self) -> bool:
-        """True if every request was answered or given up."""
-        return all(s.result is not None or s.tries >= self._tries for s in self._streams.values())
+        """True if every request was answered or sent several times in vain, and no answer is awaited."""
+        tried = all(s.result is not None or s.tries >= self._tries for s in self._streams.values())
+        return tried and self._waiting is None
 
     def also(self, name: str, rate_hz: float) -> None:
         """Request one more message from now on, over restarts too."""
@@ -153,7 +184,9 @@ class Streams:
             return []
         wait_s = stream.interval_s * (_LATE_INTERVALS if stream.result in (None, _ACCEPTED) else _POLL_INTERVALS)
         self._polled = self._polled or now
-        if seconds_between(max(stream.received_at or self._polled, self._polled), now) < wait_s:
+        received_at = stream.received_at or self._polled
+        wait_s = max(wait_s, min(_POLL_AGES * seconds_between(received_at, now), _PAUSE_MAX_S))
+        if seconds_between(max(received_at, self._polled), now) < wait_s:
             return []
         self._polled = now
         return [request_message(target, self._ids[POLLED])]
@@ -165,41 +198,60 @@ class Streams:
                 return []
             self._waiting = None
         for name, stream in self._streams.items():
-            self._check_silence(stream, now)
-            if stream.result is None and stream.tries < self._tries:
-                stream.tries += 1
-                stream.asked = now
-                self._waiting = name
-                interval_us = round(stream.interval_s * 1e6)
-                return [
-                    mav.MAVLink_command_long_message(
-                        *target, mav.MAV_CMD_SET_MESSAGE_INTERVAL, stream.tries - 1, self._ids[name], interval_us, 0, 0, 0, 0, 0
-                    )
-                ]
-        return []
+            self._measure(name, stream, now)
+        name, stream = min(self._streams.items(), key=lambda one: (not self._lacks(one[1], now), one[1].tries >= self._tries))
+        if not self._lacks(stream, now):
+            return []
+        stream.tries += 1
+        stream.asked, stream.since, stream.count, stream.share = now, now, 0, None
+        self._waiting = name
+        return [
+            mav.MAVLink_command_long_message(
+                *target, mav.MAV_CMD_SET_MESSAGE_INTERVAL, min(stream.tries - 1, 255), self._ids[name],
+                round(stream.interval_s * 1e6), 0, 0, 0, 0, 0,
+            )
+        ]  # fmt: skip
+
+    def _lacks(self, stream: _Stream, now: MonoNs) -> bool:
+        """Return whether a stream is to be requested now."""
+        if stream.share is None and stream.result == _ACCEPTED:
+            return False
+        enough = stream.share is not None and stream.share >= _ENOUGH
+        return not enough and _pause_over(stream.asked, now, self._retry_s, stream.tries - self._tries)
 
     def on_message(self, message: Message, received_at: MonoNs) -> None:
-        """Process any message of the autopilot: note acknowledgements and the streams that arrive."""
+        """Process any message of the autopilot that is not for another program: note acknowledgements and arrivals."""
         kind = message.get_type()
         if kind == "COMMAND_ACK":
             if message.command == mav.MAV_CMD_SET_MESSAGE_INTERVAL and self._waiting is not None:
                 name, self._waiting = self._waiting, None
                 waiting = self._streams[name]
-                waiting.result = None if message.result == _BUSY else int(message.result)
-                waiting.received_at = received_at
+                waiting.result = None if message.result in _NO_ANSWER else int(message.result)
                 other = INSTEAD.get(name)
-                if waiting.result not in (None, _ACCEPTED) and other is not None and other not in self._streams:
+                if waiting.result in (None, _ACCEPTED):
+                    return
+                waiting.tries = max(waiting.tries, self._tries + _REFUSED_TRIES)
+                if other is not None and other not in self._streams:
                     self._streams[other], self._ids[other] = _Stream(waiting.interval_s), message_id(other)
         elif kind in self._streams:
             self._streams[kind].received_at = received_at
+            self._streams[kind].count += 1
 
-    def _check_silence(self, stream: _Stream, now: MonoNs) -> None:
-        if stream.result != _ACCEPTED or stream.received_at is None:
+    def _measure(self, name: str, stream: _Stream, now: MonoNs) -> None:
+        """Compare what has arrived with what was requested, once a window."""
+        if stream.since is None:
+            stream.since, stream.count = now, 0
+        lasted_s = seconds_between(stream.since, now)
+        if lasted_s < max(self._window_s, 10.0 * stream.interval_s):
             return
-        if seconds_between(stream.received_at, now) > max(self._silence_s, 10.0 * stream.interval_s):
-            # A message that has nothing to send (no lidar is fitted) must not be requested all the time.
-            stream.result, stream.tries = None, min(stream.tries, self._tries - 1)
-            stream.received_at = MonoNs(now + round(4 * self._silence_s * NS_PER_S))
+        stream.share = stream.count * stream.interval_s / lasted_s
+        if stream.share >= _ENOUGH:
+            stream.tries, stream.flowed = min(stream.tries, 1), True
+        elif stream.flowed:
+            stream.flowed = False
+            text = "autopilot: %s arrives at %.1f Hz instead of %.0f Hz: requesting it again; does another station set its rate?"
+            _log.warning(text, name, stream.count / lasted_s, 1.0 / stream.interval_s)
+        stream.since, stream.count = now, 0
 
 
 class RateLimit:
@@ -228,7 +280,7 @@ class RateLimit:
 
 
 class VersionRequest:
-    """Request AUTOPILOT_VERSION, a few times until it is answered: it has the unique id of the hardware."""
+    """Request AUTOPILOT_VERSION until it is answered: it has the unique id of the hardware."""
 
     _TRIES, _RETRY_S, _AGAIN_S = 4, 2.0, 3.0
 
@@ -243,8 +295,7 @@ class VersionRequest:
 
     def due(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
         """Return the request to send now as a list of at most one message."""
-        waits = self._asked is not None and seconds_between(self._asked, now) < self._RETRY_S
-        if self.answered or waits or self._tries >= self._TRIES:
+        if self.answered or not _pause_over(self._asked, now, self._RETRY_S, self._tries - self._TRIES):
             return []
         self._asked, self._tries = now, self._tries + 1
         return [request_message(target, int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION))]
@@ -269,7 +320,10 @@ class Parameters:
         self.kinds: dict[str, int] = {}
         """MAV_PARAM_TYPE of each parameter that the autopilot sent."""
         self.absent: set[str] = set()
-        """Parameters that were requested and never answered, or refused: this firmware does not have them."""
+        """Parameters that were requested several times and not answered, or refused: this firmware does not have them, or no
+        request arrives. Those without an answer are requested again."""
+        self._silent: dict[str, tuple[MonoNs, int]] = {}
+        """Absent ones without an answer, with the time and the number of the last request."""
 
     @property
     def settled(self) -> bool:
@@ -286,6 +340,7 @@ class Parameters:
         """Ask for nothing more. An unanswered parameter is neither read nor absent."""
         self._wanted.clear()
         self._asked.clear()
+        self._silent.clear()
 
     def due(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
         """Return the requests to send now."""
@@ -294,7 +349,7 @@ class Parameters:
             if seconds_between(at, now) < self._retry_s:
                 continue
             if tries >= self._tries:
-                del self._asked[name]
+                self._silent[name] = self._asked.pop(name)
                 self.absent.add(name)
             else:
                 self._asked[name] = (now, tries + 1)
@@ -302,7 +357,12 @@ class Parameters:
         while self._wanted and len(self._asked) < self._at_once:
             name = self._wanted.popleft()
             self._asked[name] = (now, 1)
+            self._silent.pop(name, None)
             out.append(name)
+        for name, (at, tries) in self._silent.items():
+            if len(out) < self._at_once and _pause_over(at, now, _SILENT_S, tries - self._tries):
+                self._silent[name] = (now, tries + 1)
+                out.append(name)
         return [mav.MAVLink_param_request_read_message(*target, name.encode(), -1) for name in out]
 
     def on_message(self, message: Message) -> None:
@@ -314,6 +374,9 @@ class Parameters:
             if math.isfinite(value) and (name in self._asked or name in self.values or len(self.values) < _VALUES_MAX):
                 self.values[name], self.kinds[name] = value, kind_of
             self._asked.pop(name, None)
-        elif kind == "PARAM_ERROR" and message.param_id in self._asked:
-            del self._asked[message.param_id]
+            if self._silent.pop(name, None) is not None:
+                self.absent.discard(name)
+        elif kind == "PARAM_ERROR" and (message.param_id in self._asked or message.param_id in self._silent):
+            self._asked.pop(message.param_id, None)
+            self._silent.pop(message.param_id, None)
             self.absent.add(message.param_id)

@@ -38,6 +38,9 @@ _TURN_MAX_RAD_S, _FORCE_MAX_M_S2 = 100.0, 400.0
 """Values beyond what a multicopter's inertial sensors can measure: 4,000 degrees/s and 32 g are the widest there are."""
 _RESTART_NS = NS_PER_S
 """A stamp that is this much older than the newest is that of an autopilot that has booted, as `BootClock` has it."""
+_AGES_S = {"HEARTBEAT": 5.0, "EXTENDED_SYS_STATE": 5.0, "SYS_STATUS": 15.0}
+"""Ages beyond which the parts of the vehicle's condition are unknown again, by the message that they come from: several of its
+intervals, and longer than a link usually stands still."""
 _LANDED_STATE_WITHIN_S = 3.0
 """Time from the first heartbeat: every PX4 sends EXTENDED_SYS_STATE by then, also over a slow link."""
 _SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0, name="the ship")
@@ -139,6 +142,8 @@ class MavlinkSampler:
         self._newest: dict[tuple[str, int], tuple[int, bytes]] = {}
         """The newest message of each kind and sensor: its stamp since boot, ns, and its bytes."""
         self._landed_state = 0
+        self._ages: dict[str, MonoNs] = {}
+        """Arrival of the newest message by name, of those that the condition comes from."""
         self._first_heartbeat: MonoNs | None = None
         self._quaternions = False
         self._status_at: MonoNs | None = None
@@ -168,6 +173,8 @@ class MavlinkSampler:
         if _overtaken(place, self._newest.get(key)):
             self.out_of_order[name] += 1
             return []
+        if name in _AGES_S:
+            self._ages[name] = received_at
         try:
             out = handle(message, received_at)
             self._newest[key] = place
@@ -222,12 +229,20 @@ class MavlinkSampler:
     def status(self, now: MonoNs, *, link_ok: bool) -> VehicleStatus:
         """Return the newest condition as a sample."""
         c = self.condition
+        if not self._fresh("HEARTBEAT", now):
+            c = replace(c, mode=Condition().mode, flying=c.flying if self._fresh("EXTENDED_SYS_STATE", now) else None)
+        if not self._fresh("SYS_STATUS", now):
+            c = replace(c, battery_fraction=None)
         self._status_at = now
         stamp = Stamp(now, now, 0.0, "arrival")
         return VehicleStatus(
             stamp, c.flying, c.mode, c.battery_fraction, c.terminated or self.motors_cut, link_ok, self.taken,
             self.jerk_max_m_s3, self.tilt_max_deg,
         )  # fmt: skip
+
+    def _fresh(self, name: str, now: MonoNs) -> bool:
+        """Return whether the newest message of this name is young enough that what it says still holds."""
+        return name in self._ages and seconds_between(self._ages[name], now) <= _AGES_S[name]
 
     def _status_samples(self, condition: Condition, received_at: MonoNs) -> list[Sample]:
         changed = condition != self.condition
@@ -237,6 +252,8 @@ class MavlinkSampler:
 
     def _heartbeat(self, m: Message, received_at: MonoNs) -> list[Sample]:
         armed = bool(m.base_mode & ARMED)
+        if not self._fresh("EXTENDED_SYS_STATE", received_at):
+            self._landed_state = 0
         if self._first_heartbeat is None:
             self._first_heartbeat = received_at
         flying = flying_of(self._landed_state, m.system_status, armed)

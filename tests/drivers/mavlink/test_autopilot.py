@@ -126,6 +126,26 @@ async def test_silence_is_reported_and_everything_is_requested_again() -> None:
         assert autopilot.parameters.values == {"PLND_LAG": pytest.approx(0.02)}
 
 
+async def test_without_its_heartbeats_nothing_is_commanded_whatever_else_it_sends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mode and motors may be others by then: a person may have taken it."""
+    fake = MiniatureAutopilot(Stack.ARDUPILOT, mode="guided")
+    async with autopilot_of(fake) as autopilot, asyncio.timeout(30):
+        autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))
+        await until(lambda: bool(fake.setpoints))
+        send = fake.send
+        monkeypatch.setattr(fake, "send", lambda m: None if m.get_type() == "HEARTBEAT" else send(m))
+        await until(lambda: not autopilot.connected)
+        last = [s for s in drain(autopilot) if isinstance(s, VehicleStatus)][-1]
+        assert (last.link_ok, last.mode) == (False, "unknown")
+        with pytest.raises(Recoverable, match="no autopilot"):
+            autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))
+        setpoints = len(fake.setpoints)
+        await asyncio.sleep(0.2)
+        assert len(fake.setpoints) == setpoints
+        monkeypatch.setattr(fake, "send", send)
+        await until(lambda: autopilot.connected)
+
+
 async def test_others_are_not_mistaken_for_the_autopilot() -> None:
     ship = MiniatureAutopilot(system=17)
     ship.heartbeat = lambda: mav.MAVLink_heartbeat_message(11, 3, 0, 0, 4, 3)  # type: ignore[method-assign]

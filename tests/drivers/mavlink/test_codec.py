@@ -21,7 +21,7 @@ from drivers.mavlink.dialect import (
     crc_extra_of,
     mav,
 )
-from drivers.mavlink.requests import Parameters, RateLimit, Streams, VersionRequest, parameter_value, wire_value
+from drivers.mavlink.requests import Parameters, RateLimit, Streams, VersionRequest, is_for, parameter_value, wire_value
 from drivers.mavlink.signing import EPOCH_S, TICKS_PER_S, Signing, SigningKey, SigningTimes, load_key
 from drivers.mavlink.vehicle import CHUNK, LOST, JoinedTexts, Stack
 from estimator.contracts.errors import BadInput
@@ -251,23 +251,44 @@ def test_where_the_quaternion_is_refused_the_angles_are_requested() -> None:
     assert not streams.settled
 
 
-def test_an_unanswered_request_is_repeated_and_then_given_up() -> None:
-    streams = Streams({"RAW_IMU": 100.0}, tries=3)
-    asked = [m for n in range(40) for m in streams.due(ns(0.1 * n), TARGET)]
-    assert [m.confirmation for m in asked] == [0, 1, 2]
-    assert streams.refused == {"RAW_IMU": -1}
+def test_an_unanswered_request_is_repeated_with_a_growing_pause_for_ever() -> None:
+    streams, asked = Streams({"RAW_IMU": 100.0}, tries=3), []
+    for n in range(4000):
+        asked += [0.1 * n for _ in streams.due(ns(0.1 * n), TARGET)]
+        if n == 12:
+            assert streams.refused == {"RAW_IMU": -1}
+    gaps = [b - a for a, b in itertools.pairwise(asked)]
+    assert gaps[:3] == pytest.approx([0.5, 0.5, 0.5])
+    assert gaps == sorted(gaps)
+    assert gaps[-1] == pytest.approx(30.0)
     streams.restart()
-    assert len(streams.due(ns(9), TARGET)) == 1
+    assert len(streams.due(ns(400), TARGET)) == 1
 
 
-def test_a_stream_that_falls_silent_is_requested_again() -> None:
-    streams = Streams({"RAW_IMU": 100.0})
-    streams.due(ns(0), TARGET)
-    streams.on_message(ack(), ns(0.1))
-    for n in range(50):
-        streams.on_message(mav.MAVLink_raw_imu_message(0, 0, 0, 0, 0, 0, 0, 0, 0, 0), ns(0.1 + 0.1 * n))
-        assert streams.due(ns(0.1 + 0.1 * n), TARGET) == []
-    assert len(streams.due(ns(9), TARGET)) == 1
+def test_a_stream_that_another_station_slows_or_stops_is_requested_again_and_that_is_logged_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    streams, requests, each, obeys = Streams({"RAW_IMU": 100.0}), [], 1, True
+    for n in range(12_000):
+        now = ns(0.01 * n)
+        if n in (2000, 6000):
+            each, obeys = (25, False) if n == 2000 else (10**9, True)
+        if streams.due(now, TARGET):
+            requests.append(0.01 * n)
+            streams.on_message(ack(0 if obeys else 4), now)
+            each = 1 if obeys else each
+        if n % each == 0:
+            streams.on_message(mav.MAVLink_raw_imu_message(0, 0, 0, 0, 0, 0, 0, 0, 0, 0), now)
+    assert requests[0] == 0.0
+    assert 20.0 < requests[1] < 25.0, "slowed"
+    assert 3 <= len(requests) <= 8, "refused now, and requested with a growing pause until it is granted"
+    assert streams.refused == {}, "stopped, requested and granted"
+    assert caplog.text.count("arrives at") == 1
+
+
+@pytest.mark.parametrize(("target", "ours"), [((1, 191), True), ((0, 0), True), ((255, 190), False), ((1, 190), False)])
+def test_an_acknowledgement_counts_for_the_program_that_it_names(target: tuple[int, int], ours: bool) -> None:
+    assert is_for(mav.MAVLink_command_ack_message(511, 0, 0, 0, *target), (1, 191)) is ours
 
 
 @pytest.mark.parametrize(("result", "each_s", "most_s"), [(4, 1.0, 0.2), (0, 1.0, 0.32), (0, 0.2, 0.2)])
@@ -309,6 +330,11 @@ def test_parameters_are_read_a_few_at_a_time() -> None:
     assert reader.settled
     assert reader.absent == {"PLND_3"}
     assert reader.values["PLND_0"] == 0.5
+    (again,) = [m for n in range(120, 400) for m in reader.due(ns(0.1 * n), TARGET)][:1]
+    assert again.param_id == "PLND_3", "the way up may come later"
+    assert reader.settled
+    reader.on_message(value("PLND_3", 1.0))
+    assert reader.absent == set()
     reader.request(["PLND_3"])
     assert not reader.settled
 
@@ -338,10 +364,10 @@ def test_requests_are_bounded_in_rate_whatever_is_requested() -> None:
     assert limit.allows(ns(1000.0)), "after a pause"
 
 
-def test_the_version_is_requested_until_it_is_answered_and_not_for_ever() -> None:
+def test_the_version_is_requested_until_it_is_answered_with_a_growing_pause() -> None:
     request = VersionRequest()
     asked = [t for t in range(60) if request.due(ns(float(t)), (1, 1))]
-    assert asked == [0, 2, 4, 6]
+    assert asked == [0, 2, 4, 6, 8, 12, 20, 36]
     request = VersionRequest()
     (message,) = request.due(ns(0.0), (7, 1))
     assert (message.target_system, message.command, message.param1) == (7, 512, 148)

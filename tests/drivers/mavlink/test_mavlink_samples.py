@@ -145,6 +145,18 @@ def test_status_follows_mode_motors_and_ground() -> None:
     assert cut.emergency
 
 
+def test_each_part_of_the_condition_has_an_age() -> None:
+    s, beat, later = sampler(Stack.ARDUPILOT), mav.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3), MonoNs(NOW + 20_000_000_000)
+    s.samples(mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 61, 0, 0, 0, 0, 0, 0), NOW)
+    s.samples(mav.MAVLink_extended_sys_state_message(0, 1), NOW)
+    s.samples(beat, NOW)
+    assert (s.condition.flying, s.status(NOW, link_ok=True).battery_fraction) == (False, 0.61)
+    old = s.status(later, link_ok=True)
+    assert (old.mode, old.flying, old.battery_fraction) == ("unknown", None, None)
+    assert status(s, beat, later) is not None, "what it reports itself stands where nothing else has been reported lately"
+    assert s.condition.flying is True
+
+
 @pytest.mark.parametrize("stack", [Stack.PX4, Stack.ARDUPILOT])
 def test_an_armed_px4_flies_only_when_it_reports_it_or_reports_nothing_for_long(stack: Stack) -> None:
     """It is active as soon as it is armed, ArduPilot as soon as it flies."""
