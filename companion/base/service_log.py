@@ -22,6 +22,7 @@ from contextlib import contextmanager, suppress
 from msgspec import Struct
 
 from companion.base.signals import PROCESS
+from estimator.contracts.address import masked
 
 LINES_A_MINUTE = 60
 """The most lines of one kind in a minute."""
@@ -54,6 +55,9 @@ class OneLine(logging.Formatter):
 
     def __init__(self, *, timed: bool) -> None:
         super().__init__("%(levelname)s " + ("%(asctime)s " if timed else "") + "%(name)s: %(message)s")
+
+    def format(self, record: logging.LogRecord) -> str:
+        return masked(super().format(record))
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         record.message = _CONTROL.sub(" ", record.message)[:_LINE_MAX]

@@ -36,6 +36,7 @@ from companion.tools.calibrate.guide import (
 from companion.tools.calibrate.solve import LEAST_VIEWS, LensChoice, Solution, solve
 from drivers.camera.images import PICTURES
 from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
+from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.contracts.geometry import Rotation, Transform
 
@@ -153,7 +154,7 @@ def _run_camera(args: argparse.Namespace) -> int:
     found = assess(solution, size)
     accepted = GRADES.index(found.grade) <= GRADES.index(args.accept)
     if accepted:
-        source = args.device or args.pipeline or f"{len(args.paths)} files or folders"
+        source = guarded(args.device or args.pipeline or f"{len(args.paths)} files or folders")
         with file_errors(f"--out {out}"):
             others = {out.with_suffix(f".{kind}.yaml"): foreign(solution.camera, kind) for kind in args.export}
             out.write_text(
@@ -192,14 +193,14 @@ def _gather(args: argparse.Namespace, board: Board) -> Collection:
 
 def _camera(args: argparse.Namespace) -> tuple[CameraOptions, Size | None]:
     if args.device is not None and "://" in args.device:
-        return CameraOptions(source="stream", device=args.device), None
+        return CameraOptions(source="stream", device=guarded(args.device)), None
     match = re.fullmatch(r"(\d+)[xX](\d+)", args.size or "")
     if match is None:
         raise BadInput(f"--size must be the image to calibrate, such as 640x480, got {args.size!r}")
     with refused("the camera", ValueError):
         size = check_size((int(match[1]), int(match[2])))
         if args.device is None:
-            return CameraOptions(source="gstreamer", device=args.pipeline, rate_hz=args.rate), size
+            return CameraOptions(source="gstreamer", device=guarded(args.pipeline), rate_hz=args.rate), size
         kind, _, name = args.device.partition(":")
         if kind == "libcamera":
             return CameraOptions(source="libcamera", device=name, rate_hz=args.rate), size

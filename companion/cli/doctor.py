@@ -45,6 +45,7 @@ from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.signing import Signing, SigningTimes, load_key
 from drivers.nmea.sentences import REFUSED_FOR
+from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, file_errors
 
 _UNUSED = {"other_sentence": "of a kind that is not read", "other_message": "of a kind that is not read"}
@@ -359,7 +360,7 @@ async def _examined(args: argparse.Namespace) -> Snapshot:
     if args.broker and ":" in args.broker and not args.broker.rpartition(":")[2].isdigit():
         raise BadInput(f"--broker {args.broker}: write HOST:PORT")
     settings = load(args.config) if args.config else None
-    service = await examine_service(settings, args.broker, SystemClock())
+    service = await examine_service(settings, args.broker and str(guarded(args.broker)), SystemClock())
     found = given_links(args, settings)
     if found is None:
         return Snapshot(0.0, service=service)

@@ -24,6 +24,7 @@ from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
 from companion.base import signals
+from estimator.contracts.address import masked
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
@@ -255,7 +256,7 @@ def _load_for_good(name: str) -> ModuleType:
 
 
 def _refuse(why: DecklanderError) -> int:
-    printed = _one_line(str(why))
+    printed = masked(_one_line(str(why)))
     sys.stderr.write(f"{_style('decklander:', '1;31', sys.stderr)} {printed}{_cure(why)}\n")
     if sys.stderr.isatty() and isinstance(why, BadInput):
         sys.stderr.write(pointed(printed))
@@ -293,7 +294,7 @@ def pointed(message: str) -> str:
     margin = len(str(row))
     return (
         f"  --> {path}:{row}:{column}\n"
-        f"  {row} | {lines[row - 1]}\n"
+        f"  {row} | {masked(lines[row - 1])}\n"
         f"  {'':{margin}} | {' ' * (column - 1)}{'^' * width}\n"
         f"  {'':{margin}} = page: {_PAGE}\n"
     )

@@ -28,6 +28,7 @@ from companion.tools.ros2 import bags
 from drivers.imports import ardrone_capture, dataflash, network, pictures, px4_ulog, sentences, tlog
 from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.stamps import Tell
+from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Sample
@@ -327,7 +328,7 @@ def storage(url: str) -> Storage:
     try:
         system, root = fsspec.core.url_to_fs(url, use_listings_cache=False)
     except (ImportError, ValueError) as why:
-        raise BadInput(f"--to {url}: {why}") from why
+        raise BadInput(f"--to {guarded(url)}: {why}") from why
     return Storage(system, root)
 
 

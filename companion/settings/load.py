@@ -25,6 +25,7 @@ from companion.settings.guidance import Response, response_from_mapping
 from companion.settings.model import PadSettings, Settings, in_file, joined
 from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import DOWN
+from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, unusable
 from estimator.vision.camera import Camera
 from estimator.vision.camera_files import foreign_camera
@@ -149,13 +150,34 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False,
             data = {name: table for name, table in joined(data, recorded=True).items() if name not in _INTO_HTTP}
         elif moved := [name for name in _INTO_HTTP if name in data]:
             raise BadInput(f"{moved[0]} is now a part of the table [http] (docs/page.md)")
-        return msgspec.convert(_with_defaults_of_autopilot(data, by_autopilot), Settings, strict=True)
+        return _guard(msgspec.convert(_with_defaults_of_autopilot(data, by_autopilot), Settings, strict=True))
     except BadInput as why:
-        raise BadInput(f"{where}: {why}") from None
+        raise BadInput(f"{where}: {_shown(str(why), data)}") from None
     except msgspec.ValidationError as why:
         from companion.settings.schema import explain  # it describes the whole model
 
-        raise BadInput(f"{where}: {explain(Settings, data, str(why))}") from why
+        raise BadInput(f"{where}: {_shown(explain(Settings, data, str(why)), data)}") from why
+
+
+def _shown(text: str, data: Mapping[str, Any]) -> str:
+    """Return what is written about the tables without the passwords in them."""
+    for value in data.values():
+        if isinstance(value, Mapping):
+            text = _shown(text, value)
+        elif isinstance(value, str):
+            text = text.replace(value, str(guarded(value))) if value else text
+    return text
+
+
+def _guard(table: _Table) -> _Table:
+    """Let each text of the table that holds a password print itself without it."""
+    for key in table.__struct_fields__:
+        value = getattr(table, key)
+        if isinstance(value, msgspec.Struct):
+            _guard(value)
+        elif isinstance(value, str) and (text := guarded(value)) is not value:
+            msgspec.structs.force_setattr(table, key, text)
+    return table
 
 
 def _with_defaults_of_autopilot(data: Mapping[str, Any], by_autopilot: bool) -> Mapping[str, Any]:

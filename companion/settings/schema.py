@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Struct, inspect
 
 from companion.settings.model import EXPERT, Settings, in_file, split
+from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import PUBLIC
 
@@ -162,6 +163,7 @@ def _missing(field: inspect.Field, path: list[str]) -> str:
 
 
 def _show(value: object) -> str:
+    value = str(guarded(value)) if isinstance(value, str) else value
     text = json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool | int | float) else type(value).__name__
     text = {"NaN": "nan", "Infinity": "inf", "-Infinity": "-inf", "dict": "a table", "list": "a list"}.get(text, text)
     return text if len(text) <= 60 else text[:57] + "..."
@@ -172,8 +174,11 @@ def _one_line(text: str) -> str:
 
 
 def toml(settings: Settings) -> str:
-    """Return a settings file with every key in it, defaults included; reading it gives the same settings."""
-    return "\n".join(_tables(split(msgspec.to_builtins(settings)), ())).lstrip("\n") + "\n"
+    """Return a settings file with every key in it, defaults included; reading it gives the same settings.
+
+    Passwords in addresses are masked: such a file is shown, recorded and sent to others.
+    """
+    return "\n".join(_tables(split(msgspec.to_builtins(settings, enc_hook=str)), ())).lstrip("\n") + "\n"
 
 
 def _tables(data: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:

@@ -29,6 +29,7 @@ from drivers.camera.exposure import FRAME_PART, ExposureDrive, ExposureRange, Ex
 from drivers.camera.options import CameraOptions, Lens, Size, check_size
 from drivers.camera.source import CameraCounters, CameraLost, VideoSource, stamp_of
 from drivers.clock import SystemClock
+from estimator.contracts.address import raw
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import Clock, MonoNs
@@ -121,9 +122,9 @@ class ProcessChannel:
         self._seq = 0
         self._opened_before = False
         self._coded = options.source == "gstreamer" and _PREDICTING.search(options.device) is not None
-        self._text = libcamera_request(options) if options.source == "libcamera" else options.device
+        self._text = libcamera_request(options) if options.source == "libcamera" else raw(options.device)
         if options.source == "ros2":
-            self._text = json.dumps({"topic": options.device, "lens": lens})
+            self._text = json.dumps({"topic": raw(options.device), "lens": lens})
 
     async def run(self) -> None:
         """Read frames until the process ends or is silent.

@@ -36,6 +36,7 @@ from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraCounters, CameraLost, VideoSource
 from drivers.camera.videos import MOST_PACKET_BYTES, has_times, most_pixels, open_video, packets_held, predicts_frames, video_of
 from drivers.clock_map import ClockMap, ClockMapOptions
+from estimator.contracts.address import raw
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
@@ -334,7 +335,7 @@ class _Reader:
             if self._live and self._open_bytes():
                 return
             self._container = open_video(
-                o.device if self._bytes is None else self._bytes,
+                raw(o.device) if self._bytes is None else self._bytes,
                 self._size,
                 options=_LIVE | ({} if "://" in o.device else _DESCRIBED) if self._live else {},
                 codec_options={"err_detect": "explode"} if self._live else {},
@@ -367,7 +368,7 @@ class _Reader:
         device = self._o.device
         if not (device.lower().startswith(_PLAIN) or Path(device).is_fifo()):
             return False
-        self._bytes = LiveBytes(device, self._o.silence_s)
+        self._bytes = LiveBytes(raw(device), self._o.silence_s)
         if self._bytes.holds_jpegs():
             self._timed, self._jpegs = False, JpegSplitter()
             self._arrivals = ArrivalClock(self._clock)

@@ -34,6 +34,7 @@ from companion.settings.load import (
 from companion.settings.remarks import without_effect
 from companion.settings.schema import unit_of, walk
 from drivers.mavlink.options import AutopilotOptions
+from estimator.contracts.address import masked, raw
 from estimator.contracts.errors import BadInput
 from estimator.ekf import EkfOptions
 
@@ -142,6 +143,36 @@ def test_what_show_prints_reads_back_as_the_same_settings(data: st.DataObject, k
     except BadInput:
         reject()  # keys that contradict each other
     assert from_file(tomllib.loads(schema.toml(drawn)), "shown") == drawn
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "rtsp://deck:Kiel-7@127.0.0.1/h264", "http://127.0.0.1/video?user=deck&password=Kiel-7", "deck:Kiel-7@broker.ship",
+        "rtspsrc location=rtsp://h/x user-id=deck user-pw=Kiel-7 ! decodebin", "tcp://deck:Kiel-7@ship/a:5760, udpin://0.0.0.0:1",
+        "rtsp://deck:it's Kiel-7@127.0.0.1/h264",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("kind", sorted(MINIMALS))
+def test_no_text_of_the_settings_prints_the_password_in_its_address(kind: str, address: str) -> None:
+    held, refusals = 0, [""]
+    for path, field in walk(Settings, kind):
+        if not isinstance(field.type, inspect.Metadata) or not isinstance(field.type.type, inspect.StrType):
+            continue
+        try:
+            settings = from_mapping(minimal(kind, **{path.replace(".", "__"): address}), "rig.toml")
+        except BadInput as why:
+            refusals.append(masked(str(why)))
+            continue
+        value: Any = settings
+        for part in path.split("."):
+            value = getattr(value, part)
+        for shown in (f"{value}", f"{value:.200}", f"{value!r}", "%s" % value, repr(settings), schema.toml(settings)):  # noqa: UP031
+            assert "Kiel" not in shown, path
+        assert raw(value) == address, "and whoever opens it has all of it"
+        held += 1
+    assert held > 20
+    assert "Kiel" not in "\n".join(refusals)
 
 
 junk = st.recursive(

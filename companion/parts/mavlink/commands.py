@@ -36,6 +36,7 @@ from companion.settings.model import Settings
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import Links, ReceivedMessage
+from estimator.contracts.address import raw
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.time import Clock, MonoNs, seconds_between
@@ -89,7 +90,7 @@ class Tunables:
             KeyError: no such parameter.
             BadInput: out of range, or not possible together with the others; nothing has changed.
         """
-        whole = msgspec.to_builtins(self._settings)
+        whole = msgspec.to_builtins(self._settings, enc_hook=raw)
         *path, last = NAMES[name].split(".")
         table = whole
         for part in path:

@@ -23,6 +23,7 @@ from companion.settings.referenced_files import check_files
 from companion.settings.remarks import remarks
 from companion.settings.settings_file import BEFORE, SettingsFile
 from drivers.mailbox import Line
+from estimator.contracts.address import ADDRESS, MASK, guarded, masked, raw
 from estimator.contracts.errors import BadInput, DecklanderError
 
 log = logging.getLogger(__name__)
@@ -32,11 +33,6 @@ ARMED = "the motors are armed: settings are saved while they are disarmed"
 NO_FILE = "this service was started without a settings file of its own"
 AFTERWARDS = "It takes effect when the service starts again (sudo systemctl restart decklander)"
 _WAITING = 8
-
-MASK = "***"
-_ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:(?://|\\/\\/)[^\s\"']+")
-_USER = re.compile(r"^([^:]+:[/\\]+).*@")
-_VALUE = re.compile(r"([?&;][\w.-]*(?:pass|pwd|token|key|secret|auth|user)[\w.-]*=)[^&;#]*", re.IGNORECASE)
 
 GUARDED = (
     "http", "mqtt", "bridge", "recorder.folder", "operator.socket", "vehicle.operators",
@@ -121,10 +117,10 @@ def check(text: str, before: str, file: SettingsFile) -> Settings:
 def _refuse_guarded(settings: Settings, before: str, file: SettingsFile) -> None:
     """Refuse changes of who may command and of where secrets go, and names of files elsewhere. It reads none of them."""
     try:
-        old = _flat(msgspec.to_builtins(from_file(toml_of(before, file.path), "")))
+        old = _flat(msgspec.to_builtins(from_file(toml_of(before, file.path), ""), enc_hook=raw))
     except BadInput as why:
         raise BadInput(f"the settings file itself is refused ({why}): mend it on the drone's computer first") from why
-    new = _flat(msgspec.to_builtins(settings))
+    new = _flat(msgspec.to_builtins(settings, enc_hook=raw))
     if old.get("camera.source") != new.get("camera.source"):
         del old["camera.device"]  # what names no file for one kind of camera may name one for another
     for path in dict.fromkeys((*old, *new)):
@@ -138,7 +134,7 @@ def _refuse_guarded(settings: Settings, before: str, file: SettingsFile) -> None
         pipeline = path == "camera.device" and new["camera.source"] == "gstreamer"
         if isinstance(has, str) and (pipeline or not _NO_PATH.fullmatch(has)):
             raise BadInput(
-                f"{in_file(path)}: from a browser only what is shipped or lies beside the settings is named, found {has[:60]!r}"
+                f"{in_file(path)}: from a browser only what is shipped or lies beside the settings is named: {guarded(has)!r:.50}"
             )
 
 
@@ -149,11 +145,6 @@ def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def masked(text: str) -> str:
-    """Return the text with the secrets of its addresses hidden: a user with password, and query values named like a secret."""
-    return _ADDRESS.sub(lambda found: _VALUE.sub(rf"\1{MASK}", _USER.sub(rf"\1{MASK}@", found[0])), text)
-
-
 def unmasked(text: str, original: str) -> str:
     """Return the text with each masked address as the original has it.
 
@@ -161,7 +152,7 @@ def unmasked(text: str, original: str) -> str:
         BadInput: a masked address is none of the original's: it was changed, so its secret would go elsewhere.
     """
     known: dict[str, set[str]] = {}
-    for found in _ADDRESS.finditer(original):
+    for found in ADDRESS.finditer(original):
         known.setdefault(masked(found[0]), set()).add(found[0])
 
     def restored(found: re.Match[str]) -> str:
@@ -173,7 +164,7 @@ def unmasked(text: str, original: str) -> str:
             raise BadInput(f"{address}: the address was changed, so write its user and password again in place of {MASK}")
         return next(iter(meant))
 
-    return _ADDRESS.sub(restored, text)
+    return ADDRESS.sub(restored, text)
 
 
 def line_of(text: str, refusal: str) -> int | None:
