@@ -71,6 +71,8 @@ class ClockMapOptions:
     """The delay above the floor that is assumed before any was measured."""
     claimed: bool = False
     """True if the source may have invented its times: arrival stamps its samples until the rates are seen to agree."""
+    doubted: bool = False
+    """True if the source may run slower than we do, as a simulator: what its newest messages are late by widens the sigma."""
     name: str = "a source"
     """The name of the source in the log."""
 
@@ -146,7 +148,9 @@ class ClockMap:
         self._before = remote, difference
         before, offset = self._least.enter(difference, now)
         # A slow clock, or a queue before the line: all of the last messages were late by this.
-        late_s = self._late_s = (self._near.enter(difference, now)[1] - offset) / NS_PER_S if self._o.claimed else 0.0
+        near = self._near.enter(difference, now)[1] if self._o.claimed or self._o.doubted else offset
+        self._late_s = (near - offset) / NS_PER_S
+        late_s = self._late_s if self._o.claimed else 0.0
         self._fell_s = _FADE * self._fell_s + abs(before - offset) / NS_PER_S
         self._count = min(self._count + 1, _MEMORY)
         self._excess_s += ((difference - offset) / NS_PER_S - self._excess_s) / (self._count + _PRIOR)

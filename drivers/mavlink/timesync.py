@@ -36,6 +36,8 @@ class TimeSync:
         self._answers: deque[_Answer] = deque(maxlen=256)
         self._best: _Answer | None = None
         """The answer that says most of the offset, since the newest one and until the next: all of them age alike."""
+        self._drift = 0.0
+        """The relative rate of the remote clock that the answers of the window prove: a simulator's may run slower than ours."""
         self.round_trip_s: float | None = None
         """The shortest round trip of the window."""
         self._asked: deque[int] = deque(maxlen=64)
@@ -101,6 +103,9 @@ class TimeSync:
         self._answers.append(answer)
         while seconds_between(self._answers[0].received_at, received_at) > self._o.window_s:
             self._answers.popleft()
+        first, lasted_ns = self._answers[0], max(1, received_at - self._answers[0].received_at)
+        proven_ns = abs(answer.offset_ns - first.offset_ns) - (answer.round_trip_ns + first.round_trip_ns) // 2
+        self._drift = max(0.0, proven_ns / lasted_ns)
         self._best = min(self._answers, key=lambda a: self._uncertainty_s(a, received_at))
         self.round_trip_s = min(a.round_trip_ns for a in self._answers) / NS_PER_S
         self.answers += 1
@@ -113,7 +118,8 @@ class TimeSync:
         return abs(answer.offset_ns - best.offset_ns) <= room_s * NS_PER_S
 
     def _uncertainty_s(self, answer: _Answer, now: MonoNs) -> float:
-        return 0.5 * answer.round_trip_ns / NS_PER_S + 1e-6 * self._o.drift_ppm * abs(seconds_between(answer.received_at, now))
+        drift = max(1e-6 * self._o.drift_ppm, self._drift)
+        return 0.5 * answer.round_trip_ns / NS_PER_S + drift * abs(seconds_between(answer.received_at, now))
 
 
 def answer_to(message: Message, now: MonoNs, asker: tuple[int, int], us: tuple[int, int]) -> Message | None:
@@ -151,7 +157,9 @@ class BootClock:
 
     def __init__(self, sync: TimeSync) -> None:
         self._sync = sync
-        known = ClockMapOptions(MS_WRAP_NS, resolution_s=0.001, floor_s=0.001, floor_sigma_s=0.002, name="the autopilot")
+        known = ClockMapOptions(
+            MS_WRAP_NS, resolution_s=0.001, floor_s=0.001, floor_sigma_s=0.002, doubted=True, name="the autopilot"
+        )
         self._map = ClockMap(known)
         self._newest: int | None = None
         self.restarts = 0

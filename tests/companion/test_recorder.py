@@ -28,7 +28,7 @@ from companion.base.health import Health
 from companion.base.observer import Decision, ProcessedFrame
 from companion.cli import main as cli
 from companion.facts.records import TruthRecord
-from companion.parts.recorder.recorder import Folder, Recorder, RecorderState, SingleFile
+from companion.parts.recorder.recorder import Folder, Recorder, RecorderState, SingleFile, recordings, start_of
 from companion.recording import channels, mcap_file
 from companion.recording.channels import TOPICS
 from companion.recording.frame_encoder import KEY_EACH, RECORDED, FrameEncoder, FrameSequence, is_key_frame
@@ -237,6 +237,24 @@ def test_files_follow_one_another_and_the_oldest_go(tmp_path: Path) -> None:
     assert recording.cut == {}
     assert np.all(np.diff(seen) == 5_000_000)
     assert seen[-1] == 11_999 * 5_000_000
+
+
+@pytest.mark.parametrize("behind_days", [0, 300])
+def test_a_clock_that_starts_in_the_past_removes_no_newer_flight(tmp_path, monkeypatch, behind_days, caplog):
+    """A computer without a clock of its own: the names give the order, and this flight is the newest whatever its clock says."""
+    now_s = time.time()
+    earlier = [time.strftime("decklander-%Y%m%dT%H%M%SZ-0001.mcap", time.gmtime(now_s - day * 86400)) for day in (3, 2, 1)]
+    for name in earlier:
+        (tmp_path / name).write_bytes(bytes(1_000_000))
+    monkeypatch.setattr(time, "gmtime", lambda s=0.0, _gmtime=time.gmtime: _gmtime(now_s - behind_days * 86400))
+    folder = Folder(tmp_path, start_of(tmp_path), max_file_mb=1.0, max_total_mb=3.0, min_free_mb=0.0)
+    ours = [folder.next_path()]
+    for _ in range(2):
+        ours[-1].write_bytes(bytes(1_000_000))
+        ours.append(folder.next_path())
+        folder.tidy(ours[-1])
+    assert [p.name for p in recordings(tmp_path)] == [earlier[2], ours[0].name, ours[1].name]
+    assert ("is behind" in caplog.text) is (behind_days > 0)
 
 
 def test_pause_ends_the_file_and_resume_begins_another(tmp_path: Path) -> None:

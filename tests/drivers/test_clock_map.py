@@ -120,6 +120,24 @@ def test_a_queue_that_fills_for_some_seconds_is_no_slow_clock() -> None:
     assert np.abs(np.array([s.measured_at / S for s in stamps]) - true_s)[true_s < 19.0].max() < 0.01
 
 
+@pytest.mark.parametrize("rate", [0.9, 0.97, 0.99, 0.998])
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_simulated_autopilot_that_falls_behind_is_stamped_within_5_sigmas(rate: float, answers: bool) -> None:
+    sync, rng = TimeSync(), np.random.default_rng(7)
+    clock, wrong, count = BootClock(sync), 0, 0
+    for now in range(10 * S, 70 * S, S // 50):
+        for request in sync.due(MonoNs(now), (1, 1)) if answers else ():
+            received = now + 400_000
+            sync.on_message(TimeSyncV2(round(rate * (now + 200_000)), request.ts1), MonoNs(received))
+        true_s, delay_s = now / S, 0.002 + rng.exponential(0.001)
+        stamp = clock.stamp(boot_ms(int(1000 * rate * true_s)), MonoNs(round((true_s + delay_s) * S)))
+        count += 1
+        wrong += (
+            abs(stamp.measured_at / S - true_s) > 0.005 + 0.5 * (1.0 - rate) + 5 * stamp.sigma_s
+        )  # half a second shows no rate
+    assert wrong <= 0.01 * count
+
+
 @pytest.mark.parametrize("rate", [0.4, 0.98, 1.02, 2.5])
 def test_a_clock_of_another_rate_is_left_for_the_arrival_and_accepted_again(rate, caplog):
     clock = ClockMap(ClockMapOptions(floor_s=0.002, name="camera mast"))

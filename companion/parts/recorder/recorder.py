@@ -17,6 +17,8 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime, timedelta
 from enum import Enum
 from pathlib import Path
 from queue import Empty, SimpleQueue  # noqa: TID251 - `_give` bounds it, and no lock is taken in Python for each record
@@ -40,12 +42,31 @@ from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
 
 MB = 1_000_000
+_STARTED = "%Y%m%dT%H%M%SZ"
 _NAME = re.compile(r"decklander-\d{8}T\d{6}Z-\d{4}\.mcap")
 
 
 def recordings(folder: Path) -> list[Path]:
     """Return the recordings that the service has written into this folder, the oldest first. Raises OSError."""
     return sorted(p for p in folder.iterdir() if _NAME.fullmatch(p.name))
+
+
+def start_of(folder: Path) -> str:
+    """Return the time that names this start of the service, as YYYYMMDDTHHMMSSZ in UTC.
+
+    A computer without a clock of its own starts in the past. Then it is a second after the newest recording of the folder: the
+    names give the order in which recordings are removed.
+    """
+    now, newest = time.strftime(_STARTED, time.gmtime()), ""
+    with suppress(OSError, IndexError):
+        newest = recordings(folder)[-1].name[len("decklander-") :][: len(now)]
+    if newest <= now:
+        return now
+    with suppress(ValueError, OverflowError):
+        later = (datetime.strptime(newest, _STARTED) + timedelta(seconds=1)).strftime(_STARTED)
+        log.warning("recorder: this computer's clock (%s) is behind the newest recording in %s: named %s", now, folder, later)
+        return later
+    return now
 
 
 def digest_file(recording: Path) -> Path:

@@ -9,7 +9,7 @@ from typing import Literal
 
 from companion.base.containment import CallGuard, RestartablePart
 from companion.base.health import Health
-from companion.parts.recorder.recorder import PART, Folder, Recorder, SingleFile
+from companion.parts.recorder.recorder import PART, Folder, Recorder, SingleFile, start_of
 from companion.recording.channels import CAMERA, PAD, SETTINGS
 from companion.recording.mcap_file import About, Attachment
 from companion.settings import schema
@@ -53,8 +53,7 @@ def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
         BadInput: the camera or pad file is missing.
     """
     r = settings.recorder
-    started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-    storage_policy = Folder(Path(r.folder), started, r.max_file_mb, r.max_total_mb, r.min_free_mb, r.delete)
+    storage_policy = Folder(Path(r.folder), start_of(Path(r.folder)), r.max_file_mb, r.max_total_mb, r.min_free_mb, r.delete)
     described = about(settings, {"kind": "service"}, wall_offset_ns(clock))
     recorder = Recorder(storage_policy, body_camera(settings), described, r, health, close_s=1.5)
     if not r.enabled:

@@ -15,9 +15,9 @@ from msgspec import structs, to_builtins
 from msgspec.structs import replace
 
 from companion.facts import encode as facts
-from companion.parts.page.settings_tool import masked
 from companion.tools.report.page import render_comparison, write_page, write_report
 from companion.tools.report.video import film_of
+from estimator.contracts.address import masked
 from estimator.contracts.commands import CutMotors, Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs

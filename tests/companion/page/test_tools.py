@@ -24,7 +24,7 @@ from companion.cli.calibrate import block
 from companion.parts.page import make
 from companion.parts.page.access import own_names, refused_origin
 from companion.parts.page.endpoint import picture_lines
-from companion.parts.page.settings_tool import check, line_of, masked, unmasked
+from companion.parts.page.settings_tool import check, line_of, unmasked
 from companion.settings.links import HttpSettings
 from companion.settings.load import camera_model, load, pad_model
 from companion.settings.settings_file import SettingsFile
@@ -38,6 +38,7 @@ from drivers.mavlink import samples
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Condition, Stack
+from estimator.contracts.address import masked
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import FusionResult, RelativeState, Verdict
 from estimator.contracts.geometry import Rotation
