@@ -250,7 +250,7 @@ def test_paths_are_relative_to_the_settings_file(tmp_path: Path, monkeypatch: py
 @pytest.mark.parametrize(
     ("camera", "said"),
     [
-        ('"sin"', "camera.file: there is no file 'sin' and no shipped one of that name (did you mean 'sim')"),
+        ('"sin"', "camera.file: there is no file 'sin' and no shipped one of that name (did you mean 'sim'?)"),
         ('"lens.toml"', "lens.toml: key 'fx' is missing"),
         ('"."', "Is a directory"),
         ('"a\\u0000b"', "camera.file: there is no file 'a\\x00b'"),
