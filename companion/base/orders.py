@@ -1,6 +1,7 @@
 """The orders of people, their senders, and the answer that each order gets."""
 
 import math
+import re
 from enum import Enum
 
 from msgspec import Struct
@@ -65,6 +66,15 @@ class OrderSender(Struct, frozen=True):
 
     def __str__(self) -> str:
         return f"{self.source.value} {self.name}".rstrip()
+
+    def reads(self, text: str) -> str:
+        """Return a text as the person at this page or terminal reads it: its sender as "you", the others without numbers."""
+        text = text.replace(str(self), "you")
+        return _NUMBERED.sub(lambda m: f"{'another' if m[1] == self.source.value else 'a'} {m[1]} ", text)
+
+
+_NUMBERED = re.compile(r"\b(page|terminal) \d+ (?=\()")
+"""A page or a terminal by the number of its connection, which no screen shows."""
 
 
 class HandledOrder(Struct, frozen=True):

@@ -33,8 +33,12 @@ from estimator.contracts.errors import BadInput, Recoverable
 
 KEY_S = 0.5
 """The time after its last repetition at which a key's motion ends, s."""
-TWICE_S = 1.0
-"""The time within which the key of the emergency must be pressed twice, s."""
+TWICE: dict[str, tuple[OperatorOrder, str, float]] = {
+    "E": (OperatorOrder.EMERGENCY, "CUT THE MOTORS", 1.0),
+    "t": (OperatorOrder.TAKE_OFF, "take off", 2.0),
+    "l": (OperatorOrder.LAND, "land here: ", 2.0),
+}
+"""The keys that must be pressed twice: the order of each, its words, and the time that the second may take, s."""
 _TICK_S = 0.05
 _STEP = 0.1
 
@@ -50,8 +54,6 @@ MOTIONS: dict[str, tuple[str, float]] = {
 }
 """The stick and the direction of each key."""
 KEYS: dict[str, OperatorOrder] = {
-    "t": OperatorOrder.TAKE_OFF,
-    "l": OperatorOrder.LAND,
     "b": OperatorOrder.BEGIN,
     "p": OperatorOrder.STAY,
     "x": OperatorOrder.ABORT,
@@ -61,7 +63,7 @@ KEYS: dict[str, OperatorOrder] = {
 }
 HELP = (
     "m take or give back the hand   w/s up, down   a/d turn   arrows move   +/- faster, slower",
-    "t take off   l land   p stay over the pad   b begin the landing   x abort it   c pad is clear",
+    "t t take off   l l land here   p stay over the pad   b begin the landing   x abort it   c ignore what is on the pad",
     "space hold   E E cut the motors   R reset   q end",
 )
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
@@ -110,7 +112,8 @@ class _Keyboard:
         self._motion = KeyMotion()
         self._state: FlightState | None = None
         self._hand = self._asking = False
-        self._cut_s: float | None = None
+        self._once: tuple[str, float] = "", 0.0
+        """The newest key that must be pressed twice, and when it was, s."""
 
     def on_readable(self) -> None:
         """Read what the terminal sent."""
@@ -163,8 +166,8 @@ class _Keyboard:
                 if await self._give(client, OperatorOrder.MANUAL if wanted else OperatorOrder.RELEASE):
                     self._hand = wanted
                     self._motion = replace(self._motion, until_s={})
-            elif key == "E":
-                await self._emergency(client)
+            elif key in TWICE:
+                await self._twice(key, client)
             elif key in KEYS:
                 await self._give(client, KEYS[key])
             elif key == "?":
@@ -174,14 +177,15 @@ class _Keyboard:
             client.move(CENTRED)
             await client.order(OperatorOrder.RELEASE)
 
-    async def _emergency(self, client: OperatorClient) -> None:
-        now_s, before_s = self._loop.time(), self._cut_s
-        self._cut_s = now_s
-        if before_s is not None and now_s - before_s <= TWICE_S:
-            self._cut_s = None
-            await self._give(client, OperatorOrder.EMERGENCY)
+    async def _twice(self, key: str, client: OperatorClient) -> None:
+        (order, words, within_s), now_s, (before, at_s) = TWICE[key], self._loop.time(), self._once
+        self._once = key, now_s
+        if before == key and now_s - at_s <= within_s:
+            self._once = "", 0.0
+            await self._give(client, order)
         else:
-            self.say(f"press E again within {TWICE_S:g} s to CUT THE MOTORS")
+            where = "not known" if self._state is None else self._state.below
+            self.say(f"press {key} again within {within_s:g} s to {words}{where if order is OperatorOrder.LAND else ''}")
 
     async def _give(self, client: OperatorClient, order: OperatorOrder) -> bool:
         self._asking = True
@@ -280,6 +284,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "after takeoff wait until it hovers, after land and begin until it is on the ground; exit code 1 after S seconds",
         type=float,
     )
+    option(parser, "--here", "with land: do not ask where the pad is not surely below")
     option(parser, "--json", "print one JSON object")
 
 
@@ -292,6 +297,8 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.wait is not None and (args.order not in _AWAITED or not 0 < args.wait <= 3600):
         raise BadInput(f"--wait takes up to 3600 seconds, with one of {', '.join(sorted(_AWAITED))}")
+    if args.here and args.order != "land":
+        raise BadInput("--here goes with land")
     if args.order is None and not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise BadInput(f"there is no terminal to fly by; name an order: {', '.join(ORDERS)}, status")
     path = running(None if args.config is None else load(args.config))
@@ -314,6 +321,14 @@ async def _once(args: argparse.Namespace, path: Path) -> int:
                 state = await states.get()
             _say(state, line_of_state(state), as_json=args.json)
             return 0
+        if args.order == "land" and not args.here:
+            client.watch()
+            async with asyncio.timeout(_STATE_TIMEOUT_S):
+                state = await states.get()
+            if state.flying is not False and not state.over_pad and not await _agreed(f"land here, {state.below}?", args):
+                text = f"land: not ordered: {state.below}; to land there: --here"
+                _say({"order": args.order, "accepted": False, "done": False, "text": text}, text, as_json=args.json)
+                return 1
         answer = await client.order(ORDERS[args.order])
         reached = answer.accepted
         text = f"{args.order}: {answer.text}"
@@ -324,6 +339,13 @@ async def _once(args: argparse.Namespace, path: Path) -> int:
             text += "; done" if last is None else f"; after {args.wait:g} s the vehicle is still {last}"
         _say({"order": args.order, "accepted": answer.accepted, "done": reached, "text": text}, text, as_json=args.json)
     return 0 if reached else 1
+
+
+async def _agreed(question: str, args: argparse.Namespace) -> bool:
+    """Ask the person at this terminal; where there is none, or a program reads the answer, nobody agrees."""
+    if args.json or not (sys.stdin.isatty() and sys.stdout.isatty()):
+        return False
+    return (await asyncio.to_thread(input, f"{question} [y/N] ")).strip().lower() in ("y", "yes")
 
 
 async def _wait(states: asyncio.Queue[FlightState], order: str, seconds: float) -> str | None:

@@ -68,6 +68,10 @@ class FlightState(Struct, frozen=True, kw_only=True, tag_field="kind", tag="stat
     """Height above the pad, or above what is below if the pad is not known."""
     lateral_m: float | None
     """Horizontal distance from the pad."""
+    below: str = ""
+    """The place at which a landing that is ordered now would end, by the estimate, in words."""
+    over_pad: bool = False
+    """True if that is surely on the pad."""
 
 
 class RequestRefused(Struct, frozen=True, kw_only=True, tag_field="kind", tag="refused"):

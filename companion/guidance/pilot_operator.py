@@ -1,5 +1,6 @@
 """The operations of one sender of orders on the pilot, each through the arbiter, and the state of the flight that it sees."""
 
+import math
 from collections.abc import Callable
 from typing import Protocol
 
@@ -8,12 +9,14 @@ from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
 from companion.facts.wire import FlightState, OrderAnswer, OrderRequest
 from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.guidance.pilot import Pilot
-from estimator.contracts.estimates import PathName
+from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.samples import Range, Sample
-from estimator.contracts.time import Clock, seconds_between
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 _RANGE_S = 1.0
 """Age up to which a range stands for a height that is not seen, s."""
+_SURE_S, _LOWER_M = 1.0, 0.5
+"""Age of the newest sight up to which the pad is surely below, s, and depth under the pad of what is no deck of hers, m."""
 
 
 class Operated(Protocol):
@@ -64,7 +67,7 @@ class PilotOperator:
             refusal: str | None = f"{request.order.value} is an order of MQTT and MAVLink"
         else:
             refusal = self.order(request.order)
-        text = "accepted" if refusal is None else f"refused: {refusal}"
+        text = "accepted" if refusal is None else f"refused: {self._sender.reads(refusal)}"
         return OrderAnswer(number=request.number, accepted=refusal is None, text=text)
 
     def start(self) -> str | None:
@@ -123,18 +126,36 @@ class FlightWatch(NullObserver):
         status = self._pilot.operator.newest_status(now)
         belief = None if decision is None else decision.belief
         height_m = None if belief is None else belief.height_m
-        if height_m is None and self._range is not None and seconds_between(self._range.stamp.received_at, now) < _RANGE_S:
-            height_m = self._range.range_m
-        hand = self._pilot.operator.hand
+        height_m = self._range_m(now) if height_m is None else height_m
+        hand, (below, over_pad) = self._pilot.operator.hand, self._below(now, belief)
         return FlightState(
             situation=self._pilot.operator.situation(now).value,
             phase="" if decision is None else decision.phase,
-            reason="" if decision is None else decision.reason,
-            hand=None if hand is None else str(hand),
+            reason="" if decision is None else sender.reads(decision.reason),
+            hand=None if hand is None else sender.reads(str(hand)),
             yours=hand == sender,
             flying=None if status is None else status.flying,
             mode=None if status is None else status.mode,
             battery_fraction=None if status is None else status.battery_fraction,
             height_m=height_m,
             lateral_m=None if belief is None else belief.lateral_m,
+            below=below,
+            over_pad=over_pad,
         )
+
+    def _below(self, now: MonoNs, belief: RelativeState | None) -> tuple[str, bool]:
+        """Return what lies below in words, and whether it is surely the pad: nothing else knows where a deck ends."""
+        if belief is None:
+            return "no pad is known: this may be deck, rail or water", False
+        sigma_m = math.sqrt(max(float(belief.cov[0, 0]), float(belief.cov[1, 1])))
+        sure = belief.consistent and belief.age_s(now) < _SURE_S
+        if belief.lateral_m + 2.0 * sigma_m <= self._pilot.pad.disc_radius_m:
+            return f"over the pad, {100 * belief.lateral_m:.0f} cm from its centre" + ("" if sure else ", out of sight"), sure
+        range_m = self._range_m(now)
+        lower_m = 0.0 if range_m is None else range_m - belief.height_m
+        what = "over deck or water" if lower_m < _LOWER_M else f"over water, or a deck that is {lower_m:.1f} m lower"
+        return f"{belief.lateral_m:.1f} m beside the pad, {what}", False
+
+    def _range_m(self, now: MonoNs) -> float | None:
+        fresh = self._range is not None and seconds_between(self._range.stamp.received_at, now) < _RANGE_S
+        return self._range.range_m if fresh and self._range is not None else None

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from msgspec import inspect
 
-from companion.cli.fly import KEYS, MOTIONS, ORDERS
+from companion.cli.fly import KEYS, MOTIONS, ORDERS, TWICE
 from companion.cli.main import COMMANDS
 from companion.guidance.operator.precedence import markdown
 from companion.parts.mqtt.messages import PUBLISHED
@@ -81,7 +81,7 @@ def test_the_page_holds_the_table_of_precedence() -> None:
 
 def test_the_page_names_every_order_and_key() -> None:
     assert all(f"decklander fly {name}" in PAGE for name in ORDERS)
-    letters = [key for key in (*MOTIONS, *KEYS) if len(key) == 1 and key != " "]
+    letters = [key for key in (*MOTIONS, *KEYS, *TWICE) if len(key) == 1 and key != " "]
     assert all(f"`{key}`" in PAGE for key in letters)
 
 

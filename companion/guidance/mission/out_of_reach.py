@@ -53,9 +53,10 @@ def climbed(p: Progress, s: GuidanceCycle, since_last_s: float) -> Progress:
 def flown_by_others(p: Progress) -> Progress:
     """Return the memory after a cycle whose command was another one: a climb that was ordered was not flown.
 
-    Where a person flies a vehicle that waits, nobody knows how high it is afterwards.
+    Where a person flies a vehicle that waits, nobody knows how high it is afterwards, and its place is the new one.
     """
-    return replace(p, climbs_m_s=0.0) if p.state in FLOWN else replace(p, climbs_m_s=0.0, seen_height_m=math.inf, climbed_m=0.0)
+    p = replace(p, climbs_m_s=0.0)
+    return p if p.state in FLOWN else replace(p, seen_height_m=math.inf, climbed_m=0.0, held=None)
 
 
 def height_m(p: Progress, s: GuidanceCycle) -> float | None:

@@ -379,12 +379,9 @@ class OperatorArbiter:
                     guided.take_back()
                 if guided.vehicle is None or guided.vehicle.flying is not False:
                     guided.pause()
-            case OperatorOrder.ABORT:
-                self._control = replace(control, hand=None, take_off=None, called_off=given)
-                guided.abort()
-            case OperatorOrder.HOLD:
-                self._control = replace(control, hand=None, take_off=None, called_off=given)
-                guided.pause()
+            case OperatorOrder.ABORT | OperatorOrder.HOLD:
+                self._control = replace(control, hand=None, take_off=None, landing=None, called_off=given)
+                (guided.abort if order is OperatorOrder.ABORT else guided.pause)()
             case OperatorOrder.TAKE_OFF:
                 # During a landing it may only end that: the motors of a vehicle that has just touched down would start.
                 begins, ends = (given, None) if control.landing is None else (None, given)

@@ -19,9 +19,9 @@ IDLE_HAND_S = 3.0
 RANKED = (
     OperatorOrder.EMERGENCY,
     OperatorOrder.MANUAL,
-    OperatorOrder.LAND,
     OperatorOrder.ABORT,
     OperatorOrder.HOLD,
+    OperatorOrder.LAND,
     OperatorOrder.TAKE_OFF,
     OperatorOrder.STAY,
     OperatorOrder.BEGIN,
@@ -79,10 +79,10 @@ REASONS: Mapping[Rule, str] = MappingProxyType(
         Rule.OVER: "the flight is over: {outcome}",
         Rule.FLYING: "the vehicle flies already",
         Rule.ON_GROUND: "the vehicle is on the ground",
-        Rule.LANDING: "a landing that {holder} ordered is under way; takeoff or manual calls it off",
+        Rule.LANDING: "a landing that {holder} ordered is under way: hold or abort stops it",
         Rule.NO_HAND: "nobody flies by hand",
         Rule.NO_EMERGENCY: "the vehicle is not in its emergency state",
-        Rule.EMERGENCY: "the motors were cut; reset leaves the emergency state",
+        Rule.EMERGENCY: "the motors were cut: leave the emergency state first (reset)",
         Rule.UNHEARD: "the vehicle is silent",
     }
 )
@@ -103,9 +103,9 @@ TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyTyp
         #                     unheard ground done guided held over manual landing emergency
         OperatorOrder.EMERGENCY: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
         OperatorOrder.MANUAL: _row(_U, _Y, _Y, _Y, _Y, _Y, Rule.IDLE, _Y, _E),
+        OperatorOrder.ABORT: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _Y, _O),
+        OperatorOrder.HOLD: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _Y, _O),
         OperatorOrder.LAND: _row(_Y, _Y, _Y, _Y, _Y, _Y, _H, _Y, _E),
-        OperatorOrder.ABORT: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _L, _O),
-        OperatorOrder.HOLD: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _L, _O),
         OperatorOrder.TAKE_OFF: _row(_U, _Y, _Y, _F, _F, _F, _H, _Y, _E),
         OperatorOrder.STAY: _row(_T, _Y, _O, _Y, _Y, _T, _H, _L, _O),
         OperatorOrder.BEGIN: _row(_T, _Y, _O, _Y, _Y, _T, _H, _L, _O),

@@ -392,6 +392,7 @@ class PageEndpoint(NullObserver):
         looks = self._looked is not None and seconds_between(self._looked, now) < _THINGS_S
         for viewer in self._viewers:
             flight = self._flight.state(viewer.sender)
+            why = {order.value: self._pilot.operator.refusal(order, viewer.sender, now) for order in ORDERS}
             viewer.tell(
                 PageState(
                     **{name: getattr(flight, name) for name in flight.__struct_fields__},
@@ -402,7 +403,7 @@ class PageEndpoint(NullObserver):
                     things=self._things if looks else (),
                     roll_rad=roll,
                     pitch_rad=pitch,
-                    refusals={order.value: self._pilot.operator.refusal(order, viewer.sender, now) for order in ORDERS},
+                    refusals={order: text and viewer.sender.reads(text) for order, text in why.items()},
                     picture_delay_s=viewer.picture_delay_s,
                 )
             )

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from aiohttp import WSMsgType, web
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
@@ -20,7 +21,7 @@ from companion.base.observer import ProcessedFrame
 from companion.base.orders import OrderSender
 from companion.facts.wire import RequestRate, RequestRefused
 from companion.guidance.pilot import Pilot
-from companion.parts.page.messages import PageRequest, PageState, ToolRequest, ToPage, request_in, text_of
+from companion.parts.page.messages import PageEvent, PageRequest, PageState, ToolRequest, ToPage, request_in, text_of
 from companion.recording.frame_encoder import FrameEncoder
 from companion.settings.model import Settings
 from companion.settings.settings_file import SettingsFile
@@ -93,6 +94,8 @@ class PageViewer:
         """Send a message; a state replaces one that is not sent yet."""
         if isinstance(message, PageState):
             self._states.offer(text_of(message))
+        elif isinstance(message, PageEvent):
+            self._texts.offer(text_of(replace(message, text=self.sender.reads(message.text))))
         else:
             self._texts.offer(text_of(message))
 

@@ -1,5 +1,6 @@
 """Command of the vehicle: every order in every situation, what no input of people may ever cause, and orders to a real pilot."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
@@ -10,15 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.base.mission import FlightOutcome
+from companion.base.observer import Decision
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.operator.arbiter import BY_HAND, LANDING_FOR_PERSON, OperatorArbiter
 from companion.guidance.operator.precedence import CROSSING_S, RANKED, REASONS, TABLE, ControlSituation, Rule
 from companion.guidance.pilot import Pilot, make_pilot
-from companion.guidance.pilot_operator import PilotOperator
+from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from companion.settings.load import load
 from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
-from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.samples import Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
+from tests.make import estimate
 from tests.support.mqtt_service import vehicle_status
 
 PAD, OTHER = OrderSender(OrderSource.GAMEPAD, "pad"), OrderSender(OrderSource.MAVLINK)
@@ -151,7 +154,8 @@ def test_of_two_crossing_orders_the_first_in_the_table_wins_whichever_arrives_fi
         (OperatorOrder.HOLD, OperatorOrder.BEGIN),
         (OperatorOrder.STAY, OperatorOrder.BEGIN),
         (OperatorOrder.HOLD, OperatorOrder.STAY),
-        (OperatorOrder.LAND, OperatorOrder.HOLD),
+        (OperatorOrder.HOLD, OperatorOrder.LAND),
+        (OperatorOrder.ABORT, OperatorOrder.LAND),
     ):
         bridge = bridge_in(ControlSituation.GUIDED)
         assert bridge.order(first, OTHER) is None
@@ -241,12 +245,15 @@ def test_a_persons_landing_outlasts_guidance_and_is_called_off_by_the_hand_witho
     assert bridge.cycle(0.3) == Land(persistent=True)
     assert bridge.cycle(1.0) is None, "the driver goes on with it, and a hand at the remote control is not overridden"
     assert bridge.arbiter.choose(bridge.now, GUIDED).phase == LANDING_FOR_PERSON
-    for calls_off in (OperatorOrder.MANUAL, OperatorOrder.TAKE_OFF):
+    ends = (OperatorOrder.MANUAL, OperatorOrder.TAKE_OFF, OperatorOrder.HOLD, OperatorOrder.ABORT)
+    for calls_off, sender in itertools.product(ends, (PAD, OTHER)):
         bridge = bridge_in(ControlSituation.LANDING)
-        assert bridge.order(calls_off) is None
+        bridge.cycle(CROSSING_S)
+        assert bridge.order(calls_off, sender) is None
         assert bridge.cycle() == Hover(calls_off=True)
         commands = [bridge.cycle() for _ in range(50)]
-        assert not any(isinstance(c, TakeOff) for c in commands)
+        assert not any(isinstance(c, TakeOff | Land) for c in commands)
+        assert bridge.arbiter.situation(bridge.now) is not ControlSituation.LANDING
     bridge = bridge_in(ControlSituation.LANDING)
     bridge.vehicle(False)
     bridge.cycle()
@@ -272,7 +279,7 @@ def test_an_emergency_cuts_until_the_vehicle_reports_it_and_only_reset_leaves_it
     assert bridge.cycle() == CutMotors()
     bridge.vehicle(True, emergency=True)
     assert bridge.cycle() != CutMotors()
-    assert bridge.order(OperatorOrder.TAKE_OFF) == "the motors were cut; reset leaves the emergency state"
+    assert bridge.order(OperatorOrder.TAKE_OFF) == "the motors were cut: leave the emergency state first (reset)"
     assert bridge.order(OperatorOrder.RESET) is None
     assert bridge.cycle() == LeaveEmergency()
     bridge.vehicle(False)
@@ -321,6 +328,7 @@ def test_a_landing_ends_with_the_pilot_who_takes_the_vehicle_and_another_order_t
     assert bridge.cycle() == Land(persistent=True)
 
 
+ENDS_LANDING = {OperatorOrder(name) for name in ("manual", "takeoff", "emergency", "hold", "abort")}
 EVENTS = st.lists(
     st.one_of(
         st.tuples(st.sampled_from(OperatorOrder), st.sampled_from([PAD, OTHER])),
@@ -343,9 +351,7 @@ def test_whatever_people_do_nothing_commands_without_its_order(events: list[tupl
     for what, whom in events:
         if isinstance(what, OperatorOrder):
             accepted = bridge.order(what, whom) is None  # type: ignore[arg-type]
-            landed_by = (landed_by or (what is OperatorOrder.LAND and accepted)) and not (
-                accepted and what in (OperatorOrder.MANUAL, OperatorOrder.TAKE_OFF, OperatorOrder.EMERGENCY)
-            )
+            landed_by = (landed_by or (what is OperatorOrder.LAND and accepted)) and not (accepted and what in ENDS_LANDING)
             cut = cut or (what is OperatorOrder.EMERGENCY and accepted)
             if accepted and what is OperatorOrder.MANUAL:
                 moved_at[whom] = bridge.now
@@ -447,3 +453,32 @@ def test_every_order_is_reported_with_its_answer() -> None:
         (OperatorOrder.BEGIN, False),
     ]
     assert str(reported[-1]) == "mqtt: begin: refused, the flight is over: aborted"
+
+
+@pytest.mark.hazard("H9")
+def test_a_person_reads_where_a_landing_would_end() -> None:
+    """Beside the pad, and where sight is old or uncertain, nothing is surely the pad; a lower surface may be water."""
+    pilot = flying()
+    watch, page = FlightWatch(pilot, StillClock()), OrderSender(OrderSource.PAGE, "1 (::1)")
+    radius_m = pilot.pad.disc_radius_m
+
+    def below(off_m: float, sigma_m: float = 0.01, range_m: float = 2.0, age_s: float = 0.0) -> tuple[str, bool]:
+        watch.on_sample(Range(Stamp(MonoNs(2), MonoNs(2), 0.001, "sim"), range_m, 0.02))
+        belief = estimate(0.0, (off_m, 0.0, 2.0), sigma=sigma_m, age=age_s)
+        watch.on_decision(Decision(MonoNs(2), "search", None, belief))
+        state = watch.state(page)
+        return state.below, state.over_pad
+
+    assert watch.state(page).below == "no pad is known: this may be deck, rail or water"
+    assert below(0.1) == ("over the pad, 10 cm from its centre", True)
+    assert below(0.1, age_s=3.0) == ("over the pad, 10 cm from its centre, out of sight", False)
+    assert below(0.1, sigma_m=radius_m) == ("0.1 m beside the pad, over deck or water", False)
+    assert below(2.9) == ("2.9 m beside the pad, over deck or water", False)
+    assert below(2.9, range_m=3.9) == ("2.9 m beside the pad, over water, or a deck that is 1.9 m lower", False)
+
+
+def test_each_person_reads_his_own_orders_as_his_and_no_connection_s_number() -> None:
+    one, two = OrderSender(OrderSource.PAGE, "1 (10.0.0.2)"), OrderSender(OrderSource.PAGE, "12 (10.0.0.3)")
+    text = f"ordered by {one}, then by {two} and terminal 3 (process 7, user 0)"
+    assert one.reads(text) == "ordered by you, then by another page (10.0.0.3) and a terminal (process 7, user 0)"
+    assert two.reads(text) == "ordered by another page (10.0.0.2), then by you and a terminal (process 7, user 0)"

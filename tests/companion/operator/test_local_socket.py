@@ -190,16 +190,19 @@ def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsy
     async def terminal() -> list[tuple[OperatorOrder, bool]]:
         async with serving(path) as service:
             code = [str(Path(sys.executable).parent / "decklander"), "fly"]
-            for order, expected in (("takeoff", 1), ("hold", 0), ("status", 0)):
+            for order, expected in (("takeoff", 1), ("hold", 0), ("status", 0), ("land", 1)):
                 done = await asyncio.to_thread(
                     subprocess.run, [*code, order, "--config", "sim"], capture_output=True, text=True, check=False
                 )
                 assert done.returncode == expected, done
                 assert done.stdout.startswith(f"{order}: " if order != "status" else "paused"), done
+            assert done.stdout == "land: not ordered: no pad is known: this may be deck, rail or water; to land there: --here\n"
             parent, child = pty.openpty()
             process = await asyncio.to_thread(subprocess.Popen, code, stdin=child, stdout=child, stderr=child)
             os.close(child)
             await _screen(parent, "watching")
+            os.write(parent, b"lt")
+            await _screen(parent, "press t again within 2 s to take off")
             os.write(parent, b"m")
             await _screen(parent, "manual: accepted")
             while not isinstance(service.command, Velocity):
@@ -208,8 +211,18 @@ def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsy
             commands.append(service.command)
             await until(lambda: isinstance(service.command, Hover))  # the key is let go
             assert service.pilot.operator.hand is not None
+            os.write(parent, b"ll")
+            await _screen(parent, "land: accepted")
             os.write(parent, b"q")
             assert await asyncio.to_thread(process.wait, PATIENCE_S) == 0
+            os.close(parent)
+            parent, child = pty.openpty()
+            asked = await asyncio.to_thread(subprocess.Popen, [*code, "land"], stdin=child, stdout=child, stderr=child)
+            os.close(child)
+            await _screen(parent, "land here, no pad is known")
+            os.write(parent, b"y\n")
+            await _screen(parent, "land: accepted")
+            assert await asyncio.to_thread(asked.wait, PATIENCE_S) == 0
             os.close(parent)
             return [(handled.order, handled.accepted) for handled in service.orders]
 
@@ -218,7 +231,8 @@ def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsy
         (OperatorOrder.TAKE_OFF, False),
         (OperatorOrder.HOLD, True),
         (OperatorOrder.MANUAL, True),
-        (OperatorOrder.RELEASE, True),
+        (OperatorOrder.LAND, True),
+        (OperatorOrder.LAND, True),
     ]
     assert [c.v_level.tolist() for c in commands] == [[0.5, 0.0, 0.0]]
 

@@ -71,10 +71,22 @@ class Window:
         name = await button.inner_text()
         for _ in range(TRIES):
             await button.click(force=True)
+            if await self.page.is_visible("#asks"):
+                await self.slide("confirm")
             answer = await self.shows("answer", f"{name}: (accepted|refused|no answer|not sent)")
             if "no answer" not in answer and "not sent" not in answer:
                 break
         return answer
+
+    async def slide(self, name: str, way: float = 1.0) -> None:
+        """Draw the knob of a slide so far."""
+        knob = await self.page.locator(f"#{name} .knob").bounding_box()
+        track = await self.page.locator(f"#{name}").bounding_box()
+        x, y = knob["x"] + knob["width"] / 2, knob["y"] + knob["height"] / 2
+        await self.page.mouse.move(x, y)
+        await self.page.mouse.down()
+        await self.page.mouse.move(x + way * track["width"], y, steps=8)
+        await self.page.mouse.up()
 
 
 @asynccontextmanager
@@ -178,16 +190,22 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
             assert "accepted" in await two.press("hold")
             await one.shows("phase", "paused")
             await one.shows("events", r"hold: accepted")
+            await two.page.click('[data-order="land"]')
+            await two.shows("asks-says", "Lands over the pad, 36 cm from its centre, out of sight")
+            await two.slide("confirm", 0.5)
+            await two.page.click('[data-order="land"]')
+            await playwright.expect(two.page.locator("#asks")).to_be_hidden(timeout=WAIT_MS)
+            assert "land" not in [handled.order.value for handled in service.orders], "neither a tap nor half of the way lands"
             assert "accepted" in await two.press("land")
-        await until(lambda: Land in service.commanded)
+            await one.shows("reason", "ordered by another page")
+            await two.shows("reason", "ordered by you")
+            assert (await one.press("begin")).endswith("another page (127.0.0.1) ordered is under way: hold or abort stops it")
+            assert (await two.press("begin")).endswith("a landing that you ordered is under way: hold or abort stops it")
+            await until(lambda: Land in service.commanded)
+            assert "accepted" in await one.press("hold"), "another person's landing too"
+            await until(lambda: isinstance(service.command, Hover))
         for way, cut in ((0.5, False), (1.0, True)):
-            knob = await one.page.locator("#emergency .knob").bounding_box()
-            track = await one.page.locator("#emergency").bounding_box()
-            x, y = knob["x"] + knob["width"] / 2, knob["y"] + knob["height"] / 2
-            await one.page.mouse.move(x, y)
-            await one.page.mouse.down()
-            await one.page.mouse.move(x + way * track["width"], y, steps=8)
-            await one.page.mouse.up()
+            await one.slide("emergency", way)
             await one.page.wait_for_timeout(500)  # the knob goes back
             orders = [order.order.value for order in service.orders]
             if cut:
@@ -334,7 +352,7 @@ async def test_the_keyboard_alone_reaches_and_gives_every_order(tmp_path: Path) 
         assert orders == ["takeoff", "begin", "hold", "land", "abort", "clear"]
         await one.page.keyboard.press("Shift+Tab")
         await one.page.keyboard.press("Enter")
-        await one.shows("answer", "Call the pad clear: (accepted|refused)")
+        await one.shows("answer", "Ignore what is on the pad: (accepted|refused)")
         await one.page.focus('[data-order="hold"]')
         await one.page.keyboard.press("Enter")
         await one.shows("answer", "Hold: accepted")

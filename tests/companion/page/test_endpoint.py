@@ -167,10 +167,13 @@ async def test_two_operators_see_each_other_s_orders_and_one_has_the_hand(tmp_pa
     async with serving(tmp_path) as service, browsing(service) as one, browsing(service) as two:
         me = (await one.read("welcome"))["you"]
         await two.read("welcome")
+        other = f"another page {me[me.index('(') :]}"
         assert (await one.order("manual"))["accepted"]
         await one.send(kind="sticks", forward=0.5)
-        assert (await two.order("begin"))["text"] == f"refused: {me} has the hand"
-        assert (await two.read("state"))["hand"] == me
+        assert (await two.order("begin"))["text"] == f"refused: {other} has the hand"
+        assert (state := await two.read("state"))["hand"] == other
+        assert state["refusals"]["begin"] == f"{other} has the hand"
+        assert [m["text"] for b in (one, two) for m in b.messages if m["kind"] == "event" and "manual" in m["text"]]
         assert (await two.order("emergency"))["accepted"]
         while "emergency: accepted" not in (await one.read("event"))["text"]:
             pass

@@ -1,10 +1,15 @@
-// The buttons, the slide that cuts the motors, and the answers of the service.
+// The buttons, the slides that confirm what cannot be taken back, and the answers of the service.
 const ANSWER_MS = 3000;
 const KNOB_PX = 62;
 const CONFIRMED = 0.95;
+// Orders that a slide confirms; it says what comes of them.
+const ASKS = {
+  land: { verb: "to land here", says: (state) => `Lands ${state.below}.` },
+  takeoff: { verb: "to take off", says: () => "The propellers start." },
+};
 const NAMES = {
   takeoff: "Take off", begin: "Begin landing", stay: "Stay over the pad", hold: "Hold", land: "Land here", abort: "Abort", emergency: "Emergency",
-  clear: "Call the pad clear", reset: "Leave the emergency state", manual: "Fly by hand", release: "Give the hand back",
+  clear: "Ignore what is on the pad", reset: "Leave the emergency state", manual: "Fly by hand", release: "Give the hand back",
 };
 
 export class Orders {
@@ -14,17 +19,55 @@ export class Orders {
   #buttons = [...document.querySelectorAll("[data-order]")];
   #begin = document.querySelector('[data-order="begin"]');
   #answer = document.getElementById("answer");
+  #state = null;
+  #asked = null; // the button whose order waits for its slide
+  #asks = document.getElementById("asks");
+  #says = document.getElementById("asks-says");
   #slide;
+  #confirm;
 
   constructor(link) {
     this.#link = link;
-    for (const button of this.#buttons) button.addEventListener("click", () => this.give(button.dataset.order, button));
-    this.#slide = new Slide(document.getElementById("emergency"), () => this.give("emergency"));
+    for (const button of this.#buttons) button.addEventListener("click", () => this.#press(button));
+    this.#slide = new Slide(document.getElementById("emergency"), "to cut the motors", () => this.give("emergency"));
+    this.#confirm = new Slide(document.getElementById("confirm"), "", () => this.give(this.#asked.dataset.order, this.#asked));
+    this.#asks.addEventListener("keydown", (event) => event.key === "Escape" && this.#ask(null));
     this.enable(false);
+  }
+
+  #press(button) {
+    const { order } = button.dataset;
+    const why = this.#state?.refusals[order];
+    if (!(order in ASKS) || this.#state === null) this.give(order, button);
+    else if (why) this.#tell("fault", `${NAMES[order]}: refused: ${why}`);
+    else this.#ask(this.#asked === button ? null : button);
+  }
+
+  // Opens the slide of an order; any other order, Escape or a second press closes it.
+  #ask(button) {
+    const by = this.#asked;
+    this.#asked?.setAttribute("aria-expanded", "false");
+    this.#asked = button;
+    this.#asks.hidden = button === null;
+    if (button === null) {
+      if (this.#asks.contains(document.activeElement)) by.focus();
+      return;
+    }
+    button.setAttribute("aria-expanded", "true");
+    this.#confirm.name(ASKS[button.dataset.order].verb);
+    this.#say();
+    this.#tell("", "");
+    this.#confirm.focus();
+  }
+
+  #say() {
+    const says = ASKS[this.#asked.dataset.order].says(this.#state);
+    if (this.#says.textContent !== says) this.#says.textContent = says;
   }
 
   // An order that is likely to be refused is given all the same: the service's answer says why.
   give(order, button = null) {
+    this.#ask(null);
     const number = ++this.#number;
     if (!this.#link.send({ kind: "order", number, order })) {
       this.#tell("fault", `${NAMES[order]}: not sent, the connection is lost`);
@@ -44,11 +87,17 @@ export class Orders {
     if (!on) {
       for (const button of this.#buttons) button.setAttribute("aria-disabled", "true");
       for (const number of [...this.#waiting.keys()]) this.#settle(number, "fault", "no answer, the connection is lost");
+      this.#ask(null);
+      this.#state = null;
     }
     this.#slide.enable(on);
+    this.#confirm.enable(on);
   }
 
   state(message) {
+    this.#state = message;
+    if (this.#asked && message.refusals[this.#asked.dataset.order]) this.#ask(null);
+    else if (this.#asked) this.#say();
     for (const button of this.#buttons) {
       const why = message.refusals[button.dataset.order];
       button.setAttribute("aria-disabled", String(why !== null));
@@ -77,13 +126,15 @@ export class Orders {
 // It confirms only at its end: a tap, a slip or one key does nothing, and letting go before the end goes back.
 class Slide {
   #element;
+  #verb;
   #confirmed;
   #from = null;
   #at = 0;
   #on = false;
 
-  constructor(element, confirmed) {
+  constructor(element, verb, confirmed) {
     this.#element = element;
+    this.name(verb);
     this.#confirmed = confirmed;
     const knob = element.querySelector(".knob");
     knob.addEventListener("pointerdown", (event) => {
@@ -104,6 +155,16 @@ class Slide {
       if (this.#at >= CONFIRMED) this.#let();
     });
     element.addEventListener("blur", () => this.#back());
+  }
+
+  name(verb) {
+    this.#verb = verb;
+    this.#element.querySelector(".text").textContent = `Slide ${verb}`;
+    this.#element.setAttribute("aria-label", `Slide to the end ${verb}, or press the right arrow ten times.`);
+  }
+
+  focus() {
+    this.#element.focus();
   }
 
   enable(on) {
@@ -134,6 +195,6 @@ class Slide {
     this.#element.style.setProperty("--at", String(this.#at));
     const percent = Math.round(100 * this.#at);
     this.#element.setAttribute("aria-valuenow", String(percent));
-    this.#element.setAttribute("aria-valuetext", percent ? `${percent} percent of the way to cutting the motors` : "not confirmed");
+    this.#element.setAttribute("aria-valuetext", percent ? `${percent} percent of the way ${this.#verb}` : "not confirmed");
   }
 }
