@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated
 
 from msgspec import Meta, Struct, field
+from msgspec.structs import replace
 
 from companion.base.mission import ENDED
 from companion.base.observer import Decision, ResponseInUse
@@ -202,7 +203,7 @@ class HealthSnapshot(Struct, frozen=True):
     all_up: bool
     """True if every part of the service is up."""
     flight_up: bool
-    """True if the parts that the flight needs are up; heartbeats report this."""
+    """True if the parts that the flight needs are up, and its inputs arrive: status, attitude, frames."""
     parts: Mapping[str, PartRecord]
     flows: Mapping[str, FlowRecord]
     frames: Mapping[str, int]
@@ -368,7 +369,7 @@ class Health:
         for name, delays in self.delays.items():
             p50, p99 = delays.quantiles(0.5, 0.99)
             stages[name] = StageState(delays.count, p50, p99, delays.sum_s, tuple(delays.buckets))
-        return HealthSnapshot(
+        made = HealthSnapshot(
             at=now,
             all_up=self.fault() is None,
             flight_up=self.fault(of_flight=True) is None,
@@ -387,6 +388,7 @@ class Health:
             vital=frozenset(name for name, part in self.parts.items() if part.vital),
             too_slow=self.too_slow,
         )
+        return replace(made, flight_up=made.flight_up and not (made.vital and missing_inputs(made)))
 
 
 def missing_inputs(health: HealthSnapshot) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from companion.cli.outputs import PARAMETERS, SNAPSHOT, output
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.load import Settings, load
 from companion.tools.doctor import rules_switch
-from companion.tools.doctor.diagnose import RULES, diagnose
+from companion.tools.doctor.diagnose import counted, diagnose
 from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather import examine, wait_until
 from companion.tools.doctor.gather_outside import examine_log, examine_service
@@ -431,5 +431,5 @@ def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
         )  # fmt: skip
     lines += rules_switch.line(snapshot) + _ship_lines(snapshot)
     lines += [f"{f.severity.name.lower()}: {f.what} [{f.rule}]\n    fix: {f.fix}" for f in found]
-    lines.append(f"{len(found)} of {len(RULES)} known faults found" if found else f"none of {len(RULES)} known faults found")
+    lines.append(counted(snapshot, len(found)))
     return "\n".join(lines) + "\n"

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from msgspec import Struct
@@ -24,6 +25,8 @@ from companion.parts.page.access import make_token
 from companion.settings.load import find_file, pad_of_file
 from companion.settings.operator import SwitchOptions
 from companion.tools.doctor.gather import seen_moving
+from drivers.ardrone.navdata import Navdata, decode
+from drivers.ardrone.navdata_channel import OPENING
 from drivers.camera.camera_process import libcamera_models
 from drivers.camera.v4l2 import cameras
 from drivers.clock import SystemClock
@@ -43,8 +46,8 @@ VEHICLES = {
 PLACES = {"indoors": "a hall, lamps", "outdoors": "daylight, a pad ashore", "ship": "daylight, a pad on a ship"}
 _OWN_LINK = ("sim", "ardrone1", "ardrone2")
 """Vehicles whose address and camera are known."""
-_ARDRONE = ("192.168.1.1", 5559)
-"""An AR.Drone's address in its own network, and its port of the configuration."""
+_ARDRONE = ("192.168.1.1", 5554)
+"""An AR.Drone's address in its own network, and its port of navdata."""
 _UDP_PORTS = (14550, 14540)
 _SPEEDS = (921600, 57600, 115200)
 _FLIP_S = 20.0
@@ -195,13 +198,21 @@ class FoundVehicle(Struct, frozen=True):
 def found_vehicles(seconds: float = 1.5) -> list[FoundVehicle]:
     """Return the vehicles that send a HEARTBEAT to the usual ports, or answer at an AR.Drone's address."""
     found = [*_vehicles_on_udp(seconds), *_vehicles_on_serial(seconds)]
-    with socket.socket() as probe:
-        probe.settimeout(0.5)
-        if probe.connect_ex(_ARDRONE) == 0:
-            found.append(FoundVehicle("ardrone2", _ARDRONE[0]))
+    if _sends_navdata(seconds):
+        found.append(FoundVehicle("ardrone2", _ARDRONE[0]))
     for one in found:
         sys.stdout.write(f"found: {VEHICLES[one.name]} at {one.link}\n")
     return found
+
+
+def _sends_navdata(seconds: float) -> bool:
+    """Return whether a datagram of navdata comes from an AR.Drone's address: routers have it too, and answer on any port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.settimeout(seconds)
+        probe.connect(_ARDRONE)
+        probe.send(OPENING)
+        return isinstance(decode(probe.recv(4096)), Navdata)
+    return False
 
 
 def _vehicles_on_udp(seconds: float) -> Iterator[FoundVehicle]:

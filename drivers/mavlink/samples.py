@@ -345,7 +345,8 @@ class MavlinkSampler:
         return out
 
     def _distance(self, m: Message, received_at: MonoNs) -> list[Sample]:
-        usable = m.min_distance <= m.current_distance <= m.max_distance and m.signal_quality != 1
+        # At its own limits a sensor reports that it sees nothing, or something nearer or farther than it can measure.
+        usable = m.min_distance < m.current_distance < m.max_distance and m.signal_quality != 1
         if not self.ranges or m.orientation != DOWN or not usable:
             return []
         sigma_m = 0.01 * math.sqrt(m.covariance) if 0 < m.covariance < 255 else self._o.sigma_range_m

@@ -155,7 +155,8 @@ async def fly_failing(
         """Looks at health as heartbeats do."""
 
         def on_decision(self, decision: Decision) -> None:
-            assert health.snapshot().flight_up
+            assert health.fault(of_flight=True) is None
+            health.snapshot()
 
     daemon = Daemon(
         vehicle.open,

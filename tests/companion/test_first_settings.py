@@ -19,6 +19,7 @@ from companion.cli import start
 from companion.cli.main import COMMANDS, main, pointed
 from companion.cli.options import ProgressObserver, WorkProgress
 from companion.settings.load import load
+from drivers.ardrone import navdata
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
 from estimator.contracts.time import MonoNs
@@ -92,6 +93,26 @@ def copter(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 def test_an_autopilot_on_the_network_is_found(copter: int) -> None:
     assert start.found_vehicles(1.0) == [start.FoundVehicle("px4", f"udpin://0.0.0.0:{copter}")]
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n", None, navdata.encode(navdata.Navdata(0, 1))])
+def test_an_ardrone_is_who_sends_navdata(answer: bytes | None, monkeypatch: pytest.MonkeyPatch, copter: int) -> None:
+    """Routers have its address, and some answer on every port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there, socket.create_server(("127.0.0.1", 0)) as open_port:
+        there.bind(("127.0.0.1", open_port.getsockname()[1]))
+        there.settimeout(20.0)
+        monkeypatch.setattr(start, "_ARDRONE", there.getsockname())
+
+        def answering() -> None:
+            opening, caller = there.recvfrom(100)
+            if answer is not None and opening:
+                there.sendto(answer, caller)
+
+        thread = threading.Thread(target=answering)
+        thread.start()
+        names = [one.name for one in start.found_vehicles(1.0)]
+        thread.join()
+    assert names == (["px4", "ardrone2"] if answer is not None and answer[:4] == b"\x88wfU" else ["px4"])
 
 
 @pytest.mark.parametrize(("answers", "channel"), [("yes\n\n", 7), ("yes\nno\n", 0), ("\n", 0)])

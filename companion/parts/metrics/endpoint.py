@@ -12,7 +12,7 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4 as CONTENT_TYP
 from prometheus_client.exposition import generate_latest
 from prometheus_client.registry import Collector, CollectorRegistry
 
-from companion.base.health import EDGES_S, Health, HealthSnapshot, MissionHealth
+from companion.base.health import EDGES_S, Health, HealthSnapshot, MissionHealth, missing_inputs
 from companion.base.http_server import HttpServer
 from companion.base.loop_lag import stuck
 
@@ -150,8 +150,11 @@ class MetricsEndpoint:
 
     async def _state(self, request: web.Request) -> web.Response:
         down = {name: part.last_error for name, part in self._health.parts.items() if not part.up}
-        ok = self._health.fault(of_flight=True) is None
-        if "Decision" in self._health.flows and (why := stuck(self._health.snapshot(), flying=False)) is not None:
+        health = self._health.snapshot()
+        ok = health.flight_up
+        if health.vital and (missing := missing_inputs(health)):
+            down["inputs"] = ", ".join(missing)
+        if "Decision" in self._health.flows and (why := stuck(health, flying=False)) is not None:
             down["pipeline"], ok = why, False
         output: dict[str, object] = {"ok": ok}
         if "Authorization" in request.headers or not self._server.has_token:

@@ -247,13 +247,12 @@ class DoctorTool(Tool):
 
 def _report(snapshot: Snapshot, settings: Settings, health: HealthSnapshot) -> ExaminedReport:
     # The dialect is large, and a service without an autopilot does not need it before the first request.
-    from companion.tools.doctor.diagnose import RULES, diagnose
+    from companion.tools.doctor.diagnose import counted, diagnose
     from companion.tools.doctor.gather_service import running_service
 
     findings = diagnose(structs.replace(snapshot, service=running_service(settings, health)))
-    counted = f"{len(findings)} of {len(RULES)}" if findings else f"none of {len(RULES)}"
     return ExaminedReport(
-        text=f"{counted} known faults found. {_about(snapshot)}",
+        text=f"{counted(snapshot, len(findings)).replace(chr(10), '; ')}. {_about(snapshot)}",
         findings=tuple(
             PageFinding(rule=one.rule, severity=one.severity.name.lower(), what=one.what, fix=one.fix) for one in findings
         ),

@@ -2,6 +2,7 @@
 
 from companion.tools.doctor import rules_autopilots, rules_links, rules_switch, rules_values
 from companion.tools.doctor.finding import Finding, Row, Rule, Severity, error, warning
+from companion.tools.doctor.firmware_parameters import names_in
 from companion.tools.doctor.snapshot import Snapshot
 from drivers.imports.log_history import VIBRATION_LIMIT_M_S2, Excess
 
@@ -31,6 +32,19 @@ _SOURCES = {
     "height": "barometer in the propellers' wind, or a height from the rangefinder (ekf-height-by-range)",
     "compass": "steel and currents: raise the compass, calibrate it ashore",
 }
+
+
+def counted(p: Snapshot, found: int) -> str:
+    """Return how many faults were found, of how many that were looked for: without an autopilot most rules judge nothing."""
+    a, links = p.autopilot, p.links
+    if a is None:
+        why = "no link is open" if links and all(one.down for one in links) else "none was received" if links else "no link"
+        return f"not examined: an autopilot ({why})\n{found or 'none'} of the other known faults found"
+    names = dict.fromkeys(names_in(rules_values.PARAMETERS.get(a.stack, ()), a.firmware))
+    unread = [name for name in names if name not in a.parameters]
+    shown = f"; not among those read: {', '.join(unread[:_SHOWN])}{' ...' if len(unread) > _SHOWN else ''}" if unread else ""
+    judged = f"judged: {len(names) - len(unread)} of {len(names)} parameters{shown}"
+    return f"{judged}\n{found or 'none'} of {len(RULES)} known faults found"
 
 
 def _times(n: int) -> str:

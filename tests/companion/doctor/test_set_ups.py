@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from companion.tools.doctor.diagnose import LOG_RULES, PARAMETERS, diagnose
+from companion.tools.doctor.diagnose import LOG_RULES, PARAMETERS, counted, diagnose
 from companion.tools.doctor.diagnose import RULES as ALL_RULES
 from companion.tools.doctor.firmware_parameters import RENAMED, defaults_of, differing, earlier_names, names_in
 from companion.tools.doctor.gather_outside import examine_log
 from companion.tools.doctor.rules_values import RULES, ValueRule
-from companion.tools.doctor.snapshot import Snapshot
+from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
 from estimator.contracts.time import Clock
 from sitl.emulators.autopilots import arducopter
 from sitl.emulators.autopilots.lock_step import LockStepClock
@@ -167,6 +167,16 @@ def test_what_matters_on_a_ship_only_is_not_named_ashore() -> None:
     for rule, value in CASES:
         snapshot = replace(stand_in(rule.stack, **{rule.parameter: value}), moving_pad=False)
         assert (rule(snapshot) is None) is rule.on_ship
+
+
+def test_the_last_line_says_what_was_judged_and_what_was_not() -> None:
+    down = Snapshot(4.0, (LinkSnapshot("serial:///dev/ttyNOPE:921600", down="no such file"),))
+    assert counted(down, 1) == "not examined: an autopilot (no link is open)\n1 of the other known faults found"
+    some = dict(list(ARDUPILOT.parameters.items())[:3])
+    few = counted(replace(GOOD, autopilot=replace(ARDUPILOT, parameters=some)), 0)
+    assert few.startswith("judged: ")
+    assert "; not among those read: " in few
+    assert few.endswith(f"none of {len(ALL_RULES)} known faults found")
 
 
 def test_every_rule_has_a_name_of_its_own() -> None:

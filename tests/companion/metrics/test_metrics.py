@@ -121,7 +121,16 @@ async def test_the_endpoint_serves_the_page_and_a_yes_or_no() -> None:
         health.down("vehicle", Recoverable("no route"))
         async with client.get("/health") as answer:
             assert answer.status == 503
-            assert json.loads(await answer.text()) == {"ok": False, "down": {"mqtt": "no broker", "vehicle": "no route"}}
+            down = json.loads(await answer.text())["down"]
+            assert "no frames from the camera yet" in down.pop("inputs")
+            assert down == {"mqtt": "no broker", "vehicle": "no route"}
+        health.up("vehicle")
+        for flows, status in (((), 503), (("VehicleStatus", "Attitude"), 503), (("VehicleStatus", "Attitude", "Frame"), 200)):
+            for flow in flows:
+                health.beat(flow)
+            async with client.get("/health") as answer:
+                assert answer.status == status, "a vehicle that is open and silent is none"
+        health.down("vehicle", Recoverable("no route"))
         assert value(text(health.snapshot()), "decklander_flight_up") == 0
         async with client.get("/") as answer:
             assert answer.status == 404

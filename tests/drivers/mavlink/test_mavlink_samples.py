@@ -119,6 +119,11 @@ def test_range() -> None:
     assert sample.sigma_m == pytest.approx(0.03)
 
 
+@pytest.mark.parametrize("cm", [10, 20, 4000, 4100])
+def test_a_range_at_the_sensor_s_own_limits_is_none(cm: int) -> None:
+    assert sampler().samples(distance(cm), NOW) == []
+
+
 def status(s: MavlinkSampler, message: Any, at: int = NOW) -> VehicleStatus | None:
     out = s.samples(message, MonoNs(at))
     assert len(out) <= 1
