@@ -30,6 +30,14 @@ def marked_tests() -> dict[str, list[str]]:
     return found
 
 
+def by_file(tests: list[str]) -> dict[str, list[str]]:
+    """Return the names of tests, each in backticks, by their files."""
+    found: dict[str, list[str]] = {}
+    for path, name in (test.split("::") for test in tests):
+        found.setdefault(path, []).append(f"`{name}`")
+    return found
+
+
 def page() -> str:
     """Return docs/safety.md."""
     tests, words = marked_tests(), SAID["words"]
@@ -42,7 +50,7 @@ def page() -> str:
             f"- Constraint: {hazard['constraint']}",
             f"- Measured by: {hazard['figure']}",
             "- Tests:",
-            *[f"    - `{test}`" for test in tests.get(name, [])],
+            *[f"    - `{path}`: {', '.join(names)}" for path, names in by_file(tests.get(name, [])).items()],
             "",
         ]
     lines += ["## What is not covered", "", *[f"- {text}" for text in words["not_covered"]], "", *words["sora"].splitlines()]

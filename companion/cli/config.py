@@ -128,16 +128,13 @@ def _graph() -> Iterator[str]:
     for state in State:
         yield f"    {state.name}: {state.value}"
     for state in State:
-        ways: dict[State, list[str]] = {}
-        for event, target in TABLES["cone"][state].items():
-            if target is not state and state not in ENDED and target is not State.EMERGENCY and event not in _ALWAYS:
-                ways.setdefault(target, []).append(event.value)
-        for target, events in ways.items():
-            yield f"    {state.name} --> {target.name}: {', '.join(events)}"
+        ways = {target for event, target in TABLES["cone"][state].items() if event not in _ALWAYS} - {state, State.EMERGENCY}
+        yield from (f"    {state.name} --> {target.name}" for target in State if target in ways and state not in ENDED)
     yield from (
         "```",
         "",
-        "Left out are the operator's pause, stay and abort, and the vehicle's reports that it stands or cut its motors.",
+        "The tables below have the events. Left out are the operator's pause, stay and abort, and the vehicle's reports that",
+        "it stands or cut its motors.",
         "",
     )
 
@@ -154,9 +151,8 @@ def _states() -> Iterator[str]:
 
 
 def _events() -> Iterator[str]:
-    yield from ("## Events", "", "| event | a warning |", "|---|---|")
-    for event in Event:
-        yield f"| {event.value} | {'yes' if event in FAULTS else 'no'} |"
+    yield from ("## Events", "")
+    yield f"Warnings are: {', '.join(event.value for event in Event if event in FAULTS)}. All others are notes."
     yield ""
 
 

@@ -9,14 +9,14 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from msgspec import inspect
+from msgspec import NODEFAULT, inspect
 
 from companion.cli.fly import KEYS, MOTIONS, ORDERS, TWICE
 from companion.cli.main import COMMANDS
 from companion.guidance.operator.precedence import markdown
 from companion.parts.mqtt.messages import PUBLISHED
 from companion.settings.model import EXPERT, Settings, in_file
-from companion.settings.schema import variants
+from companion.settings.schema import variants, walk
 from supply import safety
 
 ROOT = Path(__file__).parents[2]
@@ -85,29 +85,22 @@ def test_the_page_names_every_order_and_key() -> None:
     assert all(f"`{key}`" in PAGE for key in letters)
 
 
-PAGE_OF_SECURITY = ROOT / "docs/security.md"
-_NAMED = re.compile(r"`(tests/[\w./]+)::(\w+)`")
+THREATS = tomllib.loads((ROOT / "tests/docs/threats.toml").read_text())
 
 
-def rows() -> list[str]:
-    """Return the lines of the threat model's table, without its head."""
-    model = PAGE_OF_SECURITY.read_text().split("## Threat model", 1)[1].split("\n## ", 1)[0]
-    return [line for line in model.splitlines() if line.startswith("|")][2:]
-
-
-def test_every_line_of_the_threat_model_names_a_test() -> None:
-    assert len(rows()) >= 5
-    assert [row for row in rows() if not _NAMED.search(row)] == []
-    assert [row for row in rows() if row.count("|") != 5] == [], "who, what they try, what they get, the test"
-
-
-def test_every_test_that_the_page_names_is_there() -> None:
-    missing = [
+def test_every_line_of_the_threat_model_has_a_test_that_is_there() -> None:
+    model = (DOCS / "security.md").read_text().split("## Threat model", 1)[1].split("\n## ", 1)[0]
+    rows = [line for line in model.splitlines() if line.startswith("|")][2:]
+    assert len(rows) >= 5
+    assert [row for row in rows if row.count("|") != 5] == [], "number, who, what they try, what they get"
+    assert [row.split("|")[1].strip() for row in rows] == list(THREATS)
+    tests = [test.split("::") for tests in THREATS.values() for test in tests or ["none::none"]]
+    wrong = [
         f"{path}::{name}"
-        for path, name in _NAMED.findall(PAGE_OF_SECURITY.read_text())
+        for path, name in tests
         if not (ROOT / path).is_file() or not re.search(rf"^ *(?:async )?def {name}\(", (ROOT / path).read_text(), re.MULTILINE)
     ]
-    assert missing == []
+    assert wrong == []
 
 
 def test_every_hazard_has_a_test_and_every_mark_a_hazard() -> None:
@@ -264,6 +257,34 @@ def test_settings_in_the_blocks_are_keys_of_the_model() -> None:
                 wrong += [f"{page}: {path}" for path in flat(tomllib.loads(bare[header.start() :]), "") if path not in keys()]
     assert wrong == []
     assert seen >= 2
+
+
+_DEFAULT = re.compile(r"`([a-z_0-9.]+)(?: = ([^`]+)`,? \(?the default|` \((-?[\d.]+) ?(ms|cm|s|m|%)?(?:/s|/s\^2)?[),;])")
+_SI = {"ms": 0.001, "cm": 0.01, "%": 0.01}
+
+
+@cache
+def defaults() -> dict[str, list[object]]:
+    """Return the defaults of every key, by its path in a file and by each shorter ending of it."""
+    found: dict[str, list[object]] = {}
+    for path, field in walk(Settings):
+        value = field.default if field.default_factory is NODEFAULT else field.default_factory()
+        for name in (in_file(path), *(path.split(".", n)[n] for n in range(path.count(".") + 1))):
+            found.setdefault(name, []).append(value)
+    return found
+
+
+def test_a_default_that_a_page_states_is_that_of_the_code() -> None:
+    wrong, seen = [], 0
+    for page, text in TEXTS.items():
+        for name, written, number, unit in _DEFAULT.findall(text) if page != "docs/configuration.md" else ():
+            value = tomllib.loads(f"v = {written}")["v"] if written else float(number) * _SI.get(unit, 1.0)
+            known = defaults().get(name, [])
+            seen += bool(known)
+            if known and not any(value == pytest.approx(d) if isinstance(d, float) else value == d for d in known):
+                wrong.append(f"{page}: {name} is {known}, not {value}")
+    assert wrong == []
+    assert seen > 5
 
 
 def flat(table: dict[str, object], path: str) -> Iterator[str]:
