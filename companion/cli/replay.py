@@ -5,6 +5,7 @@ import asyncio
 import math
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass
@@ -33,14 +34,14 @@ from companion.settings.overrides import with_overrides
 from companion.tools.replay.engine import Replay, pilot_of, settings_of
 from companion.tools.replay.recorded_log import BeliefLogObserver, Difference, differences, recorded_beliefs
 from companion.tools.replay.ship_sensors import SensorJudge
-from companion.tools.report.figures import DeckRow, ErrorRow, all_series, deck_rows, error_rows
+from companion.tools.report.figures import DeckRow, ErrorRow, all_series, deck_rows, error_rows, innovation_series
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.page import PAGE, write_report
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.estimates import PathName, RelativeState, Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 
 _REFUSAL = "this is a replay: it takes no commands"
@@ -281,6 +282,7 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
         out += [
             f"{done.name}: {done.flown_s:.1f} s in {done.wall_s:.1f} s ({pace:.1f} x real time), {c.samples} samples, {c.frames} "
             f"frames ({c.searched} searched again, {c.as_recorded} as recorded), {c.decisions} guidance cycles",
+            *_became_of(done.log_observer.log),
             f"outputs: sha256 {done.replay.digest}",
         ]
         rows = done.errors()
@@ -297,6 +299,19 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
     for name, found in compared.items():
         out += [_difference(name, d) for d in found]
     return out + passes[0].ship.in_words()
+
+
+def _became_of(log: FlightLog) -> list[str]:
+    """Return what became of the frames, and of the measurements that were refused, a line each."""
+
+    def counted(verdicts: Counter[Verdict]) -> str:
+        return ", ".join(f"{n} {verdict.value.replace('_', ' ')}" for verdict, n in verdicts.most_common())
+
+    out = [f"frames: {counted(log.verdicts)}"] if log.verdicts else []
+    for series in innovation_series(log):
+        refused = Counter({verdict: n for verdict, n in series.verdicts.items() if verdict is not Verdict.FUSED})
+        out += [f"{series.name} refused: {counted(refused)}"] if refused else []
+    return out
 
 
 def _row(r: ErrorRow) -> str:
