@@ -309,7 +309,8 @@ def _became_of(log: FlightLog) -> list[str]:
 
     out = [f"frames: {counted(log.verdicts)}"] if log.verdicts else []
     for series in innovation_series(log):
-        refused = Counter({verdict: n for verdict, n in series.verdicts.items() if verdict is not Verdict.FUSED})
+        refused = Counter(series.verdicts)
+        del refused[Verdict.FUSED]
         out += [f"{series.name} refused: {counted(refused)}"] if refused else []
     return out
 
