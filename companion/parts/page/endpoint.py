@@ -147,7 +147,11 @@ def _pieces(uv_px: F64, *, closed: bool) -> Iterator[tuple[float, ...]]:
 HORIZONS_S = tuple(0.25 * k for k in range(13))
 """Instants at which the deck's height is shown ahead, s."""
 _FLOWS = (("Frame", "camera"), ("Attitude", "attitude"), ("VehicleStatus", "status"))
-_STAGES = (("look", "vision"), ("exposure_to_command", "exposure to command"), ("guidance_late", "guidance late"))
+_STAGES = (
+    ("look", "picture searched in"),
+    ("exposure_to_command", "picture to command"),
+    ("guidance_late", "guidance late by"),
+)
 
 
 def page_health(health: HealthSnapshot, decision: Decision | None, *, flying: bool) -> PageHealth:
@@ -164,7 +168,7 @@ def _causes(health: HealthSnapshot, decision: Decision | None, *, flying: bool) 
     for name, part in health.parts.items():
         if not part.up:
             level: Level = "fault" if name in health.vital else "warning"
-            yield HealthCause(level=level, text=f"{name} is down: {part.last_error or 'not begun'}")
+            yield HealthCause(level=level, text=f"{name}: {part.last_error or 'not begun'}")
     if health.too_slow is not None:
         yield HealthCause(level="fault", text=health.too_slow)
     for text in missing_inputs(health):
@@ -190,7 +194,7 @@ def _figures(health: HealthSnapshot) -> Iterator[tuple[str, str]]:
     for stage, name in _STAGES:
         times = health.stages.get(stage)
         if times is not None and times.p50_s is not None and times.p99_s is not None:
-            yield name, f"{1000 * times.p50_s:.0f} ms, worst {1000 * times.p99_s:.0f}"
+            yield name, f"{1000 * times.p50_s:.0f} ms, worst {1000 * times.p99_s:.0f} ms"
     frames = sum(health.frames.values())
     if frames:
         yield "frames used", f"{100 * health.frames.get(Verdict.FUSED.value, 0) / frames:.0f} % of {frames}"

@@ -261,6 +261,19 @@ async def test_a_phone_shows_every_order_without_scrolling_sideways(tmp_path: Pa
                 box = await one.page.locator(f'[data-order="{name}"]').bounding_box()
                 assert box["height"] >= 44, "a thumb's size"
                 assert box["y"] + box["height"] <= PHONE["height"]
+        await one.page.set_viewport_size({"width": 320, "height": 568})
+        assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        await one.shows("worst", "no status from the vehicle yet")
+        assert await one.page.locator("#link").get_attribute("data-level") == "fault", "no green over what is missing"
+        assert await one.page.locator('[data-order="begin"].primary').count() == 0
+        await one.page.set_viewport_size({"width": 844, "height": 390})
+        await one.page.click("#by-hand")
+        await playwright.expect(one.page.locator("#sticks")).to_be_visible(timeout=WAIT_MS)
+        for name in ("#sticks", '[data-order="hold"]'):
+            box = await one.page.locator(name).bounding_box()
+            assert 0 <= box["y"] <= box["y"] + box["height"] <= 390, f"{name} is in sight of who holds the phone sideways"
+        picture, orders = [await one.page.locator(name).bounding_box() for name in ("#picture", "#orders")]
+        assert picture["x"] + picture["width"] <= orders["x"]
 
 
 @pytest.mark.timeout(500)
@@ -617,6 +630,20 @@ async def test_nothing_overlaps_or_is_too_small_on_phone_and_laptop(report: Path
             assert painted > 40, "the pad is drawn"
             await one.page.evaluate("scrollTo(0, 0)")
         assert one.faults == []
+
+
+@pytest.mark.timeout(300)
+async def test_a_printed_report_is_whole(report: Path) -> None:
+    async with opened(report) as (one, _):
+        await one.page.emulate_media(media="print")
+        await one.page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        cut = """() => [...document.querySelectorAll(".wide, pre, ol.events")]
+          .map((e) => getComputedStyle(e).overflowY).filter((overflow) => overflow !== "visible")"""
+        assert await one.page.evaluate(cut) == []
+        assert await one.page.evaluate("document.querySelectorAll('details:not([open])').length") == 0
+        pages = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", await one.page.pdf(prefer_css_page_size=True))
+        assert pages
+        assert all(float(width) > float(height) for width, height in pages), "landscape"
 
 
 @pytest.mark.timeout(300)

@@ -20,6 +20,7 @@ export class Orders {
   #begin = document.querySelector('[data-order="begin"]');
   #answer = document.getElementById("answer");
   #state = null;
+  #fit = false; // nothing is missing or wrong that a landing needs
   #asked = null; // the button whose order waits for its slide
   #asks = document.getElementById("asks");
   #says = document.getElementById("asks-says");
@@ -94,6 +95,10 @@ export class Orders {
     this.#confirm.enable(on);
   }
 
+  health(message) {
+    this.#fit = message.causes.every(({ level }) => level === "info");
+  }
+
   state(message) {
     this.#state = message;
     if (this.#asked && message.refusals[this.#asked.dataset.order]) this.#ask(null);
@@ -103,7 +108,7 @@ export class Orders {
       button.setAttribute("aria-disabled", String(why !== null));
       button.title = why ?? "";
     }
-    this.#begin.classList.toggle("primary", !message.landing);
+    this.#begin.classList.toggle("primary", this.#fit && !message.landing);
     document.getElementById("reset").hidden = message.situation !== "emergency";
     document.getElementById("emergency").hidden = message.situation === "emergency";
   }

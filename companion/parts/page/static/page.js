@@ -82,7 +82,10 @@ link.on("state", (message) => {
   plots.show(message);
   for (const view of views) view.show(message);
 });
-link.on("health", telling.health);
+link.on("health", (message) => {
+  telling.health(message);
+  orders.health(message);
+});
 link.on("event", telling.event);
 link.on("answer", (message) => orders.answered(message));
 link.on("picture", (header, image) => picture.show(header, image));

@@ -69,7 +69,7 @@ export class Plots {
       pen.fillText(step < 1 ? value.toFixed(1) : value.toFixed(0), left - 5, y(value));
     }
     pen.textBaseline = "alphabetic";
-    for (const ago of [60, 40, 20, 0]) {
+    for (const ago of width < 280 ? [60, 0] : [60, 40, 20, 0]) {
       pen.textAlign = ago === 60 ? "left" : ago === 0 ? "right" : "center";
       pen.fillText(ago ? `−${ago} s` : "now", x(now_s - ago), height - 3);
     }

@@ -40,6 +40,7 @@ export class Sticks {
   }
 
   state(message) {
+    if (message.yours && !this.#yours) this.#host.closest(".view").scrollIntoView({ block: "start" });
     this.#yours = message.yours;
     this.#host.hidden = !message.yours;
     this.#button.setAttribute("aria-pressed", String(message.yours));

@@ -4,6 +4,11 @@ import { $, part } from "./elements.js";
 const EVENTS = 100;
 const DEGREES = 180 / Math.PI;
 const CHI_95 = 2.448; // two dimensions
+// The service's words that a person at the page misreads.
+const WORDS = {
+  "landing for the operator": "landing where it is", "hold blind": "holding, pad out of sight", "gave up": "gave up, hovering",
+  guided: "flies by itself", over: "flight ended", held: "paused by a person",
+};
 
 function set(id, text, unit = "", level = "") {
   const element = $(id);
@@ -30,10 +35,10 @@ export function welcome(message) {
 }
 
 export function state(message) {
-  words("phase", message.phase || "no decision yet");
+  words("phase", WORDS[message.phase] ?? (message.phase || "no decision yet"));
   words("reason", message.reason);
   const who = message.yours ? "you fly by hand" : message.hand ? `${message.hand} flies by hand` : "";
-  words("who", [message.situation, message.mode && `vehicle: ${message.mode.replaceAll("_", " ")}`, who].filter(Boolean).join(" · "));
+  words("who", [WORDS[message.situation] ?? message.situation, message.mode && `vehicle: ${message.mode.replaceAll("_", " ")}`, who].filter(Boolean).join(" · "));
   battery(message.battery_fraction);
   const place = message.place;
   length("height", message.height_m);
@@ -73,6 +78,11 @@ function battery(fraction) {
 }
 
 export function health(message) {
+  const worst = message.causes.find(({ level }) => level !== "info");
+  $("worst").hidden = worst === undefined;
+  $("worst").dataset.level = worst?.level ?? "";
+  words("worst", worst?.text ?? "");
+  chip($("link"), worst?.level ?? "info", "live");
   const causes = message.causes.length ? message.causes : [{ level: "info", text: "everything the flight needs is up" }];
   const key = JSON.stringify(causes.map(({ level, text }) => [level, text.replace(/\d+/g, "")]));
   const list = $("causes");

@@ -27,6 +27,7 @@ const seen = new IntersectionObserver(
 for (const { canvas } of drawings) seen.observe(canvas);
 // Paper has no window: everything is drawn before it.
 addEventListener("beforeprint", () => {
+  for (const closed of document.querySelectorAll("details")) closed.open = true;
   for (const drawing of drawings) {
     drawing.inSight = true;
     drawing.draw();
