@@ -41,6 +41,8 @@ _RESTART_NS = NS_PER_S
 _AGES_S = {"HEARTBEAT": 5.0, "EXTENDED_SYS_STATE": 5.0, "SYS_STATUS": 15.0}
 """Ages beyond which the parts of the vehicle's condition are unknown again, by the message that they come from: several of its
 intervals, and longer than a link usually stands still."""
+_LANDED_S = 0.5
+"""Time for which an armed vehicle that flew must report that it stands: a detector is wrong for a moment in a still hover."""
 _LANDED_STATE_WITHIN_S = 3.0
 """Time from the first heartbeat: every PX4 sends EXTENDED_SYS_STATE by then, also over a slow link."""
 _SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0, name="the ship")
@@ -142,6 +144,7 @@ class MavlinkSampler:
         self._newest: dict[tuple[str, int], tuple[int, bytes]] = {}
         """The newest message of each kind and sensor: its stamp since boot, ns, and its bytes."""
         self._landed_state = 0
+        self._landed_since: MonoNs | None = None
         self._ages: dict[str, MonoNs] = {}
         """Arrival of the newest message by name, of those that the condition comes from."""
         self._first_heartbeat: MonoNs | None = None
@@ -256,7 +259,7 @@ class MavlinkSampler:
             self._landed_state = 0
         if self._first_heartbeat is None:
             self._first_heartbeat = received_at
-        flying = flying_of(self._landed_state, m.system_status, armed)
+        flying = self._lasting(flying_of(self._landed_state, m.system_status, armed), armed, received_at)
         awaited = self._landed_state == 0 and seconds_between(self._first_heartbeat, received_at) < _LANDED_STATE_WITHIN_S
         if flying and self._stack is Stack.PX4 and awaited:
             # PX4 is active as soon as it is armed. One that stood on the deck would be taken for one that has come down there.
@@ -275,8 +278,18 @@ class MavlinkSampler:
         flying = flying_of(m.landed_state, mav.MAV_STATE_UNINIT, bool(self.condition.armed))
         if m.landed_state == 0:
             flying = self.condition.flying
+        flying = self._lasting(flying, bool(self.condition.armed), received_at)
         taking_off = m.landed_state == mav.MAV_LANDED_STATE_TAKEOFF
         return self._status_samples(replace(self.condition, flying=flying, taking_off=taking_off), received_at)
+
+    def _lasting(self, flying: bool | None, armed: bool, at: MonoNs) -> bool | None:
+        """Return whether it flies, where a report that it stands must last."""
+        if flying is not False:
+            self._landed_since = None
+            return flying
+        self._landed_since = self._landed_since or at
+        lasts = seconds_between(self._landed_since, at) >= _LANDED_S
+        return bool(armed and self.condition.flying and not lasts)
 
     def _sys_status(self, m: Message, received_at: MonoNs) -> list[Sample]:
         share = None if m.battery_remaining < 0 else min(1.0, m.battery_remaining / 100.0)

@@ -150,6 +150,21 @@ def test_status_follows_mode_motors_and_ground() -> None:
     assert cut.emergency
 
 
+@pytest.mark.parametrize(("armed", "lasts_s", "flies"), [(True, 0.3, True), (True, 0.7, False), (False, 0.1, False)])
+def test_landed_for_a_moment_is_not_believed_of_a_vehicle_that_flew(armed: bool, lasts_s: float, flies: bool) -> None:
+    s, second = sampler(Stack.ARDUPILOT), 1_000_000_000
+    s.samples(mav.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3), NOW)
+    s.samples(mav.MAVLink_extended_sys_state_message(0, 2), NOW)
+    for n in range(round(10 * lasts_s) + 1):
+        at = MonoNs(NOW + second + n * second // 10)
+        s.samples(mav.MAVLink_heartbeat_message(2, 3, 0x81 if armed else 0x01, 4, 4, 3), at)
+        s.samples(mav.MAVLink_extended_sys_state_message(0, 1), at)
+    assert s.condition.flying is flies
+    s.samples(mav.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3), MonoNs(NOW + 2 * second))
+    s.samples(mav.MAVLink_extended_sys_state_message(0, 2), MonoNs(NOW + 2 * second))
+    assert s.condition.flying is True
+
+
 def test_each_part_of_the_condition_has_an_age() -> None:
     s, beat, later = sampler(Stack.ARDUPILOT), mav.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3), MonoNs(NOW + 20_000_000_000)
     s.samples(mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 61, 0, 0, 0, 0, 0, 0), NOW)
