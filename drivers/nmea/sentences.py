@@ -39,7 +39,7 @@ from drivers.nmea.fields import (
 from drivers.nmea.motion import ShipMotion, Wind
 from drivers.nmea.transport import DATAGRAM_MAX, LINES_MAX
 from drivers.one_source import SourceChoice
-from estimator.contracts.geometry import F64, GeoPoint
+from estimator.contracts.geometry import F64, GeoPoint, ned_between
 from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, after, seconds_between
 
@@ -57,6 +57,8 @@ _FIX_SIGMA_M = 2.5
 """Standard deviation of a place at a dilution of precision of 1."""
 _DILUTION = 2.0
 """The dilution of precision of a sentence without it."""
+_APART_S = 10.0
+"""Time since the newest contradiction for which places of two receivers with one talker are known as badly as they differ."""
 _RECKONED_SIGMA_M = 50.0
 """Standard deviation of a place that the receiver reckons from an old one."""
 _OF_MODE: Mapping[str, float | str] = {
@@ -169,11 +171,23 @@ class _Receiver:
         """The number of motions that had the heading of this talker to the digit, the old ones less."""
         self.moved_at = MonoNs(0)
         """Arrival of the newest motion of this talker's device."""
+        self._places: dict[str, tuple[int, GeoPoint]] = {}
+        """The time of day and the place of the newest sentence of each kind."""
+        self._apart = MonoNs(0), 0.0
+        """Arrival of the newest place that contradicted one of the same kind and time, and by how much, m."""
         self._time_ns = -1
         self._burst: Stamp | None = None
         self._period_s = 0.0
         self._before, self._in_burst = Counter[str](), Counter[str]()
         self._late_s: dict[str, float] = {}
+
+    def apart_m(self, kind: str, time_of_day_ns: int, where: GeoPoint, received_at: MonoNs) -> float:
+        """Return how far two places of one instant lie apart, m: two receivers may have one talker, and each moves the ship."""
+        before = self._places.get(kind)
+        self._places[kind] = time_of_day_ns, where
+        if before is not None and before[0] == time_of_day_ns and before[1] != where:
+            self._apart = received_at, math.hypot(*ned_between(before[1], where)[:2])
+        return self._apart[1] if seconds_between(self._apart[0], received_at) <= _APART_S else 0.0
 
     def timed(self, time_of_day_ns: int, received_at: MonoNs) -> Stamp:
         """Return the stamp of a sentence with a time of day."""
@@ -339,6 +353,7 @@ class NmeaReader:
         v = None if m.spd_over_grnd is None else velocity(m.spd_over_grnd, m.true_course)
         v = v if sigma_m < _RECKONED_SIGMA_M else None
         stamp = of.timed(time_ns(m.timestamp), received_at)
+        sigma_m = math.hypot(sigma_m, of.apart_m("RMC", time_ns(m.timestamp), where, received_at))
         fix = GeoFix(stamp, "vessel", where, _widened(sigma_m, rounded_m), v)
         return self._chosen(of.name, [fix, *_moving(stamp, v, text(m, "spd_over_grnd"))], received_at)
 
@@ -347,7 +362,10 @@ class NmeaReader:
         dilution = _DILUTION if m.horizontal_dil in (None, "") else number(m.horizontal_dil)
         where, rounded_m = place(m, None if m.altitude is None else number(m.altitude))
         stamp = of.timed(time_ns(m.timestamp), received_at)
-        fix = GeoFix(stamp, "vessel", where, _widened(sigma_m * max(1.0, dilution), rounded_m))
+        sigma_m = math.hypot(
+            sigma_m * max(1.0, dilution), of.apart_m("GGA", time_ns(m.timestamp), replace(where, height_m=None), received_at)
+        )
+        fix = GeoFix(stamp, "vessel", where, _widened(sigma_m, rounded_m))
         return self._chosen(of.name, [fix], received_at)
 
     def _vtg(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:

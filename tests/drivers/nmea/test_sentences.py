@@ -75,6 +75,17 @@ def test_gga_reports_the_height_and_how_good_it_is() -> None:
     assert (fix.place.height_m, fix.sigma_m) == (1048.47, pytest.approx(4.0))
 
 
+@pytest.mark.parametrize(("east_min", "apart_m"), [("3.0000", 0.0), ("3.0200", 21.6)])
+def test_two_receivers_with_one_talker_are_known_as_badly_as_they_differ(east_min: str, apart_m: float) -> None:
+    reader, sigmas = NmeaReader(), []
+    for second in range(8):
+        for east in ("3.0000", east_min):
+            body = f"GPGGA,1200{second:02d}.00,5430.0000,N,0100{east},E,1,12,0.8,4.0,M,45.0,M,,"
+            sigmas += [s.sigma_m for s in reader.samples(line(body), ns(1000.0 + second)) if isinstance(s, GeoFix)]
+    assert len(sigmas) == 16
+    assert all(apart_m <= sigma_m < apart_m + 3.0 for sigma_m in sigmas[1:])
+
+
 def test_vtg_and_hdt_tell_motion_and_heading_together_in_one_datagram() -> None:
     moving, pointing = NmeaReader().samples(line("GPVTG,180.0,T,,M,010.0,N,18.5,K") + line("HEHDT,123.4,T"), NOW)
     assert moving.v_vessel_ned == pytest.approx([-10.0 * KNOT_M_S, 0.0, 0.0], abs=1e-9)
