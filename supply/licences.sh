@@ -12,8 +12,10 @@ for pins in runtime video ship report lab ros2 compare rl fleet; do
     [ "$pins" = runtime ] && echo "## The service" || printf '\n## The extra `%s`\n' "$pins"
     echo
     # shellcheck disable=SC2046  # one argument for each name
-    "$python" -m piplicenses --format markdown --ignore-packages rich-click --packages $(names "$pins" | comm -23 - "$listed")
-    # Its metadata hold the whole text of the MIT License in place of a name.
-    [ "$pins" != ros2 ] || sed -n 's/^rich-click==\([0-9.]*\).*/| rich-click | \1 | MIT License |/p' requirements/ros2.txt
+    "$python" -m piplicenses --format markdown --ignore-packages rich-click resvg-py --packages $(names "$pins" | comm -23 - "$listed")
+    # The metadata of these hold the text of the MIT License, or nothing, in place of its name.
+    sed -n 's/^\(rich-click\|resvg-py\)==\([0-9.]*\).*/\1 \2/p' "requirements/$pins.txt" | while read -r name version; do
+        grep -qx "$name" "$listed" || echo "| $name | $version | MIT License |"
+    done
     names "$pins" | sort -u -o "$listed" - "$listed"
 done

@@ -20,7 +20,7 @@ from companion.guidance.law.response_fit import ClimbFit, TiltFit, fit_climb, fi
 from companion.recording.channels import CAMERA
 from companion.recording.reading import Recording, open_recording
 from companion.settings.guidance import FollowDeckOptions, Response, TiltResponse, response_from_mapping
-from companion.settings.load import find_file, load, read_toml, response_model, shipped
+from companion.settings.load import find_file, load, read_text, read_toml, response_model, shipped
 from companion.settings.model import in_file
 from companion.tools.calibrate.flight_result import (
     MountResult,
@@ -380,8 +380,8 @@ def _write_delay(args: argparse.Namespace, key: str, was: float, found: float, s
         flown = f"{was:g} in the recording; name the settings flown with"
         raise BadInput(f"--config {args.config}: {in_file(key)} is {stands:g}, but {flown}")
     try:
-        text = Path(args.config).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as why:
+        text = read_text(Path(args.config))
+    except BadInput as why:
         raise BadInput(f"--config {args.config}: give the path of a settings file: {why}") from why
     known = {
         key: round(found, 5),

@@ -61,7 +61,7 @@ def write(path: Path, out: Path, tag_m: float | None) -> list[str]:
     Raises:
         BadInput: it is none of these, a value is none, or a file is there already.
     """
-    pad_file, text = out.with_suffix(".pad.toml"), read_text(path).lstrip("\ufeff")
+    pad_file, text = out.with_suffix(".pad.toml"), read_text(path)
     if pad_file.exists():
         raise BadInput(f"--out {out}: {pad_file}, which it would be written with, is there already")
     with refused(f"{path}: no settings that are read", msgspec.MsgspecError, configparser.Error, KeyError, TypeError, ValueError):

@@ -32,6 +32,7 @@ from estimator.contracts.errors import BadInput, file_errors
 from estimator.contracts.estimates import CENTRE, Method, Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.text import text_of
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
@@ -297,11 +298,9 @@ def _wrong_size(source: str, size: tuple[int, int], model: _Model) -> BadInput:
 def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, Rotation]:
     """Return roll and pitch of an attitude file, by source."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as text:
-            rows = list(csv.reader(text))
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
-    except (UnicodeDecodeError, csv.Error) as why:
+        with file_errors(str(path)):
+            rows = list(csv.reader(text_of(path.read_bytes(), str(path)).splitlines()))
+    except csv.Error as why:
         raise BadInput(f"{path}: not a CSV file of text; its first line must be source,roll_deg,pitch_deg") from why
     header = [cell.strip() for cell in rows[0]] if rows else []
     if any(name not in header for name in ("source", "roll_deg", "pitch_deg")):

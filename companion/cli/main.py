@@ -275,12 +275,13 @@ def pointed(message: str) -> str:
         message: "FILE: KEY ..." as settings are refused.
     """
     from companion.settings.files import LARGEST_BYTES
+    from estimator.contracts.text import utf8_of
 
     found = re.match(r"(?P<file>[^:]+\.toml): (?P<what>.*)", message)
     path = Path(found["file"]) if found else None
     if found is None or path is None or not path.is_file() or path.stat().st_size > LARGEST_BYTES:
         return ""
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = utf8_of(path.read_bytes()).decode("utf-8", "replace").splitlines()
     if syntax := _SYNTAX.search(found["what"]):
         row, column, width = int(syntax[1]), int(syntax[2]), 1
     else:

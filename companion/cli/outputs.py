@@ -33,6 +33,7 @@ RESPONSE_FILE, ERROR_MODEL = Kind("response file", (".toml",)), Kind("error mode
 SNAPSHOT, POLICY = Kind("snapshot", (".json",)), Kind("policy", (".npz",))
 PARAMETERS = Kind("file of parameters", (".param", ".params", ".parm"))
 REPORT, SHEETS = Kind("report", (".html", ".htm"), b"decklander"), Kind("drawing", (".pdf", ".svg"), b"decklander")
+PREVIEW = Kind("preview", (".png",))
 ANIMATION = Kind("animation", (".gif",))
 PLOT = Kind("plot", (".png", ".svg", ".pdf"), b"atplotlib")
 

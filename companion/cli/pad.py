@@ -18,10 +18,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+import resvg_py
 
 from companion.cli import board_option
 from companion.cli.options import WorkProgress, option, print_result
-from companion.cli.outputs import PAD_FILE, SHEETS, output
+from companion.cli.outputs import PAD_FILE, PREVIEW, SHEETS, check_output, output
 from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, read_text, shipped
 from companion.tools.calibrate.board import BOARDS
 from companion.tools.calibrate.guide import files_of, read_image
@@ -32,11 +33,12 @@ from companion.tools.pads.trace import Picture, drawn, fault_of, file_text, phot
 from companion.tools.print_pad.sheets import PAPERS, board_drawing, pad_drawing, pdf, sheets, svg
 from estimator.contracts.errors import BadInput, file_errors
 from estimator.contracts.geometry import F64
+from estimator.contracts.text import text_of
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.pad import CENTRE_PX, LARGEST_M, RARE, SMALLEST_M, Calibration, LampAccuracy, Pad, lamp_accuracy
 from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
-from estimator.vision.regions import part_of
+from estimator.vision.regions import outlines_of, part_of
 from estimator.vision.srgb import LUMA, linear_light
 
 
@@ -53,6 +55,8 @@ def _add_import(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     output(p, "--out FILE", "pad file to write (.toml)", PAD_FILE, required=True)
     option(p, "--size-mm MM", "largest extent of all that is painted; with --corners WIDTHxLENGTH of the rectangle, "
         "and of a board that of its sheet, about its centre")  # fmt: skip
+    option(p, "--extent", "whose size and middle are meant in a drawing that is of one colour up to its sheet's edge: the whole "
+        "sheet's, or of what lies on it (default: the sheet's middle)", choices=("sheet", "paint"))  # fmt: skip
     option(p, "--corners PX", 'pixels "u,v u,v u,v u,v" of the corners of a rectangle on the pad in a photograph: fore '
         "left, fore right, aft right, aft left; `click` asks for them in a browser on this machine")  # fmt: skip
     option(p, "--sheet", "the rectangle is the sheet that the pad is printed on: nothing beyond it is painted")
@@ -70,7 +74,8 @@ def _import(args: argparse.Namespace) -> int:
         BadInput: a file cannot be read or written, an argument is wrong, or the drawing cannot be measured as a pad.
     """
     path, out = Path(args.drawing), args.out
-    remarks: tuple[str, ...] = ()
+    shown, remarks = out.with_suffix(".preview.png"), tuple[str, ...]()
+    check_output(shown, PREVIEW, "--out", [path], force=args.force)
     if path.suffix.lower() in BOARD_FILES:
         chosen = _size_m(args.size_mm, of_rectangle=True), args.family, args.target
         found = board(read_text(path), args.name or path.stem, str(path), *chosen, turned=args.tags_turned)
@@ -82,23 +87,36 @@ def _import(args: argparse.Namespace) -> int:
         keys = traced(_picture(path, data, size_m, args), args.name or path.stem, str(path))
     text = file_text(keys, f"Made of {path.name} by decklander pad import.")
     pad = Pad.from_mapping(tomllib.loads(text), str(path))
+    drawing = pad_drawing(pad)
+    png = resvg_py.svg_to_bytes(svg(drawing, sheets(drawing, "full")[0]), width=_PREVIEW_PX, dpi=96.0)
     with file_errors(str(out)):
         out.write_text(text, encoding="utf-8")
+        shown.write_bytes(png)
+    corners = np.concatenate([line for region in pad.regions for line in outlines_of(region)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    along, across = (1000.0 * (high - low)).tolist()
+    fore, right = (500.0 * (low + high)).tolist()
+    middle = f"its middle lies {fore:+.0f} mm fore and {right:+.0f} mm right of the pad's"
     parts, n = ", ".join(dict.fromkeys(part_of(region) for region in pad.regions)), len(pad.regions)
     sys.stdout.write(
         f"{out}: {pad.name}, {2000.0 * pad.disc_radius_m:.1f} mm across, {n} region{'s' * (n != 1)} ({parts})"
         + (f", ground {pad.ground}" if pad.ground else "")
-        + "\n"
+        + f"\n{out}: what lies on the ground is {across:.0f} mm wide and {along:.0f} mm long, {middle}\n"
+        + f"{shown}: what was understood, look at it\n"
         + "".join(f"{path}: {remark}\n" for remark in remarks)
     )
     return 0
+
+
+_PREVIEW_PX = 800
 
 
 def _picture(path: Path, data: bytes, size_m: tuple[float, float] | None, args: argparse.Namespace) -> Picture:
     if path.suffix.lower() == ".svg":
         if args.corners is not None:
             raise BadInput("--corners is for photographs: a drawing is seen from straight above")
-        return drawn(read_svg(data.decode("utf-8", "replace"), str(path)), None if size_m is None else max(size_m), str(path))
+        drawing = read_svg(text_of(data, str(path)), str(path))
+        return drawn(drawing, None if size_m is None else max(size_m), str(path), args.extent)
     px = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if px is None:
         raise BadInput(f"{path}: neither an SVG drawing nor a picture that can be read")
@@ -509,7 +527,7 @@ def _write(file: Path, found: Calibration) -> None:
         f'least_px = {found.least_px}\ndrawing = "{found.drawing}"\n'
     )
     with file_errors(str(file)):
-        text = file.read_text(encoding="utf-8")
+        text = read_text(file)
         bare = re.sub(r"\n*^\[calibration\]\n(?:(?!\[).*\n?)*", "\n", text, flags=re.MULTILINE).rstrip("\n")
         file.write_text(f"{bare}\n\n{table}", encoding="utf-8")
 

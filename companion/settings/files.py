@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from estimator.contracts.errors import BadInput, file_errors, unusable
+from estimator.contracts.text import text_of, utf8_of
 
 LARGEST_BYTES = 1_000_000
 """Largest file of text: a hundred times the longest settings."""
@@ -111,11 +112,9 @@ def text(reference: str, part: str, key: str, environment: Mapping[str, str] = o
     try:
         if stat.S_IMODE(path.stat().st_mode) & stat.S_IROTH:
             log.warning("%s can be read by everyone on this machine (chmod o-r)", where)
-        secret = _content(path).decode().rstrip("\r\n")
+        secret = text_of(_content(path), where).rstrip("\r\n")
     except OSError as why:
         raise unusable(where, why) from why
-    except UnicodeDecodeError as why:
-        raise BadInput(f"{where}: not text") from why
     if not secret:
         raise BadInput(f"{where}: is empty")
     return secret
@@ -139,7 +138,7 @@ def key(reference: str, part: str, name: str, environment: Mapping[str, str] = o
     if len(content) == KEY_BYTES:
         return content
     try:
-        found = bytes.fromhex(content.decode("ascii").strip())
+        found = bytes.fromhex(utf8_of(content).decode("ascii").strip())
     except ValueError:
         found = b""
     if len(found) != KEY_BYTES:

@@ -27,6 +27,7 @@ from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import DOWN
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, unusable
+from estimator.contracts.text import text_of
 from estimator.vision.camera import Camera
 from estimator.vision.camera_files import foreign_camera
 from estimator.vision.pad import Calibration, Pad
@@ -317,11 +318,9 @@ def read_text(path: Path) -> str:
             content = file.read(LARGEST_BYTES + 1)
         if len(content) > LARGEST_BYTES:
             raise BadInput(f"{path}: more than {LARGEST_BYTES} bytes")
-        return content.decode("utf-8")
     except OSError as why:
         raise unusable(str(path), why) from why
-    except UnicodeDecodeError as why:
-        raise BadInput(f"{path}: not UTF-8 text (byte {why.start})") from why
+    return text_of(content, str(path))
 
 
 def toml_of(text: str, path: Path) -> dict[str, Any]:

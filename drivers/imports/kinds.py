@@ -8,6 +8,7 @@ from drivers.imports import ardrone_capture, dataflash, px4_ulog
 from drivers.imports.network import LINE
 from drivers.imports.sentences import SENTENCE
 from estimator.contracts.errors import refused
+from estimator.contracts.text import utf8_of
 
 _HEAD = 1 << 16
 _TLOG_STAMP = 8
@@ -56,7 +57,7 @@ def kind_of(path: Path) -> FileKind:
     if path.is_dir():
         return FileKind.ROS_BAG if (path / "metadata.yaml").is_file() else FileKind.IMAGES
     with refused(str(path), OSError), path.open("rb") as file:
-        head = file.read(_HEAD)
+        head = utf8_of(file.read(_HEAD))
     if _is_ros2(head):
         return FileKind.ROS_BAG
     if head.startswith(_MCAP):
@@ -89,7 +90,7 @@ def _is_ros2(head: bytes) -> bool:
 
 def _is_text(head: bytes) -> bool:
     try:
-        head[: _HEAD - 4].decode("utf-8")
+        head.decode("utf-8")
     except UnicodeDecodeError as why:
         if why.start < len(head) - 8:
             return False

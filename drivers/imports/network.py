@@ -12,6 +12,7 @@ from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import ShipSensors
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.samples import Sample
+from estimator.contracts.text import utf8_of
 from estimator.contracts.time import MonoNs
 
 LINE = re.compile(
@@ -51,7 +52,7 @@ def began_s(path: Path) -> float:
 
 def _timed(path: Path) -> tuple[list[bytes], list[float]]:
     with refused(str(path), OSError):
-        lines = [line for line in path.read_bytes().splitlines() if line.strip() and not line.startswith(b"#")]
+        lines = [line for line in utf8_of(path.read_bytes()).splitlines() if line.strip() and not line.startswith(b"#")]
     times = [logger_s(line[:64], b"") for line in lines]
     if not any(map(math.isfinite, times)):
         raise BadInput(f"{path}: no time in it")

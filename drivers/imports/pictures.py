@@ -28,6 +28,7 @@ from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Frame, Sample
+from estimator.contracts.text import text_of
 
 _UNITS_US = {"s": Decimal(10**6), "ms": Decimal(1000), "us": Decimal(1), "ns": Decimal("0.001")}
 _BY_DIGITS = {10: "s", 13: "ms", 16: "us", 19: "ns"}
@@ -98,8 +99,8 @@ def _of_table(table: Path, paths: Sequence[Path]) -> dict[str, int]:
     try:
         if table.stat().st_size > _TABLE_MOST:
             return {}
-        lines = table.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError):
+        lines = text_of(table.read_bytes(), str(table)).splitlines()
+    except (OSError, BadInput):
         return {}
     names = {path.name for path in paths}
     head, rows = list[str](), dict[str, list[str]]()
@@ -204,8 +205,8 @@ def attitudes(path: Path, tell: Tell = quiet) -> list[Sample]:
     Raises:
         BadInput: the file cannot be read, a column is missing, or a cell is not a finite number; the text names the line.
     """
-    with refused(str(path), OSError, UnicodeDecodeError):
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    with refused(str(path), OSError):
+        lines = text_of(path.read_bytes(), str(path)).splitlines()
     rows = csv.DictReader(lines, skipinitialspace=True, delimiter=";" if lines and ";" in lines[0] else ",")
     if missing := [name for name in HEADER if name not in (rows.fieldnames or [])]:
         raise BadInput(f"{path}: column {missing[0]!r} is missing; the header must be {','.join(HEADER)} and may have yaw_deg")

@@ -20,6 +20,7 @@ from drivers.nmea.sentences import NmeaReader
 from drivers.one_source import SourceChoice
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
+from estimator.contracts.text import utf8_of
 from estimator.contracts.time import NS_PER_S, MonoNs
 
 SENTENCE = re.compile(
@@ -76,7 +77,7 @@ def read(logs: Sequence[SentenceLog], tell: Tell, mmsi: int = 0, simulated: bool
 def _rows(log: SentenceLog, tell: Tell) -> tuple[list[tuple[int, bytes]], float]:
     """Return the arrivals, ns since the first, and sentences of a log in order, and when it began by its own clock, s."""
     try:
-        lines = log.path.read_bytes().splitlines()
+        lines = utf8_of(log.path.read_bytes()).splitlines()
     except OSError as why:
         raise BadInput(f"{log.path}: {why.strerror or why}") from why
     found = [(line[: match.start()] + b" " + line[match.end() :], match[0]) for line in lines if (match := SENTENCE.search(line))]

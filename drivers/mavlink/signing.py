@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from estimator.contracts.errors import BadInput, unusable
+from estimator.contracts.text import utf8_of
 
 _log = logging.getLogger(__name__)
 
@@ -222,7 +223,7 @@ def load_key(where: str, environment: Mapping[str, str] | None = None) -> Signin
         raise BadInput(f"signing key {path}: others may read it; chmod 600 {path}")
     if len(content) == 32:
         return SigningKey(content)
-    text = content.decode("utf-8", errors="replace").strip()
+    text = utf8_of(content).decode("utf-8", errors="replace").strip()
     if text.startswith(_PASSPHRASE) and text.removeprefix(_PASSPHRASE).strip():
         return SigningKey(hashlib.sha256(text.removeprefix(_PASSPHRASE).strip().encode()).digest())
     try:

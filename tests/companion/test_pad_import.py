@@ -42,8 +42,8 @@ SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="400mm" height="500mm" vi
   </g></svg>"""
 
 
-def imported(text: str, size_m: float | None = None) -> Pad:
-    return Pad.from_mapping(traced(drawn(read_svg(text, "a.svg"), size_m, "a.svg"), "a", "a.svg"))
+def imported(text: str, size_m: float | None = None, extent: str | None = None) -> Pad:
+    return Pad.from_mapping(traced(drawn(read_svg(text, "a.svg"), size_m, "a.svg", extent), "a", "a.svg"))
 
 
 def user_s(name: str) -> Pad:
@@ -100,13 +100,74 @@ def test_sizes_left_out_paint_nothing_and_what_nearly_touches_is_a_pad_or_named(
         ("<html/>", "its root is no <svg>"),
         ('<svg viewBox="0 0 9 9"/>', "paints nothing"),
         ('<svg viewBox="0 0 9 9"><text>H</text></svg>', "convert it to paths"),
-        ('<svg viewBox="0 0 9 9"><rect width="5" height="5" fill="url(#g)"/></svg>', "plain colours alone"),
+        ('<svg viewBox="0 0 9 9"><rect width="5" height="5" fill="url(#g)"/></svg>', "not in the drawing"),
+        ('<svg viewBox="0 0 9 9"><use href="other.svg#a"/></svg>', "refers to 'other.svg#a'"),
+        ('<svg viewBox="0 0 9 9"><style>@media print{rect{fill:red}}</style></svg>', "the rule '@media'"),
+        ('<svg viewBox="0 0 9 9"><style>a+rect{fill:red}</style></svg>', "the selector"),
+        ('<svg viewBox="0 0 9 9"><circle style="r:4px"/></svg>', "has 'r:'"),
+        ('<svg viewBox="0 0 9 9"><rect width="5" height="5" opacity=".5"/></svg>', "half transparent"),
+        ('<svg viewBox="0 0 9 9"><rect width="5" height="5"><animate/></rect></svg>', "animate"),
         ('<!DOCTYPE svg [<!ENTITY a "b">]><svg viewBox="0 0 9 9"/>', "no entities"),
     ],
 )
 def test_what_is_no_plain_drawing_is_refused_with_a_cure(text: str, said: str) -> None:
     with pytest.raises(BadInput, match=said):
-        read_svg(text, "a.svg")
+        imported(text, 0.5)
+
+
+H = '<path d="M120 100h30v80h100v-80h30v200h-30v-90h-100v90h-30z" fill="#fff"/>'
+ROUND = (
+    f'<svg xmlns="http://www.w3.org/2000/svg" width="400mm" viewBox="0 0 400 400"><circle cx="200" cy="200" r="170"/>{H}</svg>'
+)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        (
+            '<circle cx="200" cy="200" r="170"/>' + H,
+            '<path fill-rule="evenodd" d="M30 200a170 170 0 01340 0 170 170 0 01-340 0z' + H[9:-15] + '"/>',
+        ),
+        (
+            "<circle",
+            '<clipPath id="c"><circle cx="200" cy="200" r="170"/></clipPath>'
+            '<rect clip-path="url(#c)" width="400" height="400"/><circle',
+        ),
+        ("<circle", '<rect width="400" height="400" fill="#fff"/><circle'),
+        ("#fff", "rgb(255,255,255)"),
+    ],
+    ids=["cut out", "clipped", "on a background", "no background"],
+)  # fmt: skip
+def test_lettering_in_the_colour_of_the_sheet_is_kept(changed: tuple[str, str]) -> None:
+    pad = imported(ROUND.replace(*changed))
+    disc, letter = pad.regions
+    assert (pad.disc_radius_m, pad.ground) == (pytest.approx(0.17, abs=1e-3), "white")
+    assert isinstance(letter, PaintedPolygon)
+    assert pad.rgb(letter) == (255, 255, 255) != pad.rgb(disc)
+    assert cv2.contourArea(letter.corners().astype(np.float32)) == pytest.approx(0.0151, rel=0.02)
+
+
+def test_what_ends_in_white_has_no_known_ground() -> None:
+    pad = imported(ROUND.replace("<circle", '<circle fill="#fff"').replace('d="M', 'style="fill:#00f" d="M'))
+    assert (pad.ground, len(pad.regions)) == ("", 2)
+
+
+def test_a_drawing_that_fills_its_sheet_keeps_its_size_and_middle_or_asks_for_them() -> None:
+    sheet = (
+        '<svg xmlns="http://www.w3.org/2000/svg" width="400mm" viewBox="0 0 400 400"><rect width="400" height="400" fill="#048"/>'
+    )
+    text = f'{sheet}<rect x="100" y="40" width="100" height="60"/><rect x="100" y="140" width="100" height="60"/></svg>'
+    with pytest.raises(BadInput, match="--extent sheet or --extent paint"):
+        imported(text, 0.8)
+    for (size_m, extent), (scale, middle) in {
+        (None, None): (1.0, (0.08, -0.05)),
+        (0.8, "sheet"): (2.0, (0.16, -0.1)),
+        (0.8, "paint"): (5.0, (0.0, 0.0)),
+    }.items():
+        pad = imported(text, size_m, extent)
+        corners = np.concatenate([region.corners() for region in pad.regions if isinstance(region, PaintedPolygon)])
+        assert np.ptp(corners, axis=0) == pytest.approx((0.16 * scale, 0.1 * scale), rel=0.01)
+        assert 0.5 * (corners.max(axis=0) + corners.min(axis=0)) == pytest.approx(middle, abs=2e-3)
 
 
 @pytest.mark.parametrize(("half_m", "more"), [(0.2, []), (0.4, ["--sheet"])])
@@ -124,8 +185,21 @@ def test_a_photograph_is_rectified_by_four_corners_traced_and_found_again(tmp_pa
     words = ["pad", "import", str(picture), "--corners", places, "--size-mm", size, "--out", str(out), *more]
     assert main(words) == 0
     traced_pad = Pad.from_mapping(read_toml(out))
+    assert cv2.imread(str(out.with_suffix(".preview.png"))) is not None
     assert traced_pad.disc_radius_m == pytest.approx(pad.disc_radius_m, rel=0.02)
     assert trust(traced_pad, px, pose, camera) >= 0.5
+
+
+def test_a_photograph_whose_paint_reaches_the_edge_is_refused_with_its_share(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    px = np.full((420, 420, 3), 250, np.uint8)
+    cv2.circle(px, (210, 210), 180, (200, 60, 20), -1)
+    picture = tmp_path / "photo.png"
+    cv2.imwrite(str(picture), px)
+    for at, code in ((28, 2), (5, 0)):
+        corners = " ".join(f"{u},{v}" for u, v in ((at, at), (419 - at, at), (419 - at, 419 - at), (at, 419 - at)))
+        words = ["pad", "import", str(picture), "--corners", corners, "--size-mm", "800x800", "--sheet"]
+        assert main([*words, "--out", str(tmp_path / "mine.toml")]) == code
+    assert "100 % of the paint would be left out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("name", "roll_rad", "pitch_rad", "radius_px", "beyond"), ODD_VIEWS, ids=["aslant", "cut", "ring"])

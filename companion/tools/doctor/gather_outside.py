@@ -40,7 +40,8 @@ from drivers.nmea.ship_sensors import ShipSensors
 from drivers.nmea.ship_wires import read_bus
 from drivers.nmea.transport import SentenceSource, sentences_from
 from drivers.one_source import SourceChoice
-from estimator.contracts.errors import BadInput, DecklanderError
+from estimator.contracts.errors import BadInput, DecklanderError, refused
+from estimator.contracts.text import utf8_of
 from estimator.contracts.time import Clock, seconds_between
 
 _MANY = 100
@@ -130,10 +131,8 @@ def parameters_of(path: Path) -> AutopilotLog:
         BadInput: the file cannot be read, no line of it is a parameter, or a value is not clear: two of one name, two vehicles,
             decimal commas, a file that is included.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
+    with refused(str(path), OSError):
+        lines = utf8_of(path.read_bytes()).decode("utf-8", "replace").splitlines()
     parameters: dict[str, float] = {}
     table = [row for line in lines if (row := _OF_TABLE.match(line)) is not None]
     if len({row[1] for row in table}) > 1:
@@ -146,6 +145,8 @@ def parameters_of(path: Path) -> AutopilotLog:
             continue  # another component, such as a gimbal
         if (found := _parameter_in(line)) is not None:
             name, value = found
+            if value is None:
+                raise BadInput(f"{path}: {name} has no number as its value: {line.strip()[:60]!r}")
             if parameters.setdefault(name, value) != value:
                 raise BadInput(f"{path}: {name} stands in it twice, as {parameters[name]:g} and as {value:g}")
     if not parameters:
@@ -162,7 +163,8 @@ def parameters_of(path: Path) -> AutopilotLog:
     return AutopilotLog(stack, None, firmware, dict(sorted(parameters.items())), (), (), LogHistory(0.0))
 
 
-def _parameter_in(line: str) -> tuple[str, float] | None:
+def _parameter_in(line: str) -> tuple[str, float | None] | None:
+    """Return a line's name and value, None if that is no number; None if the line is no parameter's."""
     words = re.split(r"[\s,=]+", line.split("#")[0].strip())
     if len(words) >= 4 and words[0].isdigit() and words[1].isdigit():
         words = words[2:]
@@ -171,8 +173,8 @@ def _parameter_in(line: str) -> tuple[str, float] | None:
     try:
         value = float(words[1])
     except ValueError:
-        return None
-    return (words[0], value) if math.isfinite(value) else None
+        return (words[0], None) if len(words) <= 3 and (_ARDUPILOT_NAMES.match(words[0]) or _PX4_NAMES.match(words[0])) else None
+    return (words[0], value if math.isfinite(value) else None)
 
 
 _FIRST_FRAME_S = 5.0

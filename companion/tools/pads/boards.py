@@ -113,7 +113,7 @@ def board(
     half = 180.0 if turned else 0.0
     if where.lower().endswith(".json"):
         with refused(f"{where}: no landing-target.json of Landmark", msgspec.MsgspecError, RecursionError):
-            found = msgspec.json.decode(text.lstrip("\ufeff"), type=_Landmark).markers
+            found = msgspec.json.decode(text, type=_Landmark).markers
         regions = [*_by_corners(found, half, where)]
         remarks = [
             "object_points alone are taken, which are the dark squares; target_num, size_mm, position_mm and the like are not",

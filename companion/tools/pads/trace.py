@@ -3,21 +3,19 @@
 The picture has one paint a pixel. What is round about the centre becomes disc, rim or ring; all else becomes polygons, with holes
 where what lies below shows, of as few corners as the registration measures.
 
-svgelements reads the shapes, paths, groups, uses, transforms and style sheets of a drawing. Text, pictures and gradients are
-refused with what to do.
+resvg draws what an SVG paints. What it would leave out, and what is not of plain colours, is refused with what to do.
 """
 
-import io
 import math
 import re
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
-from xml.etree.ElementTree import ParseError, fromstring, tostring
+from xml.etree.ElementTree import Element, ParseError, fromstring, tostring
 
 import cv2
 import msgspec
 import numpy as np
-import svgelements
+import resvg_py
 from msgspec import Struct
 from numpy.typing import NDArray
 
@@ -27,127 +25,117 @@ from estimator.vision.pad import SMALLEST_M, check_polygon, is_simple
 from estimator.vision.pad_rules import SIDES_MOST, Rgb
 from estimator.vision.regions import PaintedPolygon
 
+U8 = NDArray[np.uint8]
 _LARGEST_BYTES = 2_000_000
-_CURVE = 24
-"""Straight pieces of a curve, or of a quarter of a circle."""
 _PX_IN_INCH = 96.0
-_SIZES = {"rect": ("x", "y", "width", "height"), "circle": ("cx", "cy", "r"), "ellipse": ("cx", "cy", "rx", "ry")}
-
-
-class PaintedLines(Struct, frozen=True):
-    """Closed lines that are filled with a colour, or lines that are drawn with it."""
-
-    lines: tuple[F64, ...]
-    """(N, 2) each, px, y down."""
-    rgb: Rgb
-    width: float = 0.0
-    """Width of the lines, px; 0 if what lies within is filled, where an odd number of lines is around it."""
-    closed: bool = True
+_PX = {"": 1.0, "px": 1.0, "in": 96.0, "cm": 96 / 2.54, "mm": 96 / 25.4, "q": 24 / 25.4, "pt": 96 / 72, "pc": 16.0}
+"""Px of a unit of length."""
+_SVG = "{http://www.w3.org/2000/svg}"
+_TAGS = re.compile(
+    "svg|g|defs|symbol|use|path|rect|circle|ellipse|line|polyline|polygon|title|desc|metadata|style|switch|a|view|clipPath|mask|"
+    "marker|pattern|linearGradient|radialGradient|stop|filter|fe[A-Z].*"
+)
+_CURES = {"text": "convert it to paths in the drawing program", "image": "trace it, or import the picture itself"}
+_UNREAD = {
+    r"@(?!charset|namespace|font-face)[\w-]+": "the rule",
+    r"[^{}]*(?::(?!hover|first-child)[\w-]+|[+~])[^{}]*(?=\{)": "the selector",
+}
+"""What resvg leaves out of a style sheet."""
+_STYLES = r"(?<![\w-])(?:(?:c?[xy]|r[xy]?|d|width|height|translate|rotate|scale)\s*:|transform\s*:[^;]*\d(?:deg|px|turn|rad|%))"
+_FUNCTIONS = r"\b(?:var|calc|path|circle|inset|ellipse|polygon|color|(?:ok)?l(?:ab|ch)|hwb)\("
+"""What a style may have and resvg leaves out: sizes and places, turns with units, shapes and colours of CSS alone."""
+_COLOURS_MOST = 16
 
 
 class SvgDrawing(Struct, frozen=True):
-    """A drawing's sheet and what is painted on it."""
+    """A drawing that holds nothing but what is read."""
 
+    markup: str
+    """The drawing as an <svg> within another, px."""
     width: float
     height: float
     """The sheet from (0, 0), px."""
     px_mm: float | None
     """Millimetres in a px; None if the file does not say it."""
-    painted: tuple[PaintedLines, ...]
 
+    def rendered(self, left: float, top: float, size_px: tuple[int, int], scale: float, *, crisp: bool) -> U8:
+        """Return a part of the sheet, (H, W, 4) BGRA, whose pixels are blended at no border if it is to be crisp.
 
-_DAMAGED = (ParseError, ValueError, KeyError, TypeError, AttributeError, IndexError, ZeroDivisionError, OverflowError)
-"""Errors that svgelements raises of text that is no drawing."""
+        Args:
+            size_px: its width and height, px of the image.
+            scale: px of the image in one of the sheet.
+        """
+        w, h = size_px
+        box = f"{left} {top} {w / scale} {h / scale}"
+        around = f'<svg xmlns="{_SVG[1:-1]}" width="{w}" height="{h}" viewBox="{box}">{self.markup}</svg>'
+        sharp = "*{shape-rendering:crispEdges!important}" if crisp else None
+        with refused("no SVG drawing", ValueError):
+            png = resvg_py.svg_to_bytes(around, skip_system_fonts=True, dpi=_PX_IN_INCH, style_sheet=sharp)
+        return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8)
 
 
 def read_svg(text: str, where: str) -> SvgDrawing:
-    """Return what a drawing paints.
+    """Return a drawing.
 
     Raises:
         BadInput: it is no SVG, it is too large, or it holds what is not read.
     """
     if len(text) > _LARGEST_BYTES or "<!ENTITY" in text:
         raise BadInput(f"{where}: a drawing has at most {_LARGEST_BYTES} bytes and no entities: save it as plain SVG")
-    with refused(f"{where}: no SVG drawing", *_DAMAGED):
-        drawing = svgelements.SVG.parse(io.StringIO(_explicit(text)), reify=False, ppi=_PX_IN_INCH)
-    if not isinstance(drawing, svgelements.SVG) or drawing.values.get("tag") != "svg":
+    with refused(f"{where}: no SVG drawing", ParseError, ValueError):
+        root = fromstring(text)
+    if root.tag not in ("svg", _SVG + "svg"):
         raise BadInput(f"{where}: no SVG drawing: its root is no <svg>")
-    width, height = (float(v) if v is not None else 0.0 for v in (drawing.width, drawing.height))
-    if not (0.0 < width < np.inf and 0.0 < height < np.inf):
+    _check_elements(root, where)
+    if "<?xml-stylesheet" in text:
+        raise BadInput(f"{where}: the drawing has a style sheet in another file: save it as plain SVG")
+    with refused(f"{where}: no SVG drawing: viewBox", ValueError):
+        box = [float(v) for v in root.get("viewBox", "").replace(",", " ").split()]
+    sizes = {key: _length_px(root.get(key, "")) for key in ("width", "height")}
+    across, along = box[2:] if len(box) == 4 and min(box[2:]) > 0.0 else (0.0, 0.0)
+    known = max((v / of for v, of in zip(sizes.values(), (across, along), strict=True) if v and of), default=1.0)
+    width, height = sizes["width"] or known * across, sizes["height"] or known * along
+    if not (0.0 < width < 1e6 and 0.0 < height < 1e6):
         raise BadInput(f"{where}: the drawing has no size: give it a viewBox")
-    painted = tuple(one for element in drawing.elements() for one in _painted(element, where))
-    if not painted:
-        raise BadInput(f"{where}: the drawing paints nothing")
-    sized = re.search(r"(mm|cm|in|pt|pc|m)\s*$", f"{drawing.values.get('width', '')}")
-    return SvgDrawing(width, height, 25.4 / _PX_IN_INCH if sized else None, painted)
+    measured = any(re.search(r"(?i)\d(mm|cm|q|in|pt|pc)\s*$", root.get(key, "")) for key in sizes)
+    root.attrib.update(width=f"{width}", height=f"{height}", x="0", y="0")
+    return SvgDrawing(tostring(root, encoding="unicode"), width, height, 25.4 / _PX_IN_INCH if measured else None)
 
 
-def _explicit(text: str) -> str:
-    """Return a drawing whose shapes say all their sizes: svgelements takes those left out from a group around, or as 1."""
-    root = fromstring(text)
-    for of, other, i in (("width", "height", 2), ("height", "width", 3)):
-        said = re.fullmatch(r"\s*([\d.]+)\s*([a-z]*)\s*", root.get(of, ""))
-        if said is not None and "viewBox" in root.attrib and root.get(other, "auto") == "auto":
-            box = [float(v) for v in re.split(r"[\s,]+", root.attrib["viewBox"].strip())]
-            root.set(other, f"{float(said[1]) * box[5 - i] / box[i]}{said[2]}")
+def _length_px(text: str) -> float | None:
+    found = re.fullmatch(r"\s*\+?([\d.]+(?:e[-+]?\d+)?)\s*([a-z]*)\s*", text.lower())
+    return float(found[1]) * _PX[found[2]] if found and found[2] in _PX else None
+
+
+def _check_elements(root: Element, where: str) -> None:
+    """Check that all is read that a drawing holds, and put what has no name space into that of SVG.
+
+    Raises:
+        BadInput: it is not.
+    """
+    names = {element.get("id") for element in root.iter()}
     for element in root.iter():
         space, _, tag = str(element.tag).rpartition("}")
-        if tag in ("mask", "marker"):
-            element.tag = f"{space}{_}defs"
-        if sizes := _SIZES.get(tag):
-            own = {key: v for key, v in element.items() if v != "auto" and (key != "r" or tag == "circle")}
-            round_as = {a: own[b] for a, b in (("rx", "ry"), ("ry", "rx")) if b in own}
-            element.attrib = dict.fromkeys(sizes, "0") | round_as | own
-    return tostring(root, encoding="unicode")
+        element.tag = element.tag if space else _SVG + tag
+        if space in ("", _SVG[:-1]) and not _TAGS.fullmatch(tag):
+            of = next((name for name in _CURES if tag.startswith(name) or tag in ("tspan", "flowRoot")), tag)
+            raise BadInput(f"{where}: the drawing has {of} (<{tag}>): {_CURES.get(of, 'take it out, or save it as plain SVG')}")
+        sheet = re.sub(r"(?s)/\*.*?\*/", "", element.text or "") if tag == "style" else ""
+        for unread, what in _UNREAD.items():
+            if found := re.search(unread, sheet):
+                raise BadInput(
+                    f"{where}: its style sheet has {what} {found[0].strip()!r}: save it as plain SVG, without style sheets"
+                )
+        values = " ".join((sheet, *element.attrib.values()))
+        written = f"{sheet};{element.get('style', '')}"
+        if found := re.search(_FUNCTIONS, values) or re.search(_STYLES, written):
+            raise BadInput(f"{where}: <{tag}> has {found[0]!r}: save it as plain SVG")
+        links = [] if tag == "a" else [v for key, v in element.attrib.items() if key.rpartition("}")[2] == "href"]
+        for link in [*links, *re.findall(r"url\(\s*['\"]?([^)'\"]*)", values)]:
+            if not (link.startswith("#") and link[1:].strip() in names):
+                raise BadInput(f"{where}: <{tag}> refers to {link!r}, which is not in the drawing: draw it in its place")
 
 
-def _painted(element: svgelements.SVGElement, where: str) -> Iterator[PaintedLines]:
-    if isinstance(element, svgelements.Text):
-        raise BadInput(f"{where}: the drawing has text: convert it to paths in the drawing program")
-    if isinstance(element, svgelements.Image):
-        raise BadInput(f"{where}: the drawing has a picture: trace it, or import the picture itself")
-    if not isinstance(element, svgelements.Shape) or element.values.get("visibility") == "hidden":
-        return
-    if str(element.values.get("opacity")) in ("0", "0.0"):
-        return
-    found = [_line(part) for part in svgelements.Path(element.segments(transformed=False)).as_subpaths()]
-    m = element.transform
-    M = np.array([(m.a, m.b), (m.c, m.d)])
-    lines = tuple(line @ M + (m.e, m.f) for line, _ in found if len(line) > 1)
-    fill, stroke = (_rgb(element, key, where) for key in ("fill", "stroke"))
-    if lines and fill is not None and not isinstance(element, svgelements.SimpleLine):
-        yield PaintedLines(lines, fill)
-    width = float(element.stroke_width or 0.0) * float(np.sqrt(abs(np.linalg.det(M))))
-    if lines and stroke is not None and width > 0.0:
-        yield PaintedLines(lines, stroke, width, all(closed for _, closed in found))
-
-
-def _line(part: svgelements.Subpath) -> tuple[F64, bool]:
-    """Return a part of a path, (N, 2) in its own units, and whether it is closed."""
-    points: list[F64] = []
-    closed = False
-    for segment in part:
-        if isinstance(segment, svgelements.Close):
-            closed = True
-        elif isinstance(segment, svgelements.Move | svgelements.Line):
-            points.append(np.array([segment.end]))
-        else:
-            quarters = 4 if isinstance(segment, svgelements.Arc) else 1
-            points.append(np.asarray(segment.npoint(np.linspace(0.0, 1.0, quarters * _CURVE + 1)[1:])))
-    return (np.concatenate(points) if points else np.zeros((0, 2))), closed
-
-
-def _rgb(element: svgelements.Shape, key: str, where: str) -> Rgb | None:
-    written = str(element.values.get(key) or "").strip()
-    colour = getattr(element, key)
-    if written.startswith("url"):
-        raise BadInput(
-            f"{where}: the drawing has the colour {written!r}, and plain colours alone are read: take no gradients or patterns"
-        )
-    return None if colour.value is None or colour.alpha == 0 else (colour.red, colour.green, colour.blue)
-
-
-U8 = NDArray[np.uint8]
 ACROSS_PX = 3000
 """Extent of what is drawn in a picture that is made of a drawing, px."""
 _ROUND, _CONCENTRIC = 0.006, 0.01
@@ -163,6 +151,10 @@ _PHOTO_PX = 700.0
 """Larger side of a rectified photograph, px."""
 _SPECK_PX = 9
 """Width of what is not traced in a rectified photograph, px: it is less than a pixel from some metres away."""
+_LOST_MOST = 0.02
+"""Greatest share of the paint of a photograph that is cut by its edge: creases and shadows along a sheet's edge are less."""
+_DIFFERS_MOST = 0.1
+"""Greatest share of the paint in which a pad may differ from the picture that it is traced from."""
 _MARGIN = 0.4
 """Margin of the search around the rectangle of a photograph, in its larger side."""
 _SHEET_MARGIN = -0.02
@@ -182,6 +174,10 @@ class Picture(Struct, frozen=True):
     """The paint around the pad."""
     thinnest_px: float = 3.0
     """Least width of what is traced."""
+    middle: F64 | None = None
+    """(2,) px, the pad's; None for that of what is painted."""
+    is_known: bool = True
+    """Whether the colour of the ground is known."""
 
 
 class _Part(NamedTuple):
@@ -198,38 +194,64 @@ class _Circle(NamedTuple):
     radius: float
 
 
-def drawn(drawing: SvgDrawing, size_m: float | None, where: str) -> Picture:
-    """Return a drawing as a picture; `size_m` is the largest extent of what it paints.
+def drawn(drawing: SvgDrawing, size_m: float | None, where: str, extent: str | None = None) -> Picture:
+    """Return a drawing as a picture.
+
+    Args:
+        size_m: the largest extent of the drawing or of what lies on its background; None if the file says its own.
+        extent: "sheet" for that of the whole drawing, "paint" for that of what lies on its background, which then has the middle.
 
     Raises:
-        BadInput: neither the file nor the caller says the size.
+        BadInput: it paints nothing, or not in plain colours, or nobody says the size.
     """
-    lines = [line for one in drawing.painted for line in one.lines]
-    left, top = (float(v) for v in np.maximum(np.min([line.min(axis=0) for line in lines], axis=0), 0.0))
-    right, low = np.minimum(np.max([line.max(axis=0) for line in lines], axis=0), (drawing.width, drawing.height)).tolist()
-    extent = max(right - left, low - top)
-    if not extent > 0.0:
-        raise BadInput(f"{where}: nothing is painted on the sheet")
-    scale, margin = ACROSS_PX / extent, 20
-    size = [math.ceil(v * scale) + 2 * margin for v in (low - top, right - left)]
-    paints: list[Rgb] = [(255, 255, 255)]
-    image = np.zeros(size, np.uint8)
-    for one in drawing.painted:
-        if one.rgb not in paints:
-            paints.append(one.rgb)
-        moved = [np.rint(16.0 * ((line - (left, top)) * scale + margin)).astype(np.int32) for line in one.lines]
-        if one.width > 0.0:
-            cv2.polylines(image, moved, one.closed, paints.index(one.rgb), max(1, round(one.width * scale)), cv2.LINE_8, 4)
-        else:
-            cv2.fillPoly(image, moved, paints.index(one.rgb), cv2.LINE_8, 4)
-    ground = _border(image[margin : size[0] - margin, margin : size[1] - margin])
-    image[:margin], image[-margin:], image[:, :margin], image[:, -margin:] = ground, ground, ground, ground
-    if size_m is not None:
+    coarse = 1500.0 / max(drawing.width, drawing.height)
+    size = math.ceil(coarse * drawing.width), math.ceil(coarse * drawing.height)
+    rows, columns = np.nonzero(drawing.rendered(0.0, 0.0, size, coarse, crisp=False)[..., 3])
+    if not len(rows):
+        raise BadInput(f"{where}: the drawing paints nothing on its sheet")
+    left, top, wide, high = (float(v) / coarse for v in (columns.min(), rows.min(), np.ptp(columns) + 1, np.ptp(rows) + 1))
+    scale, margin = ACROSS_PX / max(wide, high), 20
+    aside = margin / scale
+    size = math.ceil(wide * scale) + 2 * margin, math.ceil(high * scale) + 2 * margin
+    pixels = drawing.rendered(left - aside, top - aside, size, scale, crisp=True).view(np.uint32)[..., 0]
+    colours = np.unique(pixels[:, 1:][pixels[:, 1:] != pixels[:, :-1]])
+    if len(colours) > _COLOURS_MOST or np.any((colours >> 24 > 0) & (colours >> 24 < 255)):
+        raise BadInput(
+            f"{where}: it has gradients, filters or half transparent parts, and plain colours alone are read: take them out"
+        )
+    image = np.searchsorted(colours, pixels).astype(np.uint8)
+    paints: list[Rgb] = [(255, 255, 255), *((c >> 16 & 255, c >> 8 & 255, c & 255) for c in colours.tolist()[1:])]
+    rows, columns = np.nonzero(image)
+    low, high_px = np.array([(columns.min(), rows.min()), (columns.max() + 1, rows.max() + 1)], float)
+    across = float((high_px - low).max())
+    fills = bool(np.all(np.abs((high_px - low) / scale - (drawing.width, drawing.height)) < 0.01 * max(wide, high)))
+    edge = _edge(image[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1])
+    ground, middle, known = 0, None, True
+    if fills and np.count_nonzero(edge) > 0.998 * len(edge):
+        ground, middle = int(np.bincount(edge).argmax()), 0.5 * (low + high_px - 1.0)
+        image[image == 0] = ground
         rows, columns = np.nonzero(image != ground)
-        return Picture(image, tuple(paints), float(max(np.ptp(rows), np.ptp(columns)) + 1) / size_m, ground)
-    if drawing.px_mm is None:
+        alone = float(max(np.ptp(rows), np.ptp(columns)) + 1) if len(rows) else across
+        if size_m is not None and extent is None and alone < 0.98 * across:
+            raise BadInput(
+                f"{where}: the sheet is painted up to its edge: --size-mm {1000.0 * size_m:g} may be its size, or that of what "
+                f"lies on it, {100.0 * alone / across:.0f} % of that: add --extent sheet or --extent paint"
+            )
+        if extent == "paint":
+            middle, across = None, alone
+    elif paints[0] in paints[1:]:
+        # White on the bare sheet: either the sheet shows, or what is drawn ends in white, and the colour around is not known.
+        white = image == 1 + paints[1:].index(paints[0])
+        outside = np.zeros((image.shape[0] + 2, image.shape[1] + 2), np.uint8)
+        cv2.floodFill(image, outside, (0, 0), 0, flags=4 | cv2.FLOODFILL_MASK_ONLY)
+        around = cv2.dilate(outside[1:-1, 1:-1], np.ones((3, 3), np.uint8)) > 0
+        known = bool(np.count_nonzero(around & white) < 0.02 * across)
+        if known:
+            image[white] = 0
+    if size_m is None and drawing.px_mm is None:
         raise BadInput(f"{where}: the drawing has no size in mm or cm: give it with --size-mm, across all that it paints")
-    return Picture(image, tuple(paints), 1000.0 * scale / drawing.px_mm, ground)
+    px_per_m = across / size_m if size_m is not None else 1000.0 * scale / (drawing.px_mm or 1.0)
+    return Picture(image, tuple(paints), px_per_m, ground, middle=middle, is_known=known)
 
 
 def fault_of(corners_px: F64) -> str | None:
@@ -272,7 +294,7 @@ def photographed(
     else:
         shrunk = _PHOTO_PX / max(px.shape[:2])
         px = np.asarray(cv2.resize(px, None, fx=shrunk, fy=shrunk, interpolation=cv2.INTER_AREA), np.uint8)
-        scale = 0.0
+        scale = aside = 0.0
     smooth = cv2.medianBlur(cv2.bilateralFilter(px, 9, 40.0, 5.0), 5)
     colours = smooth.reshape(-1, 3).astype(np.float32)
     cv2.setRNGSeed(47)
@@ -282,8 +304,18 @@ def photographed(
     nearest = np.linalg.norm(colours[:, None] - means[None], axis=2).argmin(axis=1).astype(np.uint8).reshape(px.shape[:2])
     image = np.asarray(cv2.medianBlur(nearest, _SPECK_PX), np.uint8)
     rgb: list[Rgb] = [(round(r), round(g), round(b)) for b, g, r in means.tolist()]
-    ground = _border(image)
+    ground = int(np.bincount(_edge(image)).argmax())
+    whole = image.copy()
     _clear_edges(image, ground)
+    around = max(0, round(aside))
+    inside = np.s_[around : px.shape[0] - around, around : px.shape[1] - around]
+    lost = float(np.mean((whole != image)[inside]) / max(1e-9, np.mean((whole != ground)[inside])))
+    if lost > _LOST_MOST:
+        edge = "picture" if corners_px is None else "rectangle" if sheet else "picture around the rectangle"
+        raise BadInput(
+            f"{where}: what is painted reaches the edge of the {edge}, and {100.0 * lost:.0f} % of the paint would be left out: "
+            "give a rectangle or picture that reaches further out, leave --sheet away, or give another number of --paints"
+        )
     if scale == 0.0:
         rows, columns = np.nonzero(image != ground)
         scale = (max(np.ptp(rows), np.ptp(columns)) + 1) / max(size_m) if len(rows) else 1.0
@@ -298,8 +330,8 @@ def _clear_edges(image: U8, ground: int) -> None:
             cv2.floodFill(image, None, (column, row), ground)
 
 
-def _border(image: U8) -> int:
-    return int(np.bincount(np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])).argmax())
+def _edge(image: U8) -> U8:
+    return np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
 
 
 def traced(picture: Picture, name: str, where: str) -> dict[str, Any]:
@@ -308,7 +340,8 @@ def traced(picture: Picture, name: str, where: str) -> dict[str, Any]:
     Raises:
         BadInput: nothing is painted, or it is made of what a pad file cannot say.
     """
-    parts = _parts(picture)
+    found = _parts(picture)
+    parts, grounds = ([p for p in found if (p.paint == picture.ground) == bare] for bare in (False, True))
     if not parts:
         raise BadInput(f"{where}: nothing is painted: all of it has one colour")
     base = parts[0]
@@ -321,13 +354,13 @@ def traced(picture: Picture, name: str, where: str) -> dict[str, Any]:
     else:
         circle = None
         low, high = (f(np.concatenate([p.outline for p in parts]), axis=0) for f in (np.min, np.max))
-        centre = 0.5 * (low + high)
+        centre = 0.5 * (low + high) if picture.middle is None else picture.middle
     m = 1.0 / picture.px_per_m
     radius_px = max(float(np.hypot(*(p.outline - centre).T).max()) for p in parts)
     regions, below, rest = list[dict[str, Any]](), picture.ground, parts
     if circle is not None:
         hole = next((c for line in base.holes if (c := _circle(line, -0.5)) and _within(c, circle)), None)
-        rest = parts[1:]
+        rest = [*parts[1:], *grounds]
         if hole is None:
             regions.append({"shape": "disc", "paint": base.paint, "radius_m": circle.radius * m})
             below = base.paint
@@ -351,14 +384,37 @@ def traced(picture: Picture, name: str, where: str) -> dict[str, Any]:
                     rest = [p for j, p in enumerate(rest) if j != i and not (p.paint == below and _is_all_of(p, inner))]
                     break
     regions += _lettering(rest, below, centre, m, radius_px, where)
-    used = list(dict.fromkeys([region["paint"] for region in regions] + [picture.ground]))
+    if not picture.is_known and any(region["paint"] == picture.ground for region in regions):
+        raise BadInput(f"{where}: holes show the sheet, whose colour the drawing does not say: draw a background behind it")
+    differs = _differs(picture, regions, centre)
+    if differs > _DIFFERS_MOST:
+        raise BadInput(
+            f"{where}: {100.0 * differs:.0f} % of the paint is lost in the pad's regions: draw fewer and simpler parts, none "
+            "finer than a hundredth of the whole"
+        )
+    used = list(dict.fromkeys([region["paint"] for region in regions] + [picture.ground] * picture.is_known))
     names = dict(zip(used, _names([picture.paints[i] for i in used]), strict=True))
     for region in regions:
         region |= {key: round(v, 5) for key, v in region.items() if isinstance(v, float)} | {"paint": names[region["paint"]]}
-    return {
-        "name": name, "ground": names[picture.ground], "paints": {names[i]: list(picture.paints[i]) for i in used},
-        "regions": regions,
-    }  # fmt: skip
+    ground = {"ground": names[picture.ground]} if picture.is_known else {}
+    return {"name": name, **ground, "paints": {names[i]: list(picture.paints[i]) for i in used}, "regions": regions}
+
+
+def _differs(picture: Picture, regions: Sequence[dict[str, Any]], centre: F64) -> float:
+    """Return the share of the paint in which regions differ from the picture that they were made of."""
+    back = np.full_like(picture.paint, picture.ground)
+    for region in regions:
+        if region["shape"] == "polygon":
+            lines = [np.array(line)[:, ::-1] * (1.0, -1.0) for line in (region["points_m"], *region.get("holes_m", ()))]
+            lines = [np.rint(16.0 * (centre + picture.px_per_m * line)).astype(np.int32) for line in lines]
+            cv2.fillPoly(back, lines, region["paint"], cv2.LINE_8, 4)
+        else:
+            inner, outer = (picture.px_per_m * region.get(key, 0.0) for key in ("inner_m", "outer_m"))
+            outer = outer or picture.px_per_m * region["radius_m"]
+            y, x = (np.arange(n)[:, None] - c for n, c in zip(back.shape, centre[::-1], strict=True))
+            away = np.hypot(y, x.T)
+            back[(inner < away) & (away <= outer)] = region["paint"]
+    return float(np.count_nonzero(back != picture.paint) / np.count_nonzero(picture.paint != picture.ground))
 
 
 def _names(colours: Sequence[Rgb]) -> list[str]:
@@ -377,16 +433,17 @@ def _names(colours: Sequence[Rgb]) -> list[str]:
 
 
 def _parts(picture: Picture) -> list[_Part]:
-    """Return what hangs together and is not ground, the largest outline first, and the ground that shows within it."""
+    """Return what hangs together, the largest outline first, with its holes; of the ground what is enclosed by others."""
     out: list[_Part] = []
     painted = int(np.count_nonzero(picture.paint != picture.ground))
     for paint in np.unique(picture.paint).tolist():
         contours, tree = cv2.findContours((picture.paint == paint).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-        if paint == picture.ground or tree is None:
+        if tree is None:
             continue
         least = max(4.0, _LEAST_AREA * painted)
         for i, contour in enumerate(contours):
-            if tree[0][i][3] >= 0 or not _is_thick(contour, least, picture.thinnest_px):
+            outer = paint == picture.ground and not contour.min()
+            if tree[0][i][3] >= 0 or outer or not _is_thick(contour, least, picture.thinnest_px):
                 continue
             holes, child = [], int(tree[0][i][2])
             while child >= 0:
@@ -462,7 +519,9 @@ def _is_filled(hole: F64, others: Sequence[_Part]) -> bool:
     """Return whether a hole is where another part lies on this one."""
     area = cv2.contourArea(hole.astype(np.float32))
     return any(
-        abs(part.area / max(area, 1.0) - 1.0) < 0.1 and np.abs(part.outline.mean(0) - hole.mean(0)).max() < 3.0 for part in others
+        abs(part.area / max(area, 1.0) - 1.0) < 0.1 and np.abs(part.outline.mean(0) - hole.mean(0)).max() < 3.0
+        for part in others
+        if not part.holes
     )
 
 
