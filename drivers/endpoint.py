@@ -21,6 +21,8 @@ Scheme = Literal["udpin", "udpout", "tcp", "serial"]
 _NET = re.compile(r"^(\[[0-9A-Fa-f:.%\w]+\]|[^\[\]:/?#@]+):(\d{1,5})/?$")
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _SERIAL = re.compile(r"^(/[^:?#]+):(\d{1,8})$")
+_GROUP = re.compile(r"255\.255\.255\.255$|(?:22[4-9]|23\d)\.\d+\.\d+\.\d+$|\[[Ff][Ff]")
+ONE_PEER = "name its own address, or listen with udpin://0.0.0.0:PORT where it sends by itself"
 _HOW = "udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT or serial:///dev/NAME:BAUD"
 
 
@@ -61,6 +63,8 @@ def parse_endpoint(url: str) -> Endpoint:
     if found == "serial":
         if not 1200 <= port <= 12_500_000:
             raise BadInput(f"MAVLink link {url!r}: a speed of {port} bit/s is out of range")
+    elif _GROUP.match(match[1]):
+        raise BadInput(f"MAVLink link {url!r}: that is a broadcast or multicast address, and a link has one peer: {ONE_PEER}")
     elif port > 65535 or (port == 0 and found != "udpin"):
         raise BadInput(f"MAVLink link {url!r}: port {port} is out of range")
     return Endpoint(found, match[1].strip("[]"), port)

@@ -24,7 +24,7 @@ import serial
 from msgspec import Struct, field
 
 from drivers.datagrams import WaitingDatagrams
-from drivers.endpoint import Address, Endpoint
+from drivers.endpoint import ONE_PEER, Address, Endpoint
 from drivers.reconnect import running_beside
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import Clock, MonoNs, seconds_between
@@ -490,7 +490,10 @@ async def _open_socket(
             return datagrams, datagrams, address
         except (OSError, TimeoutError) as why:
             made.close()
-            reasons.append(str(why) or f"no answer from {address[0]}")
+            # Linux forbids a socket that did not ask for it to be connected to the address of all in a network.
+            shared = isinstance(why, PermissionError) and endpoint.scheme == "udpout"
+            fault = f"it is a broadcast address, and a link has one peer: {ONE_PEER}" if shared else str(why)
+            reasons.append(fault or f"no answer from {address[0]}")
         except BaseException:
             made.close()
             raise

@@ -21,7 +21,7 @@ AROUND = ("benches", "configs", "examples", "fuzz", "mutants", "qualification", 
 DISTRIBUTION_NAMES = {
     "opencv-python-headless": "cv2", "pytest-asyncio": "pytest_asyncio", "pytest-xdist": "xdist",
     "pupil-apriltags": "pupil_apriltags", "pyserial": "serial", "paho-mqtt": "paho", "prometheus-client": "prometheus_client",
-    "python-can": "can", "ruamel.yaml": "ruamel",
+    "python-can": "can", "ruamel.yaml": "ruamel", "resvg-py": "resvg_py",
 }  # fmt: skip
 IMPURE_CALLS = {
     "open", "print", "input", "np.random", "np.load", "np.save", "np.savez", "np.loadtxt", "np.savetxt", "np.fromfile",

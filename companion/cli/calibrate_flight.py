@@ -66,7 +66,7 @@ def _vehicle(args: argparse.Namespace, recording: Recording) -> int:
     start = _start(args.response, recording)
     courses = flown_courses(recording)
     for path, why in recording.cut.items():
-        sys.stderr.write(f"decklander: {path} is cut short ({why}): identified from what comes before\n")
+        sys.stderr.write(f"decklander: {path} is cut short or damaged ({why}): identified without that\n")
     tilt, climb = _fits(recording, courses, start)
     if tilt.delay_sigma_s > NOTHING_TOLD_S:
         sys.stderr.write(

@@ -5,6 +5,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
 from companion.cli.options import option
@@ -15,7 +16,7 @@ from companion.guidance.mission.phase import LANDING
 from companion.guidance.mission.rules import Row
 from companion.parts.mqtt import messages
 from companion.settings import schema
-from companion.settings.load import load, shipped
+from companion.settings.load import SHIPPED, Settings, complete, find_file, from_file, load, read_toml, shipped
 from companion.settings.referenced_files import check_files
 from companion.settings.remarks import not_checked, remarks
 from estimator.contracts.errors import BadInput, refused
@@ -77,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.action == "check":
         for file in args.files:
-            settings = load(file)
+            settings = _checked(str(file))
             with refused(str(file), BadInput):
                 unchecked = check_files(settings)
             sys.stdout.write(f"{file}: good{not_checked(unchecked)}\n")
@@ -98,6 +99,55 @@ def run(args: argparse.Namespace) -> int:
     else:
         sys.stdout.write(schema.looked_up(args.word) if args.word else schema.reference(expert=args.expert))
     return 0
+
+
+_FAULTS_MOST = 20
+_OF_KEY = re.compile(r"([\w-]+(?:\.[\w-]+)+)[ :]")
+
+
+def _checked(name: str) -> Settings:
+    """Return the settings of a file.
+
+    Where it has several faults, all but the last are printed: each is mended by the key of a shipped profile, or left out.
+
+    Raises:
+        BadInput: as for `load`, of the last fault.
+    """
+    path, seen = find_file(name, "", Path(), "settings"), set[str]()
+    data = read_toml(path)
+    fault: BadInput | None = None
+    vehicle = data.get("vehicle")
+    autopilot = isinstance(vehicle, dict) and vehicle.get("kind") == "mavlink"
+    usual = read_toml(SHIPPED / ("raspberry_ardupilot.toml" if autopilot else "sim.toml"))
+    while True:
+        try:
+            settings = complete(from_file(data, str(path)), path)
+        except BadInput as why:
+            key = _OF_KEY.match(str(why).removeprefix(f"{path}: "))
+            if fault is not None and (key is None or key[1] not in seen):
+                sys.stderr.write(f"decklander: {fault}\n")
+            if key is None or key[1] in seen or len(seen) == _FAULTS_MOST or not _mended(data, usual, key[1].split(".")):
+                raise (fault if key is not None and key[1] in seen and fault is not None else why) from None
+            fault = why
+            seen.add(key[1])
+            continue
+        if fault is not None:
+            raise fault
+        return settings
+
+
+def _mended(data: Any, usual: Any, key: list[str]) -> bool:
+    """Give a key its usual value, or take it out; return whether either was done."""
+    for table in key[:-1]:
+        data = data.setdefault(table, {})
+        usual = usual.get(table, {}) if isinstance(usual, dict) else {}
+        if not isinstance(data, dict):
+            return False
+    had = key[-1] in data
+    data.pop(key[-1], None)
+    if isinstance(usual, dict) and key[-1] in usual:
+        data[key[-1]] = usual[key[-1]]
+    return had or key[-1] in data
 
 
 # The page of the mission, written from its table

@@ -26,7 +26,7 @@ from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
 from companion.tools.ros2 import bags
 from drivers.imports import ardrone_capture, dataflash, network, pictures, px4_ulog, sentences, tlog
-from drivers.imports.kinds import FileKind, kind_of
+from drivers.imports.kinds import DECRYPT, FileKind, kind_of
 from drivers.imports.stamps import Tell
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput
@@ -80,6 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(foreign, "sources SOURCE[@SECONDS]", "file to import", nargs="+")
     option(foreign, "--config FILE", f"settings file with the camera and pad ({', '.join(shipped())})", required=True)
     output(foreign, "--output FILE", "recording to write", RECORDING, required=True)
+    option(foreign, "--topic TOPIC", "camera of a bag to read (default: that of the raw images)", default="")
     sent = actions.add_parser(
         "upload",
         help="upload the service's finished recordings to object storage",
@@ -125,7 +126,7 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _described(recording: Recording, seconds: float, images: int, verdicts: Counter[str]) -> list[str]:
-    out = [f"{path} is cut short ({why})" for path, why in recording.cut.items()]
+    out = [f"{path} is cut short or damaged ({why})" for path, why in recording.cut.items()]
     out += [f"{name}: " + ", ".join(f"{k} {v}" for k, v in data.items()) for name, data in recording.metadata.items()]
     out.append(f"holds {', '.join(recording.attachments) or 'no settings'}")
     out.append(f"{seconds:.1f} s, {images} frames; frames: " + (", ".join(f"{k} {n}" for k, n in verdicts.items()) or "none"))
@@ -175,6 +176,8 @@ def _cut(args: argparse.Namespace) -> int:
 class _Source(Struct, frozen=True):
     path: Path
     offset_ns: int
+    topic: str = ""
+    """Topic of a bag's camera that is read; empty for the best."""
 
     def data(self, size: tuple[int, int]) -> Iterator[Sample | Frame]:
         """Yield the data of the source in order, on the common clock; `size` is the camera's (width, height), px."""
@@ -189,7 +192,7 @@ class _Source(Struct, frozen=True):
         if reader is not None:
             return iter(reader(path, self.note))
         if kind is FileKind.ROS_BAG:
-            return bags.read(path, self.note)
+            return bags.read(path, self.note, self.topic)
         if kind is FileKind.IMAGES:
             return pictures.folder_frames(path, size, self.note)
         if kind is FileKind.TABLE:
@@ -212,6 +215,7 @@ _READERS: dict[FileKind, Callable[[Path, Tell], Iterable[Sample]]] = {
 _DAY_S = 86_400.0
 _INSTEAD = {
     FileKind.PARAMETERS: "give it to `decklander doctor`",
+    FileKind.ENCRYPTED: DECRYPT,
     FileKind.RECORDING: "it is imported already",
     FileKind.MCAP: "of MCAP files, bags of ROS 2 are imported",
     FileKind.MAVLINK: "give the ground station's .tlog, which has each message's time, or the autopilot's own log",
@@ -233,7 +237,7 @@ def _import(args: argparse.Namespace) -> int:
     sources = [_source(text) for text in args.sources]
     # Instants before the common clock's zero would be negative: all are moved by the same amount.
     lead = max(0, -min(s.offset_ns for s in sources))
-    sources = [structs.replace(s, offset_ns=s.offset_ns + lead) for s in sources]
+    sources = [structs.replace(s, offset_ns=s.offset_ns + lead, topic=args.topic) for s in sources]
     settings = load(args.config)
     n = _written(args.output, lambda part: _import_into(part, sources, settings))
     sys.stdout.write(f"{args.output}: {n['samples']} samples, {n['frames']} frames\n")

@@ -274,7 +274,7 @@ def _finished(recording: Recording, done: Pass, compared: dict[str, list[Differe
 def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, list[Difference]]) -> list[str]:
     out = []
     for path, why in recording.cut.items():
-        out.append(f"{path} is cut short ({why}): replayed up to there")
+        out.append(f"{path} is cut short or damaged ({why}): replayed without that")
     for topic, n in recording.skipped.items():
         out.append(f"{n} messages of {topic} cannot be read by this version and were left out")
     for done in passes:

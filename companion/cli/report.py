@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     logs = [log_of(recording, path.stem, images=not args.no_video) for recording, path in zip(recordings, paths, strict=True)]
     for recording in recordings:
         for path, why in recording.cut.items():
-            sys.stderr.write(f"{path} is cut short ({why}): reported up to there\n")
+            sys.stderr.write(f"{path} is cut short or damaged ({why}): reported without that\n")
     if args.animation is not None:
         size = write_animation(logs[0], args.animation)
         sys.stdout.write(f"animation: {args.animation} ({size / 1e6:.1f} MB)\n")

@@ -1,4 +1,4 @@
-"""Read recordings, whole or truncated: everything up to the first byte that is missing or wrong.
+"""Read recordings, whole, truncated or damaged: everything but the chunks in which a byte is missing or wrong.
 
 A file is not trusted: every announced length is bounded before memory is allocated for it. An MCAP record announces its own
 length and those of its parts, and a chunk announces its unpacked size. The library trusts both, so it reads from a stream that
@@ -10,7 +10,9 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -19,6 +21,8 @@ import msgspec
 import numpy as np
 import zstandard
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from msgspec import Struct, field
@@ -48,7 +52,9 @@ MOST_CHUNK_BYTES = 64 << 20
 
 
 def records(stream: IO[bytes], path: Path, cut: dict[Path, str]) -> Iterator[McapRecord]:
-    """Yield all records in order; if the file ends early or is damaged, put the reason into `cut` and end the iteration.
+    """Yield all records in order; if the file ends early or is damaged, put the reason into `cut`.
+
+    Behind a damaged place it goes on with the next whole chunk.
 
     Args:
         stream: the file, open at its beginning.
@@ -59,22 +65,62 @@ def records(stream: IO[bytes], path: Path, cut: dict[Path, str]) -> Iterator[Mca
     if stream.read(len(MAGIC)) != MAGIC:
         raise BadInput(f"{path}: not an MCAP file")
     stream.seek(0)
-    reader = StreamReader(
-        cast(IO[bytes], _Ending(stream)), emit_chunks=True, validate_crcs=True, record_size_limit=MOST_RECORD_BYTES
-    )
-    found = reader.records
+    found, whole, damaged = _reader(stream), 0, 0
     while True:
         try:
             record = next(found, None)
             inner = breakup_chunk(_unpacked(record), validate_crc=True) if isinstance(record, Chunk) else [record]
+            whole = stream.tell()
         # The bytes may come from anywhere, and the library raises whatever its parsing stumbles over.
         except Exception as why:
+            damaged += 1
             cut[path] = str(why) or type(why).__name__
-            return
+            behind = _next_chunk(stream, whole + 1)
+            if behind is None:
+                return
+            cut[path] += f"; damaged in {damaged} place{'s' * (damaged > 1)}, and what lies behind is read"
+            whole = behind
+            stream.seek(behind)
+            found = _reader(stream, skip_magic=True)
+            continue
         for one in inner:
             if one is None:
                 return
             yield one
+
+
+def _reader(stream: IO[bytes], *, skip_magic: bool = False) -> Iterator[McapRecord]:
+    ending = cast(IO[bytes], _Ending(stream))
+    reader = StreamReader(
+        ending, skip_magic=skip_magic, emit_chunks=True, validate_crcs=True, record_size_limit=MOST_RECORD_BYTES
+    )
+    return iter(reader.records)
+
+
+_PACKED = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
+"""The name of a chunk's compression, with its length."""
+_BEFORE_PACKED = 1 + 8 + 8 + 8 + 8 + 4
+"""Bytes of a chunk before that name: opcode, length, two times, size, checksum (MCAP specification, Chunk)."""
+
+
+def _next_chunk(stream: IO[bytes], start: int) -> int | None:
+    """Return where the next chunk begins from a place on whose announced lengths agree with each other; None if there is none."""
+    with mmap(stream.fileno(), 0, access=ACCESS_READ) as data:
+        for name in _PACKED.finditer(data, start):
+            at = name.start() - _BEFORE_PACKED
+            length, held = (int.from_bytes(data[i : i + 8], "little") for i in (at + 1, name.end()))
+            around = name.end() + 8 - (at + 9)
+            if at >= start and data[at] == Opcode.CHUNK and length == around + held and at + 9 + length <= len(data):
+                return at
+    return None
+
+
+def _topics_at_the_end(path: Path) -> dict[int, str]:
+    """Return the topics by the numbers of their channels as a whole file repeats them at its end; nothing of another."""
+    with suppress(Exception), path.open("rb") as stream:  # of the library: any of a damaged file
+        summary = make_reader(stream).get_summary()
+        return {} if summary is None else {number: channel.topic for number, channel in summary.channels.items()}
+    return {}
 
 
 def _unpacked(chunk: Chunk) -> Chunk:
@@ -260,7 +306,9 @@ class Recording(Struct, eq=False):
             if isinstance(record, Channel):
                 topics[record.id] = record.topic
             elif isinstance(record, Message):
-                topic = topics.get(record.channel_id, "")
+                if record.channel_id not in topics and path in self.cut:
+                    topics = _topics_at_the_end(path) | topics  # the chunk that names them is damaged
+                topic = topics.setdefault(record.channel_id, "")
                 self.counts[topic] += 1
                 try:
                     event = assembled.event(topic, record.data)
@@ -336,7 +384,7 @@ def open_recording(paths: Sequence[Path]) -> Recording:
                     topics[record.id] = record.topic
                 elif isinstance(record, Message) and topics.get(record.channel_id) not in FOR_VIEWERS:
                     break
-        if not ours:
+        if not ours and channels.TOPICS.keys().isdisjoint(_topics_at_the_end(path).values()):
             raise BadInput(f"{path}: holds no recording of decklander, or is cut before its first message")
     return recording
 

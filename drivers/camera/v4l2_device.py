@@ -371,6 +371,11 @@ class KernelDevice:
 
     def _try(self, name: str, width: int, height: int, asked_hz: float) -> tuple[FrameLayout, float]:
         got = kernel.set_format(self.fileno(), name, width, height)
+        if order := kernel.INTERLACED.get(got.field):
+            raise BadInput(
+                f"camera {self._path}: its pictures are of two instants (field order: {order}), and a pad in motion is torn into "
+                "combs: set the receiver or the camera to progressive pictures, or take a camera that has them"
+            )
         try:
             rate_hz = kernel.set_rate(self.fileno(), asked_hz)
         except OSError as why:

@@ -14,6 +14,13 @@ CAPTURE, MMAP = 1, 1
 """V4L2_BUF_TYPE_VIDEO_CAPTURE, V4L2_MEMORY_MMAP."""
 CAP_CAPTURE, CAP_CAPTURE_MPLANE, CAP_STREAMING = 0x00000001, 0x00001000, 0x04000000
 FLAG_ERROR, STAMP_MASK, STAMP_MONOTONIC, SOURCE_MASK, SOURCE_START = 0x0040, 0xE000, 0x2000, 0x70000, 0x10000
+PROGRESSIVE = 1
+"""V4L2_FIELD_NONE."""
+INTERLACED = {
+    4: "interlaced", 5: "top field, then bottom field", 6: "bottom field, then top field", 7: "alternating fields",
+    8: "interlaced, top field first", 9: "interlaced, bottom field first",
+}  # fmt: skip
+"""Orders of fields (enum v4l2_field) in which a picture is of two instants, or of every other line."""
 INTEGER, BOOLEAN, MENU, BUTTON, INTEGER64, CONTROL_CLASS, INTEGER_MENU = 1, 2, 3, 4, 5, 6, 9
 """Kinds of controls (enum v4l2_ctrl_type)."""
 _DISABLED, _NEXT_CONTROL, _TIME_PER_FRAME = 0x0001, 0x80000000, 0x1000
@@ -182,7 +189,7 @@ def fourcc(number: int) -> str:
 def set_format(fd: int, name: str, width: int, height: int) -> PixelFormat:
     """Ask for a format, and return what the device agrees to."""
     wanted = Format(type=CAPTURE)
-    wanted.fmt.pix.width, wanted.fmt.pix.height = width, height
+    wanted.fmt.pix.width, wanted.fmt.pix.height, wanted.fmt.pix.field = width, height, PROGRESSIVE
     wanted.fmt.pix.pixelformat = int.from_bytes(name.ljust(4).encode("ascii"), "little")
     fcntl.ioctl(fd, S_FMT, wanted)
     agreed: PixelFormat = wanted.fmt.pix

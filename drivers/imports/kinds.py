@@ -30,6 +30,7 @@ class FileKind(Enum):
     """The kinds of file, with what a user may call them."""
 
     ULOG = "a PX4 log"
+    ENCRYPTED = "an encrypted PX4 log"
     DATAFLASH = "a dataflash log"
     TLOG = "a telemetry log of a ground station"
     NAVDATA = "navdata of an AR.Drone"
@@ -48,6 +49,9 @@ class FileKind(Enum):
     OTHER = "a file of another kind"
 
 
+DECRYPT = "decrypt it with the vehicle's private key (PX4's Tools/log_encryption), and give the .ulg"
+
+
 def kind_of(path: Path) -> FileKind:
     """Return what a file is.
 
@@ -55,7 +59,8 @@ def kind_of(path: Path) -> FileKind:
         BadInput: it cannot be read.
     """
     if path.is_dir():
-        return FileKind.ROS_BAG if (path / "metadata.yaml").is_file() else FileKind.IMAGES
+        bag = (path / "metadata.yaml").is_file() or any(path.glob("*.db3")) or any(path.glob("*.mcap")) or any(path.glob("*.bag"))
+        return FileKind.ROS_BAG if bag else FileKind.IMAGES
     with refused(str(path), OSError), path.open("rb") as file:
         head = utf8_of(file.read(_HEAD))
     if _is_ros2(head):
@@ -75,9 +80,9 @@ def kind_of(path: Path) -> FileKind:
 
 
 _MAGICS = (
-    (px4_ulog.MAGIC, FileKind.ULOG), (dataflash.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA),
-    (b"PaVE", FileKind.PAVE), (b"#ROSBAG V", FileKind.ROS_BAG),
-    (b"SQLite format 3", FileKind.DATABASE),
+    (px4_ulog.MAGIC, FileKind.ULOG), (b"ULogEnc", FileKind.ENCRYPTED), (b"ULogKey", FileKind.ENCRYPTED),
+    (dataflash.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA), (b"PaVE", FileKind.PAVE),
+    (b"#ROSBAG V", FileKind.ROS_BAG), (b"SQLite format 3", FileKind.DATABASE),
 )  # fmt: skip
 
 

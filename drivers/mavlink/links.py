@@ -101,6 +101,9 @@ class LinkOptions:
     limits: LinkLimits = field(default_factory=LinkLimits)
 
 
+_TEXT = bytes((*b"\t\n\r\x1b", *range(32, 127)))
+
+
 @dataclass(slots=True)
 class LinkCounters:
     """The counters of one link, over all its peers and reconnections."""
@@ -112,12 +115,18 @@ class LinkCounters:
     unknown_senders: int = 0
     """Messages of senders that were not requested."""
     restarts: int = 0
+    text: int = 0
+    """Bytes that may be of a text: nearly all are, where a console is at the other end."""
+    echoed: int = 0
+    """Messages of ours that came back."""
     wire: WireCounts = field(default_factory=WireCounts)
     codec: CodecCounters = field(default_factory=CodecCounters)
 
     def as_dict(self) -> dict[str, int]:
         """Flat, for records and telemetry."""
-        own = {name: getattr(self, name) for name in ("bytes_in", "bytes_out", "dropped", "restarts", "unknown_senders")}
+        own = {
+            name: getattr(self, name) for name in ("bytes_in", "bytes_out", "dropped", "restarts", "unknown_senders", "echoed")
+        }
         of_codec = ("messages", "lost", "unknown", "damaged", "old_version", "refused_signature", "refused_time")
         own |= {"late": self.wire.late, "refused_datagrams": self.wire.refused}
         return own | {name: getattr(self.codec, name) for name in of_codec}
@@ -265,6 +274,7 @@ class Link:
 
     def _received(self, data: bytes, received_at: MonoNs, address: Address | None) -> None:
         self.counters.bytes_in += len(data)
+        self.counters.text += len(data) - len(data.translate(None, _TEXT))
         peer = self._peers.get(address)
         if peer is not None:
             peer.received_at = received_at
@@ -292,6 +302,7 @@ class Link:
             return
         level = access.level(source, ids, received_at, asked_for=self._asked_for, signed=self.signed)
         received = ReceivedMessage(message, self._number, received_at, *ids, address, level)
+        self.counters.echoed += ids == self._links.identity and self._links.sent_by_us(received)
         if level is AccessLevel.UNKNOWN and self._links.follows(received):
             level = access.level(source, ids, received_at, asked_for=self._asked_for, signed=self.signed)
             received = replace(received, access_level=level)

@@ -467,3 +467,13 @@ def test_a_key_is_looked_up_by_a_part_of_it(capsys) -> None:
     assert out.startswith("guidance.cone.gate_height_m = 0.25    (0.1 to 3 m)\n    height of the feet"), out
     assert out.count("\n") == 2
     assert cli.main(["config", "reference", "no_such_key"]) == 2
+
+
+def test_all_faults_of_a_file_are_named_in_one_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.toml"
+    text = MINIMAL.replace('"sim"', '"nosuch"', 1) + '\n[recorder]\nfolder = 3\nnosuch = 1\n[http]\naddress = "127.0.0.1:99999"\n'
+    path.write_text(text)
+    assert cli.main(["config", "check", str(path)]) == 2
+    named = capsys.readouterr().err
+    for key in ("camera.file", "recorder.folder", "recorder.nosuch", "http.address"):
+        assert named.count(f"rig.toml: {key}") == 1, named

@@ -43,10 +43,10 @@ def small(source: Path, messages: int = 150) -> list[Any]:
     return out
 
 
-def written(records: list[Any], compression: CompressionType = CompressionType.ZSTD) -> bytes:
+def written(records: list[Any], compression: CompressionType = CompressionType.ZSTD, chunk_size: int = 1 << 20) -> bytes:
     """Return the bytes of a whole file."""
     buffer = io.BytesIO()
-    writer = Writer(buffer, compression=compression)
+    writer = Writer(buffer, compression=compression, chunk_size=chunk_size)
     writer.start(profile="", library="mutated")
     schemas: dict[int, int] = {}
     channels: dict[int, int] = {}
@@ -121,6 +121,29 @@ def chunk(data: bytes, announced: int, compression: bytes) -> bytes:
     return (
         magic + struct.pack("<BQ", Opcode.HEADER, len(head)) + head + struct.pack("<BQ", Opcode.CHUNK, len(body)) + body + magic
     )
+
+
+@pytest.mark.parametrize("place", ["the header of a chunk", "within a chunk", "the first chunk"])
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_what_lies_behind_a_damaged_sector_is_still_there(records, tmp_path, capsys, place, compression):
+    whole = bytearray(written(records, compression, chunk_size=4096))
+    chunks, at = list[int](), 8
+    while at < len(whole) - 8:
+        chunks += [at] * (whole[at] == Opcode.CHUNK)
+        at += 9 + struct.unpack_from("<Q", whole, at + 1)[0]
+    path = tmp_path / "x.mcap"
+    path.write_bytes(whole)
+    counts = [len(list(open_recording([path]).events()))]
+    hit = chunks[0] if place == "the first chunk" else chunks[len(chunks) // 2] + (200 if place == "within a chunk" else 0)
+    whole[hit : hit + 512] = bytes(512)
+    path.write_bytes(whole)
+    recording = open_recording([path])
+    counts.append(len(list(recording.events())))
+    assert len(chunks) > 5
+    assert counts[0] * (1 - 3 / len(chunks)) < counts[1] <= counts[0]
+    assert "what lies behind is read" in recording.cut[path]
+    assert main(["record", "info", str(path)]) == 0
+    assert "damaged in 1 place" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("announced", [1 << 30, 1000, MOST_CHUNK_BYTES, 2**63])

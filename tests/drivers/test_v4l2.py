@@ -30,7 +30,7 @@ from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSettin
 from drivers.camera.options import CameraOptions, ExposureOptions, Size
 from drivers.camera.source import CameraCounters, CameraLost, VideoSource
 from drivers.camera.v4l2 import CaptureDevice, V4l2Channel, cameras, find, kernel_stamp
-from drivers.camera.v4l2_device import Buffer, FrameLayout, H264Decoder, KernelExposure, stands_alone, to_bgr
+from drivers.camera.v4l2_device import Buffer, FrameLayout, H264Decoder, KernelDevice, KernelExposure, stands_alone, to_bgr
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
@@ -523,3 +523,23 @@ def test_an_exposure_longer_than_the_frame_allows_is_cut_when_it_is_taken_over(v
     exposure = KernelExposure(3, "/dev/video0", ExposureOptions(mode="pad"), 30.0)
     assert exposure.held.exposure_s == pytest.approx(1e-4 * values[_TIME])
     assert values[_TIME] == 266
+
+
+@pytest.mark.parametrize("field", range(10))
+def test_pictures_of_two_instants_are_refused_by_what_the_driver_says(monkeypatch: pytest.MonkeyPatch, field: int) -> None:
+    def agreed(_fd: int, name: str, width: int, height: int) -> kernel.PixelFormat:
+        return kernel.PixelFormat(width, height, int.from_bytes(name.encode(), "little"), field, 2 * width)
+
+    monkeypatch.setattr(v4l2_kernel, "formats", lambda _fd: ["YUYV"])
+    monkeypatch.setattr(v4l2_kernel, "set_rate", lambda _fd, hz: hz)
+    monkeypatch.setattr(v4l2_kernel, "set_format", agreed)
+    device = KernelDevice.__new__(KernelDevice)
+    device._fd, device._path = 0, "/dev/video0"
+    try:
+        if field < 4:  # any, progressive, or one field alone
+            assert device._set_format(CameraOptions(source="v4l2", device="any"), 640, 360)[0].width == 640
+        else:
+            with pytest.raises(BadInput, match="field order"):
+                device._set_format(CameraOptions(source="v4l2", device="any"), 640, 360)
+    finally:
+        device._fd = None

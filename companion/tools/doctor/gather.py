@@ -271,4 +271,6 @@ def link_snapshot(link: Link) -> LinkSnapshot:
         codec.behind_s,
         wire.refused,
         wire.late,
+        link.counters.text,
+        link.counters.echoed,
     )

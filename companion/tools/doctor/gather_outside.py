@@ -31,7 +31,7 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.open_camera import open_camera
 from drivers.endpoint import NMEA2000, parse_bus, require_ship
 from drivers.imports import dataflash, px4_ulog, tlog
-from drivers.imports.kinds import FileKind, kind_of
+from drivers.imports.kinds import DECRYPT, FileKind, kind_of
 from drivers.imports.log_history import AutopilotLog, LogHistory
 from drivers.imports.stamps import Tell
 from drivers.nmea.sentences import NmeaReader, by_source
@@ -58,6 +58,8 @@ def examine_log(path: Path) -> Snapshot:
     kind, notes = kind_of(path), list[str]()
     if kind is FileKind.PARAMETERS:
         return structs.replace(_log_snapshot(path, parameters_of(path)), log=None)
+    if kind is FileKind.ENCRYPTED:
+        raise BadInput(f"{path}: {kind.value}: {DECRYPT}")
     if kind not in _HISTORIES:
         raise BadInput(
             f"{path}: {kind.value}, and neither a dataflash log (.bin, .log), a PX4 log (.ulg), a telemetry log (.tlog) nor a "

@@ -321,10 +321,33 @@ _REFUSED = Row(
     "{0.url}: {0.refused_datagrams} messages refused, nobody listens there",
     "start the autopilot's side or the router, or correct address and port",
 )
+
+
+def _is_console(link: LinkSnapshot) -> bool:
+    """Return whether text came and not one message: of bytes that a wrong speed makes, a third are letters."""
+    return link.messages == 0 and link.bytes_in >= _PROMPT and link.text > 0.7 * link.bytes_in
+
+
+_PROMPT = 16
+"""Least bytes that are taken for a console: a prompt has more."""
+_CONSOLE = Row(
+    "link-console",
+    _ERROR,
+    lambda p: _first(p, _is_console),
+    "{0.url}: what comes is text ({0.bytes_in} bytes) and no MAVLink: a console or a log is on that port",
+    "disable it (Raspberry Pi: raspi-config, serial port, no login shell; ArduPilot: SERIALn_PROTOCOL 2), or use another port",
+)
+_ECHO = Row(
+    "link-echo",
+    _ERROR,
+    lambda p: _first(p, lambda link: link.echoed > 3 and link.echoed >= 0.8 * link.messages),
+    "{0.url}: our own messages come back ({0.echoed}), and hardly anything else: the line echoes",
+    "connect the autopilot's TX to our RX and ours to its: joined wires, one wire for both ways or a console that echoes do this",
+)
 _GARBAGE = Row(
     "link-garbage",
     _ERROR,
-    lambda p: _first(p, lambda link: link.bytes_in > 200 and link.damaged > 2 * max(link.messages, 1)),
+    lambda p: _first(p, lambda link: link.bytes_in > 200 and link.damaged > 2 * max(link.messages, 1) and not _is_console(link)),
     "{0.url}: {0.bytes_in} bytes but {0.messages} messages, the rest is damaged",
     "set the same speed on both sides (SERIALn_BAUD, SER_TELn_BAUD), common ground, shorter wires",
 )
@@ -343,11 +366,12 @@ _OLD_VERSION = Row(
     "set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4): version 1 has no position in LANDING_TARGET",
 )
 WATCHED: tuple[Rule, ...] = (
-    id_conflict, link_silent, _REFUSED, _GARBAGE, _LATE, link_signature, _OLD_VERSION, link_one_way, wrong_system, no_autopilot,
+    id_conflict, link_silent, _REFUSED, _CONSOLE, _ECHO, _GARBAGE, _LATE, link_signature, _OLD_VERSION, link_one_way,
+    wrong_system, no_autopilot,
 )  # fmt: skip
 """Rules that a running service applies all the time."""
 RULES: tuple[Rule, ...] = (
-    link_down, link_silent, _REFUSED, _GARBAGE, _LATE, id_conflict, link_signature, _OLD_VERSION,
+    link_down, link_silent, _REFUSED, _CONSOLE, _ECHO, _GARBAGE, _LATE, id_conflict, link_signature, _OLD_VERSION,
     Row("link-lossy", _WARNING, _lossy,
         "{0[0]}: {0[1]:.0f} % of the messages are lost",
         "raise the speed to 921600, connect RTS/CTS, or ask for fewer streams on that port"),

@@ -37,6 +37,10 @@ class LinkSnapshot(Struct, frozen=True):
     """Number of datagrams that the other computer refused, because nobody listens there."""
     late: int = 0
     """Number of messages that were dropped because the line did not take them in time."""
+    text: int = 0
+    """Number of bytes that may be of a text."""
+    echoed: int = 0
+    """Number of our own messages that came back."""
 
 
 class IdConflictSnapshot(Struct, frozen=True):

@@ -40,10 +40,10 @@ _UNREAD = {
     r"@(?!charset|namespace|font-face)[\w-]+": "the rule",
     r"[^{}]*(?::(?!hover|first-child)[\w-]+|[+~])[^{}]*(?=\{)": "the selector",
 }
-"""What resvg leaves out of a style sheet."""
+"""Parts of style sheets that resvg leaves out."""
 _STYLES = r"(?<![\w-])(?:(?:c?[xy]|r[xy]?|d|width|height|translate|rotate|scale)\s*:|transform\s*:[^;]*\d(?:deg|px|turn|rad|%))"
 _FUNCTIONS = r"\b(?:var|calc|path|circle|inset|ellipse|polygon|color|(?:ok)?l(?:ab|ch)|hwb)\("
-"""What a style may have and resvg leaves out: sizes and places, turns with units, shapes and colours of CSS alone."""
+"""Styles that resvg leaves out: sizes and places, turns with units, shapes and colours of CSS alone."""
 _COLOURS_MOST = 16
 
 
@@ -177,7 +177,7 @@ class Picture(Struct, frozen=True):
     middle: F64 | None = None
     """(2,) px, the pad's; None for that of what is painted."""
     is_known: bool = True
-    """Whether the colour of the ground is known."""
+    """True if the colour of the ground is known."""
 
 
 class _Part(NamedTuple):

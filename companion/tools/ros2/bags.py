@@ -1,12 +1,13 @@
 """Write a recording as a ROS 2 bag, and read bags of ROS 1 and 2, by the library rosbags (the extra `ros2`).
 
 Read are sensor_msgs Imu, Range, Image and CompressedImage, and a velocity in `base_stabilized` as our own bags have it, all in
-the axes of REP-103. Of several IMUs or cameras the one with the most messages is read, and no depth camera beside another. A
-header's stamp counts where it is of the clock by which the bag was written; else a message counts as measured when it was
-written.
+the axes of REP-103. Of several IMUs the one with the most messages is read. Of several cameras the raw one is, since a camera
+file describes the lens; images that other programs made come after it, and depth last. A header's stamp counts where it is of
+the clock by which the bag was written; else a message counts as measured when it was written.
 """
 
 import math
+import re
 import shutil
 import tempfile
 from collections import Counter
@@ -115,11 +116,21 @@ _DOWN = ("down", "rangefinder", "altimeter")
 _ANY = Stamp(MonoNs(0), MonoNs(0), SIGMA_S, "synced")
 
 
-def read(path: Path, tell: Tell) -> Iterator[Sample | Frame]:
+_BAGS = (".db3", ".mcap", ".bag")
+_MADE = re.compile(
+    r"rect|undistort|scaled|resize|detect|debug|overlay|annotat|result|track|draw|marker|mask|segment|label|output|stitch"
+)
+"""Parts of names of topics whose images another program made."""
+_DEPTH = re.compile(r"(?i)16UC1|32FC1|mono16|TYPE_|disparity|depth")
+"""Encodings and names of what is no picture."""
+
+
+def read(path: Path, tell: Tell, topic: str = "") -> Iterator[Sample | Frame]:
     """Yield what a bag holds in the order in which it was written, the first message at 0.
 
     Args:
-        path: a bag's folder (ROS 2), or its file (`.bag`, `.db3`, `.mcap`), whatever its name.
+        path: a bag's folder (ROS 2), with its metadata or without, or its file (`.bag`, `.db3`, `.mcap`), whatever its name.
+        topic: of the camera that is read; empty for the best of those there are.
 
     Raises:
         BadInput: rosbags is not installed; the bag cannot be read, or nothing in it is imported.
@@ -128,11 +139,16 @@ def read(path: Path, tell: Tell) -> Iterator[Sample | Frame]:
     from rosbags.highlevel import AnyReader
 
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
-        named = Path(folder) / f"bag{_suffix(path)}"
-        named.symlink_to(path.resolve())
+        bare = path.is_dir() and not (path / "metadata.yaml").is_file()
+        names = list[Path]()
+        for n, each in enumerate(sorted(f for f in path.iterdir() if f.suffix in _BAGS) if bare else [path]):
+            names.append(Path(folder) / f"bag{n}{_suffix(each)}")
+            names[-1].symlink_to(each.resolve())
+        if bare:
+            tell(f"the folder has no metadata.yaml: its files are read together, in order of their times ({len(names)})")
         try:
-            with AnyReader([named], default_typestore=typestore()) as bag:
-                yield from _Import(bag, path, tell).messages()
+            with AnyReader(names, default_typestore=typestore()) as bag:
+                yield from _Import(bag, path, tell, topic).messages()
         except BadInput:
             raise
         except Exception as why:  # of the library and of what it calls: any of a damaged bag
@@ -151,8 +167,8 @@ def _suffix(path: Path) -> str:
 class _Import:
     """One pass through a bag."""
 
-    def __init__(self, bag: Any, path: Path, tell: Tell) -> None:
-        self._bag, self._path, self._tell = bag, path, tell
+    def __init__(self, bag: Any, path: Path, tell: Tell, topic: str) -> None:
+        self._bag, self._path, self._tell, self._topic = bag, path, tell, topic
         self._left_out: Counter[str] = Counter()
         self._frames = 0
         self._source_of: dict[type, str] = {}
@@ -184,7 +200,11 @@ class _Import:
             raise BadInput(f"{self._path}: not one message of it can be read")
 
     def _chosen(self) -> list[Any]:
-        """Return the connections that are read: of each kind the topic with the most messages, and all ranges that look down."""
+        """Return the connections that are read: of each kind the best topic, and all ranges that look down.
+
+        Raises:
+            BadInput: a topic was named that is no camera's in it.
+        """
         chosen = []
         by_kind: dict[str, list[Any]] = {}
         for connection in self._bag.connections:
@@ -195,15 +215,33 @@ class _Import:
             for connection in found:
                 counts[connection.topic] += connection.msgcount
             by_count = [topic for topic, _ in counts.most_common()]
-            topics = set(sorted(by_count, key=lambda topic: "depth" in topic.lower())[:1])
+            topics = set(by_count[:1])
+            if kind == "camera":
+                topics = {self._topic or self._choose_camera(found, by_count)}
+                if not topics <= set(counts):
+                    raise BadInput(f"{self._path}: --topic {self._topic} is none of its cameras: {', '.join(sorted(counts))}")
             if kind == "IMU":
                 topics = self._choose_imu(found, by_count)
             if kind in ("range", "velocity"):
                 topics = set(counts)
             chosen += [connection for connection in found if connection.topic in topics]
+            how = " (--topic reads another)" if kind == "camera" else ""
             if left := sorted(set(counts) - topics):
-                self._tell(f"of the {kind}s, {', '.join(sorted(topics))} is read; left out: {', '.join(left)}")
+                self._tell(f"of the {kind}s, {', '.join(sorted(topics))} is read; left out: {', '.join(left)}{how}")
         return chosen
+
+    def _choose_camera(self, found: list[Any], by_count: list[str]) -> str:
+        """Return the topic of the camera's own images, by their encodings and names."""
+        depth = {topic for topic in by_count if _DEPTH.search(topic)}
+        for connection in found:
+            for _, _, data in self._bag.messages(connections=[connection]):
+                with suppress(Exception):  # of the library: a damaged message; the pass itself reports it
+                    message = self._bag.deserialize(data, connection.msgtype)
+                    coding = f"{getattr(message, 'encoding', '')} {getattr(message, 'format', '')}"
+                    depth |= {connection.topic} if _DEPTH.search(coding) else set()
+                break
+        last = {topic: topic.removesuffix("/compressed").rpartition("/")[2].lower() for topic in by_count}
+        return min(by_count, key=lambda topic: (topic in depth, bool(_MADE.search(topic.lower())), "raw" not in last[topic]))
 
     def _choose_imu(self, found: list[Any], by_count: list[str]) -> set[str]:
         """Return the topic of the readings and that of the attitude: our own bags have them side by side, and mavros does."""

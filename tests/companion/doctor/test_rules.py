@@ -137,6 +137,8 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "port taken": ("link-down", link(down="[Errno 98] error: address already in use"), "another port"),
     "wire not connected": ("link-silent", link(bytes_in=0, messages=0), "SERIALn_PROTOCOL"),
     "wrong speed": ("link-garbage", link(bytes_in=9000, messages=3, damaged=800), "same speed"),
+    "a login console": ("link-console", link(bytes_in=400, text=390, messages=0, damaged=30), "no login shell"),
+    "TX on our own RX": ("link-echo", link(bytes_in=400, messages=20, echoed=20), "TX"),
     "key on one side only": ("link-signature", link(refused_signature=40), "same key"),
     "an autopilot whose clock is not set yet": ("link-signature",
         link(refused_signature=40, refused_time=40, behind_s=259_200.0, signed=True), "GNSS"),

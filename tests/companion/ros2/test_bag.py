@@ -294,6 +294,37 @@ def write_ros1(path: Path, *, late_s: float = 0.01, seconds: int = 2) -> None:
                     add(topic, at, radiation_type=1, field_of_view=0.1, min_range=0.1, max_range=30.0, range=far_m)
 
 
+@pytest.mark.parametrize(
+    "topics", [("rect/image", "image_raw", "annotated/image"), ("detections", "down/image_raw", "image_rect")]
+)
+def test_of_several_cameras_the_raw_one_is_read_or_the_one_that_is_named(tmp_path: Path, topics: tuple[str, ...]) -> None:
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store, kind = get_typestore(Stores.ROS1_NOETIC), "sensor_msgs/msg/Image"
+    types: Any = store.types
+    folder = tmp_path / "bags"
+    folder.mkdir()
+    for part in range(2):
+        with Writer(folder / f"{part}.bag") as bag:
+            made = [bag.add_connection(f"/{topic}", kind, typestore=store) for topic in topics]
+            for n, (connection, light) in enumerate([(c, 80 * i) for i, c in enumerate(made)] * 3):
+                at = BEGAN_NS + part * 10**9 + n * 10**7
+                header = types["std_msgs/msg/Header"](0, types["builtin_interfaces/msg/Time"](*divmod(at, 10**9)), "cam")
+                px = np.full(12, light, np.uint8)
+                image = types[kind](header=header, height=3, width=4, encoding="mono8", is_bigendian=0, step=4, data=px)
+                bag.write(connection, at, store.serialize_ros1(image, kind))
+    reported: list[str] = []
+    assert kind_of(folder) is FileKind.ROS_BAG, "without metadata"
+    frames = [one for one in bags.read(folder, reported.append) if isinstance(one, Frame)]
+    assert (len(frames), {int(one.px.max()) for one in frames}) == (6, {80})
+    assert any("--topic reads another" in line for line in reported)
+    named = [one for one in bags.read(folder, reported.append, f"/{topics[2]}") if isinstance(one, Frame)]
+    assert {int(one.px.max()) for one in named} == {160}
+    with pytest.raises(BadInput, match="none of its cameras"):
+        list(bags.read(folder, reported.append, "/nosuch"))
+
+
 def test_a_bag_of_ros_1_is_read_in_our_axes(tmp_path: Path) -> None:
     path = tmp_path / "flight.bag"
     write_ros1(path)

@@ -58,7 +58,8 @@ def test_addresses_as_people_write_them(url: str, endpoint: Endpoint) -> None:
 @pytest.mark.parametrize(
     "url",
     ["", "udp://1.2.3.4:1", "udpin:14550", "tcp://host", "tcp://host:0", "udpout://h:70000", "serial://ttyS0:57600",
-     "serial:///dev/ttyS0", "serial:///dev/ttyS0:5", "tcp://:5760", "tcp://a:b:1"],
+     "serial:///dev/ttyS0", "serial:///dev/ttyS0:5", "tcp://:5760", "tcp://a:b:1", "udpout://255.255.255.255:14550",
+     "udpout://239.1.2.3:14550", "udpin://[ff02::1]:14550"],
 )  # fmt: skip
 def test_a_wrong_address_is_bad_input_that_quotes_it(url: str) -> None:
     with pytest.raises(BadInput, match="MAVLink link"):
