@@ -98,6 +98,12 @@ class Control(Struct, frozen=True):
     reset: Given | None = None
     accepted: tuple[OperatorOrder, Given] | None = None
     """The newest accepted order among those that have a rank."""
+    passed_at: MonoNs | None = None
+    """Time when that order was first passed to the vehicle; a slow cycle may come long after the order."""
+
+    def passed_s(self, now: MonoNs) -> float:
+        """Return for how long the newest order has been passed to the vehicle, s; 0 before."""
+        return 0.0 if self.passed_at is None else seconds_between(self.passed_at, now)
 
 
 class Limited(Struct, frozen=True):
@@ -231,7 +237,7 @@ class OperatorArbiter:
                 self._hold(control.hand, now, f"nothing received from it for {self._o.silence_s:g} s")
             else:
                 self._guided.pause()
-        if control.called_off is not None and seconds_between(control.called_off.at, now) > _CALL_OFF_S:
+        if control.called_off is not None and control.passed_s(now) > _CALL_OFF_S:
             self._control = replace(self._control, called_off=None)
         self._follow_cut(now, status)
         if status is None:
@@ -241,7 +247,7 @@ class OperatorArbiter:
         if landing is not None and over and _since(landing, status) and seconds_between(landing.at, now) > _CALL_OFF_S:
             self._control = replace(self._control, landing=None)
         reset = control.reset
-        if reset is not None and seconds_between(reset.at, now) > (_REPEAT_S if status.emergency else _CALL_OFF_S):
+        if reset is not None and control.passed_s(now) > (_REPEAT_S if status.emergency else _CALL_OFF_S):
             self._control = replace(self._control, reset=None)
 
     def _follow_cut(self, now: MonoNs, status: VehicleStatus | None) -> None:
@@ -289,6 +295,8 @@ class OperatorArbiter:
 
     def _choose(self, now: MonoNs, guided: Command | None) -> Chosen:
         control = self._control
+        if control.passed_at is None:
+            control = self._control = replace(control, passed_at=now)
         if control.cut is not None:
             return Chosen(CutMotors(), reason=f"{control.cut.sender} cut the motors")
         if control.reset is not None:
@@ -299,7 +307,7 @@ class OperatorArbiter:
         if control.called_off is not None:
             return Chosen(Hover(calls_off=True), reason=f"{control.called_off.sender} called it off")
         if control.landing is not None:
-            repeated = seconds_between(control.landing.at, now) <= _REPEAT_S
+            repeated = control.passed_s(now) <= _REPEAT_S
             return Chosen(Land(persistent=True) if repeated else None, LANDING_FOR_PERSON, f"ordered by {control.landing.sender}")
         if control.hand is not None:
             status = self._guided.vehicle
@@ -356,7 +364,7 @@ class OperatorArbiter:
         if order is OperatorOrder.CLEAR:
             guided.overrule()
             return
-        self._control = control = replace(control, accepted=(order, given))
+        self._control = control = replace(control, accepted=(order, given), passed_at=None)
         match order:
             case OperatorOrder.EMERGENCY:
                 self._control = Control(cut=given, accepted=control.accepted)

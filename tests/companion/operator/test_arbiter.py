@@ -272,6 +272,18 @@ def test_a_take_off_is_sent_once_and_again_if_the_link_did_not_take_it() -> None
     assert bridge.cycle() is GUIDED, "not a second later, unexpectedly"
 
 
+@pytest.mark.hazard("H6")
+def test_an_order_is_passed_on_however_late_the_next_cycle_comes() -> None:
+    """On a machine that is too slow a hold was accepted, expired before the next cycle, and the landing went on."""
+    for late_s in (0.02, 0.3, 2.0):
+        bridge = bridge_in(ControlSituation.GUIDED)
+        for order, command in ((OperatorOrder.LAND, Land(persistent=True)), (OperatorOrder.HOLD, Hover(calls_off=True))):
+            assert bridge.order(order) is None
+            bridge.now = after(bridge.now, late_s)
+            assert bridge.cycle() == command, (order, late_s)
+        assert bridge.cycle(0.2) == Hover()
+
+
 @pytest.mark.hazard("H4")
 def test_an_emergency_cuts_until_the_vehicle_reports_it_and_only_reset_leaves_it() -> None:
     bridge = bridge_in(ControlSituation.MANUAL)
