@@ -180,9 +180,9 @@ def _cost_of_response(was: ResponseCost, now: ResponseCost) -> str:
 def _service_line(delay_sigma_s: float) -> str:
     known_ms, sigma_ms = 1e3 * FollowDeckOptions().delay_known_s, 1e3 * delay_sigma_s
     if sigma_ms <= known_ms:
-        return f"use    a service with this file begins with its full gains: the delay is known to {known_ms:.0f} ms"
+        return f"use    with this file the service flies with full gains from the start: the delay is known to {known_ms:.0f} ms"
     return (
-        f"use    a service with this file begins with softer gains, until the delay is known to {known_ms:.0f} ms instead of "
+        f"use    with this file the service begins with softer gains, until the delay is known to {known_ms:.0f} ms instead of "
         f"{sigma_ms:.0f}; fly longer, or in wind"
     )
 

@@ -539,8 +539,8 @@ def _price_lines(pad: Pad, found: Price | None) -> Iterator[str]:
     if found is not None:
         half, nine = found.per_1000
         chance = f"{half:.3g} false pads in 1,000 frames of a search at confidence .5, {nine:.3g} at .9"
-        yield f"by {found.views} generated views without it: {chance}"
-        yield "found where it is planted: " + ", ".join(f"{100 * share:.0f} % at {r:g} px" for r, share in found.found.items())
+        yield f"in {found.views} generated views without the pad: {chance}"
+        yield "found where it was drawn in: " + ", ".join(f"{100 * share:.0f} % at {r:g} px" for r, share in found.found.items())
         if found.taken_for:
             yield f"it is seen in {', '.join(found.taken_for)}, too"
     else:
@@ -548,7 +548,7 @@ def _price_lines(pad: Pad, found: Price | None) -> Iterator[str]:
     yield (
         f"found from a radius of {known.least_px:g} px on"
         if known.least_px
-        else "not found at all sizes: it hardly shows on some decks"
+        else "found at no size: it hardly shows on some decks"
     )
     yield "what decides: " + ", ".join(f"{name} {100 * share:.0f} %" for name, share in _deciding(pad).items())
 
@@ -563,7 +563,7 @@ def _price_warnings(pad: Pad) -> list[str]:
         if pad.accept_false_pads
         else "it is refused for flight unless its file has accept_false_pads = true"
     )
-    return [f"clutter is taken for it in {1000.0 * known.chance:.3g} of 1,000 frames, at most {1000.0 * RARE:g} is good: {fate}"]
+    return [f"clutter is taken for it in {1000.0 * known.chance:.3g} of 1,000 frames (limit: {1000.0 * RARE:g}): {fate}"]
 
 
 def _price_record(found: Price | None, pad: Pad) -> dict[str, Any]:

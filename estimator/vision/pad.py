@@ -461,7 +461,7 @@ class Pad:
         if not self.lamps and not self.is_identifiable_by_paint and self.calibration is not None:
             raise BadInput(
                 f"{where}: clutter is taken for this pad in {1000.0 * self.calibration.chance:.3g} of 1,000 frames that are "
-                f"searched, at most {1000.0 * RARE:g} is flown to: paint a disc or a frame around it, a ring, or more parts that "
+                f"searched (limit for flight: {1000.0 * RARE:g}): paint a disc or a frame around it, a ring, or more parts that "
                 "differ, then decklander pad check; or set accept_false_pads = true"
             )
 
