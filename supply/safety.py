@@ -1,12 +1,14 @@
 """Write docs/safety.md: hazards by STPA (safety.toml), each with its constraint, marked tests and the command that measures it.
 
-`python -m supply.safety` prints the page. A test that shows a hazard's constraint carries `@pytest.mark.hazard("H1")`.
+`python -m supply.safety` prints the page, and with the name of a hazard its tests. A test that shows a hazard's constraint
+carries `@pytest.mark.hazard("H1")`.
 Source of the method: N. Leveson and J. Thomas, STPA Handbook, 2018, chapter 2.
 """
 
 import ast
 import sys
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -30,12 +32,10 @@ def marked_tests() -> dict[str, list[str]]:
     return found
 
 
-def by_file(tests: list[str]) -> dict[str, list[str]]:
-    """Return the names of tests, each in backticks, by their files."""
-    found: dict[str, list[str]] = {}
-    for path, name in (test.split("::") for test in tests):
-        found.setdefault(path, []).append(f"`{name}`")
-    return found
+def by_file(tests: list[str]) -> str:
+    """Return the files of tests, in backticks, each with the number of its tests."""
+    files = Counter(test.partition("::")[0] for test in tests)
+    return ", ".join(f"`{path}` ({number})" for path, number in files.items())
 
 
 def page() -> str:
@@ -49,8 +49,7 @@ def page() -> str:
             f"- Losses: {', '.join(hazard['losses'].split())}. Unsafe: {hazard['unsafe']}.",
             f"- Constraint: {hazard['constraint']}",
             f"- Measured by: {hazard['figure']}",
-            "- Tests:",
-            *[f"    - `{path}`: {', '.join(names)}" for path, names in by_file(tests.get(name, [])).items()],
+            f"- Tests: {by_file(tests.get(name, []))}",
             "",
         ]
     lines += ["## What is not covered", "", *[f"- {text}" for text in words["not_covered"]], "", *words["sora"].splitlines()]
@@ -59,4 +58,4 @@ def page() -> str:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(page())
+    sys.stdout.write("\n".join(marked_tests().get(sys.argv[1], [])) + "\n" if sys.argv[1:] else page())

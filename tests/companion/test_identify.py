@@ -211,7 +211,7 @@ def test_what_cannot_be_identified_is_reported_in_one_line(recordings, tmp_path,
         ),
         ([rough, "--response", "nonesuch"], "shipped ones are ardrone2, autopilot, hexa_7kg, px4, quad_1_5kg)"),
         ([str(tmp_path / "none.mcap")], "No such file"),
-        ([rough, "--out", rough], "there is such a file already"),
+        ([rough, "--out", rough], "must end in .toml"),
         ([rough, "--out", f"{rough}/mine.toml"], "--out"),
         ([str(Path(__file__).parents[1] / "golden/approach.mcap"), "--response", "ardrone2"], "holds no commands of guidance"),
     ):
