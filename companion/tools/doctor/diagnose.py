@@ -38,7 +38,9 @@ def counted(p: Snapshot, found: int) -> str:
     """Return how many faults were found, of how many that were looked for: without an autopilot most rules judge nothing."""
     a, links = p.autopilot, p.links
     if a is None:
-        why = "no link is open" if links and all(one.down for one in links) else "none was received" if links else "no link"
+        if not links:
+            return f"{found or 'none'} of the known faults found"
+        why = "no link is open" if all(one.down for one in links) else "none was received"
         return f"not examined: an autopilot ({why})\n{found or 'none'} of the other known faults found"
     names = dict.fromkeys(names_in(rules_values.PARAMETERS.get(a.stack, ()), a.firmware))
     unread = [name for name in names if name not in a.parameters]
