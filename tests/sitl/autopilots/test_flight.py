@@ -103,7 +103,7 @@ def test_a_program_that_never_steps_leaves_no_recording(tmp_path: Path, near: st
     for before in (None, b"an older one"):
         if before is not None:
             kept.write_bytes(before)
-        assert simulate(near, "--binary", program(tmp_path, "exit 1"), "--record", str(kept)) == 1
+        assert simulate(near, "--binary", program(tmp_path, "exit 1"), "--record", str(kept), "--force") == 1
         assert "ended with code 1" in capsys.readouterr().err
         assert (kept.read_bytes() if kept.exists() else None) == before
 
@@ -147,7 +147,7 @@ def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) ->
         ([], "needs --binary PATH"),
         (["--binary", "stand-in", "--physics", "own"], "simulates no vehicle by itself"),
         (["--binary", __file__], "is no program that can be run"),
-        (["--binary", "/bin/sh", "--record", "/dev/null"], "--record /dev/null: is there already"),
+        (["--binary", "/bin/sh", "--record", "/dev/null"], "--record /dev/null: the name of a recording must end in .mcap"),
         (["--binary", "/bin/sh", "--follow", "udpin://127.0.0.1:0"], "does not go with"),
         (["--binary", "/bin/sh", "--keep", "/dev/null"], "not an empty folder"),
         (["--binary", "/bin/sh", "--param", "PLND_LAG=nan"], "write NAME=VALUE"),
