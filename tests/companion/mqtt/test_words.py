@@ -189,7 +189,7 @@ def test_secrets_come_from_files_or_credentials(tmp_path: Path, caplog: pytest.L
     for reference, environment in (("credential:mqtt", {}), ("credential:../a", {"CREDENTIALS_DIRECTORY": "/x"})):
         with pytest.raises(BadInput, match="mqtt: 'credential:"):
             files.find(reference, "mqtt", environment)
-    for content, words in ((b"\n", "is empty"), (b"\xff", "not text")):
+    for content, words in ((b"\n", "is empty"), (b"\xff", "not UTF-8 text")):
         file.write_bytes(content)
         with pytest.raises(BadInput, match=words):
             password()

@@ -21,6 +21,7 @@ from companion.base.orders import HandledOrder, OperatorOrder, StickPositions
 from companion.cli.fly import KEY_S, KeyMotion, keys_in
 from companion.cli.main import main
 from companion.facts.wire import FlightState, answer_of, request_of
+from companion.guidance.operator.precedence import CROSSING_S
 from companion.guidance.pilot import Pilot, make_pilot
 from companion.parts.operator.client import answers, connected, running, socket_path
 from companion.parts.operator.local_socket import OperatorSocket
@@ -191,10 +192,11 @@ def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsy
         async with serving(path) as service:
             code = [str(Path(sys.executable).parent / "decklander"), "fly"]
             for order, expected in (("takeoff", 1), ("hold", 0), ("status", 0), ("land", 0)):
+                await asyncio.sleep(CROSSING_S if order == "land" else 0.0)  # a hold of just before stands against a landing
                 done = await asyncio.to_thread(
                     subprocess.run, [*code, order, "--config", "sim"], capture_output=True, text=True, check=False
                 )
-                assert done.returncode == expected, done
+                assert done.returncode == expected, (done.stdout, done.stderr)
                 assert done.stdout.startswith(f"{order}: " if order != "status" else "paused"), done
             assert done.stderr.startswith("land here, no pad is known"), "it is said, and ordered by the whole word"
             parent, child = pty.openpty()

@@ -229,7 +229,7 @@ async def test_where_the_service_may_not_write_it_reports_it(tmp_path: Path, mon
         answer = await saved(browser, masked(FASTER))
         assert not answer["saved"]
         assert "Read-only file system" in answer["text"]
-        path.write_bytes(b"\xff\xfe")
+        path.write_bytes(b"\xff\xff")
         await browser.send(kind="settings")
         assert "not UTF-8" in (await browser.read("settings"))["refusal"]
         assert "not UTF-8" in (await saved(browser, FASTER, "x"))["text"]
