@@ -20,7 +20,6 @@ from companion.cli import config, doctor
 from companion.cli.keys import write_secret
 from companion.cli.options import option
 from companion.cli.outputs import SETTINGS, output
-from companion.cli.pad import shipped_pads
 from companion.parts.page.access import make_token
 from companion.settings.load import find_file, pad_of_file
 from companion.settings.operator import SwitchOptions
@@ -139,6 +138,8 @@ def _answers(args: argparse.Namespace) -> Answers:
         device = ask("camera", names, next(iter(names)))
     shipped = {"sim": "sim", "ardrone1": "ardrone1_bottom", "ardrone2": "ardrone2_bottom"}.get(vehicle, "usb_640x480")
     find_file(args.camera_file or shipped, "cameras", args.out.parent, "--camera-file")
+    from companion.cli.pad import shipped_pads  # it brings OpenCV, which a help needs none of
+
     pad = args.pad or ask("pad", shipped_pads(), "thesis" if flies_itself else "printed")
     pad_of_file(find_file(pad, "pads", args.out.parent, "--pad"))
     place = args.where or ask("place", PLACES, "indoors" if flies_itself else "outdoors")

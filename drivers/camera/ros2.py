@@ -19,6 +19,9 @@ from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.time import NS_PER_S
 
 _POLL_S = 0.003
+"""Time between two looks for images, s: the two middlewares share no wait. It takes 2 % of a core of this process, and a frame
+has its message's own time.
+"""
 _SAME = 0.02
 """Largest difference of the focal lengths and the principal point from the camera file's, of the focal length."""
 _PLACES = (0, 4, 2, 5)

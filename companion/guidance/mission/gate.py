@@ -15,11 +15,10 @@ from msgspec.structs import replace
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, rules, thesis
-from companion.guidance.mission.phase import STAYS, TRY, Aimed, Phase, agreed, not_lower, still, turn_rad, waits_m
+from companion.guidance.mission.phase import STAYS, TRY, Aimed, Phase, lower_if_agreed, still, turn_rad, waits_m
 from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
-from estimator.contracts.commands import Command
 from estimator.contracts.time import MonoNs, seconds_between
 
 _OVER_GATE_M = 0.3
@@ -103,11 +102,6 @@ def _aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
     return p, Target(np.array([*s.knowledge.aim_level, least_m]), vertical_rate_max_m_s=rate_max, yaw_rad=yaw)
 
 
-def _allows(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
-    lower = agreed(s, o) and unfit(s.estimate, s.at, o.stale_after_s) is None
-    return command if lower else not_lower(command, p, s, o)
-
-
 PHASES = {
     State.GATE: Phase(
         "Following the deck just above it until every limit holds.",
@@ -115,6 +109,6 @@ PHASES = {
         _events,
         _aim,
         _note,
-        _allows,
+        lower_if_agreed,
     ),
 }

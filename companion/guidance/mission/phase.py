@@ -14,7 +14,7 @@ from companion.base.mission import Event, State
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.mission import limits, out_of_reach
 from companion.guidance.mission.clearance import WAITING_SIGMAS, rise_beyond_climb_m
-from companion.guidance.mission.progress import GuidanceCycle, Progress, fit_to_steer, with_deck_m_s
+from companion.guidance.mission.progress import GuidanceCycle, Progress, fit_to_steer, unfit, with_deck_m_s
 from companion.guidance.mission.rules import Events, Row
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
@@ -157,6 +157,12 @@ def waits_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
 def agreed(s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether the sightings are as recent and as consistent as the gate requires; by others no deck is followed down."""
     return s.estimate is not None and limits.agreed(s.at, s.estimate, s.quality, o.limits)
+
+
+def lower_if_agreed(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
+    """Return the controller's command where the sightings agree and are fresh, else as `not_lower` allows it."""
+    lower = agreed(s, o) and unfit(s.estimate, s.at, o.stale_after_s) is None
+    return command if lower else not_lower(command, p, s, o)
 
 
 def not_lower(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:

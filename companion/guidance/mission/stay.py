@@ -16,11 +16,10 @@ from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import limits, rules, thesis
 from companion.guidance.mission.limits import battery_ends
-from companion.guidance.mission.phase import TRY, Aimed, Phase, agreed, not_lower, still, turn_rad, waits_m
-from companion.guidance.mission.progress import SIGHT_HOLDS_S, GuidanceCycle, Progress, unfit
+from companion.guidance.mission.phase import TRY, Aimed, Phase, lower_if_agreed, still, turn_rad, waits_m
+from companion.guidance.mission.progress import SIGHT_HOLDS_S, GuidanceCycle, Progress
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
-from estimator.contracts.commands import Command
 
 
 def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
@@ -59,11 +58,6 @@ def _aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
     return p, Target(over, vertical_rate_max_m_s=rate, speed_max_m_s=speed, yaw_rad=yaw)
 
 
-def _allows(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
-    lower = agreed(s, o) and unfit(s.estimate, s.at, o.stale_after_s) is None
-    return command if lower else not_lower(command, p, s, o)
-
-
 PHASES = {
     State.STAY: Phase(
         "Waiting over the pad at a height, until a person begins the landing.",
@@ -77,6 +71,6 @@ PHASES = {
         _events,
         _aim,
         _note,
-        _allows,
+        lower_if_agreed,
     ),
 }
