@@ -114,13 +114,13 @@ def _head(path: Path) -> bytes:
 def _read_by(args: argparse.Namespace) -> list[Path]:
     """Return the files among the arguments that the command does not write."""
     written = {one.dest for one in args.outputs}
-    return [path for name, value in vars(args).items() if name not in written for path in _paths(value) if path.is_file()]
+    return [path for name, value in vars(args).items() if name not in written for path in _paths(value) if os.path.isfile(path)]
 
 
 def _paths(value: object) -> Iterator[Path]:
     if isinstance(value, Path):
         yield value
-    elif isinstance(value, str) and value and len(value) < _HEAD_BYTES and "\0" not in value:
+    elif isinstance(value, str):
         yield from {Path(value), Path(value.rpartition("@")[0])}  # with the offset of a source that is imported
     elif isinstance(value, list | tuple):
         for each in value:
