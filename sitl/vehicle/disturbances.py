@@ -2,7 +2,7 @@
 
 Standard normal numbers for the steps of the physics are rows, drawn in blocks and read by the core. A scenario's table
 `[effects]` switches unkind effects on, each with its source; all are off by default. Their formulae are the core's
-(`sitl/core/physics`); docs/sitl.md compares them with published figures.
+(`sitl/core/physics`), their sources in docs/sitl.md.
 """
 
 from __future__ import annotations
