@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from companion.base.signals import Stopped
 from companion.cli import perception_option
-from companion.cli.options import WorkProgress, option, require_drawing
+from companion.cli.options import WorkProgress, option, refuse_any, require_drawing
 from companion.cli.outputs import PLOT, output
 from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput, file_errors, refused
@@ -135,12 +135,11 @@ def run(args: argparse.Namespace) -> int:
     args.runs, args.seed = (_MAP_RUNS if args.map else 100) if args.runs is None else args.runs, args.seed or 0
     seeds = seeds_of(args.seed, args.runs)
     workers = len(os.sched_getaffinity(0)) if args.workers is None else args.workers
-    if workers < 1:
-        raise BadInput(f"--workers must be 1 or more, got {workers}")
-    if args.workers is not None and args.scheduler is not None:
-        raise BadInput("--workers does not go with --scheduler: the cluster has its own")
-    if args.against is not None and not args.report:
-        raise BadInput("--against goes with --report")
+    refuse_any(
+        (workers < 1, f"--workers must be 1 or more, got {workers}"),
+        (args.workers is not None and args.scheduler, "--workers does not go with --scheduler: the cluster has its own"),
+        (args.against and not args.report, "--against goes with --report"),
+    )
     if args.report:
         require_drawing("--report")
     plan, points = _set_plan(args) if args.more or is_set(args.scenario) else _design(args, *_plan(args))
@@ -421,22 +420,17 @@ def refuse(args: argparse.Namespace) -> None:
 def run_soak(args: argparse.Namespace, plan: CampaignPlan, given: Overridable) -> int:
     """Run the command and return its exit code."""
     seed, hours = 1 if args.seed is None else args.seed, 1.0 if args.hours is None else args.hours
-    if seed < 0:
-        raise BadInput(f"--seed must be 0 or more, got {seed}")
-    if not 0.001 <= hours <= 1000:
-        raise BadInput(f"--hours must lie in 0.001 to 1000, got {hours:g}")
-    if args.runs is not None and (args.runs < 1 or not args.virtual or args.hours is not None):
-        raise BadInput("--runs with --soak needs --virtual, takes the place of --hours, and is 1 or more")
-    if not args.virtual:
-        if args.fault is not None:
-            raise BadInput("--fault needs --virtual; in real time the drone chooses its faults by its seeds")
-        if plan.perception != "pixels":
-            raise BadInput("--perception needs --virtual; in real time the drone sends images")
-        if args.set:
-            raise BadInput("--set with --soak needs --virtual; in real time the drone is a process of its own")
-    failed_max = args.failed_max or 0
-    if failed_max < 0:
-        raise BadInput(f"--failed-max must be 0 or more, got {failed_max}")
+    failed_max, real = args.failed_max or 0, not args.virtual
+    few = args.runs is not None and (args.runs < 1 or real or args.hours is not None)
+    refuse_any(
+        (seed < 0, f"--seed must be 0 or more, got {seed}"),
+        (not 0.001 <= hours <= 1000, f"--hours must lie in 0.001 to 1000, got {hours:g}"),
+        (few, "--runs with --soak needs --virtual, takes the place of --hours, and is 1 or more"),
+        (real and args.fault, "--fault needs --virtual; in real time the drone chooses its faults by its seeds"),
+        (real and plan.perception != "pixels", "--perception needs --virtual; in real time the drone sends images"),
+        (real and args.set, "--set with --soak needs --virtual; in real time the drone is a process of its own"),
+        (failed_max < 0, f"--failed-max must be 0 or more, got {failed_max}"),
+    )
     draw: Draw | None = None
     if args.plot is not None:
         require_drawing("--plot")

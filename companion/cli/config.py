@@ -78,11 +78,12 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.action == "check":
         for file in args.files:
-            settings = _checked(str(file))
+            path = find_file(str(file), "", Path(), "settings")
+            settings = _checked(path)
             with refused(str(file), BadInput):
                 unchecked = check_files(settings)
             sys.stdout.write(f"{file}: good{not_checked(unchecked)}\n")
-            for line in remarks(settings):
+            for line in remarks(settings, path):
                 sys.stdout.write(f"{file}: {line}\n")
     elif args.action == "import":
         from companion.cli.config_import import write  # a pad's tags need OpenCV, and the other actions do not
@@ -105,7 +106,7 @@ _FAULTS_MOST = 20
 _OF_KEY = re.compile(r"([\w-]+(?:\.[\w-]+)+)[ :]")
 
 
-def _checked(name: str) -> Settings:
+def _checked(path: Path) -> Settings:
     """Return the settings of a file.
 
     Where it has several faults, all but the last are printed: each is mended by the key of a shipped profile, or left out.
@@ -113,8 +114,7 @@ def _checked(name: str) -> Settings:
     Raises:
         BadInput: as for `load`, of the last fault.
     """
-    path, seen = find_file(name, "", Path(), "settings"), set[str]()
-    data = read_toml(path)
+    seen, data = set[str](), read_toml(path)
     fault: BadInput | None = None
     vehicle = data.get("vehicle")
     autopilot = isinstance(vehicle, dict) and vehicle.get("kind") == "mavlink"

@@ -12,7 +12,6 @@ from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
@@ -21,8 +20,8 @@ from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.base.signals import check, ending_signal
 from companion.cli import kept_flight
-from companion.cli.kept_flight import compared_paths
-from companion.cli.options import check_seed, named_wait, option, print_line, print_result, shown
+from companion.cli.kept_flight import compared_paths, shown
+from companion.cli.options import check_seed, named_wait, option, print_line, print_result
 from companion.cli.outputs import prepare_folder
 from companion.guidance.pilot import make_pilot
 from companion.parts.page.access import make_token
@@ -96,11 +95,6 @@ def run(args: argparse.Namespace) -> int:
     return event_loop.run(_demo(args, scenario))
 
 
-def _video(to: str) -> VideoStreamOptions:
-    with refused("--video", ValueError):
-        return VideoStreamOptions(to=to)
-
-
 async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
     clock = SystemClock()
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
@@ -113,7 +107,8 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
             if args.page is not None or args.foxglove is not None:
                 settings = _with_http(settings, args, Path(folder), token)
             if args.video is not None:
-                settings = msgspec.structs.replace(settings, video_stream=_video(args.video))
+                with refused("--video", ValueError):
+                    settings = replace(settings, video_stream=VideoStreamOptions(to=args.video))
             pilot = make_pilot(settings, shadows=compared_paths())
             began = clock.now()
             with (
@@ -201,15 +196,10 @@ def _profile(scenario: Scenario, ports: dict[str, int]) -> Settings:
     """Return the shipped profile `sim` with these ports and the camera and pad of the scenario."""
     settings = load("sim")
     model = scenario.vehicle.generation
-    vehicle = msgspec.structs.replace(settings.vehicle, model=model, **{f"{name}_port": port for name, port in ports.items()})
-    service = msgspec.structs.replace(settings.service, health_period_s=0.0)
-    return msgspec.structs.replace(
-        settings,
-        vehicle=vehicle,
-        camera=CameraSettings(scenario.camera.file),
-        pad=PadSettings(scenario.pad.file),
-        service=service,
-    )
+    vehicle = replace(settings.vehicle, model=model, **{f"{name}_port": port for name, port in ports.items()})
+    service = replace(settings.service, health_period_s=0.0)
+    camera, pad = CameraSettings(scenario.camera.file), PadSettings(scenario.pad.file)
+    return replace(settings, vehicle=vehicle, camera=camera, pad=pad, service=service)
 
 
 def _ending(
@@ -230,24 +220,16 @@ def _ending(
 
 def _add_servers(parser: argparse.ArgumentParser) -> None:
     port = HttpSettings().port
-    option(
-        parser,
-        "--page PORT",
+    page = (
         "serve the operator page on loopback and print its address; the landing begins by a button there, and the flight "
-        f"goes on until Ctrl-C (default port: {port})",
-        type=int,
-        nargs="?",
-        const=port,
+        f"goes on until Ctrl-C (default port: {port})"
     )
-    option(
-        parser,
-        "--foxglove PORT",
+    live = (
         "serve the flight live to Foxglove or Lichtblick on loopback and print the address; with --page on the page's port "
-        f"(default port: {port})",
-        type=int,
-        nargs="?",
-        const=port,
+        f"(default port: {port})"
     )
+    for spec, meaning in (("--page PORT", page), ("--foxglove PORT", live)):
+        option(parser, spec, meaning, type=int, nargs="?", const=port)
 
 
 def _with_http(settings: Settings, args: argparse.Namespace, folder: Path, token: str) -> Settings:

@@ -16,7 +16,7 @@ from msgspec import structs
 from msgspec.structs import replace
 
 from companion.base import event_loop
-from companion.cli.options import option
+from companion.cli.options import option, refuse_any
 from companion.cli.outputs import PARAMETERS, SNAPSHOT, output
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.load import Settings, load
@@ -285,22 +285,16 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(level=logging.ERROR)  # that a link does not open is a finding, not news
     writes = "--fix" if args.fix else "--undo" if args.undo else ""
-    if args.fix and args.undo:
-        raise BadInput("--fix and --undo do not go together")
-    if writes and not (args.link or args.config):
-        raise BadInput(f"{writes} needs the autopilot: give --link URL or --config FILE")
-    if writes and args.json and not args.yes:
-        raise BadInput("--json asks nothing: give --yes with it")
-    if args.yes and not writes:
-        raise BadInput("--yes goes with --fix or --undo")
-    if args.undo_file and not args.fix:
-        raise BadInput("--undo-file goes with --fix")
-    if writes and args.snapshot:
-        raise BadInput("a saved snapshot cannot be fixed: leave --snapshot out")
-    if args.ship_speed is not None and not 0 <= args.ship_speed <= 15:
-        raise BadInput(f"--ship-speed must lie in 0 to 15 m/s, got {args.ship_speed:g}")
-    if args.log is not None and writes:
-        raise BadInput("a log cannot be fixed: examine the autopilot with --link URL --fix")
+    refuse_any(
+        (args.fix and args.undo, "--fix and --undo do not go together"),
+        (writes and not (args.link or args.config), f"{writes} needs the autopilot: give --link URL or --config FILE"),
+        (writes and args.json and not args.yes, "--json asks nothing: give --yes with it"),
+        (args.yes and not writes, "--yes goes with --fix or --undo"),
+        (args.undo_file and not args.fix, "--undo-file goes with --fix"),
+        (writes and args.snapshot, "a saved snapshot cannot be fixed: leave --snapshot out"),
+        (not 0 <= (args.ship_speed or 0) <= 15, f"--ship-speed must lie in 0 to 15 m/s, got {args.ship_speed}"),
+        (args.log is not None and writes, "a log cannot be fixed: examine the autopilot with --link URL --fix"),
+    )
     if args.undo:
         return undo(args)
     if args.write and not (args.log or args.link or args.config or args.snapshot):

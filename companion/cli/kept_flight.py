@@ -1,10 +1,15 @@
-"""Files of a simulated flight that `--report` and `--record` keep. Report and recorder are loaded only where one is wanted."""
+"""Show the progress of a flight, and keep the files of `--report` and `--record`.
+
+Progress is a line that is redrawn on a terminal, else a line now and then. Report and recorder are loaded where one is wanted.
+"""
 
 from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -13,9 +18,9 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, get_args
 
 from companion.base.health import Health
-from companion.base.observer import Observer, Relay
+from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame, Relay
 from companion.base.version import version
-from companion.cli.options import option, video_progress, written
+from companion.cli.options import ERASED, option, video_progress, written
 from companion.cli.outputs import RECORDING, output, prepare_folder
 from companion.facts.records import ContactRecord, TruthRecord
 from companion.settings.load import body_camera, camera_model, pad_model
@@ -23,14 +28,14 @@ from companion.settings.model import Settings
 from companion.settings.service import FrameForm
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.time import MonoNs
-from sitl.flight.ending import Ending
-from sitl.perception.port import Level
-from sitl.world.truth import Touchdown, Truth
+from estimator.contracts.time import MonoNs, seconds_between
 
 if TYPE_CHECKING:
     from companion.parts.recorder.recorder import Recorder
     from companion.tools.report.flight_log import FlightLog
+    from sitl.flight.ending import Ending
+    from sitl.perception.port import Level
+    from sitl.world.truth import Touchdown, Truth
 
 
 class HeldBack(Relay):
@@ -225,3 +230,88 @@ _CONTACT = ("surface", "on_pad", "lateral_m", "yaw_rad", "vertical_speed_m_s", "
 def _contact(t: Touchdown) -> ContactRecord:
     numbers = (float(x) for x in (t.lateral_m, t.yaw_rad, t.vertical_speed_m_s, t.lateral_speed_m_s))
     return ContactRecord(int(t.at), t.surface, t.on_pad, *(x if math.isfinite(x) else None for x in numbers))
+
+
+_WIDE = 100
+"""Columns that the whole line takes; below it has time, phase and place alone."""
+
+
+class ProgressObserver(NullObserver):
+    """An observer that shows the service's estimate of height and lateral distance, its phase, frame rate and delay.
+
+    Where the vehicle is not on its way down, the reason stands in place of rate and delay.
+    """
+
+    def __init__(self) -> None:
+        self._out = sys.stderr
+        self._live = self._out.isatty()
+        self._period_s = 0.1 if self._live else 1.0
+        self._began: MonoNs | None = None
+        self._said: MonoNs | None = None
+        self._phase = ""
+        self._frames: deque[MonoNs] = deque(maxlen=31)
+        self._delay_s: float | None = None
+        self._verdict = ""
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self._frames.append(processed.frame.stamp.measured_at)
+        self._delay_s = seconds_between(processed.frame.stamp.measured_at, processed.done)
+        self._verdict = processed.verdict.value.replace("_", " ")
+
+    def on_decision(self, decision: Decision) -> None:
+        self._began = decision.at if self._began is None else self._began
+        new_phase = decision.phase != self._phase
+        if self._said is not None and not new_phase and seconds_between(self._said, decision.at) < self._period_s:
+            return
+        if new_phase and self._phase:
+            self.close()
+        self._said, self._phase = decision.at, decision.phase
+        columns = self._columns()
+        line = self._line(decision) if columns >= _WIDE else self._short_line(decision)
+        line = line[: columns - 1] if self._live else line
+        self._out.write(f"{ERASED}{line}" if self._live else f"{line}\n")
+        self._out.flush()
+
+    def close(self) -> None:
+        """End the current line of the terminal."""
+        if self._live:
+            self._out.write("\n")
+            self._out.flush()
+
+    def _columns(self) -> int:
+        """Return the width of the terminal; a line that is longer would leave its beginning behind at each redrawing."""
+        try:
+            return (os.get_terminal_size(self._out.fileno()).columns or 80) if self._live else _WIDE
+        except (OSError, ValueError):
+            return 80
+
+    def _short_line(self, decision: Decision) -> str:
+        assert self._began is not None
+        belief, time_s = decision.belief, seconds_between(self._began, decision.at)
+        where = "no pad yet" if belief is None else f"{belief.height_m:4.1f} up {belief.lateral_m:4.1f} m off"
+        return f"{time_s:5.1f} s {decision.phase} {where}"
+
+    def _line(self, decision: Decision) -> str:
+        assert self._began is not None
+        belief = decision.belief
+        where = "pad not seen yet"
+        if belief is not None:
+            seen_s = belief.age_s(decision.at)
+            where = f"height {belief.height_m:5.2f} m   beside {belief.lateral_m:5.2f} m   seen {seen_s:4.1f} s ago"
+        time_s = seconds_between(self._began, decision.at)
+        if decision.reason:
+            return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {decision.reason}"
+        rate = "--"
+        if len(self._frames) > 1:
+            rate = f"{(len(self._frames) - 1) / max(1e-9, seconds_between(self._frames[0], self._frames[-1])):.0f}"
+        delay = "--" if self._delay_s is None else f"{1e3 * self._delay_s:.0f}"
+        return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {rate:>2} frames/s  {delay:>3} ms  {self._verdict}"
+
+
+@contextmanager
+def shown(*, quiet: bool) -> Iterator[list[Observer]]:
+    """Yield the observer that shows the progress of a flight; none if nothing but the result is printed."""
+    progress = None if quiet else ProgressObserver()
+    yield [] if progress is None else [progress]
+    if progress is not None:
+        progress.close()

@@ -1,24 +1,20 @@
 """Declare the options of commands, and do what several commands do alike: check folders, write files, print results.
 
-The progress of flights and campaigns is a line or bar that is redrawn on a terminal, lines now and then elsewhere.
+The progress of long work is a line that is redrawn on a terminal, lines now and then elsewhere.
 """
 
 import argparse
 import json
-import os
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from estimator.contracts.errors import BadInput
-from estimator.contracts.time import MonoNs, seconds_between
 
 
 def option(parser: argparse._ActionsContainer, spec: str, meaning: str, **more: Any) -> None:
@@ -46,23 +42,29 @@ def recording_argument(parser: argparse.ArgumentParser) -> None:
     option(parser, "recording RECORDING", "MCAP file, or the files of one recording in order", nargs="+", type=Path)
 
 
-def check_seed(args: argparse.Namespace) -> None:
-    """Refuse a seed below 0.
+def refuse_any(*cases: tuple[object, str]) -> None:
+    """Refuse what holds among cases, each with its reason.
 
     Raises:
-        BadInput: it is.
+        BadInput: one holds.
     """
-    if args.seed < 0:
-        raise BadInput(f"--seed must be 0 or more, got {args.seed}")
+    for holds, reason in cases:
+        if holds:
+            raise BadInput(reason)
 
 
-_ERASED = "\r\x1b[2K"
+def check_seed(args: argparse.Namespace) -> None:
+    """Refuse a seed below 0 by `BadInput`."""
+    refuse_any((args.seed < 0, f"--seed must be 0 or more, got {args.seed}"))
+
+
+ERASED = "\r\x1b[2K"
 """Control sequence that empties the line of a terminal where progress stands (ECMA-48, EL)."""
 
 
 def print_line(text: str) -> None:
     """Write a line to standard error, in the place of a line of progress."""
-    sys.stderr.write(f"{_ERASED if sys.stderr.isatty() else ''}{text}\n")
+    sys.stderr.write(f"{ERASED if sys.stderr.isatty() else ''}{text}\n")
     sys.stderr.flush()
 
 
@@ -87,91 +89,6 @@ def require_drawing(option: str, instead: str = "") -> None:
             f"{option} draws with matplotlib, which is not installed: install requirements/report.txt, "
             f"or the extra decklander[report]{instead}"
         )
-
-
-_WIDE = 100
-"""Columns that the whole line takes; below it has time, phase and place alone."""
-
-
-class ProgressObserver(NullObserver):
-    """An observer that shows the service's estimate of height and lateral distance, its phase, frame rate and delay.
-
-    Where the vehicle is not on its way down, the reason stands in place of rate and delay.
-    """
-
-    def __init__(self) -> None:
-        self._out = sys.stderr
-        self._live = self._out.isatty()
-        self._period_s = 0.1 if self._live else 1.0
-        self._began: MonoNs | None = None
-        self._said: MonoNs | None = None
-        self._phase = ""
-        self._frames: deque[MonoNs] = deque(maxlen=31)
-        self._delay_s: float | None = None
-        self._verdict = ""
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        self._frames.append(processed.frame.stamp.measured_at)
-        self._delay_s = seconds_between(processed.frame.stamp.measured_at, processed.done)
-        self._verdict = processed.verdict.value.replace("_", " ")
-
-    def on_decision(self, decision: Decision) -> None:
-        self._began = decision.at if self._began is None else self._began
-        new_phase = decision.phase != self._phase
-        if self._said is not None and not new_phase and seconds_between(self._said, decision.at) < self._period_s:
-            return
-        if new_phase and self._phase:
-            self.close()
-        self._said, self._phase = decision.at, decision.phase
-        columns = self._columns()
-        line = self._line(decision) if columns >= _WIDE else self._short_line(decision)
-        line = line[: columns - 1] if self._live else line
-        self._out.write(f"{_ERASED}{line}" if self._live else f"{line}\n")
-        self._out.flush()
-
-    def close(self) -> None:
-        """End the current line of the terminal."""
-        if self._live:
-            self._out.write("\n")
-            self._out.flush()
-
-    def _columns(self) -> int:
-        """Return the width of the terminal; a line that is longer would leave its beginning behind at each redrawing."""
-        try:
-            return (os.get_terminal_size(self._out.fileno()).columns or 80) if self._live else _WIDE
-        except (OSError, ValueError):
-            return 80
-
-    def _short_line(self, decision: Decision) -> str:
-        assert self._began is not None
-        belief, time_s = decision.belief, seconds_between(self._began, decision.at)
-        where = "no pad yet" if belief is None else f"{belief.height_m:4.1f} up {belief.lateral_m:4.1f} m off"
-        return f"{time_s:5.1f} s {decision.phase} {where}"
-
-    def _line(self, decision: Decision) -> str:
-        assert self._began is not None
-        belief = decision.belief
-        where = "pad not seen yet"
-        if belief is not None:
-            seen_s = belief.age_s(decision.at)
-            where = f"height {belief.height_m:5.2f} m   beside {belief.lateral_m:5.2f} m   seen {seen_s:4.1f} s ago"
-        time_s = seconds_between(self._began, decision.at)
-        if decision.reason:
-            return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {decision.reason}"
-        rate = "--"
-        if len(self._frames) > 1:
-            rate = f"{(len(self._frames) - 1) / max(1e-9, seconds_between(self._frames[0], self._frames[-1])):.0f}"
-        delay = "--" if self._delay_s is None else f"{1e3 * self._delay_s:.0f}"
-        return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {rate:>2} frames/s  {delay:>3} ms  {self._verdict}"
-
-
-@contextmanager
-def shown(*, quiet: bool) -> Iterator[list[Observer]]:
-    """Yield the observer that shows the progress of a flight; none if nothing but the result is printed."""
-    progress = None if quiet else ProgressObserver()
-    yield [] if progress is None else [progress]
-    if progress is not None:
-        progress.close()
 
 
 _SAY_EACH_S = 30.0

@@ -280,17 +280,11 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         BadInput: see the actions.
     """
-    match args.action:
-        case "list":
-            width = max(map(len, shipped("pads")))
-            sys.stdout.writelines(f"{name:{width}} {described}\n" for name, described in shipped_pads().items())
-            return 0
-        case "check":
-            return _check(args)
-        case "import":
-            return _import(args)
-        case _:
-            return _print(args)
+    if args.action != "list":
+        return {"check": _check, "import": _import, "print": _print}[args.action](args)
+    width = max(map(len, shipped("pads")))
+    sys.stdout.writelines(f"{name:{width}} {described}\n" for name, described in shipped_pads().items())
+    return 0
 
 
 def _print(args: argparse.Namespace) -> int:

@@ -95,15 +95,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    if args.action == "info":
-        return _info(args)
-    if args.action == "cut":
-        return _cut(args)
-    if args.action == "export":
-        return _export(args)
-    if args.action == "upload":
-        return _upload(args)
-    return _import(args)
+    actions = {"info": _info, "cut": _cut, "export": _export, "upload": _upload, "import": _import}
+    return actions[args.action](args)
 
 
 def _info(args: argparse.Namespace) -> int:

@@ -18,7 +18,8 @@ from msgspec.structs import asdict
 from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, Observer
-from companion.cli.options import WorkProgress, option, print_result, recording_argument, shown, video_progress, written
+from companion.cli.kept_flight import shown
+from companion.cli.options import WorkProgress, option, print_result, recording_argument, video_progress, written
 from companion.cli.outputs import RECORDING, output, prepare_folder
 from companion.facts.records import TruthRecord
 from companion.guidance.pilot import Pilot

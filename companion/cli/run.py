@@ -66,6 +66,7 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
     if not args.check:
         _calibrate_pad(settings)
     pilot = make_pilot(settings)
+    file = find_file(args.config, "", Path(), "settings")
     if args.check:
         c = pilot.camera
         unchecked = check_files(settings)
@@ -80,16 +81,15 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
             f"recorder: {'on, into ' + settings.recorder.folder if settings.recorder.enabled else 'off'}\n"
             f"mqtt: {_broker(settings)}\n"
             f"http: {settings.http.endpoint}\n"
-            f"files: found{not_checked(unchecked)}\n" + "".join(f"{line}\n" for line in remarks(settings))
+            f"files: found{not_checked(unchecked)}\n" + "".join(f"{line}\n" for line in remarks(settings, file))
         )
         return 0
     with logging_to_stderr(settings.service.log_level) as reported:
-        for line in remarks(settings):
+        for line in remarks(settings, file):
             log.warning(line)
         if sys.stdin is not None and sys.stdin.isatty():
             log.warning(FROM_TERMINAL)
         memory.share_one_arena()
-        file = find_file(args.config, "", Path(), "settings")
         daemon = make_daemon(settings, pilot, observers=[proven], once=args.once, settings_file=file, log_counts=reported.counts)
         outcome = event_loop.run(live(daemon, pilot, stays=True))
         if outcome is not None:

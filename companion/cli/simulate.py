@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from companion.cli import kept_flight, perception_option
-from companion.cli.kept_flight import keeping
-from companion.cli.options import check_seed, option, print_result, shown
+from companion.cli.kept_flight import keeping, shown
+from companion.cli.options import check_seed, option, print_result, refuse_any
 from companion.settings.load import find_file, shipped
 from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
@@ -95,26 +95,24 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     check_seed(args)
     perception = perception_level(args.perception)
-    if args.perception_model is not None and perception == "pixels":
-        raise BadInput("--perception-model goes with --perception model or truth")
     if args.wrong_model is not None:
         args.set = [*args.set, f"wrong_model.sigma={args.wrong_model:g}"]
-    if args.set and args.follow is not None:
-        raise BadInput("--set does not go with --follow")
-    if args.pad is not None and args.follow is not None:
-        raise BadInput("--pad does not go with --follow")
+    follows, beside = args.follow is not None, args.autopilot is not None
+    program = "--binary, --physics, --param, --unaided"
+    refuse_any(
+        (args.perception_model and perception == "pixels", "--perception-model goes with --perception model or truth"),
+        (args.set and follows, "--set does not go with --follow"),
+        (args.pad is not None and follows, "--pad does not go with --follow"),
+        (args.faults and (follows or beside), "--faults does not go with --autopilot or --follow"),
+        (follows and (beside or _with_program(args)), f"--follow does not go with --autopilot, {program} or --keep"),
+        (_with_program(args) and not beside, f"{program} and --keep go with --autopilot"),
+    )
     if args.pad is not None:
         args.set = [f"pad.file={find_file(args.pad, 'pads', Path(), '--pad')}", *args.set]
-    if args.faults is not None and (args.follow is not None or args.autopilot is not None):
-        raise BadInput("--faults does not go with --autopilot or --follow")
-    if args.follow is not None:
-        if args.autopilot is not None or _with_program(args):
-            raise BadInput("--follow does not go with --autopilot, --binary, --physics, --param, --unaided or --keep")
+    if follows:
         return run_follow(args)
-    if args.autopilot is not None:
+    if beside:
         return run_autopilot(args, perception)
-    if _with_program(args):
-        raise BadInput("--binary, --physics, --param, --unaided and --keep go with --autopilot")
     scenario = load_scenario(args.scenario, args.base)
     settings = settings_for(scenario, args.config)
     given = Overridable(scenario, settings)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from companion.base.version import version
-from companion.cli.options import option
+from companion.cli.options import option, refuse_any
 from companion.cli.outputs import POLICY, output
 from companion.guidance.law.policy import Policy, read_policy
 from companion.settings.load import response_model
@@ -56,12 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    if args.minutes is not None and not 0.05 <= args.minutes <= 10_000.0:
-        raise BadInput(f"--minutes must lie in 0.05 to 10000, got {args.minutes:g}")
-    if args.rounds is not None and not 1 <= args.rounds <= 100_000:
-        raise BadInput(f"--rounds must lie in 1 to 100000, got {args.rounds}")
-    if not 0 <= args.seed < _FRESH // 2 or not 1 <= args.threads <= 64:
-        raise BadInput(f"--seed must lie in 0 to {_FRESH // 2 - 1} and --threads in 1 to 64")
+    sound = 0 <= args.seed < _FRESH // 2 and 1 <= args.threads <= 64
+    refuse_any(
+        (not (args.minutes is None or 0.05 <= args.minutes <= 1e4), f"--minutes must lie in 0.05 to 10000, got {args.minutes}"),
+        (not (args.rounds is None or 1 <= args.rounds <= 100_000), f"--rounds must lie in 1 to 100000, got {args.rounds}"),
+        (not sound, f"--seed must lie in 0 to {_FRESH // 2 - 1} and --threads in 1 to 64"),
+    )
     first = None if args.first is None else read_policy(args.first, "--from")
     scenarios = [load(name) for name in args.scenario]
     if len({scenario.vehicle.file for scenario in scenarios}) > 1:

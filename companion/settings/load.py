@@ -22,6 +22,7 @@ import msgspec
 import configs
 from companion.settings.files import CREDENTIAL, LARGEST_BYTES, refuse_special
 from companion.settings.guidance import Response, response_from_mapping
+from companion.settings.links import HttpSettings
 from companion.settings.model import PadSettings, Settings, in_file, joined
 from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import DOWN
@@ -43,8 +44,10 @@ _DEEP_KEY = re.compile(rf"{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_DEEP_PARTS},}}")
 """A dotted key with this many parts is not one of ours, and the time to read it grows with their square."""
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
-_INTO_HTTP = ("page", "metrics", "foxglove")
-"""Tables of 1.0 that are one table [http] now. A settings file with them is refused; a recording is read without them."""
+_INTO_HTTP = {"page": 8480, "metrics": 9464, "foxglove": 8765}
+"""Tables of 1.0 that are one table [http] now, with the ports that were their defaults. A recording is read without them."""
+_IN_HTTP = {"frames": "foxglove_frames", "frame_rate_hz": "picture_rate_hz"}
+"""Names in [http] of keys that had another name in 1.0."""
 _FILES = {
     "vehicle": ("signing_key_file", "signing_time_file"),
     "bridge": ("signing_key_file", "signing_time_file"),
@@ -149,8 +152,7 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False,
     try:
         if recorded:
             data = {name: table for name, table in joined(data, recorded=True).items() if name not in _INTO_HTTP}
-        elif moved := [name for name in _INTO_HTTP if name in data]:
-            raise BadInput(f"{moved[0]} is now a part of the table [http] (docs/page.md)")
+        data = with_http(data)
         return _guard(msgspec.convert(_with_defaults_of_autopilot(data, by_autopilot), Settings, strict=True))
     except BadInput as why:
         raise BadInput(f"{where}: {_shown(str(why), data)}") from None
@@ -158,6 +160,28 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False,
         from companion.settings.schema import explain  # it describes the whole model
 
         raise BadInput(f"{where}: {_shown(explain(Settings, data, str(why)), data)}") from why
+
+
+def with_http(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return tables whose [page], [metrics] and [foxglove] of 1.0 are carried into [http].
+
+    Raises:
+        BadInput: they contradict each other, [http] is there too, or a key has no successor.
+    """
+    old = {name: table for name, table in data.items() if name in _INTO_HTTP and isinstance(table, Mapping)}
+    on = {name: table for name, table in old.items() if table.get("endpoint", "off") != "off"}
+    if old and "http" in data:
+        raise BadInput(f"{', '.join(old)}: the table [http] took its place, and is there too: keep that alone (docs/page.md)")
+    http: dict[str, Any] = {**({} if "page" in on else {"page": False}), **({"foxglove": True} if "foxglove" in on else {})}
+    for name, table in on.items():
+        for key, given in {"port": _INTO_HTTP[name], **table}.items():
+            new, value = _IN_HTTP.get(key, key), "http" if given == "websocket" else given
+            if new not in HttpSettings.__struct_fields__ or new in _INTO_HTTP:
+                raise BadInput(f"{name}.{key} has no successor in the table [http] (docs/page.md)")
+            if http.setdefault(new, value) != value:
+                raise BadInput(f"{name}.{key} is {value!r}, not {http[new]!r}: {', '.join(on)} are [http] now (docs/page.md)")
+    kept = {name: table for name, table in data.items() if name not in old}
+    return {**kept, "http": http} if on else kept
 
 
 def _shown(text: str, data: Mapping[str, Any]) -> str:
@@ -282,18 +306,16 @@ def response_model(settings: Settings) -> Response:
     """
     o = settings.guidance.follow_deck
     by_kind = "autopilot" if isinstance(settings.vehicle, AutopilotOptions) else "ardrone2"
-    named = by_kind if o.response_by_vehicle else o.response
-    path = find_file(named, "responses", Path(), "guidance.follow_deck.response")
-    return response_from_mapping(read_toml(path), str(path))
+    return shipped_response(by_kind if o.response_by_vehicle else o.response, "guidance.follow_deck.response")
 
 
-def shipped_response(name: str) -> Response:
-    """Return a shipped response by its name.
+def shipped_response(name: str, what: str = "response") -> Response:
+    """Return a shipped response by its name, or that of a path; errors begin with `what`.
 
     Raises:
         BadInput: there is none of that name.
     """
-    path = find_file(name, "responses", Path(), "response")
+    path = find_file(name, "responses", Path(), what)
     return response_from_mapping(read_toml(path), str(path))
 
 

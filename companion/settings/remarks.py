@@ -1,13 +1,16 @@
 """Say of settings that are good what their author may want to know, such as keys that another key leaves without effect."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import reduce
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from msgspec import NODEFAULT, Struct
 
-from companion.settings.model import Settings, in_file
+from companion.settings.load import read_toml, with_http
+from companion.settings.model import Settings, in_file, joined
+from companion.settings.schema import value_text
 from drivers.camera.options import DRIVEN_SOURCES
 from drivers.mavlink.options import AutopilotOptions
 
@@ -143,10 +146,19 @@ _RULES = (
 """The first rule that holds explains a key."""
 
 
-def remarks(settings: Settings) -> tuple[str, ...]:
-    """Return a line for each thing in good settings that is hardly what their author meant."""
+def remarks(settings: Settings, path: Path) -> tuple[str, ...]:
+    """Return a line for each thing in the good settings of a file that is hardly what their author meant."""
     found = contradiction(settings)
-    return (*without_effect(settings), *(() if found is None else (f"{found.what}: {found.fix}",)), *_empty_battery(settings))
+    contradicting = () if found is None else (f"{found.what}: {found.fix}",)
+    return (*_of_1_0(joined(read_toml(path))), *without_effect(settings), *contradicting, *_empty_battery(settings))
+
+
+def _of_1_0(tables: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return what to write in place of tables that became one."""
+    now = with_http(tables)
+    keys = ", ".join(f"{in_file(f'http.{key}')} = {value_text(value)}" for key, value in now.get("http", {}).items())
+    old = ", ".join(f"[{name}]" for name in tables if name not in now)
+    return (f"{old} of version 1.0: write {keys or 'nothing'} in its place (docs/page.md)",) if old else ()
 
 
 def _empty_battery(settings: Settings) -> tuple[str, ...]:

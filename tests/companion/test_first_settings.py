@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.cli import start
+from companion.cli import kept_flight, start
 from companion.cli.main import COMMANDS, main, pointed
-from companion.cli.options import ProgressObserver, WorkProgress
+from companion.cli.options import WorkProgress
 from companion.settings.load import load
 from drivers.ardrone import navdata
 from drivers.mavlink.codec import Codec
@@ -184,9 +184,9 @@ done"""
 
 
 def test_progress_stays_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(ProgressObserver, "_columns", lambda self: 40)
+    monkeypatch.setattr(kept_flight.ProgressObserver, "_columns", lambda self: 40)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    progress = ProgressObserver()
+    progress = kept_flight.ProgressObserver()
     progress.on_decision(decision(MonoNs(10**9)))
     shown = capsys.readouterr().err.split("\x1b[2K")[1]
     assert 10 < len(shown) < 40

@@ -19,19 +19,9 @@ from companion.cli import main as cli
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings import schema
 from companion.settings.links import BridgeOptions
-from companion.settings.load import (
-    SHIPPED,
-    Settings,
-    camera_model,
-    from_file,
-    from_mapping,
-    load,
-    pad_model,
-    pad_of_file,
-    shipped,
-    toml_of,
-)
-from companion.settings.remarks import without_effect
+from companion.settings.load import SHIPPED, camera_model, from_file, from_mapping, load, pad_model, pad_of_file, shipped, toml_of
+from companion.settings.model import Settings
+from companion.settings.remarks import remarks, without_effect
 from companion.settings.schema import unit_of, walk
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.address import masked, raw
@@ -44,7 +34,7 @@ AUTOPILOT = MINIMAL.replace('"ardrone"', '"mavlink"\nlinks = "serial:///dev/ttyA
     'file = "sim"', 'file = "sim"\nsource = "v4l2"\ndevice = "Test camera"'
 )
 MINIMALS = {"ardrone": MINIMAL, "mavlink": AUTOPILOT}
-REFUSED = tomllib.loads(Path(__file__).with_name("refused_settings.toml").read_text())["case"]
+CASES = tomllib.loads(Path(__file__).with_name("refused_settings.toml").read_text())
 KEYS = dict(walk(Settings))
 KIND_OF = {path: kind for kind in MINIMALS for path, _ in walk(Settings, kind)}
 """A kind of vehicle that has this key."""
@@ -81,13 +71,23 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
     ("changes", "text"),
     [
         ({"guidance__rate_hz": 10**400}, f"guidance.rate_hz must be a number from 5 to 200 Hz, found 1{'0' * 56}..."),
-        *((case["changes"], case["said"]) for case in REFUSED),
+        *((case["changes"], case["said"]) for case in CASES["case"]),
     ],
 )
 def test_a_refusal_names_file_key_unit_range_and_what_was_found(changes: dict[str, Any], text: str) -> None:
     output = refusal(minimal(**changes))
     assert output.startswith("rig.toml: ")
     assert text in output
+
+
+@pytest.mark.parametrize(("tables", "now"), CASES["of_1_0"].items())
+def test_tables_of_1_0_are_read_as_http_and_what_to_write_is_printed(tmp_path: Path, tables: str, now: str) -> None:
+    (file := tmp_path / "rig.toml").write_text(MINIMAL + tables)
+    (line,) = remarks(load(file), file)
+    assert f" of version 1.0: write {now} in its place" in line
+    file.write_text(f"{'' if now == 'nothing' else now.replace(', ', chr(10))}\n{MINIMAL}")
+    assert load(file) == from_file(tomllib.loads(MINIMAL + tables), "old")
+    assert not remarks(load(file), file)
 
 
 def test_a_missing_table_says_what_it_needs() -> None:
