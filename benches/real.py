@@ -393,7 +393,7 @@ def aruco(every: int) -> list[Row]:
 
 
 def mbzirc(every: int) -> list[Row]:
-    """Show another user's ring with an X to a search without attitude, by how aslant the labelled ellipse is and by sequence.
+    """Show another user's ring with an X to a search without attitude, by how aslant the labelled ellipse is.
 
     Frames whose label is left open do not count, nor do rings that the frame's edge cuts. Nobody measured ranges here.
     """
@@ -412,9 +412,8 @@ def mbzirc(every: int) -> list[Row]:
             radius, found = 0.5 * math.sqrt(wide * high), seen(image(path), MBZIRC, pad)
             right = found is not None and lies_at(found, np.array([u, v]), radius)
             off = 100.0 * (outline_of(found)[1] / radius - 1.0) if found is not None and right else math.nan
-            for name in (next(n for n in by if tilt_deg < float(n.split()[1])), path.parent.name):
-                by.setdefault(name, Finds()).add(found, right, off)
-    title = "another user's ring with an X (MBZIRC), aslant"
+            by[next(name for name in by if tilt_deg < float(name.split()[1]))].add(found, right, off)
+    title = "a user's ring with an X (MBZIRC), aslant"
     rows = [Row(f"{title}: {name}", str(of.looks.frames), of.said("size in the image")) for name, of in by.items()]
     return [*rows, Row(f"{title}: without a pad", str(empty.frames), f"{empty.wrong} sure")]
 
@@ -432,8 +431,8 @@ class Finds:
 
     def said(self, what: str) -> str:
         n, nees = self.looks, np.mean(self.nees, axis=0).tolist() if self.nees else ()
-        end = "; NEES range {:.1f} (1 is right), bearing {:.1f} (2)".format(*nees) if nees else ""
-        return f"{n.right} right, {n.frames - n.right - n.wrong} missed, {n.wrong} sure and wrong; {what} {spread(self.off)}{end}"
+        end = "; NEES {:.1f}, {:.1f}".format(*nees) if nees else ""
+        return f"{n.right} right, {n.frames - n.right - n.wrong} missed, {n.wrong} wrong; {what} {spread(self.off)}{end}"
 
 
 def nees_of(found: Sighting, d: F64) -> F64:
@@ -444,7 +443,7 @@ def nees_of(found: Sighting, d: F64) -> F64:
 
 
 def cycles(every: int) -> list[Row]:
-    """Show path-traced decks by light, wetness, wear and height; the truth is exact, and so the covariance can be judged.
+    """Show path-traced decks by height; the truth is exact, and so the covariance can be judged.
 
     The attitude that is given is off by as much as it says: .3 degrees of roll and pitch, drawn for each frame.
     """
@@ -461,9 +460,9 @@ def cycles(every: int) -> list[Row]:
             right = looks.add(found, partial(has_range, range_m=range_m))
             height = next(h for h in (1, 3, 6, 20) if true["h"] < h)
             errors = (math.nan,) if found is None else (percent(found, range_m), nees_of(found, d))
-            for of in ("all", true["light"], "wet" if true["wet"] else "dry", f"worn {true['worn']:g}", f"below {height} m"):
+            for of in ("all", f"below {height} m"):
                 by.setdefault(of, Finds()).add(found, right, *errors)
-        title = f"path-traced decks (Cycles), pad {name}"
+        title = f"path-traced decks, {name}"
         out += [Row(f"{title}: {of}", str(finds.looks.frames), finds.said("range")) for of, finds in sorted(by.items())]
     return out
 
@@ -497,8 +496,8 @@ PARTS: dict[str, Callable[[int], list[Row]]] = {
 }  # fmt: skip
 HEADER = Row("data", "frames", "ours", "OpenCV's own", "the simulator's")
 SAID = (
-    "A bin's NEES is a mean of few. The thesis' pad is right over all; the logo's imported file is not: its middle lies 28 mm "
-    "beside the drawing's, and one find of five is 4 % short. Frames aslant that no limit saw: [search](decisions/search.md)."
+    "NEES is of the range (1 is right) and the bearing (2), a mean of few. The logo's imported file is wrong: its middle lies "
+    "28 mm off, and one find of five is 4 % short. Frames aslant that no limit saw: [search](decisions/search.md)."
 )
 NOT_AVAILABLE = (
     "landings of ours on a real deck, or with any real autopilot in the air",

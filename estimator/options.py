@@ -82,8 +82,8 @@ class EstimatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     path: Annotated[
         PathName,
         choice(
-            "estimator that steers: the error-state filter; filtered sightings alone; sightings propagated by dead reckoning; "
-            "or a Kalman filter of constant velocity, with the extra compare",
+            "estimator that steers: the error-state filter; filtered sightings; these propagated by dead reckoning; or a Kalman "
+            "filter of constant velocity (extra compare)",
             public=True,
         ),
     ] = "ekf"

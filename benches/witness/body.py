@@ -1,22 +1,18 @@
 """Fly the vehicle in RotorPy, in our physics, and beside what others measured.
 
-`--body` flies the vehicle of configs/vehicles/quad_1_5kg.toml with the air's effects of `weather_N`, by the same loops and
-commands in the same wind, in our physics and in RotorPy. RotorPy's aerodynamics are those of its Hummingbird (.5 kg, 8-inch
-propellers, identified from flights), scaled to the size: a rotor's drag and loss with the cube of its radius, lift by the wind
-and the frame's drag with the square. Measured elsewhere: APC 10x4.7 propellers in a wind tunnel (UIUC); and for the ground
-effect, which RotorPy does not know, two bare rotors on a test bench (Garofano-Soldado), a quadrotor of rotor radius .12 m (the
-formula that Sanchez-Cuevas, Heredia & Ollero fitted to it, Int. J. Aerospace Eng. 2017, eq. 4) and a Crazyflie (gym-pybullet-
-drones); the numbers are in benches/witness/body.toml. Turbulence stands beside MIL-F-8785C. This needs scipy and `pip install
---no-deps rotorpy==3.0.0`: RotorPy's other needs, cvxopt (GPL) among them, are not used here.
+The vehicle of configs/vehicles/quad_1_5kg.toml with the air's effects of `weather_N` flies by the same loops and commands in our
+physics and in RotorPy. RotorPy's aerodynamics are those of its Hummingbird (.5 kg, 8-inch propellers, identified from flights),
+scaled to the size. Measured elsewhere: APC 10x4.7 propellers in a wind tunnel (UIUC); the ground effect of two bare rotors on a
+test bench (Garofano-Soldado), of a quadrotor of rotor radius .12 m (the formula that Sanchez-Cuevas, Heredia & Ollero fitted to
+it, Int. J. Aerospace Eng. 2017, eq. 4) and of a Crazyflie (gym-pybullet-drones); turbulence by MIL-F-8785C. This needs scipy and
+`pip install --no-deps rotorpy==3.0.0`.
 """
 
 import math
-import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -171,17 +167,6 @@ def our_air(f: Airframe, height_m: float, seconds: float, step_s: float, seed: i
     return np.array(rows)
 
 
-def their_air(height_m: float, sigma: F64, seconds: float) -> F64:
-    """Return RotorPy's Dryden turbulence, (n, 3) m/s."""
-    # RotorPy's module imports torch for its batches of vehicles, which are not flown here.
-    sys.modules.setdefault("torch", ModuleType("torch"))
-    from rotorpy.wind.dryden_utils import DrydenWind
-
-    np.random.seed(1)  # noqa: NPY002 - it draws from numpy's own generator
-    wind = DrydenWind(0.0, 0.0, 0.0, *sigma, altitude=height_m)
-    return np.array([wind.getWind(AIR_STEP_S) for _ in range(round(seconds / AIR_STEP_S))])
-
-
 def turbulence(x: F64) -> dict[str, float]:
     """Return the standard deviation, and the time in which the correlation falls to 1/e."""
     correlation = np.fft.irfft(np.abs(np.fft.rfft(x - x.mean(), 2 * x.size)) ** 2)[: x.size]
@@ -215,7 +200,7 @@ def quadrotor_gain(f: Airframe, z_r: float) -> float:
 
 def cases(f: Airframe, seconds: float) -> Iterator[tuple[str, Callable[[Ours], dict[str, float]], str]]:
     """Yield each case's name, how it is flown, and what was measured elsewhere."""
-    for deg in (5.0, 10.0, 20.0):
+    for deg in (5.0, 20.0):
         yield f"tilt step of {deg:g} deg: ", partial(tilt_step, deg=deg), ""
     for start, end in ((1.0, 1.2), (0.5, 1.0), (1.0, 0.0)):
         yield f"thrust from {start:g} to {end:g} of the weight: ", partial(thrust_step, start=start, end=end), ""
@@ -246,30 +231,28 @@ def table(seconds: float = 60.0) -> Iterator[str]:
     yield "| what | ours | RotorPy | off | measured elsewhere |"
     yield "|" + "---|" * 5
     for name, fly, elsewhere in cases(f, seconds):
-        yield from compared(name, fly(Ours(f)), fly(Theirs(f)), dict.fromkeys(("lift, m/s^2",), elsewhere))
+        yield from compared(name, fly(Ours(f)), fly(Theirs(f)), elsewhere)
     for height_m in (3.0, 20.0):
         ours = our_air(f, height_m, 20.0 * seconds, AIR_STEP_S)
-        theirs = their_air(height_m, ours.std(axis=0), 20.0 * seconds)
         for axis, way in ((0, "along"), (2, "up")):
-            said = {name: f"standard {value:.2f}" for name, value in standard(height_m, axis == 2).items()}
-            yield from compared(
-                f"Dryden at {height_m:g} m, {way}: ", turbulence(ours[:, axis]), turbulence(theirs[:, axis]), said
-            )
+            law = standard(height_m, axis == 2)
+            for name, a in turbulence(ours[:, axis]).items():
+                yield f"| Dryden at {height_m:g} m, {way}: {name} | {a:.2f} | | | {law[name]:.2f} ({a / law[name] - 1.0:+.0%}) |"
     pair, small = MEASURED["pair"], MEASURED["crazyflie"]
     for z_r in ((f.feet.below_m + f.rotors_above_m) / f.rotor_radius_m, 1.5, 2.0, 3.0, 4.0):
         bare = 100.0 * (float(np.interp(z_r, pair["z_r"], pair["thrust_n"])) / pair["thrust_n"][-1] - 1.0)
         fitted = 100.0 * small["gain"] * (0.25 / max(z_r, small["least_z_r"])) ** 2
         gain, quadrotor = our_gain(f, z_r), quadrotor_gain(f, z_r)
         yield (
-            f"| ground effect at {z_r:.1f} rotor radii: thrust gained, % | {gain:.1f} | none | | "
+            f"| ground effect at {z_r:.1f} rotor radii: thrust gained, % | {gain:.1f} | | | "
             f"quadrotor {quadrotor:.1f} ({gain / quadrotor - 1.0:+.0%}), bare pair {bare:.1f}, Crazyflie {fitted:.0f} |"
         )
 
 
-def compared(what: str, ours: dict[str, float], theirs: dict[str, float], elsewhere: dict[str, str]) -> Iterator[str]:
+def compared(what: str, ours: dict[str, float], theirs: dict[str, float], elsewhere: str) -> Iterator[str]:
     """Yield the rows of one comparison."""
     for name, a in ours.items():
         b = theirs[name]
         apart = abs(a - b) > max(ALIKE * abs(b), LEAST.get(name.split(", ")[-1], 0.0))
         off = f"{a / b - 1.0:+.0%}{' **!**' if apart else ''}"
-        yield f"| {what}{name} | {a:.2f} | {b:.2f} | {off} | {elsewhere.get(name, '')} |"
+        yield f"| {what}{name} | {a:.2f} | {b:.2f} | {off} | {elsewhere} |"

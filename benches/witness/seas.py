@@ -1,17 +1,16 @@
 """Set seas, decks and the forecast beside measured ones.
 
-Seas: spectra of buoys, reduced to numbers, beside JONSWAP (gamma 3.3) and a fully grown sea (gamma 1) of the same height and
-period over the same frequencies. `nu` is the spectral width, `Qp` Goda's peakedness, `run` the mean number of waves in a row that
-are higher than the significant height (Kimura 1980, from the spectrum).
+Seas: spectra of buoys beside JONSWAP (gamma 3.3) and a fully grown sea (gamma 1) of the same height and period. `nu` is the
+spectral width, `Qp` Goda's peakedness, `run` the mean number of waves in a row that are higher than the significant height
+(Kimura 1980, from the spectrum).
 
-Decks: recorded ships and boats beside the simulated ones in their scenarios: standard deviation, period of the peak and width nu
-of heave, roll and pitch between 0.03 and 0.5 Hz, by periodograms of 128 s. The RTK boats are smoothed by 0.5 s, since their
-receivers shake by a centimetre.
+Decks: standard deviation, period of the peak and width nu of heave, roll and pitch between 0.03 and 0.5 Hz, of recorded ships and
+boats beside the simulated ones. Every third RTK boat is shown, smoothed by 0.5 s.
 
-Forecasts: the filter is fed as in flight, hovering 5 m over the deck (tests/support/estimator_truth.py: 30 sightings a second,
-late, 2 % of them wrong, mount and delay unknown), and asked twice a second for 0.5, 1 and 2 s ahead. Each cell has the rms error
-over the rms of what was forecast (1 is a forecast of the mean), the rms error at 1 s, and the shares of truths inside the bands
-of 68 and 95 %. A recording has no surge, no sway and nothing quicker than its samples, so it is kinder than its ship.
+Forecasts: the filter is fed as in flight, hovering 5 m over the deck (30 sightings a second, late, 2 % of them wrong, mount and
+delay unknown), for 0.5, 1 and 2 s ahead. Each cell has the rms error over the rms of what was forecast (1 is a forecast of the
+mean), the rms error at 1 s, and the shares of truths inside the bands of 68 and 95 %. A recording has no surge, no sway and
+nothing quicker than its samples, so it is kinder than its ship.
 """
 
 import math
@@ -158,7 +157,7 @@ def decks() -> Iterator[Deck]:
     for log in sorted(needed("boat_nmea2000").glob("*.raw")):
         for source, what in ((52, "no heave"), (27, "a heave that wanders, no yaw")):
             yield recorded(f"{log.stem}, sensor {source} ({what})", canboat(log, source), "patrol_boat")
-    for log in sorted(needed("sea_motion").glob("2*.txt")):
+    for log in sorted(needed("sea_motion").glob("2*.txt"))[::3]:
         yield recorded(f"RTK boat {log.stem}", RecordedMotion.of_file(log, SHAKE_S), "patrol_boat")
     yield from (simulated(name) for name in SIMULATED)
 

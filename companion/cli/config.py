@@ -156,12 +156,11 @@ _HEAD = """# The mission
 
 <!-- Made by `decklander config mission`; a test compares. -->
 
-One machine flies the landing (`companion/guidance/mission/`). In each guidance cycle it takes the first event of their list
-that leads to another state. Each change carries a cause, the measured number and its limit, for log, MQTT, STATUSTEXT, metrics,
-recording and report.
+One machine flies the landing (`companion/guidance/mission/`). In each guidance cycle it takes the first event that leads to
+another state. Each change carries a cause, the measured number and its limit.
 
-Every state that waits has a time limit; when it is over the drone goes up or stays, never down. It never descends without a
-fresh, consistent estimate of the pad. It holds still against the deck. Low without sight it only climbs, by range sensor, height
+Every state that waits has a time limit, after which the drone goes up or stays, never down. It never descends without a
+fresh, consistent estimate of the pad, and holds still against the deck. Low without sight it only climbs, by range sensor, height
 last known, or time. Before the first order to land it stays in its own hover.
 """
 
@@ -175,28 +174,23 @@ def mission_page() -> str:
 
 def _graph() -> Iterator[str]:
     yield from ("## The way down", "", "```mermaid", "stateDiagram-v2")
-    for state in State:
-        yield f"    {state.name}: {state.value}"
-    for state in State:
-        ways = {target for event, target in TABLES["cone"][state].items() if event not in _ALWAYS} - {state, State.EMERGENCY}
-        yield from (f"    {state.name} --> {target.name}" for target in State if target in ways and state not in ENDED)
-    yield from (
-        "```",
-        "",
-        "The tables below have the events. Left out are the operator's pause, stay and abort, and the vehicle's reports that",
-        "it stands or cut its motors.",
-        "",
-    )
+    drawn = [state for state in State if state not in _NOT_DRAWN]
+    yield from (f"    {state.name}: {state.value}" for state in drawn)
+    for state in drawn:
+        ways = {target for event, target in TABLES["cone"][state].items() if event not in _ALWAYS} - {state}
+        yield from (f"    {state.name} --> {target.name}" for target in drawn if target in ways and state not in ENDED)
+    yield from ("```", "", "The tables below have the events and the ways that are left out here.", "")
 
 
 _PLACES = re.compile(r"\{[^}]*\}")
 _ALWAYS = (Event.PAUSE, Event.STAY, Event.ABORT, Event.GROUNDED, Event.GROUNDED_BY_OTHERS)
+_NOT_DRAWN = {*LANDING.values(), State.ANOTHER_PAD} - {State.PAUSED}
 
 
 def _states() -> Iterator[str]:
     yield from ("## States", "", "| state | what the drone does | may come nearer to the deck |", "|---|---|---|")
     for state in State:
-        yield f"| {state.value} | {PHASES[state].does} | {'yes' if state in DESCENDS else 'no'} |"
+        yield f"| {state.value} | {PHASES[state].does} | {'yes' if state in DESCENDS else ''} |"
     yield ""
 
 
@@ -228,13 +222,13 @@ def _rows(name: str, usual: Mapping[State, Row]) -> Iterator[str]:
     """Yield a row for each state: its next states, each with the events that lead there, where they are not the usual ones."""
     yield from ("| state | next state: events |", "|---|---|")
     if name == "cone":
-        yield (
-            "| all from rendezvous to another pad | " + "; ".join(f"**{t.value}**: {e.value}" for e, t in LANDING.items()) + " |"
-        )
+        *most, last = (f"**{target.value}**: {event.value}" for event, target in LANDING.items())
+        yield f"| all from waiting for the start to another pad | {'; '.join(most)} |"
+        yield f"| all from rendezvous to another pad | {last} |"
     for state in State:
         row = TABLES[name][state]
-        shared = LANDING if LANDING.items() <= row.items() else {}
-        named = {event: target for event, target in row.items() if event not in shared}
+        flown = sum(row.get(event) is target for event, target in LANDING.items()) >= len(LANDING) - 2
+        named = {event: target for event, target in row.items() if not flown or LANDING.get(event) is not target}
         if cells := [f"**{to.value}**: {', '.join(e.value for e in by)}" for to, by in next_states(named, usual[state])]:
             yield f"| {state.value} | {'; '.join(cells)} |"
     yield ""

@@ -128,7 +128,7 @@ def _vehicle(settings: Settings) -> str:
         whom = f"system {v.system_id}" if v.system_id else "the first autopilot found"
         return (
             f"vehicle: autopilot over {v.links} ({signed}), {whom}; "
-            f"we are component {v.component_id}; commands from the autopilot's own link{who}"
+            f"we are component {v.component_id}; we take commands from the autopilot's own link{who}"
         )
     return (
         f"vehicle: ardrone {v.model} at {v.host}, navdata {v.navdata_port}/udp, "

@@ -192,8 +192,7 @@ class FollowDeckOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
     response: Annotated[
         str,
         text(
-            'file of the vehicle\'s response: the name of a shipped one, or a path relative to the settings file; "auto" '
-            "takes the one of the kind of vehicle",
+            'file of the vehicle\'s response: the name of a shipped one, or a path; "auto" takes that of the kind of vehicle',
             4096,
             public=True,
         ),
@@ -201,8 +200,8 @@ class FollowDeckOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
     identify: Annotated[
         bool,
         choice(
-            "whether the response is identified in flight: the gains are softer until the delay is known, and a delay that "
-            "contradicts the file takes its place",
+            "whether the response is identified in flight: softer gains until the delay is known, which replaces the file's if "
+            "they contradict",
             public=True,
         ),
     ] = True
@@ -322,25 +321,21 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     mission: Annotated[
         Literal["cone", "thesis", "targets"],
         choice(
-            "the way down: in a cone to a gate over the deck and from there to the contact under full control; the way points "
-            "of the thesis and the vehicle's own landing from the last of them; or the autopilot's own precision landing, which "
-            "is led by LANDING_TARGETs alone: no velocity of ours leaves",
+            "the way down: in a cone to a gate over the deck and on to the contact; the way points of the thesis, then the "
+            "vehicle's own landing; or the autopilot's precision landing, led by LANDING_TARGETs alone",
             public=True,
         ),
     ] = "cone"
     mode_changes: Annotated[
         bool,
         choice(
-            "whether the mission targets may ask the autopilot for its landing and, to call that off, for its hold; otherwise "
-            "the pilot chooses the modes",
+            "whether the mission targets may set the autopilot's modes, landing and hold; otherwise the pilot does",
             public=True,
         ),
     ] = False
     start: Annotated[
         Literal["automatic", "signal"],
-        choice(
-            "approach as soon as the vehicle flies and the pad is seen, or only after SIGUSR1 (SIGUSR2 pauses it)", public=True
-        ),
+        choice("approach once the vehicle flies and the pad is seen, or after SIGUSR1 (SIGUSR2 pauses it)", public=True),
     ] = "signal"
     rate_hz: Annotated[float, number("rate of guidance cycles", "Hz", 5.0, 200.0, "controller of the thesis: 100 Hz")] = 50.0
     stale_after_s: Annotated[float, number("age of the newest sighting above which the drone hovers", "s", 0.05, 10.0)] = 0.5
@@ -374,8 +369,8 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     controller: Annotated[
         str,
         name(
-            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller) or "
-            "policy (a trained network); or the name that an installed package gives its own",
+            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis'), policy (a trained network), "
+            "or the name of one in an installed package",
             64,
             public=True,
         ),

@@ -38,7 +38,7 @@ class HttpSettings(Struct, frozen=True, forbid_unknown_fields=True):
     endpoint: Annotated[
         Literal["off", "http", "https"],
         choice(
-            "whether there is one; https needs certificate_file and key_file, and the page beyond loopback needs https",
+            "whether there is one; https needs certificate_file and key_file; beyond loopback the page needs https",
             public=True,
         ),
     ] = "off"
@@ -47,8 +47,8 @@ class HttpSettings(Struct, frozen=True, forbid_unknown_fields=True):
     token_file: Annotated[
         str,
         text(
-            "file with the token that a person enters and a program sends as bearer (decklander keys token): a path relative to "
-            'the settings file, or "credential:NAME" for a systemd credential; empty for no token, on loopback without a page',
+            "token that a person enters and a program sends as bearer (decklander keys token): a path or "
+            '"credential:NAME"; empty for no token, on loopback without a page',
             4096,
             shortest=0,
             public=True,
@@ -58,7 +58,7 @@ class HttpSettings(Struct, frozen=True, forbid_unknown_fields=True):
         str, text("file with the TLS certificate (PEM), and the chain that issued it", 4096, shortest=0, public=True)
     ] = ""
     key_file: Annotated[str, text("file with the private key of the certificate (PEM)", 4096, shortest=0, public=True)] = ""
-    page: Annotated[bool, choice("whether the operator page is served, by which the token commands", public=True)] = True
+    page: Annotated[bool, choice("whether the operator page is served", public=True)] = True
     foxglove: Annotated[
         bool, choice("whether Foxglove and Lichtblick may watch the flight live, at /live (docs/recordings.md)", public=True)
     ] = False
@@ -108,16 +108,14 @@ class HttpSettings(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError('certificate_file and key_file are needed because endpoint is "https"')
 
 
-_FILE = 'a path relative to the settings file, or "credential:NAME" for a systemd credential; empty for none'
+_FILE = 'a path or "credential:NAME"; empty for none'
 
 
 class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Telemetry, events and commands through an MQTT broker. Topics and messages: docs/mqtt.md."""
 
     transport: Annotated[Literal["off", "tcp", "tls"], choice("no MQTT, plain TCP, or TLS", public=True)] = "off"
-    host: Annotated[
-        str, text("name or address of the broker; with TLS its certificate must be for this name", 253, public=True)
-    ] = "127.0.0.1"
+    host: Annotated[str, text("name or address of the broker, with TLS that of its certificate", 253, public=True)] = "127.0.0.1"
     port: Annotated[
         int, number("port of the broker; customary are 1883 for TCP and 8883 for TLS", "port", 1, 65535, public=True)
     ] = 8883
@@ -127,9 +125,9 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ] = "5"
     drone: Annotated[str, name("name of this drone: its topics are decklander/v2/<drone>/...", 64, public=True)] = "drone"
     user: Annotated[str, text("user name; empty for none", 256, shortest=0, public=True)] = ""
-    password_file: Annotated[str, text(f"file with the password: {_FILE}", 4096, shortest=0, public=True)] = ""
+    password_file: Annotated[str, text(f"password: {_FILE}", 4096, shortest=0, public=True)] = ""
     ca_file: Annotated[
-        str, text(f"certificates of the CAs to trust in place of the system's: {_FILE}", 4096, shortest=0, public=True)
+        str, text(f"certificates of the CAs, in place of the system's: {_FILE}", 4096, shortest=0, public=True)
     ] = ""
     certificate_file: Annotated[str, text(f"client certificate: {_FILE}", 4096, shortest=0, public=True)] = ""
     key_file: Annotated[str, text(f"key of the client certificate: {_FILE}", 4096, shortest=0, public=True)] = ""
@@ -137,7 +135,7 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
         Literal["off", "signed", "broker"],
         choice(
             "who may command: nobody; whoever signs with the key in command_key_file; or whom the broker lets write to the "
-            "command topic (TLS, an access list, and users or client certificates)",
+            "command topic (needs TLS)",
             public=True,
         ),
     ] = "off"
@@ -164,7 +162,7 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
     spool: Annotated[
         str,
         text(
-            "folder of events that wait for the broker; empty for $STATE_DIRECTORY/mqtt, or memory alone without that",
+            "folder of events that wait; empty for $STATE_DIRECTORY/mqtt, or memory alone without that",
             4096,
             shortest=0,
             public=True,
@@ -205,7 +203,7 @@ class VideoStreamOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True
     to: Annotated[
         str,
         text(
-            "ADDRESS:PORT that it is sent to, such as 192.168.1.20:5600 (QGroundControl listens on 5600); empty for no stream",
+            "receiver, such as 192.168.1.20:5600 (QGroundControl listens on 5600); empty for no stream",
             253,
             shortest=0,
             public=True,
@@ -246,7 +244,7 @@ class OutputOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     ranges: Annotated[
         Literal["auto", "on", "off"],
         choice(
-            "whether to send DISTANCE_SENSOR; auto: if an ArduPilot's parameters say that its rangefinder is a MAVLink one",
+            "whether to send DISTANCE_SENSOR; auto: if ArduPilot's rangefinder is a MAVLink one",
             public=True,
         ),
     ] = "auto"

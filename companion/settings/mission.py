@@ -7,7 +7,7 @@ from estimator.contracts.keys import CheckedOptions, choice, number
 
 
 class ConeOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """The way down of the mission "cone": over the pad, down inside a cone, a gate just over the deck, then to the deck.
+    """The way down of the mission "cone": in a cone over the pad to a gate just over the deck, then to the deck.
 
     Raises:
         ValueError: a number outside its range, or two that do not go together.
@@ -69,7 +69,7 @@ class LandingLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     error_m: Annotated[
         float,
         number(
-            "largest distance from the pad's axis at the gate, and with 2 sigma the one expected at the contact",
+            "largest distance from the pad's axis at the gate, and with 2 sigma at the contact to come",
             "m",
             0.01,
             2.0,
@@ -165,13 +165,13 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     heading: Annotated[
         Literal["keep", "align", "across"],
         choice(
-            "leave the heading alone; turn until the nose points along the arrow, as an autopilot does if nothing is set; or "
-            "turn only in wind, until the lean against it is in the wider side of the camera's field",
+            "keep the heading; turn the nose along the arrow; or turn only in wind, until the lean against it is in the wider "
+            "side of the camera's field",
             public=True,
         ),
     ] = "across"
     search_s: Annotated[
-        float, number("time without any sight of the pad after the start, after which it gives up", "s", 1.0, 3600.0, public=True)
+        float, number("time without any sight of the pad after which it gives up", "s", 1.0, 3600.0, public=True)
     ] = 300.0
     leg_s: Annotated[
         float,
@@ -199,7 +199,7 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     losses_max: Annotated[int, number("largest number of losses of sight below the safe height in one try", "1", 0, 1000)] = 8
     blind_descent_max_m: Annotated[float, number("largest total descent of one try without sight", "m", 0.05, 10.0)] = 0.5
     go_arounds_max: Annotated[
-        int, number("number of go-arounds that begin another try; then the drone holds and waits", "1", 0, 100, public=True)
+        int, number("number of go-arounds; after them the drone holds and waits", "1", 0, 100, public=True)
     ] = 5
     safe_height_m: Annotated[float, number("height over the pad to which it climbs", "m", 0.5, 50.0, public=True)] = 2.0
     climb_m_s: Annotated[float, number("rate against the deck with which it climbs", "m/s", 0.05, 2.0)] = 0.5
@@ -232,8 +232,8 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     another_pad: Annotated[
         Literal["operator", "automatic"],
         choice(
-            "who decides when the pad is suddenly seen in a place that no motion explains: the operator, by beginning again; or, "
-            "once a flight and only above safe_height_m, another_pad_s of unbroken sight of one pad alone",
+            "who decides when the pad is seen in a place that no motion explains: the operator, by beginning again; or, once a "
+            "flight and only above safe_height_m, another_pad_s of unbroken sight of one pad alone",
             public=True,
         ),
     ] = "operator"
@@ -241,7 +241,7 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     operator_wait_s: Annotated[
         float,
         number(
-            "time for which the drone waits for the operator's decision about another pad before it gives up",
+            "longest wait for the operator's decision about another pad",
             "s",
             1.0,
             3600.0,

@@ -32,7 +32,7 @@ from estimator.options import EstimatorOptions
 from estimator.vision.options import TrackerOptions
 
 _TUNED = "tuned in simulation"
-_SHIPPED_OR_PATH = "the name of a shipped one, or a path relative to the settings file"
+_SHIPPED_OR_PATH = "the name of a shipped one, or a path"
 
 
 class CameraSettings(CameraOptions, frozen=True, forbid_unknown_fields=True):
@@ -55,7 +55,7 @@ class VisionSettings(TrackerOptions, frozen=True, forbid_unknown_fields=True):
     core_fraction: Annotated[
         float,
         number(
-            "largest fraction of a core that looking at frames may take; beyond it frames are skipped; 1 skips none",
+            "largest fraction of a core for frames; beyond it frames are skipped; 1 skips none",
             "1",
             0.1,
             1.0,

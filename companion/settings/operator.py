@@ -121,8 +121,8 @@ class LimitOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     fence_polygon: Annotated[
         str,
         text(
-            "corners of the geofence instead of a circle, metres, as `x y, x y, x y`: north and east of the start, or along "
-            "the arrow and to its right on a ship",
+            "corners of the geofence instead of a circle, metres, as `x y, x y, x y`: north and east of the start, or on a ship "
+            "along the arrow and to its right",
             2000,
             shortest=0,
             public=True,
@@ -135,7 +135,7 @@ class LimitOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         float, number("time for which the fence may hold guidance back before it ends the landing and holds", "s", 0.5, 60.0)
     ] = 3.0
     height_max_m: Annotated[
-        float, number("height above the start above which no command climbs", "m", 2.0, 500.0, public=True)
+        float, number("height above the start to which commands climb at most", "m", 2.0, 500.0, public=True)
     ] = 50.0
     manual_height_min_m: Annotated[
         float, number("height above what is below, under which manual flight does not descend", "m", 0.0, 10.0)
@@ -146,7 +146,7 @@ class LimitOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     return_charge: Annotated[
         float,
         number(
-            "charge below which manual flight goes no farther away from the pad, or from the start if no pad is known",
+            "charge below which manual flight goes no farther from the pad, or the start without one",
             "1",
             0.0,
             1.0,

@@ -231,18 +231,22 @@ def reference(*, expert: bool = False) -> str:
     """Return the reference in Markdown: a table for each section of the file, or one table of the expert keys."""
     if expert:
         rows = [row for _, _, _, rows in _sections() for row in rows]
-        return "\n".join(["# Expert keys", "", *_EXPERT_WORDS, "", *_HEADER, *rows]) + "\n"
+        return "\n".join(["# Expert keys", "", *_EXPERT_WORDS, "", *_table(rows)]) + "\n"
     lines = [
         "# Configuration",
         "",
         "A rig has one TOML file. `decklander config check FILE` checks it, `config show FILE` prints it with each default",
         "filled in, and `config schema` prints a JSON Schema for editors. This page is the output of `config reference`.",
         "",
-        "A key that is unknown, of the wrong type or out of range is refused. Where a default is missing the key must be given.",
+        "A key that is unknown, of the wrong type or out of range is refused. A path is absolute, or relative to the settings",
+        'file unless its key says otherwise; "credential:NAME" is a systemd credential.',
     ]
+    first: dict[tuple[str, str], str] = {}
     for heading, meaning, public, _ in _sections():
-        if public:
-            lines += ["", f"## {heading}", "", meaning, "", *_HEADER, *public]
+        for row in public:
+            if (where := first.setdefault((row[0], row[4]), heading)).split()[0] != heading.split()[0]:
+                row[4] = f"as in {where}"
+        lines += ["", f"## {heading}", "", meaning, "", *_table(public)] if public else []
     lines += ["", "## Expert keys", "", *_EXPERT_WORDS, "`decklander config reference --expert` prints all of them."]
     return "\n".join(lines) + "\n"
 
@@ -272,7 +276,7 @@ _EXPERT_WORDS = (
 )
 
 
-def _sections() -> Iterator[tuple[str, str, list[str], list[str]]]:
+def _sections() -> Iterator[tuple[str, str, list[list[str]], list[list[str]]]]:
     """Yield the heading, the meaning, the public rows and the expert rows of each table."""
     for path, struct in _structs(described(Settings), ()):
         here = [f for f in fields(struct) if not variants(f.type)]
@@ -286,7 +290,13 @@ def _sections() -> Iterator[tuple[str, str, list[str], list[str]]]:
         )
 
 
-_HEADER = ("| key | default | range | unit | meaning | source of the default |", "|---|---|---|---|---|---|")
+_COLUMNS = ["key", "default", "range", "unit", "meaning", "source of the default"]
+
+
+def _table(rows: list[list[str]]) -> list[str]:
+    """Return the lines of a table, without columns that are empty."""
+    kept = [n for n in range(len(_COLUMNS)) if any(row[n] for row in rows)]
+    return ["| " + " | ".join(row[n] for n in kept) + " |" for row in (_COLUMNS, ["---"] * len(_COLUMNS), *rows)]
 
 
 def _is_public(field: inspect.Field, struct: inspect.StructType) -> bool:
@@ -299,21 +309,12 @@ def _meaning(struct: inspect.StructType) -> str:
     return " ".join((struct.cls.__doc__ or "").partition("Raises:")[0].split())
 
 
-def _row(name: str, field: inspect.Field) -> str:
+def _row(name: str, field: inspect.Field) -> list[str]:
     assert isinstance(field.type, inspect.Metadata)
-    notes = field.type.extra_json_schema or {}
+    notes, unit = field.type.extra_json_schema or {}, unit_of(field.type)
     default = "**required**" if field.required else f"`{value_text(field.default)}`"
-    unit = unit_of(field.type)
-    unit = "" if unit in ("1", "id") else unit
-    cells = [
-        f"`{name}`",
-        default,
-        _range(field.type.type),
-        unit,
-        notes["description"],
-        notes.get("x-source", ""),
-    ]
-    return "| " + " | ".join(cells) + " |"
+    range_ = "" if isinstance(field.type.type, inspect.BoolType) else _range(field.type.type)
+    return [f"`{name}`", default, range_, "" if unit in ("1", "id") else unit, notes["description"], notes.get("x-source", "")]
 
 
 def _range(node: inspect.Type) -> str:

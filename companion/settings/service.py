@@ -47,14 +47,12 @@ class RecorderOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """
 
     enabled: Annotated[bool, choice("whether the service records from its start on", public=True)] = False
-    folder: Annotated[
-        str, text("where recordings go, from the working directory; made when it is missing", 4096, public=True)
-    ] = "recordings"
+    folder: Annotated[str, text("where recordings go, from the working directory", 4096, public=True)] = "recordings"
     frames: Annotated[
         FrameForm,
         choice(
-            "how frames are kept: as images; as a video, which takes about a twentieth of that; exactly, which takes ten times "
-            "as much; or not at all. What was seen in them is kept always",
+            "how frames are kept: as a video, a twentieth of the size of images; as images; exactly, ten times the size; or not "
+            "at all",
             public=True,
         ),
     ] = "jpeg"

@@ -141,7 +141,7 @@ class ReportLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     pad_up_m: Annotated[
         float,
         number(
-            "the same upward; where the ship reports no height (AIS) it is the pad's height over the sea",
+            "the same upward; without a reported height (AIS) the pad's height over the sea",
             "m",
             -50.0,
             50.0,
@@ -172,7 +172,7 @@ class RendezvousOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
     enabled: Annotated[
         bool,
         choice(
-            "whether the drone flies to the ship's reported place when a landing is ordered and the pad is not in sight",
+            "whether the drone flies to the ship's reported place when a landing is ordered without sight",
             public=True,
         ),
     ] = False
@@ -192,7 +192,7 @@ class RendezvousOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
     height_m: Annotated[
         float,
         number(
-            "height over the pad to which it climbs on the way, above masts; it does not descend to it",
+            "height over the pad to which it climbs, and never descends, above masts",
             "m",
             1.0,
             100.0,
@@ -234,8 +234,7 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
     nmea: Annotated[
         str,
         text(
-            "where sentences of NMEA 0183 and AIS come from: ADDRESS:PORT of this computer for UDP, as 127.0.0.1:10110; "
-            "tcp://HOST:PORT to connect to; serial:///dev/NAME:BAUD; empty for none",
+            f"where sentences of NMEA 0183 and AIS come from: {_WHERE}; empty for none",
             256,
             shortest=0,
             public=True,
@@ -244,8 +243,7 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
     nmea_from: Annotated[
         str,
         text(
-            "by UDP: the address that they must come from, whatever the port; empty for the first that sends, until it is "
-            "silent for 30 s",
+            "by UDP: the sender's address; empty for the first that sends, until it is silent for 30 s",
             64,
             shortest=0,
             public=True,

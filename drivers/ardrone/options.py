@@ -24,9 +24,7 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     control_port: Annotated[int, number("TCP port of the configuration", "port", 1, 65535)] = 5559
     model: Annotated[
         Literal["1.0", "2.0"],
-        choice(
-            "generation of the drone: a 1.0 sends UVLC pictures of 176x144 px over UDP, a 2.0 sends H.264 over TCP", public=True
-        ),
+        choice("generation of the drone: a 1.0 sends UVLC pictures of 176x144 px, a 2.0 H.264", public=True),
     ] = "2.0"
     command_period_s: Annotated[
         float,
@@ -75,7 +73,7 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
             "deg",
             1.0,
             45.0,
-            "firmware default 0.21 rad, outdoors 0.52, and it takes no more; 9 m/s of wind take 18 degrees, and its gusts 9 more",
+            "the firmware's largest is 0.52 rad; 9 m/s of wind take 18 degrees, its gusts 9 more",
             public=True,
         ),
     ] = 29.5
@@ -86,7 +84,7 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
             "m/s",
             0.2,
             2.0,
-            "the most that the firmware allows, its default is 700 mm/s; a deck of sea state 6 rises as fast",
+            "the firmware's largest; a deck of sea state 6 rises as fast",
             public=True,
         ),
     ] = 2.0

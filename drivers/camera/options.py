@@ -20,7 +20,7 @@ class ExposureOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, k
         Literal["camera", "pad"],
         choice(
             "camera: the camera's own automatics, or what camera.controls fixes; pad: the service sets exposure time and gain by "
-            'the light on the pad, and fixes the white balance (sources "v4l2" and "libcamera")',
+            "the light on the pad, and fixes the white balance (v4l2 and libcamera)",
             public=True,
         ),
     ] = "camera"
@@ -84,18 +84,17 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
     source: Annotated[
         Literal["vehicle", "v4l2", "libcamera", "gstreamer", "stream", "ros2"],
         choice(
-            "where frames come from: the vehicle itself; a camera of this computer by the kernel's V4L2, a Raspberry Pi's by "
-            "libcamera (picamera2), or by a GStreamer pipeline (Jetson); a network camera or a video file; an "
-            "image topic of ROS 2",
+            "where frames come from: the vehicle; a camera of this computer by V4L2, libcamera (Raspberry Pi) or GStreamer "
+            "(Jetson); a network camera or a video file; an image topic of ROS 2",
             public=True,
         ),
     ] = "vehicle"
     device: Annotated[
         str,
         text(
-            "of v4l2: a path under /dev/v4l/by-id or a part of its name; of libcamera: number or part of a name, empty for the "
-            "only one; of gstreamer: the pipeline up to raw frames, as nvarguscamerasrc ! nvvidconv; of stream: an address "
-            "(rtsp://...), its description (.sdp), a named pipe or a file; of ros2: a topic such as /camera/image_raw",
+            "v4l2: a path under /dev/v4l/by-id or a part of its name; libcamera: number or part of a name, empty for the "
+            "only one; gstreamer: the pipeline up to raw frames, as nvarguscamerasrc ! nvvidconv; stream: an address "
+            "(rtsp://...), its description (.sdp), a named pipe or a file; ros2: a topic such as /camera/image_raw",
             4096,
             shortest=0,
             public=True,
@@ -104,7 +103,7 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
     format: Annotated[
         Literal["auto", Format],
         choice(
-            "pixel format of v4l2; auto is the first of these that the camera offers in the camera file's size at this rate",
+            "pixel format of v4l2; auto: the first of these that the camera offers in this size and rate",
             public=True,
         ),
     ] = "auto"

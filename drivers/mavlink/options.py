@@ -53,8 +53,8 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
     operators: Annotated[
         str,
         text(
-            "systems that may command without signing, with commas between: SYSTEM or SYSTEM/COMPONENT; others are those on the "
-            "autopilot's own link, and those that sign",
+            "systems that may command without signing, beside those on the autopilot's own link: SYSTEM or SYSTEM/COMPONENT, "
+            "with commas between",
             256,
             shortest=0,
             public=True,
@@ -63,8 +63,7 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
     signing_key_file: Annotated[
         str,
         text(
-            'file with the key that messages are signed with: a path relative to the settings file, or "credential:NAME"; '
-            "empty for none",
+            'key that messages are signed with: a path or "credential:NAME"; empty for none',
             4096,
             shortest=0,
             public=True,
@@ -73,8 +72,8 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
     signing_time_file: Annotated[
         str,
         text(
-            "file that keeps the times of signed messages, sent and received, over restarts, relative to the settings file; "
-            "empty for $STATE_DIRECTORY/mavlink-signing-time, or memory alone without that",
+            "file that keeps the times of signed messages over restarts; empty for $STATE_DIRECTORY/mavlink-signing-time, or "
+            "memory alone without that",
             4096,
             shortest=0,
             public=True,
@@ -147,7 +146,7 @@ class TimeSyncOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
 
 
 class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="mavlink"):
-    """A vehicle that an ArduPilot or PX4 autopilot flies over MAVLink (docs/mavlink.md), with a camera on the computer beside it.
+    """A vehicle with an ArduPilot or PX4 autopilot (docs/mavlink.md), and a camera on the computer beside it.
 
     Raises:
         ValueError: there is no link, or the ship's id is the autopilot's; and as for `MavlinkOptions`.
@@ -189,9 +188,8 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
     landing: Annotated[
         Literal["by stack", "mode", "velocity"],
         choice(
-            "how it comes down where guidance does not fly to the contact itself (`fly land`, the mission thesis): by the "
-            "autopilot's own mode, by velocities, or what suits it: mode for ArduPilot, velocity for PX4, whose own modes lose a "
-            "moving deck",
+            "the descent of `fly land` and the mission thesis: by the autopilot's own mode, by velocities, or by stack: mode for "
+            "ArduPilot, velocity for PX4, whose own modes lose a moving deck",
             public=True,
         ),
     ] = "by stack"
@@ -215,8 +213,8 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
     disarm_on_contact: Annotated[
         bool,
         choice(
-            "whether the motors are stopped by force once guidance has felt the deck; otherwise the autopilot receives a "
-            "request, and refuses until its own land detector agrees",
+            "whether the motors are stopped by force once guidance has felt the deck, or only when the autopilot's own land "
+            "detector agrees",
             public=True,
         ),
     ] = True
@@ -264,8 +262,7 @@ class GimbalOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     device_id: Annotated[
         int,
         number(
-            "the gimbal: its component id, 154 or 171 to 175, or 1 to 6 for one that the autopilot itself drives; 0 for a camera "
-            "that is fixed on the vehicle",
+            "component id of the gimbal, 154 or 171 to 175, or 1 to 6 for one that the autopilot drives; 0 for a fixed camera",
             "id",
             0,
             255,
@@ -292,8 +289,7 @@ class GimbalOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     point_down: Annotated[
         bool,
         choice(
-            "whether to take control of the gimbal and point it down, at the start and whenever it has left; otherwise that is "
-            "somebody else's task",
+            "whether to point the gimbal down, at the start and whenever it has left; otherwise somebody else does",
             public=True,
         ),
     ] = False

@@ -180,7 +180,7 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     deck_radius_m: Annotated[
         float,
         number(
-            "distance from the pad's centre within which a range sensor is used, because the deck is certainly below",
+            "distance from the pad's centre within which a range sensor is used",
             "m",
             0.05,
             100.0,

@@ -33,7 +33,7 @@ class TrackerOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     learned: Annotated[
         Learned,
         choice(
-            "whether a trained network checks what a search finds; it can only lower a confidence",
+            "whether a trained network, which can only lower a confidence, checks what a search finds",
             "docs/vision.md",
             public=True,
         ),
@@ -41,7 +41,7 @@ class TrackerOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     learned_file: Annotated[
         str,
         text(
-            "network that checks, an ONNX file relative to the settings file; empty for the shipped one",
+            "network that checks, an ONNX file; empty for the shipped one",
             4096,
             shortest=0,
             public=True,
