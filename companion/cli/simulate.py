@@ -34,7 +34,6 @@ from sitl.scenario.with_fault import with_random_faults
 
 if TYPE_CHECKING:
     from sitl.emulators.autopilots.flight import FlightEnd
-    from sitl.emulators.autopilots.follow import FollowEnd
 
 DESCRIPTION = (
     "Simulate one flight in virtual time, without sockets. The same scenario, seed and settings give the same "
@@ -258,14 +257,9 @@ def run_follow(args: argparse.Namespace) -> int:
     settings = settings_for(scenario, args.config, by_autopilot=True)
     with shown(quiet=args.json) as observers:
         end = event_loop.run(follow(scenario, args.seed, settings, args.follow, observers))
-    ending = _ending_of(args.scenario, args.seed, end)
+    contacts = () if end.landing is None else (end.landing,)
+    ending = Ending(args.scenario, args.seed, end.outcome, contacts, end.duration_s, end.health.frames, end.started)
     more = {"follow": args.follow, "by_truth": end.by_truth, "failure": end.failure or None}
     source = "the simulator's own truth" if end.by_truth else "the autopilot's own estimate of its place"
     print_result(args, {**ending.as_json(), **more}, f"{end.failure or ending.in_words()}\njudged by {source}\n")
     return 0 if ending.on_pad else 1
-
-
-def _ending_of(scenario: str, seed: int, end: FollowEnd) -> Ending:
-    """Return how the flight ended, in the form that `simulate` prints."""
-    contacts = () if end.landing is None else (end.landing,)
-    return Ending(scenario, seed, end.outcome, contacts, end.duration_s, end.health.frames)

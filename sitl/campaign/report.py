@@ -300,7 +300,7 @@ def render_map(name: str, perception: str, flights: Iterable[Flight]) -> str:
     parts = [f"<header><h1>What lands: {escape(name)}</h1></header>", _note(note)]
     for vehicle in vehicles:
         rows = ([f"sea state {sea:g}", *(_map_cell(cells.get((vehicle, sea, wind))) for wind in winds)] for sea in seas)
-        heads = ("", *(f"{wind:g} m/s" for wind in winds))
+        heads = ("sea and wind", *(f"{wind:g} m/s" for wind in winds))
         parts.append(f'<h2>{escape(vehicle)}</h2><div class="map">{table(heads, rows)}</div>')
     return document(f"What lands: {name}", "\n".join(parts), _STYLE)
 

@@ -447,7 +447,10 @@ class Ending(Struct, frozen=True):
         """Return lines that say how it ended, name each further contact and unsafe act, and say if the machine was too slow."""
         lines = [f"{self.word} after {self.duration_s:.1f} s, without touching anything"]
         if self.contact is not None:
-            lines = [f"{self.word} after {self.duration_s:.1f} s, {_in_words(self.contact)}"]
+            # The vehicle reports its landing some time after the contact, from which the report's time counts too.
+            landed = self.outcome is FlightOutcome.LANDED
+            after_s = seconds_between(self.started, self.contact.at) if landed else self.duration_s
+            lines = [f"{self.word} after {after_s:.1f} s, {_in_words(self.contact)}"]
             lines += [
                 f"before that, at {seconds_between(self.started, c.at):.1f} s, {_in_words(c)}"
                 + ("" if c.guidance_phase is None else f" (guidance: {c.guidance_phase})")
@@ -480,9 +483,8 @@ class Ending(Struct, frozen=True):
         return out
 
     def write_into(self, log: FlightLog) -> None:
-        """Write outcome, contacts and verdicts into the log of the report."""
-        log.outcome = self.word
-        log.verdicts = Counter(self.frames)
+        """Write outcome, start, contacts and verdicts into the log of the report."""
+        log.outcome, log.started, log.verdicts = self.word, self.started, Counter(self.frames)
         log.contacts = [
             LoggedContact(
                 c.at,

@@ -40,7 +40,7 @@ def test_every_contact_and_what_was_unsafe_is_reported() -> None:
     assert (reported["refused"], reported["grade"]) == (None, "failed")
     assert reported["faults"] == [{"kind": "frames_frozen", "at_s": 6.2}]
     assert ENDING.in_words().splitlines() == [
-        "landed after 15.2 s, on the pad: 8.1 cm from its centre, descending at 0.41 m/s, sliding at 0.02 m/s",
+        "landed after 14.5 s, on the pad: 8.1 cm from its centre, descending at 0.41 m/s, sliding at 0.02 m/s",
         "before that, at 9.0 s, on deck, off the pad: 48.0 cm from its centre, descending at 0.56 m/s, sliding at 0.05 m/s "
         "(guidance: descend)",
         "fault: frames_frozen from 6.2 s on",

@@ -196,7 +196,7 @@ def render_comparison(recorded: Sequence[FlightLog], films: Sequence[FilmFile | 
         page_parts.transport(),
         page_parts.help_line(),
         "<section><h2>Touchdown and trajectory</h2>",
-        *(f"<h3>{escape(flight.label)}</h3>{page_parts.contacts(log)}" for flight, log in zip(flights, logs, strict=True)),
+        *(f"<h3>{escape(of.label)}</h3>{page_parts.contacts(log, of.label)}" for of, log in zip(flights, logs, strict=True)),
         page_parts.views("the pad to scale, the ways of both drones, and their contacts"),
         _pads(logs),
         "</section>",
@@ -265,7 +265,7 @@ def _outcomes(logs: Sequence[FlightLog]) -> str:
         apart = values[1] - values[0]
         cells.append(f"{apart:+.{digits}f} {unit}".rstrip() if math.isfinite(apart) else "-")
         rows.append([escape(name.partition(", ")[0]), *cells])
-    heads = ["", *(f"{LETTERS[k]}<br>{escape(log.title)}" for k, log in enumerate(logs)), "B minus A"]
+    heads = ["figure", *(f"{LETTERS[k]}<br>{escape(log.title)}" for k, log in enumerate(logs)), "B minus A"]
     return page_parts.table(heads, rows)
 
 

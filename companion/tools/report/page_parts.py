@@ -74,13 +74,13 @@ def cards(cells: Iterable[tuple[str, str]]) -> str:
     )
 
 
-def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table that scrolls by itself where it is too wide; cells are HTML."""
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]], of: str = "") -> str:
+    """Return a table that scrolls by itself where it is too wide; cells are HTML, `of` tells it from another one of its kind."""
     head = "".join(f"<th>{name}</th>" for name in heads)
     body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
     return (
-        f'<div class="wide" tabindex="0" role="region" aria-label="table: {heads[0]}"><table><thead><tr>{head}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
+        f'<div class="wide" tabindex="0" role="region" aria-label="table: {heads[0]} {escape(of)}"><table>'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
     )
 
 
@@ -88,7 +88,7 @@ def films(flights: Sequence[PageFlight], have: Sequence[FilmFile | None]) -> str
     """Return the videos, without controls of their own: the page's transport moves them."""
     parts = []
     for k, (flight, film) in enumerate(zip(flights, have, strict=True)):
-        name = f"<h3>{escape(flight.label)}</h3>" if len(flights) > 1 else ""
+        name = f"<h2>{escape(flight.label)}</h2>" if len(flights) > 1 else ""
         shown = '<p class="note">No frames were kept.</p>'
         if film is not None and not film.frames:
             shown = f'<img alt="from the drone\'s camera" src="data:image/jpeg;base64,{base64.b64encode(film.data).decode()}">'
@@ -228,7 +228,7 @@ _FEW = 20
 """Hundredths are no statistic below this many samples."""
 
 
-def contacts(log: FlightLog) -> str:
+def contacts(log: FlightLog, of: str = "") -> str:
     """Return every contact: when, with what, where and how fast."""
     if not log.contacts:
         return '<p class="note">No touchdown was recorded.</p>'
@@ -248,7 +248,7 @@ def contacts(log: FlightLog) -> str:
         "contact", "after", "with", "off centre", "along<br>the arrow", "to<br>starboard", "heading", "down", "sideways",
         "guidance",
     ]  # fmt: skip
-    return table(heads, rows)
+    return table(heads, rows, of)
 
 
 def errors(log: FlightLog, series: list[Series]) -> str:

@@ -331,7 +331,8 @@ class FollowEnd(Struct, frozen=True):
     health: Health
     by_truth: bool
     """True if the simulator reported the true position; otherwise it is the autopilot's estimate."""
-    failure: str = ""
+    failure: str
+    started: MonoNs
 
 
 class DeckUnder:
@@ -415,9 +416,8 @@ async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, ob
             side.daemon.stop()
             await daemon
     on_ground = pilot.outcome in (FlightOutcome.LANDED, FlightOutcome.LANDED_BY_OTHERS)
-    return FollowEnd(
-        pilot.outcome, watcher.landing if on_ground else None, watcher.flown_s, side.daemon.health, watcher.by_truth, failure
-    )
+    landing, started = watcher.landing if on_ground else None, watcher.flew or MonoNs(0)
+    return FollowEnd(pilot.outcome, landing, watcher.flown_s, side.daemon.health, watcher.by_truth, failure, started)
 
 
 class _Watcher:
@@ -427,7 +427,7 @@ class _Watcher:
         self._scenario, self._seed, self._side, self._clock = scenario, seed, side, clock
         self._source = PoseSource()
         self._deck: DeckUnder | None = None
-        self._flew: MonoNs | None = None
+        self.flew: MonoNs | None = None
         self._newest: AutopilotPose | None = None
         self._placed: MonoNs | None = None
         """Instant of the first pose with a position."""
@@ -446,7 +446,7 @@ class _Watcher:
 
     @property
     def flown_s(self) -> float:
-        return 0.0 if self._flew is None else seconds_between(self._flew, self._clock.now())
+        return 0.0 if self.flew is None else seconds_between(self.flew, self._clock.now())
 
     async def film(self, pool: ThreadPoolExecutor, daemon: asyncio.Task[FlightOutcome | None]) -> str:
         """Make frames, one a period, and return the reason why there was no flight, or an empty text."""
@@ -500,8 +500,8 @@ class _Watcher:
             self._deck, self.by_truth = DeckUnder(self._scenario, self._seed, pose, not flying), pose.is_truth
         if pose.is_truth is not self.by_truth:
             return None
-        if flying and self._flew is None:
-            self._flew = now
+        if flying and self.flew is None:
+            self.flew = now
         if self._deck.height_m(pose) > _CLEAR_M:
             self._descent_rate_m_s = float(pose.v_ned[2])
         self._last = pose

@@ -457,12 +457,9 @@ async def test_a_person_reads_findings_and_mends_the_settings(tmp_path: Path) ->
         await one.page.click("#save-settings")
         await one.shows("settings-note", r"Saved; the one before is rig\.toml\.before")
         assert path.read_text() == FASTER
-        for scheme in ("light", "dark"):
-            await one.page.emulate_media(color_scheme=scheme)
-            await one.page.set_viewport_size(PHONE)
-            assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        assert await violations(one) == []
-        assert one.faults == []
+        await one.page.set_viewport_size(PHONE)
+        assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert (await violations(one), one.faults) == ([], [])
 
 
 @pytest.fixture(scope="module")
@@ -523,6 +520,7 @@ async def ticks_s(one: Window) -> list[float]:
 @pytest.mark.timeout(300)
 async def test_one_cursor_for_plots_events_keys_and_video(report: Path) -> None:
     async with opened(report) as (one, asked):
+        assert await cursor_s(one) > 3.9, "it opens at the touchdown"
         x, y, width, height = await axis(one)
         await one.page.mouse.click(x + 52 + 0.5 * (width - 60), y + height / 2)
         assert await cursor_s(one) == pytest.approx(2.0, abs=0.05)
@@ -557,12 +555,11 @@ async def test_a_plot_zooms_by_drag_wheel_and_keys_and_all_plots_with_it(report:
         assert await one.page.locator("figure.plot .selected").first.is_visible()
         await one.page.mouse.up()
         assert await ticks_s(one) == pytest.approx([1.0, 2.0], abs=0.05)
-        before = await ticks_s(one)
         await one.page.mouse.move(x + width / 2, y + height / 2)
         await one.page.mouse.wheel(0, -200)  # over a plot that was clicked
         await one.page.wait_for_timeout(300)
         closer = await ticks_s(one)
-        assert closer[1] - closer[0] < 0.75 * (before[1] - before[0])
+        assert closer[1] - closer[0] < 0.75
         await one.page.keyboard.press("0")
         assert await ticks_s(one) == pytest.approx([0.0, 4.0], abs=0.05)
         assert one.faults == []
@@ -636,14 +633,17 @@ async def test_nothing_overlaps_or_is_too_small_on_phone_and_laptop(report: Path
 async def test_a_printed_report_is_whole(report: Path) -> None:
     async with opened(report) as (one, _):
         await one.page.emulate_media(media="print")
+        await one.page.locator("figure.view canvas").last.evaluate("(c) => (c.hidden = true)")
         await one.page.evaluate("dispatchEvent(new Event('beforeprint'))")
         cut = """() => [...document.querySelectorAll(".wide, pre, ol.events")]
           .map((e) => getComputedStyle(e).overflowY).filter((overflow) => overflow !== "visible")"""
         assert await one.page.evaluate(cut) == []
+        shape = "(c) => (c.width * c.clientHeight) / (c.clientWidth * c.height)"
+        assert await one.page.locator("figure.view canvas").first.evaluate(shape) == pytest.approx(1.0, abs=0.02), "to scale"
         assert await one.page.evaluate("document.querySelectorAll('details:not([open])').length") == 0
         pages = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", await one.page.pdf(prefer_css_page_size=True))
-        assert pages
-        assert all(float(width) > float(height) for width, height in pages), "landscape"
+        assert {float(width) > float(height) for width, height in pages} == {True}, "landscape"
+        assert one.faults == [], "a canvas without a pixel breaks nothing"
 
 
 @pytest.mark.timeout(300)
@@ -663,5 +663,5 @@ async def test_two_films_go_together(tmp_path: Path) -> None:
         for k, at in enumerate((2.0, 1.5)):
             await holds(one, f"Math.abs(document.querySelectorAll('video')[{k}].currentTime - {at + t}) < 0.06")
         assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        assert one.faults == []
+        assert (await violations(one), one.faults) == ([], [])
         assert len([url for url in asked if url.startswith("file:")]) == 1

@@ -7,30 +7,30 @@ const BOTTOM = 20;
 
 const FONT = '11px system-ui, -apple-system, "Segoe UI", "Noto Sans", "DejaVu Sans", sans-serif';
 
-// A canvas of the page that is drawn when it is in sight.
+// A canvas of the page.
 class Canvas {
   constructor(figure, data, page) {
     this.data = data;
     this.page = page;
     this.canvas = figure.querySelector("canvas");
     this.inSight = false;
-    this.stale = true;
   }
 
   get shown() {
     return this.layers.filter((layer) => !this.page.hidden.has(layer.name));
   }
 
-  draw() {
-    this.stale = !this.inSight;
-    if (this.stale) return;
-    const [width, height, ratio] = [this.canvas.clientWidth, this.canvas.clientHeight, Math.min(3, devicePixelRatio || 1)];
-    this.canvas.width = Math.round(width * ratio);
-    this.canvas.height = Math.round(height * ratio);
+  // Not where the page leaves it no pixel: an empty canvas has no image to keep.
+  draw(anyway = false) {
+    const [width, height, ratio] = [this.canvas.clientWidth, this.canvas.clientHeight, Math.max(anyway ? 2 : 1, Math.min(3, devicePixelRatio))];
+    if (!(anyway || this.inSight) || width < 1 || height < 1) return;
+    [this.canvas.width, this.canvas.height] = [Math.ceil(width * ratio), Math.ceil(height * ratio)];
     const pen = this.canvas.getContext("2d");
     pen.scale(ratio, ratio);
     pen.font = FONT;
     this.paint(pen, width, height);
+    // Chromium prints the lines of a canvas, and too small, unless it was given an image.
+    if (anyway) pen.putImageData(pen.getImageData(0, 0, this.canvas.width, this.canvas.height), 0, 0);
     this.cursor();
   }
 }
@@ -225,7 +225,6 @@ class TimePlot extends Canvas {
   }
 
   cursor() {
-    if (!this.inSight) return;
     const { t, view } = this.page.clock;
     this.line.hidden = t < view[0] - 1e-6 || t > view[1] + 1e-6;
     this.line.style.transform = `translateX(${this.x(t).toFixed(1)}px)`;

@@ -13,7 +13,7 @@ for (const film of document.querySelectorAll("video")) {
   clock.videos.push(new FlightFilm(film, data.flights[film.dataset.flight].video));
 }
 
-// Only what is in sight is drawn; the rest when it comes.
+// Only what is in sight is drawn again; each was drawn once, for a picture of the whole page.
 const seen = new IntersectionObserver(
   (entries) => {
     for (const { target, isIntersecting } of entries) {
@@ -25,14 +25,17 @@ const seen = new IntersectionObserver(
   { rootMargin: "300px" },
 );
 for (const { canvas } of drawings) seen.observe(canvas);
-// Paper has no window: everything is drawn before it.
+drawings.forEach((drawing, k) => setTimeout(() => drawing.draw(true), 20 * k));
+// Paper has no window: everything is drawn before it, and as wide.
+function paper(on) {
+  document.body.classList.toggle("paper", on);
+  for (const drawing of drawings) drawing.draw(on);
+}
 addEventListener("beforeprint", () => {
   for (const closed of document.querySelectorAll("details")) closed.open = true;
-  for (const drawing of drawings) {
-    drawing.inSight = true;
-    drawing.draw();
-  }
+  paper(true);
 });
+addEventListener("afterprint", () => paper(false));
 const redraw = () => drawings.forEach((drawing) => drawing.draw());
 new ResizeObserver(redraw).observe(document.body);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
@@ -98,7 +101,7 @@ function tellEvents() {
 }
 
 clock.on("cursor", () => {
-  drawings.forEach((drawing) => drawing.cursor());
+  for (const drawing of drawings) if (drawing.inSight) drawing.cursor();
   slider.value = clock.t;
   time.textContent = `${clock.t.toFixed(2).replace("-", "\u2212")} s`;
   slider.setAttribute("aria-valuetext", time.textContent);
@@ -113,8 +116,7 @@ clock.on("play", () => {
   play.textContent = clock.playing ? "Pause" : "Play";
 });
 clock.hurry(1);
-// The first instant of which there is something to show: the first picture, else the first figure.
-const firsts = clock.videos.length
-  ? clock.videos.map((video) => video.from)
-  : figures.flatMap(({ flight }) => flight.figures.map(({ t }) => page.columns[t][0] ?? Infinity));
-clock.seek(Math.max(clock.begin, Math.min(...firsts, clock.end)));
+// It opens with the newest figures at the touchdown, else with the first; without figures with the first picture.
+const instants = page.columns[data.flights[0].figures[0]?.t] ?? [clock.videos[0]?.from ?? clock.begin];
+const touched = document.querySelector("tr:last-child [data-t]");
+clock.seek(instants[touched ? Math.max(0, indexAt(instants, Number(touched.dataset.t))) : 0] ?? clock.begin);

@@ -137,7 +137,7 @@ class PadView extends Canvas {
   }
 
   cursor() {
-    if (!this.inSight || !this.whole) return;
+    if (!this.whole) return;
     const pen = this.canvas.getContext("2d");
     pen.putImageData(this.whole, 0, 0);
     for (const layer of this.shown) {
