@@ -138,7 +138,7 @@ $(VENV)/.docs: requirements/docs.txt $(VENV)/.dev
 	$(INSTALL) requirements/docs.txt
 	@touch $@
 
-$(VENV)/.supply: requirements/supply.txt $(VENV)/.dev
+$(VENV)/.supply: requirements/supply.txt $(VENV)/.runtime
 	$(INSTALL) requirements/supply.txt
 	@touch $@
 

@@ -14,7 +14,7 @@ event changes the state by the table or not at all. Three rules follow from the 
 `CommandStreamer` builds each period's command of it: this REF, the sticks of `velocity_loop`, and the watchdog's reset.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from enum import Enum
 from types import MappingProxyType
 
@@ -27,7 +27,7 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import VelocityLoop
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.time import MonoNs, after, seconds_between
-from estimator.contracts.total_table import next_states, total
+from estimator.contracts.total_table import total
 
 
 class Custody(Enum):
@@ -271,27 +271,6 @@ class CustodyKeeper:
             return True
         again_s = _CUT_AGAIN_S if cuts and self._report is not None and self._report.flying else _TOGGLE_S
         return seconds_between(toggled_at, heard_at) >= again_s
-
-
-_SHARED = {**_CUT, _E.STANDS: _C.STANDS, _E.FLIES: _C.OURS, _E.DEAD: _C.DEAD, **_LANDS, **_LAND}
-
-
-def lines() -> Iterator[str]:
-    """Yield the table as docs/ardrone.md has it: what events do in most states, and each state's REF with what differs there."""
-    sent = {None: "none", REF_BASE: "land", STAY_UP: "take off"}
-    yield "- in most: " + _in_words(_SHARED, dict.fromkeys(_SHARED))
-    for state, row in TABLE.items():
-        usual = {event: _SHARED.get(event, state) for event in row}
-        bit = "toggle" if state in _TOGGLES else sent[_REF[state]]
-        yield f"- {state.value} [{bit}]: {_in_words(row, usual, state) or 'as most'}"
-
-
-def _in_words(row: _Row, usual: Mapping[CustodyEvent, Custody | None], stays: Custody | None = None) -> str:
-    ways = (
-        ("stays" if to is stays else f"**{to.value}**") + f" ({', '.join(e.value for e in by)})"
-        for to, by in next_states(row, usual)
-    )
-    return ", ".join(ways)
 
 
 class _Motion(Struct, frozen=True):

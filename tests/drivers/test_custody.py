@@ -4,7 +4,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from drivers.ardrone import at
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.arbiter import CLEAR_M, HOVER, STAY_UP, Cause, CommandArbiter, LandingWatch, TimedCommand
 from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, REF_TAKE_OFF
-from drivers.ardrone.custody import DEAD_OR_CUT, TABLE, Custody, CustodyEvent, CustodyKeeper, lines
+from drivers.ardrone.custody import DEAD_OR_CUT, TABLE, Custody, CustodyEvent, CustodyKeeper
 from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import RESET, LoopState, Sticks, VelocityLoop, held, lean, step
@@ -256,11 +255,6 @@ def test_a_landing_that_guidance_began_is_taken_back_though_its_report_is_late()
     keeper.on_report(before, MonoNs(at + 2 * PERIOD_NS))
     keeper.on_report(drone.report(), MonoNs(at + 3 * PERIOD_NS))
     assert keeper.ref(MonoNs(at + 3 * PERIOD_NS)) == STAY_UP
-
-
-def test_the_page_is_what_the_table_says() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "ardrone.md").read_text(encoding="utf-8")
-    assert "\n".join(lines()) in page, "the lines are those of drivers.ardrone.custody.lines()"
 
 
 AHEAD = at.Pcmd(at.PCMD_PROGRESSIVE, 0.0, -0.5, 0.0, 0.0)

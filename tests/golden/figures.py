@@ -2,7 +2,7 @@
 
     python -m tests.golden.figures "why they changed"
 
-writes them again and adds the reason to REASONS.md; the tests hold to them. How the recordings were made: docs/recordings.md.
+writes them again and adds the reason to REASONS.md; the tests hold to them. How the recordings were made: CONTRIBUTING.md.
 """
 
 import hashlib
