@@ -119,7 +119,7 @@ def _fits(recording: Recording, courses: FlownCourses, start: Response) -> tuple
         raise BadInput(f"{recording.name}: no response can be identified: {why}")
     tilt = None if courses.tilt is None else fit_tilt(courses.tilt, start.tilt)
     if tilt is None:
-        by_hand = f", beside {courses.velocities} for velocities, as by hand" if courses.velocities else ""
+        by_hand = f"; {courses.velocities} others are velocities, as by hand" if courses.velocities else ""
         raise BadInput(
             f"{recording.name}: no response can be identified: {courses.leans} commands for a tilt and the vehicle's attitude "
             f"overlap by less than 4 s{by_hand}; {_CURE}"
@@ -149,7 +149,7 @@ def _lines(
         by = "the accelerometer" if courses.by_accelerometer else "the reported speed"
         out += [
             f"climb  delay {_ms(c.delay_s, c.delay_sigma_s)} ms, lag {_ms(c.lag_s, c.lag_sigma_s)} ms",
-            f"       {climb.gain:.2f} of the command, {climb.fitted.residual:.3f} m/s beside the model, by {by}",
+            f"       {climb.gain:.2f} of the command, {climb.fitted.residual:.3f} m/s off the model, by {by}",
         ]
     out.append(
         f"given  tilt delay {_ms(start.tilt.delay_s, start.tilt.delay_sigma_s)} ms, "

@@ -297,7 +297,7 @@ class ProgressObserver(NullObserver):
         where = "pad not seen yet"
         if belief is not None:
             seen_s = belief.age_s(decision.at)
-            where = f"height {belief.height_m:5.2f} m   beside {belief.lateral_m:5.2f} m   seen {seen_s:4.1f} s ago"
+            where = f"height {belief.height_m:5.2f} m   sideways {belief.lateral_m:5.2f} m   seen {seen_s:4.1f} s ago"
         time_s = seconds_between(self._began, decision.at)
         if decision.reason:
             return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {decision.reason}"

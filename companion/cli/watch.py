@@ -246,7 +246,7 @@ def _details(drone: DroneModel, now_s: float, width: int, paint: Paint) -> list[
             yaw = "--" if state.belief.yaw_rad is None else f"{math.degrees(state.belief.yaw_rad):+.0f} deg"
             alert = "" if state.belief.consistent else paint("   inconsistent", _RED)
             lines.append(
-                f"estimate {path}   sigma {beside_cm:.1f} cm beside, {height_cm:.1f} cm height"
+                f"estimate {path}   sigma {beside_cm:.1f} cm sideways, {height_cm:.1f} cm height"
                 f"   pad moves {v[0]:+.2f} {v[1]:+.2f} {v[2]:+.2f} m/s   heading {yaw}{alert}"
             )
         lines.append(f"order    {_order(drone)}")
@@ -308,7 +308,7 @@ def _where(drone: DroneModel) -> str:
         return "not seen yet"
     forward, right, down = belief.d_body_pad_level
     return (
-        f"height {down:5.2f} m   beside {math.hypot(forward, right):5.2f} m   forward {forward:+.2f} right {right:+.2f}"
+        f"height {down:5.2f} m   sideways {math.hypot(forward, right):5.2f} m   forward {forward:+.2f} right {right:+.2f}"
         f"   seen {1e-9 * (belief.at_ns - belief.sighted_ns):.1f} s ago"
     )
 

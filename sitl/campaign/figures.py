@@ -277,8 +277,8 @@ def in_words(summary: dict[str, Any]) -> str:
     """Return the summary in a few lines for people."""
     low, high = summary["on_pad_interval"]
     lines = [
-        f"{summary['runs']} flights of {summary['scenario']} ({summary['perception']}): {summary['on_pad']} on the pad "
-        f"({100 * low:.1f} to {100 * high:.1f} %), {summary['refused']} refused rightly, {summary['failed']} failed"
+        f"{summary['runs']} flights of {summary['scenario']} ({summary['perception']}): {summary['on_pad']} on the pad (95 % "
+        f"interval {100 * low:.1f} to {100 * high:.1f} %), {summary['refused']} refused as expected, {summary['failed']} failed"
         + (f", {summary['errors']} of them by an error" if summary["errors"] else "")
     ]
     if summary["lateral_median_m"] is not None:

@@ -126,7 +126,7 @@ def _cards(whole: Tally) -> str:
     low, high = wilson(c["on_pad"], c["runs"])
     return cards(
         [
-            (f"on the pad ({100 * low:.1f} to {100 * high:.1f} %)", f"{100 * c['on_pad'] / c['runs']:.1f} %"),
+            (f"on the pad (95 % interval {100 * low:.1f} to {100 * high:.1f} %)", f"{100 * c['on_pad'] / c['runs']:.1f} %"),
             ("standing error, median", cm("standing_m", 0.5)),
             ("standing error, 95 %", cm("standing_m", 0.95)),
             ("at the contact, median", cm("lateral_m", 0.5)),

@@ -51,19 +51,17 @@ def page(chapter: Chapter5, photographs: Photographs | None, command: str) -> st
     """
     parts = [
         "# The thesis' experiments again",
-        f"Made by `{command}`. The thesis (Sundvoll 2020, chapter 5) flew a motionless ship in a simulator without wind; this is "
-        "the same with the simulated AR.Drone. Where methods are compared it reports its attitude without error, as the thesis' "
-        "simulator nearly did. A real one errs by half a degree: 9 mm of x and y for each metre of height. Dead "
-        "reckoning and the landings fly with all the errors that a real one was measured to have. Axes are the thesis': x ahead "
-        "of the pad along the drone's nose, y to the left, z up. \"Here\" is the thesis' method with its errors put right, and "
-        '"best" is the estimate that all methods make together. The thesis counted each estimate two to four times, at 20 Hz; '
-        "here each frame counts once, at 10 Hz.",
+        f"Made by `{command}`. The thesis (Sundvoll 2020, chapter 5) flew over a motionless ship in a simulator without wind; "
+        "this is the same with the simulated AR.Drone. Where methods are compared it reports its attitude without error; a real "
+        "one errs by half a degree: 9 mm of x and y for each metre of height. Dead reckoning and the landings have all errors of "
+        "a real one. Axes are the thesis': x ahead of the pad along the drone's nose, y to the left, z up. \"Here\" is the "
+        'thesis\' method with its errors corrected, "best" the estimate of all methods together. Each frame counts once.',
         "## 5.1.2 Up and down",
         _up_and_down(chapter),
         "![Errors of every method between 0.2 and 5 m](experiments_up_and_down.png)",
         "## 5.1.3 Hovering at six heights",
-        "Mean ± standard deviation of the error, and in how many frames there was an estimate. A dash or no row is no estimate; "
-        "cells that cannot be read in the printed tables are empty.",
+        "Mean ± standard deviation of the error, and share of frames with an estimate. A dash or no row is no estimate; cells "
+        "that cannot be read in the thesis are empty.",
         *(_hovering(chapter, quantity) for quantity in QUANTITIES),
         "![Mean and standard deviation of each method at six heights](experiments_hover.png)",
         "## 5.1.4 A step through the filter",
@@ -133,9 +131,8 @@ def _drifts(chapter: Chapter5) -> str:
     rows = [
         (one.path, f"{one.held_s:.0f} s", f"{one.end_m:.2f} m", f"{one.sigma_m:.2f} m", f"{one.most_m:.2f} m") for one in found
     ]
-    return (
-        f"The pad was out of view for {found[0].blind_s:.0f} s. The thesis integrated the simulator's true velocity and printed "
-        "no figure.\n\n" + _table("path | held for | horizontal error then | claimed, one sigma of an axis | largest error", rows)
+    return f"The pad was out of view for {found[0].blind_s:.0f} s. The thesis printed no figure.\n\n" + _table(
+        "path | held for | horizontal error then | claimed, one sigma of an axis | largest error", rows
     )
 
 
@@ -145,8 +142,7 @@ def _headings(chapter: Chapter5) -> str:
         share = 100 * len(errors) / max(1, chapter.turn.frames)
         rows.append((method, f"{share:.0f} %", f"{errors.mean():.2f} ± {errors.std():.2f}", f"{float(abs(errors).max()):.2f}"))
     return _table("method | frames with a heading | mean ± standard deviation, degrees | worst", rows) + (
-        "\n\nThe corners of an H look the same after half a turn: their heading counts up to half a turn, here and in table 5.4. "
-        "The thesis took the one from -90 to 90 degrees and stepped over at its ends; here it counts as ambiguous."
+        "\n\nThe corners of an H look the same after half a turn: their heading counts up to half a turn, here and in table 5.4."
     )
 
 
@@ -157,9 +153,8 @@ def _landings(chapter: Chapter5) -> str:
         where = _NONE if landed.lateral_m is None else f"{100 * landed.lateral_m:.1f} cm"
         rows.append((name, words, where, f"{landed.duration_s:.0f} s"))
     return (
-        "From (1, 2, 3.5) m at -90 degrees. The thesis printed tracks and no figures; the network of its external controller was "
-        "not published, so a proportional law that receives the estimate and returns a command stands for it.\n\n"
-        + _table("controller | outcome | from the pad's centre | time", rows)
+        "From (1, 2, 3.5) m at -90 degrees. The thesis printed no figures; a proportional law stands for its external "
+        "controller, which was not published.\n\n" + _table("controller | outcome | from the pad's centre | time", rows)
     )
 
 
@@ -173,9 +168,8 @@ def _photographs(photographs: Photographs | None) -> str:
             errors = f"{photographs.median_percent[method]:.2f} % of range", f"{photographs.p95_percent[method]:.2f} %"
         rows.append((method, f"{100 * number / max(1, photographs.number):.0f} %", *errors))
     return (
-        "The images of the outdoor flight were not published. In their place "
-        f"{photographs.number} photographs of the same pad, printed, each searched by itself, against poses solved from hand "
-        "labels. The thesis' own code with its indoor limits finds the pad in 81 % of them and errs by 32 % of the range in the "
+        f"The images of the outdoor flight were not published: these are {photographs.number} photographs of the printed pad, "
+        "against poses by hand labels. The thesis' own code finds the pad in 81 % of them and errs by 32 % of the range in the "
         "median.\n\n" + _table("method | found | error, median | 95th percentile", rows)
     )
 

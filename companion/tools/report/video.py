@@ -209,7 +209,7 @@ def _sheet(log: FlightLog, film: U8, now_s: float, at_s: F64, over_pad: F64) -> 
     if past.any():
         x, y, up_m = over_pad[past][-1]
         _write(sheet, f"{now_s:.1f} s  {phase}", (8, 18))
-        _write(sheet, f"height {max(up_m, 0.0):.2f} m  beside {math.hypot(x, y):.2f} m", (8, height - 8))
+        _write(sheet, f"height {max(up_m, 0.0):.2f} m  sideways {math.hypot(x, y):.2f} m", (8, height - 8))
     return sheet
 
 

@@ -71,7 +71,7 @@ def full() -> WatchModel:
 def test_one_screen_shows_where_the_pad_is_how_the_parts_are_and_what_happened() -> None:
     text = "\n".join(screen(full(), 0.0, 150, 45, colour=False))
     for part in (
-        "connected", "deck  online  version 1.2", "phase    approach", "height  2.00 m   beside  0.36 m", "sigma 20.0 cm beside",
+        "connected", "deck  online  version 1.2", "phase    approach", "height  2.00 m   sideways  0.36 m", "20.0 cm sideways",
         "heading +29 deg", "forward +0.40 right +0.50 down +0.60 m/s   turn +40 deg/s", "flying   battery 15 %",
         "exposure to belief 25.0 ms (p99 29.9)", "fused 1", "events delivered 0, waiting 3", "phase    pad in sight",
     ):  # fmt: skip
@@ -186,7 +186,7 @@ async def test_where_there_is_no_terminal_it_prints_lines(broker: Broker, tmp_pa
                 await asyncio.sleep(0.1)
 
         wanted = [
-            re.compile(r"^deck online approach: height  2\.00 m   beside  0\.36 m .* battery 80 %$", re.MULTILINE),
+            re.compile(r"^deck online approach: height  2\.00 m   sideways  0\.36 m .* battery 80 %$", re.MULTILINE),
             re.compile(r"^deck event \d+ phase: number \d+$", re.MULTILINE),
         ]
         text = ""
