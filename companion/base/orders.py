@@ -2,7 +2,9 @@
 
 import math
 import re
+import tomllib
 from enum import Enum
+from pathlib import Path
 
 from msgspec import Struct
 
@@ -68,11 +70,19 @@ class OrderSender(Struct, frozen=True):
         return f"{self.source.value} {self.name}".rstrip()
 
     def reads(self, text: str) -> str:
-        """Return a text as the person at this page or terminal reads it: its sender as "you", the others without numbers."""
+        """Return a text as the person at this page or terminal reads it: its sender as "you", the others without numbers.
+
+        A page names its buttons where the text has orders in quotes.
+        """
+        if self.source is OrderSource.PAGE:
+            text = _QUOTED.sub(lambda m: f'"{WORDS["orders"].get(m[1], m[1])}"', text)
         text = text.replace(str(self), "you")
         return _NUMBERED.sub(lambda m: f"{'another' if m[1] == self.source.value else 'a'} {m[1]} ", text)
 
 
+WORDS: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("words.toml").read_text("utf-8"))
+"""The words of a screen by what they are of: `orders`, `phases`, `situations`."""
+_QUOTED = re.compile(r'"(\w+)"')
 _NUMBERED = re.compile(r"\b(page|terminal) \d+ (?=\()")
 """A page or a terminal by the number of its connection, which no screen shows."""
 

@@ -312,7 +312,7 @@ class OperatorArbiter:
         if control.hand is not None:
             status = self._guided.vehicle
             flies = status is not None and status.flying is not False and not status.emergency
-            return Chosen(self._manual() if flies else None, BY_HAND, str(control.hand))
+            return Chosen(self._manual() if flies else None, BY_HAND, f"by {control.hand}")
         return Chosen(guided)
 
     def undelivered(self, command: Command, now: MonoNs, why: str = "") -> None:
@@ -354,7 +354,7 @@ class OperatorArbiter:
         earlier, given = control.accepted
         ago_s = seconds_between(given.at, now)
         if sender != given.sender and ago_s <= CROSSING_S and crossed(order, earlier):
-            return f"{given.sender} ordered {earlier.value} {ago_s:.1f} s ago"
+            return f'{given.sender} ordered "{earlier.value}" {ago_s:.1f} s ago'
         return None
 
     def _carry_out(self, order: OperatorOrder, given: Given) -> None:

@@ -79,10 +79,10 @@ REASONS: Mapping[Rule, str] = MappingProxyType(
         Rule.OVER: "the flight is over: {outcome}",
         Rule.FLYING: "the vehicle flies already",
         Rule.ON_GROUND: "the vehicle is on the ground",
-        Rule.LANDING: "a landing that {holder} ordered is under way: hold or abort stops it",
+        Rule.LANDING: 'a landing that {holder} ordered is under way: "hold" or "abort" stops it',
         Rule.NO_HAND: "nobody flies by hand",
         Rule.NO_EMERGENCY: "the vehicle is not in its emergency state",
-        Rule.EMERGENCY: "the motors were cut: leave the emergency state first (reset)",
+        Rule.EMERGENCY: 'the motors were cut: "reset" first',
         Rule.UNHEARD: "the vehicle is silent",
     }
 )

@@ -23,7 +23,7 @@ from companion.base.health import HealthSnapshot, missing_inputs
 from companion.base.loop_lag import stuck
 from companion.base.mission import FAULTS, FLOWN
 from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame, ThingReport, things_of
-from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
+from companion.base.orders import WORDS, HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.worker import Worker
 from companion.facts import encode as facts
 from companion.facts.wire import OrderRequest, SticksRequest
@@ -262,10 +262,13 @@ class PageEndpoint(NullObserver):
         for change in decision.transitions:
             level: Level = "warning" if change.event in FAULTS else "info"
             todo = advice(change.target, change.reason) if change.event in FAULTS else ""
-            self._tell(decision.at, level, f"{change.target.value}: {change.reason.text}", todo)
+            phase = WORDS["phases"].get(change.target.value, change.target.value)
+            self._tell(decision.at, level, f"{phase}: {change.reason.text}", todo)
 
     def on_order(self, handled: HandledOrder) -> None:
-        self._tell(handled.at, "info" if handled.accepted else "warning", str(handled))
+        said = str(handled).removeprefix(f"{handled.sender}: {handled.order.value}")
+        named = WORDS["orders"].get(handled.order.value, handled.order.value)
+        self._tell(handled.at, "info" if handled.accepted else "warning", f"{handled.sender}: {named}{said}")
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         for tool in self._tools:
@@ -372,6 +375,7 @@ class PageEndpoint(NullObserver):
             h264=self._h264,
             pad_lines_m=tuple(tuple((float(x), float(y)) for x, y, _ in line) for line in pad.borders()),
             pad_radius_m=pad.disc_radius_m,
+            words=WORDS,
         )
 
     async def _send_states(self) -> None:

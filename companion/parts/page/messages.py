@@ -170,6 +170,7 @@ class PageWelcome(Struct, frozen=True, kw_only=True, tag_field="kind", tag="welc
     pad_lines_m: tuple[tuple[tuple[float, float], ...], ...]
     """The pad's drawing: lines of points along the arrow and to starboard of it, metres."""
     pad_radius_m: float
+    words: dict[str, dict[str, str]]
 
 
 class PageState(FlightState, frozen=True, kw_only=True, tag_field="kind", tag="state"):

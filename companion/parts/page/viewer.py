@@ -95,7 +95,8 @@ class PageViewer:
         if isinstance(message, PageState):
             self._states.offer(text_of(message))
         elif isinstance(message, PageEvent):
-            self._texts.offer(text_of(replace(message, text=self.sender.reads(message.text))))
+            reads = self.sender.reads
+            self._texts.offer(text_of(replace(message, text=reads(message.text), advice=reads(message.advice))))
         else:
             self._texts.offer(text_of(message))
 

@@ -291,7 +291,7 @@ def test_an_emergency_cuts_until_the_vehicle_reports_it_and_only_reset_leaves_it
     assert bridge.cycle() == CutMotors()
     bridge.vehicle(True, emergency=True)
     assert bridge.cycle() != CutMotors()
-    assert bridge.order(OperatorOrder.TAKE_OFF) == "the motors were cut: leave the emergency state first (reset)"
+    assert bridge.order(OperatorOrder.TAKE_OFF) == 'the motors were cut: "reset" first'
     assert bridge.order(OperatorOrder.RESET) is None
     assert bridge.cycle() == LeaveEmergency()
     bridge.vehicle(False)

@@ -48,7 +48,7 @@ async def test_a_browser_watches_and_gives_orders_through_the_arbiter(tmp_path: 
         await until(lambda: Land in service.commanded)
         assert [str(o.sender) for o in service.orders] == [welcome["you"]] * 3
         await browser.read("state")
-        assert any("hold: accepted" in message.get("text", "") for message in browser.messages if message["kind"] == "event")
+        assert any("Hold: accepted" in message.get("text", "") for message in browser.messages if message["kind"] == "event")
         assert "an order of MQTT" in (await browser.order("record"))["text"]
 
 
@@ -173,9 +173,9 @@ async def test_two_operators_see_each_other_s_orders_and_one_has_the_hand(tmp_pa
         assert (await two.order("begin"))["text"] == f"refused: {other} has the hand"
         assert (state := await two.read("state"))["hand"] == other
         assert state["refusals"]["begin"] == f"{other} has the hand"
-        assert [m["text"] for b in (one, two) for m in b.messages if m["kind"] == "event" and "manual" in m["text"]]
+        assert [m["text"] for b in (one, two) for m in b.messages if m["kind"] == "event" and "Fly by hand" in m["text"]]
         assert (await two.order("emergency"))["accepted"]
-        while "emergency: accepted" not in (await one.read("event"))["text"]:
+        while "Cut the motors: accepted" not in (await one.read("event"))["text"]:
             pass
 
 

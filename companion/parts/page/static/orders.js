@@ -1,4 +1,6 @@
 // The buttons, the slides that confirm what cannot be taken back, and the answers of the service.
+import { words } from "./elements.js";
+
 const ANSWER_MS = 3000;
 const KNOB_PX = 62;
 const CONFIRMED = 0.95;
@@ -6,10 +8,6 @@ const CONFIRMED = 0.95;
 const ASKS = {
   land: { verb: "to land here", says: (state) => `Lands ${state.below}.` },
   takeoff: { verb: "to take off", says: () => "The propellers start." },
-};
-const NAMES = {
-  takeoff: "Take off", begin: "Begin landing", stay: "Stay over the pad", hold: "Hold", land: "Land here", abort: "Abort", emergency: "Emergency",
-  clear: "Ignore what is on the pad", reset: "Leave the emergency state", manual: "Fly by hand", release: "Give the hand back",
 };
 
 export class Orders {
@@ -40,7 +38,7 @@ export class Orders {
     const { order } = button.dataset;
     const why = this.#state?.refusals[order];
     if (!(order in ASKS) || this.#state === null) this.give(order, button);
-    else if (why) this.#tell("fault", `${NAMES[order]}: refused: ${why}`);
+    else if (why) this.#tell("fault", `${words.orders[order]}: refused: ${why}`);
     else this.#ask(this.#asked === button ? null : button);
   }
 
@@ -71,11 +69,11 @@ export class Orders {
     this.#ask(null);
     const number = ++this.#number;
     if (!this.#link.send({ kind: "order", number, order })) {
-      this.#tell("fault", `${NAMES[order]}: not sent, the connection is lost`);
+      this.#tell("fault", `${words.orders[order]}: not sent, the connection is lost`);
       return;
     }
     button?.setAttribute("aria-busy", "true");
-    this.#tell("", `${NAMES[order]}: sent`);
+    this.#tell("", `${words.orders[order]}: sent`);
     const late = setTimeout(() => this.#settle(number, "fault", "no answer"), ANSWER_MS);
     this.#waiting.set(number, { order, button, late });
   }
@@ -85,7 +83,9 @@ export class Orders {
   }
 
   enable(on) {
-    if (!on) {
+    if (on) {
+      for (const button of this.#buttons) button.textContent = words.orders[button.dataset.order];
+    } else {
       for (const button of this.#buttons) button.setAttribute("aria-disabled", "true");
       for (const number of [...this.#waiting.keys()]) this.#settle(number, "fault", "no answer, the connection is lost");
       this.#ask(null);
@@ -119,7 +119,7 @@ export class Orders {
     this.#waiting.delete(number);
     clearTimeout(waiting.late);
     waiting.button?.removeAttribute("aria-busy");
-    this.#tell(level, `${NAMES[waiting.order]}: ${text}`);
+    this.#tell(level, `${words.orders[waiting.order]}: ${text}`);
   }
 
   #tell(level, text) {

@@ -10,7 +10,7 @@ import { SettingsEditor } from "./settings.js";
 import { Sticks } from "./sticks.js";
 import { Above, placeOf, Side } from "./place.js";
 import * as telling from "./telling.js";
-import { $ } from "./elements.js";
+import { $, words } from "./elements.js";
 
 const TOKEN = "decklander.token";
 const THEME = "decklander.theme";
@@ -67,6 +67,7 @@ link.on("welcome", (message) => {
   $("lost").hidden = true;
   $("flight").hidden = false;
   $("flight").classList.remove("stale");
+  Object.assign(words, message.words);
   telling.welcome(message);
   telling.chip($("link"), "info", "live");
   picture.camera(...message.camera_px);

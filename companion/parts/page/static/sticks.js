@@ -1,6 +1,6 @@
 // Flight by hand: touch, keyboard or gamepad. Positions leave 20 times a second while this page has the hand; when they stop
 // (a hidden tab, a lost link) the service holds.
-import { part } from "./elements.js";
+import { part, words } from "./elements.js";
 
 const EACH_MS = 50;
 const DEAD = 0.1;
@@ -40,11 +40,11 @@ export class Sticks {
   }
 
   state(message) {
-    if (message.yours && !this.#yours) this.#host.closest(".view").scrollIntoView({ block: "start" });
+    if (message.yours && !this.#yours) this.#host.parentElement.scrollIntoView({ block: "nearest" });
     this.#yours = message.yours;
     this.#host.hidden = !message.yours;
     this.#button.setAttribute("aria-pressed", String(message.yours));
-    const name = message.yours ? "Give the hand back" : "Fly by hand";
+    const name = words.orders[message.yours ? "release" : "manual"];
     if (this.#button.textContent !== name) this.#button.textContent = name;
     const why = message.refusals[message.yours ? "release" : "manual"];
     this.#button.setAttribute("aria-disabled", String(why !== null));

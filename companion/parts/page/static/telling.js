@@ -1,14 +1,9 @@
 // What the page says in words and figures: phase and reason, who commands, figures, health and its causes, events.
-import { $, part } from "./elements.js";
+import { $, part, words } from "./elements.js";
 
 const EVENTS = 100;
 const DEGREES = 180 / Math.PI;
 const CHI_95 = 2.448; // two dimensions
-// The service's words that a person at the page misreads.
-const WORDS = {
-  "landing for the operator": "landing where it is", "hold blind": "holding, pad out of sight", "gave up": "gave up, hovering",
-  guided: "flies by itself", over: "flight ended", held: "paused by a person",
-};
 
 function set(id, text, unit = "", level = "") {
   const element = $(id);
@@ -20,7 +15,7 @@ function set(id, text, unit = "", level = "") {
   if (unit) element.append(part("small", unit));
 }
 
-function words(id, text) {
+function write(id, text) {
   if ($(id).textContent !== text) $(id).textContent = text;
 }
 
@@ -30,15 +25,16 @@ export function chip(element, level, text) {
 }
 
 export function welcome(message) {
-  words("vehicle", message.vehicle);
+  write("vehicle", message.vehicle);
   $("events").replaceChildren();
 }
 
 export function state(message) {
-  words("phase", WORDS[message.phase] ?? (message.phase || "no decision yet"));
-  words("reason", message.reason);
+  write("phase", words.phases[message.phase] ?? (message.phase || "no decision yet"));
+  write("reason", message.reason);
   const who = message.yours ? "you fly by hand" : message.hand ? `${message.hand} flies by hand` : "";
-  words("who", [WORDS[message.situation] ?? message.situation, message.mode && `vehicle: ${message.mode.replaceAll("_", " ")}`, who].filter(Boolean).join(" · "));
+  const situation = who || (words.situations[message.situation] ?? message.situation);
+  write("who", [situation, message.mode && `vehicle: ${message.mode.replaceAll("_", " ")}`].filter(Boolean).join(" · "));
   battery(message.battery_fraction);
   const place = message.place;
   length("height", message.height_m);
@@ -81,7 +77,7 @@ export function health(message) {
   const worst = message.causes.find(({ level }) => level !== "info");
   $("worst").hidden = worst === undefined;
   $("worst").dataset.level = worst?.level ?? "";
-  words("worst", worst?.text ?? "");
+  write("worst", worst?.text ?? "");
   chip($("link"), worst?.level ?? "info", "live");
   const causes = message.causes.length ? message.causes : [{ level: "info", text: "everything the flight needs is up" }];
   const key = JSON.stringify(causes.map(({ level, text }) => [level, text.replace(/\d+/g, "")]));
