@@ -58,7 +58,10 @@ _FIX_SIGMA_M = 2.5
 _DILUTION = 2.0
 """The dilution of precision of a sentence without it."""
 _APART_S = 10.0
-"""Time since the newest contradiction for which places of two receivers with one talker are known as badly as they differ."""
+"""Time for which places of one talker's two receivers are known as badly as they differed. Her velocity joins two places that lie
+no further apart in time."""
+_ROUNDED = 2.0 * math.sqrt(12.0)
+"""Standard deviations of its rounding by which a place may lie apart from the one before."""
 _RECKONED_SIGMA_M = 50.0
 """Standard deviation of a place that the receiver reckons from an old one."""
 _OF_MODE: Mapping[str, float | str] = {
@@ -89,7 +92,7 @@ _INDIRECT = 2.0
 WIND_RANK = {"R": 0.4, "N": 0.7, "T": 1.0}
 """Order of winds: made here of the apparent one and her way, by her own from north, by her own from the bow (over the water)."""
 _WAY_S = 5.0
-"""Age up to which her heading and velocity make a wind over the ground of an apparent one."""
+"""Age up to which her heading and velocity make a wind over the ground of an apparent one, and her velocity joins places."""
 _OWNS, _MOTIONS = 0.25, 60.0
 """Share of the motions whose heading is a talker's own from which they are of its device, and the number after which old ones
 count half."""
@@ -174,20 +177,29 @@ class _Receiver:
         self._places: dict[str, tuple[int, GeoPoint]] = {}
         """The time of day and the place of the newest sentence of each kind."""
         self._apart = MonoNs(0), 0.0
-        """Arrival of the newest place that contradicted one of the same kind and time, and by how much, m."""
+        """Arrival of the place that contradicted the one of its kind before it most, and by how much, m."""
         self._time_ns = -1
         self._burst: Stamp | None = None
         self._period_s = 0.0
         self._before, self._in_burst = Counter[str](), Counter[str]()
         self._late_s: dict[str, float] = {}
 
-    def apart_m(self, kind: str, time_of_day_ns: int, where: GeoPoint, received_at: MonoNs) -> float:
-        """Return how far two places of one instant lie apart, m: two receivers may have one talker, and each moves the ship."""
-        before = self._places.get(kind)
+    def apart_m(self, kind: str, time_of_day_ns: int, where: GeoPoint, v: F64 | None, rounded_m: float, now: MonoNs) -> float:
+        """Return how far two places lie apart beyond the ship's way between them, m: two receivers may have one talker.
+
+        Each moves the ship, and where one of their clocks is wrong, she also moves by her way in that time.
+        """
+        at_ns, place_then = self._places.get(kind, (time_of_day_ns, where))
         self._places[kind] = time_of_day_ns, where
-        if before is not None and before[0] == time_of_day_ns and before[1] != where:
-            self._apart = received_at, math.hypot(*ned_between(before[1], where)[:2])
-        return self._apart[1] if seconds_between(self._apart[0], received_at) <= _APART_S else 0.0
+        since_s = ((time_of_day_ns - at_ns + _DAY_NS // 2) % _DAY_NS - _DAY_NS // 2) / NS_PER_S
+        apart_m = 0.0
+        if since_s == 0.0 or (v is not None and abs(since_s) <= _APART_S):
+            way_m = since_s * (np.zeros(2) if v is None else v[:2])
+            apart_m = float(np.hypot(*(ned_between(place_then, where)[:2] - way_m)))
+            apart_m *= apart_m > _ROUNDED * rounded_m
+        if apart_m >= self._apart[1] or seconds_between(self._apart[0], now) > _APART_S:
+            self._apart = now, apart_m
+        return self._apart[1]
 
     def timed(self, time_of_day_ns: int, received_at: MonoNs) -> Stamp:
         """Return the stamp of a sentence with a time of day."""
@@ -352,21 +364,23 @@ class NmeaReader:
         where, rounded_m = place(m)
         v = None if m.spd_over_grnd is None else velocity(m.spd_over_grnd, m.true_course)
         v = v if sigma_m < _RECKONED_SIGMA_M else None
-        stamp = of.timed(time_ns(m.timestamp), received_at)
-        sigma_m = math.hypot(sigma_m, of.apart_m("RMC", time_ns(m.timestamp), where, received_at))
-        fix = GeoFix(stamp, "vessel", where, _widened(sigma_m, rounded_m), v)
-        return self._chosen(of.name, [fix, *_moving(stamp, v, text(m, "spd_over_grnd"))], received_at)
+        fix = self._fix(m, of, where, sigma_m, rounded_m, v, received_at)
+        return self._chosen(of.name, [fix, *_moving(fix.stamp, v, text(m, "spd_over_grnd"))], received_at)
 
     def _gga(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
         sigma_m = self._worth(_OF_QUALITY, int(number(m.gps_qual)))
         dilution = _DILUTION if m.horizontal_dil in (None, "") else number(m.horizontal_dil)
         where, rounded_m = place(m, None if m.altitude is None else number(m.altitude))
-        stamp = of.timed(time_ns(m.timestamp), received_at)
-        sigma_m = math.hypot(
-            sigma_m * max(1.0, dilution), of.apart_m("GGA", time_ns(m.timestamp), replace(where, height_m=None), received_at)
-        )
-        fix = GeoFix(stamp, "vessel", where, _widened(sigma_m, rounded_m))
+        fix = self._fix(m, of, where, sigma_m * max(1.0, dilution), rounded_m, None, received_at)
         return self._chosen(of.name, [fix], received_at)
+
+    def _fix(
+        self, m: Any, of: _Receiver, where: GeoPoint, sigma_m: float, rounded_m: float, v: F64 | None, now: MonoNs
+    ) -> GeoFix:
+        time_of_day_ns, known = time_ns(m.timestamp), _recent(self._velocity, now)
+        way = known.v_vessel_ned if v is None and known is not None else v
+        apart_m = of.apart_m(m.sentence_type, time_of_day_ns, replace(where, height_m=None), way, rounded_m, now)
+        return GeoFix(of.timed(time_of_day_ns, now), "vessel", where, math.hypot(sigma_m, apart_m, rounded_m), v)
 
     def _vtg(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
         if self._worth(_OF_MODE, text(m, 8)) >= _RECKONED_SIGMA_M:
@@ -421,10 +435,7 @@ class NmeaReader:
         Raises:
             Refused: her heading is not known now, or her velocity where the wind is the apparent one.
         """
-        bow, way = (
-            None if r is None or seconds_between(r.stamp.received_at, now) > _WAY_S else r
-            for r in (self._heading, self._velocity)
-        )
+        bow, way = _recent(self._heading, now), _recent(self._velocity, now)
         if bow is None or bow.heading_rad is None:
             raise Refused("no_way")
         from_rad = bow.heading_rad + wind.from_rad
@@ -578,9 +589,8 @@ def _arrival(received_at: MonoNs) -> Stamp:
     return Stamp(received_at, received_at, _ARRIVAL_SIGMA_S, "arrival")
 
 
-def _widened(sigma_m: float, rounded_m: float) -> float:
-    """Return the standard deviation of a place whose digits count where they are coarse."""
-    return math.hypot(sigma_m, rounded_m) if rounded_m > 0.1 * sigma_m else sigma_m
+def _recent(report: VesselReport | None, now: MonoNs) -> VesselReport | None:
+    return None if report is None or seconds_between(report.stamp.received_at, now) > _WAY_S else report
 
 
 def _pointing(stamp: Stamp, heading_rad: float, rounded_rad: float) -> VesselReport:
