@@ -18,7 +18,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from companion.base import event_loop
-from companion.base.orders import CENTRED, OperatorOrder, StickPositions
+from companion.base.orders import CENTRED, TWICE_S, OperatorOrder, StickPositions
 from companion.cli.options import option
 from companion.facts.wire import FlightState
 from companion.parts.operator.client import OperatorClient, connected, line_of_state, running
@@ -33,12 +33,12 @@ from estimator.contracts.errors import BadInput, Recoverable
 
 KEY_S = 0.5
 """The time after its last repetition at which a key's motion ends, s."""
-TWICE: dict[str, tuple[OperatorOrder, str, float]] = {
-    "E": (OperatorOrder.EMERGENCY, "CUT THE MOTORS", 1.0),
-    "t": (OperatorOrder.TAKE_OFF, "take off", 2.0),
-    "l": (OperatorOrder.LAND, "land here: ", 2.0),
+TWICE: dict[str, tuple[OperatorOrder, str]] = {
+    "E": (OperatorOrder.EMERGENCY, "CUT THE MOTORS"),
+    "t": (OperatorOrder.TAKE_OFF, "take off"),
+    "l": (OperatorOrder.LAND, "land here: "),
 }
-"""The keys that must be pressed twice: the order of each, its words, and the time that the second may take, s."""
+"""The keys that must be pressed twice: the order of each, and its words."""
 _TICK_S = 0.05
 _STEP = 0.1
 
@@ -178,7 +178,8 @@ class _Keyboard:
             await client.order(OperatorOrder.RELEASE)
 
     async def _twice(self, key: str, client: OperatorClient) -> None:
-        (order, words, within_s), now_s, (before, at_s) = TWICE[key], self._loop.time(), self._once
+        (order, words), now_s, (before, at_s) = TWICE[key], self._loop.time(), self._once
+        within_s = TWICE_S[order]
         self._once = key, now_s
         if before == key and now_s - at_s <= within_s:
             self._once = "", 0.0

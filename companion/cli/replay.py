@@ -18,6 +18,7 @@ from msgspec.structs import asdict
 from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, Observer
+from companion.base.orders import OperatorOrder
 from companion.cli.kept_flight import shown
 from companion.cli.options import WorkProgress, option, print_result, recording_argument, video_progress, written
 from companion.cli.outputs import RECORDING, output, prepare_folder
@@ -53,10 +54,8 @@ _LEAD_S = 0.05
 class _Deaf:
     """An operator that refuses every command."""
 
-    def start(self) -> str | None:
-        return _REFUSAL
-
-    stay = pause = abort = clear = start
+    def order(self, order: OperatorOrder) -> str | None:
+        return f"{_REFUSAL}, not even {order.value}"
 
     def steer_by(self, path: PathName) -> str | None:
         return f"{_REFUSAL}, not even of {path}"

@@ -9,7 +9,7 @@ from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
 from companion.facts.wire import FlightState, OrderAnswer, OrderRequest
 from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.guidance.pilot import Pilot
-from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.estimates import PathName
 from estimator.contracts.samples import Range, Sample
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
@@ -22,15 +22,7 @@ _SURE_S, _LOWER_M = 1.0, 0.5
 class Operated(Protocol):
     """The operations that MQTT and MAVLink offer; each returns None if it was carried out, else the reason why it cannot be."""
 
-    def start(self) -> str | None: ...
-
-    def stay(self) -> str | None: ...
-
-    def pause(self) -> str | None: ...
-
-    def abort(self) -> str | None: ...
-
-    def clear(self) -> str | None: ...
+    def order(self, order: OperatorOrder) -> str | None: ...
 
     def steer_by(self, path: PathName) -> str | None: ...
 
@@ -70,26 +62,6 @@ class PilotOperator:
         text = "accepted" if refusal is None else f"refused: {self._sender.reads(refusal)}"
         return OrderAnswer(number=request.number, accepted=refusal is None, text=text)
 
-    def start(self) -> str | None:
-        """Begin the approach, or resume it."""
-        return self.order(OperatorOrder.BEGIN)
-
-    def stay(self) -> str | None:
-        """Fly over the pad and wait there until `start`."""
-        return self.order(OperatorOrder.STAY)
-
-    def pause(self) -> str | None:
-        """Hover until `start`."""
-        return self.order(OperatorOrder.HOLD)
-
-    def abort(self) -> str | None:
-        """Hover and end the landing."""
-        return self.order(OperatorOrder.ABORT)
-
-    def clear(self) -> str | None:
-        """Land in this flight whatever is seen on the pad."""
-        return self.order(OperatorOrder.CLEAR)
-
     def steer_by(self, path: PathName) -> str | None:
         """Steer by another path of the estimator."""
         return self._tell(OperatorOrder.PATH, self._pilot.steer_by(path), path)
@@ -127,7 +99,7 @@ class FlightWatch(NullObserver):
         belief = None if decision is None else decision.belief
         height_m = None if belief is None else belief.height_m
         height_m = self._range_m(now) if height_m is None else height_m
-        hand, (below, over_pad) = self._pilot.operator.hand, self._below(now, belief)
+        hand, (below, over_pad) = self._pilot.operator.hand, self.below(now)
         return FlightState(
             situation=self._pilot.operator.situation(now).value,
             phase="" if decision is None else decision.phase,
@@ -143,10 +115,11 @@ class FlightWatch(NullObserver):
             over_pad=over_pad,
         )
 
-    def _below(self, now: MonoNs, belief: RelativeState | None) -> tuple[str, bool]:
+    def below(self, now: MonoNs) -> tuple[str, bool]:
         """Return what lies below in words, and whether it is surely the pad: nothing else knows where a deck ends."""
+        belief = None if self.decision is None else self.decision.belief
         if belief is None:
-            return "no pad is known: this may be deck, rail or water", False
+            return "where no pad is known: this may be deck, rail or water", False
         sigma_m = math.sqrt(max(float(belief.cov[0, 0]), float(belief.cov[1, 1])))
         sure = belief.consistent and belief.age_s(now) < _SURE_S
         if belief.lateral_m + 2.0 * sigma_m <= self._pilot.pad.disc_radius_m:

@@ -302,7 +302,9 @@ def make_daemon(
         from companion.settings.referenced_files import mapping_of
 
         mapping = mapping_of(settings.operator.gamepad)
-        add("gamepad", GamepadPart(mapping, settings.operator.gamepad_device, pilot, ticking))
+        gamepad = GamepadPart(mapping, settings.operator.gamepad_device, pilot, ticking)
+        watching.append(gamepad.flight)
+        add("gamepad", gamepad)
     if settings.http.endpoint != "off":
         from companion.base.http_server import HttpServer
         from companion.parts.metrics.endpoint import MetricsEndpoint
@@ -332,7 +334,7 @@ def make_daemon(
         extras["manager"] = pulse.run
     if isinstance(ticking, SystemClock):
         stands = PilotOperator(pilot, OrderSender(OrderSource.LIMITS, "standstill"), ticking)
-        extras["loop"] = LoopWatch(health, partial(_flies, pilot), stands.pause).run
+        extras["loop"] = LoopWatch(health, partial(_flies, pilot), partial(stands.order, OperatorOrder.HOLD)).run
 
     return Daemon(
         vehicle.open_link,

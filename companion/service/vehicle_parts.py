@@ -20,7 +20,7 @@ from companion.base.health import Health
 from companion.base.observer import NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OrderSender, OrderSource
 from companion.guidance.pilot import Pilot
-from companion.guidance.pilot_operator import PilotOperator
+from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from companion.service.daemon import OpenLink, VehicleLink
 from companion.settings.load import camera_model
 from companion.settings.model import Settings, ardrone_options
@@ -257,15 +257,17 @@ def _ardrone(
     from companion.parts.mavlink.commands import tunables
     from companion.parts.mavlink.signed_links import signed_links
 
+    flight = FlightWatch(pilot, clock)
     bridge = BridgePart(
         settings.bridge,
         signed_links(settings.bridge),
         clock,
         order=PilotOperator(pilot, OrderSender(OrderSource.MAVLINK), clock).order,
+        below=lambda: flight.below(clock.now())[0],
         tap=tap,
         show=show,
         store=tunables(settings, pilot),
     )
     health.counters("bridge", bridge.counted)
 
-    return VehicleParts(lambda: open_ardrone(options, clock, queue_items, decoder), (bridge,), {"bridge": bridge.run})
+    return VehicleParts(lambda: open_ardrone(options, clock, queue_items, decoder), (bridge, flight), {"bridge": bridge.run})

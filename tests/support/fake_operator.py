@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from companion.base.orders import OperatorOrder
 from companion.parts.mavlink.commands import LandingProgress
 from estimator.contracts.estimates import PathName
 
@@ -19,20 +20,8 @@ class FakeOperator:
             self.done.append(what)
         return self.cannot
 
-    def start(self) -> str | None:
-        return self._do("start")
-
-    def stay(self) -> str | None:
-        return self._do("stay")
-
-    def pause(self) -> str | None:
-        return self._do("pause")
-
-    def abort(self) -> str | None:
-        return self._do("abort")
-
-    def clear(self) -> str | None:
-        return self._do("clear")
+    def order(self, order: OperatorOrder) -> str | None:
+        return self._do({OperatorOrder.BEGIN: "start", OperatorOrder.HOLD: "pause"}.get(order, order.value))
 
     def steer_by(self, path: PathName) -> str | None:
         return self._do(f"path {path}")

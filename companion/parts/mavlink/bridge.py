@@ -56,12 +56,16 @@ class VehicleBridge(NullObserver):
     Args:
         send: sends a message over the links.
         order: gives a person's order; returns why it is refused, or None.
+        below: returns in words where a landing that is ordered now would end.
         store: the settings that it shows as the vehicle's parameters; None for none.
     """
 
-    def __init__(self, send: Send, order: Callable[[OperatorOrder], str | None], store: Tunables | None = None) -> None:
+    def __init__(
+        self, send: Send, order: Callable[[OperatorOrder], str | None], below: Callable[[], str], store: Tunables | None = None
+    ) -> None:
         self._send = send
         self._order = order
+        self._below = below
         self._status: VehicleStatus | None = None
         self._attitude: Attitude | None = None
         self._velocity: BodyVelocity | None = None
@@ -141,7 +145,7 @@ class VehicleBridge(NullObserver):
             parameters.refused = None
 
     def _tell(self, why: str | None, now: MonoNs) -> None:
-        """Say to the stations why something was refused."""
+        """Say to the stations why something was refused, or where it ends."""
         if why is not None:
             self._texts.say(MavSeverity.WARNING, f"Decklander: {why}", now)
 
@@ -160,7 +164,10 @@ class VehicleBridge(NullObserver):
                 return DENIED, []
             return self._give(OperatorOrder.TAKE_OFF), []
         if m.command == mav.MAV_CMD_NAV_LAND:
-            return self._give(OperatorOrder.LAND), []
+            # The person has confirmed it at the station, which does not know what lies below.
+            where, result = self._below(), self._give(OperatorOrder.LAND)
+            self._tell(f"lands {where}" if result == ACCEPTED else None, now)
+            return result, []
         if m.command == mav.MAV_CMD_DO_PAUSE_CONTINUE and m.param1 == 1.0:
             return self._give(OperatorOrder.BEGIN), []
         if m.command in _HOLDS:
@@ -251,6 +258,7 @@ class BridgePart(NullObserver):
         options: who the drone is shown as, and who may command it.
         links: the links to ground stations.
         order: gives a station's order; returns why it is refused, or None.
+        below: see `VehicleBridge`.
         tap: receives every message; None if no one listens.
         show: makes the camera's component; None if no picture is streamed.
         store: the settings that are shown as parameters; None for none.
@@ -263,6 +271,7 @@ class BridgePart(NullObserver):
         clock: Clock,
         *,
         order: Callable[[OperatorOrder], str | None],
+        below: Callable[[], str],
         tap: Tap | None = None,
         show: ShowCamera | None = None,
         store: Tunables | None = None,
@@ -271,7 +280,7 @@ class BridgePart(NullObserver):
         self._system = options.system_id
         self._access = NamedSenders(options.named_operators())
         self._clock = clock
-        self._order = order
+        self._order, self._below = order, below
         self._tap = tap
         self._show = show
         self._store = store
@@ -293,7 +302,7 @@ class BridgePart(NullObserver):
         identity = (self._system, int(mav.MAV_COMP_ID_ONBOARD_COMPUTER))
         async with open_links(self._endpoints, self._clock, identity, access=self._access) as links, asyncio.TaskGroup() as group:
             self._links, links.tap = links, self._tap
-            self._bridge = bridge = VehicleBridge(links.send, self._order, self._store)
+            self._bridge = bridge = VehicleBridge(links.send, self._order, self._below, self._store)
             camera = None if self._show is None else self._show(links.send)
             try:
                 listening = group.create_task(self._listen(bridge, camera, links))

@@ -28,7 +28,7 @@ import msgspec
 from msgspec import Struct
 
 from companion.base.mission import FlightOutcome
-from companion.base.orders import OrderSender, OrderSource
+from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import Operated, PilotOperator
 from companion.settings.load import from_mapping
@@ -230,9 +230,9 @@ class PilotTower(PilotOperator):
         self._believe = believe
         self._from_m: float | None = None
 
-    def start(self) -> str | None:
-        refusal = super().start()
-        if refusal is None:
+    def order(self, order: OperatorOrder) -> str | None:
+        refusal = super().order(order)
+        if refusal is None and order is OperatorOrder.BEGIN:
             self._from_m = None
         return refusal
 
@@ -384,7 +384,7 @@ class CommandServer:
         self.refusal = None
         first = params[0]
         if command == mav.MAV_CMD_NAV_LAND:
-            result = self._handler(self._operator.start())
+            result = self._handler(self._operator.order(OperatorOrder.BEGIN))
             if result == ACCEPTED:
                 self._running = _Running(command, sender, now)
                 result = IN_PROGRESS
@@ -392,11 +392,11 @@ class CommandServer:
         if command == mav.MAV_CMD_DO_PAUSE_CONTINUE:
             if first not in (0.0, 1.0):
                 return self._denied(f"pause or continue, not {first:g}"), []
-            return self._handler(self._operator.start() if first else self._operator.pause()), []
+            return self._handler(self._operator.order(OperatorOrder.BEGIN if first else OperatorOrder.HOLD)), []
         if command == mav.MAV_CMD_NAV_LOITER_UNLIM:
-            return self._handler(self._operator.stay()), []
+            return self._handler(self._operator.order(OperatorOrder.STAY)), []
         if command == mav.MAV_CMD_DO_GO_AROUND:
-            return self._handler(self._operator.abort()), []
+            return self._handler(self._operator.order(OperatorOrder.ABORT)), []
         if command == mav.MAV_CMD_USER_1:
             if not math.isfinite(first) or first not in range(len(PATHS)):
                 return self._denied(f"no estimator path {first:g}"), []

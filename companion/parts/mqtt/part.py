@@ -27,7 +27,7 @@ import numpy as np
 
 from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
-from companion.base.orders import HandledOrder, OrderSender, OrderSource
+from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.version import version
 from companion.facts.wire import RequestRate, read
 from companion.guidance.pilot import Pilot
@@ -148,6 +148,12 @@ class HandledCommand:
     repeated: bool = False
 
 
+_ORDERS: dict[type[Command], OperatorOrder] = {
+    StartCommand: OperatorOrder.BEGIN, StayCommand: OperatorOrder.STAY, PauseCommand: OperatorOrder.HOLD,
+    AbortCommand: OperatorOrder.ABORT, ClearCommand: OperatorOrder.CLEAR,
+}  # fmt: skip
+
+
 @dataclass(slots=True)
 class CommandHandler:
     """Checks, carries out and answers commands.
@@ -210,20 +216,12 @@ class CommandHandler:
         if command.expires_ns > after(now, FARTHEST_S):
             raise RefusedMessage("expiry_too_far", f"it may expire {FARTHEST_S:.0f} s from now at most")
         match command:
-            case StartCommand():
-                cannot = self.operated.start()
-            case StayCommand():
-                cannot = self.operated.stay()
-            case PauseCommand():
-                cannot = self.operated.pause()
-            case AbortCommand():
-                cannot = self.operated.abort()
-            case ClearCommand():
-                cannot = self.operated.clear()
             case SetPathCommand():
                 cannot = self.operated.steer_by(command.path)
             case SetRecordingCommand():
                 cannot = self.operated.record(command.on)
+            case _:
+                cannot = self.operated.order(_ORDERS[type(command)])
         if cannot is not None:
             raise RefusedMessage("not_possible", cannot)
 

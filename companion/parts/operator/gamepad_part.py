@@ -1,5 +1,6 @@
 """The gamepad as a part of the service: found when it is plugged in, its edges are orders, its sticks fly by hand.
 
+An order that nothing takes back is given by a second press; the first says what comes of it to all who read orders.
 A gamepad that is unplugged, or whose radio the kernel gives up, loses the hand at once; it is looked for again.
 """
 
@@ -8,13 +9,13 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 
-from companion.base.orders import OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.base.orders import TWICE_S, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.pilot import Pilot
-from companion.guidance.pilot_operator import PilotOperator
+from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from drivers.gamepad.device import AXES, AxisRange, EventDevice, events_in, gamepads
 from drivers.gamepad.mapping import STICKS, GamepadMapping, GamepadMemory, gamepad_step, positions, start
 from estimator.contracts.errors import SetupImpossible
-from estimator.contracts.time import Clock
+from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 log = logging.getLogger(__name__)
 
@@ -44,6 +45,7 @@ class GamepadPart:
         self._pilot = pilot
         self._clock = clock
         self._find = find
+        self.flight = FlightWatch(pilot, clock)
         self._counts: Counter[str] = Counter()
         self._plugged = False
 
@@ -77,7 +79,7 @@ class GamepadPart:
         return chosen
 
     async def _serve(self, device: EventDevice) -> None:
-        session = _Session(device, self._mapping, self._pilot, self._clock, self._counts)
+        session = _Session(device, self._mapping, self._pilot, self.flight, self._clock, self._counts)
         loop = asyncio.get_running_loop()
         self._plugged = True
         self._counts["opened"] += 1
@@ -99,12 +101,17 @@ class GamepadPart:
 class _Session:
     """One gamepad while it is plugged in."""
 
-    def __init__(self, device: EventDevice, mapping: GamepadMapping, pilot: Pilot, clock: Clock, counts: Counter[str]) -> None:
+    def __init__(
+        self, device: EventDevice, mapping: GamepadMapping, pilot: Pilot, flight: FlightWatch, clock: Clock, counts: Counter[str]
+    ) -> None:
         self._device = device
         self._mapping = mapping
         self._arbiter = pilot.operator
+        self._flight = flight
         self._clock = clock
         self._counts = counts
+        self._once: tuple[OperatorOrder | None, MonoNs] = None, clock.now()
+        """The order that a second press would give, and when the first was."""
         self._sender = OrderSender(OrderSource.GAMEPAD, device.name)
         self._operator = PilotOperator(pilot, self._sender, clock)
         self._rest = b""
@@ -139,10 +146,18 @@ class _Session:
         self._arbiter.lost(self._sender, self._clock.now(), self.lost or "the gamepad's driver ends")
 
     def _give(self, name: str) -> None:
-        order = OperatorOrder(name)
+        order, now, (before, at) = OperatorOrder(name), self._clock.now(), self._once
         if order is OperatorOrder.MANUAL and self._arbiter.hand == self._sender:
             order = OperatorOrder.RELEASE
-        self._operator.order(order)
+        within_s = TWICE_S.get(order, 0.0)
+        second = before is order and seconds_between(at, now) <= within_s
+        if not within_s or second or self._arbiter.refusal(order, self._sender, now) is not None:
+            self._once = None, now
+            self._operator.order(order)
+            return
+        self._once = order, now
+        where = f": lands {self._flight.below(now)[0]}" if order is OperatorOrder.LAND else ""
+        self._arbiter.tell(HandledOrder(now, self._sender, order, f"press it again within {within_s:g} s{where}"))
 
     def _read_axes(self) -> None:
         try:

@@ -180,7 +180,7 @@ async def bordered(*more_links: str, clock: PatientClock | None = None, **option
     given = AutopilotOptions(", ".join((f"udpin://{HOST}:0", *more_links)), vessel_id=17, **options)
     async with open_autopilot(given, clock, parameters=("PLND_LAG",)) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)
-        bridge = VehicleBridge(autopilot.links.send, lambda command: None)
+        bridge = VehicleBridge(autopilot.links.send, lambda command: None, str)
         autopilot.add_listener(lambda received: bridge.on_message(received, AUTOPILOT[0], clock.now()))
         border = Border(autopilot, component, bridge, tower, clock)
 

@@ -56,7 +56,7 @@ class Station:
         self.orders: list[OperatorOrder] = []
         self.broken = False
         self.now = MonoNs(100 * S)
-        self.bridge = VehicleBridge(self._on_message, self._take)
+        self.bridge = VehicleBridge(self._on_message, self._take, lambda: "over the pad")
 
     def _on_message(self, message: Message, to: int | None = None, *, component: int | None = None) -> bool:
         assert component == 1
@@ -125,6 +125,8 @@ def test_arm_take_off_hold_and_land() -> None:
     assert station.tell(400, 0) == DENIED, "motors are not stopped in flight"
     assert station.tell(17) == ACCEPTED
     assert station.tell(21) == ACCEPTED
+    station.drone(flying=True, mode="hovering", seconds=0.1)
+    assert station.newest("STATUSTEXT").text == "Decklander: lands over the pad"
     assert station.orders == [OperatorOrder.TAKE_OFF, OperatorOrder.HOLD, OperatorOrder.LAND]
     station.broken = True
     assert station.tell(21) == mav.MAV_RESULT_TEMPORARILY_REJECTED
@@ -140,7 +142,7 @@ async def bridged(operators: str = "", **options: Any) -> AsyncIterator[tuple[Br
     """Yield the bridge listening on a port of its own, with a drone that stands."""
     clock, orders = SystemClock(), list[OperatorOrder]()
     links = [LinkOptions(parse_endpoint(f"udpin://{HOST}:0"))]
-    part = BridgePart(BridgeOptions(system_id=7, operators=operators), links, clock, order=orders.append, **options)
+    part = BridgePart(BridgeOptions(system_id=7, operators=operators), links, clock, order=orders.append, below=str, **options)
     async with asyncio.TaskGroup() as group:
         running = group.create_task(part.run())
         await until(lambda: part._links is not None and part._links.all[0].local is not None)
@@ -239,7 +241,7 @@ async def test_mavsdk_flies_it_and_reads_and_sets_its_parameters(tmp_path: Path,
     port, clock, orders, applied = free_port(), SystemClock(), list[OperatorOrder](), list[Settings]()
     store = Tunables(load("sim"), applied.append)
     links = [LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))]
-    part = BridgePart(BridgeOptions(system_id=7, operators="245"), links, clock, order=orders.append, store=store)
+    part = BridgePart(BridgeOptions(system_id=7, operators="245"), links, clock, order=orders.append, below=str, store=store)
     async with asyncio.TaskGroup() as group:
         flying = False
 

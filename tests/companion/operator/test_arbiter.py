@@ -410,14 +410,15 @@ def operating(pilot: Pilot, recording: Callable[[bool], str | None] | None = Non
 def test_start_pause_and_abort_reach_the_pilot_and_nothing_follows_an_abort() -> None:
     pilot = flying()
     operator = operating(pilot)
-    assert operator.pause() is None
+    assert operator.order(OperatorOrder.HOLD) is None
     assert pilot.decide(MonoNs(2)).phase == "paused"
-    assert operator.start() is None
+    assert operator.order(OperatorOrder.BEGIN) is None
     assert pilot.decide(MonoNs(3)).phase != "paused"
-    assert operator.abort() is None
+    assert operator.order(OperatorOrder.ABORT) is None
     assert pilot.outcome is FlightOutcome.ABORTED
     assert isinstance(pilot.decide(MonoNs(4)).command, Hover)
-    assert operator.start() == operator.pause() == operator.abort() == "the flight is over: aborted"
+    answers = {operator.order(order) for order in (OperatorOrder.BEGIN, OperatorOrder.HOLD, OperatorOrder.ABORT)}
+    assert answers == {"the flight is over: aborted"}
 
 
 def test_a_path_that_runs_along_may_take_over_in_an_approach_another_only_while_paused() -> None:
@@ -427,10 +428,10 @@ def test_a_path_that_runs_along_may_take_over_in_an_approach_another_only_while_
     assert operator.steer_by(first) is None
     operator = operating(pilot := flying())
     assert operator.steer_by("median_mean") == "median_mean does not run along; pause the approach first"
-    assert operator.pause() is None
+    assert operator.order(OperatorOrder.HOLD) is None
     assert operator.steer_by("median_mean") is None
     assert pilot.estimator.path == "median_mean"
-    assert operator.start() is None
+    assert operator.order(OperatorOrder.BEGIN) is None
     assert operator.steer_by(first) is None, "the path that steered goes on as a shadow"
 
 
@@ -452,11 +453,11 @@ def test_every_order_is_reported_with_its_answer() -> None:
     pilot, reported = flying(), list[HandledOrder]()
     pilot.operator.on_order = reported.append
     operator = operating(pilot)
-    operator.pause()
+    operator.order(OperatorOrder.HOLD)
     operator.record(True)
     operator.steer_by("median_mean")
-    operator.abort()
-    operator.start()
+    operator.order(OperatorOrder.ABORT)
+    operator.order(OperatorOrder.BEGIN)
     assert [(h.order, h.accepted) for h in reported] == [
         (OperatorOrder.HOLD, True),
         (OperatorOrder.RECORD, False),
@@ -481,7 +482,7 @@ def test_a_person_reads_where_a_landing_would_end() -> None:
         state = watch.state(page)
         return state.below, state.over_pad
 
-    assert watch.state(page).below == "no pad is known: this may be deck, rail or water"
+    assert watch.state(page).below == "where no pad is known: this may be deck, rail or water"
     assert below(0.1) == ("over the pad, 10 cm from its centre", True)
     assert below(0.1, age_s=3.0) == ("over the pad, 10 cm from its centre, out of sight", False)
     assert below(0.1, sigma_m=radius_m) == ("0.1 m beside the pad, over deck or water", False)

@@ -149,8 +149,14 @@ async def test_lost_events_are_read_again_and_the_wanted_gamepad_is_chosen(monke
         assert flown.command.v_level.tolist() == [0.0, 1.0, 0.0]
         assert OperatorOrder.EMERGENCY not in [o.order for o in flown.orders]
         os.write(pad.person, b"\xff" * 240)
-        pad.press("BTN_EAST")
-        await until(lambda: flown.orders[-1].order is OperatorOrder.LAND)
+        for name, order in (("BTN_EAST", OperatorOrder.LAND), ("BTN_TR", OperatorOrder.EMERGENCY)):
+            pad.press(name)
+            await until(lambda order=order: flown.orders[-1].order is order)
+            assert (flown.orders[-1].refusal or "").startswith("press it again within")
+            await flown.clock.sleep(0.1)
+            pad.press(name)
+            await until(lambda order=order: flown.orders[-1].order is order and flown.orders[-1].accepted)
+        assert "press it again within 2 s: lands where no pad is known" in str(flown.orders)
 
 
 UINPUT = Path("/dev/uinput")

@@ -198,7 +198,7 @@ def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsy
                 )
                 assert done.returncode == expected, (done.stdout, done.stderr)
                 assert done.stdout.startswith(f"{order}: " if order != "status" else "paused"), done
-            assert done.stderr.startswith("land here, no pad is known"), "it is said, and ordered by the whole word"
+            assert done.stderr.startswith("land here, where no pad is known"), "it is said, and ordered by the whole word"
             parent, child = pty.openpty()
             process = await asyncio.to_thread(subprocess.Popen, code, stdin=child, stdout=child, stderr=child)
             os.close(child)
@@ -221,7 +221,7 @@ def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsy
             parent, child = pty.openpty()
             asked = await asyncio.to_thread(subprocess.Popen, [*code, "land"], stdin=child, stdout=child, stderr=child)
             os.close(child)
-            await _screen(parent, "land here, no pad is known")
+            await _screen(parent, "land here, where no pad is known")
             os.write(parent, b"y\n")
             await _screen(parent, "land: accepted")
             assert await asyncio.to_thread(asked.wait, PATIENCE_S) == 0
