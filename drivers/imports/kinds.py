@@ -76,7 +76,9 @@ def kind_of(path: Path) -> FileKind:
         return FileKind.TLOG
     if _is_mavlink(head):
         return FileKind.MAVLINK
-    return _kind_of_text(head, path.suffix.lower()) if head and _is_text(head) else FileKind.OTHER
+    if head and _is_text(head):
+        return _kind_of_text(head, path.suffix.lower())
+    return FileKind.ENCRYPTED if path.suffix.lower() in _HEADLESS else FileKind.OTHER
 
 
 _MAGICS = (
@@ -84,6 +86,8 @@ _MAGICS = (
     (dataflash.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA), (b"PaVE", FileKind.PAVE),
     (b"#ROSBAG V", FileKind.ROS_BAG), (b"SQLite format 3", FileKind.DATABASE),
 )  # fmt: skip
+_HEADLESS = (".ulgc", ".ulgk")
+"""Endings of PX4's encrypted logs and their keys before release 1.16, whose first bytes are those of any cipher."""
 
 
 def _is_ros2(head: bytes) -> bool:

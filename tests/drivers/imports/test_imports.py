@@ -403,6 +403,12 @@ def test_a_file_is_what_its_content_says_whatever_its_name(kind: FileKind, tmp_p
     assert kind_of(path) is kind
 
 
+def test_an_encrypted_log_without_a_head_is_one_by_its_name(tmp_path: Path) -> None:
+    for name, kind in (("log.ulgc", FileKind.ENCRYPTED), ("log.ulgk", FileKind.ENCRYPTED), ("log.bin", FileKind.OTHER)):
+        (tmp_path / name).write_bytes(bytes(range(256)))
+        assert kind_of(tmp_path / name) is kind
+
+
 @given(st.sampled_from(sorted(READERS, key=lambda k: k.name)), st.data())
 @settings(max_examples=60, deadline=None)
 def test_damage_ends_in_a_refusal_or_in_samples_in_order(kind: FileKind, draw: st.DataObject) -> None:
