@@ -37,10 +37,4 @@ def board(args: argparse.Namespace, kind: BoardKind) -> Board:
         raise BadInput(f"--squares must be two numbers such as 7x10, got {squares!r}")
     usual_mm = args.square_mm / 1.3 if kind == "aprilgrid" else 0.72 * args.square_mm
     marker_mm = usual_mm if args.marker_mm is None else args.marker_mm
-    return Board(
-        kind,
-        int(match[1]),
-        int(match[2]),
-        args.square_mm / 1000.0,
-        marker_mm / 1000.0,
-    )
+    return Board(kind, int(match[1]), int(match[2]), args.square_mm / 1000.0, marker_mm / 1000.0)

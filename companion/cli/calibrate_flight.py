@@ -19,8 +19,8 @@ from companion.guidance.law.margins import LoopMargins, margins
 from companion.guidance.law.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt, text
 from companion.recording.channels import CAMERA
 from companion.recording.reading import Recording, open_recording
-from companion.settings.guidance import FollowDeckOptions, Response, TiltResponse, response_from_mapping
-from companion.settings.load import find_file, load, read_text, read_toml, response_model, shipped
+from companion.settings.guidance import FollowDeckOptions, Response, TiltResponse
+from companion.settings.load import load, read_text, response_model, shipped, shipped_response
 from companion.settings.model import in_file
 from companion.tools.calibrate.flight_result import (
     MountResult,
@@ -104,8 +104,7 @@ def _start(named: str | None, recording: Recording) -> Response:
             raise BadInput(
                 f"{why}; name the response that it flew by with --response, a file or a shipped one ({names})"
             ) from why
-    path = find_file(named, "responses", Path(), "--response")
-    return response_from_mapping(read_toml(path), str(path))
+    return shipped_response(named, "--response")
 
 
 def _fits(recording: Recording, courses: FlownCourses, start: Response) -> tuple[TiltFit, ClimbFit | None]:
@@ -319,7 +318,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _mount(args: argparse.Namespace, recording: Recording) -> int:
-    result = _result(args, recording)
+    result = flight_result(_views(args, recording))
     why = result.mount_refusal()
     if why is None and args.out is not None:
         text = recording.attachments[CAMERA].decode("utf-8")
@@ -356,7 +355,7 @@ def _delay(args: argparse.Namespace, recording: Recording) -> int:
     of_vehicle = isinstance(settings.vehicle, ArDroneOptions)
     key = "vehicle.video_delay_s" if of_vehicle else "camera.latency_s"
     was = settings.vehicle.video_delay_s if isinstance(settings.vehicle, ArDroneOptions) else settings.camera.latency_s
-    result = _result(args, recording)
+    result = flight_result(_views(args, recording))
     found, why = was - result.later_s, result.delay_refusal()
     if -_GYRO_TRAILS_S < found < 0.0:
         found = 0.0
@@ -408,10 +407,6 @@ def _readout(args: argparse.Namespace, recording: Recording) -> int:
     ]
     record = {"readout_s": found, "was_s": was_s, "sigma_s": sigma_s}
     return _say(args, result.mount, why, lines, record | _cost_record(*result.costs()))
-
-
-def _result(args: argparse.Namespace, recording: Recording) -> MountResult:
-    return flight_result(_views(args, recording))
 
 
 def _views(args: argparse.Namespace, recording: Recording) -> FlightViews:

@@ -13,9 +13,9 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from companion.base.signals import Stopped
-from companion.cli import perception_option
+from companion.cli import flight_options
 from companion.cli.options import WorkProgress, option, refuse_any, require_drawing
-from companion.cli.outputs import PLOT, output
+from companion.cli.outputs import PLOT, output, prepare_folder
 from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.pipeline import RelativeEstimator
@@ -75,17 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "more SCENARIO", "further scenarios; with report: the folder of a campaign", nargs="*")
     option(parser, "--runs N", "number of flights, at each point (default: 100; with --soak: by --hours)", type=int)
     option(parser, "--seed FIRST", "seed of the first flight (default: 0; with --soak: 1)", type=int)
-    perception_option.add_arguments(parser)
+    flight_options.add_arguments(parser)
     parser.set_defaults(perception=None)
-    option(parser, "--config FILE", "settings file to fly with (default: the profile sim with the scenario's camera and pad)")
-    option(parser, "--set KEY=VALUE", "give a key of scenario or settings another value", default=[], action="append")
-    option(
-        parser,
-        "--wrong-model SIGMA",
-        "let each seed draw by how much the vehicle differs from its file, in standard deviations of what an owner's "
-        "identification leaves; 0 for not at all (default: as the scenario says, 1 in weather_2 to weather_6)",
-        type=float,
-    )
     where = parser.add_argument_group("where to fly and to keep")
     option(where, "--workers K", "number of processes (default: one for each core)", type=int)
     option(where, "--scheduler URL", "fly on the Dask cluster of this scheduler, as tcp://host:8786")
@@ -107,7 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     output = parser.add_argument_group("results")
     option(output, "--json", "print a line of JSON for each flight, and one of the summary")
-    option(output, "--report", f"write {REPORT} beside the results")
+    option(output, "--report DIR", f"write {REPORT} beside the results, or index.html into this folder", nargs="?", const="")
     option(
         output,
         "--map",
@@ -124,8 +115,6 @@ def run(args: argparse.Namespace) -> int:
         return _report(args)
     if args.more and (args.soak or args.map):
         raise BadInput(f"--soak and --map take one scenario, found {args.more[0]!r} besides")
-    if args.wrong_model is not None:
-        args.set = [*args.set, f"wrong_model.sigma={args.wrong_model:g}"]
     refuse(args)
     if args.soak:
         return run_soak(args, *_plan(args))
@@ -138,10 +127,11 @@ def run(args: argparse.Namespace) -> int:
     refuse_any(
         (workers < 1, f"--workers must be 1 or more, got {workers}"),
         (args.workers is not None and args.scheduler, "--workers does not go with --scheduler: the cluster has its own"),
-        (args.against and not args.report, "--against goes with --report"),
+        (args.against and args.report is None, "--against goes with --report"),
     )
-    if args.report:
+    if args.report is not None:
         require_drawing("--report")
+        prepare_folder(Path(args.report) if args.report else None)
     plan, points = _set_plan(args) if args.more or is_set(args.scenario) else _design(args, *_plan(args))
     _compared_with(args.against)
     with closing(_store(args, plan, seeds)) as store:
@@ -308,10 +298,10 @@ def _conclude(args: argparse.Namespace, plan: AnyPlan, store: FolderStore, asked
         files += _cases(plan, store, tally)
     if args.map:
         files.append(store.put(MAP, render_map(plan.name, plan.perception, _asked(store, asked)).encode()))
-    if args.report:
+    if args.report is not None:
         manifest = manifest_of_plan(plan, range(args.seed, args.seed + args.runs), None)
         page = render_report(manifest, _asked(store, asked), store.wall_s(), _compared_with(args.against))
-        files.append(store.put(REPORT, page.encode()))
+        files.append(store.put(str(Path(args.report).resolve() / "index.html") if args.report else REPORT, page.encode()))
     if args.json:
         sys.stdout.write(json.dumps({"summary": summary}) + "\n")
     else:

@@ -21,12 +21,12 @@ from companion.base.mission import FlightOutcome
 from companion.base.signals import check, ending_signal
 from companion.cli import kept_flight
 from companion.cli.kept_flight import compared_paths, shown
-from companion.cli.options import check_seed, named_wait, option, print_line, print_result
+from companion.cli.options import check_seed, listening, named_wait, option, print_line, print_result
 from companion.cli.outputs import prepare_folder
 from companion.guidance.pilot import make_pilot
 from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon
-from companion.settings.links import HttpSettings, VideoStreamOptions
+from companion.settings.links import HttpSettings, VideoStreamOptions, on_loopback
 from companion.settings.load import load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
 from drivers.clock import SystemClock
@@ -90,12 +90,12 @@ def run(args: argparse.Namespace) -> int:
     if args.ardrone1:
         scenario = with_ardrone1(scenario)
     GENERATIONS[scenario.vehicle.generation].check_camera(camera_model(scenario))
-    args.report = None if args.no_report else args.report
+    args.report, place = None if args.no_report else args.report, _place(args)
     prepare_folder(args.report)
-    return event_loop.run(_demo(args, scenario))
+    return event_loop.run(_demo(args, scenario, place))
 
 
-async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
+async def _demo(args: argparse.Namespace, scenario: Scenario, place: tuple[str, int] | None) -> int:
     clock = SystemClock()
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         truth_path = Path(folder) / "truth.jsonl"
@@ -104,8 +104,8 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                 child = await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path, args.ardrone1))
             settings = _profile(scenario, child.ports)
             token = make_token()
-            if args.page is not None or args.foxglove is not None:
-                settings = _with_http(settings, args, Path(folder), token)
+            if place is not None:
+                settings = _with_http(settings, args, place, Path(folder), token)
             if args.video is not None:
                 with refused("--video", ValueError):
                     settings = replace(settings, video_stream=VideoStreamOptions(to=args.video))
@@ -173,6 +173,7 @@ async def _drone(scenario: str, seed: int, truth: Path, ardrone1: bool) -> Async
         *(["--ardrone1"] if ardrone1 else []),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
+        process_group=0,  # Ctrl-C is for this process, and the drone ends with the flight
     )
     assert child.stdin is not None
     assert child.stdout is not None
@@ -219,7 +220,7 @@ def _ending(
 
 
 def _add_servers(parser: argparse.ArgumentParser) -> None:
-    port = HttpSettings().port
+    port = str(HttpSettings().port)
     page = (
         "serve the operator page on loopback and print its address; the landing begins by a button there, and the flight "
         f"goes on until Ctrl-C (default port: {port})"
@@ -229,10 +230,10 @@ def _add_servers(parser: argparse.ArgumentParser) -> None:
         f"(default port: {port})"
     )
     for spec, meaning in (("--page PORT", page), ("--foxglove PORT", live)):
-        option(parser, spec, meaning, type=int, nargs="?", const=port)
+        option(parser, spec, meaning, nargs="?", const=port)
 
 
-def _with_http(settings: Settings, args: argparse.Namespace, folder: Path, token: str) -> Settings:
+def _with_http(settings: Settings, args: argparse.Namespace, place: tuple[str, int], folder: Path, token: str) -> Settings:
     """Return the settings with the page, live data or both on a port.
 
     With a page the token is needed, and the approach waits for the operator: whoever opens the page sees it from its
@@ -241,14 +242,12 @@ def _with_http(settings: Settings, args: argparse.Namespace, folder: Path, token
     Args:
         folder: where the token is written; its user's alone.
     """
-    option, port = ("--page", args.page) if args.page is not None else ("--foxglove", args.foxglove)
     token_file = folder / "page.token"
     token_file.touch(0o600)
     token_file.write_text(token)
     page, foxglove = args.page is not None, args.foxglove is not None
     given = str(token_file) if page else ""
-    http = HttpSettings(endpoint="http", port=port, token_file=given, page=page, foxglove=foxglove)
-    _refuse_port(option, http.host, port)
+    http = HttpSettings(endpoint="http", host=place[0], port=place[1], token_file=given, page=page, foxglove=foxglove)
     return replace(settings, http=http, guidance=replace(settings.guidance, start="signal") if page else settings.guidance)
 
 
@@ -270,13 +269,18 @@ async def _announce(http: HttpSettings, token: str) -> None:
         print_line(f"live for Foxglove (Open connection, Foxglove WebSocket): ws://{address}/live{query}")
 
 
-def _refuse_port(option: str, host: str, port: int) -> None:
-    """Refuse a port that is none, or is taken."""
-    if not 1 <= port <= 65535:
-        raise BadInput(f"{option}: a port lies in 1..65535, got {port}")
-    with socket.socket() as probe:
+def _place(args: argparse.Namespace) -> tuple[str, int] | None:
+    """Return the address and port of page and live data, None without both; refuse those of others, or that are taken."""
+    option, given = ("--page", args.page) if args.page is not None else ("--foxglove", args.foxglove)
+    if given is None:
+        return None
+    place = listening(given, option)
+    if not on_loopback(place[0]):
+        raise BadInput(f"{option} {given}: the demo has no certificate, and serves this computer alone: name a port")
+    with socket.socket(socket.AF_INET6 if ":" in place[0] else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((host, port))
+            probe.bind(place)
         except OSError as why:
-            raise BadInput(f"{option}: port {port} cannot be used ({why.strerror}); name another: {option} PORT") from why
+            raise BadInput(f"{option}: port {place[1]} cannot be used ({why.strerror}); name another: {option} PORT") from why
+    return place

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from companion.cli.options import named_wait, option
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.settings.load import find_file, pad_of_file, read_camera
+from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera
 from companion.settings.referenced_files import second_opinion
 from companion.tools.calibrate.guide import files_of
 from companion.tools.report.overlay import Overlay, annotate
@@ -85,7 +85,7 @@ def add_arguments(p: argparse.ArgumentParser) -> None:
         "Positions are from the body to the pad: forward, right, down, metres, in a frame with the body's heading and no "
         "tilt. Headings are the body's against the pad's arrow, clockwise seen from above, degrees."
     )
-    option(p, "paths PATH", "image, video, recording (MCAP), or a folder of them", nargs="+")
+    option(p, "paths PATH", "image, video, recording (MCAP), or a folder of them; pad.jpg is a shipped example", nargs="+")
     option(
         p,
         "--camera FILE",
@@ -138,14 +138,14 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         BadInput: a path, the camera, the pad or the attitudes are wrong, or an image is not of the camera's size.
     """
-    files = files_of(list(map(Path, args.paths)), images.PICTURES | VIDEOS | RECORDINGS, "image, video or recording")
+    files = files_of(list(map(_found, args.paths)), images.PICTURES | VIDEOS | RECORDINGS, "image, video or recording")
     models = {file: _model(args, file) for file in files}
-    tilts = _attitudes(Path(args.attitude), files) if args.attitude is not None else {}
+    tilts = _attitudes(_found(args.attitude), files) if args.attitude is not None else {}
     options = _options(args.method, args.colours)
     asked = None if args.second_opinion is None else second_opinion(args.second_opinion, "--second-opinion")
     if args.draw is not None:
         _check_drawing(args.draw, files)
-    frames = found = sure = unreadable = mirrored = 0
+    frames = found = sure = ambiguous = unreadable = mirrored = 0
     untried = _MIRROR_TRIES
     if not args.json:
         sys.stdout.write(_HEADER)
@@ -165,6 +165,7 @@ def run(args: argparse.Namespace) -> int:
                 elapsed_ms = (time.perf_counter() - began) * 1e3
                 frames += 1
                 found += seen.selected is not None
+                ambiguous += seen.selected is not None and seen.selected.yaw_ambiguous
                 sure += _is_sure(seen)
                 if untried and not _is_sure(seen):
                     untried -= 1
@@ -181,7 +182,8 @@ def run(args: argparse.Namespace) -> int:
             sys.stdout.flush()
             sys.stderr.write(f"decklander: {why}\n")
     if not args.json:
-        sys.stdout.write(f"found in {found} of {frames} frames\n")
+        doubtful = "? the pad looks alike from several sides: its heading may be another\n" if ambiguous else ""
+        sys.stdout.write(f"{doubtful}found in {found} of {frames} frames\n")
     if mirrored > sure:
         sys.stdout.flush()
         sys.stderr.write(
@@ -191,6 +193,12 @@ def run(args: argparse.Namespace) -> int:
     if unreadable:
         return 2
     return 0 if found else 1
+
+
+def _found(text: str) -> Path:
+    """Return the file that a path means; from any folder, a shipped example by its name."""
+    path, example = Path(text), SHIPPED / "examples" / text.removeprefix("configs/examples/")
+    return example if example.is_file() and not path.exists() else path
 
 
 def _model(args: argparse.Namespace, file: Path) -> _Model:

@@ -170,12 +170,7 @@ def _written(
 
 
 async def _write(
-    links: GivenLinks,
-    system: int,
-    seconds: float,
-    planned: Sequence[PlannedWrite],
-    kept: UndoFile | None,
-    on_result: OnResult,
+    links: GivenLinks, system: int, seconds: float, planned: Sequence[PlannedWrite], kept: UndoFile | None, on_result: OnResult
 ) -> tuple[WriteResult, ...]:
     options, opened = links
     clock = SystemClock()

@@ -19,11 +19,11 @@ from msgspec.structs import replace
 
 from companion.base import event_loop
 from companion.base.orders import CENTRED, TWICE_S, OperatorOrder, StickPositions
-from companion.cli.options import option
+from companion.cli.options import option, refuse_any
 from companion.facts.wire import FlightState
 from companion.parts.operator.client import OperatorClient, connected, line_of_state, running
 from companion.settings.load import load
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import Recoverable
 
 # Fly by the keyboard: the keys of a terminal as sticks with a dead man, and as orders.
 #
@@ -195,13 +195,7 @@ class _Keyboard:
         finally:
             self._asking = False
         self.say(f"{order.value}: {answer.text}")
-        if answer.accepted and order in (
-            OperatorOrder.HOLD,
-            OperatorOrder.LAND,
-            OperatorOrder.STAY,
-            OperatorOrder.BEGIN,
-            OperatorOrder.EMERGENCY,
-        ):
+        if answer.accepted and order in _GIVES_BACK:
             self._hand = False
         return answer.accepted
 
@@ -244,21 +238,10 @@ def _single_keys() -> Iterator[None]:
         termios.tcsetattr(file, termios.TCSADRAIN, before)
 
 
-ORDERS = {
-    order.value: order
-    for order in (
-        OperatorOrder.TAKE_OFF,
-        OperatorOrder.HOLD,
-        OperatorOrder.LAND,
-        OperatorOrder.STAY,
-        OperatorOrder.BEGIN,
-        OperatorOrder.ABORT,
-        OperatorOrder.EMERGENCY,
-        OperatorOrder.RESET,
-        OperatorOrder.CLEAR,
-    )
-}
+_NAMES = ("takeoff", "hold", "land", "stay", "begin", "abort", "emergency", "reset", "clear")
+ORDERS = {name: OperatorOrder(name) for name in _NAMES}
 """The orders of one command line."""
+_GIVES_BACK = frozenset(map(ORDERS.get, ("hold", "land", "stay", "begin", "emergency")))
 _AWAITED = {"takeoff", "land", "begin"}
 _STATE_TIMEOUT_S = 3.0
 
@@ -296,12 +279,15 @@ def run(args: argparse.Namespace) -> int:
         BadInput: the options do not go together, or there is no terminal.
         Recoverable: no service answers.
     """
-    if args.wait is not None and (args.order not in _AWAITED or not 0 < args.wait <= 3600):
-        raise BadInput(f"--wait takes up to 3600 seconds, with one of {', '.join(sorted(_AWAITED))}")
-    if args.here and args.order != "land":
-        raise BadInput("--here goes with land")
-    if args.order is None and not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise BadInput(f"there is no terminal to fly by; name an order: {', '.join(ORDERS)}, status")
+    waits = args.wait is None or (args.order in _AWAITED and 0 < args.wait <= 3600)
+    refuse_any(
+        (not waits, f"--wait takes up to 3600 seconds, with one of {', '.join(sorted(_AWAITED))}"),
+        (args.here and args.order != "land", "--here goes with land"),
+        (
+            args.order is None and not _at_terminal(),
+            f"there is no terminal to fly by; name an order: {', '.join(ORDERS)}, status",
+        ),
+    )
     path = running(None if args.config is None else load(args.config))
     if args.order is None:
         return event_loop.run(fly(path))
@@ -342,9 +328,13 @@ async def _once(args: argparse.Namespace, path: Path) -> int:
     return 0 if reached else 1
 
 
+def _at_terminal() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
 async def _agreed(question: str, args: argparse.Namespace) -> bool:
     """Ask the person at this terminal; where there is none, or a program reads the answer, the whole word of a script counts."""
-    if args.json or not (sys.stdin.isatty() and sys.stdout.isatty()):
+    if args.json or not _at_terminal():
         sys.stderr.write(f"{question} There is no terminal to ask at: ordered\n")
         return True
     return (await asyncio.to_thread(input, f"{question} [y/N] ")).strip().lower() in ("y", "yes")

@@ -62,12 +62,8 @@ def _list(*, as_json: bool) -> int:
     for device in gamepads():
         found += 1
         facts = {"path": device.path, "name": device.name, "axes": len(device.axes), "buttons": len(device.buttons)}
-        text = (
-            json.dumps(facts)
-            if as_json
-            else f"{device.path}: {device.name}, {len(device.axes)} axes, {len(device.buttons)} buttons"
-        )
-        sys.stdout.write(text + "\n")
+        text = f"{device.path}: {device.name}, {len(device.axes)} axes, {len(device.buttons)} buttons"
+        sys.stdout.write((json.dumps(facts) if as_json else text) + "\n")
         device.close()
     if not found:
         sys.stderr.write(_none())

@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from companion.settings.links import HttpSettings, is_address
 from estimator.contracts.errors import BadInput
 
 
@@ -51,6 +52,21 @@ def refuse_any(*cases: tuple[object, str]) -> None:
     for holds, reason in cases:
         if holds:
             raise BadInput(reason)
+
+
+def listening(text: str, what: str) -> tuple[str, int]:
+    """Return the address and port that PORT, ADDRESS or ADDRESS:PORT means; `what` begins the error.
+
+    Raises:
+        BadInput: it is none of these.
+    """
+    text, usual = text.replace("localhost", "127.0.0.1"), HttpSettings()
+    host, port = (usual.host, text) if text.isdecimal() else (text, str(usual.port))
+    if not is_address(host):
+        host, _, port = text.rpartition(":")
+    if not (is_address(host) and port.isdecimal() and 1 <= int(port) <= 65535):
+        raise BadInput(f"{what} {text}: write a port, an address of this computer, or both as in {usual.host}:{usual.port}")
+    return host, int(port)
 
 
 def check_seed(args: argparse.Namespace) -> None:

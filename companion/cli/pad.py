@@ -455,10 +455,10 @@ def _lamp_line(b: LampAccuracy) -> str:
 
 
 def _line(b: PadAccuracy) -> str:
-    yaw = f"{math.degrees(b.yaw_rad):7.3f}" if math.isfinite(b.yaw_rad) else "   none"
+    yaw = f"{math.degrees(b.yaw_rad):7.3f} deg" if math.isfinite(b.yaw_rad) else f"{'none':>9}"
     return (
         f"{b.height_m:7.1f} m {b.radius_px:6.1f} px {100 * b.in_view:6.0f} % {1000 * b.lateral_m:7.3f} mm "
-        f"{1000 * b.range_m:7.2f} mm {yaw} deg"
+        f"{1000 * b.range_m:7.2f} mm {yaw}"
     )
 
 
@@ -508,7 +508,7 @@ def _priced(pad: Pad, file: Path, views: int) -> tuple[Pad, Price]:
         BadInput: the file cannot be written.
     """
     others = {name: pad_of_file(SHIPPED / "pads" / f"{name}.toml") for name in shipped("pads")}
-    found = price(pad, others, views, WorkProgress("searching clutter", "views").take)
+    found = price(pad, others, views, WorkProgress("searching views without and with the pad", "views").take)
     if SHIPPED not in file.resolve().parents:
         _write(file, found.calibration)
     return replace(pad, calibration=found.calibration), found

@@ -24,6 +24,8 @@ from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant, open_recording
 from companion.recording.rewriting import Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
+from companion.settings.remarks import sources as sources_of_ship
+from companion.settings.vessel import VesselOptions
 from companion.tools.ros2 import bags
 from drivers.imports import ardrone_capture, dataflash, network, pictures, px4_ulog, sentences, tlog
 from drivers.imports.kinds import DECRYPT, FileKind, kind_of
@@ -238,9 +240,18 @@ def _import(args: argparse.Namespace) -> int:
 
 
 def _streams(sources: Sequence[_Source], settings: Settings, size: tuple[int, int]) -> list[Iterator[Sample | Frame]]:
-    """Return the data of each source in order; the logs of a ship's sentences are one."""
-    logs = [s for s in sources if kind_of(s.path) is FileKind.SENTENCES]
-    began_s = {s.path: network.began_s(s.path) for s in sources if kind_of(s.path) is FileKind.NETWORK}
+    """Return the data of each source in order; the logs of a ship's sentences are one.
+
+    Raises:
+        BadInput: a ship's log is among them, and the settings know no ship.
+    """
+    kinds = {s.path: kind_of(s.path) for s in sources}
+    of_ship = [(path, kind) for path, kind in kinds.items() if kind in (FileKind.SENTENCES, FileKind.NETWORK)]
+    if of_ship and settings.vessel == VesselOptions() and not sources_of_ship(settings):
+        path, kind = of_ship[0]
+        raise BadInput(f"{path}: {kind.value}: text, and no video or flight; give settings whose table [vessel] knows the ship")
+    logs = [s for s in sources if kinds[s.path] is FileKind.SENTENCES]
+    began_s = {path: network.began_s(path) for path, kind in of_ship if kind is FileKind.NETWORK}
     zero_s = min(began_s.values(), default=0.0)
     if max(began_s.values(), default=0.0) - zero_s < _DAY_S:
         later = {path: round(1e9 * (at_s - zero_s)) for path, at_s in began_s.items()}

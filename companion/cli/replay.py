@@ -128,12 +128,7 @@ async def _paced(
     start = clock.now()
     shift_ns = start - first + round(_LEAD_S * 1e9)
     replay = Replay(
-        recording,
-        pilot,
-        sightings=args.sightings,
-        rate_hz=settings.guidance.rate_hz,
-        shift_ns=shift_ns,
-        observers=observers,
+        recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, shift_ns=shift_ns, observers=observers
     )
     late_s = 0.0
     for at, _ in replay.steps():
@@ -170,7 +165,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--against SETTINGS", "replay with these settings too, and print the differences")
     option(parser, "--compare OTHER", "compare with the estimates in this recording", type=Path)
     output(parser, "--record FILE", "record the estimates of the replay, for --compare", RECORDING)
-    option(parser, "--report DIR", "write a report into this folder", type=Path)
+    option(parser, "--report DIR", "write a report into this folder (report)", type=Path, nargs="?", const=Path("report"))
     option(parser, "--realtime", "replay at the pace of the recording")
     option(parser, "--mavlink URL", "send the outputs to an autopilot or ground station (needs --realtime)", action="append")
     option(parser, "--json", "print one JSON object")

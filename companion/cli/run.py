@@ -106,7 +106,7 @@ def _calibrate_pad(settings: Settings) -> None:
     from companion.tools.pads.price import price
 
     sys.stderr.write(f"pad {pad.name} has no calibration: searching clutter for it, once\n")
-    progress = WorkProgress("searching clutter", "views").take
+    progress = WorkProgress("searching views without and with the pad", "views").take
     file = calibration_file(pad)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from companion.cli import kept_flight, perception_option
+from companion.cli import flight_options, kept_flight
 from companion.cli.kept_flight import keeping, shown
 from companion.cli.options import check_seed, option, print_result, refuse_any
 from companion.settings.load import find_file, shipped
@@ -49,29 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for those with a fault)",
     )
     option(parser, "--seed N", "seed of all random numbers (default: 0)", default=0)
-    option(parser, "--config FILE", "settings file to fly with (default: the profile sim with the scenario's camera and pad)")
-    perception_option.add_arguments(parser)
-    option(
-        parser,
-        "--set KEY=VALUE",
-        "give a key of scenario or settings another value, as in wind.speed_m_s=4; may be repeated",
-        default=[],
-        action="append",
-    )
-    option(
-        parser,
-        "--wrong-model SIGMA",
-        "let the seed draw by how much the vehicle differs from its file, in standard deviations of what an owner's "
-        "identification leaves; 0 for not at all (default: as the scenario says, 1 in weather_2 to weather_6)",
-        type=float,
-    )
+    flight_options.add_arguments(parser)
     option(
         parser, "--base SCENARIO", "fly it on this scenario instead of the base that its file names, as a fault in another sea"
     )
     option(parser, "--faults", "add one or two faults that the seed draws (docs/campaigns.md)", choices=("random",))
     option(parser, "--pad FILE", "pad file, or the name of a shipped one, on deck and looked for")
     option(parser, "--json", "print one JSON object")
-    option(parser, "--report DIR", "write a report into this folder", type=Path)
+    option(parser, "--report DIR", "write a report into this folder (report)", type=Path, nargs="?", const=Path("report"))
     kept_flight.add_arguments(parser)
     beside = parser.add_argument_group("real autopilots (docs/sitl.md)")
     flown = "fly this autopilot program over the simulated sea and vehicle"
@@ -94,8 +79,6 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     check_seed(args)
     perception = perception_level(args.perception)
-    if args.wrong_model is not None:
-        args.set = [*args.set, f"wrong_model.sigma={args.wrong_model:g}"]
     follows, beside = args.follow is not None, args.autopilot is not None
     program = "--binary, --physics, --param, --unaided"
     refuse_any(

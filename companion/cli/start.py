@@ -18,7 +18,7 @@ from msgspec import Struct
 from companion.base import event_loop
 from companion.cli import config, doctor
 from companion.cli.keys import write_secret
-from companion.cli.options import option
+from companion.cli.options import listening, option
 from companion.cli.outputs import SETTINGS, output
 from companion.parts.page.access import make_token
 from companion.settings.load import find_file, pad_of_file
@@ -68,6 +68,7 @@ class Answers(Struct, frozen=True):
     place: str
     page: str
     """Address that the page listens on; empty for none."""
+    port: int = 8480
     channel: int = 0
     """Channel of the transmitter's switch; 0 for none."""
 
@@ -87,7 +88,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--camera-file FILE", "camera file of yours (default: a shipped one to begin with)")
     option(parser, "--pad NAME", "pad: a shipped one or a file of yours")
     option(parser, "--where", "place of the flights", choices=sorted(PLACES))
-    option(parser, "--page ADDRESS", "address for the operator page: 127.0.0.1, one of this computer's by TLS, or off")
+    option(
+        parser, "--page ADDRESS", "address, port or both for the operator page: 127.0.0.1, one of this computer's by TLS, or off"
+    )
     option(parser, "--switch CHANNEL", "channel of a switch on the transmitter that gives orders; 0 for none", type=int)
     output(parser, "--out FILE", "file to write (default: rig.toml)", SETTINGS, default=Path("rig.toml"))
     option(parser, "--yes", "ask nothing: take what is found or usual")
@@ -144,10 +147,11 @@ def _answers(args: argparse.Namespace) -> Answers:
     pad_of_file(find_file(pad, "pads", args.out.parent, "--pad"))
     place = args.where or ask("place", PLACES, "indoors" if flies_itself else "outdoors")
     page = args.page or ask("page", _page_addresses(), "127.0.0.1")
+    page, port = ("", Answers.port) if page == "off" else listening(page, "--page")
     channel = args.switch
     if channel is None:
         channel = _switch(link) if received and not args.yes else 0
-    return Answers(vehicle, link, device, args.camera_file or shipped, pad, place, "" if page == "off" else page, channel)
+    return Answers(vehicle, link, device, args.camera_file or shipped, pad, place, page, port, channel)
 
 
 def _switch(link: str) -> int:
@@ -306,7 +310,8 @@ def settings_text(answers: Answers, out: Path) -> str:
     if answers.page:
         secure = answers.page != "127.0.0.1"
         (token, _), (key, _) = _secret("token", out), _secret("key", out)
-        page = ["[http]", f'endpoint = "{"https" if secure else "http"}"', f'token_file = "{token}"']
+        port = [f"port = {answers.port}"] if answers.port != 8480 else []
+        page = ["[http]", *port, f'endpoint = "{"https" if secure else "http"}"', f'token_file = "{token}"']
         if secure:
             page += [f'host = "{answers.page}"', f'certificate_file = "{out.stem}.crt"', f'key_file = "{key}"']
         sections.append(page)
@@ -326,10 +331,10 @@ def _write(out: Path, text: str) -> None:
     (word, token), (_, key), certificate = _secret("token", out), _secret("key", out), out.with_name(out.stem + ".crt")
     with file_errors(str(out)):
         token.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if f'"{word}"' in text and not token.exists():
-            write_secret(token, make_token().encode() + b"\n")
         if f'"{certificate.name}"' in text and not certificate.exists():
             _certify(certificate, key, text.partition('host = "')[2].rpartition('host = "')[2].partition('"')[0])
+        if f'"{word}"' in text and not token.exists():
+            write_secret(token, make_token().encode() + b"\n")
         out.write_text(text, encoding="utf-8")
 
 
@@ -372,7 +377,7 @@ def _next_steps(answers: Answers, out: Path, *, sound: bool) -> None:
         return
     token = token_file.read_text(encoding="utf-8").strip()
     secure = answers.page != "127.0.0.1"
-    address = f"{'https' if secure else 'http'}://{answers.page}:8480/#token={token}"
+    address = f"{'https' if secure else 'http'}://{answers.page}:{answers.port}/#token={token}"
     say(f"page:               {address}\n")
     if secure and sys.stdout.isatty():
         say("\n" + qr_code(address))

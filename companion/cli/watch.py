@@ -14,7 +14,6 @@ import uuid
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, get_args
 
 from msgspec import structs
@@ -22,18 +21,7 @@ from msgspec import structs
 from companion.base import event_loop
 from companion.cli.options import option
 from companion.facts.records import StageRecord
-from companion.parts.mqtt.messages import (
-    PUBLISHED,
-    ROOT,
-    EventMessage,
-    HealthMessage,
-    SightingMessage,
-    StateMessage,
-    StatusMessage,
-    Topics,
-    decode,
-    split,
-)
+from companion.parts.mqtt import messages as wire
 from companion.settings.links import MqttSettings
 from companion.settings.load import load
 from estimator.contracts.errors import BadInput, Recoverable, refused
@@ -94,11 +82,11 @@ class DroneModel:
     """The state of one drone, as received."""
 
     name: str
-    status: StatusMessage | None = None
-    state: StateMessage | None = None
-    sighting: SightingMessage | None = None
-    health: HealthMessage | None = None
-    events: deque[EventMessage] = field(default_factory=lambda: deque(maxlen=EVENTS))
+    status: wire.StatusMessage | None = None
+    state: wire.StateMessage | None = None
+    sighting: wire.SightingMessage | None = None
+    health: wire.HealthMessage | None = None
+    events: deque[wire.EventMessage] = field(default_factory=lambda: deque(maxlen=EVENTS))
     arrivals: dict[str, Arrivals] = field(default_factory=dict)
     traffic: Traffic = field(default_factory=Traffic)
     copies: int = 0
@@ -109,30 +97,24 @@ class DroneModel:
     _ids: deque[str] = field(default_factory=lambda: deque(maxlen=EVENTS))
     _last: tuple[str, int] | None = None
 
-    def on_message(self, leaf: str, payload: bytes, now_s: float) -> EventMessage | None:
+    def on_message(self, leaf: str, payload: bytes, now_s: float) -> wire.EventMessage | None:
         """Take a message; return the event if it is a new one."""
-        if leaf.partition("/")[0] not in PUBLISHED:
+        kind = leaf.partition("/")[0]
+        if kind not in wire.PUBLISHED:
             return None
         self.traffic.note(now_s, len(payload))
-        message = decode(leaf, payload)
+        message = wire.decode(leaf, payload)
         if message is None:
             self.malformed += 1
             return None
-        self.arrivals.setdefault(leaf.partition("/")[0], Arrivals()).note(now_s)
-        match message:
-            case StatusMessage():
-                self.status = message
-            case StateMessage():
-                self.state = message
-            case SightingMessage():
-                self.sighting = message
-            case HealthMessage():
-                self.health = message
-            case EventMessage():
-                return self._event(message)
+        self.arrivals.setdefault(kind, Arrivals()).note(now_s)
+        if isinstance(message, wire.EventMessage):
+            return self._event(message)
+        if kind in ("status", "state", "sighting", "health"):
+            setattr(self, kind, message)
         return None
 
-    def _event(self, event: EventMessage) -> EventMessage | None:
+    def _event(self, event: wire.EventMessage) -> wire.EventMessage | None:
         if event.id in self._ids:
             self.copies += 1
             return None
@@ -154,9 +136,9 @@ class WatchModel:
     connected: bool = False
     trouble: str = ""
 
-    def on_message(self, topic: str, payload: bytes, now_s: float) -> tuple[DroneModel, EventMessage | None] | None:
+    def on_message(self, topic: str, payload: bytes, now_s: float) -> tuple[DroneModel, wire.EventMessage | None] | None:
         """Take a message; return its drone, and the event if it is a new one. Return None for a topic that is not ours."""
-        parts = split(topic)
+        parts = wire.split(topic)
         if parts is None or (self.only is not None and parts[0] != self.only):
             self.ignored += 1
             return None
@@ -199,7 +181,7 @@ def screen(model: WatchModel, now_s: float, width: int, height: int, *, colour: 
     return [_cut(line, width) for line in lines[:height]]
 
 
-def line(drone: DroneModel, event: EventMessage | None) -> str:
+def line(drone: DroneModel, event: wire.EventMessage | None) -> str:
     """Return one plain line: the event, or else the drone's state."""
     if event is not None:
         return f"{drone.name} event {event.sequence} {event.kind}: {_clean(event.text)}"
@@ -297,7 +279,7 @@ def _wrapped(label: str, items: list[str], width: int) -> list[str]:
     return [text.rstrip() for text in lines]
 
 
-def _event(event: EventMessage, paint: Paint) -> str:
+def _event(event: wire.EventMessage, paint: Paint) -> str:
     colour = {"command": _YELLOW, "phase": _GREEN}.get(event.kind, _DIM)
     return f"{event.at_ns * 1e-9:12.2f} s  {event.sequence:>6}  {paint(f'{event.kind:<8}', colour)} {_clean(event.text)}"
 
@@ -417,8 +399,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--host HOST", "host name or address of the broker (default: 127.0.0.1)")
     option(parser, "--port PORT", "port of the broker (default: 8883 with TLS, 1883 without)", type=int)
     option(parser, "--user USER", "user name")
-    option(parser, "--password-file FILE", "read the password from this file", type=Path)
-    option(parser, "--ca-file FILE", "trust the CAs in this file instead of the system's", type=Path)
+    option(parser, "--password-file FILE", "read the password from this file")
+    option(parser, "--ca-file FILE", "trust the CAs in this file instead of the system's")
     option(parser, "--plain-tcp", "connect without TLS")
     option(parser, "--drone NAME", "show only this drone (default: every drone on the broker)")
     option(parser, "--seconds S", "stop after this many seconds", type=float)
@@ -444,7 +426,7 @@ def run(args: argparse.Namespace) -> int:
     settings = _changed(settings, args)
     if args.drone is not None:
         with refused("--drone", ValueError):
-            Topics(args.drone)
+            wire.Topics(args.drone)
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
     endpoint = BrokerEndpoint.of(settings)
@@ -455,15 +437,9 @@ def run(args: argparse.Namespace) -> int:
 def _changed(settings: MqttSettings, args: argparse.Namespace) -> MqttSettings:
     if args.port is not None and not 0 < args.port < 65536:
         raise BadInput(f"--port must be from 1 to 65535, got {args.port}")
-    given = {
-        "host": args.host,
-        "port": args.port,
-        "user": args.user,
-        "password_file": None if args.password_file is None else str(args.password_file),
-        "ca_file": None if args.ca_file is None else str(args.ca_file),
-    }
     if args.password_file is not None and not (args.user or settings.user):
         raise BadInput("--password-file needs --user")
+    given = {key: getattr(args, key) for key in ("host", "port", "user", "password_file", "ca_file")}
     return structs.replace(settings, **{key: value for key, value in given.items() if value is not None})
 
 
@@ -473,7 +449,7 @@ class _Watch:
     def __init__(self, endpoint: BrokerEndpoint, drone: str | None, out: TextIO, live: bool) -> None:
         self._endpoint = endpoint
         self._model = WatchModel(drone)
-        self._topic = f"{ROOT}/{drone or '+'}/+"
+        self._topic = f"{wire.ROOT}/{drone or '+'}/+"
         self._out = out
         self._live = live
         self._printed_s: dict[str, float] = {}

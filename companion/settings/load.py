@@ -42,6 +42,9 @@ _DEEP_PARTS = 50
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_DEEP_PARTS},}}")
 """A dotted key with this many parts is not one of ours, and the time to read it grows with their square."""
+_QUOTED = r"'([^']*)'"
+_TUPLE = re.compile(rf"\((?:{_QUOTED},? ?)+\)")
+"""A table's name in Python's words."""
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
 _INTO_HTTP = {"page": 8480, "metrics": 9464, "foxglove": 8765}
@@ -356,7 +359,8 @@ def toml_of(text: str, path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as why:  # a number of thousands of digits is a plain ValueError
-        raise BadInput(f"{path}: not valid TOML: {why}") from why
+        fault = _TUPLE.sub(lambda found: f"[{'.'.join(re.findall(_QUOTED, found[0]))}]", str(why))
+        raise BadInput(f"{path}: not valid TOML: {fault.replace('Cannot overwrite a value', 'a key is there twice')}") from why
 
 
 def shipped(folder: str = "") -> list[str]:

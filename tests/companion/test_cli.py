@@ -155,14 +155,8 @@ def test_config_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 
 MINIMAL = '[vehicle]\nkind = "ardrone"\n[camera]\nfile = "sim"\n[pad]\nfile = "thesis"\n'
-SECRETS = {
-    "mqtt.password_file": '[mqtt]\ntransport = "tls"\nuser = "deck"\npassword_file = "absent"\n',
-    "mqtt.command_key_file": '[mqtt]\ntransport = "tls"\ncommands = "signed"\ncommand_key_file = "absent"\n',
-    "mqtt.ca_file": '[mqtt]\ntransport = "tls"\nca_file = "absent"\n',
-    "http.token_file": '[http]\nendpoint = "http"\ntoken_file = "absent"\n',
-    "vision.learned_file": '[vision]\nlearned = "second_opinion"\nlearned_file = "absent"\n',
-    "bridge.signing_key_file": '[bridge]\nlinks = "udpin://127.0.0.1:14550"\nsigning_key_file = "absent"\n',
-}
+SECRETS = tomllib.loads(Path(__file__).with_name("refused_settings.toml").read_text())["absent"]
+"""Tables that each name an absent file, by the key that does."""
 
 
 @pytest.mark.parametrize("key", SECRETS)
@@ -244,26 +238,15 @@ def test_the_version_is_the_project_s() -> None:
     assert subprocess.check_output(command, cwd=ROOT, text=True) == f"decklander {project['version']}\n"
 
 
-FILES = {
-    "bad.toml": "width = 640\nheight = 360\n",
-    "small.toml": "width=320\nheight=180\nfx=187\nfy=187\ncx=159.5\ncy=89.5\n",
-    "headless.csv": "a.png,1,2\n",
-    "flat.csv": "source,roll_deg,pitch_deg\npad.jpg,flat,0\n",
-    "other.csv": "source,roll_deg,pitch_deg\nz.png,1,2\n",
-    "twice.csv": "source,roll_deg,pitch_deg\npad.jpg,1,2\npad.jpg,1,2\n",
-    "link.key": "x" * 32,
-    "empty/notes.txt": "no image\n",
-}
-"""Files of the folder in which wrong use is tried, beside the shipped image pad.jpg."""
-WRONG: dict[str, str] = tomllib.loads(Path(__file__).with_name("wrong_use.toml").read_text(encoding="utf-8"))
-"""Command lines that cannot be carried out, and what the one line says that each ends with."""
+WRONG = tomllib.loads(Path(__file__).with_name("wrong_use.toml").read_text(encoding="utf-8"))
+"""Command lines that cannot be carried out, and what the one line says that each ends with; and the files beside pad.jpg."""
 
 
-@pytest.mark.parametrize("line", WRONG)
+@pytest.mark.parametrize("line", WRONG["lines"])
 def test_what_cannot_be_done_is_one_line_and_writes_nothing(line, flight_file, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("empty").mkdir()
-    for name, text in FILES.items():
+    for name, text in WRONG["files"].items():
         Path(name).write_text(text)
         Path(name).chmod(0o600)
     Path("pad.jpg").write_bytes((ROOT / "configs/examples/pad.jpg").read_bytes())
@@ -271,7 +254,7 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(line, flight_file, t
     assert cli.main(shlex.split(line.format(flown=flight_file, link="--link udpin://127.0.0.1:0"))) == 2
     err = capsys.readouterr().err
     assert err.startswith("decklander: ")
-    assert WRONG[line] in err
+    assert WRONG["lines"][line] in err
     assert err.count("\n") == 1
     assert sorted(tmp_path.rglob("*")) == before
 

@@ -44,6 +44,13 @@ def test_the_file_is_short_commented_good_and_never_overwritten(vehicle, where, 
     assert out.read_text() == text
 
 
+@pytest.mark.parametrize("page", ["8481", "127.0.0.1:8481", "localhost:8481"])
+def test_a_page_is_named_by_its_port_its_address_or_both(page, tmp_path):
+    out = tmp_path / "rig.toml"
+    assert main(["start", "--yes", "--no-doctor", "--vehicle", "sim", "--page", page, "--out", str(out)]) == 0
+    assert (load(out).http.host, load(out).http.port) == ("127.0.0.1", 8481)
+
+
 def test_the_units_settings_name_its_credentials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.setattr(start, "_UNIT_FOLDER", tmp_path / "etc")
     monkeypatch.setattr(start, "_UNIT_STORE", tmp_path / "credstore")

@@ -76,10 +76,17 @@ def test_a_rate_of_turn_of_the_wrong_sense_shows(sign: float) -> None:
     assert sensors.turns_against_heading() == pytest.approx(sign, abs=0.05)
 
 
+def rig(folder: Path) -> str:
+    """Return a settings file that knows a ship."""
+    tables = '[vehicle]\nkind = "ardrone"\n[camera]\nfile = "sim"\n[pad]\nfile = "thesis"\n[vessel]\nnmea = "0.0.0.0:10110"\n'
+    (folder / "rig.toml").write_text(tables)
+    return str(folder / "rig.toml")
+
+
 def imported(tmp_path: Path, *logs: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     """Return the verdicts of `replay` on what `record import` made of logs, by sensor."""
     recording = tmp_path / "ship.mcap"
-    assert cli.main(["record", "import", *map(str, logs), "--config", "ardrone2", "--output", str(recording)]) == 0
+    assert cli.main(["record", "import", *map(str, logs), "--config", rig(tmp_path), "--output", str(recording)]) == 0
     capsys.readouterr()
     assert cli.main(["replay", str(recording), "--json"]) == 0
     out = json.loads(capsys.readouterr().out)
@@ -146,8 +153,9 @@ def test_sentences_between_two_with_a_time_lie_evenly_between_them(tmp_path, cap
     assert (one["count"], one["rate_hz"], one["gaps"]) == (600, pytest.approx(10.0, rel=0.01), 0)
 
 
-def test_a_log_without_any_time_is_refused(tmp_path, capsys):
+def test_a_log_without_any_time_or_without_a_ship_is_refused(tmp_path, capsys):
     log = tmp_path / "ship.log"
     log.write_bytes(20 * line("HEHDT,90.0,T"))
-    assert cli.main(["record", "import", str(log), "--config", "ardrone2", "--output", str(tmp_path / "out.mcap")]) == 2
-    assert "no time in it" in capsys.readouterr().err
+    for settings, why in ((rig(tmp_path), "no time in it"), ("ardrone2", "text, and no video or flight; give settings")):
+        assert cli.main(["record", "import", str(log), "--config", settings, "--output", str(tmp_path / "out.mcap")]) == 2
+        assert why in capsys.readouterr().err

@@ -1,0 +1,39 @@
+"""Options of the commands that simulate flights: how the pad is perceived, and what differs from scenario and settings."""
+
+import argparse
+
+from companion.cli.options import option
+from sitl.flight.one_flight import PERCEPTIONS
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options to a parser."""
+    option(parser, "--config FILE", "settings file to fly with (default: the profile sim with the scenario's camera and pad)")
+    option(
+        parser,
+        "--perception LEVEL",
+        f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: pixels, rendered frames)",
+        default="pixels",
+    )
+    option(
+        parser,
+        "--perception-model FILE",
+        "error model of --perception model or truth, from decklander perception fit (default: the shipped one of vision.method)",
+    )
+    meaning = "give a key of scenario or settings another value, as in wind.speed_m_s=4; may be repeated"
+    option(parser, "--set KEY=VALUE", meaning, default=[], action="append")
+    option(
+        parser,
+        "--wrong-model SIGMA",
+        "let the seed draw by how much the vehicle differs from its file, in standard deviations of what an owner's "
+        "identification leaves; 0 for not at all (default: as the scenario says, 1 in weather_2 to weather_6)",
+        dest="set",
+        default=[],
+        action="append",
+        type=_wrong_model,
+    )
+
+
+def _wrong_model(sigma: str) -> str:
+    """Return the key of the scenario, as --set takes it."""
+    return f"wrong_model.sigma={sigma}"
