@@ -191,7 +191,7 @@ async def test_an_event_says_what_a_person_can_do_about_it(tmp_path: Path) -> No
         )
         service.page.on_decision(Decision(now, "go around", None, None, transitions=changes))
         around = await browser.read("event")
-        while not around["text"].startswith("go around"):
+        while not around["text"].startswith("going around"):
             around = await browser.read("event")
         assert (around["level"], around["advice"]) == ("warning", "Wait for less wind, or let the ship run with it.")
         assert (await browser.read("event"))["advice"] == ""
