@@ -17,6 +17,7 @@ from companion.cli import flight_options
 from companion.cli.options import WorkProgress, option, refuse_any, require_drawing
 from companion.cli.outputs import PLOT, output, prepare_folder
 from companion.settings.load import shipped
+from companion.settings.remarks import warn_of_idle
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.pipeline import RelativeEstimator
 from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_columns, in_rows, in_words, tallies_of
@@ -220,12 +221,9 @@ def _design(args: argparse.Namespace, plan: CampaignPlan, given: Overridable) ->
             raise BadInput("--faults does not go with --vary")
         return _with_random_faults(args, plan, given.scenario), [()]
     axes = [parse_axis(text, given, "--vary") for text in args.vary]
-    if not axes:
-        return plan, [()]
     points = factorial(axes)
-    for point in points:
-        given.with_values(point, "--vary")
-    return replace(plan, design=described("factorial", axes)), points
+    warn_of_idle([given.with_values(point, "--vary")[1] for point in points])
+    return (replace(plan, design=described("factorial", axes)) if axes else plan), points
 
 
 def _with_random_faults(args: argparse.Namespace, plan: CampaignPlan, scenario: Scenario) -> CampaignPlan:

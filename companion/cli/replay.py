@@ -33,6 +33,7 @@ from companion.recording.frame_encoder import VideoImage
 from companion.recording.reading import RecordedFrame, Recording, open_recording
 from companion.settings.load import Settings
 from companion.settings.overrides import with_overrides
+from companion.settings.remarks import warn_of_idle
 from companion.tools.replay.engine import Replay, pilot_of, settings_of
 from companion.tools.replay.recorded_log import BeliefLogObserver, Difference, differences, recorded_beliefs
 from companion.tools.replay.ship_sensors import SensorJudge
@@ -196,6 +197,8 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
     prepare_folder(args.report)
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
+    if args.set or args.config:
+        warn_of_idle([settings])
     if args.realtime:
         return play(args, recording, settings)
     if not args.json:

@@ -19,6 +19,7 @@ from companion.cli import flight_options, kept_flight
 from companion.cli.kept_flight import keeping, shown
 from companion.cli.options import check_seed, option, print_result, refuse_any
 from companion.settings.load import find_file, shipped
+from companion.settings.remarks import warn_of_idle
 from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
@@ -99,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_for(scenario, args.config)
     given = Overridable(scenario, settings)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
+    warn_of_idle([settings])
     if args.faults is not None:
         scenario = with_random_faults(scenario, args.seed, perception)
     with (
@@ -144,6 +146,7 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     settings = settings_for(scenario, args.config, by_autopilot=True)
     given = Overridable(scenario, settings, by_autopilot=True)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
+    warn_of_idle([settings])
     given_parameters = parameters(args.param)
     autopilot = AutopilotProgram(args.autopilot, binary, given_parameters, own=args.physics == "own", unaided=args.unaided)
     seen_by, began = perceive(perception, args.perception_model), time.monotonic()

@@ -1,6 +1,8 @@
 """Say of settings that are good what their author may want to know, such as keys that another key leaves without effect."""
 
 import json
+import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import reduce
 from pathlib import Path
@@ -77,6 +79,13 @@ class _Rule(NamedTuple):
 _RULES = (
     _Rule("vision.learned_file", 'vision.learned is "off"'),
     _Rule("guidance.policy_file", 'guidance.controller is not "policy"'),
+    _Rule(
+        "guidance.pid.",
+        'guidance.controller is not "pid" and estimator.path is "ekf"',
+        idle=lambda s: s.guidance.controller in ("follow_deck", "policy") and s.estimator.path == "ekf",
+    ),
+    _Rule("guidance.thesis.", 'guidance.mission is not "thesis"'),
+    _Rule("guidance.elsewhere.", 'guidance.refused is not "land elsewhere"'),
     _Rule("mqtt.", 'mqtt.transport is "off"', "mqtt.transport"),
     _Rule("mqtt.ca_file mqtt.certificate_file mqtt.key_file", 'mqtt.transport is "tcp"'),
     _Rule("mqtt.commands_max_hz", 'mqtt.commands is "off"'),
@@ -173,6 +182,13 @@ def _empty_battery(settings: Settings) -> tuple[str, ...]:
 def not_checked(keys: Sequence[str]) -> str:
     """Return a remark about settings that name systemd credentials, which exist only inside the unit; "" if there are none."""
     return f" ({', '.join(keys)}: credentials of the systemd unit, not checked here)" if keys else ""
+
+
+def warn_of_idle(points: Sequence[Settings]) -> None:
+    """Write a line to standard error for every cause that leaves keys without effect in any of these settings."""
+    found = Counter(line for settings in points for line in without_effect(settings))
+    for line, number in found.items():
+        sys.stderr.write(f"decklander: {line}{f' ({number} of {len(points)} points)' if len(points) > 1 else ''}\n")
 
 
 def without_effect(settings: Settings) -> tuple[str, ...]:

@@ -360,6 +360,7 @@ def test_long_rows_of_numbers_and_texts_with_dots_are_no_deep_keys() -> None:
             ('mqtt.drone, mqtt.host: without effect, as mqtt.transport is "off"',),
         ),
         (minimal() | {"bridge": {"system_id": 7}}, ("bridge.system_id: without effect, as bridge.links is empty",)),
+        (minimal() | {"guidance": {"pid": {"climb_max_m_s": 0.7}}, "estimator": {"path": "median_mean"}}, ()),
         (
             minimal() | {"vessel": {"jump_m": 20.0}},
             ("expert.vessel.jump_m: without effect, as no source of the ship's place is set",),
