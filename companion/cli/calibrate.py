@@ -17,7 +17,7 @@ import numpy as np
 
 from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight
-from companion.cli.options import option, print_result, require_drawing
+from companion.cli.options import named_wait, option, print_result, require_drawing
 from companion.cli.outputs import CAMERA_FILE, output
 from companion.tools.calibrate.board import BOARDS, Board, Collection
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
@@ -145,7 +145,8 @@ def _run_camera(args: argparse.Namespace) -> int:
             )
         _say(args, collection, None, Assessment(tuple(lacks), ()), written=False)
         return 1
-    solution = solve(collection.views, board, size, mount, args.lens)
+    with named_wait(f"solving for the camera by {len(collection.views)} views", quiet=args.json):
+        solution = solve(collection.views, board, size, mount, args.lens)
     if args.figures is not None:
         from companion.tools.calibrate import figures
 

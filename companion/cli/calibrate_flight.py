@@ -13,7 +13,7 @@ import numpy as np
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from companion.cli.options import option, print_result, recording_argument, require_drawing
+from companion.cli.options import named_wait, option, print_result, reading, recording_argument, require_drawing
 from companion.cli.outputs import CAMERA_FILE, PLOT, RESPONSE_FILE, SETTINGS, output
 from companion.guidance.law.margins import LoopMargins, margins
 from companion.guidance.law.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt, text
@@ -31,7 +31,7 @@ from companion.tools.calibrate.flight_result import (
     tilt_of_file,
     tilt_of_sigma,
 )
-from companion.tools.calibrate.flight_views import FlightViews, FlownCourses, flight_views, flown_courses
+from companion.tools.calibrate.flight_views import FlownCourses, flight_views, flown_courses
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput, file_errors, refused
 
@@ -67,7 +67,8 @@ def _vehicle(args: argparse.Namespace, recording: Recording) -> int:
     courses = flown_courses(recording)
     for path, why in recording.cut.items():
         sys.stderr.write(f"decklander: {path} is cut short or damaged ({why}): identified without that\n")
-    tilt, climb = _fits(recording, courses, start)
+    with named_wait("fitting", quiet=args.json):
+        tilt, climb = _fits(recording, courses, start)
     if tilt.delay_sigma_s > NOTHING_TOLD_S:
         sys.stderr.write(
             f"decklander: {recording.name}: too little motion to identify a response: the delay of the tilt is known to "
@@ -313,12 +314,13 @@ def add_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     recording = open_recording(args.recording)
+    recording.watch = reading(recording.name, quiet=args.json)
     actions = {"mount": _mount, "delay": _delay, "readout": _readout, "vehicle": _vehicle}
     return actions[args.action](args, recording)
 
 
 def _mount(args: argparse.Namespace, recording: Recording) -> int:
-    result = flight_result(_views(args, recording))
+    result = _result(args, recording)
     why = result.mount_refusal()
     if why is None and args.out is not None:
         text = recording.attachments[CAMERA].decode("utf-8")
@@ -355,7 +357,7 @@ def _delay(args: argparse.Namespace, recording: Recording) -> int:
     of_vehicle = isinstance(settings.vehicle, ArDroneOptions)
     key = "vehicle.video_delay_s" if of_vehicle else "camera.latency_s"
     was = settings.vehicle.video_delay_s if isinstance(settings.vehicle, ArDroneOptions) else settings.camera.latency_s
-    result = flight_result(_views(args, recording))
+    result = _result(args, recording)
     found, why = was - result.later_s, result.delay_refusal()
     if -_GYRO_TRAILS_S < found < 0.0:
         found = 0.0
@@ -394,7 +396,9 @@ def _write_delay(args: argparse.Namespace, key: str, was: float, found: float, s
 
 
 def _readout(args: argparse.Namespace, recording: Recording) -> int:
-    result = readout_result(recording, _views(args, recording))
+    views = flight_views(recording)
+    with named_wait("searching the images for the time of a row", quiet=args.json):
+        result = readout_result(recording, views)
     found, sigma_s, was_s, why = result.readout_s, result.sigma_s, result.was_s, result.refusal()
     if why is None and args.out is not None:
         text = recording.attachments[CAMERA].decode("utf-8")
@@ -409,11 +413,10 @@ def _readout(args: argparse.Namespace, recording: Recording) -> int:
     return _say(args, result.mount, why, lines, record | _cost_record(*result.costs()))
 
 
-def _views(args: argparse.Namespace, recording: Recording) -> FlightViews:
+def _result(args: argparse.Namespace, recording: Recording) -> MountResult:
     views = flight_views(recording)
-    if not args.json and sys.stderr.isatty():
-        sys.stderr.write(f"{views.t.size} views of the pad; fitting ...\n")
-    return views
+    with named_wait(f"fitting {views.t.size} views of the pad", quiet=args.json):
+        return flight_result(views)
 
 
 _AXES = ("about forward", "right", "down")

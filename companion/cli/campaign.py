@@ -14,39 +14,19 @@ from msgspec.structs import replace
 
 from companion.base.signals import Stopped
 from companion.cli import flight_options
-from companion.cli.options import WorkProgress, option, refuse_any, require_drawing
+from companion.cli.options import WorkProgress, named_wait, option, refuse_any, require_drawing
 from companion.cli.outputs import PLOT, output, prepare_folder
 from companion.settings.load import shipped
 from companion.settings.remarks import warn_of_idle
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.pipeline import RelativeEstimator
+from sitl.campaign import plan as plans
 from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_columns, in_rows, in_words, tallies_of
-from sitl.campaign.plan import (
-    AnyPlan,
-    CampaignPlan,
-    Job,
-    Overridable,
-    Point,
-    SetPlan,
-    code_version,
-    described,
-    digest_of,
-    factorial,
-    is_set,
-    load_set,
-    make_plan,
-    parse_axis,
-    place_of,
-    seeds_of,
-    set_of,
-    shipped_sets,
-    unpacked,
-)
 from sitl.campaign.random_faults import Cases, FaultTally, fly_with_random_faults
 from sitl.campaign.report import AXES, MAP, REPORT, render_map, render_report
 from sitl.campaign.soak import Draw, SoakOptions, soak
 from sitl.campaign.store import FLIGHTS, FolderStore, flights_in, fly_left, manifest_of, manifest_of_plan, wall_s_in, write_whole
-from sitl.campaign.workers import ClusterWorkers, Flight, Flyer, LocalWorkers, fly_flight, job_of
+from sitl.campaign.workers import ClusterWorkers, Flight, LocalWorkers, fly_flight, job_of
 from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import FAULTS, Scenario
@@ -71,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "scenario",
         f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for those "
-        f"with a fault); or a set of scenarios ({', '.join(shipped_sets())}, or its file); or the word report",
+        f"with a fault); or a set of scenarios ({', '.join(plans.shipped_sets())}, or its file); or the word report",
     )
     option(parser, "more SCENARIO", "further scenarios; with report: the folder of a campaign", nargs="*")
     option(parser, "--runs N", "number of flights, at each point (default: 100; with --soak: by --hours)", type=int)
@@ -123,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
         output = {text.partition("=")[0] for text in args.vary}
         args.vary = [*args.vary, *(axis for axis in AXES if axis.partition("=")[0] not in output)]
     args.runs, args.seed = (_MAP_RUNS if args.map else 100) if args.runs is None else args.runs, args.seed or 0
-    seeds = seeds_of(args.seed, args.runs)
+    seeds = plans.seeds_of(args.seed, args.runs)
     workers = len(os.sched_getaffinity(0)) if args.workers is None else args.workers
     refuse_any(
         (workers < 1, f"--workers must be 1 or more, got {workers}"),
@@ -133,12 +113,13 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         require_drawing("--report")
         prepare_folder(Path(args.report) if args.report else None)
-    plan, points = _set_plan(args) if args.more or is_set(args.scenario) else _design(args, *_plan(args))
+    plan, points = _set_plan(args) if args.more or plans.is_set(args.scenario) else _design(args, *_plan(args))
     _compared_with(args.against)
     with closing(_store(args, plan, seeds)) as store:
         try:
             with _workforce(args, plan, workers) as workforce:
-                jobs = [Job(seed, point, name) for name in _names(plan) for seed in seeds for point in points]
+                names = list(plan.members) if isinstance(plan, plans.SetPlan) else [""]
+                jobs = [plans.Job(seed, point, name) for name in names for seed in seeds for point in points]
                 _fly_left(args, store, workforce, jobs, _by(args, min(workers, len(jobs))))
         except Stopped:
             kept = len(store.keys())
@@ -147,18 +128,14 @@ def run(args: argparse.Namespace) -> int:
         return _conclude(args, plan, store, {job.key for job in jobs})
 
 
-def _names(plan: AnyPlan) -> Sequence[str]:
-    return list(plan.members) if isinstance(plan, SetPlan) else [""]
-
-
-def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point]]:
+def _set_plan(args: argparse.Namespace) -> tuple[plans.SetPlan, list[plans.Point]]:
     if args.vary:
         raise BadInput("--vary goes with one scenario, not with several")
     if args.more:
         args.scenario, args.perception = ", ".join(names := [args.scenario, *args.more]), args.perception or "pixels"
-        chosen, scenarios = set_of(names), {name: load_scenario(name) for name in names}
+        chosen, scenarios = plans.set_of(names), {name: load_scenario(name) for name in names}
     else:
-        chosen, scenarios = load_set(args.scenario)
+        chosen, scenarios = plans.load_set(args.scenario)
     members = {}
     for member in chosen.scenario:
         name = member.name
@@ -170,81 +147,76 @@ def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point]]:
                 members[name] = _with_random_faults(args, members[name], scenarios[name])
     base = () if chosen.base is None else ("--base", chosen.base)
     args.perception = None  # each flight says its own when it is to be flown again
-    found = {} if args.more else {name: place_of(args.scenario, name) for name in members}
+    found = {} if args.more else {name: plans.place_of(args.scenario, name) for name in members}
     places = {name: place for name, place in found.items() if place != name}
-    return SetPlan(args.scenario, chosen.title, members, (*base, *_options(args)), places), [()]
+    return plans.SetPlan(args.scenario, chosen.title, members, (*base, *_options(args)), places), [()]
 
 
-def _plan(args: argparse.Namespace) -> tuple[CampaignPlan, Overridable]:
+def _plan(args: argparse.Namespace) -> tuple[plans.CampaignPlan, plans.Overridable]:
     args.perception = args.perception or "pixels"
     try:
         scenario = load_scenario(args.scenario)
     except BadInput as why:
-        if near := difflib.get_close_matches(args.scenario, shipped_sets(), n=1):
+        if near := difflib.get_close_matches(args.scenario, plans.shipped_sets(), n=1):
             raise BadInput(f"{why}; there is a set {near[0]!r}") from why
         raise
     return _plan_of(args, args.scenario, scenario, args.perception)
 
 
-def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str) -> tuple[CampaignPlan, Overridable]:
+def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str) -> tuple[plans.CampaignPlan, plans.Overridable]:
     perception = perception_level(level)
     if args.perception_model is not None and perception == "pixels":
         raise BadInput("--perception-model goes with --perception model or truth")
     perceive(perception, args.perception_model)
     settings = settings_for(scenario, args.config)
-    given = Overridable(scenario, settings)
+    given = plans.Overridable(scenario, settings)
     overrides = [given.parse(text, "--set") for text in args.set]
     scenario, settings = given.with_values(overrides, "--set")
     RelativeEstimator(settings.estimator)  # a path that lacks its library is refused before any flight
-    plan = make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args)))
-    return plan, Overridable(scenario, settings)
+    plan = plans.make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args)))
+    return plan, plans.Overridable(scenario, settings)
 
 
 def _options(args: argparse.Namespace) -> Iterator[str]:
     """Return the arguments with which `decklander simulate` flies a flight of this campaign again."""
-    if args.config:
-        yield from ("--config", args.config)
-    if args.perception not in (None, "pixels"):
-        yield from ("--perception", args.perception)
-    if args.perception_model:
-        yield from ("--perception-model", args.perception_model)
-    for value in args.set:
-        yield from ("--set", value)
-    if args.faults:
-        yield from ("--faults", args.faults)
+    perception = None if args.perception == "pixels" else args.perception
+    options = [("--config", args.config), ("--perception", perception), ("--perception-model", args.perception_model)]
+    options += [*(("--set", value) for value in args.set), ("--faults", args.faults)]
+    yield from (word for option in options if option[1] for word in option)
 
 
-def _design(args: argparse.Namespace, plan: CampaignPlan, given: Overridable) -> tuple[CampaignPlan, list[Point]]:
+def _design(
+    args: argparse.Namespace, plan: plans.CampaignPlan, given: plans.Overridable
+) -> tuple[plans.CampaignPlan, list[plans.Point]]:
     """Return the plan with its design, and the points at which all seeds are flown."""
     if args.faults is not None:
         if args.vary:
             raise BadInput("--faults does not go with --vary")
         return _with_random_faults(args, plan, given.scenario), [()]
-    axes = [parse_axis(text, given, "--vary") for text in args.vary]
-    points = factorial(axes)
+    axes = [plans.parse_axis(text, given, "--vary") for text in args.vary]
+    points = plans.factorial(axes)
     warn_of_idle([given.with_values(point, "--vary")[1] for point in points])
-    return (replace(plan, design=described("factorial", axes)) if axes else plan), points
+    return (replace(plan, design=plans.described("factorial", axes)) if axes else plan), points
 
 
-def _with_random_faults(args: argparse.Namespace, plan: CampaignPlan, scenario: Scenario) -> CampaignPlan:
+def _with_random_faults(args: argparse.Namespace, plan: plans.CampaignPlan, scenario: Scenario) -> plans.CampaignPlan:
     """Return the plan with faults that each seed draws; raises BadInput where there can be none."""
     with_random_faults(scenario, args.seed, plan.perception)
-    return replace(plan, design=described("random faults", []))
+    return replace(plan, design=plans.described("random faults", []))
 
 
-def _store(args: argparse.Namespace, plan: AnyPlan, seeds: range) -> FolderStore:
-    folder = Path(args.out) if args.out else Path("campaigns") / f"{Path(plan.name).stem}-{digest_of(plan)}"
+def _store(args: argparse.Namespace, plan: plans.AnyPlan, seeds: range) -> FolderStore:
+    folder = Path(args.out) if args.out else Path("campaigns") / f"{Path(plan.name).stem}-{plans.digest_of(plan)}"
     return FolderStore(folder, plan, seeds)
 
 
-def _workforce(args: argparse.Namespace, plan: AnyPlan, workers: int) -> AbstractContextManager[LocalWorkers | ClusterWorkers]:
-    if args.scheduler is not None:
-        return ClusterWorkers(plan, code_version(), args.scheduler, _flyer(args))
-    return LocalWorkers(plan, code_version(), workers, _flyer(args))
-
-
-def _flyer(args: argparse.Namespace) -> Flyer:
-    return fly_flight if args.faults is None else fly_with_random_faults
+def _workforce(
+    args: argparse.Namespace, plan: plans.AnyPlan, workers: int
+) -> AbstractContextManager[LocalWorkers | ClusterWorkers]:
+    flyer = fly_flight if args.faults is None else fly_with_random_faults
+    if args.scheduler is None:
+        return LocalWorkers(plan, plans.code_version(), workers, flyer)
+    return ClusterWorkers(plan, plans.code_version(), args.scheduler, flyer)
 
 
 def _by(args: argparse.Namespace, workers: int) -> str:
@@ -254,7 +226,7 @@ def _by(args: argparse.Namespace, workers: int) -> str:
 
 
 def _fly_left(
-    args: argparse.Namespace, store: FolderStore, workforce: LocalWorkers | ClusterWorkers, jobs: Sequence[Job], by: str
+    args: argparse.Namespace, store: FolderStore, workforce: LocalWorkers | ClusterWorkers, jobs: Sequence[plans.Job], by: str
 ) -> None:
     asked = {job.key for job in jobs}
     left = len(asked - store.keys())
@@ -266,22 +238,25 @@ def _fly_left(
             _say(flight)
     progress, grades = WorkProgress("campaign", "flights"), Counter[str]()
 
-    def on_flight(flight: Flight) -> None:
-        grades[flight["grade"]] += 1
-        if args.json:
-            _say(flight)
-        else:
-            progress.take(grades.total(), left, f", {grades['failed']} failed")
+    with named_wait("flying the first", quiet=args.json) as begun:
 
-    fly_left(workforce.results, store, jobs, on_flight)
+        def on_flight(flight: Flight) -> None:
+            begun()
+            grades[flight["grade"]] += 1
+            if args.json:
+                _say(flight)
+            else:
+                progress.take(grades.total(), left, f", {grades['failed']} failed")
+
+        fly_left(workforce.results, store, jobs, on_flight)
 
 
-def _conclude(args: argparse.Namespace, plan: AnyPlan, store: FolderStore, asked: set[str]) -> int:
+def _conclude(args: argparse.Namespace, plan: plans.AnyPlan, store: FolderStore, asked: set[str]) -> int:
     tallies = tallies_of(_asked(store, asked))
     effects = effects_of(tallies)
     whole = added(tallies.values())
     summary = {**whole.summary(plan.name, plan.perception, store.wall_s()), "out": store.place}
-    each = by_scenario(plan.identity()["members"], tallies) if isinstance(plan, SetPlan) else []
+    each = by_scenario(plan.identity()["members"], tallies) if isinstance(plan, plans.SetPlan) else []
     if each:
         summary["scenarios"] = each
     if effects:
@@ -310,11 +285,11 @@ def _conclude(args: argparse.Namespace, plan: AnyPlan, store: FolderStore, asked
     return 0 if whole.counts["failed"] == 0 else 1
 
 
-def _cases(plan: AnyPlan, store: FolderStore, tally: FaultTally) -> list[str]:
+def _cases(plan: plans.AnyPlan, store: FolderStore, tally: FaultTally) -> list[str]:
     """Write a scenario file for each of the first failing flights of each scenario, and return where they are."""
     written = []
-    for one in plan.members.values() if isinstance(plan, SetPlan) else (plan,):
-        name, base, perception, model = unpacked(one.base())
+    for one in plan.members.values() if isinstance(plan, plans.SetPlan) else (plan,):
+        name, base, perception, model = plans.unpacked(one.base())
         cases = Cases(name, base.scenario, base.settings, perception, model, one.options)
         failing = [flight for flight in tally.failing if flight["scenario"] == name]
         written += [store.put(file, content) for file, content in cases.of(failing)]
@@ -405,7 +380,7 @@ def refuse(args: argparse.Namespace) -> None:
             raise BadInput(f"--{name.replace('_', '-')} {word} --soak")
 
 
-def run_soak(args: argparse.Namespace, plan: CampaignPlan, given: Overridable) -> int:
+def run_soak(args: argparse.Namespace, plan: plans.CampaignPlan, given: plans.Overridable) -> int:
     """Run the command and return its exit code."""
     seed, hours = 1 if args.seed is None else args.seed, 1.0 if args.hours is None else args.hours
     failed_max, real = args.failed_max or 0, not args.virtual

@@ -173,7 +173,9 @@ def run(args: argparse.Namespace) -> int:
                     mirror = Frame(frame.stamp, frame.seq, np.ascontiguousarray(frame.px[:, ::-1]), coded=frame.coded)
                     mirrored += _is_sure(track(turned, TrackerMemory(), mirror, None)[0])
                 record = _record(image, seen, colours, elapsed_ms)
-                line = f"{_line(image, seen)} {elapsed_ms:6.1f}{_opinions(seen)}"
+                o = seen.opinions
+                opinions = "" if o is None else f"  verified {o.verified:.2f}, learned {o.learned:.2f}"
+                line = f"{_line(image, seen)} {elapsed_ms:6.1f}{opinions}"
                 sys.stdout.write((json.dumps(record) if args.json else line) + "\n")
                 if args.draw is not None:
                     _draw(args.draw, image, seen, models[file])
@@ -430,11 +432,6 @@ def _line(image: _Image, seen: Detection) -> str:
     yaw = "-" if s.yaw_rad is None else f"{math.degrees(s.yaw_rad):.1f}" + ("?" if s.yaw_ambiguous else "")
     place = f"{x:9.3f} {y:9.3f} {z:9.3f}   {sigma:7.3f}"
     return f"{name:<28} {seen.chosen or '':<12} {place} {yaw:>9} {s.confidence:5.2f}"
-
-
-def _opinions(seen: Detection) -> str:
-    o = seen.opinions
-    return "" if o is None else f"  verified {o.verified:.2f}, learned {o.learned:.2f}"
 
 
 def _is_image(path: Path) -> bool:

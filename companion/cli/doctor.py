@@ -393,10 +393,6 @@ def _differs(snapshot: Snapshot) -> dict[str, tuple[float, float]]:
     return {} if snapshot.autopilot is None else snapshot.autopilot.differs
 
 
-def _short(value: float) -> str:
-    return f"{value:.6g}"
-
-
 def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
     lines = []
     if (a := snapshot.autopilot) is not None:
@@ -415,7 +411,7 @@ def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
     if differs := _differs(snapshot):
         lines.append(f"{len(differs)} parameters of modes, time limits, EKF and loops are not what the firmware begins with:")
         lines += textwrap.wrap(
-            ", ".join(f"{name} {_short(value)} ({_short(default)})" for name, (value, default) in differs.items()),
+            ", ".join(f"{name} {value:.6g} ({default:.6g})" for name, (value, default) in differs.items()),
             120, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False,
         )  # fmt: skip
     lines += rules_switch.line(snapshot) + _ship_lines(snapshot)

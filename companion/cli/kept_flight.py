@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame, Relay
 from companion.base.version import version
-from companion.cli.options import ERASED, option, video_progress, written
+from companion.cli.options import ERASED, option, writing, written
 from companion.cli.outputs import RECORDING, output, prepare_folder
 from companion.facts.records import ContactRecord, TruthRecord
 from companion.settings.load import body_camera, camera_model, pad_model
@@ -108,8 +108,8 @@ class KeptFlight:
         ending.write_into(self.log)
         self.log.facts += [("scenario", self.args.scenario), ("seed", str(self.args.seed)), ("decklander", version())]
         self.log.facts += [("flown in", f"{wall_s:.1f} s, {time}"), *ending.facts()]
-        page = self.args.report / PAGE
-        return recorded + written(write_report(self.log, self.args.report, video_progress(page, quiet=self.args.json)))
+        with writing(self.args.report / PAGE, quiet=self.args.json) as watch:
+            return recorded + written(write_report(self.log, self.args.report, watch))
 
     def _keep(self, truth: Truth) -> None:
         for observer in self.held_back:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from companion.cli.options import option
+from companion.cli.options import named_wait, option
 from companion.parts.page.access import make_token
 from drivers.clock import SystemClock
 from drivers.endpoint import Endpoint, parse_endpoint
@@ -62,10 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(level=logging.ERROR)  # the result reports the link's state
-    if args.action == "make":
-        return _make(Path(args.file))
-    if args.action == "token":
-        return _make_token(Path(args.file))
+    if (made := {"make": _make, "token": _make_token}.get(args.action)) is not None:
+        return made(Path(args.file))
     if args.action == "show":
         sys.stdout.write(f"{args.file}: fingerprint {load_key(args.file).fingerprint}\n")
         return 0
@@ -116,7 +114,8 @@ def write_secret(path: Path, secret: bytes) -> None:
 
 async def _set_up(args: argparse.Namespace, endpoint: Endpoint, current: SigningKey | None, key: SigningKey | None) -> int:
     clock = SystemClock()
-    met = await meet(endpoint, current, args.system, clock, args.seconds)
+    with named_wait(f"listening on {endpoint}"):
+        met = await meet(endpoint, current, args.system, clock, args.seconds)
     sys.stdout.write(_meaning(endpoint, met, current, key))
     if met.armed:
         raise BadInput("the autopilot is armed: it takes no key then; disarm it first")

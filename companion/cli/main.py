@@ -257,7 +257,8 @@ def _load_for_good(name: str) -> ModuleType:
 
 def _refuse(why: DecklanderError) -> int:
     printed = masked(_one_line(str(why)))
-    sys.stderr.write(f"{_style('decklander:', '1;31', sys.stderr)} {printed}{_cure(why)}\n")
+    erased = "\r\x1b[2K" if sys.stderr.isatty() else ""  # a line of progress
+    sys.stderr.write(f"{erased}{_style('decklander:', '1;31', sys.stderr)} {printed}{_cure(why)}\n")
     if sys.stderr.isatty() and isinstance(why, BadInput):
         sys.stderr.write(pointed(printed))
     return WRONG if isinstance(why, BadInput) else FAILED

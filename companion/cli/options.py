@@ -130,34 +130,49 @@ class WorkProgress:
         self._shown, self._done = False, 0
         self._live = sys.stderr.isatty()
 
-    def take(self, done: int, of: int, more: str = "") -> None:
-        """Print how much is done: at once if that is nothing yet, else when the work has taken two seconds."""
+    def take(self, done: int, of: int | None, more: str = "") -> None:
+        """Print how much is done: at once if that is nothing yet, else after two seconds; `of` is None while it is not known."""
         now_s = time.monotonic()
         if done < self._done or done == 0:  # it begins again
             self._began_s, self._due_s, self._shown = now_s, now_s + _SILENT_S, False
         self._done = done
-        if now_s < self._due_s and done > 0 and (done < of or not self._shown):
+        if now_s < self._due_s and done > 0 and (done != of or not self._shown):
             return
         self._shown, self._due_s = True, now_s + (_REDRAW_S if self._live else _SAY_EACH_S)
-        left_s = (now_s - self._began_s) * (of / max(1, done) - 1.0)
-        left = f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min"
-        text = f"{self._title}: {done} of {of} {self._items}" + (f", {left} left" if _LEAST_SHARE * of <= done < of else "")
+        text = f"{self._title}: {done} of {of} {self._items}" if of is not None else f"{self._title}: {done} {self._items}"
+        if of is not None and _LEAST_SHARE * of <= done < of:
+            left_s = (now_s - self._began_s) * (of / max(1, done) - 1.0)
+            text += f", {left_s:.0f} s left" if left_s < 100 else f", {left_s / 60:.0f} min left"
         text += more
         sys.stderr.write(f"\r{text}\x1b[K" + ("\n" if done == of else "") if self._live else f"{text}\n")
         sys.stderr.flush()
 
 
-def video_progress(page: Path, *, quiet: bool) -> Callable[[int, int], None]:
-    """Return what shows that a report can be opened, and the encoding of its video."""
-    return (lambda _done, _of: None) if quiet else WorkProgress(f"{page} can be opened; encoding its video", "frames").take
+def reading(name: str, *, quiet: bool = False) -> Callable[[int, int], None]:
+    """Return what shows how much of a recording is read."""
+    return (lambda _done, _of: None) if quiet else WorkProgress(f"reading {name}", "kB").take
 
 
 @contextmanager
-def named_wait(title: str) -> Iterator[None]:
-    """Print the title of a step whose length is unknown when it has taken two seconds."""
-    timer = threading.Timer(_SILENT_S, lambda: print_line(f"{title} ..."))
+def named_wait(title: str, *, quiet: bool = False) -> Iterator[Callable[[], None]]:
+    """Print the title of a step whose length is unknown when it has taken two seconds; yield what ends the wait before."""
+    timer = threading.Timer(_SILENT_S, lambda: None if quiet else print_line(f"{title} ..."))
     timer.start()
     try:
-        yield
+        yield timer.cancel
     finally:
         timer.cancel()
+
+
+@contextmanager
+def writing(page: Path, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """Show that a report is written; yield what shows that it can be opened, and the encoding of its video."""
+    progress = WorkProgress(f"{page} can be opened; encoding its video", "frames")
+    with named_wait(f"writing {page}", quiet=quiet) as written:
+
+        def take(done: int, of: int) -> None:
+            written()
+            if not quiet:
+                progress.take(done, of)
+
+        yield take

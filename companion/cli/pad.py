@@ -21,7 +21,7 @@ import numpy as np
 import resvg_py
 
 from companion.cli import board_option
-from companion.cli.options import WorkProgress, option, print_result
+from companion.cli.options import WorkProgress, named_wait, option, print_result
 from companion.cli.outputs import PAD_FILE, PREVIEW, SHEETS, check_output, output
 from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, read_text, shipped
 from companion.tools.calibrate.board import BOARDS
@@ -116,7 +116,8 @@ def _picture(path: Path, data: bytes, size_m: tuple[float, float] | None, args: 
         if args.corners is not None:
             raise BadInput("--corners is for photographs: a drawing is seen from straight above")
         drawing = read_svg(text_of(data, str(path)), str(path))
-        return drawn(drawing, None if size_m is None else max(size_m), str(path), args.extent)
+        with named_wait(f"drawing {path}"):
+            return drawn(drawing, None if size_m is None else max(size_m), str(path), args.extent)
     px = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if px is None:
         raise BadInput(f"{path}: neither an SVG drawing nor a picture that can be read")
@@ -127,7 +128,8 @@ def _picture(path: Path, data: bytes, size_m: tuple[float, float] | None, args: 
     if args.sheet and args.corners is None:
         raise BadInput("--sheet is a property of the rectangle of --corners: give them, too")
     corners = _clicked(path, data) if args.corners == "click" else _corners(args.corners)
-    return photographed(np.asarray(px, np.uint8), corners, size_m, args.paints, str(path), sheet=args.sheet)
+    with named_wait(f"separating the paints of {path}"):
+        return photographed(np.asarray(px, np.uint8), corners, size_m, args.paints, str(path), sheet=args.sheet)
 
 
 def _size_m(text: str | None, of_rectangle: bool) -> tuple[float, float] | None:
@@ -539,11 +541,8 @@ def _price_lines(pad: Pad, found: Price | None) -> Iterator[str]:
             yield f"it is seen in {', '.join(found.taken_for)}, too"
     else:
         yield f"by its file: {1000.0 * known.chance:.3g} false pads in 1,000 frames of a search at confidence .5"
-    yield (
-        f"found from a radius of {known.least_px:g} px on"
-        if known.least_px
-        else "found at no size: it hardly shows on some decks"
-    )
+    where = f"from a radius of {known.least_px:g} px on" if known.least_px else "at no size: it hardly shows on some decks"
+    yield f"found {where}"
     yield "what decides: " + ", ".join(f"{name} {100 * share:.0f} %" for name, share in _deciding(pad).items())
 
 
@@ -564,12 +563,8 @@ def _price_record(found: Price | None, pad: Pad) -> dict[str, Any]:
     """Return a pad's price as JSON."""
     known = pad.calibration
     assert known is not None
-    out: dict[str, Any] = {
-        "chance": known.chance,
-        "least_support": known.least_support,
-        "least_px": known.least_px,
-        "decided_by": _deciding(pad),
-    }
+    out: dict[str, Any] = {"chance": known.chance, "least_support": known.least_support, "least_px": known.least_px}
+    out["decided_by"] = _deciding(pad)
     if found is not None:
         shares = {f"{radius:g}": share for radius, share in found.found.items()}
         out |= {"views": found.views, "false_per_1000": list(found.per_1000), "found": shares, "taken_for": list(found.taken_for)}

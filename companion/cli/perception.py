@@ -4,7 +4,7 @@ import argparse
 import math
 from pathlib import Path
 
-from companion.cli.options import option, print_result
+from companion.cli.options import named_wait, option, print_result, reading
 from companion.cli.outputs import ERROR_MODEL, output
 from estimator.contracts.errors import file_errors
 from sitl.perception.model import symmetric
@@ -31,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    model = fit([read(path) for path in args.recordings])
+    recorded = [read(path, reading(path.name, quiet=args.json)) for path in args.recordings]
+    with named_wait("fitting", quiet=args.json):
+        model = fit(recorded)
     with file_errors(f"--output {args.output}"):
         args.output.write_text(dump(model), encoding="utf-8")
     print_result(args, _findings(model), f"{_table(model)}\nwritten: {args.output}")

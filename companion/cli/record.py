@@ -17,7 +17,7 @@ from msgspec import Struct, structs
 
 from companion.base import signals
 from companion.base.observer import ProcessedFrame
-from companion.cli.options import option, print_result
+from companion.cli.options import WorkProgress, named_wait, option, print_result, reading
 from companion.cli.outputs import RECORDING, output
 from companion.parts.recorder.recorder import digest_file, recordings
 from companion.parts.recorder.setup import about, recorder_to_file
@@ -101,8 +101,14 @@ def run(args: argparse.Namespace) -> int:
     return actions[args.action](args)
 
 
-def _info(args: argparse.Namespace) -> int:
+def _opened(args: argparse.Namespace) -> Recording:
     recording = open_recording(args.files)
+    recording.watch = reading(recording.name, quiet=vars(args).get("json", False))
+    return recording
+
+
+def _info(args: argparse.Namespace) -> int:
+    recording = _opened(args)
     first: int | None = None
     last = 0
     images = 0
@@ -132,11 +138,11 @@ def _described(recording: Recording, seconds: float, images: int, verdicts: Coun
 
 def _export(args: argparse.Namespace) -> int:
     if args.format == "ros2":
-        counts = bags.export(open_recording(args.files), args.output)
+        counts = bags.export(_opened(args), args.output)
         sys.stdout.writelines(f"{n:8d}  {topic}\n" for topic, n in sorted(counts.items()))
         sys.stdout.write(f"{args.output}: {sum(counts.values())} messages; ros2 bag play {args.output}\n")
         return 0
-    written = export(open_recording(args.files), args.output)
+    written = export(_opened(args), args.output)
     sys.stdout.writelines(f"{args.output / name}: {n} rows\n" for name, n in sorted(written.items()))
     return 0
 
@@ -161,7 +167,7 @@ def _cut(args: argparse.Namespace) -> int:
         raise BadInput("--samples-each and --frames-each must be 1 or more")
     if args.to_s is not None and args.to_s <= args.from_s:
         raise BadInput(f"--to {args.to_s:g} must be later than --from {args.from_s:g}")
-    recording = open_recording(args.files)
+    recording = _opened(args)
     what = Cut(args.from_s, args.to_s, args.inputs, args.samples_each, args.frames_each, not args.no_frames)
     n = _written(args.output, lambda part: rewrite(recording, part, what))
     sys.stdout.write(f"{args.output}: {n} events, {args.output.stat().st_size / 1e6:.2f} MB\n")
@@ -266,8 +272,8 @@ def _streams(sources: Sequence[_Source], settings: Settings, size: tuple[int, in
 def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -> Counter[str]:
     camera = camera_model(settings)
     described = about(settings, {"kind": "import", "sources": ", ".join(s.path.name for s in sources)})
-    counts: Counter[str] = Counter()
-    with recorder_to_file(output, camera, described) as recorder:
+    counts, progress = Counter[str](), WorkProgress("importing", "samples and frames").take
+    with recorder_to_file(output, camera, described) as recorder, named_wait("reading the sources") as begun:
         for datum in heapq.merge(*_streams(sources, settings, (camera.width, camera.height)), key=lambda d: d.stamp.received_at):
             if isinstance(datum, Frame):
                 height, width = datum.px.shape[:2]
@@ -284,6 +290,9 @@ def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -
             else:
                 recorder.on_sample(datum)
                 counts["samples"] += 1
+            begun()
+            progress(counts.total(), None)
+        progress(counts.total(), counts.total())
     if recorder.why:
         raise BadInput(f"{output}: {recorder.why}")
     return counts
@@ -365,7 +374,9 @@ def upload(folder: Path, to: Storage) -> Iterator[Uploaded]:
             if not finished(path):
                 continue
             size = path.stat().st_size
-            yield Uploaded(path, _sent(path, to), size)
+            with named_wait(f"uploading {path.name}"):
+                refusal = _sent(path, to)
+            yield Uploaded(path, refusal, size)
         except Exception as why:  # each file system of fsspec has errors of its own
             yield Uploaded(path, f"{type(why).__name__}: {why}", 0)
 

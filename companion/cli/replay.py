@@ -20,7 +20,7 @@ from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, Observer
 from companion.base.orders import OperatorOrder
 from companion.cli.kept_flight import shown
-from companion.cli.options import WorkProgress, option, print_result, recording_argument, video_progress, written
+from companion.cli.options import WorkProgress, option, print_result, recording_argument, writing, written
 from companion.cli.outputs import RECORDING, output, prepare_folder
 from companion.facts.records import TruthRecord
 from companion.guidance.pilot import Pilot
@@ -215,7 +215,8 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         for i, done in enumerate(passes):
             folder = args.report if i == 0 else args.report / "against"
-            write_report(_finished(recording, done, compared), folder, video_progress(folder / PAGE, quiet=args.json))
+            with writing(folder / PAGE, quiet=args.json) as watch:
+                write_report(_finished(recording, done, compared), folder, watch)
     report = [] if args.report is None else [written(args.report / PAGE)]
     print_result(args, _as_json(recording, passes, compared), "\n".join([*_in_words(recording, passes, compared), *report]))
     return 0

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from companion.cli.options import WorkProgress, option, video_progress, written
+from companion.cli.options import named_wait, option, reading, writing, written
 from companion.cli.outputs import ANIMATION, REPORT, check_output, output
 from companion.recording.reading import open_recording
 from companion.tools.replay.recorded_log import log_of
@@ -35,14 +35,17 @@ def run(args: argparse.Namespace) -> int:
         check_output(page, REPORT, "--output", paths)
     recordings = [open_recording([path]) for path in paths]
     for recording in recordings:
-        recording.watch = WorkProgress(f"reading {recording.name}", "kB").take
+        recording.watch = reading(recording.name)
     logs = [log_of(recording, path.stem, images=not args.no_video) for recording, path in zip(recordings, paths, strict=True)]
     for recording in recordings:
         for path, why in recording.cut.items():
             sys.stderr.write(f"{path} is cut short or damaged ({why}): reported without that\n")
     if args.animation is not None:
-        size = write_animation(logs[0], args.animation)
+        with named_wait("drawing the animation"):
+            size = write_animation(logs[0], args.animation)
         sys.stdout.write(f"animation: {args.animation} ({size / 1e6:.1f} MB)\n")
         return 0
-    sys.stdout.write(written(write_flights(page, logs, video_progress(page, quiet=False))))
+    with writing(page, quiet=False) as watch:
+        write_flights(page, logs, watch)
+    sys.stdout.write(written(page))
     return 0

@@ -108,15 +108,8 @@ def run(args: argparse.Namespace) -> int:
         keeping(args, settings, scenario.title, perception, {"kind": "simulate"}, MonoNs(0)) as kept,
     ):
         began = time.monotonic()
-        ending = fly(
-            args.scenario,
-            scenario,
-            args.seed,
-            settings,
-            perception,
-            [*observers, *kept.observers],
-            FlyOptions(args.perception_model, kept.shadows, kept.on_start, kept.on_truth, render_beside=True),
-        )
+        how = FlyOptions(args.perception_model, kept.shadows, kept.on_start, kept.on_truth, render_beside=True)
+        ending = fly(args.scenario, scenario, args.seed, settings, perception, [*observers, *kept.observers], how)
     wall_s = time.monotonic() - began
     report, pace = kept.write_report(ending, wall_s, "virtual time"), ending.duration_s / max(1e-9, wall_s)
     words = f"{ending.in_words()}\n{ending.duration_s:.1f} s flown in {wall_s:.1f} s ({pace:.1f} x real time)\n{report}"

@@ -18,7 +18,7 @@ from msgspec import Struct
 from companion.base import event_loop
 from companion.cli import config, doctor
 from companion.cli.keys import write_secret
-from companion.cli.options import listening, option
+from companion.cli.options import listening, named_wait, option
 from companion.cli.outputs import SETTINGS, output
 from companion.parts.page.access import make_token
 from companion.settings.load import find_file, pad_of_file
@@ -202,9 +202,9 @@ class FoundVehicle(Struct, frozen=True):
 
 def found_vehicles(seconds: float = 1.5) -> list[FoundVehicle]:
     """Return the vehicles that send a HEARTBEAT to the usual ports, or answer at an AR.Drone's address."""
-    found = [*_vehicles_on_udp(seconds), *_vehicles_on_serial(seconds)]
-    if _sends_navdata(seconds):
-        found.append(FoundVehicle("ardrone2", _ARDRONE[0]))
+    with named_wait("looking for vehicles"):
+        found = [*_vehicles_on_udp(seconds), *_vehicles_on_serial(seconds)]
+        found += [FoundVehicle("ardrone2", _ARDRONE[0])] if _sends_navdata(seconds) else []
     for one in found:
         sys.stdout.write(f"found: {VEHICLES[one.name]} at {one.link}\n")
     return found

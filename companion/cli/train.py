@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from companion.base.version import version
-from companion.cli.options import option, refuse_any
+from companion.cli.options import named_wait, option, refuse_any
 from companion.cli.outputs import POLICY, output
 from companion.guidance.law.policy import Policy, read_policy
 from companion.settings.load import response_model
@@ -97,7 +97,9 @@ def run(args: argparse.Namespace) -> int:
         "curve": curve,
     }  # fmt: skip
     policy = student.policy(record)
-    examined = [fly_policy(policy, TrainingWorlds(scenario, _EXAMINED, None, args.threads), _FRESH) for scenario in scenarios]
+    with named_wait("examining it on fresh seeds", quiet=args.json):
+        fresh = [TrainingWorlds(scenario, _EXAMINED, None, args.threads) for scenario in scenarios]
+        examined = [fly_policy(policy, one, _FRESH) for one in fresh]
     policy.record["examined"] = {
         name: {"seeds_from": _FRESH, **flown._asdict()} for name, flown in zip(args.scenario, examined, strict=True)
     }

@@ -6,6 +6,7 @@ an error of vision: in a simulated flight it comes back from the simulated attit
 """
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,13 +46,14 @@ class Recorded(NamedTuple):
     """The steering estimate at each guidance cycle that had one, in order."""
 
 
-def read(path: Path) -> Recorded:
-    """Return what a recording of `decklander simulate --record` holds.
+def read(path: Path, watch: Callable[[int, int], None] | None = None) -> Recorded:
+    """Return what a recording of `decklander simulate --record` holds; `watch` shows how much of it is read.
 
     Raises:
         BadInput: it cannot be read, is of another kind, or holds no truth with attitudes; its scenario is gone.
     """
     recording = open_recording([path])
+    recording.watch = watch or recording.watch
     camera, pad, settings = recording.camera(), recording.pad(), recording.settings()
     facts = recording.metadata.get("flight", {})
     if camera is None or pad is None or settings is None or facts.get("kind") != "simulate":

@@ -204,7 +204,8 @@ def test_work_announces_itself_and_is_silent_while_it_is_short(capsys: pytest.Ca
     for done in (0, 5, 9, 10):
         progress.take(done, 10, ", dry")
     WorkProgress("raking", "leaves").take(5, 5)
-    assert capsys.readouterr().err == "digging: 0 of 10 holes, dry\ndigging: 10 of 10 holes, dry\n"
+    WorkProgress("sowing", "seeds").take(0, None)
+    assert capsys.readouterr().err == "digging: 0 of 10 holes, dry\ndigging: 10 of 10 holes, dry\nsowing: 0 seeds\n"
 
 
 @pytest.mark.parametrize("wrong", [("--pad", "nosuch"), ("--camera-file", "nosuch"), ("--link", "serial:nope")])
