@@ -303,7 +303,7 @@ def make_daemon(
 
         mapping = mapping_of(settings.operator.gamepad)
         gamepad = GamepadPart(mapping, settings.operator.gamepad_device, pilot, ticking)
-        watching.append(gamepad.flight)
+        watching.append(gamepad)
         add("gamepad", gamepad)
     if settings.http.endpoint != "off":
         from companion.base.http_server import HttpServer

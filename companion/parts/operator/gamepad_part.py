@@ -24,7 +24,7 @@ _TICK_S = 0.02
 _NO_PERMISSION_S = 30.0
 
 
-class GamepadPart:
+class GamepadPart(FlightWatch):
     """The supervised task.
 
     Args:
@@ -40,12 +40,10 @@ class GamepadPart:
         clock: Clock,
         find: Callable[[], Iterable[EventDevice]] = gamepads,
     ) -> None:
+        super().__init__(pilot, clock)
         self._mapping = mapping
         self._wanted = wanted
-        self._pilot = pilot
-        self._clock = clock
         self._find = find
-        self.flight = FlightWatch(pilot, clock)
         self._counts: Counter[str] = Counter()
         self._plugged = False
 
@@ -79,7 +77,7 @@ class GamepadPart:
         return chosen
 
     async def _serve(self, device: EventDevice) -> None:
-        session = _Session(device, self._mapping, self._pilot, self.flight, self._clock, self._counts)
+        session = _Session(device, self._mapping, self._pilot, self, self._clock, self._counts)
         loop = asyncio.get_running_loop()
         self._plugged = True
         self._counts["opened"] += 1

@@ -14,7 +14,6 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
-from companion.base.observer import Decision, NullObserver
 from companion.base.orders import OrderSender, OrderSource
 from companion.facts.wire import (
     LINE_MAX,
@@ -30,7 +29,6 @@ from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from companion.parts.operator.client import answers
 from estimator.contracts.errors import Recoverable, unusable
-from estimator.contracts.samples import Sample
 from estimator.contracts.time import Clock
 
 log = logging.getLogger(__name__)
@@ -43,7 +41,7 @@ _UNREAD_BYTES = 64 * 1024
 """A terminal that leaves this much unread is dropped."""
 
 
-class OperatorSocket(NullObserver):
+class OperatorSocket(FlightWatch):
     """The observer and the supervised task; see the module's docstring.
 
     Args:
@@ -51,22 +49,16 @@ class OperatorSocket(NullObserver):
     """
 
     def __init__(self, path: Path, pilot: Pilot, clock: Clock) -> None:
+        super().__init__(pilot, clock)
         self.path = path
         self.pilot = pilot
         self.clock = clock
         self.connections: set[_Connection] = set()
         self.counts: Counter[str] = Counter()
-        self.flight = FlightWatch(pilot, clock)
 
     def counted(self) -> Mapping[str, float]:
         """Return the counters for health."""
         return {**self.counts, "connections": len(self.connections), "ignored_sticks": self.pilot.operator.ignored_sticks}
-
-    def on_decision(self, decision: Decision) -> None:
-        self.flight.on_decision(decision)
-
-    def on_sample(self, sample: Sample) -> None:
-        self.flight.on_sample(sample)
 
     async def run(self) -> None:
         """Serve until cancelled.
@@ -155,7 +147,7 @@ class _Connection(asyncio.Protocol):
 
     def send_state(self) -> None:
         """Send the present state."""
-        self._send(line_of(self._served.flight.state(self._sender)))
+        self._send(line_of(self._served.state(self._sender)))
 
     def _take(self, line: bytes) -> None:
         now = self._served.clock.now()

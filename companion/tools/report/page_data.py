@@ -174,14 +174,8 @@ def _views(pad: Pad, ways: Sequence[PadTrack], marked: Sequence[Mark], columns: 
 def _mark(mark: Mark) -> dict[str, Any]:
     along, starboard = mark.p_pad_m
     yaw = None if not math.isfinite(mark.yaw_rad) else round(mark.yaw_rad, 4)
-    return {
-        "label": mark.label,
-        "x": round(starboard, 4),
-        "y": round(along, 4),
-        "yaw": yaw,
-        "colour": mark.colour,
-        "size": mark.size_m,
-    }
+    x, y = round(starboard, 4), round(along, 4)
+    return {"label": mark.label, "x": x, "y": y, "yaw": yaw, "colour": mark.colour, "size": mark.size_m}
 
 
 def page_data(
