@@ -168,7 +168,6 @@ def _run_camera(args: argparse.Namespace) -> int:
 
 
 def _gather(args: argparse.Namespace, board: Board) -> Collection:
-
     if [bool(args.paths), args.device is not None, args.pipeline is not None].count(True) != 1:
         raise BadInput("give either images and videos, or --device, or --pipeline")
     quiet = args.json or not sys.stderr.isatty()

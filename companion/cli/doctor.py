@@ -276,8 +276,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
-    """Run the command and return its exit code."""
+def run(args: argparse.Namespace, *, last: bool = True) -> int:
+    """Run the command and return its exit code; unless it is the last, another one says what to do next."""
     logging.basicConfig(level=logging.ERROR)  # that a link does not open is a finding, not news
     writes = "--fix" if args.fix else "--undo" if args.undo else ""
     refuse_any(
@@ -312,10 +312,21 @@ def run(args: argparse.Namespace) -> int:
         for name, (value, default) in _differs(snapshot).items():
             sys.stdout.write(json.dumps({"differs": name, "value": value, "default": default}) + "\n")
     else:
-        sys.stdout.write(_page(snapshot, found))
+        sys.stdout.write(_page(snapshot, found) + (_next(args, found) if last and not args.fix else ""))
     if args.fix:
         return fix(args, snapshot, found)
     return 1 if any(f.severity is not Severity.ADVICE for f in found) else 0
+
+
+def _next(args: argparse.Namespace, found: Sequence[Finding]) -> str:
+    """Return a line with the next thing to do after an examination; none after that of a log without a fault."""
+    faults, live = [f for f in found if f.severity is not Severity.ADVICE], bool(args.link or args.config)
+    if live and any(f.changes for f in faults):
+        return f"next: {_command(args)} --fix sets parameters, each when you agree to it\n"
+    if faults:
+        return "next: mend what is named above, from the top, and examine it again\n"
+    run = f"decklander run --config {shlex.quote(args.config)}" if args.config else "decklander start, for the settings"
+    return f"next: {run}\n" if live else ""
 
 
 def _write_defaults(args: argparse.Namespace) -> int:

@@ -255,10 +255,7 @@ async def _opened(endpoint: Endpoint, key: SigningKey | None, clock: Clock) -> A
     signing = None if key is None else Signing(key, SigningTimes(None), 0)
     options = LinkOptions(endpoint, signing, LinkLimits(restart_first_s=0.1, restart_most_s=0.5))
     # Every sender on this link is trusted, because a person stated that the link leads to the autopilot.
-    async with (
-        open_links([options], clock, _STATION, access=NamedSenders(everybody=True)) as links,
-        asyncio.TaskGroup() as group,
-    ):
+    async with open_links([options], clock, _STATION, access=NamedSenders(everybody=True)) as links, asyncio.TaskGroup() as group:
         probing = group.create_task(_probe(links, clock))
         try:
             yield links

@@ -42,15 +42,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _findings(model: PerceptionModel) -> dict[str, object]:
     return {
-        "method": model.method,
-        "recordings": list(model.recordings),
-        "frames": model.detection.frames,
-        "found": sum(cell.found for cell in model.detection.cell),
-        "cells": len(model.detection.cell),
+        "method": model.method, "recordings": list(model.recordings), "frames": model.detection.frames,
+        "found": sum(cell.found for cell in model.detection.cell), "cells": len(model.detection.cell),
         "correlation": model.detection.correlation,
-        "estimates": model.estimate.samples,
-        "estimate_cells": len(model.estimate.cell),
-    }
+        "estimates": model.estimate.samples, "estimate_cells": len(model.estimate.cell),
+    }  # fmt: skip
 
 
 def _table(model: PerceptionModel) -> str:

@@ -47,6 +47,7 @@ _OWN_LINK = ("sim", "ardrone1", "ardrone2")
 """Vehicles whose address and camera are known."""
 _ARDRONE = ("192.168.1.1", 5554)
 """An AR.Drone's address in its own network, and its port of navdata."""
+_NAVDATA_S = 1.5
 _UDP_PORTS = (14550, 14540)
 _SPEEDS = (921600, 57600, 115200)
 _FLIP_S = 20.0
@@ -111,11 +112,12 @@ def run(args: argparse.Namespace) -> int:
     checked, examined = argparse.ArgumentParser(), argparse.ArgumentParser()
     config.add_arguments(checked)
     config.run(checked.parse_args(["check", str(args.out)]))
-    code = 0
+    code, there = 0, True
     if not args.no_doctor:
         doctor.add_arguments(examined)
-        code = doctor.run(examined.parse_args(["--config", str(args.out)]))
-    _next_steps(answers, args.out, sound=code == 0)
+        code = doctor.run(examined.parse_args(["--config", str(args.out)]), last=False)
+        there = answers.vehicle not in _OWN_LINK or _sends_navdata(answers.link)
+    _next_steps(answers, args.out, sound=code == 0, there=there)
     return code
 
 
@@ -143,7 +145,9 @@ def _answers(args: argparse.Namespace) -> Answers:
     find_file(args.camera_file or shipped, "cameras", args.out.parent, "--camera-file")
     from companion.cli.pad import shipped_pads  # it brings OpenCV, which a help needs none of
 
-    pad = args.pad or ask("pad", shipped_pads(), "thesis" if flies_itself else "printed")
+    pad = args.pad or ask(
+        "pad", {name: what.strip() for name, what in shipped_pads().items()}, "thesis" if flies_itself else "printed"
+    )
     pad_of_file(find_file(pad, "pads", args.out.parent, "--pad"))
     place = args.where or ask("place", PLACES, "indoors" if flies_itself else "outdoors")
     page = args.page or ask("page", _page_addresses(), "127.0.0.1")
@@ -204,17 +208,17 @@ def found_vehicles(seconds: float = 1.5) -> list[FoundVehicle]:
     """Return the vehicles that send a HEARTBEAT to the usual ports, or answer at an AR.Drone's address."""
     with named_wait("looking for vehicles"):
         found = [*_vehicles_on_udp(seconds), *_vehicles_on_serial(seconds)]
-        found += [FoundVehicle("ardrone2", _ARDRONE[0])] if _sends_navdata(seconds) else []
+        found += [FoundVehicle("ardrone2", _ARDRONE[0])] if _sends_navdata(_ARDRONE[0]) else []
     for one in found:
         sys.stdout.write(f"found: {VEHICLES[one.name]} at {one.link}\n")
     return found
 
 
-def _sends_navdata(seconds: float) -> bool:
+def _sends_navdata(host: str) -> bool:
     """Return whether a datagram of navdata comes from an AR.Drone's address: routers have it too, and answer on any port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
-        probe.settimeout(seconds)
-        probe.connect(_ARDRONE)
+        probe.settimeout(_NAVDATA_S)
+        probe.connect((host, _ARDRONE[1]))
         probe.send(OPENING)
         return isinstance(decode(probe.recv(4096)), Navdata)
     return False
@@ -356,14 +360,18 @@ def _certify(certificate: Path, key: Path, address: str) -> None:
     key.chmod(0o600)
 
 
-def _next_steps(answers: Answers, out: Path, *, sound: bool) -> None:
+def _next_steps(answers: Answers, out: Path, *, sound: bool, there: bool) -> None:
     say: Callable[[str], int] = sys.stdout.write
     command, file = "decklander" if shutil.which("decklander") else sys.argv[0], shlex.quote(str(out))
     word, token_file = _secret("token", out)
     start = "systemctl start decklander" if word.startswith("credential:") else f"{command} run --config {file}"
     autopilot = answers.vehicle in ("ardupilot", "px4")
     say("\n")
-    if not sound:
+    if not there:
+        join = f"join the AR.Drone's Wi-Fi: no navdata comes from {answers.link}"
+        simulated = f"start the simulated drone: {shlex.quote(sys.executable)} -m sitl.emulators.ardrone.serve demo"
+        say(f"first:              {simulated if answers.vehicle == 'sim' else join}\n")
+    elif not sound:
         fix = f" ({command} doctor --config {file} --fix sets parameters)" if autopilot else ""
         say(f"first:              mend what is named above{fix}\n")
     if autopilot:
@@ -371,7 +379,7 @@ def _next_steps(answers: Answers, out: Path, *, sound: bool) -> None:
     say(f"start the service:  {start}\n")
     if autopilot:
         say(f"first flights:      by hand, a pad on the ground below: docs/{answers.vehicle}.md\n")
-    elif sound:
+    elif sound or not there:
         say(f"fly:                {command} fly takeoff --wait 20\n")
     if not answers.page:
         return

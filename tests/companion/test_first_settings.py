@@ -63,6 +63,7 @@ def test_the_units_settings_name_its_credentials(tmp_path: Path, monkeypatch: py
     output = capsys.readouterr().out
     assert f"#token={token.read_text().strip()}" in output
     assert "systemctl start decklander" in output
+    assert "first:              start the simulated drone" in output
 
 
 @pytest.fixture

@@ -39,7 +39,8 @@ def counted(p: Snapshot, found: int) -> str:
     a, links = p.autopilot, p.links
     if a is None:
         if not links:
-            return f"{found or 'none'} of the known faults found"
+            flown = "not examined: the AR.Drone itself, whose control port answers\n" if p.service.drone and not found else ""
+            return f"{flown}{found or 'none'} of the known faults found"
         why = "no link is open" if all(one.down for one in links) else "none was received"
         return f"not examined: an autopilot ({why})\n{found or 'none'} of the other known faults found"
     names = dict.fromkeys(names_in(rules_values.PARAMETERS.get(a.stack, ()), a.firmware))

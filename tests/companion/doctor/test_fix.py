@@ -97,6 +97,8 @@ def test_what_is_agreed_to_is_written_and_undone(tmp_path, capsys, typed):
         assert (fake.parameters["PLND_STRICT"], fake.parameters["LAND_SPEED"]) == (1.0, 250.0)
         assert code == 1
         assert "PLND_STRICT       2 -> 0: NOT written: it was 2 and is 1: somebody else changed it" in out
+        _, out = run_doctor(capsys, "--link", url)
+        assert out.endswith(f"next: decklander doctor --link {url} --fix sets parameters, each when you agree to it\n")
 
 
 def test_a_px4_s_integers_and_reals_are_written_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
