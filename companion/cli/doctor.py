@@ -333,7 +333,9 @@ def _write_defaults(args: argparse.Namespace) -> int:
     stack = stack_named(args.write)
     wanted = wanted_by_default(stack, moving_pad=not args.still_pad)
     write_parameters_file(args.write, stack, wanted)
-    _say(args, f"{args.write}: " + "   ".join(f"{name} {value:g}" for name, (value, _) in wanted.items()))
+    _say(args, f"{args.write}: " + "   ".join(f"{name} {value:g}" for name, (value, _) in wanted.items() if value is not None))
+    for why in (why for value, why in wanted.values() if value is None):
+        _say(args, why)
     _say(args, f"load it in a ground station, reboot, then examine the autopilot: {_command(args)} --link URL")
     return 0
 

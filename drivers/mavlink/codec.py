@@ -41,6 +41,8 @@ class CodecCounters:
     """Messages that were decoded."""
     old_version: int = 0
     """Decoded messages of MAVLink 1."""
+    with_signature: int = 0
+    """Decoded messages that carry a signature, which is checked only if a key is set."""
     lost: int = 0
     """Sequence numbers that never arrived."""
     unknown: int = 0
@@ -185,7 +187,7 @@ class Codec:
         if self._signing is not None:
             self._signing.times.note_received(signing.timestamp)
             self._signing.times.bound()
-        self._count(message, frame[0])
+        self._count(message, frame)
         return True, message
 
     def _note_refused_time(self, frame: bytearray) -> None:
@@ -197,9 +199,10 @@ class Codec:
         self.counters.refused_time += 1
         self.counters.behind_s = (self._signing.times.now - int.from_bytes(frame[-12:-6], "little")) / TICKS_PER_S
 
-    def _count(self, message: Message, marker: int) -> None:
+    def _count(self, message: Message, frame: bytearray) -> None:
         self.counters.messages += 1
-        self.counters.old_version += marker == _V1
+        self.counters.old_version += frame[0] == _V1
+        self.counters.with_signature += frame[0] == _V2 and bool(frame[2] & _SIGNED)
         source = (message.get_srcSystem(), message.get_srcComponent())
         sequence = message.get_seq()
         last = self._sequences.get(source)

@@ -113,7 +113,7 @@ class LinkCounters:
     dropped: int = 0
     """Messages not sent because the wire was full or closed, or the link had no peer."""
     unknown_senders: int = 0
-    """Messages of senders that were not requested."""
+    """Messages of senders that were not accepted, and were not later: an autopilot sends before its first HEARTBEAT."""
     restarts: int = 0
     text: int = 0
     """Bytes that may be of a text: nearly all are, where a console is at the other end."""
@@ -186,6 +186,8 @@ class Link:
         self._clock = clock
         self._wire: Wire | None = None
         self._peers: dict[Address | None, _Peer] = {}
+        self._before: Counter[Address | None] = Counter()
+        """Messages of senders that are no peers yet, by address."""
         self._unknown_codec: Codec | None = None
 
     @property
@@ -228,6 +230,7 @@ class Link:
         """Send to this peer from now on."""
         if address in self._peers:
             return
+        self.counters.unknown_senders -= self._before.pop(address, 0)
         self._forget_silent()
         if len(self._peers) >= self._o.limits.peers_max:
             chosen = self._links.access.autopilot
@@ -308,6 +311,8 @@ class Link:
             received = replace(received, access_level=level)
         if level is AccessLevel.UNKNOWN:
             self.counters.unknown_senders += 1
+            if address in self._before or len(self._before) < _PLACES_MAX:
+                self._before[address] += 1
             access.refuse_unknown(ids, address, received_at)
             # A flood from unknown senders may fill half of the queue, and never pushes out messages of known ones.
             if message.get_type() == "HEARTBEAT" and 2 * len(line) < line.capacity:

@@ -18,7 +18,7 @@ _FIXES = {
     "remote control": "fly with one in reach, or set what its loss does: NAV_RCL_ACT, COM_RCL_EXCEPT, FS_THR_ENABLE, FS_OPTIONS",
     "station": "choose what its loss does: NAV_DLL_ACT 0, FS_GCS_ENABLE 0",
     "battery": "take off with a full one, and see that its limits (BAT_LOW_THR, BATT_LOW_VOLT) leave time for a landing",
-    "fence": "switch it off at sea, or use the service's own, which goes with the ship ([limits])",
+    "fence": "it is yours to change: see fence and px4-fence; the service's own ([limits]) goes with the ship",
     "EKF": "see log-ekf; keep compass and GNSS away from steel and currents",
     "compass": "keep it away from steel and currents, and calibrate it ashore",
     "GNSS": "see that the antenna sees the sky beside mast and superstructure",
@@ -48,10 +48,6 @@ def counted(p: Snapshot, found: int) -> str:
     shown = f"; not among those read: {', '.join(unread[:_SHOWN])}{' ...' if len(unread) > _SHOWN else ''}" if unread else ""
     judged = f"judged: {len(names) - len(unread)} of {len(names)} parameters{shown}"
     return f"{judged}\n{found or 'none'} of {len(RULES)} known faults found"
-
-
-def _times(n: int) -> str:
-    return "once" if n == 1 else f"{n} times"
 
 
 def failsafes(p: Snapshot) -> Finding | None:
@@ -94,7 +90,8 @@ def _taken_back(p: Snapshot) -> tuple[float, str, str] | None:
     one = None if p.log is None else next((one for one in p.log.landings if one.lost > 0), None)
     if one is None or p.autopilot is None:
         return None
-    return one.at_s, _times(one.lost), "set LNDMC_ROT_MAX 20; " if p.autopilot.stack == "PX4" else ""
+    often = "once" if one.lost == 1 else f"{one.lost} times"
+    return one.at_s, often, "set LNDMC_ROT_MAX 20; " if p.autopilot.stack == "PX4" else ""
 
 
 LOG_RULES: tuple[Rule, ...] = (

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import partial
 from typing import Any
 
 from companion.tools.doctor.snapshot import Snapshot
@@ -46,23 +47,12 @@ Rule = Callable[[Snapshot], Finding | None]
 """A pure function from a snapshot to a finding; None if the fault is not there or cannot be judged."""
 
 
-def error(rule: str, what: str, fix: str, changes: Mapping[str, float] | None = None) -> Finding:
-    """Return a finding that keeps the drone from landing, or makes it land wrongly."""
-    return Finding(rule, Severity.ERROR, what, fix, _changes(changes))
+def _finding(severity: Severity, rule: str, what: str, fix: str, changes: Mapping[str, float] | None = None) -> Finding:
+    """Return a finding with the parameters that `doctor --fix` sets."""
+    return Finding(rule, severity, what, fix, tuple(ParameterChange(name, value) for name, value in (changes or {}).items()))
 
 
-def warning(rule: str, what: str, fix: str, changes: Mapping[str, float] | None = None) -> Finding:
-    """Return a finding that makes a landing worse or fail under some conditions."""
-    return Finding(rule, Severity.WARNING, what, fix, _changes(changes))
-
-
-def advice(rule: str, what: str, fix: str, changes: Mapping[str, float] | None = None) -> Finding:
-    """Return a finding that leaves room for improvement."""
-    return Finding(rule, Severity.ADVICE, what, fix, _changes(changes))
-
-
-def _changes(given: Mapping[str, float] | None) -> tuple[ParameterChange, ...]:
-    return tuple(ParameterChange(name, value) for name, value in (given or {}).items())
+error, warning, advice = (partial(_finding, severity) for severity in Severity)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,4 +76,4 @@ class Row:
         if not sign:
             return None
         changes = self.changes(sign) if callable(self.changes) else self.changes
-        return Finding(self.rule, self.severity, self.what.format(sign), self.fix.format(sign), _changes(changes))
+        return _finding(self.severity, self.rule, self.what.format(sign), self.fix.format(sign), changes)

@@ -142,7 +142,7 @@ _PX4: dict[str, float] = {
     "MC_PITCH_P": 6.5, "MC_ROLLRATE_P": 0.15, "MC_PITCHRATE_P": 0.15, "MC_ROLLRATE_MAX": 220, "MC_PITCHRATE_MAX": 220,
     "MC_YAWRATE_MAX": 200, "IMU_GYRO_CUTOFF": 40, "IMU_DGYRO_CUTOFF": 30, "IMU_ACCEL_CUTOFF": 30, "IMU_GYRO_RATEMAX": 400,
 }  # fmt: skip
-_PX4_SINCE: dict[Firmware, dict[str, float]] = {
+PX4_SINCE: dict[Firmware, dict[str, float]] = {
     (1, 16, 0): {"EKF2_GPS_CHECK": 1023},
     (1, 17, 0): {"EKF2_GPS_CHECK": 2047, "IMU_DGYRO_CUTOFF": 20, "MC_ROLL_P": 4, "MC_PITCH_P": 4},
 }
@@ -170,7 +170,7 @@ def defaults_of(stack: str, firmware: Firmware | None, read: Collection[str] = (
         return out
     if stack != "PX4":
         return {}
-    later = [changed for since, changed in _PX4_SINCE.items() if firmware is not None and firmware >= since]
+    later = [changed for since, changed in PX4_SINCE.items() if firmware is not None and firmware >= since]
     return functools.reduce(operator.or_, later, _PX4)
 
 

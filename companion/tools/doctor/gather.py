@@ -1,6 +1,7 @@
 """Take a snapshot of an autopilot over its links. It judges nothing and changes nothing."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from msgspec import Struct, field, structs
 
@@ -169,7 +170,7 @@ async def _ask(autopilot: Autopilot, notes: Notes, clock: Clock, seconds: float,
     assert streams is not None
     say(f"{identity.stack.value}, system {identity.system}: reading parameters, asking for streams")
     await wait_until(clock, _VERSION_S, lambda: autopilot.version is not None)
-    firmware = _firmware(autopilot)
+    firmware = None if autopilot.version is None else autopilot.version.firmware
     known = defaults_of(identity.stack.value, firmware)
     names = names_in(PARAMETERS[identity.stack.value], firmware)
     if channel:
@@ -196,10 +197,6 @@ async def _ask(autopilot: Autopilot, notes: Notes, clock: Clock, seconds: float,
     return {name: (n - before[name]) / lasted_s for name, n in autopilot.counts.items() if n > before[name]}
 
 
-def _firmware(autopilot: Autopilot) -> tuple[int, int, int] | None:
-    return None if autopilot.version is None else autopilot.version.firmware
-
-
 async def wait_until(clock: Clock, seconds: float, done: Callable[[], bool]) -> None:
     """Return as soon as `done`, or after this many seconds."""
     began: MonoNs = clock.now()
@@ -222,6 +219,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
     if identity is None or sync is None:
         return Snapshot(seconds, links, wanted_system=wanted, systems=found, id_conflicts=id_conflicts)
     parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
+    firmware = None if autopilot.version is None else autopilot.version.firmware
     values = {} if parameters is None else dict(sorted(parameters.values.items()))
     return Snapshot(
         seconds,
@@ -230,7 +228,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
             stack=identity.stack.value,
             system=identity.system,
             others=tuple(sorted({one.system for one in found if one.hovers} - {identity.system})),
-            firmware=_firmware(autopilot),
+            firmware=firmware,
             mode=condition.mode,
             armed=condition.armed,
             flying=condition.flying,
@@ -244,7 +242,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
             channels=notes.channels,
             precland_enabled=notes.enabled,
             precland_healthy=notes.healthy,
-            differs=differing(values, defaults_of(identity.stack.value, _firmware(autopilot), values)),
+            differs=differing(values, defaults_of(identity.stack.value, firmware, values)),
         ),
         TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
         wanted_system=wanted,
@@ -255,22 +253,8 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
 
 def link_snapshot(link: Link) -> LinkSnapshot:
     """Return the counters of a link since it was opened first."""
-    codec, wire = link.counters.codec, link.counters.wire
-    return LinkSnapshot(
-        str(link.endpoint),
-        link.down,
-        link.counters.bytes_in,
-        codec.messages,
-        codec.lost,
-        codec.damaged,
-        codec.old_version,
-        codec.refused_signature,
-        link.signed,
-        link.counters.unknown_senders,
-        codec.refused_time,
-        codec.behind_s,
-        wire.refused,
-        wire.late,
-        link.counters.text,
-        link.counters.echoed,
-    )
+    codec, text = link.counters.codec, link.counters.text
+    of_codec = {"behind_s": codec.behind_s, "with_signature": codec.with_signature}
+    counted: dict[str, Any] = link.counters.as_dict() | of_codec | {"text": text, "signed": link.signed}
+    known = {name: n for name, n in counted.items() if name in LinkSnapshot.__struct_fields__}
+    return LinkSnapshot(str(link.endpoint), link.down, **known)

@@ -10,7 +10,7 @@ from typing import Literal
 
 from companion.tools.doctor.diagnose import diagnose
 from companion.tools.doctor.finding import Finding
-from companion.tools.doctor.firmware_parameters import Firmware, defaults_of
+from companion.tools.doctor.firmware_parameters import PX4_SINCE, Firmware, defaults_of
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
 from estimator.contracts.errors import BadInput, file_errors
 
@@ -27,25 +27,38 @@ _HOVER_THRUST = {"MOT_THST_HOVER": 0.35}
 
 Kept = Literal["ArduPilot", "PX4"]
 """Stacks whose defaults are known."""
-Wanted = Mapping[str, tuple[float, str]]
-"""Values by name, each with the reason for it."""
+Wanted = dict[str, tuple[float | None, str]]
+"""Values by name, each with the reason for it, or for leaving it out where there is none."""
 
 
-def wanted_of(found: Iterable[Finding]) -> dict[str, tuple[float, str]]:
+def wanted_of(found: Iterable[Finding]) -> Wanted:
     """Return the parameters that fix findings."""
     return {change.parameter: (change.value, f.what) for f in found for change in f.changes}
 
 
-def wanted_by_default(stack: Kept, firmware: Firmware | None = None, *, moving_pad: bool = True) -> dict[str, tuple[float, str]]:
-    """Return what an autopilot with its firmware's defaults needs, fixed until no fix shows another fault."""
-    values, out = defaults_of(stack, firmware) | _HOVER_THRUST, dict[str, tuple[float, str]]()
+def wanted_by_default(stack: Kept, firmware: Firmware | None = None, *, moving_pad: bool = True) -> Wanted:
+    """Return what an autopilot with its firmware's defaults needs, fixed until no fix shows another fault.
+
+    Args:
+        firmware: its release; None for any, and then what differs by release has no value.
+    """
+    values, out = defaults_of(stack, firmware) | _HOVER_THRUST, Wanted()
     while True:
         snapshot = Snapshot(0.0, (), AutopilotSnapshot(stack, 1, firmware=firmware, parameters=values), moving_pad=moving_pad)
         more = {name: one for name, one in wanted_of(diagnose(snapshot)).items() if name not in out}
         if not more:
-            return dict(sorted(out.items()))
+            break
         out |= more
-        values |= {name: value for name, (value, _) in more.items()}
+        values |= {name: value for name, (value, _) in more.items() if value is not None}
+    for name in (n for n in out if n.endswith("_OPTIONS")):  # bits of which a file sets all
+        out[name] = (out[name][0], f"{out[name][1]}; add the bits that yours has")
+    if stack == "PX4" and firmware is None:
+        later = {f"{since[0]}.{since[1]}": wanted_by_default(stack, since, moving_pad=moving_pad) for since in PX4_SINCE}
+        for name in out.keys() & {name for changed in PX4_SINCE.values() for name in changed}:
+            shown = ", ".join(f"{release}: {wanted[name][0]:g}" for release, wanted in later.items() if name in wanted)
+            why = f"{name} differs by release ({out[name][0]:g}; since {shown}) and is left out: doctor --link URL --fix sets it"
+            out[name] = (None, why)
+    return dict(sorted(out.items()))
 
 
 def stack_named(path: Path) -> Kept:
@@ -74,6 +87,9 @@ def write_parameters_file(path: Path, stack: str, wanted: Wanted, system: int = 
 def _lines(stack: str, wanted: Wanted, system: int) -> Sequence[str]:
     lines = []
     for name, (value, why) in wanted.items():
+        if value is None:
+            lines.append(f"# {why}\n")
+            continue
         kind = _INT32 if name in _PX4_INTEGERS else _REAL32
         entry = f"{name},{value:g}" if stack != "PX4" else f"{system}\t1\t{name}\t{value:g}\t{kind}"
         lines += [f"# {why}\n", f"{entry}\n"]

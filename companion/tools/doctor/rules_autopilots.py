@@ -1,6 +1,6 @@
 """Rules for ArduPilot and PX4: the settings that each needs, and the messages that it sends without them or is sent."""
 
-from companion.tools.doctor.finding import Finding, Row, Rule, Severity, advice, error, warning
+from companion.tools.doctor.finding import Finding, Row, Rule, Severity, advice, error
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
 
 PARAMETERS = (
@@ -72,9 +72,11 @@ def _angles_only(p: Snapshot) -> str | None:
     return None if a is None or a.firmware is None or a.firmware >= (4, 1, 0) else ".".join(map(str, a.firmware))
 
 
-def _strict(p: Snapshot) -> float | None:
-    """Return what PLND_STRICT should be in an autopilot that goes on to land when the pad is out of sight."""
-    return None if not _enabled(p) or _value(p, "PLND_STRICT") != 0.0 else 2.0 if p.moving_pad else 1.0
+def _strict(p: Snapshot) -> tuple[float, float, str] | None:
+    """Return a PLND_STRICT with which LAND goes on without targets, what it should be, and what it then does."""
+    value, to = _value(p, "PLND_STRICT"), 2.0 if p.moving_pad else 1.0
+    does = "holds until a person takes it, as does a LAND without any" if p.moving_pad else "climbs and tries again"
+    return (value, to, does) if _enabled(p) and value is not None and value < to else None
 
 
 def _wrong_lag(p: Snapshot) -> tuple[float, float, float] | None:
@@ -93,23 +95,13 @@ def _still_target(p: Snapshot) -> int | None:
     return options | _MOVING_TARGET if known and p.moving_pad and not options & _MOVING_TARGET else None
 
 
-def plnd_mount_twice(p: Snapshot) -> Finding | None:
-    """Find a camera mount that is set in the autopilot although the service already applies it."""
-    if not _enabled(p):
-        return None
-    names = ("PLND_CAM_POS_X", "PLND_CAM_POS_Y", "PLND_CAM_POS_Z", "PLND_YAW_ALIGN")
-    wrong = {n: v for n in names if (v := _value(p, n)) is not None and v != 0.0}
-    orient = _value(p, "PLND_ORIENT")
-    if orient is not None and orient != _DOWN:
-        wrong["PLND_ORIENT"] = orient
-    if not wrong:
-        return None
-    return error(
-        "plnd-mount-twice",
-        f"the camera's mount is set in the autopilot too: {', '.join(f'{n} {v:g}' for n, v in wrong.items())}",
-        "set PLND_CAM_POS_* and PLND_YAW_ALIGN 0, PLND_ORIENT 25: what is sent is already from the body's origin",
-        {n: _DOWN if n == "PLND_ORIENT" else 0.0 for n in wrong},
-    )
+_MOUNT = {"PLND_CAM_POS_X": 0.0, "PLND_CAM_POS_Y": 0.0, "PLND_CAM_POS_Z": 0.0, "PLND_YAW_ALIGN": 0.0, "PLND_ORIENT": _DOWN}
+"""The parameters of a camera's mount, and their values where the service applies it."""
+
+
+def _mounted_twice(p: Snapshot) -> str:
+    values = {name: _value(p, name) for name, right in _MOUNT.items() if _enabled(p) and _value(p, name) != right}
+    return ", ".join(f"{name} {value:g}" for name, value in values.items() if value is not None)
 
 
 def _kinds(p: Snapshot) -> dict[int, float]:
@@ -126,18 +118,8 @@ def _rangefinder_turned(p: Snapshot) -> tuple[str, float] | None:
     return None
 
 
-def ekf_external(p: Snapshot) -> Finding | None:
-    """Find an EKF that waits for a position or heading from outside."""
-    names = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
-    wrong = [f"EK3_SRC1_{n}" for n in names if _value(p, f"EK3_SRC1_{n}") == _EXTERNAL_NAV]
-    if not wrong:
-        return None
-    return error(
-        "ekf-external",
-        f"{', '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} 6: the EKF waits for a position that is never sent",
-        "set EK3_SRC1_POSXY, VELXY and VELZ 3 (GNSS), POSZ 1 (barometer), YAW 1 (compass): the pad moves, it is no reference",
-        {name: 1.0 if name.endswith(("POSZ", "YAW")) else 3.0 for name in wrong},
-    )
+_SOURCES = {"EK3_SRC1_POSXY": 3.0, "EK3_SRC1_VELXY": 3.0, "EK3_SRC1_POSZ": 1.0, "EK3_SRC1_VELZ": 3.0, "EK3_SRC1_YAW": 1.0}
+"""The EKF's sources, and the value of each that needs nothing from outside."""
 
 
 def _height_by_range(p: Snapshot) -> dict[str, float]:
@@ -195,11 +177,14 @@ RULES: tuple[Rule, ...] = (
         "PLND_OPTIONS takes the pad to stand still: on a ship at 1.5 m/s it touches down 1.5 m behind",
         "set PLND_OPTIONS {0} (bit 0: moving target)",
         lambda to: {"PLND_OPTIONS": float(to)}),
-    plnd_mount_twice,
+    Row("plnd-mount-twice", _ERROR, _mounted_twice,
+        "the camera's mount is set in the autopilot too: {0}",
+        "set PLND_CAM_POS_* and PLND_YAW_ALIGN 0, PLND_ORIENT 25: what is sent is already from the body's origin",
+        lambda found: {name: right for name, right in _MOUNT.items() if name in found}),
     Row("plnd-blind", _WARNING, _strict,
-        "PLND_STRICT is 0: with the pad out of sight it lands anyway, wherever it is",
-        "set PLND_STRICT 2 (hover) or 1 (climb and try again)",
-        lambda to: {"PLND_STRICT": to}),
+        "PLND_STRICT is {0[0]:g}: a LAND whose targets end comes down where it then is, beside a pad that went on",
+        "set PLND_STRICT {0[1]:g}: then it {0[2]}",
+        lambda strict: {"PLND_STRICT": strict[1]}),
     Row("plnd-ceiling", _WARNING, _low_ceiling,
         "PLND_ALT_MAX is {0} m: above it the pad is not looked for",
         "set PLND_ALT_MAX 8 or more",
@@ -214,7 +199,10 @@ RULES: tuple[Rule, ...] = (
         "{0[0]} is {0[1]:g}: distances that look down are dropped",
         "set {0[0]} 25 and reboot",
         lambda turned: {turned[0]: _DOWN}),
-    ekf_external,
+    Row("ekf-external", _ERROR, lambda p: ", ".join(f"{name} 6" for name in _SOURCES if _value(p, name) == _EXTERNAL_NAV),
+        "{0}: the EKF waits for a position that is never sent",
+        "set EK3_SRC1_POSXY, VELXY and VELZ 3 (GNSS), POSZ 1 (barometer), YAW 1 (compass): the pad moves, it is no reference",
+        lambda found: {name: right for name, right in _SOURCES.items() if name in found}),
     Row("ekf-height-by-range", _ERROR, _height_by_range,
         "the EKF takes height from the rangefinder: it follows the deck's heave, and jumps at the deck's edge",
         "set EK3_SRC1_POSZ 1 (barometer) or 3 (GNSS) and EK3_RNG_USE_HGT -1",
@@ -279,13 +267,13 @@ PX4_PARAMETERS = (
     "EKF2_HGT_REF", "MAV_PROTO_VER",
 )  # fmt: skip
 _RANGE_HEIGHT = 2.0
-_OFFBOARD_ACTIONS = {
-    3.0: ("return", "leaves the ship"),
-    4.0: ("land", "lands where it is"),
-    6.0: ("terminate", "falls out of the air"),
-    7.0: ("disarm", "falls out of the air"),
+_LEAVES = {
+    3.0: "3 (return): when the service dies it leaves the ship",
+    4.0: "4 (land): when the service dies it lands where it is",
 }
-_MOTORS_OFF = (6.0, 7.0)
+_FALLS = {6.0: "6 (terminate)", 7.0: "7 (disarm)"}
+_HOLD = "set COM_OBL_RC_ACT 0 (position) or 5 (hold)"
+"""Actions at the loss of OFFBOARD that leave a moving ship or stop the motors in the air, and what to set instead."""
 
 
 def event_id(name: str) -> int:
@@ -294,20 +282,6 @@ def event_id(name: str) -> int:
     for byte in name.encode():
         value = (value ^ byte) * 0x1000193 & 0xFFFFFFFF
     return 1 << 24 | value & 0xFFFFFF
-
-
-def offboard_action(p: Snapshot) -> Finding | None:
-    """Find an action at the loss of OFFBOARD that leaves a moving ship."""
-    action = _value(p, "COM_OBL_RC_ACT", "PX4")
-    if action is None or action not in _OFFBOARD_ACTIONS or not p.moving_pad:
-        return None
-    name, does = _OFFBOARD_ACTIONS[action]
-    return (error if action in _MOTORS_OFF else warning)(
-        "px4-offboard-action",
-        f"COM_OBL_RC_ACT is {action:g} ({name}): when the service dies it {does}",
-        "set COM_OBL_RC_ACT 0 (position) or 5 (hold)",
-        {"COM_OBL_RC_ACT": 5.0},
-    )
 
 
 def targets_withheld(p: Snapshot) -> Finding | None:
@@ -366,7 +340,10 @@ PX4_RULES: tuple[Rule, ...] = (
         "COM_OF_LOSS_T is {0:g} s: so long it flies on with the last velocity when the service dies",
         "set COM_OF_LOSS_T 1",
         {"COM_OF_LOSS_T": 1.0}),
-    offboard_action,
+    Row("px4-offboard-action", _WARNING, lambda p: p.moving_pad and _LEAVES.get(_px4(p, "COM_OBL_RC_ACT")),
+        "COM_OBL_RC_ACT is {0}", _HOLD, {"COM_OBL_RC_ACT": 5.0}),
+    Row("px4-offboard-action", _ERROR, lambda p: p.moving_pad and _FALLS.get(_px4(p, "COM_OBL_RC_ACT")),
+        "COM_OBL_RC_ACT is {0}: when the service dies it falls out of the air", _HOLD, {"COM_OBL_RC_ACT": 5.0}),
     Row("ekf-height-by-range", _ERROR, lambda p: p.moving_pad and _px4(p, "EKF2_HGT_REF") == _RANGE_HEIGHT,
         "EKF2_HGT_REF is 2: the height follows the deck's heave, and jumps at the deck's edge",
         "set EKF2_HGT_REF 1 (GNSS) or 0 (barometer)",

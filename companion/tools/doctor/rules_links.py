@@ -126,9 +126,8 @@ def _listed(p: Snapshot) -> str:
 def several_autopilots(p: Snapshot) -> Finding | None:
     """Find several vehicles on one network, where the service may choose the wrong one."""
     a = p.autopilot
-    if any(one.name == "several-autopilots" for one in p.id_conflicts):
-        return None  # `id_conflict` says more
-    if a is not None and a.others and not p.wanted_system:
+    known = any(one.name == "several-autopilots" for one in p.id_conflicts)  # `id_conflict` says more
+    if a is not None and a.others and not p.wanted_system and not known:
         there = ", ".join(str(one) for one in p.systems if one.hovers and one.system in a.others) or ", ".join(map(str, a.others))
         return warning(
             "several-autopilots",
@@ -162,18 +161,19 @@ def link_one_way(p: Snapshot) -> Finding | None:
     """Find a link on which we receive the autopilot and it does not receive us."""
     if not unanswered(p) or p.autopilot is None:
         return None
-    what = f"system {p.autopilot.system} sends, but answers nothing: no parameter, no stream, no TIMESYNC"
-    if _old_link(p) is not None:
-        return error(
-            "link-one-way",
-            f"{what}; it speaks MAVLink 1, and something between drops MAVLink 2",
-            "put a router or radio there that passes MAVLink 2, and set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4)",
-        )
-    return error(
+    rule, why, fix = (
         "link-one-way",
-        what,
-        "check the wire from our TX to its RX, a radio or router that passes one direction only, and a signing key of its own",
+        "",
+        "check the wire from our TX to its RX, and for a radio or router that passes one way only",
     )
+    if any(not link.signed and link.with_signature > 0.5 * link.messages for link in _open(p)):
+        rule, why = "link-signature", "; it signs its messages, and ours carry no signature"
+        fix = "give its key: --signing-key FILE, vehicle.signing_key_file; keys install over USB replaces a lost one"
+    elif _old_link(p) is not None:
+        why = "; it speaks MAVLink 1, and something between drops MAVLink 2"
+        fix = "put a router or radio there that passes MAVLink 2, and set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4)"
+    what = f"system {p.autopilot.system} sends, but answers nothing: no parameter, no stream, no TIMESYNC"
+    return error(rule, what + why, fix)
 
 
 def _streams_refused(p: Snapshot) -> str:

@@ -14,11 +14,8 @@ from companion.tools.doctor.finding import Finding, ParameterChange, Row, Rule, 
 from companion.tools.doctor.firmware_parameters import NamedValue, named_value
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
 
-# Rules for failsafes that work together: an action that returns, and a return that lands where the ship was.
-#
 # Both stacks return to the place of the take-off over the ground. A ship under way has left it, so a return must end in a
-# hover, in which a person can take over. Sources: parameter references of ArduCopter 4.5 (FS_*, RTL_*) and PX4 1.16 (NAV_*,
-# COM_*, RTL_*).
+# hover, in which a person can take over.
 
 _REFUSAL = re.compile(r"^(?:\[[^\]]*\]\s*)?(?:PreArm|Arm|Preflight Fail|Arming denied)[:!]\s*(.+)$", re.IGNORECASE)
 _SHOWN = 4
@@ -33,7 +30,7 @@ _FIXES = {
     "remote control": "switch it on, or tell the autopilot that there is none (COM_RC_IN_MODE 4, FS_THR_ENABLE 0)",
     "rc ": "switch it on, or tell the autopilot that there is none (COM_RC_IN_MODE 4, FS_THR_ENABLE 0)",
     "battery": "charge it, or correct its limits",
-    "fence": "switch it off at sea",
+    "fence": "it is yours to change: the finding fence says what of it conflicts with a ship",
     "terrain": "switch terrain following off",
 }
 
@@ -56,9 +53,15 @@ ARMING: tuple[Rule, ...] = (arming_refused,)
 
 
 FAILSAFE_PARAMETERS = {
-    "ArduPilot": ("FS_THR_ENABLE", "FS_GCS_ENABLE", "FS_OPTIONS", "BATT_FS_LOW_ACT", "BATT_FS_CRT_ACT", "RTL_ALT_FINAL"),
-    "PX4": ("NAV_RCL_ACT", "NAV_DLL_ACT", "COM_RC_IN_MODE", "COM_RCL_EXCEPT", "COM_DLL_EXCEPT", "RTL_LAND_DELAY"),
-}
+    "ArduPilot": (
+        "FS_THR_ENABLE", "FS_GCS_ENABLE", "FS_OPTIONS", "BATT_FS_LOW_ACT", "BATT_FS_CRT_ACT", "RTL_ALT_FINAL",
+        "FENCE_ENABLE", "FENCE_ACTION", "FENCE_TYPE", "FENCE_ALT_MIN",
+    ),
+    "PX4": (
+        "NAV_RCL_ACT", "NAV_DLL_ACT", "COM_RC_IN_MODE", "COM_RCL_EXCEPT", "COM_DLL_EXCEPT", "RTL_LAND_DELAY",
+        "GF_ACTION", "GF_MAX_HOR_DIST",
+    ),
+}  # fmt: skip
 _RETURNS = {
     "FS_THR_ENABLE": (1.0, 2.0, 4.0, 6.0),
     "FS_GCS_ENABLE": (1.0, 2.0, 3.0, 6.0),
@@ -91,14 +94,12 @@ def copter_remote_loss(p: Snapshot) -> Finding | None:
     if a is None or action not in _REMOTE_LANDS:
         return None
     final = named_value(a.parameters, "RTL_ALT_FINAL")
-    to = {"FS_THR_ENABLE": 1.0}
-    if final is not None and final.value < _HOVER_CM:
-        to[final.name] = final.there(_HOVER_TO_CM)
+    climbs = {final.name: final.there(_HOVER_TO_CM)} if final is not None and final.value < _HOVER_CM else {}
     return warning(
         "remote-loss",
         f"FS_THR_ENABLE is {action:g} ({_REMOTE_LANDS[action]}): without a remote control it lands where it is, in the sea",
         "set FS_THR_ENABLE 1 (return) and " + " ".join(_hover(a)) + " (which ends in a hover 5 m up)",
-        to,
+        {"FS_THR_ENABLE": 1.0} | climbs,
     )
 
 
@@ -150,9 +151,39 @@ def _joystick_only(p: Snapshot) -> bool:
     return a is not None and a.parameters.get("COM_RC_IN_MODE") == 1.0 and _sticks_matter(a)
 
 
+_CIRCLE, _FLOOR, _FLOOR_MAX_M = 1 << 1, 1 << 3, -1.0
+_HOLDS = 2.0
+
+
+def _copter_fence(p: Snapshot) -> tuple[float, str] | None:
+    """Return the action of ArduCopter's fence, and what of it a landing on a ship breaks."""
+    a = _of(p, "ArduPilot")
+    read = {} if a is None else a.parameters
+    action, kinds = read.get("FENCE_ACTION", 1.0), int(read.get("FENCE_TYPE", 7.0))
+    broken = ["the circle around home, which stays where the ship was"] if kinds & _CIRCLE else []
+    if kinds & _FLOOR and (floor_m := read.get("FENCE_ALT_MIN", -10.0)) > _FLOOR_MAX_M:
+        broken.append(f"the least altitude, {floor_m:g} m")
+    return (action, " and ".join(broken)) if read.get("FENCE_ENABLE") and action and broken else None
+
+
+def _px4_fence(p: Snapshot) -> tuple[float, float] | None:
+    """Return the radius of PX4's fence around home, m, and its action."""
+    a = _of(p, "PX4")
+    reach_m = 0.0 if a is None else a.parameters.get("GF_MAX_HOR_DIST", 0.0)
+    action = _HOLDS if a is None else a.parameters.get("GF_ACTION", _HOLDS)
+    return (reach_m, action) if reach_m > 0.0 and action >= _HOLDS else None
+
+
 _ERROR, _WARNING, _ADVICE = Severity.ERROR, Severity.WARNING, Severity.ADVICE
 FAILSAFE_RULES: tuple[Rule, ...] = (
     copter_remote_loss, copter_return,
+    Row("fence", _WARNING, _copter_fence,
+        "the fence ends the flight (FENCE_ACTION {0[0]:g}) at {0[1]}",
+        "by hand, as it is your containment: make FENCE_RADIUS longer than her way or take 2 (the circle) out of FENCE_TYPE, "
+        "put FENCE_ALT_MIN below the sea, and keep the ceiling"),
+    Row("px4-fence", _WARNING, _px4_fence,
+        "GF_MAX_HOR_DIST is {0[0]:g} with GF_ACTION {0[1]:g}: the fence stays where the ship was, and ends the flight there",
+        "by hand, as it is your containment: make it longer than her way, and keep GF_MAX_VER_DIST"),
     Row("px4-return-lands", _WARNING, _px4_returns,
         "{0[0]}: it returns to where the ship was, and RTL_LAND_DELAY {0[1]:g} lands it there",
         "set RTL_LAND_DELAY -1: a return ends in a hover, for a person to take over",
@@ -195,6 +226,8 @@ class ValueRule(Struct, frozen=True):
     """Severity and effect where a needed bit alone is missing; None leaves both."""
     on_ship: bool = True
     """True if it only matters where the pad moves."""
+    by_hand: str = ""
+    """The fix where the parameter is the pilot's own protection: only a person may loosen it, so no change is offered."""
 
     def __call__(self, snapshot: Snapshot) -> Finding | None:
         """Return the finding, or None where the value is good or not known."""
@@ -219,8 +252,9 @@ class ValueRule(Struct, frozen=True):
         what = f"{named.name} is {named.there(value):g}: {why}"
         if self.over_ship is not None and low > self.low:
             what += f" (she makes {snapshot.ship_speed_m_s:g} m/s)"
-        fix = f"set {named.name} {to:g}"
-        return Finding(self.rule, severity, what, fix, (ParameterChange(named.name, to),))
+        if self.by_hand:
+            return Finding(self.rule, severity, what, f"by hand, as it protects the vehicle: {self.by_hand}")
+        return Finding(self.rule, severity, what, f"set {named.name} {to:g}", (ParameterChange(named.name, to),))
 
     def _low(self, snapshot: Snapshot) -> float:
         if self.over_ship is None or snapshot.ship_speed_m_s is None:
@@ -229,6 +263,7 @@ class ValueRule(Struct, frozen=True):
 
 
 _A, _P, _Q = "ArduPilot", "PX4", "ArduPlane"
+_BATTERY = "set its limits so that a landing on the ship fits before them; 2 returns, 0 only warns"
 _ARDUPILOT = (
     ValueRule("guided-timeout", _A, "GUID_TIMEOUT", 1,
               "a gap in the link stops it over the ground, or a dead service flies on", 1, 5),
@@ -282,14 +317,14 @@ _ARDUPILOT = (
     ValueRule("rotors-slow", _A, "MOT_SPOOL_TIME", 0.5, "take-off is late by so much", 0, 1.5),
     ValueRule("compass-learns", _A, "COMPASS_LEARN", 0, "it learns the ship's steel", wrong=(2.0, 3.0)),
     ValueRule("ekf-failsafe", _A, "FS_EKF_THRESH", 0.8, "an EKF that is wrong is flown on", 0.5, 1.0),
-    ValueRule("ekf-action", _A, "FS_EKF_ACTION", 1, "an EKF in doubt lands it even where a person flies it", wrong=(3.0,)),
+    ValueRule("ekf-action", _A, "FS_EKF_ACTION", 1, "an EKF in doubt lands it even where a person flies it",
+              by_hand="1 lands it in modes that need a position alone", wrong=(3.0,)),
     ValueRule("station-loss", _A, "FS_GCS_ENABLE", 0, "without a station it lands where it is, in the sea",
-              wrong=(4.0, 5.0, 7.0)),
+              by_hand="1 returns, and RTL_ALT_FINAL 500 lets a return end in a hover; 0 is off", wrong=(4.0, 5.0, 7.0)),
     ValueRule("battery-action", _A, "BATT_FS_LOW_ACT", 0, "with a low battery it comes down where it is, in the sea",
-              wrong=(1.0, 4.0, 5.0, 7.0)),
+              by_hand=_BATTERY, wrong=(1.0, 4.0, 5.0, 7.0)),
     ValueRule("battery-critical", _A, "BATT_FS_CRT_ACT", 0, "with an empty battery it comes down where it is, in the sea",
-              wrong=(1.0, 4.0, 5.0, 7.0)),
-    ValueRule("fence", _A, "FENCE_ENABLE", 0, "the fence stays where the ship was, and ends the flight there", wrong=(1.0,)),
+              by_hand=_BATTERY, wrong=(1.0, 4.0, 5.0, 7.0)),
     ValueRule("mode-blocked", _A, "FLTMODE_GCSBLOCK", 0, "GUIDED cannot be entered over MAVLink: the landing never begins",
               bits=1 << 4, severity=_ERROR, on_ship=False),
     ValueRule("ekf-no-velocity", _A, "EK3_SRC1_VELXY", 3, "GNSS gives the EKF no velocity: it lands three times as far off",
@@ -333,7 +368,8 @@ _PX4 = (
     ValueRule("px4-disarm-late", _P, "COM_DISARM_LAND", 2, "it stays armed on deck", 0.1, 5, on_ship=False),
     ValueRule("px4-disarm-early", _P, "COM_DISARM_PRFLT", 10, "it disarms before it has climbed", 5, on_ship=False),
     ValueRule("px4-time-limit", _P, "COM_FLT_TIME_MAX", -1, "after so long in the air it flies home, in a landing too",
-              900, right=(-1.0,), severity=_ERROR, on_ship=False),
+              900, right=(-1.0,), severity=_ERROR, on_ship=False,
+              by_hand="make it longer than the flight to the ship with the landing (900 s and more)"),
     ValueRule("px4-setpoints-ignored", _P, "MAV_FWDEXTSP", 1, "setpoints are not passed on: OFFBOARD never begins",
               wrong=(0.0,), severity=_ERROR, on_ship=False),
     ValueRule("px4-manual-speed", _P, "MPC_VEL_MANUAL", 10, "a person who takes over cannot keep up with the ship", 3,
@@ -343,10 +379,11 @@ _PX4 = (
     ValueRule("px4-gnss-delay", _P, "EKF2_GPS_DELAY", 110, "its velocity is old by so much", 0, 250),
     ValueRule("px4-gnss-wait", _P, "EKF2_REQ_GPS_H", 10, "so long it refuses to arm on deck", 0, 30),
     ValueRule("px4-heading", _P, "EKF2_MAG_TYPE", 0, "it has no heading until it has flown", wrong=(5.0,), severity=_ERROR),
-    ValueRule("px4-compass-strength", _P, "COM_ARM_MAG_STR", 2, "a deck of steel keeps it from arming", wrong=(1.0,),
-              severity=_ADVICE),
+    ValueRule("px4-compass-strength", _P, "COM_ARM_MAG_STR", 2, "a deck of steel keeps it from arming",
+              by_hand="2 only warns", wrong=(1.0,), severity=_ADVICE),
     ValueRule("px4-velocity-doubt", _P, "COM_VEL_FS_EVH", 1, "a small doubt about its velocity ends OFFBOARD", 0.5),
-    ValueRule("px4-wind-limit", _P, "COM_WIND_MAX", -1, "wind at sea ends the landing", 10, right=(-1.0,)),
+    ValueRule("px4-wind-limit", _P, "COM_WIND_MAX", -1, "wind at sea ends the landing", 10, right=(-1.0,),
+              by_hand="raise it to the wind in which this vehicle may fly"),
     ValueRule("px4-roll-limit", _P, "FD_FAIL_R", 60, "a lean against a gust counts as a failure", 45, right=(0.0,)),
     ValueRule("px4-pitch-limit", _P, "FD_FAIL_P", 60, "a lean against a gust counts as a failure", 45, right=(0.0,)),
     ValueRule("px4-pitch-loose", _P, "MC_PITCH_P", 6.5, "its lean follows too late for a deck", 4),
@@ -359,13 +396,11 @@ _PX4 = (
     ValueRule("px4-gyro-rate", _P, "IMU_GYRO_RATEMAX", 400, "the rate loop is too slow", 250, on_ship=False),
     ValueRule("px4-remote-loss", _P, "NAV_RCL_ACT", 1,
               "without a remote control it comes down where it is, in the sea", wrong=(3.0, 5.0, 6.0)),
-    ValueRule("px4-station-loss", _P, "NAV_DLL_ACT", 0,
+    ValueRule("px4-station-loss", _P, "NAV_DLL_ACT", 1,
               "without a station it comes down where it is, in the sea", wrong=(3.0, 5.0, 6.0)),
     ValueRule("px4-battery-action", _P, "COM_LOW_BAT_ACT", 0,
-              "with a low battery it lands where it is, in the sea", wrong=(2.0, 3.0)),
-    ValueRule("px4-fence", _P, "GF_ACTION", 1,
-              "the fence stays where the ship was, and ends the flight there", wrong=(3.0, 4.0, 5.0)),
-    ValueRule("px4-fence-reach", _P, "GF_MAX_HOR_DIST", 0, "the fence stays where the ship was", -1, 0),
+              "at the critical level 2 lands and 3 returns to where the ship was; at the emergency level both land, in the sea",
+              by_hand="set BAT_CRIT_THR so that a landing on the ship fits before it; 0 only warns", wrong=(2.0, 3.0)),
     ValueRule("px4-return-precland", _P, "RTL_PLD_MD", 0, "a return waits for a pad that never holds still for it", wrong=(2.0,)),
     ValueRule("px4-still-target", _P, "LTEST_MODE", 0, "it takes the pad to stand still", wrong=(1.0,), severity=_ERROR),
     ValueRule("px4-range-aid", _P, "EKF2_RNG_CTRL", 0, "its height follows the deck's heave", wrong=(2.0,), severity=_ERROR),

@@ -28,7 +28,7 @@ class LinkSnapshot(Struct, frozen=True):
     signed: bool | None = None
     """True if we sign our messages on it and accept only signed ones."""
     unknown_senders: int = 0
-    """Number of messages from senders that are not accepted."""
+    """Number of messages from senders that are not accepted, and were not later."""
     refused_time: int = 0
     """Number of messages signed with our key whose time was refused."""
     behind_s: float = 0.0
@@ -41,6 +41,8 @@ class LinkSnapshot(Struct, frozen=True):
     """Number of bytes that may be of a text."""
     echoed: int = 0
     """Number of our own messages that came back."""
+    with_signature: int = 0
+    """Number of messages that carry a signature."""
 
 
 class IdConflictSnapshot(Struct, frozen=True):

@@ -45,7 +45,7 @@ SERVICE = ServiceSnapshot(
 ARDUPILOT = AutopilotSnapshot(
     stack="ArduPilot", system=1, firmware=(4, 5, 7), mode="loiter", armed=True, flying=True,
     parameters={
-        "PLND_ENABLED": 1.0, "PLND_TYPE": 1.0, "PLND_EST_TYPE": 1.0, "PLND_LAG": 0.05, "PLND_OPTIONS": 1.0, "PLND_STRICT": 1.0,
+        "PLND_ENABLED": 1.0, "PLND_TYPE": 1.0, "PLND_EST_TYPE": 1.0, "PLND_LAG": 0.05, "PLND_OPTIONS": 1.0, "PLND_STRICT": 2.0,
         "PLND_ORIENT": 25.0, "PLND_YAW_ALIGN": 0.0, "PLND_CAM_POS_X": 0.0, "PLND_CAM_POS_Y": 0.0, "PLND_CAM_POS_Z": 0.0,
         "PLND_ALT_MAX": 8.0, "INS_GYR_CAL": 0.0, "EK3_SRC1_POSXY": 3.0, "EK3_SRC1_VELXY": 3.0, "EK3_SRC1_POSZ": 1.0,
         "EK3_SRC1_VELZ": 3.0, "EK3_SRC1_YAW": 1.0, "EK3_RNG_USE_HGT": -1.0, "RNGFND1_TYPE": 10.0, "RNGFND1_ORIENT": 25.0,
@@ -164,6 +164,7 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
         replace(GOOD, autopilot=None, sync=None, wanted_system=5, systems=(FOUND, FoundSystem(3, 1, "PX4", "hexarotor", True))),
         "--system 1 or 3"),
     "a radio that passes one direction": ("link-one-way", ONE_WAY, "TX"),
+    "an autopilot that signs": ("link-signature", replace(ONE_WAY, links=(replace(LINK, with_signature=2900),)), "--signing-key"),
     "a radio that passes MAVLink 1 only": ("link-one-way",
         replace(ONE_WAY, links=(replace(LINK, messages=40, old_version=40),)), "MAVLink 2"),
     "two drones, one network": ("several-autopilots", ardupilot(others=(2, 5)), "SYSID_THISMAV"),

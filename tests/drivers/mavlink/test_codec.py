@@ -98,6 +98,9 @@ def test_an_unknown_message_is_counted_and_accepted_only_between_frames() -> Non
 
 def test_the_signature_is_the_published_one() -> None:
     data = Codec(1, 1, signing=signing()).pack(attitude_message(1))
+    keyless = Codec(2, 1)
+    keyless.feed(data + Codec(1, 1).pack(attitude_message(2)))
+    assert (keyless.counters.messages, keyless.counters.with_signature) == (2, 1), "who has no key sees that another signs"
     assert data[2] & 1
     link, low, high = struct.unpack("<BIH", data[-13:-6])
     assert link == 3

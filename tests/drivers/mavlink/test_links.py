@@ -14,7 +14,7 @@ from drivers.clock import SystemClock
 from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.access import Access, AccessLevel, Named, NamedSenders, Source, parse_operators
 from drivers.mavlink.codec import Codec
-from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing, SigningKey, SigningTimes
@@ -189,6 +189,18 @@ async def test_signed_links_hear_each_other_only() -> None:
             ours.send(heartbeat())
             assert (await signed.received.get()).message.get_signed()
             assert len(unsigned.received) == 0
+
+
+async def test_what_an_autopilot_sends_before_its_first_heartbeat_is_not_an_unknown_sender_s() -> None:
+    async with open_links([quick(f"udpin://{HOST}:0")], SystemClock(), (1, 191)) as ours:
+        await until(lambda: ours.all[0].local)
+        counters, url = ours.all[0].counters, quick(f"udpout://{HOST}:{port_of(ours)}")
+        async with open_links([url], SystemClock(), (1, 1)) as autopilot, open_links([url], SystemClock(), (255, 190)) as station:
+            await until(lambda: autopilot.send(TimeSyncV2(0, 1)) and station.send(TimeSyncV2(0, 1)))
+            await until(lambda: counters.unknown_senders == 2)
+            autopilot.send(heartbeat())
+            ours.bind_autopilot(await ours.received.get())
+            assert counters.unknown_senders == 1, "that of the station"
 
 
 A: Source = (0, ("10.0.0.1", 14550))
