@@ -118,9 +118,7 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    if args.action == "camera":
-        return _run_camera(args)
-    return calibrate_flight.run(args)
+    return _run_camera(args) if args.action == "camera" else calibrate_flight.run(args)
 
 
 def _run_camera(args: argparse.Namespace) -> int:

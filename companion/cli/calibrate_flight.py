@@ -22,15 +22,7 @@ from companion.recording.reading import Recording, open_recording
 from companion.settings.guidance import FollowDeckOptions, Response, TiltResponse
 from companion.settings.load import load, read_text, response_model, shipped, shipped_response
 from companion.settings.model import in_file
-from companion.tools.calibrate.flight_result import (
-    MountResult,
-    ResponseCost,
-    TouchdownCost,
-    flight_result,
-    readout_result,
-    tilt_of_file,
-    tilt_of_sigma,
-)
+from companion.tools.calibrate import flight_result as results
 from companion.tools.calibrate.flight_views import FlownCourses, flight_views, flown_courses
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput, file_errors, refused
@@ -85,7 +77,7 @@ def _vehicle(args: argparse.Namespace, recording: Recording) -> int:
         assert courses.tilt is not None
         write_response(args.plot, recording.name, courses, tilt, climb)
     loops = {"by_the_given": margins(start.tilt, tilt.response), "by_the_identified": margins(tilt.response)}
-    costs = tilt_of_file(start.tilt, tilt.response), tilt_of_sigma(tilt.response, tilt.cov)
+    costs = results.tilt_of_file(start.tilt, tilt.response), results.tilt_of_sigma(tilt.response, tilt.cov)
     record = _record(tilt, climb) | {"loop": {name: _loop_record(loop) for name, loop in loops.items()}}
     record |= {"cost_was_cm": _finite(costs[0].cost_cm), "cost_sigma_cm": _finite(costs[1].cost_cm)}
     record |= {"chi2_of_given": _apart(start.tilt, tilt), "cut": {str(p): why for p, why in recording.cut.items()}}
@@ -134,7 +126,7 @@ def _lines(
     tilt: TiltFit,
     climb: ClimbFit | None,
     loops: dict[str, LoopMargins],
-    costs: tuple[ResponseCost, ResponseCost],
+    costs: tuple[results.ResponseCost, results.ResponseCost],
 ) -> list[str]:
     t = tilt.response
     out = [
@@ -167,7 +159,7 @@ def _lines(
     return out
 
 
-def _cost_of_response(was: ResponseCost, now: ResponseCost) -> str:
+def _cost_of_response(was: results.ResponseCost, now: results.ResponseCost) -> str:
     before = f"{was.cost_cm:.1f} cm at touchdown by the given response ({was.error_cm:.2f} cm rms instead of {was.own_cm:.2f})"
     if not math.isfinite(was.error_cm):
         before = "the loop by the given response is unstable"
@@ -215,11 +207,9 @@ def _margins(loop: LoopMargins) -> str:
 
 
 def _loop_record(loop: LoopMargins) -> dict[str, object]:
-    finite = math.isfinite(loop.error_m)
     return {
-        "stable": loop.stable, "gain_down": loop.gain[0], "gain_up": loop.gain[1] if math.isfinite(loop.gain[1]) else None,
-        "phase_deg": loop.phase_deg, "delay_s": loop.delay_s if math.isfinite(loop.delay_s) else None,
-        "sensitivity": loop.sensitivity, "error_m": loop.error_m if finite else None,
+        "stable": loop.stable, "gain_down": loop.gain[0], "gain_up": _finite(loop.gain[1]), "phase_deg": loop.phase_deg,
+        "delay_s": _finite(loop.delay_s), "sensitivity": loop.sensitivity, "error_m": _finite(loop.error_m),
     }  # fmt: skip
 
 
@@ -375,8 +365,7 @@ def _delay(args: argparse.Namespace, recording: Recording) -> int:
 
 def _write_delay(args: argparse.Namespace, key: str, was: float, found: float, sigma_s: float) -> None:
     now = load(args.config)
-    v = now.vehicle
-    stands = v.video_delay_s if isinstance(v, ArDroneOptions) else now.camera.latency_s
+    stands = now.vehicle.video_delay_s if isinstance(now.vehicle, ArDroneOptions) else now.camera.latency_s
     if abs(stands - was) > 1e-6:
         flown = f"{was:g} in the recording; name the settings flown with"
         raise BadInput(f"--config {args.config}: {in_file(key)} is {stands:g}, but {flown}")
@@ -398,7 +387,7 @@ def _write_delay(args: argparse.Namespace, key: str, was: float, found: float, s
 def _readout(args: argparse.Namespace, recording: Recording) -> int:
     views = flight_views(recording)
     with named_wait("searching the images for the time of a row", quiet=args.json):
-        result = readout_result(recording, views)
+        result = results.readout_result(recording, views)
     found, sigma_s, was_s, why = result.readout_s, result.sigma_s, result.was_s, result.refusal()
     if why is None and args.out is not None:
         text = recording.attachments[CAMERA].decode("utf-8")
@@ -413,22 +402,22 @@ def _readout(args: argparse.Namespace, recording: Recording) -> int:
     return _say(args, result.mount, why, lines, record | _cost_record(*result.costs()))
 
 
-def _result(args: argparse.Namespace, recording: Recording) -> MountResult:
+def _result(args: argparse.Namespace, recording: Recording) -> results.MountResult:
     views = flight_views(recording)
     with named_wait(f"fitting {views.t.size} views of the pad", quiet=args.json):
-        return flight_result(views)
+        return results.flight_result(views)
 
 
 _AXES = ("about forward", "right", "down")
 
 
-def _say(args: argparse.Namespace, result: MountResult, why: str | None, lines: list[str], record: Mapping[str, Any]) -> int:
-    fit, advice = result.fit, result.advice()
+def _say(args: argparse.Namespace, of: results.MountResult, why: str | None, lines: list[str], record: Mapping[str, Any]) -> int:
+    fit, advice = of.fit, of.advice()
     whole = {
         "good": why is None, "refused": why, "missing": advice, "file": str(args.out) if args.out and why is None else None,
         "views": fit.views, "left_out": fit.left_out, **record,
     }  # fmt: skip
-    lines.append(f"flight {result.coverage.in_words()}; {fit.views} views, {fit.left_out} left out")
+    lines.append(f"flight {of.coverage.in_words()}; {fit.views} views, {fit.left_out} left out")
     if why is not None:
         lines.append(f"not known well enough: {why}" + ("; it lacks:" if advice else ""))
     elif args.out is not None:
@@ -440,14 +429,14 @@ def _say(args: argparse.Namespace, result: MountResult, why: str | None, lines: 
     return 0 if why is None else 1
 
 
-def _cost_line(was: TouchdownCost, now: TouchdownCost) -> str:
+def _cost_line(was: results.TouchdownCost, now: results.TouchdownCost) -> str:
     return (
         f"cost   {was.touchdown_cm:.1f} cm at touchdown ({was.approach_cm:.1f} cm at 3 m) as it was, {now.touchdown_cm:.2f} cm "
         f"({now.approach_cm:.1f} cm) for one sigma of what is left"
     )
 
 
-def _cost_record(was: TouchdownCost, now: TouchdownCost) -> dict[str, object]:
+def _cost_record(was: results.TouchdownCost, now: results.TouchdownCost) -> dict[str, object]:
     return {"cost_was_cm": was.touchdown_cm, "cost_sigma_cm": now.touchdown_cm}
 
 

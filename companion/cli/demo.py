@@ -177,6 +177,7 @@ async def _drone(scenario: str, seed: int, truth: Path, ardrone1: bool) -> Async
     )
     assert child.stdin is not None
     assert child.stdout is not None
+    drone: _Child | None = None
     try:
         try:
             async with asyncio.timeout(_READY_S):
@@ -189,6 +190,8 @@ async def _drone(scenario: str, seed: int, truth: Path, ardrone1: bool) -> Async
         drone = _Child(json.loads(line)["ports"])
         yield drone
     finally:
+        if drone is None:
+            child.kill()  # before it is ready it does not see that its standard input closes
         child.stdin.close()
         printed, _ = await child.communicate()
     drone.ended(printed)

@@ -6,6 +6,7 @@ Progress is a line that is redrawn on a terminal, else a line now and then. Repo
 from __future__ import annotations
 
 import argparse
+import logging
 import math
 import os
 import sys
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame, Relay
 from companion.base.version import version
-from companion.cli.options import ERASED, option, writing, written
+from companion.cli.options import ERASED, option, print_line, writing, written
 from companion.cli.outputs import RECORDING, output, prepare_folder
 from companion.facts.records import ContactRecord, TruthRecord
 from companion.settings.load import body_camera, camera_model, pad_model
@@ -311,7 +312,20 @@ class ProgressObserver(NullObserver):
 @contextmanager
 def shown(*, quiet: bool) -> Iterator[list[Observer]]:
     """Yield the observer that shows the progress of a flight; none if nothing but the result is printed."""
-    progress = None if quiet else ProgressObserver()
-    yield [] if progress is None else [progress]
-    if progress is not None:
-        progress.close()
+    if quiet:
+        yield []
+        return
+    progress, lines = ProgressObserver(), _LogLines(logging.WARNING)
+    logging.getLogger().addHandler(lines)
+    try:
+        yield [progress]
+    finally:
+        logging.getLogger().removeHandler(lines)
+    progress.close()
+
+
+class _LogLines(logging.Handler):
+    """Writes what is logged in the place of the line of progress, not behind it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print_line(self.format(record))

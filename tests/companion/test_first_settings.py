@@ -1,6 +1,7 @@
 """`decklander start` and what a person reads first: settings that load, a QR code that reads back, help, carets, completion."""
 
 import io
+import logging
 import socket
 import subprocess
 import sys
@@ -198,6 +199,15 @@ def test_progress_stays_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, ca
     progress.on_decision(decision(MonoNs(10**9)))
     shown = capsys.readouterr().err.split("\x1b[2K")[1]
     assert 10 < len(shown) < 40
+
+
+def test_what_is_logged_takes_the_place_of_the_progress(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with kept_flight.shown(quiet=False):
+        logging.getLogger("drivers").warning("the link is gone")
+    assert "\r\x1b[2Kthe link is gone\n" in capsys.readouterr().err
 
 
 def test_work_announces_itself_and_is_silent_while_it_is_short(capsys: pytest.CaptureFixture[str]) -> None:
