@@ -296,10 +296,8 @@ class FlightOutcome(Enum):
     EMERGENCY = State.EMERGENCY.value
     """The vehicle cut its motors."""
     ABORTED = State.ABORTED.value
-    """The operator aborted the flight; the vehicle is held still."""
+    """The operator aborted the attempt; the vehicle is held still."""
 
 
-AGAIN = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED, FlightOutcome.TAKEN)
-"""Outcomes after which the operator may begin again in the air."""
 REFUSALS = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED)
 """Outcomes in which it did not land by its own decision."""

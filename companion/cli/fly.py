@@ -21,7 +21,7 @@ from companion.base import event_loop
 from companion.base.orders import CENTRED, TWICE_S, OperatorOrder, StickPositions
 from companion.cli.options import option, refuse_any
 from companion.facts.wire import FlightState
-from companion.parts.operator.client import OperatorClient, connected, line_of_state, running
+from companion.parts.operator.client import OperatorClient, connected, in_time, line_of_state, running
 from companion.settings.load import load
 from estimator.contracts.errors import Recoverable
 
@@ -241,9 +241,8 @@ def _single_keys() -> Iterator[None]:
 _NAMES = ("takeoff", "hold", "land", "stay", "begin", "abort", "emergency", "reset", "clear")
 ORDERS = {name: OperatorOrder(name) for name in _NAMES}
 """The orders of one command line."""
-_GIVES_BACK = frozenset(map(ORDERS.get, ("hold", "land", "stay", "begin", "emergency")))
+_GIVES_BACK = frozenset(map(ORDERS.get, ("hold", "abort", "land", "stay", "begin", "emergency")))
 _AWAITED = {"takeoff", "land", "begin"}
-_STATE_TIMEOUT_S = 3.0
 
 
 DESCRIPTION = (
@@ -304,14 +303,12 @@ async def _once(args: argparse.Namespace, path: Path) -> int:
     async with connected(path, on_state) as client:
         if args.order == "status":
             client.watch()
-            async with asyncio.timeout(_STATE_TIMEOUT_S):
-                state = await states.get()
+            state = await in_time(states.get())
             _say(state, line_of_state(state), as_json=args.json)
             return 0
         if args.order == "land" and not args.here:
             client.watch()
-            async with asyncio.timeout(_STATE_TIMEOUT_S):
-                state = await states.get()
+            state = await in_time(states.get())
             if state.flying is not False and not state.over_pad and not await _agreed(f"land here, {state.below}?", args):
                 text = f"land: not ordered: {state.below}; to land there: --here"
                 _say({"order": args.order, "accepted": False, "done": False, "text": text}, text, as_json=args.json)

@@ -250,8 +250,9 @@ class LandingGuidance:
             return None
         return Reason(ReasonCause.VIDEO_LATE, late_s, 100.0 * expected_error_m(self._tilt, late_s))
 
-    def order(self, event: Event) -> None:
-        """Take an order of the operator."""
+    def order(self, event: Event, at: MonoNs | None = None) -> None:
+        """Take an order of the operator, given at a time later than the newest sample or cycle, or now."""
+        self._now = max(self._now, at or self._now)
         if event in (Event.BEGIN, Event.STAY):
             self._vessel_track = self._vessel_track.restarted()
             self._flight.climb_watch = ClimbWatch()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from msgspec import Struct, structs
 
-from companion.base.mission import AGAIN, FLOWN, GROUND, Event, FlightOutcome, State
+from companion.base.mission import FLOWN, GROUND, Event, FlightOutcome, State
 from companion.base.observer import Decision, DeckOutlook
 from companion.guidance.controller import Controller, FieldOfView
 from companion.guidance.controllers import ControllerSetup, make_controller
@@ -157,11 +157,7 @@ class Pilot:
     """Takes samples and frames, and decides on commands: a step over search, estimation and landing."""
 
     def __init__(
-        self,
-        tracker: TrackerConfig,
-        estimator: EstimatorOptions,
-        guidance: GuidanceOptions,
-        options: PilotOptions | None = None,
+        self, tracker: TrackerConfig, estimator: EstimatorOptions, guidance: GuidanceOptions, options: PilotOptions | None = None
     ) -> None:
         given = options or PilotOptions()
         self.search = PadSearch(tracker, given.gimballed)
@@ -208,21 +204,18 @@ class Pilot:
         return self.state is State.PAUSED
 
     @property
-    def may_try_again(self) -> bool:
-        """True if `begin` resumes the flight although it has an outcome."""
-        return self.outcome in AGAIN
+    def may_begin(self) -> bool:
+        """True if a flight is known that `begin` or `stay` would fly to the pad."""
+        return self.state not in GROUND
 
-    def begin(self) -> None:
-        """Start the approach for the operator, or resume it after a pause.
-
-        After another pad was seen, approach that one; after it gave up or refused, try again.
-        """
-        self.landing.order(Event.BEGIN)
+    def begin(self, at: MonoNs | None = None) -> None:
+        """Start the approach by an order of this time, or resume it; after another pad was seen, approach that one."""
+        self.landing.order(Event.BEGIN, at)
         self.engage()
 
-    def stay(self) -> None:
+    def stay(self, at: MonoNs | None = None) -> None:
         """Fly over the pad for the operator and wait there; `begin` lands."""
-        self.landing.order(Event.STAY)
+        self.landing.order(Event.STAY, at)
         self.engage()
 
     def pause(self) -> None:
@@ -232,10 +225,6 @@ class Pilot:
     def abort(self) -> None:
         """Hold still for the operator and end the flight. A landing already ordered is no longer repeated."""
         self.landing.order(Event.ABORT)
-
-    def take_back(self) -> None:
-        """Allow the driver to take back a vehicle that a person had taken over, for a person's landing."""
-        self.engage()
 
     def overrule(self) -> None:
         """Land in this flight whatever is seen on the pad, for the operator."""

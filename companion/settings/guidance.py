@@ -335,7 +335,7 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     ] = False
     start: Annotated[
         Literal["automatic", "signal"],
-        choice("approach once the vehicle flies and the pad is seen, or after SIGUSR1 (SIGUSR2 pauses it)", public=True),
+        choice("approach once an AR.Drone flies and the pad is seen, or after an order to begin", public=True),
     ] = "signal"
     rate_hz: Annotated[float, number("rate of guidance cycles", "Hz", 5.0, 200.0, "controller of the thesis: 100 Hz")] = 50.0
     stale_after_s: Annotated[float, number("age of the newest sighting above which the drone hovers", "s", 0.05, 10.0)] = 0.5

@@ -54,13 +54,7 @@ class VisionSettings(TrackerOptions, frozen=True, forbid_unknown_fields=True):
     threads: Annotated[int, number("threads OpenCV may use for one frame", "threads", 1, 64, public=True)] = 1
     core_fraction: Annotated[
         float,
-        number(
-            "largest fraction of a core for frames; beyond it frames are skipped; 1 skips none",
-            "1",
-            0.1,
-            1.0,
-            public=True,
-        ),
+        number("largest fraction of a core for frames; beyond it frames are skipped; 1 skips none", "1", 0.1, 1.0, public=True),
     ] = 0.7
 
 
@@ -108,6 +102,8 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
                 return f"camera.source must be one of {', '.join(SOURCES)}: an autopilot has no frames"
             if self.bridge.links:
                 return "bridge.links must be empty: an autopilot speaks MAVLink itself"
+            if self.guidance.start == "automatic":
+                return 'guidance.start must be "signal": an autopilot that was lifted off by hand is left to its pilot'
         elif self.guidance.mission == "targets" and not by_autopilot:
             return 'guidance.mission "targets" needs an autopilot that lands on LANDING_TARGETs, and an AR.Drone has none'
         if self.camera.exposure.driven and self.camera.source not in DRIVEN_SOURCES:

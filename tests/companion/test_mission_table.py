@@ -29,7 +29,7 @@ from tests.make import estimate, ns, status
 MISSIONS = sorted(TABLES)
 REPORTS = {Event.CUT: State.EMERGENCY, Event.GROUNDED: State.LANDED, Event.GROUNDED_BY_OTHERS: State.LANDED_BY_OTHERS}
 AIRBORNE = set(State) - GROUND - ENDED
-AGAIN = {State.GAVE_UP, State.REFUSED, State.TAKEN}
+AGAIN = {State.GAVE_UP, State.REFUSED, State.TAKEN, State.ABORTED}
 """Ends after which the operator may begin again in the air."""
 
 
@@ -52,7 +52,7 @@ def breach(name: str, state: State, event: Event) -> str:
         or (target is State.INTERCEPT and event in (Event.SIGHT, Event.CLEAR))
         or (name == "targets" and (state, event, target) == (State.SEARCH, Event.SIGHT, State.GATE)),
         "an order to stay leads up, over the pad, or to a search": event is not Event.STAY
-        or target in (State.WAIT, State.SEARCH, State.INTERCEPT, State.GO_AROUND),
+        or target in (State.SEARCH, State.INTERCEPT, State.GO_AROUND),
         "what stays goes down by no way of its own": state is not State.STAY
         or target not in DESCENDS
         or (event, target) == (Event.OUT_OF_CONE, State.INTERCEPT),
@@ -61,6 +61,7 @@ def breach(name: str, state: State, event: Event) -> str:
         or (event in (Event.BEGIN, Event.STAY) and state in AGAIN)
         or (event is Event.BATTERY_ENDS and state in (State.REFUSED, State.GAVE_UP)),
         "the ground is left by a take-off": state not in GROUND or target in GROUND | ENDED or event is Event.TAKEN_OFF,
+        "no order to fly to the pad is kept on the ground": state not in GROUND or event not in (Event.BEGIN, Event.STAY),
     }
     return ", ".join(law for law, kept in laws.items() if not kept)
 

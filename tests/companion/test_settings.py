@@ -223,6 +223,7 @@ def test_any_bytes_in_a_file_are_either_settings_or_one_line(tmp_path_factory: p
             'camera: controls: exposure.mode "pad" sets \'gain\': leave it out, or let exposure.mode be "camera"',
         ),
         (("[camera]", '[bridge]\nlinks = "udpin://0.0.0.0:14550"\n[camera]'), "bridge.links must be empty"),
+        (("[camera]", '[guidance]\nstart = "automatic"\n[camera]'), 'guidance.start must be "signal"'),
     ],
 )
 def test_what_an_autopilot_does_not_go_with(tmp_path: Path, change: tuple[str, str], said: str) -> None:

@@ -305,7 +305,7 @@ class ProgramFlown(OrderedFlight):
         await self._driver.aclose()
         options = AutopilotOptions(f"udpin://{HOST}:{self._port}")
         self._autopilot = autopilot = await self._driver.enter_async_context(open_autopilot(options, self.clock))
-        self.guidance = Guidance(take_back=autopilot.engage, resumed=STILL)
+        self.guidance = Guidance(engage=autopilot.engage, resumed=STILL)
         self.arbiter = OperatorArbiter(self.guidance)
         self.answers: list[HandledOrder] = []
         self.arbiter.on_order = self.answers.append

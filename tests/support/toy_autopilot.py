@@ -163,21 +163,21 @@ class Guidance:
     vehicle: VehicleStatus | None = None
     outcome: Enum | None = None
     paused: bool = False
-    take_back: Callable[[], None] = lambda: None
+    engage: Callable[[], None] = lambda: None
     resumed: Command | None = None
     """The command after an order to begin."""
     calls: list[str] = field(default_factory=list)
 
     @property
-    def may_try_again(self) -> bool:
-        return self.outcome is not FlightOutcome.ABORTED
+    def may_begin(self) -> bool:
+        return self.vehicle is not None and self.vehicle.flying is not False
 
-    def begin(self) -> None:
+    def begin(self, at: MonoNs) -> None:
         self.outcome, self.paused, self.command = None, False, self.resumed
-        self.take_back()
+        self.engage()
 
-    def stay(self) -> None:
-        self.begin()
+    def stay(self, at: MonoNs) -> None:
+        self.begin(at)
 
     def pause(self) -> None:
         self.paused, self.command = True, Hover()
@@ -281,7 +281,7 @@ class Flown(OrderedFlight):
         self.rng, self.late_s, self.lost, self.silent = Random(seed), late_s, lost, False
         self.toy: Toy = Toy(stack, height_m=height_m)
         self.streamer = SetpointStreamer(Identity(1, 1, stack, 2), AutopilotOptions("udpin://127.0.0.1:0", **options))  # type: ignore[arg-type]
-        self.guidance = Guidance(take_back=self.streamer.engage, resumed=STILL)
+        self.guidance = Guidance(engage=self.streamer.engage, resumed=STILL)
         self.arbiter = OperatorArbiter(self.guidance)
         self.answers: list[HandledOrder] = []
         self.arbiter.on_order = self.answers.append

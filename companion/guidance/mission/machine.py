@@ -169,12 +169,14 @@ def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resum
         return take(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
     # A report from before the order to begin belongs to the flight before.
     if status.taken is not None and (p.asked_at is None or at > p.asked_at):
-        return take(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
+        p, changes = take(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
+        if changes:
+            return p, changes
     if resumes and status.taken is None and p.state is State.TAKEN and not p.stood:
         return take(p, Event.BEGIN, Reason(ReasonCause.GIVEN_BACK), at, o)
     if status.flying is None or (p.state in ENDED and not p.stood):
         return p, ()
-    next_one = p.state in ENDED
+    next_one = p.state in ENDED and status.taken is None
     p, changes = take(p, Event.TAKEN_OFF, Reason(ReasonCause.VEHICLE_FLIES), at, o)
     if next_one and p.automatic and changes:
         p, more = take(p, Event.BEGIN, Reason(ReasonCause.AUTOMATIC), at, o)

@@ -371,8 +371,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
     )  # fmt: skip
     match change.event:
         case Event.TAKEN_OFF:
-            stays = p.stays and change.source is State.WAIT
-            p = _asked(replace(_fresh(p), stood=False, ordered=False, stays=stays), change.at)
+            p = _asked(replace(_fresh(p), stood=False, ordered=False, stays=False), change.at)
         case Event.BATTERY_ENDS:
             p = _asked(replace(_fresh(p), stays=False), change.at)
         case Event.STAY if change.source in DESCENDS:

@@ -1,9 +1,9 @@
 """States in which no landing is flown: before the order, where a person holds the vehicle, and after the end.
 
-On the ground guidance leaves the vehicle alone. In the air it hovers before the first order, and stays against the deck after a
-pause, an abort, a refusal, or when it gave up; out of the deck's reach it may fly home or elsewhere, as settings say. A drone
-that refused is not lost: a person may begin again, and while the pad is in sight an ending battery is a reason to try once
-more. With the last charge it comes down where it is.
+On the ground guidance leaves the vehicle alone, and keeps no order: who lifts it next may be somebody else. In the air it hovers
+before the first order, and stays against the deck after a pause, an abort, a refusal, or when it gave up; out of the deck's
+reach it may fly home or elsewhere, as settings say. After each a person may begin again, and while the pad is in sight an
+ending battery is a reason to try once more after a refusal. With the last charge it comes down where it is.
 """
 
 from collections.abc import Iterator
@@ -48,13 +48,10 @@ _AGAIN: Row = {**_NEXT, **_SEARCHES}
 _TRIES_AGAIN: Row = {**_AGAIN, Event.BATTERY_ENDS: State.SEARCH}
 
 PHASES = {
-    State.STANDBY: Phase(
-        "The vehicle is on the ground, or its state is unknown; no landing is ordered.",
-        {Event.BEGIN: State.WAIT, Event.STAY: State.WAIT, Event.TAKEN_OFF: State.READY, Event.ABORT: State.ABORTED},
-    ),
+    State.STANDBY: Phase("The vehicle is on the ground, or its state is unknown.", {**_NEXT, Event.ABORT: State.ABORTED}),
     State.WAIT: Phase(
-        "A landing was requested; the vehicle does not fly yet.",
-        {Event.PAUSE: State.STANDBY, Event.TAKEN_OFF: State.SEARCH, Event.ABORT: State.ABORTED},
+        "The vehicle does not fly yet; by the settings a landing begins as soon as it does.",
+        {Event.PAUSE: State.STANDBY, Event.TAKEN: State.STANDBY, Event.TAKEN_OFF: State.SEARCH, Event.ABORT: State.ABORTED},
     ),
     State.READY: Phase(
         "Flying, in its own hover until somebody requests a landing; an autopilot stays with whoever flies it.",
@@ -67,7 +64,7 @@ PHASES = {
     State.GAVE_UP: Phase(
         "Held still: the pad was not found, or the attempts are used up.", _TRIES_AGAIN, _battery_ends, _refused
     ),
-    State.ABORTED: Phase("Held still: the operator ended the flight.", _NEXT, aim=still_as_ordered),
+    State.ABORTED: Phase("Held still: the operator ended the attempt.", _AGAIN, aim=still_as_ordered),
     State.TAKEN: Phase("Left alone: a failsafe of the autopilot or a person flies the vehicle.", _AGAIN),
     State.EMERGENCY: Phase("The vehicle cut its motors.", _NEXT),
 }

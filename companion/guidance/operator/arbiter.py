@@ -14,6 +14,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from companion.base.loop_lag import STOOD_S
 from companion.base.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.operator.command_limits import Limit, PlaceMemory, limited, place_step
 from companion.guidance.operator.precedence import CROSSING_S, IDLE_HAND_S, REASONS, TABLE, ControlSituation, Rule, crossed
@@ -32,6 +33,11 @@ _CALL_OFF_S = 0.1
 _OBEYED_S = 2.0
 """Time for which a cut of the motors may be unconfirmed until its sender is warned, s; a vehicle may report once a second."""
 _LIMIT_GAP_S = 1.0
+_WAITED_S = 1.0
+"""Time after a standstill of this service in which orders still come that waited meanwhile, s."""
+_NEVER_OLD = (OperatorOrder.ABORT, OperatorOrder.HOLD, OperatorOrder.RELEASE)
+"""Orders that are carried out however late they come: a stop stays one, and all others were meant for what was then."""
+_TO_PAD = (OperatorOrder.BEGIN, OperatorOrder.STAY)
 _SAMPLES_MOST = 64
 """Number of samples from which they are processed though no command needs the place."""
 BY_HAND, LANDING_FOR_PERSON = "flown by hand", "landing for the operator"
@@ -51,11 +57,11 @@ class Guided(Protocol):
     def paused(self) -> bool: ...
 
     @property
-    def may_try_again(self) -> bool: ...
+    def may_begin(self) -> bool: ...
 
-    def begin(self) -> None: ...
+    def begin(self, at: MonoNs) -> None: ...
 
-    def stay(self) -> None: ...
+    def stay(self, at: MonoNs) -> None: ...
 
     def pause(self) -> None: ...
 
@@ -63,9 +69,7 @@ class Guided(Protocol):
 
     def overrule(self) -> None: ...
 
-    def take_back(self) -> None:
-        """Allow the driver to take back a vehicle that a person had taken over."""
-        ...
+    def engage(self) -> None: ...
 
 
 class Given(Struct, frozen=True):
@@ -162,6 +166,9 @@ class OperatorArbiter:
         self._trusts_velocity = True
         self._limited = Limited()
         self._control = Control()
+        self._ticked: MonoNs | None = None
+        self._stood: tuple[float, MonoNs] | None = None
+        """Duration of the newest standstill of this service, s, and its end."""
         self.on_order: Callable[[HandledOrder], None] = lambda handled: None
         """Receives every order with its answer."""
         self.ignored_sticks = 0
@@ -231,6 +238,7 @@ class OperatorArbiter:
 
     def tick(self, now: MonoNs) -> None:
         """Follow the time and the vehicle's status; call it before each cycle of guidance."""
+        self._stood, self._ticked = self._stood_still(now), now
         control, status = self._control, self._guided.vehicle
         if control.hand is not None:
             if control.sticks_at is None or seconds_between(control.sticks_at, now) > self._o.silence_s:
@@ -336,13 +344,17 @@ class OperatorArbiter:
         situation = self.situation(now)
         rule = TABLE[order][situation]
         control, status = self._control, self._guided.vehicle
-        if rule in (Rule.HOLDER, Rule.IDLE) and sender == control.hand:
+        stood = self._stood_still(now)
+        if stood is not None and order not in _NEVER_OLD and seconds_between(stood[1], now) <= _WAITED_S:
+            return f"it may be old, for this service stood still for {stood[0]:.1f} s: give it again"
+        own = rule in (Rule.HOLDER, Rule.IDLE) and sender == control.hand
+        if order in _TO_PAD and (own or rule is Rule.YES) and not self._guided.may_begin:
+            return REASONS[Rule.ON_GROUND]
+        if own:
             flies = order is OperatorOrder.TAKE_OFF and status is not None and status.flying is not False
             return REASONS[Rule.FLYING] if flies else None
         idle = control.moved_at is None or seconds_between(control.moved_at, now) > IDLE_HAND_S
-        again = self._guided.outcome is None or self._guided.may_try_again
-        allowed = rule is Rule.YES or (rule is Rule.TRY_AGAIN and again) or (rule is Rule.IDLE and idle)
-        if not allowed:
+        if rule is not Rule.YES and not (rule is Rule.IDLE and idle):
             outcome = self._guided.outcome
             holder = control.landing.sender if situation is ControlSituation.LANDING and control.landing else control.hand
             return REASONS[rule].format(holder=holder, outcome=None if outcome is None else outcome.value)
@@ -356,6 +368,11 @@ class OperatorArbiter:
         if sender != given.sender and ago_s <= CROSSING_S and crossed(order, earlier):
             return f'{given.sender} ordered "{earlier.value}" {ago_s:.1f} s ago'
         return None
+
+    def _stood_still(self, now: MonoNs) -> tuple[float, MonoNs] | None:
+        """Return how long this service stood still the last time, s, and when that ended; None if it never did."""
+        away_s = 0.0 if self._ticked is None else seconds_between(self._ticked, now)
+        return (away_s, now) if away_s > STOOD_S else self._stood
 
     def _carry_out(self, order: OperatorOrder, given: Given) -> None:
         control, guided = self._control, self._guided
@@ -371,20 +388,13 @@ class OperatorArbiter:
                 guided.abort()
             case OperatorOrder.MANUAL:
                 ended = given if control.landing is not None else None
-                self._control = replace(
-                    control,
-                    hand=given.sender,
-                    sticks=CENTRED,
-                    sticks_at=given.at,
-                    moved_at=given.at,
-                    landing=None,
-                    called_off=ended,
-                )
+                by_hand = replace(control, hand=given.sender, sticks=CENTRED, sticks_at=given.at, moved_at=given.at)
+                self._control = replace(by_hand, landing=None, called_off=ended)
                 guided.pause()
             case OperatorOrder.LAND:
                 self._control = replace(control, landing=given, hand=None, take_off=None, called_off=None)
                 if guided.vehicle is not None and guided.vehicle.taken is not None:
-                    guided.take_back()
+                    guided.engage()
                 if guided.vehicle is None or guided.vehicle.flying is not False:
                     guided.pause()
             case OperatorOrder.ABORT | OperatorOrder.HOLD:
@@ -396,7 +406,7 @@ class OperatorArbiter:
                 self._control = replace(control, take_off=begins, called_off=ends, landing=None)
             case OperatorOrder.BEGIN | OperatorOrder.STAY:
                 self._control = replace(control, hand=None)
-                (guided.begin if order is OperatorOrder.BEGIN else guided.stay)()
+                (guided.begin if order is OperatorOrder.BEGIN else guided.stay)(given.at)
             case OperatorOrder.RELEASE:
                 self._control = replace(control, hand=None)
             case OperatorOrder.RESET:

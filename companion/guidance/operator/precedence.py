@@ -16,18 +16,6 @@ CROSSING_S = 0.5
 IDLE_HAND_S = 3.0
 """The time with centred sticks after which another person may take the hand: its holder may be gone, s."""
 
-RANKED = (
-    OperatorOrder.EMERGENCY,
-    OperatorOrder.MANUAL,
-    OperatorOrder.ABORT,
-    OperatorOrder.HOLD,
-    OperatorOrder.LAND,
-    OperatorOrder.TAKE_OFF,
-    OperatorOrder.STAY,
-    OperatorOrder.BEGIN,
-)
-"""The orders that command the vehicle; the first wins over all that follow."""
-
 
 class ControlSituation(Enum):
     """The state of the vehicle and of its control, as far as orders depend on it."""
@@ -42,7 +30,7 @@ class ControlSituation(Enum):
     HELD = "held"
     """A person has paused guidance."""
     OVER = "over"
-    """Guidance has ended the flight or a person has aborted it; the vehicle hovers."""
+    """Guidance or a person has ended the attempt; the vehicle hovers, or somebody else flies it."""
     MANUAL = "by hand"
     """A person flies by hand, or has the hand already on the ground."""
     LANDING = "landing"
@@ -59,8 +47,6 @@ class Rule(Enum):
     """Accepted from the sender that has the hand, refused from all others."""
     IDLE = "holder, or idle"
     """Accepted from the holder, and from everybody while the holder's sticks have been centred for `IDLE_HAND_S`."""
-    TRY_AGAIN = "unless ended"
-    """Accepted while the flight goes on, and after guidance gave up, so that it may try again; refused after an abort."""
     OVER = "no: over"
     FLYING = "no: flies"
     ON_GROUND = "no: ground"
@@ -75,10 +61,9 @@ REASONS: Mapping[Rule, str] = MappingProxyType(
     {
         Rule.HOLDER: "{holder} has the hand",
         Rule.IDLE: "{holder} has the hand and moves it",
-        Rule.TRY_AGAIN: "the flight is over: {outcome}",
-        Rule.OVER: "the flight is over: {outcome}",
+        Rule.OVER: 'the flight is over: {outcome}; "begin" tries again, "land" lands here',
         Rule.FLYING: "the vehicle flies already",
-        Rule.ON_GROUND: "the vehicle is on the ground",
+        Rule.ON_GROUND: 'the vehicle stands on the ground: "takeoff" first, or order it in the air',
         Rule.LANDING: 'a landing that {holder} ordered is under way: "hold" or "abort" stops it',
         Rule.NO_HAND: "nobody flies by hand",
         Rule.NO_EMERGENCY: "the vehicle is not in its emergency state",
@@ -93,7 +78,7 @@ def _row(*cells: Rule) -> Mapping[ControlSituation, Rule]:
     return MappingProxyType(dict(zip(ControlSituation, cells, strict=True)))
 
 
-_Y, _H, _T, _O = Rule.YES, Rule.HOLDER, Rule.TRY_AGAIN, Rule.OVER
+_Y, _H, _O = Rule.YES, Rule.HOLDER, Rule.OVER
 _F, _G, _L, _N, _X, _E, _U = (
     Rule.FLYING, Rule.ON_GROUND, Rule.LANDING, Rule.NO_HAND, Rule.NO_EMERGENCY, Rule.EMERGENCY, Rule.UNHEARD,
 )  # fmt: skip
@@ -103,20 +88,23 @@ TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyTyp
         #                     unheard ground done guided held over manual landing emergency
         OperatorOrder.EMERGENCY: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
         OperatorOrder.MANUAL: _row(_U, _Y, _Y, _Y, _Y, _Y, Rule.IDLE, _Y, _E),
-        OperatorOrder.ABORT: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _Y, _O),
-        OperatorOrder.HOLD: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _Y, _O),
+        OperatorOrder.ABORT: _row(_Y, _Y, _Y, _Y, _Y, _O, _H, _Y, _E),
+        OperatorOrder.HOLD: _row(_Y, _Y, _Y, _Y, _Y, _O, _H, _Y, _E),
         OperatorOrder.LAND: _row(_Y, _Y, _Y, _Y, _Y, _Y, _H, _Y, _E),
         OperatorOrder.TAKE_OFF: _row(_U, _Y, _Y, _F, _F, _F, _H, _Y, _E),
-        OperatorOrder.STAY: _row(_T, _Y, _O, _Y, _Y, _T, _H, _L, _O),
-        OperatorOrder.BEGIN: _row(_T, _Y, _O, _Y, _Y, _T, _H, _L, _O),
+        # An order to fly to the pad is not kept on the ground: it would take the vehicle from who lifts it by hand.
+        OperatorOrder.STAY: _row(_U, _G, _G, _Y, _Y, _Y, _H, _L, _E),
+        OperatorOrder.BEGIN: _row(_U, _G, _G, _Y, _Y, _Y, _H, _L, _E),
         OperatorOrder.RELEASE: _row(_N, _N, _N, _N, _N, _N, _H, _N, _N),
         OperatorOrder.RESET: _row(_X, _X, _X, _X, _X, _X, _X, _X, _Y),
-        OperatorOrder.CLEAR: _row(_Y, _Y, _O, _Y, _Y, _T, _Y, _Y, _E),
+        OperatorOrder.CLEAR: _row(_Y, _Y, _G, _Y, _Y, _Y, _Y, _Y, _E),
         OperatorOrder.PATH: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
         OperatorOrder.RECORD: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
     }
 )
 """The rule for each order in each situation."""
+RANKED = tuple(TABLE)[: tuple(TABLE).index(OperatorOrder.BEGIN) + 1]
+"""The orders that command the vehicle; the first wins over all that follow."""
 
 
 def crossed(order: OperatorOrder, earlier: OperatorOrder) -> bool:

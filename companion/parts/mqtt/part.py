@@ -184,13 +184,13 @@ class CommandHandler:
         refused: RefusedMessage | None = None
         try:
             body = _opened(payload, self.topics.of("command"), self.key, LONGEST_BYTES)
-            identifier = _id_in(body)
-            command = _decoded(body, self._decoder)
-            name = str(command.__struct_config__.tag)
-            wished = command.reply_to or reply_to
+            identifier, named = _named_in(body)
+            wished = named or reply_to
             if wished is not None and not self.topics.allows_reply(wished):
                 raise RefusedMessage("reply_elsewhere", f"answers go to {to} or one name below it")
             to = wished or to
+            command = _decoded(body, self._decoder)
+            name = str(command.__struct_config__.tag)
             if (known := self._answered.get(command.id)) is not None:
                 self.counts["repeated"] += 1
                 return HandledCommand(known, to, name, repeated=True)
@@ -226,14 +226,14 @@ class CommandHandler:
             raise RefusedMessage("not_possible", cannot)
 
 
-def _id_in(payload: bytes) -> str | None:
-    """Return the id of a command, which may be malformed otherwise, so that its sender can recognize the command."""
+def _named_in(payload: bytes) -> tuple[str | None, str | None]:
+    """Return id and reply topic of a command, which may be malformed otherwise, so that its sender reads the answer."""
     try:
         data = msgspec.json.decode(payload)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return None
-    found = data.get("id") if isinstance(data, dict) else None
-    return found if isinstance(found, str) and len(found) <= 64 else None
+        return None, None
+    found, to = (data.get("id"), data.get("reply_to")) if isinstance(data, dict) else (None, None)
+    return found if isinstance(found, str) and len(found) <= 64 else None, to if isinstance(to, str) and to else None
 
 
 @dataclass(slots=True)

@@ -4,9 +4,10 @@ import asyncio
 import os
 import socket
 import tempfile
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import TypeVar
 
 from companion.base.orders import OperatorOrder, StickPositions
 from companion.facts.wire import (
@@ -103,6 +104,21 @@ def _sockets(folder: Path) -> list[Path]:
 
 
 _ANSWER_S = 3.0
+"""Longer than a standstill of the service whose waiting orders it still obeys (`OperatorArbiter.refusal`)."""
+T = TypeVar("T")
+
+
+async def in_time(answer: Awaitable[T]) -> T:
+    """Return what a service sends.
+
+    Raises:
+        Recoverable: nothing comes in time.
+    """
+    try:
+        async with asyncio.timeout(_ANSWER_S):
+            return await answer
+    except TimeoutError:
+        raise Recoverable(f"the service did not answer within {_ANSWER_S:g} s") from None
 
 
 class OperatorClient:
@@ -128,15 +144,11 @@ class OperatorClient:
         if self._lost is not None:
             raise Recoverable(self._lost)
         self._number += 1
-        answer = asyncio.get_running_loop().create_future()
+        answer: asyncio.Future[OrderAnswer] = asyncio.get_running_loop().create_future()
         self._waiting[self._number] = answer
         self._writer.write(line_of(OrderRequest(number=self._number, order=order)))
         try:
-            async with asyncio.timeout(_ANSWER_S):
-                answered: OrderAnswer = await answer
-                return answered
-        except TimeoutError:
-            raise Recoverable(f"the service did not answer within {_ANSWER_S:g} s") from None
+            return await in_time(answer)
         finally:
             self._waiting.pop(self._number, None)
 

@@ -231,7 +231,7 @@ class Replay:
     def _guide_until(self, now: MonoNs) -> None:
         if self._due is None:
             self._due = now
-            self._pilot.begin()
+            self._pilot.landing.mission = replace(self._pilot.landing.mission, state=State.WAIT)
         if seconds_between(self._due, now) > _GAP_S:
             self._due = now
         while self._due <= now:

@@ -90,6 +90,7 @@ def test_an_answer_names_the_command_and_goes_where_it_is_wanted() -> None:
     assert command_handler().take(b'{"id": 7}', NOW).reply.id is None
     there = "decklander/v2/deck/reply/tablet"
     assert command_handler().take(command(), NOW, reply_to=there).topic == there
+    assert command_handler().take(command(command="fly", reply_to=there), NOW).topic == there
     assert command_handler().take(command(), NOW, reply_to="home/lights").reply.reason == "reply_elsewhere"
 
 

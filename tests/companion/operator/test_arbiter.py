@@ -5,14 +5,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.base.mission import FlightOutcome
+from companion.base.loop_lag import STOOD_S
+from companion.base.mission import FlightOutcome, State
 from companion.base.observer import Decision
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.guidance.mission.progress import Progress
 from companion.guidance.operator.arbiter import BY_HAND, LANDING_FOR_PERSON, OperatorArbiter
 from companion.guidance.operator.precedence import CROSSING_S, RANKED, REASONS, TABLE, ControlSituation, Rule
 from companion.guidance.pilot import Pilot, make_pilot
@@ -39,14 +42,14 @@ class Guidance:
     told: list[str] = field(default_factory=list)
 
     @property
-    def may_try_again(self) -> bool:
-        return self.outcome is FlightOutcome.GAVE_UP
+    def may_begin(self) -> bool:
+        return self.vehicle is not None and self.vehicle.flying is not False
 
-    def begin(self) -> None:
+    def begin(self, at: MonoNs) -> None:
         self.told.append("begin")
         self.outcome, self.paused = None, False
 
-    def stay(self) -> None:
+    def stay(self, at: MonoNs) -> None:
         self.told.append("stay")
         self.outcome, self.paused = None, False
 
@@ -57,7 +60,7 @@ class Guidance:
     def overrule(self) -> None:
         self.told.append("overrule")
 
-    def take_back(self) -> None:
+    def engage(self) -> None:
         self.told.append("take back")
 
     def abort(self) -> None:
@@ -129,6 +132,7 @@ def test_every_order_has_a_rule_in_every_situation_and_every_refusal_a_text() ->
     assert [o for o in TABLE if o in RANKED] == list(RANKED), "the table lists the orders by rank"
 
 
+@pytest.mark.hazard("H5")
 @pytest.mark.parametrize("situation", ControlSituation)
 @pytest.mark.parametrize("order", OperatorOrder)
 def test_the_arbiter_answers_by_the_table(order: OperatorOrder, situation: ControlSituation) -> None:
@@ -136,13 +140,22 @@ def test_the_arbiter_answers_by_the_table(order: OperatorOrder, situation: Contr
     bridge.now = after(bridge.now, CROSSING_S)  # another sender's order before is no longer crossing
     rule = TABLE[order][situation]
     refused = bridge.order(order, OTHER)
-    if rule is Rule.YES or (rule is Rule.TRY_AGAIN and situation is not ControlSituation.OVER):
+    if rule is Rule.YES:
         assert refused is None
     else:
         assert refused is not None
         if rule in (Rule.HOLDER, Rule.IDLE, Rule.LANDING):
             assert "gamepad pad" in refused
     assert bridge.reported[-1].refusal == refused
+    still = bridge_in(situation)
+    still.arbiter.tick(still.now)
+    still.now = after(still.now, STOOD_S + 0.1)
+    for _ in range(2):
+        old = "2.1 s: give it again" in str(still.order(order, OTHER))
+        assert old is (order not in (OperatorOrder.HOLD, OperatorOrder.ABORT, OperatorOrder.RELEASE))
+        still.cycle()
+    still.cycle(1.1)
+    assert "give it again" not in str(still.order(order, OTHER))
     if rule in (Rule.HOLDER, Rule.IDLE):
         own = bridge_in(situation).order(order)
         assert own == ("the vehicle flies already" if order is OperatorOrder.TAKE_OFF else None)
@@ -407,7 +420,7 @@ def operating(pilot: Pilot, recording: Callable[[bool], str | None] | None = Non
 
 
 @pytest.mark.hazard("H6")
-def test_start_pause_and_abort_reach_the_pilot_and_nothing_follows_an_abort() -> None:
+def test_start_pause_and_abort_reach_the_pilot_and_only_an_order_to_begin_follows_an_abort() -> None:
     pilot = flying()
     operator = operating(pilot)
     assert operator.order(OperatorOrder.HOLD) is None
@@ -417,8 +430,37 @@ def test_start_pause_and_abort_reach_the_pilot_and_nothing_follows_an_abort() ->
     assert operator.order(OperatorOrder.ABORT) is None
     assert pilot.outcome is FlightOutcome.ABORTED
     assert isinstance(pilot.decide(MonoNs(4)).command, Hover)
-    answers = {operator.order(order) for order in (OperatorOrder.BEGIN, OperatorOrder.HOLD, OperatorOrder.ABORT)}
-    assert answers == {"the flight is over: aborted"}
+    answers = {operator.order(order) for order in (OperatorOrder.HOLD, OperatorOrder.ABORT)}
+    assert answers == {'the flight is over: aborted; "begin" tries again, "land" lands here'}
+    assert operator.order(OperatorOrder.BEGIN) is None
+    assert pilot.state is State.SEARCH
+
+
+@pytest.mark.hazard("H6")
+@settings(max_examples=30)
+@given(st.lists(st.sampled_from([*set(OperatorOrder) - {OperatorOrder.EMERGENCY}, "taken", "silent"]), max_size=8), st.booleans())
+def test_who_lifts_the_vehicle_keeps_it_until_an_order_in_flight(said: list[object], taken: bool) -> None:
+    """An order to begin on the ground never lapsed: the next lift-off by hand was put into the velocity mode at 2 cm."""
+    pilot, now = flying(), MonoNs(1)
+    pilot.landing.mission = Progress.start(automatic=False)
+
+    def report(mode: str, seconds: float, *, his: bool) -> None:
+        nonlocal now
+        now = after(now, seconds)
+        pilot.on_sample(msgspec.structs.replace(vehicle_status(now, mode), taken="mode loiter" if his else None))
+        pilot.operator.tick(now)
+
+    for what in (*said, "taken" if taken else "given back"):
+        report("landed", 4.0 if what == "silent" else 1.0, his=what == "taken")
+        accepted = isinstance(what, OperatorOrder) and pilot.operator.take(what, PAD, now).accepted
+        assert not accepted or what not in (OperatorOrder.BEGIN, OperatorOrder.STAY)
+    report("flying", 1.0, his=taken)
+    assert pilot.state is State.READY
+    assert pilot.operator.take(OperatorOrder.BEGIN, PAD, now).accepted
+    report("flying", 0.0, his=True)
+    assert pilot.state is State.SEARCH, "a report from before the order"
+    report("flying", 1.0, his=True)
+    assert pilot.state is State.TAKEN
 
 
 def test_a_path_that_runs_along_may_take_over_in_an_approach_another_only_while_paused() -> None:
@@ -457,15 +499,10 @@ def test_every_order_is_reported_with_its_answer() -> None:
     operator.record(True)
     operator.steer_by("median_mean")
     operator.order(OperatorOrder.ABORT)
-    operator.order(OperatorOrder.BEGIN)
-    assert [(h.order, h.accepted) for h in reported] == [
-        (OperatorOrder.HOLD, True),
-        (OperatorOrder.RECORD, False),
-        (OperatorOrder.PATH, True),
-        (OperatorOrder.ABORT, True),
-        (OperatorOrder.BEGIN, False),
-    ]
-    assert str(reported[-1]) == "mqtt: begin: refused, the flight is over: aborted"
+    operator.order(OperatorOrder.HOLD)
+    assert [h.order.value for h in reported] == ["hold", "record", "path", "abort", "hold"]
+    assert [h.accepted for h in reported] == [True, False, True, True, False]
+    assert str(reported[-1]).startswith("mqtt: hold: refused, the flight is over: aborted; ")
 
 
 @pytest.mark.hazard("H9")

@@ -25,7 +25,7 @@ from companion.settings.load import load
 from companion.settings.operator import LimitOptions
 from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, after
 from tests.make import stamp_at
@@ -37,7 +37,6 @@ L_SHAPE = ((-10.0, -10.0), (10.0, -10.0), (10.0, 0.0), (0.0, 0.0), (0.0, 10.0), 
 def known_place(
     p: tuple[float, float] = (0.0, 0.0),
     yaw_deg: float = 0.0,
-    *,
     baro_m: float = 5.0,
     range_m: float | None = None,
     charge: float = 0.9,
@@ -60,6 +59,14 @@ def pad_at(d: tuple[float, float, float], v: tuple[float, float, float] = (0.0, 
 
 def ordered(v: tuple[float, float, float], yaw_rate: float = 0.0) -> Velocity:
     return Velocity(np.array(v), yaw_rate)
+
+
+def passed(
+    v: tuple[float, float, float], o: LimitOptions, where: PlaceMemory, pad: RelativeState | None = None, *, manual: bool = False
+) -> tuple[F64, tuple[Limit, ...]]:
+    command, hit = limited(ordered(v), o, where, pad, NOW, manual=manual)
+    assert isinstance(command, Velocity)
+    return command.v_level, hit
 
 
 @pytest.mark.hazard("H7")
@@ -121,58 +128,45 @@ def test_no_limit_ever_makes_it_descend_or_fly_faster(v, p, yaw_deg, baro_m, ran
 def test_the_fence_around_the_start_is_in_north_and_east_and_the_command_in_forward_and_right() -> None:
     options = LimitOptions(fence="start", fence_radius_m=10.0)
     east_edge = known_place((0.0, 10.0), yaw_deg=90.0)
-    command, hit = limited(ordered((1.0, 0.5, 0.0), 0.2), options, east_edge, None, NOW, manual=False)
-    assert isinstance(command, Velocity)
+    v, hit = passed((1.0, 0.5, 0.0), options, east_edge)
     assert hit == (Limit.FENCE,)
-    assert command.v_level == pytest.approx([0.0, 0.5, 0.0], abs=0.01)
-    back, hit = limited(ordered((-1.0, 0.0, 0.0)), options, east_edge, None, NOW, manual=False)
-    assert not hit
-    assert isinstance(back, Velocity)
+    assert v == pytest.approx([0.0, 0.5, 0.0], abs=0.01)
+    assert not passed((-1.0, 0.0, 0.0), options, east_edge)[1]
 
 
 def test_the_fence_around_a_ship_sails_with_it() -> None:
     """The fence moves at 2 m/s: flying with it is free, outrunning it is not, and it drags nobody along."""
     options = LimitOptions(fence="ship", fence_radius_m=10.0)
     ahead, behind = pad_at((-10.0, 0.0, 3.0), (2.0, 0.0, 0.0)), pad_at((10.0, 0.0, 3.0), (2.0, 0.0, 0.0))
-    _, hit = limited(ordered((2.0, 0.0, 0.0)), options, known_place(), ahead, NOW, manual=False)
-    assert not hit
-    outrunning, hit = limited(ordered((3.0, 0.5, 0.0)), options, known_place(), ahead, NOW, manual=False)
+    assert not passed((2.0, 0.0, 0.0), options, known_place(), ahead)[1]
+    v, hit = passed((3.0, 0.5, 0.0), options, known_place(), ahead)
     assert hit == (Limit.FENCE,)
-    assert isinstance(outrunning, Velocity)
-    assert outrunning.v_level[:2] == pytest.approx([2.0, 0.5], abs=0.01)
-    aside, _ = limited(ordered((0.0, 0.5, 0.0)), options, known_place(), behind, NOW, manual=False)
-    assert isinstance(aside, Velocity)
-    assert aside.v_level[:2] == pytest.approx([0.0, 0.5], abs=0.01)
-    away, hit = limited(ordered((-1.0, 0.0, 0.0)), options, known_place(), behind, NOW, manual=False)
-    assert isinstance(away, Velocity)
-    assert away.v_level[:2] == pytest.approx([0.0, 0.0])
+    assert v[:2] == pytest.approx([2.0, 0.5], abs=0.01)
+    assert passed((0.0, 0.5, 0.0), options, known_place(), behind)[0][:2] == pytest.approx([0.0, 0.5], abs=0.01)
+    assert passed((-1.0, 0.0, 0.0), options, known_place(), behind)[0][:2] == pytest.approx([0.0, 0.0])
     unknown = RelativeState(NOW, "ekf", np.array([10.0, 0.0, 3.0]), np.zeros(3), 0.0, 100.0 * np.eye(7), NOW, True)
-    assert limited(ordered((-1.0, 0.0, 0.0)), options, known_place(), unknown, NOW, manual=False)[1] == ()
+    assert passed((-1.0, 0.0, 0.0), options, known_place(), unknown)[1] == ()
 
 
 @pytest.mark.hazard("H7", "H10")
 def test_heights_and_battery() -> None:
     options = LimitOptions(height_max_m=20.0, manual_height_min_m=0.5)
-    up, hit = limited(ordered((0.0, 0.0, -2.0)), options, known_place(baro_m=19.5), None, NOW, manual=False)
-    assert isinstance(up, Velocity)
-    assert (up.v_level[2], hit) == (pytest.approx(-0.5), (Limit.HEIGHT_MAX,))
+    up = (0.0, 0.0, -2.0)
+    v, hit = passed(up, options, known_place(baro_m=19.5))
+    assert (v[2], hit) == (pytest.approx(-0.5), (Limit.HEIGHT_MAX,))
     for near in (known_place(baro_m=400.0, range_m=0.3), known_place(baro_m=400.0)):
-        up, hit = limited(ordered((0.0, 0.0, -2.0)), options, near, pad_at((0.0, 0.0, 0.4)), NOW, manual=False)
+        hit = passed(up, options, near, pad_at((0.0, 0.0, 0.4)))[1]
         assert not hit, "a barometer that lies keeps no drone low over a deck"
     for manual, hits in ((True, (Limit.HEIGHT_MAX,)), (False, ())):
-        _, hit = limited(ordered((0.0, 0.0, -2.0)), options, known_place(baro_m=30.0, range_m=0.3), None, NOW, manual=manual)
+        hit = passed(up, options, known_place(baro_m=30.0, range_m=0.3), manual=manual)[1]
         assert hit == hits, "a range sensor that lies lifts no limit from a hand"
     for manual, down_m_s in ((True, 0.1), (False, 0.5)):
-        down, _ = limited(ordered((0.0, 0.0, 0.5)), options, known_place(range_m=0.6), None, NOW, manual=manual)
-        assert isinstance(down, Velocity)
-        assert down.v_level[2] == pytest.approx(down_m_s), "guidance lands, a hand does not touch the deck by its sticks"
+        v, _ = passed((0.0, 0.0, 0.5), options, known_place(range_m=0.6), manual=manual)
+        assert v[2] == pytest.approx(down_m_s), "guidance lands, a hand does not touch the deck by its sticks"
     low = known_place((5.0, 0.0), charge=0.1)
     for manual, forward_m_s in ((True, 0.0), (False, 1.0)):
-        away, _ = limited(ordered((1.0, 0.0, 0.0)), options, low, None, NOW, manual=manual)
-        assert isinstance(away, Velocity)
-        assert away.v_level[0] == pytest.approx(forward_m_s)
-    _, hit = limited(ordered((1.0, 0.0, 0.0)), options, low, pad_at((3.0, 0.0, 2.0)), NOW, manual=True)
-    assert not hit
+        assert passed((1.0, 0.0, 0.0), options, low, manual=manual)[0][0] == pytest.approx(forward_m_s)
+    assert not passed((1.0, 0.0, 0.0), options, low, pad_at((3.0, 0.0, 2.0)), manual=True)[1]
 
 
 def test_a_barometer_that_has_died_bars_no_climb() -> None:
@@ -184,11 +178,8 @@ def test_a_barometer_that_has_died_bars_no_climb() -> None:
 
 def test_a_polygon_is_checked() -> None:
     assert LimitOptions(fence_polygon="0 0, 10 0, 10 10.5").corners() == ((0.0, 0.0), (10.0, 0.0), (10.0, 10.5))
-    for wrong, why in (
-        ("0 0, 1 1", "three corners"),
-        ("0 0, 1, 2 2", "'1' is not a corner"),
-        ("0 0, 1 nan, 2 2", "too far away"),
-    ):
+    wrongs = {"0 0, 1 1": "three corners", "0 0, 1, 2 2": "'1' is not a corner", "0 0, 1 nan, 2 2": "too far away"}
+    for wrong, why in wrongs.items():
         with pytest.raises(ValueError, match=why):
             LimitOptions(fence_polygon=wrong)
 
@@ -302,5 +293,6 @@ def test_a_fence_that_holds_guidance_back_ends_the_landing_and_reports_it() -> N
     assert output == ["limited by the geofence", "landing ended: the geofence held guidance back for 3 s"]
     assert chosen.command == Hover()
     assert [(o.sender.source, o.order) for o in orders] == [(OrderSource.LIMITS, OperatorOrder.HOLD)]
+    pilot.on_sample(VehicleStatus(stamp_at(now), True, "flying", 0.9, False, True))
     assert pilot.operator.take(OperatorOrder.BEGIN, OrderSender(OrderSource.MQTT), now).accepted
     assert isinstance(pilot.operator.choose(after(now, 0.02), ordered((-1.0, 0.0, 0.0))).command, Velocity)

@@ -14,13 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.mavlink.codec import Codec
-from drivers.mavlink.dialect import (
-    Message,
-    TargetRelative,
-    TimeSyncV2,
-    crc_extra_of,
-    mav,
-)
+from drivers.mavlink.dialect import Message, TargetRelative, TimeSyncV2, crc_extra_of, mav
 from drivers.mavlink.requests import Parameters, RateLimit, Streams, VersionRequest, is_for, parameter_value, wire_value
 from drivers.mavlink.signing import EPOCH_S, TICKS_PER_S, Signing, SigningKey, SigningTimes, load_key
 from drivers.mavlink.vehicle import CHUNK, LOST, JoinedTexts, Stack

@@ -42,11 +42,7 @@ class Flight:
     """A streamer in virtual time: `periods` with a nose to the east, `sends` with one to the north."""
 
     def __init__(
-        self,
-        stack: Stack = Stack.ARDUPILOT,
-        mode: str = "loiter",
-        authority: Authority = Authority.SETPOINTS,
-        **options: object,
+        self, stack: Stack = Stack.ARDUPILOT, mode: str = "loiter", authority: Authority = Authority.SETPOINTS, **options: object
     ) -> None:
         all_options = AutopilotOptions("udpin://127.0.0.1:0", **options)  # type: ignore[arg-type]
         self.streamer = SetpointStreamer(Identity(7, 1, stack, 2), all_options, authority)
