@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import IO, Any, cast
@@ -115,12 +116,13 @@ def _next_chunk(stream: IO[bytes], start: int) -> int | None:
     return None
 
 
-def _topics_at_the_end(path: Path) -> dict[int, str]:
-    """Return the topics by the numbers of their channels as a whole file repeats them at its end; nothing of another."""
+def _summary(path: Path) -> tuple[dict[int, str], int]:
+    """Return the topics by the numbers of their channels and the last message's time, ns, as the end of a whole file has them."""
     with suppress(Exception), path.open("rb") as stream:  # of the library: any of a damaged file
-        summary = make_reader(stream).get_summary()
-        return {} if summary is None else {number: channel.topic for number, channel in summary.channels.items()}
-    return {}
+        if (found := make_reader(stream).get_summary()) is not None:
+            topics = {number: channel.topic for number, channel in found.channels.items()}
+            return topics, 0 if found.statistics is None else found.statistics.message_end_time
+    return {}, 0
 
 
 def _unpacked(chunk: Chunk) -> Chunk:
@@ -164,6 +166,8 @@ NOT_UNDERSTOOD = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, 
 """Errors that mean that this version does not understand a message."""
 _APART_NS = 24 * 3600 * NS_PER_S
 """The longest time between two consecutive events, ns: a single event that is further away has a damaged instant."""
+_OVERLAP_NS = NS_PER_S
+"""The longest time by which a part may begin before the last message of the one before: messages are not quite in order."""
 
 
 class RecordedFrame(Struct, frozen=True, eq=False):
@@ -307,7 +311,7 @@ class Recording(Struct, eq=False):
                 topics[record.id] = record.topic
             elif isinstance(record, Message):
                 if record.channel_id not in topics and path in self.cut:
-                    topics = _topics_at_the_end(path) | topics  # the chunk that names them is damaged
+                    topics = _summary(path)[0] | topics  # the chunk that names them is damaged
                 topic = topics.setdefault(record.channel_id, "")
                 self.counts[topic] += 1
                 try:
@@ -358,35 +362,50 @@ class Recording(Struct, eq=False):
 
 
 def open_recording(paths: Sequence[Path]) -> Recording:
-    """Open the recording in these files and read the head of each.
+    """Open the recording in these files, in the order of their times, and read the head of each.
 
     Raises:
-        BadInput: a file cannot be read, is no MCAP file, holds nothing of ours, or was recorded with the names from before 1.0.0.
+        BadInput: a file cannot be read, is no MCAP file, holds nothing of ours, or was recorded with the names from before 1.0.0;
+            or the files are not of one recording.
     """
     if not paths:
         raise BadInput("no recording named")
-    recording = Recording(tuple(paths), {}, {})
-    for path in paths:
-        ours = False
-        topics: dict[int, str] = {}
-        with _opened(path) as stream:
-            for record in records(stream, path, {}):
-                if isinstance(record, Metadata):
-                    recording.metadata.setdefault(record.name, dict(record.metadata))
-                elif isinstance(record, Attachment):
-                    recording.attachments.setdefault(record.name, record.data)
-                elif isinstance(record, Schema) and any(key.encode() in record.data for key in _OLD_KEYS):
+    heads = sorted(map(_head, paths), key=lambda head: head[0])
+    for (begun_ns, ended_ns, one), (begins_ns, _, other) in pairwise(heads):
+        about = [{**part.metadata, **part.attachments} for part in (one, other)]
+        differs = [name for name in about[0].keys() & about[1].keys() if about[0][name] != about[1][name]]
+        if differs or begins_ns <= max(begun_ns, ended_ns - _OVERLAP_NS):
+            why = f"they differ in {', '.join(sorted(differs))}" if differs else "their times overlap"
+            raise BadInput(
+                f"{one.paths[0]} and {other.paths[0]} are two recordings ({why}): give the files of one; "
+                "`decklander report A B` compares two"
+            )
+    return Recording(tuple(part.paths[0] for _, _, part in heads), heads[0][2].metadata, heads[0][2].attachments)
+
+
+def _head(path: Path) -> tuple[int, int, Recording]:
+    """Return the times of a file's first and last message as far as they are known, ns, and its head; see `open_recording`."""
+    part, begins_ns, ours, topics = Recording((path,), {}, {}), 0, False, dict[int, str]()
+    with _opened(path) as stream:
+        for record in records(stream, path, {}):
+            if isinstance(record, Metadata):
+                part.metadata.setdefault(record.name, dict(record.metadata))
+            elif isinstance(record, Attachment):
+                part.attachments.setdefault(record.name, record.data)
+            elif isinstance(record, Schema) and any(key.encode() in record.data for key in _OLD_KEYS):
+                raise _too_old(path)
+            elif isinstance(record, Channel):
+                if record.topic == _OLD_TOPIC:
                     raise _too_old(path)
-                elif isinstance(record, Channel):
-                    if record.topic == _OLD_TOPIC:
-                        raise _too_old(path)
-                    ours = ours or record.topic in channels.TOPICS
-                    topics[record.id] = record.topic
-                elif isinstance(record, Message) and topics.get(record.channel_id) not in FOR_VIEWERS:
-                    break
-        if not ours and channels.TOPICS.keys().isdisjoint(_topics_at_the_end(path).values()):
-            raise BadInput(f"{path}: holds no recording of decklander, or is cut before its first message")
-    return recording
+                ours = ours or record.topic in channels.TOPICS
+                topics[record.id] = record.topic
+            elif isinstance(record, Message) and topics.get(record.channel_id) not in FOR_VIEWERS:
+                begins_ns = record.log_time
+                break
+    at_the_end, ends_ns = _summary(path)
+    if not ours and channels.TOPICS.keys().isdisjoint(at_the_end.values()):
+        raise BadInput(f"{path}: holds no recording of decklander, or is cut before its first message")
+    return begins_ns, ends_ns, part
 
 
 def _too_old(path: Path) -> BadInput:

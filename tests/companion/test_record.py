@@ -19,6 +19,7 @@ from companion.cli.record import Storage, storage, upload
 from companion.facts.records import TruthRecord
 from companion.parts.recorder.recorder import Folder, digest_file
 from companion.recording import rewriting
+from companion.recording.mcap_file import About
 from companion.recording.reading import MAGIC, RecordedFrame, open_recording
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Imu
@@ -52,6 +53,29 @@ def test_a_cut_file_is_mended_and_replays_like_its_whole_part(flight_file, tmp_p
         assert cli.main(["replay", str(path), "--sightings", "--json"]) == 0
         digests.append(json.loads(capsys.readouterr().out)["passes"][0]["sha256"])
     assert digests[0] == digests[1]
+
+
+def test_the_files_of_one_recording_are_joined_in_the_order_of_their_times_and_two_recordings_are_refused(
+    flight_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second, other, out = (tmp_path / f"{name}.mcap" for name in ("first", "second", "other", "out"))
+    assert cli.main(["record", "cut", str(flight_file), "--to", "0.7", "--output", str(first)]) == 0
+    assert cli.main(["record", "cut", str(flight_file), "--from", "0.70001", "--output", str(second)]) == 0
+    whole, joined = open_recording([flight_file]), open_recording([second, first])
+    assert joined.paths == (first, second)
+    assert sum(1 for _ in joined.events()) == sum(1 for _ in whole.events())
+    with monkeypatch.context() as patch:
+        patch.setattr(rewriting, "About", lambda facts, *more: About({**facts, "flight": {"seed": "4"}}, *more))
+        assert cli.main(["record", "cut", str(flight_file), "--output", str(other)]) == 0
+    for more, why in ((flight_file, "their times overlap"), (other, "they differ in flight"), (first, "their times overlap")):
+        for command in ("replay", "record info", "record cut", "record export", "calibrate delay"):
+            given = ["--output", str(out)] if command in ("record cut", "record export") else []
+            capsys.readouterr()
+            assert cli.main([*command.split(), str(first), str(more), *given]) == 2
+            printed = capsys.readouterr().err
+            assert "are two recordings" in printed
+            assert why in printed
+    assert not out.exists()
 
 
 def test_a_part_can_be_thinned_to_its_inputs(flight_file: Path, tmp_path: Path) -> None:
