@@ -1,4 +1,7 @@
-"""The version of the installed distribution."""
+"""The version of the installed distribution, and the mark of what it plots."""
+
+MARK = {"Title": "decklander:plot"}
+"""Metadata of every plot that it writes, as matplotlib takes them for PNG, SVG and PDF."""
 
 
 def version() -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight
 from companion.cli.options import named_wait, option, print_result, require_drawing
-from companion.cli.outputs import CAMERA_FILE, output
+from companion.cli.outputs import CAMERA_FILE, EXPORTED, FIGURES, check_output, output
 from companion.tools.calibrate.board import BOARDS, Board, Collection
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
 from companion.tools.calibrate.flight_result import of_distance
@@ -105,7 +105,7 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="auto",
         choices=get_args(LensChoice),
     )
-    option(p, "--figures DIR", "write coverage.png and residuals.png into this folder")
+    output(p, "--figures DIR", "write coverage.png and residuals.png into this folder", FIGURES)
     option(p, "--position-m F,R,D", "position of the camera in the body: forward, right, down (default: 0,0,0)", default="0,0,0")
     option(
         p,
@@ -133,6 +133,9 @@ def _run_camera(args: argparse.Namespace) -> int:
     position, rpy = _three(args.position_m, "--position-m"), _three(args.rpy_deg, "--rpy-deg")
     mount = Transform(Rotation.from_rpy(*(math.radians(a) for a in rpy)), np.array(position))
     out = args.out
+    exported = {kind: out.with_suffix(f".{kind}.yaml") for kind in args.export}
+    for path in exported.values():
+        check_output(path, EXPORTED, "--export", [], force=args.force)
     collection = _gather(args, board)
     size = collection.size or (0, 0)
     if len(collection.views) < LEAST_VIEWS:
@@ -148,14 +151,14 @@ def _run_camera(args: argparse.Namespace) -> int:
     if args.figures is not None:
         from companion.tools.calibrate import figures
 
-        figures.write_coverage([f.view for f in solution.fits], size, Path(args.figures) / "coverage.png")
-        figures.write_residuals(solution, Path(args.figures) / "residuals.png")
+        figures.write_coverage([f.view for f in solution.fits], size, args.figures / "coverage.png")
+        figures.write_residuals(solution, args.figures / "residuals.png")
     found = assess(solution, size)
     accepted = GRADES.index(found.grade) <= GRADES.index(args.accept)
     if accepted:
         source = guarded(args.device or args.pipeline or f"{len(args.paths)} files or folders")
         with file_errors(f"--out {out}"):
-            others = {out.with_suffix(f".{kind}.yaml"): foreign(solution.camera, kind) for kind in args.export}
+            others = {path: foreign(solution.camera, kind) for kind, path in exported.items()}
             out.write_text(
                 text(solution, f"{source} ({board.kind} {board.columns}x{board.rows}, {found.grade})", rpy), encoding="utf-8"
             )

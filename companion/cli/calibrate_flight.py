@@ -446,6 +446,4 @@ def _three(values: Any) -> str:
 
 def _write(path: Path, content: str) -> None:
     with file_errors(f"--out {path}"):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("x", encoding="utf-8") as file:
-            file.write(content)
+        path.write_text(content, encoding="utf-8")

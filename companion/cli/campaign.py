@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from companion.base.signals import Stopped
 from companion.cli import flight_options
 from companion.cli.options import WorkProgress, named_wait, option, refuse_any, require_drawing
-from companion.cli.outputs import PLOT, output, prepare_folder
+from companion.cli.outputs import CAMPAIGN, PLOT, READINGS, REPORT_FOLDER, check_output, output
 from companion.settings.load import shipped
 from companion.settings.remarks import warn_of_idle
 from estimator.contracts.errors import BadInput, file_errors, refused
@@ -34,6 +34,7 @@ from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.with_fault import with_random_faults
 
 _MAP_RUNS = 4
+_BESIDE = REPORT_FOLDER._replace(inside=(REPORT, MAP))
 
 
 DESCRIPTION = (
@@ -61,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_argument_group("where to fly and to keep")
     option(where, "--workers K", "number of processes (default: one for each core)", type=int)
     option(where, "--scheduler URL", "fly on the Dask cluster of this scheduler, as tcp://host:8786")
-    option(where, "--out DIR", "keep the results in this folder (default: campaigns/NAME-DIGEST, by what is flown)")
+    output(where, "--out DIR", "keep the results in this folder (default: campaigns/NAME-DIGEST, by what is flown)", CAMPAIGN)
     more = parser.add_argument_group("vary")
     option(
         more,
@@ -77,16 +78,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"act; the first {WORST} failing flights become scenario files beside the results, with the fewest and weakest faults",
         choices=("random",),
     )
-    output = parser.add_argument_group("results")
-    option(output, "--json", "print a line of JSON for each flight, and one of the summary")
-    option(output, "--report DIR", f"write {REPORT} beside the results, or index.html into this folder", nargs="?", const="")
+    results = parser.add_argument_group("results")
+    option(results, "--json", "print a line of JSON for each flight, and one of the summary")
+    beside = f"write {REPORT} beside the results, or index.html into this folder"
+    output(results, "--report DIR", beside, REPORT_FOLDER, type=str, nargs="?", const="")
     option(
-        output,
+        results,
         "--map",
         f"fly all winds, seas and vehicles of a scenario with weather and draw what lands as {MAP} (default of --vary: "
         f"{' '.join(AXES)}; of --runs: {_MAP_RUNS})",
     )
-    option(output, "--against DIR", "compare with this earlier campaign in the report, seed by seed")
+    option(results, "--against DIR", "compare with this earlier campaign in the report, seed by seed")
     _add_soak_arguments(parser)
 
 
@@ -112,7 +114,6 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.report is not None:
         require_drawing("--report")
-        prepare_folder(Path(args.report) if args.report else None)
     plan, points = _set_plan(args) if args.more or plans.is_set(args.scenario) else _design(args, *_plan(args))
     _compared_with(args.against)
     with closing(_store(args, plan, seeds)) as store:
@@ -207,6 +208,8 @@ def _with_random_faults(args: argparse.Namespace, plan: plans.CampaignPlan, scen
 
 def _store(args: argparse.Namespace, plan: plans.AnyPlan, seeds: range) -> FolderStore:
     folder = Path(args.out) if args.out else Path("campaigns") / f"{Path(plan.name).stem}-{plans.digest_of(plan)}"
+    if args.report == "":
+        check_output(folder, _BESIDE, "--report", [], force=args.force)
     return FolderStore(folder, plan, seeds)
 
 
@@ -312,6 +315,7 @@ def _report(args: argparse.Namespace) -> int:
         raise BadInput("campaign report needs the folder of a campaign")
     require_drawing("campaign report")
     folder = Path(args.more[0])
+    check_output(folder, _BESIDE, "report", [], force=args.force)
     manifest = manifest_of(folder)
     path = folder / FLIGHTS
     page = render_report(manifest, flights_in(path), wall_s_in(path), _compared_with(args.against))
@@ -365,7 +369,7 @@ def _add_soak_arguments(parser: argparse.ArgumentParser) -> None:
     option(faults, "--fault NAME", "fly this fault in every flight (needs --virtual; default: at random)")
     option(group, "--failed-max N", "allow this many failed flights (default: 0)", type=int)
     output(group, "--plot FILE", "plot memory, counts and outcomes over time (png, svg, pdf)", PLOT)
-    option(group, "--readings FILE", "write every reading as a line of JSON into this file", type=Path)
+    output(group, "--readings FILE", "write every reading as a line of JSON into this file", READINGS)
 
 
 def refuse(args: argparse.Namespace) -> None:
@@ -400,16 +404,6 @@ def run_soak(args: argparse.Namespace, plan: plans.CampaignPlan, given: plans.Ov
         from sitl.campaign import plots
 
         draw = plots.soak
-    options = SoakOptions(
-        seed=seed,
-        hours=hours,
-        flights=args.runs,
-        virtual=args.virtual,
-        faults=not args.no_faults,
-        fault=args.fault,
-        failed_max=failed_max,
-        plot=args.plot,
-        readings=args.readings,
-        json=args.json,
-    )
+    same = {name: getattr(args, name) for name in ("virtual", "fault", "plot", "readings", "json")}
+    options = SoakOptions(seed=seed, hours=hours, flights=args.runs, faults=not args.no_faults, failed_max=failed_max, **same)
     return soak(options, plan, *given.with_values((), "--set"), draw)

@@ -22,7 +22,7 @@ from companion.base.signals import check, ending_signal
 from companion.cli import kept_flight
 from companion.cli.kept_flight import compared_paths, shown
 from companion.cli.options import check_seed, listening, named_wait, option, print_line, print_result
-from companion.cli.outputs import prepare_folder
+from companion.cli.outputs import REPORT_FOLDER, output
 from companion.guidance.pilot import make_pilot
 from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon
@@ -55,10 +55,9 @@ _WITHOUT_VIDEO = (
 
 
 DESCRIPTION = (
-    "Land a simulated AR.Drone on a ship's pad in real time. The drone and the sea run in a process of "
-    "their own; "
-    "the landing service flies the drone through UDP and TCP sockets. Exit code 0 if it landed on the pad, else 1. If the "
-    "machine is too slow to fly in real time, a line at the end says so, with figures."
+    "Land a simulated AR.Drone on a ship's pad in real time. The drone and the sea run in a process of their own; the landing "
+    "service flies the drone through UDP and TCP sockets. Exit code 0 if it landed on the pad, else 1. If the machine is too "
+    "slow to fly in real time, a line at the end says so, with figures."
 )
 
 
@@ -68,8 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--scenario FILE", f"scenario file, or the name of a shipped one ({names}; default: demo)", default="demo")
     option(parser, "--ardrone1", "fly an AR.Drone 1.0 with its camera of 176x144 px, whatever the scenario says")
     option(parser, "--seed N", "seed of all random numbers (default: 1)", default=1)
-    option(parser, "--report DIR", "write the report into this folder (default: report)", default=Path("report"))
-    option(parser, "--no-report", "write no report")
+    output(parser, "--report DIR", "write the report into this folder (default: report)", REPORT_FOLDER, default=Path("report"))
+    option(parser, "--no-report", "write no report", dest="report", action="store_const", const=None)
     option(parser, "--json", "print one JSON object instead of progress")
     _add_servers(parser)
     option(
@@ -90,9 +89,7 @@ def run(args: argparse.Namespace) -> int:
     if args.ardrone1:
         scenario = with_ardrone1(scenario)
     GENERATIONS[scenario.vehicle.generation].check_camera(camera_model(scenario))
-    args.report, place = None if args.no_report else args.report, _place(args)
-    prepare_folder(args.report)
-    return event_loop.run(_demo(args, scenario, place))
+    return event_loop.run(_demo(args, scenario, _place(args)))
 
 
 async def _demo(args: argparse.Namespace, scenario: Scenario, place: tuple[str, int] | None) -> int:

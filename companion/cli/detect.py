@@ -11,6 +11,7 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from glob import escape
 from pathlib import Path
 from typing import get_args
 
@@ -20,6 +21,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.cli.options import named_wait, option
+from companion.cli.outputs import Kind, check_output, output
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera
 from companion.settings.referenced_files import second_opinion
@@ -48,6 +50,7 @@ RECORDINGS = {".mcap"}
 VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".h264", ".264", ".m4v", ".ts"}
 METHODS: tuple[Method, ...] = ("ellipse", "arrow", "corners", "registration")
 
+_DRAWINGS = Kind("drawing", tuple(sorted(images.PICTURES)), inside=())
 _SURE = 0.5
 _MIRROR_TRIES = 8
 """Number of frames without a sure pad after which a mirrored one is searched: a camera that mirrors does so in all of them."""
@@ -123,11 +126,11 @@ def add_arguments(p: argparse.ArgumentParser) -> None:
         nargs="?",
         const="",
     )
-    option(
+    output(
         p,
         "--draw PATH",
         "draw what was found: into this image file (.png, .jpg) for one image, else each frame as a PNG into this folder",
-        type=Path,
+        _DRAWINGS,
     )
     option(p, "--json", "print JSON Lines, one object per frame")
 
@@ -144,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
     options = _options(args.method, args.colours)
     asked = None if args.second_opinion is None else second_opinion(args.second_opinion, "--second-opinion")
     if args.draw is not None:
-        _check_drawing(args.draw, files)
+        _check_drawing(args.draw, files, force=args.force)
     frames = found = sure = ambiguous = unreadable = mirrored = 0
     untried = _MIRROR_TRIES
     if not args.json:
@@ -438,21 +441,20 @@ def _is_image(path: Path) -> bool:
     return path.suffix.lower() in images.PICTURES
 
 
-def _check_drawing(path: Path, files: Sequence[Path]) -> None:
-    """Check where frames are drawn, and make the folder.
+def _check_drawing(path: Path, files: Sequence[Path], *, force: bool) -> None:
+    """Check where frames are drawn.
 
     Raises:
-        BadInput: several frames would be drawn into one file, or into files of one name, or an input would be overwritten.
+        BadInput: several frames would be drawn into one file, or into files of one name, or a file would be overwritten.
     """
     if _is_image(path) and not (len(files) == 1 and _is_image(files[0])):
         raise BadInput(f"--draw {path}: an image file takes one image only: name a folder, each frame is drawn into a file there")
-    taken = files if _is_image(path) else [file.parent for file in files]
-    if path.resolve() in [one.resolve() for one in taken]:
+    if path.resolve() in [file.parent.resolve() for file in files]:
         raise BadInput(f"--draw {path}: the images to search are there: name another place, none of them is overwritten")
     if not _is_image(path) and len({file.stem for file in files}) < len(files):
         raise BadInput(f"--draw {path}: two files to search differ in their folder or ending only: draw them in separate runs")
-    with file_errors(f"--draw {path}"):
-        (path.parent if _is_image(path) else path).mkdir(parents=True, exist_ok=True)
+    drawings = _DRAWINGS._replace(inside=tuple(f"{escape(one.stem)}_[0-9]*.png" for one in files))
+    check_output(path, drawings, "--draw", list(files), force=force)
 
 
 def _draw(path: Path, image: _Image, seen: Detection, model: _Model) -> None:
@@ -468,5 +470,7 @@ def _draw(path: Path, image: _Image, seen: Detection, model: _Model) -> None:
     for y, text, grey in ((16, _line(image, seen).rstrip(), 255), (36, "   ".join(figures), 200)):
         cv2.putText(canvas, text, (6, len(drawn) + y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (grey,) * 3, 1, cv2.LINE_AA)
     target = path if _is_image(path) else path / f"{Path(image.source).stem}_{image.index:05d}.png"
+    with file_errors(f"--draw {target}"):
+        target.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(target), canvas):
         raise BadInput(f"--draw: cannot write {target}")

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from companion.base import event_loop
 from companion.cli.options import option, refuse_any
-from companion.cli.outputs import PARAMETERS, SNAPSHOT, output
+from companion.cli.outputs import PARAMETERS, SNAPSHOT, UNDO_FILE, output
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.load import Settings, load
 from companion.tools.doctor import rules_switch
@@ -153,8 +153,6 @@ def _keep(path: Path, undo_file: UndoFile) -> None:
     try:
         with path.open("xb") as file:
             file.write(encode_undo(undo_file))
-    except FileExistsError as why:
-        raise BadInput(f"--undo-file {path}: it exists, and what it undoes would be lost") from why
     except OSError as why:
         raise BadInput(f"--undo-file {path}: {why.strerror or why}; nothing was written to the autopilot") from why
 
@@ -271,9 +269,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     option(parser, "--undo FILE", "set back what --fix wrote, from the undo file that it kept")
     option(parser, "--yes", "with --fix or --undo: say yes to every change")
-    option(
-        parser, "--undo-file FILE", "with --fix: keep what the parameters were in this file (default: decklander-undo-TIME.json)"
-    )
+    kept = "with --fix: keep what the parameters were in this file (default: decklander-undo-TIME.json)"
+    output(parser, "--undo-file FILE", kept, UNDO_FILE)
 
 
 def run(args: argparse.Namespace, *, last: bool = True) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.cli.options import check_seed, option, print_result, require_drawing
+from companion.cli.outputs import EXPERIMENTS, output
 from companion.settings.load import SHIPPED, load, pad_of_file, read_camera
 from estimator.contracts.errors import file_errors
 from study.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, hover_table, lags
@@ -23,7 +24,8 @@ DESCRIPTION = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    option(parser, "--out DIR", "write the page into this folder (default: experiments)", default=Path("experiments"))
+    where = "write the page into this folder (default: experiments)"
+    output(parser, "--out DIR", where, EXPERIMENTS, default=Path("experiments"))
     option(parser, "--seed N", "seed of all random numbers (default: 1)", default=1)
     option(parser, "--config FILE", "settings file to fly with (default: the profile sim)", default="sim")
     option(parser, "--photos DIR", "photographs of the printed pad: a folder with pose.csv and images/", type=Path)
@@ -37,8 +39,6 @@ def run(args: argparse.Namespace) -> int:
     from study.experiments.page import draw, page
 
     settings = load(args.config)
-    with file_errors(f"--out {args.out}"):
-        args.out.mkdir(parents=True, exist_ok=True)
     photographs = None
     if args.photos is not None:
         _say(args, "5.2 the photographs of the real pad")
@@ -48,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
     words = ["decklander", "experiments", *(["--seed", str(args.seed)] if args.seed != 1 else [])]
     words += ["--photos", "DIR"] if args.photos is not None else []
     with file_errors(f"--out {args.out}"):
+        args.out.mkdir(parents=True, exist_ok=True)
         (args.out / PAGE).write_text(page(chapter, photographs, shlex.join(words)), encoding="utf-8")
         draw(chapter, args.out)
     landed = [one.lateral_m for one in (chapter.landing, chapter.external) if one.outcome is not None]

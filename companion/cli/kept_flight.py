@@ -22,7 +22,7 @@ from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame, Relay
 from companion.base.version import version
 from companion.cli.options import ERASED, option, print_line, writing, written
-from companion.cli.outputs import RECORDING, output, prepare_folder
+from companion.cli.outputs import RECORDING, output
 from companion.facts.records import ContactRecord, TruthRecord
 from companion.settings.load import body_camera, camera_model, pad_model
 from companion.settings.model import Settings
@@ -149,9 +149,8 @@ def keeping(
         live: see `recording`.
 
     Raises:
-        BadInput: the report's folder or the recording's file cannot be made.
+        BadInput: the recording's file cannot be made.
     """
-    prepare_folder(args.report)
     if perception != "pixels":
         args.record_frames = "none"
     log, reported = None, list[Observer]()

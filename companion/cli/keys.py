@@ -15,6 +15,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from companion.cli.options import named_wait, option
+from companion.cli.outputs import SECRET, output
 from companion.parts.page.access import make_token
 from drivers.clock import SystemClock
 from drivers.endpoint import Endpoint, parse_endpoint
@@ -24,7 +25,7 @@ from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_link
 from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing, SigningKey, SigningTimes, load_key
 from drivers.mavlink.vehicle import ARMED, is_autopilot, stack_of
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import BadInput, Recoverable, refused
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 DESCRIPTION = (
@@ -37,9 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     make = actions.add_parser("make", help="write a new key of 32 random bytes, readable by you alone; never overwrite a file")
-    option(make, "file FILE", "key file to write")
+    output(make, "file FILE", "key file to write", SECRET)
     token = actions.add_parser("token", help="write a token for the operator page, readable by you alone; never overwrite a file")
-    option(token, "file FILE", "token file to write")
+    output(token, "file FILE", "token file to write", SECRET)
     show = actions.add_parser("show", help="print the fingerprint of a key, never the key")
     option(show, "file FILE", "key file: 32 bytes, 64 hexadecimal digits, or a line 'passphrase: ...'")
     install = actions.add_parser("install", help="install a key on the autopilot of a link (SETUP_SIGNING)")
@@ -97,19 +98,9 @@ def _make_token(path: Path) -> int:
 
 
 def write_secret(path: Path, secret: bytes) -> None:
-    """Write a secret for this user alone.
-
-    Raises:
-        BadInput: there is a file of that name, or it cannot be written.
-    """
-    try:
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with open(file, "wb") as out:
-            out.write(secret)
-    except FileExistsError:
-        raise BadInput(f"{path}: there is a file already, and an overwritten key is lost; choose another name") from None
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
+    """Write a secret for this user alone; raise BadInput if there is a file of that name, or it cannot be written."""
+    with refused(str(path), OSError), open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as out:
+        out.write(secret)
 
 
 async def _set_up(args: argparse.Namespace, endpoint: Endpoint, current: SigningKey | None, key: SigningKey | None) -> int:

@@ -1,7 +1,7 @@
 """Files that commands write: declared with their kind, and checked before the work begins.
 
-Nothing that a command reads is written over, and no file of another kind. What can be made again (a report, a drawing) replaces
-an earlier one of ours; what somebody owns, such as a recording or settings, is replaced only with --force.
+Nothing that a command reads is written over. What can be made again (a report, a plot) and bears our mark is replaced, everything
+else only with --force.
 """
 
 import argparse
@@ -11,19 +11,25 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from companion.base.version import MARK
 from companion.cli.options import option
 from estimator.contracts.errors import BadInput, refused
 
-_HEAD_BYTES = 4096
+_EDGE_BYTES = 16_384
 
 
 class Kind(NamedTuple):
-    """A kind of file."""
+    """A kind of file, or of folder."""
 
     name: str
-    endings: tuple[str, ...]
-    mark: bytes = b""
-    """Bytes in the first 4 kB by which one of ours is known that can be made again; empty for what somebody owns."""
+    endings: tuple[str, ...] = ()
+    """Endings of its name; a file without any may have every name, and may be a device."""
+    marks: tuple[bytes, ...] = ()
+    """Bytes near the beginning or the end by which one of ours is known that can be made again; none for what somebody owns."""
+    inside: tuple[str, ...] | None = None
+    """Patterns of the files that are written into a folder, if a name without these endings is one."""
+    lasting: bool = False
+    """True for what not even --force replaces."""
 
 
 RECORDING = Kind("recording", (".mcap",))
@@ -32,14 +38,23 @@ CAMERA_FILE, PAD_FILE = Kind("camera file", (".toml",)), Kind("pad file", (".tom
 RESPONSE_FILE, ERROR_MODEL = Kind("response file", (".toml",)), Kind("error model", (".toml",))
 SNAPSHOT, POLICY = Kind("snapshot", (".json",)), Kind("policy", (".npz",))
 PARAMETERS = Kind("file of parameters", (".param", ".params", ".parm"))
-REPORT, SHEETS = Kind("report", (".html", ".htm"), b"decklander"), Kind("drawing", (".pdf", ".svg"), b"decklander")
+SECRET, UNDO_FILE = Kind("secret", lasting=True), Kind("undo file", lasting=True)
+READINGS = Kind("file of readings")
+REPORT = Kind("report", (".html", ".htm"), (b'<meta name="generator" content="decklander">',))
+REPORT_FOLDER = Kind("report", (), REPORT.marks, ("index.html", "against/index.html"))
+SHEETS = Kind("drawing", (".pdf", ".svg"), (b"\n%decklander\n", b"<desc>Printed by decklander.</desc>"))
 PREVIEW = Kind("preview", (".png",))
 ANIMATION = Kind("animation", (".gif",))
-PLOT = Kind("plot", (".png", ".svg", ".pdf"), b"atplotlib")
+PLOT = Kind("plot", (".png", ".svg", ".pdf"), (MARK["Title"].encode(),))
+EXPORTED = Kind("camera file of another program", (".yaml",))
+FIGURES = Kind("figures", (), PLOT.marks, ("coverage.png", "residuals.png"))
+EXPERIMENTS = Kind("page", (), (*PLOT.marks, b"\n\nMade by `decklander experiments"), ("experiments.md", "experiments_*.png"))
+CAMPAIGN = Kind("campaign", (), (), ())
+LOGS = Kind("logs", (), (), ("*",), lasting=True)
 
 
 class Output(NamedTuple):
-    """An option that names a file to write."""
+    """An option that names a file or folder to write."""
 
     option: str
     dest: str
@@ -47,13 +62,13 @@ class Output(NamedTuple):
 
 
 def output(parser: argparse._ActionsContainer, spec: str, meaning: str, kind: Kind, **more: Any) -> None:
-    """Declare an option that names a file to write, and --force where such a file is somebody's own. See `option`."""
+    """Declare an option that names a file or folder to write, and --force. See `option`."""
     name = spec.partition(" ")[0]
     declared: tuple[Output, ...] = parser.get_default("outputs") or ()
-    option(parser, spec, meaning, type=Path, **more)
+    option(parser, spec, meaning, **{"type": Path, **more})
     parser.set_defaults(outputs=(*declared, Output(name, name.lstrip("-").replace("-", "_"), kind)))
-    if not kind.mark and all(one.kind.mark for one in declared):
-        option(parser, "--force", "replace a file of that kind that is there already")
+    if not kind.lasting and all(one.kind.lasting for one in declared):
+        option(parser, "--force", "replace what is there under the name of a file to write (never a file that is read)")
 
 
 def check_outputs(args: argparse.Namespace) -> None:
@@ -63,30 +78,29 @@ def check_outputs(args: argparse.Namespace) -> None:
         BadInput: the name has a wrong ending, names what is read or what is not ours to replace, or cannot be written.
     """
     for one in getattr(args, "outputs", ()):
-        if (path := getattr(args, one.dest)) is not None:
-            check_output(path, one.kind, one.option, _read_by(args), force=getattr(args, "force", False))
+        if path := getattr(args, one.dest):
+            check_output(Path(path), one.kind, one.option, _read_by(args), force=getattr(args, "force", False))
 
 
 def check_output(path: Path, kind: Kind, named: str, read: list[Path], *, force: bool = False) -> None:
-    """Check a file that will be written.
-
-    Args:
-        named: the option that names it.
-        read: files that are read meanwhile.
-
-    Raises:
-        BadInput: as for `check_outputs`.
-    """
-    if path.suffix.lower() not in kind.endings:
+    """Check a file to write, or a folder and the files to write into it, as `check_outputs` does; `read` are the files read."""
+    if kind.inside is not None and path.suffix.lower() not in kind.endings:
+        with refused(f"{named} {path}", OSError):
+            for there in sorted({there for pattern in kind.inside for there in path.glob(pattern)}):
+                check_output(there, kind._replace(endings=(), inside=None), named, read, force=force)
+            with tempfile.TemporaryFile(dir=next(folder for folder in (path, *path.parents) if os.path.lexists(folder))):
+                return
+    if kind.endings and path.suffix.lower() not in kind.endings:
         raise BadInput(f"{named} {path}: the name of a {kind.name} must end in {' or '.join(kind.endings)}")
     for source in read:
         if source == path or (path.exists() and source.exists() and os.path.samefile(source, path)):
             raise BadInput(f"{named} {path}: it is {source}, which is read: name another file")
     with refused(f"{named} {path}", OSError):
+        if not kind.endings and path.is_char_device():
+            return
         if path.exists() or path.is_symlink():
-            ours = bool(kind.mark) and path.is_file() and kind.mark in _head(path)
-            if not path.is_file() or not (ours or (force and not kind.mark)):
-                cure = "name a new one" if kind.mark or not path.is_file() else "--force replaces it, or name a new one"
+            if not path.is_file() or not (force or any(mark in _edges(path) for mark in kind.marks)) or kind.lasting:
+                cure = "name a new one" if kind.lasting or not path.is_file() else "--force replaces it, or name a new one"
                 raise BadInput(f"{named} {path}: there is a file of that name already: {cure}")
             with path.open("r+b"):
                 return
@@ -94,21 +108,11 @@ def check_output(path: Path, kind: Kind, named: str, read: list[Path], *, force:
             pass
 
 
-def prepare_folder(folder: Path | None) -> None:
-    """Create a report's folder and check that the report can be written into it; do nothing without a folder.
-
-    Raises:
-        BadInput: the folder cannot be created or written, or a page that is none of ours is there.
-    """
-    if folder is not None:
-        with refused(f"--report {folder}", OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-        check_output(folder / "index.html", REPORT, "--report", [])
-
-
-def _head(path: Path) -> bytes:
+def _edges(path: Path) -> bytes:
     with path.open("rb") as file:
-        return file.read(_HEAD_BYTES)
+        begin = file.read(_EDGE_BYTES)
+        file.seek(max(len(begin), path.stat().st_size - _EDGE_BYTES))
+        return begin + file.read()
 
 
 def _read_by(args: argparse.Namespace) -> list[Path]:

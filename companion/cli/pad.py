@@ -308,13 +308,16 @@ def _print(args: argparse.Namespace) -> int:
             f"the board ({drawing.width_mm:g} x {drawing.height_mm:g} mm) does not fit on one sheet of "
             f"{args.paper} with its margins, and a glued one is not flat: take smaller squares or larger paper"
         )
+    whole = out.suffix.lower() == ".pdf"
+    written = [out]
+    if not whole and len(pages) > 1:
+        written = [out.with_stem(f"{out.stem}_r{p.row + 1}c{p.column + 1}") for p in pages]
+    for path in written:
+        check_output(path, SHEETS, "--out", [], force=args.force)
     with file_errors(str(out)):
-        if out.suffix.lower() == ".pdf":
+        if whole:
             out.write_bytes(pdf(drawing, pages))
-            written = [out]
         else:
-            alone = len(pages) == 1
-            written = [out if alone else out.with_stem(f"{out.stem}_r{p.row + 1}c{p.column + 1}") for p in pages]
             for path, page in zip(written, pages, strict=True):
                 path.write_text(svg(drawing, page), encoding="utf-8")
     size = f"{drawing.width_mm:g} x {drawing.height_mm:g} mm"

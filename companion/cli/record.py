@@ -18,11 +18,11 @@ from msgspec import Struct, structs
 from companion.base import signals
 from companion.base.observer import ProcessedFrame
 from companion.cli.options import WorkProgress, named_wait, option, print_result, reading
-from companion.cli.outputs import RECORDING, output
+from companion.cli.outputs import RECORDING, Kind, output
 from companion.parts.recorder.recorder import digest_file, recordings
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant, open_recording
-from companion.recording.rewriting import Cut, export, rewrite
+from companion.recording.rewriting import TABLE_OF, Cut, export, rewrite
 from companion.settings.load import Settings, camera_model, load, shipped
 from companion.settings.remarks import sources as sources_of_ship
 from companion.settings.vessel import VesselOptions
@@ -40,6 +40,8 @@ DESCRIPTION = (
     "Show what is in recordings (info); cut, repair, export, import and upload them. The service makes recordings if "
     "[recorder] is enabled; simulate and demo make them with --record."
 )
+
+TABLES = Kind("table", inside=tuple(TABLE_OF.values()))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "of standard messages in the axes of REP-103, for which the extra decklander[ros2] is needed.",
     )
     option(tables, "files FILE", "recording, or the files of one in order", nargs="+", type=Path)
-    option(tables, "--output DIR", "folder of the tables, or the new bag", required=True, type=Path)
+    output(tables, "--output DIR", "folder of the tables, or the new bag", TABLES, required=True)
     option(tables, "--format", "what to write (default: csv)", choices=("csv", "ros2"), default="csv")
     foreign = actions.add_parser(
         "import",

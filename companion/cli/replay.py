@@ -21,7 +21,7 @@ from companion.base.observer import Decision, NullObserver, Observer
 from companion.base.orders import OperatorOrder
 from companion.cli.kept_flight import shown
 from companion.cli.options import WorkProgress, option, print_result, recording_argument, writing, written
-from companion.cli.outputs import RECORDING, output, prepare_folder
+from companion.cli.outputs import RECORDING, REPORT_FOLDER, output
 from companion.facts.records import TruthRecord
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.commands import LandingProgress
@@ -149,10 +149,8 @@ def _first_instant(recording: Recording, pilot: Pilot) -> MonoNs:
 
 
 DESCRIPTION = (
-    "Replay a recording through vision, estimator and guidance, on its own clock. The same recording and "
-    "settings "
-    "give the same outputs to the bit. Every estimator path runs. Recordings of simulated flights hold the truth; errors are "
-    "measured minus true."
+    "Replay a recording through vision, estimator and guidance, on its own clock. The same recording and settings give the same "
+    "outputs to the bit. Every estimator path runs. Recordings of simulated flights hold the truth; errors are measured minus it."
 )
 
 
@@ -166,7 +164,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--against SETTINGS", "replay with these settings too, and print the differences")
     option(parser, "--compare OTHER", "compare with the estimates in this recording", type=Path)
     output(parser, "--record FILE", "record the estimates of the replay, for --compare", RECORDING)
-    option(parser, "--report DIR", "write a report into this folder (report)", type=Path, nargs="?", const=Path("report"))
+    output(parser, "--report DIR", "write a report into this folder (report)", REPORT_FOLDER, nargs="?", const=Path("report"))
     option(parser, "--realtime", "replay at the pace of the recording")
     option(parser, "--mavlink URL", "send the outputs to an autopilot or ground station (needs --realtime)", action="append")
     option(parser, "--json", "print one JSON object")
@@ -195,7 +193,6 @@ def run(args: argparse.Namespace) -> int:
     recording = open_recording(args.recording)
     if args.mavlink and not args.realtime:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
-    prepare_folder(args.report)
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
     if args.set or args.config:
         warn_of_idle([settings])

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     option(parser, "recording RECORDING", "MCAP file", type=Path)
     option(parser, "other OTHER", "another flight to compare it with", nargs="?", type=Path)
-    output(parser, "--output FILE", "file to write (default: the recording's name with .html, in this folder)", REPORT)
+    output(parser, "--output FILE", "file to write (default: the recording's name with .html, beside it)", REPORT)
     option(parser, "--no-video", "leave the video out, which is most of the file")
     output(parser, "--animation FILE", "write an animated GIF of the landing instead (camera, track and height)", ANIMATION)
 
@@ -30,9 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     paths = [args.recording] if args.other is None else [args.recording, args.other]
-    page = args.output or Path("-".join(path.stem for path in paths) + ".html")
+    page = args.output or paths[0].with_name("-".join(path.stem for path in paths) + ".html")
     if args.output is None and args.animation is None:
-        check_output(page, REPORT, "--output", paths)
+        check_output(page, REPORT, "--output", paths, force=args.force)
     recordings = [open_recording([path]) for path in paths]
     for recording in recordings:
         recording.watch = reading(recording.name)

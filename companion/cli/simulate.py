@@ -18,6 +18,7 @@ from msgspec.structs import replace
 from companion.cli import flight_options, kept_flight
 from companion.cli.kept_flight import keeping, shown
 from companion.cli.options import check_seed, option, print_result, refuse_any
+from companion.cli.outputs import LOGS, REPORT_FOLDER, output
 from companion.settings.load import find_file, shipped
 from companion.settings.remarks import warn_of_idle
 from drivers.endpoint import parse_endpoint
@@ -57,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--faults", "add one or two faults that the seed draws (docs/campaigns.md)", choices=("random",))
     option(parser, "--pad FILE", "pad file, or the name of a shipped one, on deck and looked for")
     option(parser, "--json", "print one JSON object")
-    option(parser, "--report DIR", "write a report into this folder (report)", type=Path, nargs="?", const=Path("report"))
+    output(parser, "--report DIR", "write a report into this folder (report)", REPORT_FOLDER, nargs="?", const=Path("report"))
     kept_flight.add_arguments(parser)
     beside = parser.add_argument_group("real autopilots (docs/sitl.md)")
     flown = "fly this autopilot program over the simulated sea and vehicle"
@@ -68,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(beside, "--follow URL", "follow a vehicle that another simulator flies, with the deck and camera of this one")
     option(beside, "--param NAME=VALUE", "set a parameter of the autopilot; may be repeated", default=[], action="append")
     option(beside, "--unaided", "let the autopilot land by its own landing mode, and nothing of ours reach it, to compare")
-    option(beside, "--keep DIR", "keep the logs and output of the autopilot in this folder", type=Path)
+    output(beside, "--keep DIR", "keep the logs and output of the autopilot in this folder", LOGS)
 
 
 def _with_program(args: argparse.Namespace) -> bool:
@@ -213,8 +214,6 @@ def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:
 @contextmanager
 def _folder(keep: Path | None) -> Iterator[Path]:
     """Provide an empty folder for the program, and copy it to `keep` at the end if given."""
-    if keep is not None and keep.exists() and (not keep.is_dir() or any(keep.iterdir())):
-        raise BadInput(f"--keep: {str(keep)!r} is there already and is not an empty folder")
     with tempfile.TemporaryDirectory(prefix="decklander-") as name:
         try:
             yield Path(name)

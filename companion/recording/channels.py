@@ -83,6 +83,10 @@ def schema_name(kind: type[msgspec.Struct]) -> str:
     return f"decklander.{kind.__name__.removesuffix('Record')}"
 
 
+FOR_VIEWERS = {topic for topic, kind in TOPICS.items() if schema_name(kind).startswith("foxglove.")} - {IMAGE, VIDEO}
+"""Topics that repeat for viewers what others hold."""
+
+
 def json_schema(kind: type[msgspec.Struct], name: str) -> dict[str, Any]:
     """Return the schema, called `name`, of a struct whose fields are numbers, text, bytes, lists and other structs.
 

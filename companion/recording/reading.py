@@ -19,7 +19,6 @@ from typing import IO, Any, cast
 
 import lz4.frame
 import msgspec
-import numpy as np
 import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -27,7 +26,6 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from msgspec import Struct, field
-from numpy.typing import NDArray
 
 from companion.base.observer import Decision, FrameTimes
 from companion.facts import encode
@@ -219,22 +217,16 @@ class RecordedFrame(Struct, frozen=True, eq=False):
         Returns:
             The frame, or None if the image was not kept, is damaged, or claims another size.
         """
-        if self.image is None:
-            return None
+        px = None
         if isinstance(self.image, VideoImage):
             px = self.image.px()
-            if px is None or px.shape[:2] != (size[1], size[0]):
-                return None
-            return self._of(px)
-        try:
-            px = images.decode(self.image, size)
-        except images.ImageRefused:
+        elif self.image is not None:
+            with suppress(images.ImageRefused):
+                px = images.decode(self.image, size)
+        if px is None or px.shape[:2] != (size[1], size[0]):
             return None
-        return self._of(px)
-
-    def _of(self, px: NDArray[np.uint8]) -> Frame:
-        r = self.record
-        return Frame(self.stamp, r.seq, px, r.exposure_s, r.gain, r.coded or isinstance(self.image, VideoImage))
+        r, coded = self.record, self.record.coded or isinstance(self.image, VideoImage)
+        return Frame(self.stamp, r.seq, px, r.exposure_s, r.gain, coded)
 
 
 Event = (
@@ -399,7 +391,7 @@ def _head(path: Path) -> tuple[int, int, Recording]:
                     raise _too_old(path)
                 ours = ours or record.topic in channels.TOPICS
                 topics[record.id] = record.topic
-            elif isinstance(record, Message) and topics.get(record.channel_id) not in FOR_VIEWERS:
+            elif isinstance(record, Message) and topics.get(record.channel_id) not in channels.FOR_VIEWERS:
                 begins_ns = record.log_time
                 break
     at_the_end, ends_ns = _summary(path)
@@ -430,7 +422,7 @@ class EventAssembly:
         Raises:
             Exception: one of `NOT_UNDERSTOOD`, for a message that is damaged or of another version.
         """
-        if topic in FOR_VIEWERS or topic not in self._decoders:
+        if topic in channels.FOR_VIEWERS or topic not in self._decoders:
             return None
         message = self._decoders[topic].decode(data)
         match message:
@@ -481,18 +473,6 @@ class EventAssembly:
         )
 
 
-FOR_VIEWERS = {
-    channels.ANNOTATIONS,
-    channels.CALIBRATION,
-    channels.TRANSFORMS,
-    channels.FIXED_TRANSFORMS,
-    channels.LOG,
-    channels.TRUE_POSE,
-    channels.SCENE,
-    channels.ELLIPSOID,
-    *(channels.pose(path) for path in channels.PATHS),
-}
-"""Topics that repeat for viewers what others hold."""
 _OLD_TOPIC, _OLD_KEYS = "/look", ('"taken_ns"', '"doubts"')
 """The topic and key names before 1.0.0, which distinguish an old recording from a damaged one."""
 

@@ -27,12 +27,14 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 _COLUMNS_MAX = 1000
 """More columns than any record of ours has: a file with such a one is damaged."""
-_EXPORTED = frozenset(topic for topic, kind in channels.TOPICS.items() if channels.schema_name(kind).startswith("decklander."))
+_TABLED = channels.TOPICS.keys() - channels.FOR_VIEWERS - {channels.IMAGE, channels.VIDEO}
+TABLE_OF = {topic: f"{topic.strip('/').replace('/', '_')}.csv" for topic in sorted(_TABLED)}
+"""The name of each topic's table."""
 Row = dict[str, float | int | str | bool]
 
 
 def export(recording: Recording, folder: Path) -> dict[str, int]:
-    """Write a table of each topic of ours into the folder, and return the number of rows of each file.
+    """Write a table of each topic of ours into the folder, remove those of another recording, and return each file's rows.
 
     The first column is `timestamp`, microseconds on the recording's time axis. Lists are `name[0]`, `name[1]`, named numbers are
     `details.name`; what a message leaves out is empty. Images and drawings for viewers are left out.
@@ -49,10 +51,12 @@ def export(recording: Recording, folder: Path) -> dict[str, int]:
     written: Counter[str] = Counter()
     with refused(f"{folder}: cannot write tables there", OSError):
         folder.mkdir(parents=True, exist_ok=True)
+        for name in TABLE_OF.values():
+            (folder / name).unlink(missing_ok=True)
         with ExitStack() as opened:
             tables: dict[str, tuple[str, csv.DictWriter[str]]] = {}
             for topic, known in columns.items():
-                name = f"{topic.strip('/').replace('/', '_')}.csv"
+                name = TABLE_OF[topic]
                 stream = opened.enter_context((folder / name).open("w", newline="", encoding="utf-8"))
                 tables[topic] = name, csv.DictWriter(stream, ["timestamp", *known], restval="")
                 tables[topic][1].writeheader()
@@ -73,7 +77,7 @@ def _rows(recording: Recording) -> Iterator[tuple[str, int, Row]]:
                     topics[record.id] = record.topic
                 elif isinstance(record, Message):
                     topic = topics.get(record.channel_id, "")
-                    if topic in _EXPORTED:
+                    if topic in TABLE_OF:
                         try:
                             row = dict(_flat(msgspec.json.decode(record.data), ""))
                         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):

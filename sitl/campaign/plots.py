@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import PercentFormatter
 
+from companion.base.version import MARK
 from estimator.contracts.errors import refused
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
@@ -237,4 +238,4 @@ def soak(path: Path, readings: Sequence[Reading], flights: Sequence[Flown]) -> N
     for axes in (memory, counts, outcomes):
         axes.grid(alpha=0.25)
     with refused(f"--plot {path}", OSError, ValueError):
-        figure.savefig(path, dpi=110)
+        figure.savefig(path, dpi=110, metadata=MARK)

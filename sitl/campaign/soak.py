@@ -430,10 +430,8 @@ def soak(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings:
         every = faulty(scenario, options.seed, possible=lambda _: True, name=options.fault)
         perceive(plan.perception, plan.perception_model).refuse(every.faults)
     settings = flown_settings(settings)
-    if options.plot is not None:
-        _opened("--plot", options.plot, "ab").close()
     interrupted: Stopped | None = None
-    with nullcontext() if options.readings is None else _opened("--readings", options.readings, "wb") as file:
+    with nullcontext() if options.readings is None else _unbuffered(options.readings) as file:
         tally = Tally(file=file)
         try:
             if options.virtual:
@@ -469,10 +467,9 @@ def flown_settings(settings: Settings) -> Settings:
     return msgspec.structs.replace(settings, service=service, guidance=guidance)
 
 
-def _opened(option: str, path: Path, mode: str) -> FileIO:
-    """Open a file without a buffer, before the first flight."""
-    with refused(f"{option}: {path}", OSError):
-        return FileIO(path, mode)
+def _unbuffered(path: Path) -> FileIO:
+    with refused(f"--readings {path}", OSError):
+        return FileIO(path, "wb")
 
 
 def _virtually(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings: Settings, tally: Tally) -> None:

@@ -89,6 +89,7 @@ class FolderStore:
         """Write a file beside the results and return where it is."""
         path = self._path.parent / name
         with file_errors(str(path)):
+            path.parent.mkdir(parents=True, exist_ok=True)
             write_whole(path, content)
         return str(path)
 

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from companion.base.version import MARK
 from companion.recording.palette import MARKERS, OTHER, colour
 from estimator.contracts.geometry import wrap_pi
 from study.experiments.chapter5 import (
@@ -200,7 +201,7 @@ def draw(chapter: Chapter5, folder: Path) -> list[str]:
         ),
     }
     for name, figure in figures.items():
-        figure.savefig(folder / name, dpi=_DPI, metadata={"Software": None})
+        figure.savefig(folder / name, dpi=_DPI, metadata={"Software": None, **MARK})
     return list(figures)
 
 

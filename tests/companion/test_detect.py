@@ -156,8 +156,9 @@ def test_lines_for_people_and_images_of_what_was_seen(album: Path, tmp_path: Pat
     (drawn.parent / "a.jpg").touch()
     for paths, place, said in (
         ([album], tmp_path / "one.png", "one.png: an image file takes one image only: name a folder"),
-        ([album / "a.png"], album / "a.png", "none of them is overwritten"),
+        ([album / "a.png"], album / "a.png", "which is read"),
         ([album], album, "none of them is overwritten"),
+        ([album / "b.png"], drawn, "b_00000.png: there is a file of that name already: --force replaces it"),
         ([album / "a.png", drawn.parent / "a.jpg"], drawn, "two files to search differ in their folder or ending only"),
     ):
         assert detect(*paths, "--camera", "sim", "--draw", place) == 2

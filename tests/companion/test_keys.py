@@ -89,7 +89,7 @@ def test_a_key_is_made_for_its_owner_alone_and_never_over_a_file(tmp_path: Path,
     assert path.read_bytes() == secret
     assert main(["keys", "make", str(tmp_path / "none/key")]) == 2
     output = capsys.readouterr()
-    assert "there is a file already" in output.err
+    assert "there is a file of that name already" in output.err
     assert load_key(str(path)).fingerprint in output.out
 
 

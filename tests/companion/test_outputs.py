@@ -5,9 +5,13 @@ import importlib
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
+from companion.base.version import MARK
 from companion.cli.main import COMMANDS, Parser, add_command, main
-from companion.cli.outputs import Output
+from companion.cli.outputs import EXPERIMENTS, PLOT, REPORT, Output, check_output
+from companion.tools.report.page_parts import document
+from estimator.contracts.errors import BadInput
 
 
 def _parsers(parser: argparse.ArgumentParser, words: tuple[str, ...] = ()):
@@ -18,52 +22,97 @@ def _parsers(parser: argparse.ArgumentParser, words: tuple[str, ...] = ()):
                 yield from _parsers(inner, (*words, name))
 
 
-def _outputs() -> list[tuple[tuple[str, ...], Output, argparse.ArgumentParser]]:
+def _commands() -> list[tuple[tuple[str, ...], argparse.ArgumentParser]]:
     top = Parser(prog="decklander")
     subparsers = top.add_subparsers()
     for name, (module, _) in COMMANDS.items():
         add_command(subparsers, name, importlib.import_module(module))
-    return [(words, one, parser) for words, parser in _parsers(top) for one in parser.get_default("outputs") or ()]
+    return list(_parsers(top))
 
 
-OUTPUTS = _outputs()
+OUTPUTS = [(words, one, parser) for words, parser in _commands() for one in parser.get_default("outputs") or ()]
 IDS = [" ".join((*words, one.option)) for words, one, _ in OUTPUTS]
+READ = {
+    "recording", "recordings", "other", "files", "paths", "sources", "folder", "foreign", "drawing", "pad", "log", "--scenario",
+    "--camera", "--camera-file", "--pad", "--attitude", "--second-opinion", "--config", "--compare", "--mapping",
+    "--password-file", "--ca-file", "--token-file", "--picture", "--signing-key", "--snapshot", "--undo", "--perception-model",
+    "--binary", "--against", "--from", "--photos", "--current",
+}  # fmt: skip
+READ_FILES = {"config show file", "keys show file", "keys install file"}
+"""Arguments that name what a command reads; every other path is written, and must be declared as an output."""
+
+
+def test_each_path_that_no_command_reads_is_declared_as_an_output() -> None:
+    undeclared = []
+    for words, parser in _commands():
+        declared = {one.dest for one in parser.get_default("outputs") or ()}
+        for action in parser._actions:
+            name = (action.option_strings or [action.dest])[-1]
+            path = action.type is Path or action.metavar in ("FILE", "DIR", "PATH", "FOLDER")
+            if path and action.dest not in declared and name not in READ and " ".join((*words, name)) not in READ_FILES:
+                undeclared.append(" ".join((*words, name)))
+    assert undeclared == []
+    assert len(OUTPUTS) > 30
 
 
 def _words(words: tuple[str, ...], one: Output, parser: argparse.ArgumentParser, read: Path, out: Path) -> list[str]:
     """Return a command line with every argument that must be given, its files being `read`."""
-    given = [*words]
+    given, written = [*words], {other.dest: other.kind for other in parser.get_default("outputs")}
     for action in parser._actions:
         if action.required and action.dest != one.dest:
             value = next(iter(action.choices)) if action.choices else str(read)
+            if action.dest in written:
+                value = str(read.with_name(f"new{written[action.dest].endings[0]}"))
             given += [*action.option_strings[:1], value]
-    return [*given, one.option, str(out)]
+    return [*given, *([one.option] if one.option.startswith("-") else []), str(out)]
 
 
 @pytest.mark.parametrize(("words", "one", "parser"), OUTPUTS, ids=IDS)
 def test_a_command_writes_over_nothing_that_it_reads_or_that_is_not_its_own(words, one, parser, tmp_path, capsys) -> None:
-    read = tmp_path / f"mine{one.kind.endings[0]}"
-    read.write_bytes(b"somebody's")
-    assert main(_words(words, one, parser, read, read)) == 2
-    reads = any(action.required and action.dest != one.dest for action in parser._actions)
-    assert ("which is read" if reads else "already") in capsys.readouterr().err
-    other = tmp_path / "other.xyz"
-    other.write_bytes(b"somebody's")
-    assert main(_words(words, one, parser, read, other)) == 2
-    assert "must end in" in capsys.readouterr().err
-    third = tmp_path / f"third{one.kind.endings[-1]}"
-    third.write_bytes(b"somebody's")
-    assert main(_words(words, one, parser, read, third)) == 2
-    assert "already" in capsys.readouterr().err
-    assert main(_words(words, one, parser, read, Path(f"/proc/none{one.kind.endings[0]}"))) == 2
-    assert {path.read_bytes() for path in tmp_path.iterdir()} == {b"somebody's"}
-    assert len(list(tmp_path.iterdir())) == 3
+    kind = one.kind
+    endings = kind.endings or ("",)
+    read, third = (tmp_path / f"{name}{ending}" for name, ending in (("mine", endings[0]), ("third", endings[-1])))
+    cases = [(third, "already")]
+    if kind.inside is None or kind.endings:
+        reads = any(action.required and action.dest != one.dest for action in parser._actions)
+        cases.append((read, "which is read" if reads else "already"))
+    else:
+        (folder := tmp_path / "folder").mkdir()
+        inside = [folder / pattern.replace("*", "x") for pattern in kind.inside if "/" not in pattern]
+        cases = [(folder, "already")] * bool(inside)
+        third = (inside or [third])[-1]
+    if kind.endings and kind.inside is None:
+        cases.append((tmp_path / "other.xyz", "must end in"))
+    written = {read, third, *(path for path, _ in cases if path.suffix)}
+    for path in written:
+        path.write_bytes(b"somebody's decklander, by Matplotlib")
+    for path, why in [*cases, (Path(f"/proc/none{endings[0]}"), "/proc/none")]:
+        assert main(_words(words, one, parser, read, path)) == 2
+        assert why in capsys.readouterr().err
+    left = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert left == dict.fromkeys(written, b"somebody's decklander, by Matplotlib")
 
 
-def test_each_output_of_the_command_line_is_declared_as_one() -> None:
-    options = " ".join(sorted({one.option for _, one, _ in OUTPUTS}))
-    assert options == "--animation --out --output --plot --record --save --write"
-    assert len(OUTPUTS) > 15
+def test_what_only_we_write_is_replaced_and_all_else_by_force_alone(tmp_path: Path) -> None:
+    for kind, name, ours in (
+        (REPORT, "a.html", document("Flight", "<p>")),
+        (EXPERIMENTS, "experiments.md", "# The thesis' experiments again\n\nMade by `decklander experiments`. The thesis"),
+    ):
+        path = tmp_path / name
+        given = path if kind is REPORT else tmp_path
+        path.write_text("<!doctype html><p>How decklander landed, made by decklander")
+        with pytest.raises(BadInput, match="--force replaces it"):
+            check_output(given, kind, "--output", [])
+        check_output(given, kind, "--output", [], force=True)
+        path.write_text(ours)
+        check_output(given, kind, "--output", [])
+    for ending in PLOT.endings:
+        path = tmp_path / f"plot{ending}"
+        (figure := Figure()).savefig(path)
+        with pytest.raises(BadInput, match="already"):
+            check_output(path, PLOT, "--plot", [])
+        figure.savefig(path, metadata=MARK)
+        check_output(path, PLOT, "--plot", [])
 
 
 @pytest.mark.parametrize("value", ["a" * 5000, "a\0b", ""])

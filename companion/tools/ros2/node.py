@@ -18,7 +18,7 @@ from companion.facts import records as rec
 from companion.facts.wire import RequestRate
 from companion.recording import channels
 from companion.recording.foxglove_protocol import MESSAGE, MESSAGE_DATA, SUBPROTOCOLS
-from companion.recording.reading import FOR_VIEWERS, NOT_UNDERSTOOD, EventAssembly, instant
+from companion.recording.reading import NOT_UNDERSTOOD, EventAssembly, instant
 from companion.tools.ros2.messages import KEPT, Message, RosMessages
 from drivers.ros2 import Request, RosNode, typestore
 from estimator.contracts.errors import BadInput
@@ -48,7 +48,7 @@ _texts: msgspec.json.Decoder[_Advertise | _ServerInfo] = msgspec.json.Decoder(_A
 _subscribe = msgspec.json.Encoder()
 _NO_MESSAGES = (rec.FusionRecord, rec.LinkRecord, rec.OrderRecord)
 """Records for which ROS has no standard message."""
-_WANTED = {t for t, of in channels.TOPICS.items() if t not in FOR_VIEWERS and not issubclass(of, _NO_MESSAGES)}
+_WANTED = {t for t, of in channels.TOPICS.items() if t not in channels.FOR_VIEWERS and not issubclass(of, _NO_MESSAGES)}
 
 
 class LiveClient:

@@ -208,7 +208,7 @@ WRONG_USE = [
     ([*VIRTUAL, "--runs", "3", "--hours", "1"], "takes the place of --hours"),
     ([*VIRTUAL, "--fault", "none"], "not a fault scenario"),
     ([*VIRTUAL, "--fault", "wrong_pad", "--perception", "model"], "seen in rendered frames only"),
-    ([*VIRTUAL, "--runs", "1", "--readings", "/dev/null/there"], "--readings: /dev/null/there"),
+    ([*VIRTUAL, "--runs", "1", "--readings", "/dev/null/there"], "--readings /dev/null/there"),
     ([*VIRTUAL, "--runs", "1", "--plot", "/dev/null/x.png"], "--plot /dev/null/x.png"),
 ]
 
