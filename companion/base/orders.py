@@ -42,7 +42,7 @@ class OperatorOrder(Enum):
     """Start or stop recording."""
 
 
-TWICE_S = {OperatorOrder.EMERGENCY: 1.0, OperatorOrder.TAKE_OFF: 2.0, OperatorOrder.LAND: 2.0}
+TWICE_S = {OperatorOrder.EMERGENCY: 1.0, OperatorOrder.TAKE_OFF: 2.0, OperatorOrder.LAND: 2.0, OperatorOrder.RESET: 2.0}
 """Orders that nothing takes back, and the time in which a second press of a key or a button confirms the first, s."""
 
 

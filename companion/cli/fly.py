@@ -37,6 +37,7 @@ TWICE: dict[str, tuple[OperatorOrder, str]] = {
     "E": (OperatorOrder.EMERGENCY, "CUT THE MOTORS"),
     "t": (OperatorOrder.TAKE_OFF, "take off"),
     "l": (OperatorOrder.LAND, "land here: "),
+    "R": (OperatorOrder.RESET, "leave the emergency state"),
 }
 """The keys that must be pressed twice: the order of each, and its words."""
 _TICK_S = 0.05
@@ -59,12 +60,11 @@ KEYS: dict[str, OperatorOrder] = {
     "x": OperatorOrder.ABORT,
     " ": OperatorOrder.HOLD,
     "c": OperatorOrder.CLEAR,
-    "R": OperatorOrder.RESET,
 }
 HELP = (
     "m take or give back the hand   w/s up, down   a/d turn   arrows move   +/- faster, slower",
     "t t take off   l l land here   p stay over the pad   b begin the landing   x abort it   c ignore what is on the pad",
-    "space hold   E E cut the motors   R reset   q end",
+    "space hold   E E cut the motors   R R reset   q end",
 )
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
 _KEY = re.compile(r"\x1b[\[O][0-9;]*([A-Z~])|\x1b|.", re.DOTALL)
@@ -242,7 +242,8 @@ _NAMES = ("takeoff", "hold", "land", "stay", "begin", "abort", "emergency", "res
 ORDERS = {name: OperatorOrder(name) for name in _NAMES}
 """The orders of one command line."""
 _GIVES_BACK = frozenset(map(ORDERS.get, ("hold", "abort", "land", "stay", "begin", "emergency")))
-_AWAITED = {"takeoff", "land", "begin"}
+_AWAITED = {"takeoff": None, "land": None, "begin": None, "emergency": 5.0, "reset": 5.0}
+"""Orders whose effect may be awaited, and the time for which it is unbidden, s: an answer alone cuts no motors."""
 
 
 DESCRIPTION = (
@@ -264,7 +265,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(
         parser,
         "--wait S",
-        "after takeoff wait until it hovers, after land and begin until it is on the ground; exit code 1 after S seconds",
+        "after takeoff wait until it hovers, after land and begin until it is on the ground, after emergency and reset (5 s) "
+        "until it reports that; exit code 1 after S seconds",
         type=float,
     )
     option(parser, "--here", "with land: do not ask where the pad is not surely below")
@@ -316,11 +318,12 @@ async def _once(args: argparse.Namespace, path: Path) -> int:
         answer = await client.order(ORDERS[args.order])
         reached = answer.accepted
         text = f"{args.order}: {answer.text}"
-        if answer.accepted and args.wait is not None:
+        wait_s = args.wait or _AWAITED.get(args.order)
+        if answer.accepted and wait_s is not None:
             client.watch()
-            last = await _wait(states, args.order, args.wait)
+            last = await _wait(states, args.order, wait_s)
             reached = last is None
-            text += "; done" if last is None else f"; after {args.wait:g} s the vehicle is still {last}"
+            text += "; done" if last is None else f"; NOT CONFIRMED: after {wait_s:g} s the vehicle is still {last}"
         _say({"order": args.order, "accepted": answer.accepted, "done": reached, "text": text}, text, as_json=args.json)
     return 0 if reached else 1
 
@@ -348,7 +351,8 @@ async def _wait(states: asyncio.Queue[FlightState], order: str, seconds: float) 
                 flew = flew or state.flying is True
                 up = state.flying is True and state.mode != "taking_off"
                 down = state.flying is False and (order == "land" or flew)
-                if up if order == "takeoff" else down:
+                left = state.situation not in ("cutting", "emergency", "silent")
+                if {"takeoff": up, "emergency": state.situation == "emergency", "reset": left}.get(order, down):
                     return None
     except TimeoutError:
         return mode

@@ -59,7 +59,8 @@ class PilotOperator:
             refusal: str | None = f"{request.order.value} is an order of MQTT and MAVLink"
         else:
             refusal = self.order(request.order)
-        text = "accepted" if refusal is None else f"refused: {self._sender.reads(refusal)}"
+        accepted = "sent until the vehicle reports it" if request.order is OperatorOrder.EMERGENCY else "accepted"
+        text = accepted if refusal is None else f"refused: {self._sender.reads(refusal)}"
         return OrderAnswer(number=request.number, accepted=refusal is None, text=text)
 
     def steer_by(self, path: PathName) -> str | None:

@@ -31,7 +31,7 @@ _REPEAT_S = 0.5
 _CALL_OFF_S = 0.1
 """The time for which the end of a landing or of a take-off is repeated, and the least of a landing; sticks count after it."""
 _OBEYED_S = 2.0
-"""Time for which a cut of the motors may be unconfirmed until its sender is warned, s; a vehicle may report once a second."""
+"""Time for which a cut of the motors or its end may be unconfirmed until its sender is warned, s; some report once a second."""
 _LIMIT_GAP_S = 1.0
 _WAITED_S = 1.0
 """Time after a standstill of this service in which orders still come that waited meanwhile, s."""
@@ -40,8 +40,9 @@ _NEVER_OLD = (OperatorOrder.ABORT, OperatorOrder.HOLD, OperatorOrder.RELEASE)
 _TO_PAD = (OperatorOrder.BEGIN, OperatorOrder.STAY)
 _SAMPLES_MOST = 64
 """Number of samples from which they are processed though no command needs the place."""
-BY_HAND, LANDING_FOR_PERSON = "flown by hand", "landing for the operator"
+BY_HAND, LANDING_FOR_PERSON, CUTTING = "flown by hand", "landing for the operator", "cutting the motors: not confirmed yet"
 """The phases in which a person commands."""
+_NOT_LEFT = "the vehicle still reports its emergency state: set it upright on firm ground, or switch it off and on"
 
 
 class Guided(Protocol):
@@ -95,11 +96,12 @@ class Control(Struct, frozen=True):
     """The order that ended a person's landing or a take-off, while it is passed to the vehicle."""
     cut: Given | None = None
     """The order to cut the motors, until the vehicle reports that it is obeyed."""
-    cut_failed: str = ""
+    cut_failed: str = "the vehicle does not report that its motors stand"
     """Reason why the vehicle's link did not take the cut, or why its sender is warned that it is not obeyed."""
-    cut_warned: bool = False
-    """True if the sender was warned that the cut is not obeyed yet."""
     reset: Given | None = None
+    """The order to leave the emergency state, likewise."""
+    warned: bool = False
+    """True if the sender of a cut or of its end was warned that it is not obeyed yet."""
     accepted: tuple[OperatorOrder, Given] | None = None
     """The newest accepted order among those that have a rank."""
     passed_at: MonoNs | None = None
@@ -187,7 +189,9 @@ class OperatorArbiter:
     def situation(self, now: MonoNs) -> ControlSituation:
         """Return the situation that decides about an order."""
         status, control = self.newest_status(now), self._control
-        if control.cut is not None or (status is not None and status.emergency):
+        if control.cut is not None:
+            return ControlSituation.CUTTING
+        if status is not None and status.emergency:
             return ControlSituation.EMERGENCY
         if control.landing is not None:
             return ControlSituation.LANDING
@@ -247,30 +251,31 @@ class OperatorArbiter:
                 self._guided.pause()
         if control.called_off is not None and control.passed_s(now) > _CALL_OFF_S:
             self._control = replace(self._control, called_off=None)
-        self._follow_cut(now, status)
+        self._follow_motors(now, status)
         if status is None:
             return
         landing = control.landing
         over = status.flying is False or status.emergency or status.taken is not None
         if landing is not None and over and _since(landing, status) and seconds_between(landing.at, now) > _CALL_OFF_S:
             self._control = replace(self._control, landing=None)
-        reset = control.reset
-        if reset is not None and control.passed_s(now) > (_REPEAT_S if status.emergency else _CALL_OFF_S):
-            self._control = replace(self._control, reset=None)
 
-    def _follow_cut(self, now: MonoNs, status: VehicleStatus | None) -> None:
-        """End the cut of the motors when it is obeyed; tell its sender if that takes long, and when it has come after all."""
-        control = self._control
-        if control.cut is None:
+    def _follow_motors(self, now: MonoNs, status: VehicleStatus | None) -> None:
+        """End a cut of the motors, or its end, once it is obeyed; tell its sender if that takes long, and when it comes."""
+        control, given = self._control, self._control.cut or self._control.reset
+        if given is None:
             return
-        obeyed = status is not None and status.emergency and _since(control.cut, status)
+        emergency = status is not None and status.emergency
+        if control.cut is not None:
+            order, why = OperatorOrder.EMERGENCY, f"not obeyed yet, and sent until it is: {control.cut_failed}"
+            obeyed = emergency and status is not None and _since(given, status)
+        else:
+            order, why = OperatorOrder.RESET, f"not obeyed: {_NOT_LEFT}"
+            obeyed = not emergency and control.passed_s(now) > _CALL_OFF_S
         if obeyed:
-            self._control = replace(control, cut=None, cut_warned=False)
-        if control.cut_warned != (not obeyed and seconds_between(control.cut.at, now) > _OBEYED_S):
-            self._control = replace(self._control, cut_warned=not obeyed)
-            why = control.cut_failed or "the vehicle does not report that its motors stand"
-            refusal = None if obeyed else f"not obeyed yet, and sent until it is: {why}"
-            self.tell(HandledOrder(now, control.cut.sender, OperatorOrder.EMERGENCY, refusal, "(obeyed)" if obeyed else ""))
+            self._control = replace(control, cut=None, reset=None, warned=False)
+        if control.warned != (not obeyed and seconds_between(given.at, now) > _OBEYED_S):
+            self._control = replace(self._control, warned=not obeyed)
+            self.tell(HandledOrder(now, given.sender, order, None if obeyed else why, "(obeyed)" if obeyed else ""))
 
     def choose(
         self, now: MonoNs, guided: Command | None, belief: RelativeState | None = None, *, trusts_velocity: bool = True
@@ -306,8 +311,8 @@ class OperatorArbiter:
         if control.passed_at is None:
             control = self._control = replace(control, passed_at=now)
         if control.cut is not None:
-            return Chosen(CutMotors(), reason=f"{control.cut.sender} cut the motors")
-        if control.reset is not None:
+            return Chosen(CutMotors(), CUTTING, f"ordered by {control.cut.sender}: {control.cut_failed}")
+        if control.reset is not None and control.passed_s(now) <= _REPEAT_S:
             return Chosen(LeaveEmergency())
         if control.take_off is not None:
             self._control = replace(control, take_off=None)
@@ -326,7 +331,7 @@ class OperatorArbiter:
     def undelivered(self, command: Command, now: MonoNs, why: str = "") -> None:
         """Note that the vehicle's link did not take a command, and why: a take-off is sent again in the next cycle."""
         accepted = self._control.accepted
-        if isinstance(command, CutMotors):
+        if isinstance(command, CutMotors) and why:
             self._control = replace(self._control, cut_failed=why)
         elif isinstance(command, TakeOff) and accepted is not None and accepted[0] is OperatorOrder.TAKE_OFF:
             order = accepted[1] if seconds_between(accepted[1].at, now) <= _REPEAT_S else None
@@ -357,7 +362,8 @@ class OperatorArbiter:
         if rule is not Rule.YES and not (rule is Rule.IDLE and idle):
             outcome = self._guided.outcome
             holder = control.landing.sender if situation is ControlSituation.LANDING and control.landing else control.hand
-            return REASONS[rule].format(holder=holder, outcome=None if outcome is None else outcome.value)
+            way = _NOT_LEFT if control.warned else '"reset" first'
+            return REASONS[rule].format(holder=holder, outcome=None if outcome is None else outcome.value, way=way)
         charge, least = (None if status is None else status.battery_fraction), self._limits.take_off_charge_min
         if order is OperatorOrder.TAKE_OFF and control.landing is None and charge is not None and charge < least:
             return f"the battery is at {100 * charge:.0f} %, and a take-off needs {100 * least:.0f} %"
@@ -410,7 +416,7 @@ class OperatorArbiter:
             case OperatorOrder.RELEASE:
                 self._control = replace(control, hand=None)
             case OperatorOrder.RESET:
-                self._control = replace(control, cut=None, reset=given)
+                self._control = replace(control, cut=None, reset=given, warned=False)
 
     def _hold(self, sender: OrderSender, now: MonoNs, why: str) -> None:
         """Take the hand from a sender that is gone, and hover."""

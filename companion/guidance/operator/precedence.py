@@ -35,8 +35,10 @@ class ControlSituation(Enum):
     """A person flies by hand, or has the hand already on the ground."""
     LANDING = "landing"
     """A landing that a person ordered."""
+    CUTTING = "cutting"
+    """The motors are to be cut, and the vehicle has not reported it."""
     EMERGENCY = "emergency"
-    """The motors were cut, or are to be."""
+    """The motors were cut."""
 
 
 class Rule(Enum):
@@ -53,6 +55,7 @@ class Rule(Enum):
     LANDING = "no: landing"
     NO_HAND = "no: no hand"
     NO_EMERGENCY = "no: none"
+    CUTTING = "no: cutting"
     EMERGENCY = "no: motors off"
     UNHEARD = "no: silent"
 
@@ -67,7 +70,8 @@ REASONS: Mapping[Rule, str] = MappingProxyType(
         Rule.LANDING: 'a landing that {holder} ordered is under way: "hold" or "abort" stops it',
         Rule.NO_HAND: "nobody flies by hand",
         Rule.NO_EMERGENCY: "the vehicle is not in its emergency state",
-        Rule.EMERGENCY: 'the motors were cut: "reset" first',
+        Rule.CUTTING: 'the motors are to be cut, and the vehicle has not confirmed it yet: "reset" ends that order',
+        Rule.EMERGENCY: "the motors were cut: {way}",
         Rule.UNHEARD: "the vehicle is silent",
     }
 )
@@ -79,27 +83,27 @@ def _row(*cells: Rule) -> Mapping[ControlSituation, Rule]:
 
 
 _Y, _H, _O = Rule.YES, Rule.HOLDER, Rule.OVER
-_F, _G, _L, _N, _X, _E, _U = (
-    Rule.FLYING, Rule.ON_GROUND, Rule.LANDING, Rule.NO_HAND, Rule.NO_EMERGENCY, Rule.EMERGENCY, Rule.UNHEARD,
+_F, _G, _L, _N, _X, _C, _E, _U = (
+    Rule.FLYING, Rule.ON_GROUND, Rule.LANDING, Rule.NO_HAND, Rule.NO_EMERGENCY, Rule.CUTTING, Rule.EMERGENCY, Rule.UNHEARD,
 )  # fmt: skip
 
 TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyType(
     {
-        #                     unheard ground done guided held over manual landing emergency
-        OperatorOrder.EMERGENCY: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
-        OperatorOrder.MANUAL: _row(_U, _Y, _Y, _Y, _Y, _Y, Rule.IDLE, _Y, _E),
-        OperatorOrder.ABORT: _row(_Y, _Y, _Y, _Y, _Y, _O, _H, _Y, _E),
-        OperatorOrder.HOLD: _row(_Y, _Y, _Y, _Y, _Y, _O, _H, _Y, _E),
-        OperatorOrder.LAND: _row(_Y, _Y, _Y, _Y, _Y, _Y, _H, _Y, _E),
-        OperatorOrder.TAKE_OFF: _row(_U, _Y, _Y, _F, _F, _F, _H, _Y, _E),
+        #                     unheard ground done guided held over manual landing cutting emergency
+        OperatorOrder.EMERGENCY: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
+        OperatorOrder.MANUAL: _row(_U, _Y, _Y, _Y, _Y, _Y, Rule.IDLE, _Y, _C, _E),
+        OperatorOrder.ABORT: _row(_Y, _Y, _Y, _Y, _Y, _O, _H, _Y, _C, _E),
+        OperatorOrder.HOLD: _row(_Y, _Y, _Y, _Y, _Y, _O, _H, _Y, _C, _E),
+        OperatorOrder.LAND: _row(_Y, _Y, _Y, _Y, _Y, _Y, _H, _Y, _C, _E),
+        OperatorOrder.TAKE_OFF: _row(_U, _Y, _Y, _F, _F, _F, _H, _Y, _C, _E),
         # An order to fly to the pad is not kept on the ground: it would take the vehicle from who lifts it by hand.
-        OperatorOrder.STAY: _row(_U, _G, _G, _Y, _Y, _Y, _H, _L, _E),
-        OperatorOrder.BEGIN: _row(_U, _G, _G, _Y, _Y, _Y, _H, _L, _E),
-        OperatorOrder.RELEASE: _row(_N, _N, _N, _N, _N, _N, _H, _N, _N),
-        OperatorOrder.RESET: _row(_X, _X, _X, _X, _X, _X, _X, _X, _Y),
-        OperatorOrder.CLEAR: _row(_Y, _Y, _G, _Y, _Y, _Y, _Y, _Y, _E),
-        OperatorOrder.PATH: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
-        OperatorOrder.RECORD: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
+        OperatorOrder.STAY: _row(_U, _G, _G, _Y, _Y, _Y, _H, _L, _C, _E),
+        OperatorOrder.BEGIN: _row(_U, _G, _G, _Y, _Y, _Y, _H, _L, _C, _E),
+        OperatorOrder.RELEASE: _row(_N, _N, _N, _N, _N, _N, _H, _N, _N, _N),
+        OperatorOrder.RESET: _row(_X, _X, _X, _X, _X, _X, _X, _X, _Y, _Y),
+        OperatorOrder.CLEAR: _row(_Y, _Y, _G, _Y, _Y, _Y, _Y, _Y, _C, _E),
+        OperatorOrder.PATH: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
+        OperatorOrder.RECORD: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
     }
 )
 """The rule for each order in each situation."""

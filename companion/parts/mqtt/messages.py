@@ -167,10 +167,6 @@ class AbortCommand(OperatorCommand, frozen=True, kw_only=True, tag="abort"):
     """Hover and end the approach."""
 
 
-class ClearCommand(OperatorCommand, frozen=True, kw_only=True, tag="clear"):
-    """Land in this flight whatever is seen on the pad."""
-
-
 class SetPathCommand(OperatorCommand, frozen=True, kw_only=True, tag="path"):
     """Select the estimator path that steers."""
 
@@ -208,7 +204,7 @@ class ShipReport(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             raise ValueError("speed_m_s and course_deg need each other")
 
 
-Command = StartCommand | StayCommand | PauseCommand | AbortCommand | ClearCommand | SetPathCommand | SetRecordingCommand
+Command = StartCommand | StayCommand | PauseCommand | AbortCommand | SetPathCommand | SetRecordingCommand
 
 Refusal = Literal[
     "malformed",

@@ -37,7 +37,6 @@ from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publicat
 from companion.parts.mqtt.encode import Changes, PendingEvent, order_event
 from companion.parts.mqtt.messages import (
     AbortCommand,
-    ClearCommand,
     Command,
     CommandReply,
     EventData,
@@ -150,7 +149,7 @@ class HandledCommand:
 
 _ORDERS: dict[type[Command], OperatorOrder] = {
     StartCommand: OperatorOrder.BEGIN, StayCommand: OperatorOrder.STAY, PauseCommand: OperatorOrder.HOLD,
-    AbortCommand: OperatorOrder.ABORT, ClearCommand: OperatorOrder.CLEAR,
+    AbortCommand: OperatorOrder.ABORT,
 }  # fmt: skip
 
 

@@ -120,6 +120,8 @@ def bridge_in(situation: ControlSituation) -> Bridge:
             assert bridge.order(OperatorOrder.MANUAL) is None
         case ControlSituation.LANDING:
             assert bridge.order(OperatorOrder.LAND) is None
+        case ControlSituation.CUTTING:
+            assert bridge.order(OperatorOrder.EMERGENCY) is None
     bridge.now = after(bridge.now, 0.1)
     assert bridge.arbiter.situation(bridge.now) is situation
     return bridge
@@ -319,6 +321,7 @@ def test_an_emergency_that_does_not_arrive_is_sent_until_it_does_and_its_sender_
     assert bridge.order(OperatorOrder.EMERGENCY) is None
     for _ in range(200):
         assert bridge.cycle(heard=False) == CutMotors()
+        assert bridge.arbiter.situation(bridge.now) is ControlSituation.CUTTING
         bridge.arbiter.undelivered(CutMotors(), bridge.now, "no autopilot is connected")
         assert bridge.order(OperatorOrder.TAKE_OFF) is not None
     (said,) = [one for one in bridge.reported if one.order is OperatorOrder.EMERGENCY and not one.accepted]
@@ -328,6 +331,25 @@ def test_an_emergency_that_does_not_arrive_is_sent_until_it_does_and_its_sender_
     assert not isinstance(bridge.cycle(), CutMotors | TakeOff)
     assert (bridge.reported[-1].order, bridge.reported[-1].detail) == (OperatorOrder.EMERGENCY, "(obeyed)")
     assert bridge.arbiter.situation(bridge.now) is ControlSituation.EMERGENCY
+
+
+@pytest.mark.hazard("H4")
+def test_a_reset_that_is_not_obeyed_is_reported_and_no_order_points_to_it_again() -> None:
+    """A drone in the water stays in its emergency state: "accepted", and a take-off asked for another reset."""
+    bridge = bridge_in(ControlSituation.EMERGENCY)
+    assert bridge.order(OperatorOrder.RESET) is None
+    bridge.cycle(0.4)
+    assert bridge.cycle() == LeaveEmergency()
+    assert bridge.cycle(0.3) != LeaveEmergency()
+    assert bridge.cycle(1.5) != LeaveEmergency()
+    (said,) = [one for one in bridge.reported if not one.accepted]
+    assert (said.order, said.sender) == (OperatorOrder.RESET, PAD)
+    assert "switch it off and on" in str(said.refusal)
+    assert "switch it off and on" in str(bridge.order(OperatorOrder.TAKE_OFF))
+    bridge.vehicle(False)
+    bridge.cycle()
+    assert (bridge.reported[-1].order, bridge.reported[-1].detail) == (OperatorOrder.RESET, "(obeyed)")
+    assert bridge.order(OperatorOrder.TAKE_OFF) is None
 
 
 @pytest.mark.hazard("H6")
@@ -373,11 +395,13 @@ def test_whatever_people_do_nothing_commands_without_its_order(events: list[tupl
     bridge = Bridge()
     bridge.vehicle(True)
     landed_by, cut, moved_at = False, False, dict[object, MonoNs]()
+    emergency = False
     for what, whom in events:
         if isinstance(what, OperatorOrder):
             accepted = bridge.order(what, whom) is None  # type: ignore[arg-type]
             landed_by = (landed_by or (what is OperatorOrder.LAND and accepted)) and not (accepted and what in ENDS_LANDING)
-            cut = cut or (what is OperatorOrder.EMERGENCY and accepted)
+            assert not (accepted and cut and what in RANKED[1:]), "nothing is ordered behind a cut that is not confirmed"
+            cut = (cut or (what is OperatorOrder.EMERGENCY and accepted)) and not (what is OperatorOrder.RESET and accepted)
             if accepted and what is OperatorOrder.MANUAL:
                 moved_at[whom] = bridge.now
         elif what == "sticks":
@@ -387,10 +411,12 @@ def test_whatever_people_do_nothing_commands_without_its_order(events: list[tupl
             bridge.arbiter.lost(whom, bridge.now, "unplugged")  # type: ignore[arg-type]
         elif what == "vehicle":
             flying = {"flies": True, "stands": False}.get(str(whom))
-            bridge.vehicle(flying, emergency=whom == "emergency")
+            emergency = whom == "emergency"
+            bridge.vehicle(flying, emergency=emergency)
         command = bridge.cycle(float(whom) if what == "wait" else PERIOD_S)  # type: ignore[arg-type]
         hand = bridge.arbiter.hand
-        assert cut or not isinstance(command, CutMotors)
+        cut = cut and not emergency
+        assert cut == isinstance(command, CutMotors) == (bridge.arbiter.situation(bridge.now) is ControlSituation.CUTTING)
         assert landed_by or not isinstance(command, Land)
         if hand is not None:
             assert (bridge.now - moved_at[hand]) * 1e-9 <= 0.5 + 2 * PERIOD_S

@@ -231,11 +231,19 @@ def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsy
             await _screen(parent, "land: accepted")
             assert await asyncio.to_thread(asked.wait, PATIENCE_S) == 0
             os.close(parent)
-            return [(handled.order, handled.accepted) for handled in service.orders]
+            for order, expected, ends in (
+                ("emergency", 1, "NOT CONFIRMED: after 1 s the vehicle is still hovering\n"),
+                ("reset", 0, "done\n"),
+            ):
+                done = await asyncio.to_thread(
+                    subprocess.run, [*code, order, "--wait", "1", "--config", "sim"], capture_output=True, text=True, check=False
+                )
+                assert (done.returncode, done.stdout.endswith(ends)) == (expected, True), done.stdout
+            return [(one.order, one.accepted) for one in service.orders if not str(one.refusal).startswith("not obeyed yet")]
 
     orders = asyncio.run(terminal())
-    assert [order.value for order, _ in orders] == ["takeoff", "hold", "land", "manual", "land", "land"]
-    assert [accepted for _, accepted in orders] == [False] + 5 * [True]
+    assert [order.value for order, _ in orders] == ["takeoff", "hold", "land", "manual", "land", "land", "emergency", "reset"]
+    assert [accepted for _, accepted in orders] == [False] + 7 * [True]
     assert [c.v_level.tolist() for c in commands] == [[0.5, 0.0, 0.0]]
 
 

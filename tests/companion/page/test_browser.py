@@ -209,8 +209,16 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
             await one.page.wait_for_timeout(500)  # the knob goes back
             orders = [order.order.value for order in service.orders]
             if cut:
-                await one.shows("answer", "Cut the motors: accepted")
-                await until(lambda: CutMotors in service.commanded)
+                await one.shows("answer", "Cut the motors: sent until the vehicle reports it")
+                await one.shows("phase", "cutting the motors: not confirmed yet")
+                await one.shows("reason", "ordered by you: the vehicle does not report that its motors stand")
+                assert CutMotors in service.commanded
+                assert await one.page.is_visible("#emergency"), "it may be given again"
+                assert '"Leave the emergency state" ends' in await one.press("takeoff")
+                assert "accepted" in await one.press("reset")
+                await one.shows("phase", "aborted, hovering")
+                await service.lands()
+                await one.shows("phase", "aborted, on the ground")
             else:
                 assert "emergency" not in orders, "half of the way confirms nothing"
         assert one.faults == []
@@ -374,7 +382,7 @@ async def test_the_keyboard_alone_reaches_and_gives_every_order(tmp_path: Path) 
         for presses in range(10):
             assert "emergency" not in [order.order.value for order in service.orders], presses
             await one.page.keyboard.press("ArrowRight")
-        await one.shows("answer", "Cut the motors: accepted")
+        await one.shows("answer", "Cut the motors: sent")
 
 
 @pytest.mark.timeout(500)

@@ -8,6 +8,10 @@ const CONFIRMED = 0.95;
 const ASKS = {
   land: { verb: "to land here", says: (state) => `Lands ${state.below}.` },
   takeoff: { verb: "to take off", says: () => "The propellers start." },
+  reset: {
+    verb: "to leave the emergency state",
+    says: ({ situation }) => (situation === "cutting" ? "The cut is not confirmed, and is not sent any more." : "The motors stay off."),
+  },
 };
 
 export class Orders {
@@ -79,7 +83,8 @@ export class Orders {
   }
 
   answered(message) {
-    this.#settle(message.number, message.accepted ? "info" : "fault", message.text);
+    const cuts = this.#waiting.get(message.number)?.order === "emergency";
+    this.#settle(message.number, message.accepted ? (cuts ? "warning" : "info") : "fault", message.text);
   }
 
   enable(on) {
@@ -100,6 +105,7 @@ export class Orders {
   }
 
   state(message) {
+    if (this.#state?.situation === "cutting" && message.situation === "emergency") this.#tell("info", `${words.orders.emergency}: obeyed`);
     this.#state = message;
     if (this.#asked && message.refusals[this.#asked.dataset.order]) this.#ask(null);
     else if (this.#asked) this.#say();
@@ -109,7 +115,7 @@ export class Orders {
       button.title = why ?? "";
     }
     this.#begin.classList.toggle("primary", this.#fit && !message.landing);
-    document.getElementById("reset").hidden = message.situation !== "emergency";
+    document.getElementById("reset").hidden = !["cutting", "emergency"].includes(message.situation);
     document.getElementById("emergency").hidden = message.situation === "emergency";
   }
 

@@ -4,6 +4,7 @@ import { $, part, words } from "./elements.js";
 const EVENTS = 100;
 const DEGREES = 180 / Math.PI;
 const CHI_95 = 2.448; // two dimensions
+const ENDED = ["aborted", "refused", "gave up"];
 
 function set(id, text, unit = "", level = "") {
   const element = $(id);
@@ -30,7 +31,10 @@ export function welcome(message) {
 }
 
 export function state(message) {
-  write("phase", words.phases[message.phase] ?? (message.phase || "no decision yet"));
+  const phase = words.phases[message.phase] ?? (message.phase || "no decision yet");
+  const cuts = ["cutting", "emergency"].includes(message.situation);
+  write("phase", cuts ? words.situations[message.situation] : ENDED.includes(phase) ? `${phase}, ${words.ended[message.flying]}` : phase);
+  $("phase").dataset.level = cuts ? "fault" : "";
   write("reason", message.reason);
   const who = message.yours ? "you fly by hand" : message.hand ? `${message.hand} flies by hand` : "";
   const situation = who || (words.situations[message.situation] ?? message.situation);
