@@ -129,7 +129,7 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _described(recording: Recording, seconds: float, images: int, verdicts: Counter[str]) -> list[str]:
-    out = [f"{path} is cut short or damaged ({why})" for path, why in recording.cut.items()]
+    out = [f"{path} is cut short or damaged ({why}); record cut keeps what is whole" for path, why in recording.cut.items()]
     out += [f"{name}: " + ", ".join(f"{k} {v}" for k, v in data.items()) for name, data in recording.metadata.items()]
     out.append(f"holds {', '.join(recording.attachments) or 'no settings'}")
     out.append(f"{seconds:.1f} s, {images} frames; frames: " + (", ".join(f"{k} {n}" for k, n in verdicts.items()) or "none"))

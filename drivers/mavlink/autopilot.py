@@ -123,7 +123,7 @@ class Autopilot:
         self._taken_at = clock.now()
         self._timed_at: MonoNs | None = None
         """Time of the newest TIMESYNC request; None before the first."""
-        self._boots = 0
+        self._boots = (0, 0)
         self._knocked: MonoNs | None = None
         self._requests = RateLimit(_REQUESTS_HZ, _REQUESTS_MAX)
         self._requested: MonoNs | None = None
@@ -508,7 +508,7 @@ class Autopilot:
         at = received.received_at
         self._known = _Known(identity, sync, clock, sampler, streams, parameters, streamer, received.source, at, at)
         self.links.identify(received.system, self._o.component_id)
-        self._boots = 0
+        self._boots = (0, 0)
         self._version = VersionRequest()
         self._roster.uids.clear()
         self.connects += 1
@@ -577,7 +577,9 @@ class Autopilot:
         if known.lost:
             return
         link = known.source[0]
-        opened, boots = self.links.opened[link], known.clock.restarts + known.origins.changes
+        opened, boots = self.links.opened[link], (known.clock.restarts, known.origins.changes)
+        if boots[0] > self._boots[0]:
+            _log.warning("autopilot: its clock went back: it restarted, or another one has its ids")
         if boots != self._boots or opened != self._reopened[link]:
             self._request_due |= self.connects > 0 and self._reopened[link] > 0
             self._boots, self._reopened[link] = boots, opened

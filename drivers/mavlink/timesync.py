@@ -49,6 +49,8 @@ class TimeSync:
         """Answers too slow, impossible, or not asked for."""
         self.jumps = 0
         """The number of times that the remote clock was reset."""
+        self.jumped_s = 0.0
+        """The largest of these jumps: a simulated clock falls behind by less on a busy machine."""
 
     @property
     def locked(self) -> bool:
@@ -98,6 +100,8 @@ class TimeSync:
                 self.refused += 1
                 return
             self.jumps += 1
+            if self._best is not None:
+                self.jumped_s = max(self.jumped_s, abs(answer.offset_ns - self._best.offset_ns) / NS_PER_S)
             self._answers.clear()
         self._odd = 0
         self._answers.append(answer)

@@ -131,15 +131,13 @@ RULES: tuple[Rule, ...] = (
 )  # fmt: skip
 
 
-def _asked(stack: str, own: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((*own, *rules_values.FAILSAFE_PARAMETERS.get(stack, ()), *rules_values.PARAMETERS[stack])))
-
-
+_OWN = {
+    "ArduPilot": rules_autopilots.PARAMETERS, "ArduPlane": rules_autopilots.PLANE_PARAMETERS,
+    "PX4": rules_autopilots.PX4_PARAMETERS, "other": (),
+}  # fmt: skip
 PARAMETERS = {
-    "ArduPilot": _asked("ArduPilot", rules_autopilots.PARAMETERS),
-    "ArduPlane": _asked("ArduPlane", rules_autopilots.PLANE_PARAMETERS),
-    "PX4": _asked("PX4", rules_autopilots.PX4_PARAMETERS),
-    "other": (),
+    stack: tuple(dict.fromkeys((*own, *rules_values.FAILSAFE_PARAMETERS.get(stack, ()), *rules_values.PARAMETERS.get(stack, ()))))
+    for stack, own in _OWN.items()
 }
 """Parameters that the rules need from an autopilot, by stack."""
 

@@ -244,7 +244,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
             precland_healthy=notes.healthy,
             differs=differing(values, defaults_of(identity.stack.value, firmware, values)),
         ),
-        TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
+        TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps, sync.jumped_s),
         wanted_system=wanted,
         systems=found,
         id_conflicts=id_conflicts,

@@ -153,8 +153,9 @@ def parameters_of(path: Path) -> AutopilotLog:
                 raise BadInput(f"{path}: {name} stands in it twice, as {parameters[name]:g} and as {value:g}")
     if not parameters:
         raise BadInput(f"{path}: no line of it is a parameter")
-    if not any("." in line or "Value" in line for line in lines) and any(_DECIMAL_COMMA.match(line) for line in lines):
-        raise BadInput(f"{path}: its numbers have decimal commas: save it with points")
+    comma = None if any("Value" in line for line in lines) else next((line for line in lines if _DECIMAL_COMMA.match(line)), None)
+    if comma is not None:
+        raise BadInput(f"{path}: decimal commas, or two values: {comma.strip()[:60]!r}: save it with points")
     comments = " ".join(line for line in lines[:40] if line.startswith("#"))
     output = re.search(r"Stack:\s*(PX4|ArduPilot)", comments)
     px4 = sum(_PX4_NAMES.match(name) is not None for name in parameters)

@@ -109,13 +109,15 @@ def _kinds(p: Snapshot) -> dict[int, float]:
     return {n: v for n, v in found.items() if v is not None}
 
 
+def _turned(p: Snapshot) -> dict[str, float]:
+    """Return the parameters that turn rangefinders elsewhere than down, with their values."""
+    found = {f"RNGFND{n}_ORIENT": _value(p, f"RNGFND{n}_ORIENT") for n, kind in _kinds(p).items() if kind}
+    return {name: orient for name, orient in found.items() if orient is not None and orient != _DOWN}
+
+
 def _rangefinder_turned(p: Snapshot) -> tuple[str, float] | None:
     """Return the parameter that turns a rangefinder over MAVLink, and its value that does not look down."""
-    for name in (f"RNGFND{n}_ORIENT" for n, kind in _kinds(p).items() if kind == _BY_MAVLINK):
-        orient = _value(p, name)
-        if orient is not None and orient != _DOWN:
-            return name, orient
-    return None
+    return next((one for one in _turned(p).items() if _value(p, one[0].replace("ORIENT", "TYPE")) == _BY_MAVLINK), None)
 
 
 _SOURCES = {"EK3_SRC1_POSXY": 3.0, "EK3_SRC1_VELXY": 3.0, "EK3_SRC1_POSZ": 1.0, "EK3_SRC1_VELZ": 3.0, "EK3_SRC1_YAW": 1.0}
@@ -189,9 +191,10 @@ RULES: tuple[Rule, ...] = (
         "PLND_ALT_MAX is {0} m: above it the pad is not looked for",
         "set PLND_ALT_MAX 8 or more",
         {"PLND_ALT_MAX": 8.0}),
-    Row("no-rangefinder", _WARNING, lambda p: _kinds(p) and not any(_kinds(p).values()),
-        "there is no rangefinder: the copter does not slow down near the deck, it touches down at full speed",
-        "fit a lidar, or set RNGFND1_TYPE 10, RNGFND1_ORIENT 25 and reboot: then our distances to the pad serve as one"),
+    Row("no-rangefinder", _WARNING,
+        lambda p: _kinds(p) and sum(kind != 0.0 for kind in _kinds(p).values()) <= len(_turned(p)) and not _rangefinder_turned(p),
+        "there is no rangefinder that looks down: the copter does not slow down near the deck, it touches down at full speed",
+        "fit one (RNGFNDx_ORIENT 25), or set RNGFND1_TYPE 10, RNGFND1_ORIENT 25 and reboot: then our distances serve as one"),
     Row("rangefinder-unfed", _ERROR, lambda p: _BY_MAVLINK in _kinds(p).values() and p.service.sends_ranges is False,
         "a rangefinder waits for DISTANCE_SENSOR (RNGFNDx_TYPE 10) and nobody sends it: arming is refused",
         "let the service send ranges, already on the ground, or set RNGFNDx_TYPE 0"),

@@ -19,6 +19,7 @@ _NO_ANSWER = -1
 _EXPECTED = {"other_sentence", "other_message", "other_receiver", "other_ship"}
 """Reasons for which reports of a ship are not used, and that are no fault."""
 _LISTED_MAX = 6
+_JUMP_MIN_S = 1.0  # a restart or a second autopilot makes a greater one, a simulator on a busy machine a smaller
 _REFUSED_MIN, _LATE_MIN = 2, 20
 """Refused datagrams and late messages that may happen: a peer that starts, a line that stood still for a moment."""
 _REASONS = {
@@ -299,19 +300,10 @@ def _lossy(p: Snapshot) -> tuple[str, float] | None:
     return None
 
 
-def _clock_open(p: Snapshot) -> bool:
-    return p.autopilot is not None and p.sync is not None and not p.sync.locked and not unanswered(p)
-
-
 def _other_size(p: Snapshot) -> tuple[int, ...] | None:
     """Return the size of the frames, and another one in the camera's file."""
     sent, described = p.service.frame_size, p.service.camera_size
     return None if sent is None or described is None or sent == described else (*sent, *described)
-
-
-def _borrowed_feet(p: Snapshot) -> float | None:
-    feet_m = p.service.feet_below_m
-    return feet_m if feet_m == ConeOptions().feet_below_m else None
 
 
 _REFUSED = Row(
@@ -394,12 +386,13 @@ RULES: tuple[Rule, ...] = (
     Row("attitude-slow", _WARNING, _attitude_slow,
         "attitude comes at {0[0]:.0f} Hz, {0[1]:.0f} were requested",
         "use a faster link (921600 on serial, USB, Ethernet): at 10 Hz a swinging vehicle's tilt is wrong by degrees"),
-    Row("clock-not-locked", _ERROR, _clock_open,
+    Row("clock-not-locked", _ERROR,
+        lambda p: p.autopilot is not None and p.sync is not None and not p.sync.locked and not unanswered(p),
         "TIMESYNC is not answered, or never twice alike: instants of the autopilot are known to some 20 ms only",
         "check that nothing between filters TIMESYNC (a router, a ground station's forwarding)"),
     clock_far,
-    Row("clock-jumps", _WARNING, lambda p: None if p.sync is None else p.sync.jumps,
-        "the autopilot's clock jumped {0} times",
+    Row("clock-jumps", _WARNING, lambda p: None if p.sync is None or p.sync.jumped_s < _JUMP_MIN_S else p.sync,
+        "the autopilot's clock jumped by {0.jumped_s:.1f} s (jumps: {0.jumps})",
         "it reboots (power?), or two autopilots share one system id: give each its own"),
     Row("settings-files", _ERROR, lambda p: p.service.files_fault,
         "{0}",
@@ -407,7 +400,7 @@ RULES: tuple[Rule, ...] = (
     Row("settings-idle", _ADVICE, lambda p: "; ".join(p.service.without_effect),
         "{0}",
         "take these keys out, or switch on what they belong to"),
-    Row("feet-not-said", _ADVICE, _borrowed_feet,
+    Row("feet-not-said", _ADVICE, lambda p: p.service.feet_below_m == ConeOptions().feet_below_m and p.service.feet_below_m,
         "guidance.cone.feet_below_m is {0:g} m, an AR.Drone's: taller feet are so much nearer to the deck at the gate",
         "measure from the autopilot down to the ends of the feet, and set it"),
     Row("camera-file", _ERROR, lambda p: p.service.camera_fault,

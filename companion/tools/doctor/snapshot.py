@@ -61,6 +61,8 @@ class TimeSyncSnapshot(Struct, frozen=True):
     locked: bool
     round_trip_s: float | None = None
     jumps: int = 0
+    jumped_s: float = 0.0
+    """The largest jump of the autopilot's clock, s."""
 
 
 class AutopilotSnapshot(Struct, frozen=True):
