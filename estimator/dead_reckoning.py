@@ -194,7 +194,7 @@ def at(state: DeadReckoning, now: MonoNs) -> RelativeState | None:
     """Return the belief at an instant, past (within the history) or future; None until a first sighting.
 
     The covariance grows from the sighting's own. Velocity noise, velocity scale, the pad's unknown motion and the heading's drift
-    are each taken as constant since then (an upper bound), so an old sighting has a wide covariance.
+    spread the position as if constant since then (an upper bound), so an old sighting has a wide covariance.
     """
     anchor = state.anchor
     if anchor is None or state.t is None:
@@ -447,10 +447,14 @@ def _cov_v(state: DeadReckoning, now: MonoNs) -> F64:
 
 
 def _spread(cov: F64, cov_v: F64, elapsed_s: float, now: float) -> None:
-    """Add the effect of a constant velocity error over `elapsed_s` on position and (times `now`) on velocity to (7, 7) `cov`."""
+    """Add the effect of a velocity error over `elapsed_s` on position and (times `now`) on velocity to (7, 7) `cov`.
+
+    The position is as uncertain as by a constant error, an upper bound; half of the velocity's own variance is newer, so that the
+    two together are not surer than either.
+    """
     cov[:3, :3] += elapsed_s * elapsed_s * cov_v
     if now > 0.0:
-        across = elapsed_s * now * cov_v
+        across = 0.5 * elapsed_s * now * cov_v
         cov[:3, 3:6] += across
         cov[3:6, :3] += across
         cov[3:6, 3:6] += now * now * cov_v

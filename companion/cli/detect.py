@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from companion.cli.options import named_wait, option
 from companion.cli.outputs import Kind, check_output, output
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera
+from companion.settings.load import SHIPPED, find_file, mount_assumed, pad_of_file, read_camera
 from companion.settings.referenced_files import second_opinion
 from companion.tools.calibrate.guide import files_of
 from companion.tools.report.overlay import Overlay, annotate
@@ -36,6 +36,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.text import text_of
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.options import EstimatorOptions
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
@@ -51,7 +52,8 @@ VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".h264", ".264", ".m4v", ".ts
 METHODS: tuple[Method, ...] = ("ellipse", "arrow", "corners", "registration")
 
 _DRAWINGS = Kind("drawing", tuple(sorted(images.PICTURES)), inside=())
-_SURE = 0.5
+_SURE, _FOUND = 0.5, EstimatorOptions().min_confidence
+"""Confidence from which a frame shows the pad without doubt, and from which flight uses it."""
 _MIRROR_TRIES = 8
 """Number of frames without a sure pad after which a mirrored one is searched: a camera that mirrors does so in all of them."""
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
@@ -139,10 +141,13 @@ def run(args: argparse.Namespace) -> int:
     """Search every frame; return 0 if one shows the pad, 1 if none does, 2 if a file cannot be read.
 
     Raises:
-        BadInput: a path, the camera, the pad or the attitudes are wrong, or an image is not of the camera's size.
+        BadInput: a path, the camera, the pad or the attitudes are wrong.
     """
     files = files_of(list(map(_found, args.paths)), images.PICTURES | VIDEOS | RECORDINGS, "image, video or recording")
     models = {file: _model(args, file) for file in files}
+    if args.camera:
+        lines = mount_assumed(find_file(args.camera, "cameras", Path(), "--camera"))
+        sys.stderr.writelines(f"decklander: {line}\n" for line in lines)
     tilts = _attitudes(_found(args.attitude), files) if args.attitude is not None else {}
     options = _options(args.method, args.colours)
     asked = None if args.second_opinion is None else second_opinion(args.second_opinion, "--second-opinion")
@@ -167,7 +172,7 @@ def run(args: argparse.Namespace) -> int:
                 seen, colours, memories = _best(frame, attitude, trackers, memories)
                 elapsed_ms = (time.perf_counter() - began) * 1e3
                 frames += 1
-                found += seen.selected is not None
+                found += _is_sure(seen, _FOUND)
                 ambiguous += seen.selected is not None and seen.selected.yaw_ambiguous
                 sure += _is_sure(seen)
                 if untried and not _is_sure(seen):
@@ -301,9 +306,9 @@ def _recorded(file: Path, model: _Model) -> Iterator[_Image]:
         raise _NoImageError(f"{file}: the recording holds {index} frames, but none of their images")
 
 
-def _wrong_size(source: str, size: tuple[int, int], model: _Model) -> BadInput:
+def _wrong_size(source: str, size: tuple[int, int], model: _Model) -> _NoImageError:
     camera = model.camera
-    return BadInput(
+    return _NoImageError(
         f"{source}: {size[0]}x{size[1]} px, but {model.camera_source} is of a camera of {camera.width}x{camera.height} px"
     )
 
@@ -369,8 +374,8 @@ def _best(
     return looks[best][0], None if options.method == "registration" else options.colours, [memory for _, memory in looks]
 
 
-def _is_sure(seen: Detection) -> bool:
-    return seen.selected is not None and seen.selected.confidence >= _SURE
+def _is_sure(seen: Detection, least: float = _SURE) -> bool:
+    return seen.selected is not None and seen.selected.confidence >= least
 
 
 def _record(image: _Image, seen: Detection, colours: str | None, elapsed_ms: float) -> dict[str, object]:
@@ -379,7 +384,7 @@ def _record(image: _Image, seen: Detection, colours: str | None, elapsed_ms: flo
     return {
         "source": image.source,
         "index": image.index,
-        "found": seen.selected is not None,
+        "found": _is_sure(seen, _FOUND),
         **_numbers(seen.selected),
         "outline_px": None if seen.selected is None else _outlines(seen.selected, image),
         "method": seen.chosen,

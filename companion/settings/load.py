@@ -242,6 +242,16 @@ def read_camera(path: Path) -> Camera:
     return Camera.from_mapping(toml_of(text, path) if foreign is None else foreign, str(path))
 
 
+def mount_assumed(path: Path) -> tuple[str, ...]:
+    """Return a line for a camera file of another program, which says nothing of the mount; none for our own."""
+    if path.suffix.lower() == ".toml":
+        return ()
+    return (
+        f"{path}: it has no mount: counted as at the body's origin, the nose up in the picture: decklander calibrate mount, or a "
+        "file of our own with p_body_cam_m and rpy_body_cam_deg",
+    )
+
+
 def body_camera(settings: Settings) -> Camera:
     """Return the camera on the body; one on a gimbal as it is while that points straight down.
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from msgspec import NODEFAULT, Struct
 
-from companion.settings.load import read_toml, with_http
+from companion.settings.load import find_file, mount_assumed, read_toml, with_http
 from companion.settings.model import Settings, in_file, joined
 from companion.settings.schema import value_text
 from drivers.camera.options import DRIVEN_SOURCES
@@ -159,7 +159,8 @@ def remarks(settings: Settings, path: Path) -> tuple[str, ...]:
     """Return a line for each thing in the good settings of a file that is hardly what their author meant."""
     found = contradiction(settings)
     contradicting = () if found is None else (f"{found.what}: {found.fix}",)
-    return (*_of_1_0(joined(read_toml(path))), *without_effect(settings), *contradicting, *_empty_battery(settings))
+    mount = mount_assumed(find_file(settings.camera.file, "cameras", Path(), "camera.file"))
+    return (*_of_1_0(joined(read_toml(path))), *without_effect(settings), *contradicting, *_empty_battery(settings), *mount)
 
 
 def _of_1_0(tables: Mapping[str, Any]) -> tuple[str, ...]:

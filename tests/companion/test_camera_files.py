@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.service.vehicle_parts import with_camera
-from companion.settings.load import read_camera
+from companion.settings.load import mount_assumed, read_camera
 from companion.tools.calibrate.camera_file import FOREIGN, foreign
 from drivers.camera.options import CameraOptions
 from drivers.clock import SystemClock
@@ -73,6 +73,7 @@ def test_a_camera_info_is_read_as_ros_prints_its_message(tmp_path: Path) -> None
     path, lines = tmp_path / "camera.yaml", "".join(f"\n- {k}" for k in BENT)
     path.write_text(2 * PRINTED.format(d="d", coefficients=lines, k="k", binned=0))
     assert read_camera(path) == CAMERA
+    assert ["it has no mount" in line for line in mount_assumed(path)] == [True]
     path.write_text(PRINTED.format(d="D", coefficients=list(BENT), k="K", binned=0))
     assert read_camera(path) == CAMERA
     path.write_text(PRINTED.format(d="D", coefficients=list(BENT), k="K", binned=2))

@@ -186,6 +186,19 @@ def test_a_broken_image_is_named_and_the_others_are_done(album: Path, tmp_path: 
     assert "torn.jpg" in err
 
 
+def test_what_flight_refuses_is_not_found_and_another_size_ends_nothing(album, tmp_path, capsys):
+    whole = cv2.imread(str(album / "a.png"))
+    for name, px in (("crop", whole[:200]), ("whole", whole), ("blurred", cv2.blur(whole, (1, 31)))):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), px)
+    assert detect(tmp_path, "--camera", "sim", "--json") == 2
+    out, err = capsys.readouterr()
+    found = {Path(one["source"]).stem: one for one in map(json.loads, out.splitlines())}
+    assert list(found) == ["blurred", "whole"]
+    assert "crop.png: 640x200 px" in err
+    assert found["whole"]["found"]
+    assert all(one["found"] == (one["confidence"] >= 0.2) for one in found.values())
+
+
 def test_both_opinions_are_printed_where_a_second_one_is_used(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asked = (album / "a.png", "--camera", "sim")
     assert detect(*asked, "--json") == detect(*asked, "--second-opinion", "--json") == 0

@@ -113,6 +113,11 @@ def test_a_sighting_in_between_does_not_make_time_run_twice():
     assert dr.at(feed(events)[0], ns(0.2)).d_body_pad_level[0] == pytest.approx(4.95)
 
 
+def test_place_and_velocity_together_are_no_surer_than_each():
+    r = dr.at(feed([facing(0), moving(0, [0, 0, 0]), pad_at(0, [0, 0, 0.2])])[0], ns(0.5))
+    assert r.cov[0, 3] ** 2 < 0.5 * r.cov[0, 0] * r.cov[3, 3]
+
+
 def test_an_ambiguous_heading_takes_the_branch_already_known():
     base = [facing(0), moving(0, [0, 0, 0]), pad_at(0, [0, 0, 2], yaw=2.9)]
     state, _ = feed([*base, pad_at(0.1, [0, 0, 2], yaw=wrap_pi(3.0 + math.pi), ambiguous=True)])
