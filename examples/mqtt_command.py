@@ -48,5 +48,6 @@ client.tls_set(ca)
 client.on_connect, client.on_message = on_connect, on_message
 client.connect(host, int(port))
 client.loop_start()
-answered.wait(10)
+if not answered.wait(10):
+    print("no answer within 10 s")
 sys.exit(0 if received.get(reply, {}).get("accepted") else 1)

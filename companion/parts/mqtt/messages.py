@@ -155,12 +155,20 @@ class StartCommand(OperatorCommand, frozen=True, kw_only=True, tag="start"):
     """Begin or resume the approach."""
 
 
+class BeginCommand(StartCommand, frozen=True, kw_only=True, tag="begin"):
+    """The same as `start`, by the word of page and terminal."""
+
+
 class StayCommand(OperatorCommand, frozen=True, kw_only=True, tag="stay"):
     """Fly over the pad, and wait there until `start`."""
 
 
 class PauseCommand(OperatorCommand, frozen=True, kw_only=True, tag="pause"):
     """Hover until `start`."""
+
+
+class HoldCommand(PauseCommand, frozen=True, kw_only=True, tag="hold"):
+    """The same as `pause`, by the word of page and terminal."""
 
 
 class AbortCommand(OperatorCommand, frozen=True, kw_only=True, tag="abort"):
@@ -204,7 +212,10 @@ class ShipReport(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             raise ValueError("speed_m_s and course_deg need each other")
 
 
-Command = StartCommand | StayCommand | PauseCommand | AbortCommand | SetPathCommand | SetRecordingCommand
+PlainCommand = StartCommand | BeginCommand | StayCommand | PauseCommand | HoldCommand | AbortCommand
+Command = PlainCommand | SetPathCommand | SetRecordingCommand
+OTHER_WORDS = {"start": "begin", "pause": "hold"}
+"""Commands by words that are no order's; every other command without fields has the word of its order."""
 
 Refusal = Literal[
     "malformed",

@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, NoReturn, TypeVar, cast
+from typing import Literal, NoReturn, TypeVar, cast, get_args
 
 import aiomqtt
 import msgspec
@@ -36,20 +36,17 @@ from companion.parts.mqtt import encode as encoding
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, client_id, connect
 from companion.parts.mqtt.encode import Changes, PendingEvent, order_event
 from companion.parts.mqtt.messages import (
-    AbortCommand,
+    OTHER_WORDS,
     Command,
     CommandReply,
     EventData,
     Message,
     OperatorNotice,
-    PauseCommand,
     Refusal,
     SetPathCommand,
     SetRecordingCommand,
     ShipReport,
-    StartCommand,
     StatusMessage,
-    StayCommand,
     Topics,
     encode,
 )
@@ -124,7 +121,8 @@ def _opened(payload: bytes, topic: str, key: bytes | None, longest_bytes: int) -
 def _decoded(payload: bytes, decoder: msgspec.json.Decoder[T]) -> T:
     found = read(decoder, payload)
     if isinstance(found, str):
-        raise RefusedMessage("malformed", found)
+        known = f": known are {', '.join(one.__struct_config__.tag for one in get_args(Command))}" * ("$.command" in found)
+        raise RefusedMessage("malformed", found + known)
     return found
 
 
@@ -145,12 +143,6 @@ class HandledCommand:
     command: str | None
     """The name of the command; None if it could not be read."""
     repeated: bool = False
-
-
-_ORDERS: dict[type[Command], OperatorOrder] = {
-    StartCommand: OperatorOrder.BEGIN, StayCommand: OperatorOrder.STAY, PauseCommand: OperatorOrder.HOLD,
-    AbortCommand: OperatorOrder.ABORT,
-}  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -220,7 +212,8 @@ class CommandHandler:
             case SetRecordingCommand():
                 cannot = self.operated.record(command.on)
             case _:
-                cannot = self.operated.order(_ORDERS[type(command)])
+                word = str(command.__struct_config__.tag)
+                cannot = self.operated.order(OperatorOrder(OTHER_WORDS.get(word, word)))
         if cannot is not None:
             raise RefusedMessage("not_possible", cannot)
 

@@ -61,7 +61,7 @@ def command(**changes: object) -> bytes:
     ("payload", "retained", "reason", "text"),
     [
         (b"start", False, "malformed", "malformed"),
-        (command(command="fly"), False, "malformed", "'fly'"),
+        (command(command="fly"), False, "malformed", "'fly' - at `$.command`: known are start, begin, stay"),
         (command(run=...), False, "malformed", "run"),
         (command(speed=3), False, "malformed", "speed"),
         (command(command="path", path="luck"), False, "malformed", "luck"),
@@ -92,6 +92,14 @@ def test_an_answer_names_the_command_and_goes_where_it_is_wanted() -> None:
     assert command_handler().take(command(), NOW, reply_to=there).topic == there
     assert command_handler().take(command(command="fly", reply_to=there), NOW).topic == there
     assert command_handler().take(command(), NOW, reply_to="home/lights").reply.reason == "reply_elsewhere"
+
+
+@pytest.mark.parametrize(("word", "other"), [("begin", "start"), ("hold", "pause")])
+def test_the_words_of_page_and_terminal_are_those_of_mqtt_too(word: str, other: str) -> None:
+    here, there = command_handler(), command_handler()
+    assert here.take(command(command=word), NOW).reply.accepted
+    assert there.take(command(command=other), NOW).reply.accepted
+    assert here.operated.done == there.operated.done != []  # type: ignore[attr-defined]
 
 
 @given(
