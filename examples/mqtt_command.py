@@ -48,6 +48,5 @@ client.tls_set(ca)
 client.on_connect, client.on_message = on_connect, on_message
 client.connect(host, int(port))
 client.loop_start()
-if not answered.wait(10):
-    print("no answer within 10 s")
+answered.wait(10) or print("no answer within 10 s")
 sys.exit(0 if received.get(reply, {}).get("accepted") else 1)

@@ -288,7 +288,9 @@ class ProgressObserver(NullObserver):
     def _short_line(self, decision: Decision) -> str:
         assert self._began is not None
         belief, time_s = decision.belief, seconds_between(self._began, decision.at)
-        where = "no pad yet" if belief is None else f"{belief.height_m:4.1f} up {belief.lateral_m:4.1f} m off"
+        where = (
+            "no pad yet" if belief is None or not belief.placed else f"{belief.height_m:4.1f} up {belief.lateral_m:4.1f} m off"
+        )
         return f"{time_s:5.1f} s {decision.phase} {where}"
 
     def _line(self, decision: Decision) -> str:
@@ -297,7 +299,8 @@ class ProgressObserver(NullObserver):
         where = "pad not seen yet"
         if belief is not None:
             seen_s = belief.age_s(decision.at)
-            where = f"height {belief.height_m:5.2f} m   sideways {belief.lateral_m:5.2f} m   seen {seen_s:4.1f} s ago"
+            place = f"height {belief.height_m:5.2f} m   sideways {belief.lateral_m:5.2f} m" if belief.placed else "place unknown"
+            where = f"{place}   seen {seen_s:4.1f} s ago"
         time_s = seconds_between(self._began, decision.at)
         if decision.reason:
             return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {decision.reason}"

@@ -20,6 +20,8 @@ class OrderRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="ord
 
     number: Annotated[int, Meta(ge=0, le=1 << 53)]
     order: OperatorOrder
+    seen_at_s: float | None = None
+    """`at_s` of the newest state that the sender saw; null if it names none."""
 
 
 class SticksRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sticks", forbid_unknown_fields=True):
@@ -61,11 +63,13 @@ class FlightState(Struct, frozen=True, kw_only=True, tag_field="kind", tag="stat
     """The sender that flies by hand."""
     yours: bool = False
     """True if the receiver of this message has the hand."""
+    hand_taken: str = ""
+    """Reason why the receiver has lost the hand since its last order; empty if it has not."""
     flying: bool | None
     mode: str | None
     battery_fraction: float | None
     height_m: float | None
-    """Height above the pad, or above what is below if the pad is not known."""
+    """Height above the pad, or above what is below if the pad is not known well enough."""
     lateral_m: float | None
     """Horizontal distance from the pad."""
     below: str = ""

@@ -7,12 +7,14 @@ from typing import Protocol
 from companion.base.observer import Decision, NullObserver
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
 from companion.facts.wire import FlightState, OrderAnswer, OrderRequest
-from companion.guidance.operator.arbiter import OperatorArbiter
+from companion.guidance.operator.arbiter import NEVER_OLD, OperatorArbiter
 from companion.guidance.pilot import Pilot
-from estimator.contracts.estimates import PathName
+from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.samples import Range, Sample
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
+_OLD_S = 3.0
+"""Age of what a screen showed from which its order is refused, s; it has reported by then that no answer came."""
 _RANGE_S = 1.0
 """Age up to which a range stands for a height that is not seen, s."""
 _SURE_S, _LOWER_M = 1.0, 0.5
@@ -53,10 +55,14 @@ class PilotOperator:
         """Give an order to the arbiter."""
         return self.arbiter.take(order, self._sender, self._clock.now()).refusal
 
-    def answer(self, request: OrderRequest) -> OrderAnswer:
-        """Give the order of a screen to the arbiter, and return the answer; a path and recording are not ordered there."""
-        if request.order in (OperatorOrder.PATH, OperatorOrder.RECORD):
-            refusal: str | None = f"{request.order.value} is an order of MQTT and MAVLink"
+    def answer(self, request: OrderRequest, at_s: float = 0.0) -> OrderAnswer:
+        """Give a screen's order to the arbiter at `at_s` of the screen's states, and return the answer."""
+        seen_s = 0.0 if request.seen_at_s is None else at_s - request.seen_at_s
+        refusal: str | None = f"it comes {seen_s:.1f} s after what you saw when you gave it: give it again"
+        if seen_s > _OLD_S and request.order not in NEVER_OLD:
+            self._tell(request.order, refusal, "")
+        elif request.order in (OperatorOrder.PATH, OperatorOrder.RECORD):
+            refusal = f"{request.order.value} is an order of MQTT and MAVLink"
         else:
             refusal = self.order(request.order)
         accepted = "sent until the vehicle reports it" if request.order is OperatorOrder.EMERGENCY else "accepted"
@@ -97,16 +103,17 @@ class FlightWatch(NullObserver):
         """Return the present state as this sender sees it."""
         now, decision = self._clock.now(), self.decision
         status = self._pilot.operator.newest_status(now)
-        belief = None if decision is None else decision.belief
-        height_m = None if belief is None else belief.height_m
-        height_m = self._range_m(now) if height_m is None else height_m
+        belief = self.belief(now)
+        height_m = self._range_m(now) if belief is None else belief.height_m
         hand, (below, over_pad) = self._pilot.operator.hand, self.below(now)
+        taken_from, why = self._pilot.operator.hand_taken or (None, "")
         return FlightState(
             situation=self._pilot.operator.situation(now).value,
             phase="" if decision is None else decision.phase,
             reason="" if decision is None else sender.reads(decision.reason),
             hand=None if hand is None else sender.reads(str(hand)),
             yours=hand == sender,
+            hand_taken=sender.reads(why) if sender == taken_from else "",
             flying=None if status is None else status.flying,
             mode=None if status is None else status.mode,
             battery_fraction=None if status is None else status.battery_fraction,
@@ -116,9 +123,15 @@ class FlightWatch(NullObserver):
             over_pad=over_pad,
         )
 
+    def belief(self, now: MonoNs) -> RelativeState | None:
+        """Return the steering estimate if its place may be shown; what stands on a deck and does not see it knows no place."""
+        belief, status = None if self.decision is None else self.decision.belief, self._pilot.operator.newest_status(now)
+        stands = status is not None and status.flying is False
+        return belief if belief is not None and belief.placed and not (stands and belief.age_s(now) > _SURE_S) else None
+
     def below(self, now: MonoNs) -> tuple[str, bool]:
         """Return what lies below in words, and whether it is surely the pad: nothing else knows where a deck ends."""
-        belief = None if self.decision is None else self.decision.belief
+        belief = self.belief(now)
         if belief is None:
             return "where no pad is known: this may be deck, rail or water", False
         sigma_m = math.sqrt(max(float(belief.cov[0, 0]), float(belief.cov[1, 1])))

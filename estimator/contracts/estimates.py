@@ -245,6 +245,12 @@ class RelativeState(Struct, frozen=True, eq=False):
         x, y, _ = self.d_body_pad_level.tolist()
         return math.hypot(x, y)
 
+    @property
+    def placed(self) -> bool:
+        """True if the place is known well enough to be shown as figures: to 1 m, or to half of the distance."""
+        known_m = 2.0 * math.sqrt(max(self.cov.item(i, i) for i in range(3)))
+        return known_m <= max(1.0, 0.5 * math.hypot(*self.d_body_pad_level.tolist()))
+
     def marked(self, alerts: tuple[IntegrityAlert, ...], **fields: object) -> RelativeState:
         """Return the estimate with these alerts, by which it is not consistent, and other fields.
 

@@ -35,7 +35,7 @@ _OBEYED_S = 2.0
 _LIMIT_GAP_S = 1.0
 _WAITED_S = 1.0
 """Time after a standstill of this service in which orders still come that waited meanwhile, s."""
-_NEVER_OLD = (OperatorOrder.ABORT, OperatorOrder.HOLD, OperatorOrder.RELEASE)
+NEVER_OLD = (OperatorOrder.ABORT, OperatorOrder.HOLD, OperatorOrder.RELEASE)
 """Orders that are carried out however late they come: a stop stays one, and all others were meant for what was then."""
 _TO_PAD = (OperatorOrder.BEGIN, OperatorOrder.STAY)
 _SAMPLES_MOST = 64
@@ -173,6 +173,8 @@ class OperatorArbiter:
         """Duration of the newest standstill of this service, s, and its end."""
         self.on_order: Callable[[HandledOrder], None] = lambda handled: None
         """Receives every order with its answer."""
+        self.hand_taken: tuple[OrderSender, str] | None = None
+        """The sender that lost the hand by no order of its own, and why, until its next order."""
         self.ignored_sticks = 0
         """Stick positions of senders that do not have the hand."""
 
@@ -206,9 +208,13 @@ class OperatorArbiter:
 
     def take(self, order: OperatorOrder, sender: OrderSender, now: MonoNs, detail: str = "") -> HandledOrder:
         """Answer an order, and carry it out if the table allows."""
-        refusal = self.refusal(order, sender, now)
+        refusal, hand = self.refusal(order, sender, now), self.hand
+        if self.hand_taken is not None and self.hand_taken[0] == sender:
+            self.hand_taken = None
         if refusal is None:
             self._carry_out(order, Given(sender, now))
+        if hand not in (None, sender, self.hand):
+            self.hand_taken = hand, f'{sender} ordered "{order.value}"'
         return self.tell(HandledOrder(now, sender, order, refusal, detail))
 
     def tell(self, handled: HandledOrder) -> HandledOrder:
@@ -246,7 +252,7 @@ class OperatorArbiter:
         control, status = self._control, self._guided.vehicle
         if control.hand is not None:
             if control.sticks_at is None or seconds_between(control.sticks_at, now) > self._o.silence_s:
-                self._hold(control.hand, now, f"nothing received from it for {self._o.silence_s:g} s")
+                self._hold(control.hand, now, f"nothing received from {control.hand} for {self._o.silence_s:g} s")
             else:
                 self._guided.pause()
         if control.called_off is not None and control.passed_s(now) > _CALL_OFF_S:
@@ -350,7 +356,7 @@ class OperatorArbiter:
         rule = TABLE[order][situation]
         control, status = self._control, self._guided.vehicle
         stood = self._stood_still(now)
-        if stood is not None and order not in _NEVER_OLD and seconds_between(stood[1], now) <= _WAITED_S:
+        if stood is not None and order not in NEVER_OLD and seconds_between(stood[1], now) <= _WAITED_S:
             return f"it may be old, for this service stood still for {stood[0]:.1f} s: give it again"
         own = rule in (Rule.HOLDER, Rule.IDLE) and sender == control.hand
         if order in _TO_PAD and (own or rule is Rule.YES) and not self._guided.may_begin:
@@ -421,6 +427,7 @@ class OperatorArbiter:
     def _hold(self, sender: OrderSender, now: MonoNs, why: str) -> None:
         """Take the hand from a sender that is gone, and hover."""
         self._control = replace(self._control, hand=None, sticks=CENTRED)
+        self.hand_taken = sender, f"{why}: it hovers"
         self._guided.pause()
         self.tell(HandledOrder(now, sender, OperatorOrder.HOLD, None, f"({why})"))
 

@@ -215,4 +215,5 @@ def line_of_state(state: FlightState) -> str:
     height = "unknown" if state.height_m is None else f"{state.height_m:.1f} m"
     lateral = "" if state.lateral_m is None else f", pad {state.lateral_m:.1f} m away"
     why = f" ({state.reason})" if state.reason else ""
+    why += f" (you lost the hand: {state.hand_taken})" if state.hand_taken else ""
     return f"{state.phase or state.situation}{why}; vehicle {state.mode or 'silent'}, height {height}{lateral}, battery {battery}"

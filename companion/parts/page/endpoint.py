@@ -50,7 +50,6 @@ from companion.parts.page.messages import (
 from companion.parts.page.recordings import assets
 from companion.parts.page.viewer import PageService, PageViewer, Tool, refuse
 from companion.recording.frame_encoder import FrameEncoder, VideoQuality, codec_name
-from companion.settings.links import HttpSettings
 from companion.tools.report.overlay import camera_lean, pad_lines, runs_of
 from drivers.mailbox import Latest
 from drivers.pyav import has_pyav
@@ -63,7 +62,6 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 
 # The live picture: what the estimate says of a frame, as lines that the page draws itself, and the frame as JPEG. Pure.
-#
 # Lines instead of painted pixels stay sharp on any screen, can be switched off, and cost the drone's computer no drawing.
 
 AHEAD_S = (1.0, 2.0)
@@ -74,39 +72,16 @@ _FAR_PX = 4000.0
 _CIRCLE = np.linspace(0.0, math.tau, 36, endpoint=True)
 
 
-def video_quality(settings: HttpSettings) -> VideoQuality:
-    """Return the settings of the encoder of one browser's pictures: little work, and a key frame only where it begins."""
-    return VideoQuality(crf=26, key_each=300, preset="ultrafast", kbit_s=settings.bitrate_kbit_s)
-
-
-def jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
-    """Return a picture as JPEG.
-
-    Raises:
-        ValueError: it cannot be encoded.
-    """
-    done, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    if not done:
-        raise ValueError(f"a frame of {image.shape} cannot be encoded as JPEG")
-    return encoded.tobytes()
-
-
 def picture_lines(
     processed: ProcessedFrame, belief: RelativeState | None, ahead: Forecast | None, lean: Rotation, camera: Camera, pad: Pad
-) -> tuple[PictureLine, ...]:
-    """Return what is drawn over a picture.
+) -> Iterator[PictureLine]:
+    """Yield what is drawn over a picture.
 
     Args:
         belief: the estimate at the exposure.
         ahead: the deck after the exposure.
         lean: see `camera_lean`.
     """
-    return tuple(_lines(processed, belief, ahead, lean, camera, pad))
-
-
-def _lines(
-    processed: ProcessedFrame, belief: RelativeState | None, ahead: Forecast | None, lean: Rotation, camera: Camera, pad: Pad
-) -> Iterator[PictureLine]:
     found = processed.detection
     seen = None if found is None else found.selected or found.elsewhere
     for feature in () if seen is None else seen.features:
@@ -236,6 +211,8 @@ class PageEndpoint(NullObserver):
         self._vehicle = vehicle
         self._h264 = server.settings.picture_codec == "h264" and camera.width % 2 == camera.height % 2 == 0 and has_pyav()
         self._tools = tools
+        self._quality = VideoQuality(crf=26, key_each=300, preset="ultrafast", kbit_s=server.settings.bitrate_kbit_s)
+        """Little work for the encoder of each browser, and a key frame only where it begins."""
         self._flight = FlightWatch(pilot, clock)
         self._attitude: Attitude | None = None
         self._things: tuple[ThingReport, ...] = ()
@@ -244,6 +221,7 @@ class PageEndpoint(NullObserver):
         self._viewers: list[PageViewer] = []
         self._frames: Latest[ProcessedFrame] = Latest()
         self._offered: MonoNs | None = None
+        self._advice = ""
         self._events: deque[PageEvent] = deque(maxlen=_EVENTS)
         self._counts = service.counts
         self._began = clock.now()
@@ -262,7 +240,7 @@ class PageEndpoint(NullObserver):
         for change in decision.transitions:
             level: Level = "warning" if change.event in FAULTS else "info"
             todo = advice(change.target, change.reason) if change.event in FAULTS else ""
-            phase = WORDS["phases"].get(change.target.value, change.target.value)
+            phase, self._advice = WORDS["phases"].get(change.target.value, change.target.value), todo
             self._tell(decision.at, level, f"{phase}: {change.reason.text}", todo)
 
     def on_order(self, handled: HandledOrder) -> None:
@@ -293,13 +271,14 @@ class PageEndpoint(NullObserver):
         finally:
             worker.close()
             for viewer in list(self._viewers):
-                await viewer.close(GOING_CODE, "the service ends")
+                await refuse(viewer.socket, GOING_CODE, "the service ends")
 
     def _take(self, viewer: PageViewer, request: PageRequest) -> str | None:
         """Carry a browser's request out; return why it is refused, which ends the connection."""
         match request:
             case OrderRequest():
-                viewer.tell(PilotOperator(self._pilot, viewer.sender, self._clock).answer(request))
+                operator = PilotOperator(self._pilot, viewer.sender, self._clock)
+                viewer.tell(operator.answer(request, seconds_between(self._began, self._clock.now())))
             case SticksRequest():
                 self._pilot.operator.move(viewer.sender, request.positions, self._clock.now())
             case DrawnNotice():
@@ -307,7 +286,7 @@ class PageEndpoint(NullObserver):
             case PictureRequest():
                 # A frame that is lost to the browser's decoder would be missing in all that follow: it asks again.
                 encodes = request.codec == "h264" and self._h264
-                viewer.begin_pictures(FrameEncoder(video_quality(self._settings)) if encodes else None)
+                viewer.begin_pictures(FrameEncoder(self._quality) if encodes else None)
             case LoginRequest():
                 return "this page is logged in already"
             case _:
@@ -392,8 +371,7 @@ class PageEndpoint(NullObserver):
 
     def _tell_states(self) -> None:
         now, decision = self._clock.now(), self._flight.decision
-        belief = None if decision is None else decision.belief
-        ahead = self._pilot.estimator.forecast(now, HORIZONS_S)
+        belief, ahead = self._flight.belief(now), self._pilot.estimator.forecast(now, HORIZONS_S)
         roll = pitch = None
         if self._attitude is not None and seconds_between(self._attitude.stamp.received_at, now) < _ATTITUDE_S:
             roll, pitch, _ = self._attitude.R_ned_body.rpy_rad
@@ -405,6 +383,7 @@ class PageEndpoint(NullObserver):
                 PageState(
                     **{name: getattr(flight, name) for name in flight.__struct_fields__},
                     at_s=seconds_between(self._began, now),
+                    advice=viewer.sender.reads(self._advice),
                     landing=decision is not None and decision.phase in _LANDING_PHASES,
                     belief=None if belief is None else structs.replace(facts.belief(belief), details=[]),
                     deck=None if ahead is None else facts.deck(DeckOutlook.of(ahead)),
@@ -452,18 +431,18 @@ def _encoded(image: NDArray[np.uint8], encoder: FrameEncoder | None, quality: in
         with suppress(ValueError):
             unit = encoder.encoded(image)
             return codec_name(unit) or "", unit
-    return "jpeg", jpeg(image, quality)
+    return "jpeg", cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 def _messages(
     number: int,
     processed: ProcessedFrame,
-    lines: Callable[[], tuple[PictureLine, ...]],
+    lines: Callable[[], Iterator[PictureLine]],
     encoders: set[FrameEncoder | None],
     quality: int,
 ) -> dict[FrameEncoder | None, bytes]:
     """Return a picture's message by each encoder; None stands for JPEG."""
-    messages, drawn = {}, lines()
+    messages, drawn = {}, tuple(lines())
     for encoder in encoders:
         codec, image = _encoded(processed.frame.px, encoder, quality)
         header = PictureHeader(number=number, verdict=processed.verdict.value, codec=codec, lines=drawn)

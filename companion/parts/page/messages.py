@@ -17,8 +17,6 @@ SETTINGS_MAX = 60_000
 MESSAGE_MAX = 65_536
 """The longest message of all, bytes."""
 Level = Literal["info", "warning", "fault"]
-Line = tuple[float, ...]
-"""Points of a line in the camera's pixels: u, v, u, v, ..."""
 
 
 class LoginRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="login", forbid_unknown_fields=True):
@@ -178,10 +176,12 @@ class PageState(FlightState, frozen=True, kw_only=True, tag_field="kind", tag="s
 
     at_s: float
     """Time since the service began, s."""
+    advice: str
+    """Advice for a person on the mission's newest change; empty if there is nothing to do."""
     landing: bool
     """Guidance flies a landing."""
     belief: BeliefRecord | None
-    """The steering estimate, without its details."""
+    """The steering estimate, without its details; null where its place is not known."""
     deck: DeckRecord | None
     """The deck's forecast."""
     things: tuple[ThingReport, ...]
@@ -245,19 +245,16 @@ class DownloadAnswer(Struct, frozen=True, kw_only=True, tag_field="kind", tag="d
     text: str
 
 
-class ReportAnswer(Struct, frozen=True, kw_only=True, tag_field="kind", tag="report"):
+class ReportAnswer(DownloadAnswer, frozen=True, kw_only=True, tag_field="kind", tag="report"):
     """Address of a report, as long as it is kept; or its progress, or the reason for none."""
-
-    name: str
-    address: str | None
-    text: str
 
 
 class PictureLine(Struct, frozen=True):
     """A line to draw over the picture."""
 
     kind: Literal["pad", "seen", "sigma", "ahead"]
-    uv_px: Line
+    uv_px: tuple[float, ...]
+    """Its points in the camera's pixels: u, v, u, v, ..."""
 
 
 class PictureHeader(Struct, frozen=True, kw_only=True):

@@ -4,6 +4,7 @@ A browser's download carries no token, so the page requests an address over its 
 """
 
 import asyncio
+import mimetypes
 import os
 import re
 import secrets
@@ -37,16 +38,6 @@ from drivers.mailbox import Line
 from estimator.contracts.errors import in_words, unusable
 from estimator.contracts.time import MonoNs, seconds_between
 
-_TYPES: Mapping[str, str] = MappingProxyType(
-    {
-        ".html": "text/html; charset=utf-8",
-        ".js": "text/javascript; charset=utf-8",
-        ".css": "text/css; charset=utf-8",
-        ".svg": "image/svg+xml",
-        ".webmanifest": "application/manifest+json",
-    }
-)
-
 
 class Asset(Struct, frozen=True):
     """One file of the page."""
@@ -63,9 +54,10 @@ def assets() -> dict[str, Asset]:
     """Return the files by their paths in an address: the page itself at `/`, the others by their names."""
     found = {}
     for file in (resources.files("companion.parts.page") / "static").iterdir():
-        kind = _TYPES.get("." + file.name.rpartition(".")[2])
+        kind, _ = mimetypes.guess_type(file.name)
         if kind is not None:
-            found["/" if file.name == "index.html" else f"/{file.name}"] = Asset(file.read_bytes(), kind)
+            charset = "; charset=utf-8" if kind.startswith("text/") else ""
+            found["/" if file.name == "index.html" else f"/{file.name}"] = Asset(file.read_bytes(), kind + charset)
     return found
 
 
@@ -114,7 +106,6 @@ def _opened(path: Path) -> tuple[BinaryIO, int]:
 
 
 # The reports that the page shows of recordings are each made by a process of its own while the vehicle is on the ground.
-#
 # A report holds texts of whoever spoke to the service, so it is served into a sandbox: it is of no origin, and reaches neither
 # this page nor its token.
 
@@ -318,23 +309,15 @@ def is_recording_name(name: str) -> bool:
 
 def recordings_in(folder: Path) -> RecordingList:
     """Return the newest recordings of a folder. It reads the disk, so it belongs on a thread."""
+    files = []
     try:
-        found = [(path, _status(path)) for path in folder.iterdir() if is_recording_name(path.name)]
+        for path in folder.iterdir():
+            with suppress(FileNotFoundError):  # the recorder has removed it since it was listed
+                status = path.lstat()
+                if is_recording_name(path.name) and stat.S_ISREG(status.st_mode):
+                    files.append(RecordingFile(name=path.name, size_bytes=status.st_size, unix_s=status.st_mtime))
     except FileNotFoundError:
         return RecordingList(files=(), fault="")
     except OSError as why:
         return RecordingList(files=(), fault=str(unusable(str(folder), why)))
-    files = [
-        RecordingFile(name=path.name, size_bytes=status.st_size, unix_s=status.st_mtime)
-        for path, status in found
-        if status is not None and stat.S_ISREG(status.st_mode)
-    ]
     return RecordingList(files=tuple(sorted(files, key=lambda file: -file.unix_s)[:_LISTED]), fault="")
-
-
-def _status(path: Path) -> os.stat_result | None:
-    """Return a file's state, or None if the recorder has removed it since it was listed."""
-    try:
-        return path.lstat()
-    except FileNotFoundError:
-        return None

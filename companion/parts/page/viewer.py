@@ -51,7 +51,7 @@ class PageViewer:
     """
 
     def __init__(self, socket: web.WebSocketResponse, sender: OrderSender, clock: Clock, counts: Counter[str]) -> None:
-        self._socket = socket
+        self.socket = socket
         self.sender = sender
         self._clock = clock
         self._counts = counts
@@ -108,7 +108,7 @@ class PageViewer:
         """
         try:
             async with asyncio.TaskGroup() as group:
-                socket = self._socket
+                socket = self.socket
                 sending = [
                     group.create_task(_send(self._states, socket.send_str)),
                     group.create_task(_send(self._texts, socket.send_str)),
@@ -120,20 +120,15 @@ class PageViewer:
         except* ConnectionError:
             pass
 
-    async def close(self, code: int, why: str) -> None:
-        """Close the connection and say why."""
-        if not self._socket.closed:
-            await refuse(self._socket, code, why)
-
     async def _read(self, take: Callable[[PageRequest], str | None]) -> None:
-        async for message in self._socket:
+        async for message in self.socket:
             request = request_in(message.data) if message.type is WSMsgType.TEXT else "a request is a text"
             if self._rate.exceeded(self._clock.now()):
                 request = f"more than {_REQUESTS_EACH_S} requests in a second"
             refused = request if isinstance(request, str) else take(request)
             if refused is not None:
                 self._counts["refused"] += 1
-                await self.close(REFUSED_CODE, refused)
+                await refuse(self.socket, REFUSED_CODE, refused)
                 return
 
 
@@ -143,7 +138,9 @@ async def _send(queue: Latest[T] | Line[T], send: Callable[[T], Awaitable[None]]
 
 
 async def refuse(socket: web.WebSocketResponse, code: int, why: str) -> None:
-    """Say why a connection is closed, and close it."""
+    """Say why a connection is closed, and close it, if it is open."""
+    if socket.closed:
+        return
     try:
         await socket.send_str(text_of(RequestRefused(text=why)))
         await socket.close(code=code, message=why.encode()[:120])

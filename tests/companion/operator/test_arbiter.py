@@ -250,8 +250,12 @@ def test_a_lost_hand_is_a_hold_and_never_the_last_stick(how: str) -> None:
     assert bridge.arbiter.hand is None
     assert bridge.guidance.paused
     assert (bridge.reported[-1].order, bridge.reported[-1].accepted) == (OperatorOrder.HOLD, True)
+    assert str(bridge.arbiter.hand_taken).endswith(": it hovers')"), "who lost the hand learns why"
     bridge.sticks(forward=1.0)
     assert bridge.cycle() == Hover(), "sticks that come back do not take the hand back"
+    bridge.order(OperatorOrder.MANUAL)
+    bridge.order(OperatorOrder.EMERGENCY, OTHER)
+    assert bridge.arbiter.hand_taken == (PAD, f'{OTHER} ordered "emergency"')
 
 
 def test_a_persons_landing_outlasts_guidance_and_is_called_off_by_the_hand_without_starting_motors() -> None:
@@ -551,6 +555,10 @@ def test_a_person_reads_where_a_landing_would_end() -> None:
     assert below(0.1, sigma_m=radius_m) == ("0.1 m beside the pad, over deck or water", False)
     assert below(2.9) == ("2.9 m beside the pad, over deck or water", False)
     assert below(2.9, range_m=3.9) == ("2.9 m beside the pad, over water, or a deck that is 1.9 m lower", False)
+    assert below(0.1, sigma_m=1.2, range_m=3.9)[0].startswith("where no pad is known")
+    assert (watch.state(page).height_m, watch.state(page).lateral_m) == (3.9, None), "what is not known is no figure"
+    pilot.on_sample(vehicle_status(MonoNs(2), "landed"))
+    assert below(0.1, age_s=3.0)[0].startswith("where no pad is known"), "what stands and does not see it"
 
 
 def test_each_person_reads_his_own_orders_as_his_and_no_connection_s_number() -> None:

@@ -108,23 +108,6 @@ async def window(browser: Any, service: PageService, token: str = TOKEN, **optio
     await context.close()
 
 
-@pytest.mark.timeout(300)
-async def test_over_tls_the_page_shows_video_and_takes_orders(tmp_path: Path) -> None:
-    make_certificates(tmp_path)
-    files = {"certificate_file": str(tmp_path / "server.crt"), "key_file": str(tmp_path / "server.key")}
-    (tmp_path / "server.key").chmod(0o600)
-    async with (
-        serving(tmp_path, endpoint="https", **files, **CALM) as service,
-        chromium() as browser,
-        window(browser, service, ignore_https_errors=True) as one,
-    ):
-        assert one.page.url.startswith("https://")
-        await one.shows("phase", "search")
-        await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "h264", timeout=WAIT_MS)
-        assert "accepted" in await one.press("hold")
-        assert one.faults == []
-
-
 BROKEN_DECODER = """
 globalThis.VideoDecoder = class {
   static async isConfigSupported() { return { supported: true }; }
@@ -224,20 +207,38 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
         assert one.faults == []
 
 
+WITHOUT_STICKS = """() => {
+    const send = WebSocket.prototype.send;
+    WebSocket.prototype.send = function (text) { window.newest = this; if (!text.includes("sticks")) send.call(this, text); };
+}"""
+BEGUN_IN_SILENCE = """() => new Promise((done) => {
+    newest.onmessage = null;
+    const [quiet, answer] = [document.getElementById("quiet"), document.getElementById("answer")];
+    const press = () => quiet.hidden || (document.querySelector('[data-order="begin"]').click(), done(answer.textContent));
+    new MutationObserver(press).observe(quiet, { attributes: true });
+})"""
+
+
 @pytest.mark.timeout(500)
-async def test_a_lost_connection_is_reported_and_comes_back(tmp_path: Path) -> None:
-    async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service) as one:
-        await one.shows("link", "live")
-        await one.press("begin")
-        paused = service.pilot.paused
-        for viewer in list(service.page._viewers):
-            await viewer._socket.close()
+async def test_over_tls_a_lost_hand_a_silent_and_a_lost_connection_are_reported_and_it_comes_back(tmp_path: Path) -> None:
+    make_certificates(tmp_path)
+    files = {"certificate_file": str(tmp_path / "server.crt"), "key_file": str(tmp_path / "server.key")}
+    (tmp_path / "server.key").chmod(0o600)
+    async with (
+        serving(tmp_path, endpoint="https", **files, **CALM) as service,
+        chromium() as browser,
+        window(browser, service, ignore_https_errors=True) as one,
+    ):
+        await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "h264", timeout=WAIT_MS)
+        await one.page.evaluate(WITHOUT_STICKS)
+        await one.page.click("#by-hand")
+        await one.shows("answer", "Fly by hand: .*: nothing received from you for 0.5 s: it hovers")
+        assert await one.page.evaluate(BEGUN_IN_SILENCE) == "Begin landing: not sent, the connection is silent"
         await one.shows("lost", "A landing goes on without this page")
         await one.shows("link", "live")
-        assert service.pilot.paused == paused
         assert await one.page.is_hidden("#lost")
         assert "accepted" in await one.press("hold")
-        assert service.server.counts["opened"] >= 2
+        assert [order.order.value for order in service.orders] == ["manual", "hold", "hold"]
 
 
 @pytest.mark.timeout(500)

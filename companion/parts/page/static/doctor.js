@@ -4,20 +4,15 @@ import { $, part } from "./elements.js";
 const LEVELS = { error: "fault", warning: "warning", advice: "info" };
 
 export class Doctor {
-  #link;
-
   constructor(link) {
-    this.#link = link;
-    $("examine").addEventListener("click", () => this.#ask());
+    $("examine").addEventListener("click", () => {
+      if (!link.send({ kind: "examine" })) $("examined").textContent = "not sent, the connection is lost";
+    });
     link.on("examined", (message) => this.#show(message));
   }
 
   lost() {
     $("examine").removeAttribute("aria-busy");
-  }
-
-  #ask() {
-    if (!this.#link.send({ kind: "examine" })) $("examined").textContent = "not sent, the connection is lost";
   }
 
   #show({ text, busy, findings }) {

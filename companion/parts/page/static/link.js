@@ -1,6 +1,7 @@
 // The connection: login, messages to those who want them, and trying again after a loss.
 const WRONG_TOKEN = 4401;
 const SILENT_MS = 2500; // a state comes ten times a second
+const QUIET_S = 1; // from here on what the page shows is old, and an order would come late
 const AGAIN_MS = 1000;
 
 export class Link {
@@ -11,15 +12,20 @@ export class Link {
   #said = "";
   #decoder = new TextDecoder();
   onLost = () => {};
+  onQuiet = () => {};
   onRefused = () => {};
 
   constructor() {
-    setInterval(() => this.#watch(), 500);
+    setInterval(() => this.#watch(), 250);
     addEventListener("online", () => this.#watch());
   }
 
   on(kind, handler) {
     this.#handlers.set(kind, handler);
+  }
+
+  get quiet_s() {
+    return (performance.now() - this.#heard) / 1000;
   }
 
   get live() {
@@ -45,8 +51,8 @@ export class Link {
   }
 
   // Returns whether the message left; what a lost connection does not take is never sent later.
-  send(message) {
-    if (!this.live) return false;
+  send(message, inTime = false) {
+    if (!this.live || (inTime && this.quiet_s > QUIET_S)) return false;
     this.#socket.send(JSON.stringify(message));
     return true;
   }
@@ -65,7 +71,9 @@ export class Link {
   }
 
   #watch() {
-    if (this.#socket === null || performance.now() - this.#heard < SILENT_MS) return;
+    if (this.#socket === null) return;
+    if (this.live) this.onQuiet(this.quiet_s > QUIET_S ? this.quiet_s : null);
+    if (1000 * this.quiet_s < SILENT_MS) return;
     this.#drop();
     this.#again("The service is silent");
   }

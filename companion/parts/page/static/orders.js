@@ -22,6 +22,7 @@ export class Orders {
   #begin = document.querySelector('[data-order="begin"]');
   #answer = document.getElementById("answer");
   #state = null;
+  round_s = 0; // from the newest order until its answer
   #fit = false; // nothing is missing or wrong that a landing needs
   #asked = null; // the button whose order waits for its slide
   #asks = document.getElementById("asks");
@@ -42,7 +43,7 @@ export class Orders {
     const { order } = button.dataset;
     const why = this.#state?.refusals[order];
     if (!(order in ASKS) || this.#state === null) this.give(order, button);
-    else if (why) this.#tell("fault", `${words.orders[order]}: refused: ${why}`);
+    else if (why) this.tell("fault", `${words.orders[order]}: refused: ${why}`);
     else this.#ask(this.#asked === button ? null : button);
   }
 
@@ -59,8 +60,8 @@ export class Orders {
     button.setAttribute("aria-expanded", "true");
     this.#confirm.name(ASKS[button.dataset.order].verb);
     this.#say();
-    this.#tell("", "");
-    this.#confirm.focus();
+    this.tell("", "");
+    document.getElementById("confirm").focus();
   }
 
   #say() {
@@ -72,19 +73,14 @@ export class Orders {
   give(order, button = null) {
     this.#ask(null);
     const number = ++this.#number;
-    if (!this.#link.send({ kind: "order", number, order })) {
-      this.#tell("fault", `${words.orders[order]}: not sent, the connection is lost`);
+    if (!this.#link.send({ kind: "order", number, order, seen_at_s: this.#state?.at_s }, true)) {
+      this.tell("fault", `${words.orders[order]}: not sent, the connection is ${this.#link.live ? "silent" : "lost"}`);
       return;
     }
     button?.setAttribute("aria-busy", "true");
-    this.#tell("", `${words.orders[order]}: sent`);
-    const late = setTimeout(() => this.#settle(number, "fault", "no answer"), ANSWER_MS);
-    this.#waiting.set(number, { order, button, late });
-  }
-
-  answered(message) {
-    const cuts = this.#waiting.get(message.number)?.order === "emergency";
-    this.#settle(message.number, message.accepted ? (cuts ? "warning" : "info") : "fault", message.text);
+    this.tell("", `${words.orders[order]}: sent`);
+    const late = setTimeout(() => this.settle(number, "fault", "no answer"), ANSWER_MS);
+    this.#waiting.set(number, { order, button, late, at: performance.now() });
   }
 
   enable(on) {
@@ -92,12 +88,10 @@ export class Orders {
       for (const button of this.#buttons) button.textContent = words.orders[button.dataset.order];
     } else {
       for (const button of this.#buttons) button.setAttribute("aria-disabled", "true");
-      for (const number of [...this.#waiting.keys()]) this.#settle(number, "fault", "no answer, the connection is lost");
+      for (const number of [...this.#waiting.keys()]) this.settle(number, "fault", "no answer, the connection is lost");
       this.#ask(null);
       this.#state = null;
     }
-    this.#slide.enable(on);
-    this.#confirm.enable(on);
   }
 
   health(message) {
@@ -105,7 +99,7 @@ export class Orders {
   }
 
   state(message) {
-    if (this.#state?.situation === "cutting" && message.situation === "emergency") this.#tell("info", `${words.orders.emergency}: obeyed`);
+    if (this.#state?.situation === "cutting" && message.situation === "emergency") this.tell("info", `${words.orders.emergency}: obeyed`);
     this.#state = message;
     if (this.#asked && message.refusals[this.#asked.dataset.order]) this.#ask(null);
     else if (this.#asked) this.#say();
@@ -119,16 +113,17 @@ export class Orders {
     document.getElementById("emergency").hidden = message.situation === "emergency";
   }
 
-  #settle(number, level, text) {
+  settle(number, level, text) {
     const waiting = this.#waiting.get(number);
     if (waiting === undefined) return;
     this.#waiting.delete(number);
     clearTimeout(waiting.late);
+    this.round_s = (performance.now() - waiting.at) / 1000;
     waiting.button?.removeAttribute("aria-busy");
-    this.#tell(level, `${words.orders[waiting.order]}: ${text}`);
+    this.tell(level === "info" && waiting.order === "emergency" ? "warning" : level, `${words.orders[waiting.order]}: ${text}`);
   }
 
-  #tell(level, text) {
+  tell(level, text) {
     this.#answer.dataset.level = level;
     this.#answer.textContent = text;
   }
@@ -141,7 +136,6 @@ class Slide {
   #confirmed;
   #from = null;
   #at = 0;
-  #on = false;
 
   constructor(element, verb, confirmed) {
     this.#element = element;
@@ -149,7 +143,6 @@ class Slide {
     this.#confirmed = confirmed;
     const knob = element.querySelector(".knob");
     knob.addEventListener("pointerdown", (event) => {
-      if (!this.#on) return;
       knob.setPointerCapture(event.pointerId);
       this.#from = event.clientX;
     });
@@ -160,7 +153,7 @@ class Slide {
     knob.addEventListener("pointercancel", () => this.#back());
     element.addEventListener("keydown", (event) => {
       const step = { ArrowRight: 0.1, ArrowUp: 0.1, ArrowLeft: -0.1, ArrowDown: -0.1 }[event.key];
-      if (step === undefined || !this.#on || event.repeat) return;
+      if (step === undefined || event.repeat) return;
       event.preventDefault();
       this.#move(this.#at + step);
       if (this.#at >= CONFIRMED) this.#let();
@@ -174,16 +167,6 @@ class Slide {
     this.#element.setAttribute("aria-label", `Slide to the end ${verb}, or press the right arrow ten times.`);
   }
 
-  focus() {
-    this.#element.focus();
-  }
-
-  enable(on) {
-    this.#on = on;
-    this.#element.setAttribute("aria-disabled", String(!on));
-    this.#back();
-  }
-
   #move(at) {
     this.#element.classList.remove("back");
     this.#at = Math.min(1, Math.max(0, at));
@@ -191,7 +174,7 @@ class Slide {
   }
 
   #let() {
-    if (this.#at >= CONFIRMED && this.#on) this.#confirmed();
+    if (this.#at >= CONFIRMED) this.#confirmed();
     this.#back();
   }
 

@@ -88,9 +88,16 @@ link.on("health", (message) => {
   orders.health(message);
 });
 link.on("event", telling.event);
-link.on("answer", (message) => orders.answered(message));
+link.on("answer", ({ number, accepted, text }) => orders.settle(number, accepted ? "info" : "fault", text));
 link.on("picture", (header, image) => picture.show(header, image));
+link.onQuiet = (quiet_s) => {
+  $("flight").classList.toggle("stale", quiet_s !== null);
+  $("quiet").hidden = quiet_s === null;
+  $("quiet").textContent = `nothing received for ${quiet_s?.toFixed(0)} s: this is old`;
+  if (quiet_s !== null) telling.chip($("link"), "fault", "silent");
+};
 link.onLost = (why) => {
+  link.onQuiet(null);
   telling.chip($("link"), "fault", "lost");
   orders.enable(false);
   sticks.lost();

@@ -16,14 +16,9 @@ export class Plots {
   #phases = [];
   #drawn = 0;
 
-  clear() {
-    this.#states = [];
-    this.#phases = [];
-  }
-
   show(state) {
     const last = this.#states.at(-1);
-    if (last && state.at_s < last.at_s) this.clear();
+    if (last && state.at_s < last.at_s) [this.#states, this.#phases] = [[], []];
     this.#states.push({ at_s: state.at_s, place: state.place });
     if (this.#phases.at(-1)?.phase !== state.phase) this.#phases.push({ at_s: state.at_s, phase: state.phase });
     const from = state.at_s - SPAN_S;

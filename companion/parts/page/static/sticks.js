@@ -15,6 +15,8 @@ const AXES = ["forward", "right", "climb", "turn"];
 
 export class Sticks {
   #link;
+  #orders;
+  #taken = "";
   #host;
   #button;
   #note;
@@ -25,6 +27,7 @@ export class Sticks {
 
   constructor(link, orders, host, button, note) {
     this.#link = link;
+    this.#orders = orders;
     this.#host = host;
     this.#button = button;
     this.#note = note;
@@ -50,6 +53,11 @@ export class Sticks {
     this.#button.setAttribute("aria-disabled", String(why !== null));
     this.#button.title = why ?? "";
     if (!message.yours) this.#centre();
+    if (message.hand_taken === this.#taken) return;
+    this.#taken = message.hand_taken;
+    const link_s = this.#orders.round_s.toFixed(1);
+    const slow = link_s > ASKED_MS / 2000 ? `your link is too slow to fly by hand (${link_s} s)` : "ended";
+    if (this.#taken) this.#orders.tell("fault", `${words.orders.manual}: ${slow}: ${this.#taken}`);
   }
 
   lost() {

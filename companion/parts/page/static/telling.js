@@ -35,7 +35,7 @@ export function state(message) {
   const cuts = ["cutting", "emergency"].includes(message.situation);
   write("phase", cuts ? words.situations[message.situation] : ENDED.includes(phase) ? `${phase}, ${words.ended[message.flying]}` : phase);
   $("phase").dataset.level = cuts ? "fault" : "";
-  write("reason", message.reason);
+  write("reason", [message.reason, message.advice].filter(Boolean).join(". "));
   const who = message.yours ? "you fly by hand" : message.hand ? `${message.hand} flies by hand` : "";
   const situation = who || (words.situations[message.situation] ?? message.situation);
   write("who", [situation, message.mode && `vehicle: ${message.mode.replaceAll("_", " ")}`].filter(Boolean).join(" · "));
@@ -44,11 +44,12 @@ export function state(message) {
   length("height", message.height_m);
   length("lateral", message.lateral_m);
   if (place === null) {
-    for (const id of ["sigma", "climb", "speed", "heading", "deck"]) set(id, "–");
+    for (const id of ["climb", "speed", "heading", "deck"]) set(id, "–");
+    set("sigma", "unknown");
   } else {
     const level = place.consistent ? "" : "warning";
     const [xx, , yy] = place.cov_m2;
-    length("sigma", CHI_95 * Math.sqrt(Math.max(xx, yy)), level);
+    length("sigma", CHI_95 * Math.max(Math.sqrt(Math.max(xx, yy)), place.sigma_z_m), level);
     set("climb", signed(place.v_m_s[2], 2), "m/s");
     set("speed", Math.hypot(place.v_m_s[0], place.v_m_s[1]).toFixed(2), "m/s");
     set("heading", place.heading_known ? `${signed(place.heading_rad * DEGREES, 0)}°` : "–");
