@@ -35,14 +35,14 @@ class OperatorOrder(Enum):
     RESET = "reset"
     """Leave the emergency state; the motors stay off."""
     CLEAR = "clear"
-    """Land in this flight whatever is seen on the pad."""
+    """Ignore the thing that bars the landing: this one alone, where it is, in this attempt."""
     PATH = "path"
     """Steer by another path of the estimator."""
     RECORD = "record"
     """Start or stop recording."""
 
 
-TWICE_S = {OperatorOrder.EMERGENCY: 1.0, OperatorOrder.TAKE_OFF: 2.0, OperatorOrder.LAND: 2.0, OperatorOrder.RESET: 2.0}
+TWICE_S = {OperatorOrder(name): 2.0 for name in ("takeoff", "land", "reset", "clear")} | {OperatorOrder.EMERGENCY: 1.0}
 """Orders that nothing takes back, and the time in which a second press of a key or a button confirms the first, s."""
 
 

@@ -25,18 +25,13 @@ from companion.parts.operator.client import OperatorClient, connected, in_time, 
 from companion.settings.load import load
 from estimator.contracts.errors import Recoverable
 
-# Fly by the keyboard: the keys of a terminal as sticks with a dead man, and as orders.
-#
-# The left hand has the thesis' left stick (W and S for height, A and D for turning), the arrow keys are the right one. A
-# terminal sends a key when it is pressed and again while it is held: the motion of a key ends `KEY_S` after its last
-# repetition.
-
 KEY_S = 0.5
-"""The time after its last repetition at which a key's motion ends, s."""
+"""The time after its last repetition at which a key's motion ends, s: a terminal sends a key again while it is held."""
 TWICE: dict[str, tuple[OperatorOrder, str]] = {
     "E": (OperatorOrder.EMERGENCY, "CUT THE MOTORS"),
     "t": (OperatorOrder.TAKE_OFF, "take off"),
     "l": (OperatorOrder.LAND, "land here: "),
+    "c": (OperatorOrder.CLEAR, "land although: "),
     "R": (OperatorOrder.RESET, "leave the emergency state"),
 }
 """The keys that must be pressed twice: the order of each, and its words."""
@@ -59,11 +54,10 @@ KEYS: dict[str, OperatorOrder] = {
     "p": OperatorOrder.STAY,
     "x": OperatorOrder.ABORT,
     " ": OperatorOrder.HOLD,
-    "c": OperatorOrder.CLEAR,
 }
 HELP = (
     "m take or give back the hand   w/s up, down   a/d turn   arrows move   +/- faster, slower",
-    "t t take off   l l land here   p stay over the pad   b begin the landing   x abort it   c ignore what is on the pad",
+    "t t take off   l l land here   p stay over the pad   b begin the landing   x abort it   c c ignore the thing on it",
     "space hold   E E cut the motors   R R reset   q end",
 )
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
@@ -185,8 +179,9 @@ class _Keyboard:
             self._once = "", 0.0
             await self._give(client, order)
         else:
-            where = "not known" if self._state is None else self._state.below
-            self.say(f"press {key} again within {within_s:g} s to {words}{where if order is OperatorOrder.LAND else ''}")
+            state = self._state
+            where = {OperatorOrder.LAND: state.below, OperatorOrder.CLEAR: state.bars}.get(order, "") if state else "not known"
+            self.say(f"press {key} again within {within_s:g} s to {words}{where}")
 
     async def _give(self, client: OperatorClient, order: OperatorOrder) -> bool:
         self._asking = True

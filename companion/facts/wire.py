@@ -76,6 +76,7 @@ class FlightState(Struct, frozen=True, kw_only=True, tag_field="kind", tag="stat
     """The place at which a landing that is ordered now would end, by the estimate, in words."""
     over_pad: bool = False
     """True if that is surely on the pad."""
+    bars: str = ""
 
 
 class RequestRefused(Struct, frozen=True, kw_only=True, tag_field="kind", tag="refused"):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from msgspec import Struct, field, structs
 
-from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, Event, Reason, ReasonCause, State, StateChange
+from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, Event, Reason, ReasonCause, State, StateChange
 from companion.base.observer import ResponseInUse
 from companion.guidance import targets
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, FieldOfView, Impact, Knowledge, Target
@@ -38,7 +38,6 @@ from companion.settings.operator import LimitOptions, ManualOptions
 from companion.settings.vessel import ReportLimits
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, PathName, RelativeState, Verdict
-from estimator.contracts.geometry import F64
 from estimator.contracts.samples import (
     Attitude,
     Baro,
@@ -74,20 +73,12 @@ _RANGE_S = 0.2
 """Age up to which a range counts for a contact, s."""
 _BARO_S = 2.5
 """Age up to which a barometer counts against the orders, s: an autopilot sends one reading a second."""
-_PLAIN = (
-    State.WAIT,
-    State.STANDBY,
-    State.READY,
-    State.PAUSED,
-    State.SEARCH,
-    State.INTERCEPT,
-    State.STAY,
-    State.DESCEND,
-    State.COMMIT,
-    State.PRESS,
-    State.DOWN,
-    State.LANDED,
-)
+_FAULTED = frozenset({State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD})
+_IGNORED_S = 60.0
+"""Time after the operator's order for which what was seen on the pad is ignored, s: an attempt and the way to it."""
+_SAME = {ReasonCause.ON_PAD: 0.2, ReasonCause.NEAR_PAD: 0.5, ReasonCause.GLARE: 0.1}
+"""Distance and growth up to which what is seen is the thing that was there, m; growth of the share in glare."""
+_PLAIN = frozenset(State) - _FAULTED - ENDED - {State.RENDEZVOUS, State.GATE, State.HOLD_BLIND} | {State.LANDED}
 _BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
 """States in which the drone flies by the reports of ship and vehicle, where it may."""
 _NEAR = (State.GATE, State.COMMIT)
@@ -100,7 +91,6 @@ _LATE_VIDEO_S = 0.15
 """Delay of the camera from which the operator sees its cost, s."""
 _SAYS_CHARGE = 0.15
 """Charge over the last one from which on the operator reads what becomes of a drone that refused."""
-_FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
 
 
 class PilotOptions(Struct, frozen=True):
@@ -136,6 +126,20 @@ class PilotOptions(Struct, frozen=True):
     """True if a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
 
 
+class _Bar(Struct, frozen=True):
+    """One thing that bars the landing, as it is seen."""
+
+    reason: Reason
+    size: float
+    """Width or height, m, or share of the pad in glare; 0 of what moves."""
+    place_m: tuple[float, float] = (0.0, 0.0)
+
+    def same(self, before: "_Bar") -> bool:
+        """Return whether it is the thing of before, no larger and at its place; what moves never is."""
+        alike = self.size > 0.0 and self.reason.cause is before.reason.cause
+        return alike and max(self.size - before.size, math.dist(self.place_m, before.place_m)) <= _SAME[self.reason.cause]
+
+
 class _Flight(Struct):
     """Knowledge of one flight; a take-off begins another."""
 
@@ -151,8 +155,8 @@ class _Flight(Struct):
     wind: WindWatch = field(default_factory=WindWatch)
     swell: SwellWatch = field(default_factory=SwellWatch)
     on_pad: PadCheck | None = None
-    overruled: bool = False
-    """The operator says that the pad is clear."""
+    ignored: tuple[_Bar, ...] = ()
+    ignored_at: MonoNs = MonoNs(0)
 
 
 class LandingGuidance:
@@ -206,7 +210,7 @@ class LandingGuidance:
         """True if the newest sight of the pad is by baselines."""
         self._thing: Reason | None = None
         """Objects on the pad in the newest guidance cycle."""
-        self._vessel_track = VesselTrack(options.reports)
+        self.vessel_track = VesselTrack(options.reports)
         self._ship_wind: ReportedWind | None = None
         self._vessel: VesselPosition | Reason | None = None
         """The ship's place by reports in the newest guidance cycle, or why it is not known; None while nobody flies by it."""
@@ -254,7 +258,7 @@ class LandingGuidance:
         """Take an order of the operator, given at a time later than the newest sample or cycle, or now."""
         self._now = max(self._now, at or self._now)
         if event in (Event.BEGIN, Event.STAY):
-            self._vessel_track = self._vessel_track.restarted()
+            self.vessel_track = self.vessel_track.restarted()
             self._flight.climb_watch = ClimbWatch()
             # What refused it for late answers flies by no tilt any more, by which its answers could be seen to be in time.
             self._response.begin()
@@ -307,7 +311,7 @@ class LandingGuidance:
                 if self._hold.over_ground and self._trusts_velocity and self.state not in GROUND:
                     self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
             elif type(sample) is GeoFix or type(sample) is VesselReport:
-                self._vessel_track = self._vessel_track.on_sample(sample)
+                self.vessel_track = self.vessel_track.on_sample(sample)
                 if of_ship(sample):
                     continue
             elif type(sample) is VesselWind:
@@ -437,13 +441,13 @@ class LandingGuidance:
         body = knowledge.body
         self._air = None if body is None else wind_over_drone(self._flight.wind, tilt, body.heading_rad, self._view)
         if body is not None and (self._air is None or not self._air.known):
-            way = self.vessel_velocity(now)
+            way = self.vessel_track.velocity_ned(now)
             self._air = wind_by_ship(self._ship_wind, now, way, tilt, body.heading_rad, self._view) or self._air
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
             if self._attitude is not None:
-                self._vessel_track = self._vessel_track.on_sample(self._attitude)
-            place = self._vessel_track.position(now)
+                self.vessel_track = self.vessel_track.on_sample(self._attitude)
+            place = self.vessel_track.position(now)
         self._vessel = place
         self._thing, unseen = self._lies_there(now)
         silent_s = 0.0 if self._heard is None else max(0.0, seconds_between(self._heard, now))
@@ -539,23 +543,44 @@ class LandingGuidance:
         self._flight.on_pad = check or self._flight.on_pad
 
     def overrule(self) -> None:
-        """Land in this flight whatever is seen on the pad, by the operator's order."""
-        self._flight.overruled = True
+        """Ignore the thing that bars the landing, by the operator's order: this one alone, where it is, and for a time."""
+        self._flight.ignored, self._flight.ignored_at = (*self._flight.ignored, *self._bars(self._now)[:1]), self._now
+
+    def barred(self) -> tuple[str, bool]:
+        """Return what bars the landing, in words, empty if nothing does; and whether it may be ignored: what moves may not."""
+        bars = self._bars(self._now)[:1]
+        return "".join(bar.reason.text for bar in bars), any(bar.size > 0.0 for bar in bars)
+
+    @property
+    def ignoring(self) -> str:
+        """The things that are ignored, in words; empty where none is."""
+        things = "; ".join(bar.reason.text for bar in self._flight.ignored)
+        return things and f"a thing on the pad is ignored: {things}"
+
+    def _bars(self, now: MonoNs) -> list[_Bar]:
+        """Return what bars the landing and is not ignored: a thing on the pad, one about it, and glare over it."""
+        check, found = self._flight.on_pad, list[_Bar]()
+        if check is None or seconds_between(check.at, now) > self._guidance.limits.on_pad_s:
+            return found
+        if (thing := check.thing) is not None:
+            reason = Reason(ReasonCause.ON_PAD, 100.0 * thing.width_m, detail=f"{100.0 * thing.from_centre_m:.0f} cm")
+            found.append(_Bar(reason, thing.width_m, (thing.forward_m, thing.right_m)))
+        if (near := check.near) is not None:
+            how = f"stands {100.0 * near.height_m:.0f} cm out of the deck" if near.height_m > 0.0 else "moves"
+            reason = Reason(ReasonCause.NEAR_PAD, near.from_centre_m, detail=how)
+            found.append(_Bar(reason, near.height_m, (near.forward_m, near.right_m)))
+        if check.glare > 0.0:
+            found.append(_Bar(Reason(ReasonCause.GLARE, 100.0 * check.glare), check.glare))
+        return [bar for bar in found if not any(bar.same(known) for known in self._flight.ignored)]
 
     def _lies_there(self, now: MonoNs) -> tuple[Reason | None, Reason | None]:
         """Return the thing on the pad or about it that bars the landing, and the glare that hides a part of it."""
-        check = self._flight.on_pad
-        if check is None or self._flight.overruled or seconds_between(check.at, now) > self._guidance.limits.on_pad_s:
-            return None, None
-        unseen = Reason(ReasonCause.GLARE, 100.0 * check.glare) if check.glare > 0.0 else None
-        if check.thing is not None:
-            away = f"{100.0 * check.thing.from_centre_m:.0f} cm"
-            return Reason(ReasonCause.ON_PAD, 100.0 * check.thing.width_m, detail=away), unseen
-        near = check.near
-        if near is None:
-            return None, unseen
-        how = f"stands {100.0 * near.height_m:.0f} cm out of the deck" if near.height_m > 0.0 else "moves"
-        return Reason(ReasonCause.NEAR_PAD, near.from_centre_m, detail=how), unseen
+        given, ends = self._flight.ignored_at, self.state in {State.GO_AROUND, State.PAUSED, *ENDED}
+        if (ends and (self.mission.since or now) > given) or seconds_between(given, now) > _IGNORED_S:
+            self._flight.ignored = ()
+        bars = self._bars(now)
+        glare = [bar.reason for bar in bars if bar.reason.cause is ReasonCause.GLARE]
+        return next((bar.reason for bar in bars if bar.reason not in glare), None), next(iter(glare), None)
 
     def on_verdict(self, verdict: Verdict) -> None:
         """Take the verdict on a frame, whoever gave it."""
@@ -563,14 +588,6 @@ class LandingGuidance:
             self._frames.clear()
         else:
             self._frames[verdict] += 1
-
-    def vessel_counts(self) -> dict[str, float]:
-        """Return the number of places of the ship that were taken, and of reports that were refused, by reason."""
-        return self._vessel_track.counted()
-
-    def vessel_velocity(self, now: MonoNs) -> F64 | None:
-        """Return the velocity that the ship reports, (2,) m/s north and east; None if there is no fresh report of it."""
-        return self._vessel_track.velocity_ned(now)
 
 
 def alerted(belief: RelativeState, alert: IntegrityAlert) -> RelativeState:

@@ -164,6 +164,7 @@ class Pilot:
         self.estimator = RelativeEstimator(estimator, given.shadows, given.motion_sensor)
         """The estimate: where the pad is, how body and deck move, and what was made of each sample."""
         self.landing = LandingGuidance(guidance, given)
+        self.overrule, self.barred = self.landing.overrule, self.landing.barred
         self.engage: Callable[[], None] = lambda: None
         """Called when a person orders to begin or to land: the driver may take back a vehicle that a person had taken over."""
         self.operator = OperatorArbiter(self, given.manual, given.limits)
@@ -225,10 +226,6 @@ class Pilot:
     def abort(self) -> None:
         """Hold still for the operator and end the flight. A landing already ordered is no longer repeated."""
         self.landing.order(Event.ABORT)
-
-    def overrule(self) -> None:
-        """Land in this flight whatever is seen on the pad, for the operator."""
-        self.landing.overrule()
 
     def steer_by(self, path: PathName) -> str | None:
         """Steer by another estimator path for the operator; return None on success, otherwise why it is refused.
@@ -353,9 +350,10 @@ class Pilot:
         shadows = tuple(b for b in believed if b.path != steering)
         changes = self.landing.changed()
         phase, why = chosen.phase or self.phase, chosen.limit or chosen.reason or self._why(belief)
+        limit, why = ("; ".join(filter(None, (text, self.landing.ignoring))) for text in (chosen.limit, why))
         made = self.landing.forecast_made(now)
         ahead = None if made is None else DeckOutlook.of(made)
-        return Decision(now, phase, chosen.command, belief, shadows, why, chosen.limit, changes, response, ahead)
+        return Decision(now, phase, chosen.command, belief, shadows, why, limit, changes, response, ahead)
 
     def _why(self, belief: RelativeState | None) -> str:
         """Return the machine's reason, the estimate's alerts and the sensors that it does without, as text."""

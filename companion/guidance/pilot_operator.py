@@ -7,7 +7,7 @@ from typing import Protocol
 from companion.base.observer import Decision, NullObserver
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
 from companion.facts.wire import FlightState, OrderAnswer, OrderRequest
-from companion.guidance.operator.arbiter import NEVER_OLD, OperatorArbiter
+from companion.guidance.operator.arbiter import NEVER_OLD
 from companion.guidance.pilot import Pilot
 from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.samples import Range, Sample
@@ -46,14 +46,9 @@ class PilotOperator:
         self._clock = clock
         self._recording = recording
 
-    @property
-    def arbiter(self) -> OperatorArbiter:
-        """The arbiter that answers the orders."""
-        return self._pilot.operator
-
     def order(self, order: OperatorOrder) -> str | None:
         """Give an order to the arbiter."""
-        return self.arbiter.take(order, self._sender, self._clock.now()).refusal
+        return self._pilot.operator.take(order, self._sender, self._clock.now()).refusal
 
     def answer(self, request: OrderRequest, at_s: float = 0.0) -> OrderAnswer:
         """Give a screen's order to the arbiter at `at_s` of the screen's states, and return the answer."""
@@ -79,7 +74,7 @@ class PilotOperator:
         return self._tell(OperatorOrder.RECORD, refusal, "on" if on else "off")
 
     def _tell(self, order: OperatorOrder, refusal: str | None, detail: str) -> str | None:
-        return self.arbiter.tell(HandledOrder(self._clock.now(), self._sender, order, refusal, detail)).refusal
+        return self._pilot.operator.tell(HandledOrder(self._clock.now(), self._sender, order, refusal, detail)).refusal
 
 
 class FlightWatch(NullObserver):
@@ -121,6 +116,7 @@ class FlightWatch(NullObserver):
             lateral_m=None if belief is None else belief.lateral_m,
             below=below,
             over_pad=over_pad,
+            bars=self._pilot.barred()[0],
         )
 
     def belief(self, now: MonoNs) -> RelativeState | None:

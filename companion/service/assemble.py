@@ -285,7 +285,7 @@ def make_daemon(
     if sources(settings):
         if settings.guidance.rendezvous.enabled:  # a network without a GNSS receiver is worth its motion sensor all the same
             health.awaited |= {SHIP_PLACE}
-        health.counters("ship_place", pilot.landing.vessel_counts)
+        health.counters("ship_place", lambda: pilot.landing.vessel_track.counted())
     if settings.mqtt.transport != "off":
         from companion.parts.mqtt.part import make_mqtt
 

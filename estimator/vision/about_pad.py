@@ -464,12 +464,12 @@ class DeckMemory:
         return any(may and (of is None or not 0.0 <= seconds_between(of.at, at) < over_s) for of, over_s, may in each)
 
     def check(self, at: MonoNs) -> PadCheck | None:
-        """Return what was lately seen on the pad and about it; None if its surface was not read and nothing is about it."""
+        """Return what was lately seen on the pad and about it, what moves first; None if nothing was read or is there."""
         surface = None if self.surface is None or seconds_between(self.surface.at, at) > LASTS_S else self.surface.check
         there = [(near, each.at) for each in (self.around, self.passing) if each is not None and (near := each.near(at))]
         if not there:
             return surface
-        near, read = min(there, key=lambda of: of[0].from_centre_m)
+        near, read = min(there, key=lambda of: (of[0].height_m > 0.0, of[0].from_centre_m))
         if surface is None:
             return PadCheck(read, 0.0, None, near)
         return structs.replace(surface, at=max(surface.at, read), near=near)

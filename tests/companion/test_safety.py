@@ -360,4 +360,4 @@ def test_samples_together_fly_as_samples_one_by_one(cuts: list[int], flies_from:
         assert repr(pilots[0].decide(now)) == repr(pilots[1].decide(now))
         known = [pilot.landing.knowledge(now, pilot.estimator.at(now), pilot.estimator) for pilot in pilots]
         assert repr(known[0]) == repr(known[1])
-        assert pilots[0].landing.vessel_counts() == pilots[1].landing.vessel_counts()
+        assert pilots[0].landing.vessel_track.counted() == pilots[1].landing.vessel_track.counted()

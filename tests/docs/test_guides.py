@@ -195,7 +195,7 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             "operator",
             "## Flying by the keyboard",
             [
-                *(("takeoff", False), ("begin", False), ("stay", False), ("clear", False), ("hold", False), ("abort", False)),
+                *(("takeoff", False), ("begin", False), ("stay", False), ("hold", False), ("abort", False)),
                 *(("land", True), ("status", True), ("emergency", True), ("reset", True)),
             ],
         ),

@@ -185,6 +185,9 @@ class Guidance:
     def abort(self) -> None:
         self.outcome, self.command = FlightOutcome.ABORTED, Hover()
 
+    def barred(self) -> tuple[str, bool]:
+        return "a crate", True
+
     def overrule(self) -> None:
         self.calls.append("overrule")
 

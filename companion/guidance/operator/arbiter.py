@@ -22,7 +22,7 @@ from companion.settings.operator import LimitOptions, ManualOptions
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import Sample, VehicleStatus
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import MonoNs, after, seconds_between
 
 _STATUS_FRESH_S = 3.0
 """A status older than this is ignored; an autopilot sends one with each heartbeat, every second."""
@@ -70,6 +70,8 @@ class Guided(Protocol):
 
     def overrule(self) -> None: ...
 
+    def barred(self) -> tuple[str, bool]: ...
+
     def engage(self) -> None: ...
 
 
@@ -99,7 +101,6 @@ class Control(Struct, frozen=True):
     cut_failed: str = "the vehicle does not report that its motors stand"
     """Reason why the vehicle's link did not take the cut, or why its sender is warned that it is not obeyed."""
     reset: Given | None = None
-    """The order to leave the emergency state, likewise."""
     warned: bool = False
     """True if the sender of a cut or of its end was warned that it is not obeyed yet."""
     accepted: tuple[OperatorOrder, Given] | None = None
@@ -129,10 +130,6 @@ class Limited(Struct, frozen=True):
         recent = {limit: at for limit, at in self.at if seconds_between(at, now) <= _LIMIT_GAP_S} | dict.fromkeys(hit, now)
         since = (self.fenced_since or now) if Limit.FENCE in recent else None
         return replace(self, at=tuple(recent.items()), fenced_since=since)
-
-    def fenced_s(self, now: MonoNs) -> float:
-        """Return for how long the fence has changed commands, s."""
-        return 0.0 if self.fenced_since is None else seconds_between(self.fenced_since, now)
 
     def text(self) -> str:
         """Return the limits in force; a limit counts a little longer, so that it is not reported again and again."""
@@ -262,7 +259,8 @@ class OperatorArbiter:
             return
         landing = control.landing
         over = status.flying is False or status.emergency or status.taken is not None
-        if landing is not None and over and _since(landing, status) and seconds_between(landing.at, now) > _CALL_OFF_S:
+        newest = min(status.stamp.received_at, after(now, -_CALL_OFF_S))
+        if landing is not None and over and newest > landing.at:
             self._control = replace(self._control, landing=None)
 
     def _follow_motors(self, now: MonoNs, status: VehicleStatus | None) -> None:
@@ -273,7 +271,7 @@ class OperatorArbiter:
         emergency = status is not None and status.emergency
         if control.cut is not None:
             order, why = OperatorOrder.EMERGENCY, f"not obeyed yet, and sent until it is: {control.cut_failed}"
-            obeyed = emergency and status is not None and _since(given, status)
+            obeyed = emergency and status is not None and status.stamp.received_at > given.at
         else:
             order, why = OperatorOrder.RESET, f"not obeyed: {_NOT_LEFT}"
             obeyed = not emergency and control.passed_s(now) > _CALL_OFF_S
@@ -301,7 +299,7 @@ class OperatorArbiter:
             if command is not chosen.command:
                 chosen = replace(chosen, command=command)
         self._limited = self._limited.step(hit, now)
-        fenced_s = self._limited.fenced_s(now)
+        fenced_s = seconds_between(self._limited.fenced_since or now, now)
         if not manual and fenced_s >= self._limits.fence_ends_s and not self._guided.paused:
             why = f"{Limit.FENCE.value} held guidance back for {self._limits.fence_ends_s:g} s"
             self._guided.pause()
@@ -358,6 +356,9 @@ class OperatorArbiter:
         stood = self._stood_still(now)
         if stood is not None and order not in NEVER_OLD and seconds_between(stood[1], now) <= _WAITED_S:
             return f"it may be old, for this service stood still for {stood[0]:.1f} s: give it again"
+        bars, may = self._guided.barred()
+        if order is OperatorOrder.CLEAR and not may:
+            return f"{bars}: what moves is not ignored" if bars else "nothing is seen that bars a landing"
         own = rule in (Rule.HOLDER, Rule.IDLE) and sender == control.hand
         if order in _TO_PAD and (own or rule is Rule.YES) and not self._guided.may_begin:
             return REASONS[Rule.ON_GROUND]
@@ -388,10 +389,9 @@ class OperatorArbiter:
 
     def _carry_out(self, order: OperatorOrder, given: Given) -> None:
         control, guided = self._control, self._guided
-        if order in (OperatorOrder.PATH, OperatorOrder.RECORD):
-            return
         if order is OperatorOrder.CLEAR:
             guided.overrule()
+        if order in (OperatorOrder.PATH, OperatorOrder.RECORD, OperatorOrder.CLEAR):
             return
         self._control = control = replace(control, accepted=(order, given), passed_at=None)
         match order:
@@ -430,8 +430,3 @@ class OperatorArbiter:
         self.hand_taken = sender, f"{why}: it hovers"
         self._guided.pause()
         self.tell(HandledOrder(now, sender, OperatorOrder.HOLD, None, f"({why})"))
-
-
-def _since(given: Given, status: VehicleStatus) -> bool:
-    """Return whether the status is newer than the order."""
-    return status.stamp.received_at > given.at

@@ -101,7 +101,7 @@ TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyTyp
         OperatorOrder.BEGIN: _row(_U, _G, _G, _Y, _Y, _Y, _H, _L, _C, _E),
         OperatorOrder.RELEASE: _row(_N, _N, _N, _N, _N, _N, _H, _N, _N, _N),
         OperatorOrder.RESET: _row(_X, _X, _X, _X, _X, _X, _X, _X, _Y, _Y),
-        OperatorOrder.CLEAR: _row(_Y, _Y, _G, _Y, _Y, _Y, _Y, _Y, _C, _E),
+        OperatorOrder.CLEAR: _row(_Y, _G, _G, _Y, _Y, _Y, _H, _L, _C, _E),
         OperatorOrder.PATH: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
         OperatorOrder.RECORD: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
     }

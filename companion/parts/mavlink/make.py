@@ -257,7 +257,10 @@ class AutopilotPart:
             self._links, autopilot.links.tap = autopilot.links, self._tap
             for watcher in self._watchers:
                 autopilot.add_listener(partial(watcher.on_message, autopilot))
-            autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot, self._pilot.landing.vessel_velocity)
+            landing = self._pilot.landing
+            autopilot.deck_velocity = DeckVelocity(
+                self._pilot.belief, autopilot, lambda at: landing.vessel_track.velocity_ned(at)
+            )
             async with (
                 speaking(self.component, autopilot, self._clock),
                 showing(self._show, autopilot, self._clock),

@@ -7,10 +7,11 @@ const CONFIRMED = 0.95;
 // Orders that a slide confirms; it says what comes of them.
 const ASKS = {
   land: { verb: "to land here", says: (state) => `Lands ${state.below}.` },
+  clear: { verb: "to land although it is there", says: ({ bars }) => `Ignores for a minute, in this attempt alone: ${bars}.` },
   takeoff: { verb: "to take off", says: () => "The propellers start." },
   reset: {
     verb: "to leave the emergency state",
-    says: ({ situation }) => (situation === "cutting" ? "The cut is not confirmed, and is not sent any more." : "The motors stay off."),
+    says: ({ situation }) => (situation === "cutting" ? "The cut is not confirmed, and is then sent no more." : "The motors stay off."),
   },
 };
 
