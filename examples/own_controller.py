@@ -63,4 +63,5 @@ def main(seed: int) -> bool:
 
 
 if __name__ == "__main__":
-    sys.exit(0 if main(int(sys.argv[1]) if len(sys.argv) > 1 else 3) else 1)
+    seed = (sys.argv[1:] or ["3"])[0]
+    sys.exit(int(not main(int(seed))) if seed.isdecimal() else __doc__)

@@ -7,7 +7,7 @@ from pathlib import Path
 from companion.base.observer import Decision
 from companion.recording.reading import RecordedFrame, instant, open_recording
 
-if len(sys.argv) != 2:
+if len(sys.argv) != 2 or not Path(sys.argv[1]).is_file():
     sys.exit(__doc__)
 recording = open_recording([Path(sys.argv[1])])
 verdicts: Counter[str] = Counter()

@@ -56,6 +56,8 @@ def test_a_controller_of_one_s_own_lands_on_the_pad() -> None:
     done = run_example("own_controller")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.startswith("landed on the pad after ")
+    for wrong in (("own_controller", "abc"), ("read_recording", "nothing.mcap")):
+        assert "Traceback" not in run_example(*wrong).stderr
 
 
 @pytest.mark.parametrize("lateral", [Lqr(0.02), Mpc()])

@@ -77,14 +77,19 @@ def run(args: argparse.Namespace) -> int:
         BadInput: a settings file, or a file that it names, cannot be read or has a fault.
     """
     if args.action == "check":
-        for file in args.files:
-            path = find_file(str(file), "", Path(), "settings")
-            settings = _checked(path)
-            with refused(str(file), BadInput):
-                unchecked = check_files(settings)
-            sys.stdout.write(f"{file}: good{not_checked(unchecked)}\n")
-            for line in remarks(settings, path):
-                sys.stdout.write(f"{file}: {line}\n")
+        faults: list[BadInput] = []
+        for file in map(str, args.files):
+            try:
+                settings = _checked(path := find_file(file, "", Path(), "settings"))
+                with refused(file, BadInput):
+                    unchecked = check_files(settings)
+            except BadInput as why:
+                faults.append(why)
+                continue
+            sys.stdout.writelines(f"{file}: {line}\n" for line in (f"good{not_checked(unchecked)}", *remarks(settings, path)))
+        sys.stderr.writelines(f"decklander: {why}\n" for why in faults[:-1])
+        if faults:
+            raise faults[-1]
     elif args.action == "import":
         from companion.cli.config_import import write  # a pad's tags need OpenCV, and the other actions do not
 

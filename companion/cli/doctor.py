@@ -46,7 +46,7 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.signing import Signing, SigningTimes, load_key
 from drivers.nmea.sentences import REFUSED_FOR
 from estimator.contracts.address import guarded
-from estimator.contracts.errors import BadInput, file_errors
+from estimator.contracts.errors import BadInput, file_errors, refused
 
 _UNUSED = {"other_sentence": "of a kind that is not read", "other_message": "of a kind that is not read"}
 GivenLinks = tuple[AutopilotOptions, tuple[LinkOptions, ...]]
@@ -150,11 +150,8 @@ def _agreed(one: PlannedWrite, why: str) -> bool:
 
 
 def _keep(path: Path, undo_file: UndoFile) -> None:
-    try:
-        with path.open("xb") as file:
-            file.write(encode_undo(undo_file))
-    except OSError as why:
-        raise BadInput(f"--undo-file {path}: {why.strerror or why}; nothing was written to the autopilot") from why
+    with refused(f"nothing was written to the autopilot: --undo-file {path}", OSError), path.open("xb") as file:
+        file.write(encode_undo(undo_file))
 
 
 def _written(

@@ -24,8 +24,7 @@ DESCRIPTION = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    where = "write the page into this folder (default: experiments)"
-    output(parser, "--out DIR", where, EXPERIMENTS, default=Path("experiments"))
+    output(parser, "--out DIR", "folder for the page (default: experiments)", EXPERIMENTS, default=Path("experiments"))
     option(parser, "--seed N", "seed of all random numbers (default: 1)", default=1)
     option(parser, "--config FILE", "settings file to fly with (default: the profile sim)", default="sim")
     option(parser, "--photos DIR", "photographs of the printed pad: a folder with pose.csv and images/", type=Path)

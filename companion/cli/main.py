@@ -92,6 +92,9 @@ class Parser(argparse.ArgumentParser):
             printed = re.sub(words, meant, printed)
         self.exit(WRONG, f"{self.prog}: {printed} (see {self.prog} --help)\n")
 
+    def _print_message(self, message: str, file: Any = None) -> None:
+        print(message, end="", file=file or sys.stderr, flush=True)  # argparse is silent about a disk that is full
+
 
 class _MainParser(Parser):
     """The parser of the whole command line, whose help has the commands by what a person wants."""
@@ -117,7 +120,7 @@ class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from companion.base.version import version
 
-        sys.stdout.write(f"decklander {version()}\n")
+        parser._print_message(f"decklander {version()}\n", sys.stdout)
         parser.exit()
 
 

@@ -15,8 +15,6 @@ from companion.base.version import MARK
 from companion.cli.options import option
 from estimator.contracts.errors import BadInput, refused
 
-_EDGE_BYTES = 16_384
-
 
 class Kind(NamedTuple):
     """A kind of file, or of folder."""
@@ -25,7 +23,7 @@ class Kind(NamedTuple):
     endings: tuple[str, ...] = ()
     """Endings of its name; a file without any may have every name, and may be a device."""
     marks: tuple[bytes, ...] = ()
-    """Bytes near the beginning or the end by which one of ours is known that can be made again; none for what somebody owns."""
+    """Bytes by which one of ours is known that can be made again; none for what somebody owns."""
     inside: tuple[str, ...] | None = None
     """Patterns of the files that are written into a folder, if a name without these endings is one."""
     lasting: bool = False
@@ -99,20 +97,13 @@ def check_output(path: Path, kind: Kind, named: str, read: list[Path], *, force:
         if not kind.endings and path.is_char_device():
             return
         if path.exists() or path.is_symlink():
-            if not path.is_file() or not (force or any(mark in _edges(path) for mark in kind.marks)) or kind.lasting:
+            if not path.is_file() or not (force or any(mark in path.read_bytes() for mark in kind.marks)) or kind.lasting:
                 cure = "name a new one" if kind.lasting or not path.is_file() else "--force replaces it, or name a new one"
                 raise BadInput(f"{named} {path}: there is a file of that name already: {cure}")
             with path.open("r+b"):
                 return
         with tempfile.TemporaryFile(dir=path.parent):
             pass
-
-
-def _edges(path: Path) -> bytes:
-    with path.open("rb") as file:
-        begin = file.read(_EDGE_BYTES)
-        file.seek(max(len(begin), path.stat().st_size - _EDGE_BYTES))
-        return begin + file.read()
 
 
 def _read_by(args: argparse.Namespace) -> list[Path]:

@@ -309,9 +309,8 @@ def _print(args: argparse.Namespace) -> int:
             f"{args.paper} with its margins, and a glued one is not flat: take smaller squares or larger paper"
         )
     whole = out.suffix.lower() == ".pdf"
-    written = [out]
-    if not whole and len(pages) > 1:
-        written = [out.with_stem(f"{out.stem}_r{p.row + 1}c{p.column + 1}") for p in pages]
+    alone = whole or len(pages) == 1
+    written = [out] if alone else [out.with_stem(f"{out.stem}_r{p.row + 1}c{p.column + 1}") for p in pages]
     for path in written:
         check_output(path, SHEETS, "--out", [], force=args.force)
     with file_errors(str(out)):

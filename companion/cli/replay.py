@@ -125,7 +125,7 @@ async def _paced(
     clock: SystemClock,
 ) -> float:
     """Replay at the pace of the recording; return the largest delay, seconds."""
-    first = _first_instant(recording, pilot)
+    first = next((at for at, _ in Replay(recording, pilot).steps()), MonoNs(0))
     start = clock.now()
     shift_ns = start - first + round(_LEAD_S * 1e9)
     replay = Replay(
@@ -140,12 +140,6 @@ async def _paced(
             late_s = max(late_s, -ahead_s)
             await asyncio.sleep(0)
     return late_s
-
-
-def _first_instant(recording: Recording, pilot: Pilot) -> MonoNs:
-    for at, _ in Replay(recording, pilot).steps():
-        return at
-    return MonoNs(0)
 
 
 DESCRIPTION = (
@@ -203,6 +197,8 @@ def run(args: argparse.Namespace) -> int:
     passes = [_pass(args, recording, "as set", settings, args.config is None, args.record)]
     if args.against is not None:
         passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), False, None))
+    if not args.json:
+        recording.watch = WorkProgress(f"comparing with the estimates in {recording.name}", "kB").take
     others = {"the recording": recorded_beliefs(recording)}
     if args.against is not None:
         others[args.against] = passes[1].log_observer.beliefs

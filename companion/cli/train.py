@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.base.signals import Stopped
 from companion.base.version import version
 from companion.cli.options import named_wait, option, refuse_any
 from companion.cli.outputs import POLICY, output
@@ -82,24 +83,32 @@ def run(args: argparse.Namespace) -> int:
             return (time.monotonic() - began) / (60.0 * float(args.minutes))
         return len(curve) / int(args.rounds or options.rounds)
 
-    for progress in student.rounds(args.seed * 1000, share):
-        curve.append(_point(progress))
-        if args.json:
-            sys.stdout.write(json.dumps(curve[-1]) + "\n")
-            sys.stdout.flush()
-        else:
-            sys.stderr.write(_words(progress) + "\n")
     record: dict[str, Any] = {
-        "scenarios": args.scenario, "vehicle": scenarios[0].vehicle.file, "seed": args.seed, "rounds": len(curve),
-        "worlds": _WORLDS,
+        "scenarios": args.scenario, "vehicle": scenarios[0].vehicle.file, "seed": args.seed, "worlds": _WORLDS,
         "response": {"delay_s": response.tilt.delay_s, "frequency_rad_s": response.tilt.frequency_rad_s},
         "continued": None if first is None else first.record, "versions": {"decklander": version(), "numpy": np.__version__},
-        "curve": curve,
     }  # fmt: skip
-    policy = student.policy(record)
-    with named_wait("examining it on fresh seeds", quiet=args.json):
-        fresh = [TrainingWorlds(scenario, _EXAMINED, None, args.threads) for scenario in scenarios]
-        examined = [fly_policy(policy, one, _FRESH) for one in fresh]
+    policy: Policy | None = None
+    try:
+        for progress in student.rounds(args.seed * 1000, share):
+            curve.append(_point(progress))
+            policy = student.policy({**record, "rounds": len(curve), "curve": list(curve)})
+            if args.json:
+                sys.stdout.write(json.dumps(curve[-1]) + "\n")
+                sys.stdout.flush()
+            else:
+                sys.stderr.write(_words(progress) + "\n")
+        assert policy is not None
+        with named_wait("examining it on fresh seeds", quiet=args.json):
+            fresh = [TrainingWorlds(scenario, _EXAMINED, None, args.threads) for scenario in scenarios]
+            examined = [fly_policy(policy, one, _FRESH) for one in fresh]
+    except (Stopped, KeyboardInterrupt):
+        kept = "before the first round ended: nothing is kept"
+        if policy is not None:
+            policy.write(args.out)
+            kept = f"after {policy.record['rounds']} rounds: their policy is kept in {args.out}, not examined; --from takes it up"
+        sys.stderr.write(f"stopped {kept}\n")
+        raise
     policy.record["examined"] = {
         name: {"seeds_from": _FRESH, **flown._asdict()} for name, flown in zip(args.scenario, examined, strict=True)
     }
@@ -119,12 +128,10 @@ def _point(progress: RoundProgress) -> dict[str, Any]:
 
 
 def _words(progress: RoundProgress) -> str:
-    flown = progress.flown
+    n, flown = progress.round, progress.flown
     landed = f"{100.0 * flown.landed:3.0f} % of {flown.episodes} landed" if flown.episodes else "none ended"
     beside = f", {100.0 * flown.distance_m:.1f} cm median" if flown.landed > 0.0 else ""
-    return (
-        f"round {progress.round}: {progress.examples} examples, error {progress.error:.3f}; episodes of its own: {landed}{beside}"
-    )
+    return f"round {n}: {progress.examples} examples, error {progress.error:.3f}; episodes of its own: {landed}{beside}"
 
 
 def _conclude(args: argparse.Namespace, policy: Policy, examined: Sequence[EpisodesFlown]) -> None:

@@ -148,10 +148,10 @@ def test_config_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert cli.main(["config", "schema"]) == 0
     assert capsys.readouterr().out.startswith("{")
     shown.write_text(shown.read_text().replace("threads = 1", "threads = 1000"))
-    assert cli.main(["config", "check", "sim", str(shown)]) == 2
-    assert capsys.readouterr().err == (
-        f"decklander: {shown}: vision.threads must be a whole number from 1 to 64 threads, found 1000\n"
-    )
+    assert cli.main(["config", "check", "nix", str(shown), "ardrone2"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, "no file 'nix'" in err) == ("ardrone2: good\n", True)
+    assert err.endswith(f"decklander: {shown}: vision.threads must be a whole number from 1 to 64 threads, found 1000\n")
 
 
 MINIMAL = '[vehicle]\nkind = "ardrone"\n[camera]\nfile = "sim"\n[pad]\nfile = "thesis"\n'
@@ -220,9 +220,10 @@ def test_a_reader_that_went_away_is_no_traceback() -> None:
     [
         ("pad list > /dev/full", 1, b"decklander: cannot write the output: No space left on device\n"),
         ("config schema > /dev/full", 1, b"decklander: cannot write the output: No space left on device\n"),
+        ("--help > /dev/full", 1, b"decklander: cannot write the output: No space left on device\n"),
         ("pad list <&- >&-", 0, b""),
     ],
-    ids=["a full disk", "a full disk before the end", "closed streams"],
+    ids=["a full disk", "a full disk before the end", "a help", "closed streams"],
 )
 def test_standard_streams_that_cannot_be_used_are_no_traceback(words: str, code: int, said: bytes) -> None:
     shell = ["sh", "-c", f'exec "$0" -m companion.cli.main {words}', sys.executable]

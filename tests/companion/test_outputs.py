@@ -36,9 +36,8 @@ READ = {
     "recording", "recordings", "other", "files", "paths", "sources", "folder", "foreign", "drawing", "pad", "log", "--scenario",
     "--camera", "--camera-file", "--pad", "--attitude", "--second-opinion", "--config", "--compare", "--mapping",
     "--password-file", "--ca-file", "--token-file", "--picture", "--signing-key", "--snapshot", "--undo", "--perception-model",
-    "--binary", "--against", "--from", "--photos", "--current",
+    "--binary", "--against", "--from", "--photos", "--current", "config show file", "keys show file", "keys install file",
 }  # fmt: skip
-READ_FILES = {"config show file", "keys show file", "keys install file"}
 """Arguments that name what a command reads; every other path is written, and must be declared as an output."""
 
 
@@ -49,7 +48,7 @@ def test_each_path_that_no_command_reads_is_declared_as_an_output() -> None:
         for action in parser._actions:
             name = (action.option_strings or [action.dest])[-1]
             path = action.type is Path or action.metavar in ("FILE", "DIR", "PATH", "FOLDER")
-            if path and action.dest not in declared and name not in READ and " ".join((*words, name)) not in READ_FILES:
+            if path and action.dest not in declared and READ.isdisjoint((name, " ".join((*words, name)))):
                 undeclared.append(" ".join((*words, name)))
     assert undeclared == []
     assert len(OUTPUTS) > 30

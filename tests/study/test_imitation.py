@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.cli import main as cli
 from companion.guidance.law.policy import ARRAYS, Policy, forward, normal, read_policy, shipped_policy
 from companion.settings.load import load as settings
 from companion.settings.load import response_model
@@ -35,6 +36,17 @@ def test_the_teacher_lands_every_episode() -> None:
     assert flown.episodes >= 24
     assert flown.landed > 0.97
     assert flown.distance_m < 0.06
+
+
+def test_a_training_that_is_stopped_keeps_its_newest_policy(tmp_path: Path, monkeypatch, capsys) -> None:
+    def stopped(self, *given, whole=Imitation.rounds):
+        yield next(whole(self, *given))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Imitation, "rounds", stopped)
+    assert cli.main(["train", "weather_3", "--out", str(tmp_path / "mine.npz")]) == 130
+    assert "stopped after 1 rounds: their policy is kept" in capsys.readouterr().err
+    assert len(read_policy(tmp_path / "mine.npz", "--out").record["curve"]) == 1
 
 
 def test_the_gradient_is_that_of_finite_differences() -> None:

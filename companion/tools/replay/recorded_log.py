@@ -180,11 +180,7 @@ class Difference(Struct, frozen=True):
 
 def recorded_beliefs(recording: Recording) -> Beliefs:
     """Return the beliefs that were recorded."""
-    out: Beliefs = {}
-    for event in recording.events():
-        if isinstance(event, Decision):
-            out |= _beliefs(event)
-    return out
+    return {key: one for event in recording.events() if isinstance(event, Decision) for key, one in _beliefs(event).items()}
 
 
 def _beliefs(decision: Decision) -> Beliefs:

@@ -184,7 +184,7 @@ def test_a_file_that_exists_is_not_overwritten(tmp_path: Path, capsys: pytest.Ca
     kept = tmp_path / "undo.json"
     kept.write_text("the values before")
     fake = quiet("ArduPilot", LAND_SPEED=250.0)
-    with on_link(fake) as url, pytest.raises(BadInput, match="File exists"):
+    with on_link(fake) as url, pytest.raises(BadInput, match="is in the way"):
         run_doctor(capsys, "--link", url, "--fix", "--yes", "--undo-file", str(kept))
     assert kept.read_text() == "the values before"
     assert fake.of("PARAM_SET") == []
