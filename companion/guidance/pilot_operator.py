@@ -54,7 +54,8 @@ class PilotOperator:
         """Give a screen's order to the arbiter at `at_s` of the screen's states, and return the answer."""
         seen_s = 0.0 if request.seen_at_s is None else at_s - request.seen_at_s
         refusal: str | None = f"it comes {seen_s:.1f} s after what you saw when you gave it: give it again"
-        if seen_s > _OLD_S and request.order not in NEVER_OLD:
+        # Who cuts the motors sees the drone itself, whatever its screen still shows.
+        if seen_s > _OLD_S and request.order not in (*NEVER_OLD, OperatorOrder.EMERGENCY):
             self._tell(request.order, refusal, "")
         elif request.order in (OperatorOrder.PATH, OperatorOrder.RECORD):
             refusal = f"{request.order.value} is an order of MQTT and MAVLink"

@@ -50,9 +50,9 @@ async def test_a_browser_watches_and_gives_orders_through_the_arbiter(tmp_path: 
         await browser.read("state")
         assert any("Hold: accepted" in message.get("text", "") for message in browser.messages if message["kind"] == "event")
         assert "an order of MQTT" in (await browser.order("record"))["text"]
-        for order, accepted in (("land", False), ("hold", True)):
+        for order, accepted in (("land", False), ("hold", True), ("emergency", True)):
             await browser.send(kind="order", number=9, order=order, seen_at_s=state["at_s"] - 3.5)
-            assert (await browser.read("answer"))["accepted"] is accepted, "what was long on its way, and is no stop"
+            assert (await browser.read("answer"))["accepted"] is accepted, "what was long on its way, and stops nothing"
 
 
 async def test_things_are_shown_while_frames_are_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,8 @@ import { words } from "./elements.js";
 const ANSWER_MS = 3000;
 const KNOB_PX = 62;
 const CONFIRMED = 0.95;
+// Orders that leave over a silent connection too: what is seen of the drone itself counts for them, and not the screen.
+const STOPS = ["hold", "abort", "emergency"];
 // Orders that a slide confirms; it says what comes of them.
 const ASKS = {
   land: { verb: "to land here", says: (state) => `Lands ${state.below}.` },
@@ -74,7 +76,7 @@ export class Orders {
   give(order, button = null) {
     this.#ask(null);
     const number = ++this.#number;
-    if (!this.#link.send({ kind: "order", number, order, seen_at_s: this.#state?.at_s }, true)) {
+    if (!this.#link.send({ kind: "order", number, order, seen_at_s: this.#state?.at_s }, !STOPS.includes(order))) {
       this.tell("fault", `${words.orders[order]}: not sent, the connection is ${this.#link.live ? "silent" : "lost"}`);
       return;
     }
