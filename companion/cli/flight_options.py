@@ -30,10 +30,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="set",
         default=[],
         action="append",
-        type=_wrong_model,
+        type="wrong_model.sigma={}".format,
     )
-
-
-def _wrong_model(sigma: str) -> str:
-    """Return the key of the scenario, as --set takes it."""
-    return f"wrong_model.sigma={sigma}"

@@ -334,14 +334,10 @@ def _cure(why: DecklanderError) -> str:
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
-def _coloured(out: TextIO) -> bool:
-    """Return whether the stream is a terminal with colours, which NO_COLOR does not switch off (no-color.org)."""
-    return out.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM", "dumb") != "dumb"
-
-
 def _style(text: str, code: str, out: TextIO | None = None) -> str:
-    """Return the text in a style of ANSI (ECMA-48, SGR), or as it is where the stream has no colours."""
-    return f"\x1b[{code}m{text}\x1b[0m" if _coloured(out or sys.stdout) else text
+    """Return the text in a style of ANSI (ECMA-48, SGR), or as it is without colours and by NO_COLOR (no-color.org)."""
+    coloured = (out or sys.stdout).isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM", "dumb") != "dumb"
+    return f"\x1b[{code}m{text}\x1b[0m" if coloured else text
 
 
 def _leaves(group: BaseExceptionGroup[BaseException]) -> Iterator[BaseException]:

@@ -84,7 +84,7 @@ def _import(args: argparse.Namespace) -> int:
         size_m = _size_m(args.size_mm, args.corners is not None)
         with file_errors(str(path)):
             data = path.read_bytes()
-        keys = traced(_picture(path, data, size_m, args), args.name or path.stem, str(path))
+        keys, remarks = traced(_picture(path, data, size_m, args), args.name or path.stem, str(path))
     text = file_text(keys, f"Made of {path.name} by decklander pad import.")
     pad = Pad.from_mapping(tomllib.loads(text), str(path))
     drawing = pad_drawing(pad)

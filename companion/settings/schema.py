@@ -284,7 +284,7 @@ def _sections() -> Iterator[tuple[str, str, list[list[str]], list[list[str]]]]:
         kind = f" with {struct.tag_field} = {value_text(struct.tag)}" if struct.tag_field else ""
         yield (
             f"[{'.'.join(path)}]{kind}",
-            _meaning(struct),
+            " ".join((struct.cls.__doc__ or "").partition("Raises:")[0].split()),
             [_row(f.encode_name, f) for f in public],
             [_row(".".join((EXPERT, *path, f.encode_name)), f) for f in here if f not in public],
         )
@@ -302,11 +302,6 @@ def _table(rows: list[list[str]]) -> list[str]:
 def _is_public(field: inspect.Field, struct: inspect.StructType) -> bool:
     assert isinstance(field.type, inspect.Metadata)
     return field.encode_name == struct.tag_field or PUBLIC in (field.type.extra_json_schema or {})
-
-
-def _meaning(struct: inspect.StructType) -> str:
-    """Return the description of a table: the docstring of its class up to the errors that it raises."""
-    return " ".join((struct.cls.__doc__ or "").partition("Raises:")[0].split())
 
 
 def _row(name: str, field: inspect.Field) -> list[str]:

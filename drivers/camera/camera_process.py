@@ -357,7 +357,9 @@ class _Pipeline:
                 raise CameraLost("silent", f"no frame for {self._patience_s:g} s")
             n = os.readv(self._fd(), [room])
             if n == 0:
-                raise CameraLost("failed", f"its process ended ({_named(self._ended())})")
+                code = self._ended()
+                why = "still there" if code is None else f"signal {-code}" if code < 0 else f"exit code {code}"
+                raise CameraLost("failed", f"its process ended ({why})")
             room = room[n:]
 
     def _readable(self, seconds: float) -> bool:
@@ -377,10 +379,6 @@ class _Pipeline:
             return self._process.wait(1.0)
         except subprocess.TimeoutExpired:
             return None
-
-
-def _named(code: int | None) -> str:
-    return "still there" if code is None else f"signal {-code}" if code < 0 else f"exit code {code}"
 
 
 def _environment() -> dict[str, str]:

@@ -234,7 +234,7 @@ class _Reader:
             except (AttributeError, TypeError, ValueError):  # a field is missing, is text, or has a value that no sensor gives
                 continue
             if sample is not None:
-                made.append((len(stamps_us) - 1, _sensor(message), sample))
+                made.append((len(stamps_us) - 1, str(getattr(message, "Instance", getattr(message, "I", 0))), sample))
         times = timeline(stamps_us, tell)
         counts = Counter(sensor for _, sensor, sample in made if type(sample) is Range)
         lower = None if not counts else max(counts, key=lambda sensor: counts[sensor])
@@ -289,10 +289,6 @@ class _Reader:
             return None
         flying = m.Id == _NOT_LANDED
         return VehicleStatus(stamp(at), flying, "flying" if flying else "landed", None, False, True)
-
-
-def _sensor(m: Any) -> str:
-    return str(getattr(m, "Instance", getattr(m, "I", 0)))
 
 
 def time_us(m: Any) -> int | None:

@@ -140,11 +140,7 @@ def _looking_down(sensors: Sequence[dict[str, Any]], tell: Tell) -> dict[str, An
     down = [d for d in sensors if len(d["timestamp"]) and ("orientation" not in d or int(d["orientation"][0]) == _DOWN)]
     if len(down) > 1:
         tell(f"{len(down)} rangefinders look down: the height is that of the one which gave most")
-    return max(down, key=_usable, default=None)
-
-
-def _usable(sensor: dict[str, Any]) -> int:
-    return sum(_range(sensor, i, 0) is not None for i in range(len(sensor["timestamp"])))
+    return max(down, key=lambda d: sum(_range(d, i, 0) is not None for i in range(len(d["timestamp"]))), default=None)
 
 
 class _Bounded:

@@ -218,13 +218,9 @@ def add_baro(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatc
     allowed_m = o.height_tolerance_m + _farthest(height, seen) / 3.0
     if t - rise[0][0] < (_BACK_S + _SHORT_S) * 1e9:
         allowed_m *= 2.0
-    against = _beyond(now, [each for at, each in rise if t - at >= _BACK_S * 1e9]) > allowed_m
+    past = [each for at, each in rise if t - at >= _BACK_S * 1e9]
+    against = bool(past) and max(now - max(past), min(past) - now) > allowed_m
     return replace(state, rise=rise, rise_now=now, seen_height=seen, weighed_at=t, baro_contradicted=against)
-
-
-def _beyond(value: float, range_of: list[float]) -> float:
-    """Return how far a value lies outside the range of others; 0 if there are none."""
-    return max(value - max(range_of), min(range_of) - value) if range_of else 0.0
 
 
 def _farthest(value: float, course: tuple[tuple[int, float], ...]) -> float:

@@ -271,7 +271,7 @@ def levelled(state: Inertial, attitude: Attitude, flying: bool) -> Inertial:
     if not ended:
         return replace(state, turn=turn, parity=checked)
     after = replace(state, turn=turn, parity=checked, imus=state.imus[-1:])
-    return _judged(after) if flying else after
+    return _judged_velocity(_judged_accel(_judged_gyro(after))) if flying else after
 
 
 def _lost_s(was: Half, now: Half, lies: bool, span: tuple[int, int]) -> float:
@@ -284,11 +284,6 @@ def _lost_s(was: Half, now: Half, lies: bool, span: tuple[int, int]) -> float:
         # What was used until it was found was wrong as well.
         return (span[1] - (span[0] if was.frozen else now.since)) * 1e-9
     return max(1e-6, min(0.05, (span[1] - span[0]) * 1e-9)) if lies else 0.0
-
-
-def _judged(state: Inertial) -> Inertial:
-    """Judge the sensors by the bins so far."""
-    return _judged_velocity(_judged_accel(_judged_gyro(state)))
 
 
 def _judged_gyro(state: Inertial) -> Inertial:

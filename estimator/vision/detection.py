@@ -80,7 +80,9 @@ def _intersected(cues: list[Sighting], confidence: float) -> Sighting:
     sure = next((cue for cue in cues if cue.yaw_rad is not None and not cue.yaw_ambiguous), None)
     source = sure or next((cue for cue in cues if cue.yaw_rad is not None), None)
     reference = 0.0 if source is None or source.yaw_rad is None else source.yaw_rad
-    informations = [_information(cue) for cue in cues]
+    # There is almost no information about a heading that a cue does not give.
+    covs = [cue.cov if cue.yaw_rad is not None else _with_unknown_yaw(cue.cov) for cue in cues]
+    informations = [np.asarray(np.linalg.inv(cov)) for cov in covs]
     sizes = np.array([1.0 / np.trace(cue.cov[:3, :3]) for cue in cues])
     weights = sizes / sizes.sum()
     total = sum((w * info for w, info in zip(weights, informations, strict=True)), np.zeros((4, 4)))
@@ -103,11 +105,6 @@ def _intersected(cues: list[Sighting], confidence: float) -> Sighting:
         pose6=next((cue.pose6 for cue in cues if cue.pose6 is not None), None),
         features=tuple(feature for cue in cues for feature in cue.features),
     )
-
-
-def _information(cue: Sighting) -> F64:
-    """Return the (4, 4) inverse covariance, with almost no information about a heading that the cue does not give."""
-    return np.asarray(np.linalg.inv(cue.cov if cue.yaw_rad is not None else _with_unknown_yaw(cue.cov)))
 
 
 def _with_unknown_yaw(cov: F64) -> F64:

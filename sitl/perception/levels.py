@@ -163,7 +163,7 @@ class EstimateTable:
         self.model = model
         cells = {(c.height, c.age): root_of(symmetric(c.error, _N)) for c in model.cell}
         self._heights, self._ages = list(model.heights_m), list(model.ages_s)
-        squares = {cell: (root, _symmetrical(root.dot(root.T))) for cell, root in cells.items()}
+        squares = {cell: (root, 0.5 * ((square := root.dot(root.T)) + square.T)) for cell, root in cells.items()}
         self._roots = [
             [squares[min(cells, key=lambda c: (abs(c[1] - j) + 2 * abs(c[0] - i), c))] for j in range(len(self._ages) + 1)]
             for i in range(len(self._heights) + 1)
@@ -181,10 +181,6 @@ class EstimateTable:
     def root(self, height_m: float, age_s: float) -> tuple[F64, F64]:
         """Return the root of the covariance and the covariance, both (7, 7), positions over the height."""
         return self._roots[bisect_right(self._heights, height_m)][bisect_right(self._ages, age_s)]
-
-
-def _symmetrical(square: F64) -> F64:
-    return 0.5 * (square + square.T)
 
 
 @lru_cache(maxsize=8)

@@ -162,7 +162,9 @@ class DetectionTable:
         self.model = model
         cells = {(c.height, c.shown): _row(c) for c in model.cell}
         rows, columns = len(model.heights_m) + 1, len(model.shown) + 1
-        self._rows = [[_nearest(cells, i, j) for j in range(columns)] for i in range(rows)]
+        # The row of a cell, or of the nearest one that was fitted: a bin of the fraction counts more than one of height.
+        near = [[min(cells, key=lambda c: (abs(c[0] - i) + 3 * abs(c[1] - j), c)) for j in range(columns)] for i in range(rows)]
+        self._rows = [[cells[at] for at in row] for row in near]
         self._heights, self._shown = list(model.heights_m), list(model.shown)
         self._tilts = [math.radians(edge) for edge in model.tilt_deg.edges]
 
@@ -233,11 +235,6 @@ def _row(cell: DetectionCell) -> _PreparedCell:
     # Five digits in a file may take a thin covariance below zero.
     claimed = claimed + np.diag(np.diag(claimed)) * 1e-4 + 1e-18 * np.eye(_SCALES)
     return _PreparedCell(cell, np.array(cell.bias), root_of(symmetric(cell.error, _SCALES)), claimed)
-
-
-def _nearest(cells: dict[tuple[int, int], _PreparedCell], i: int, j: int) -> _PreparedCell:
-    """Return the row of a cell, or of the nearest one that was fitted. A bin of the fraction counts more than one of height."""
-    return cells[min(cells, key=lambda c: (abs(c[0] - i) + 3 * abs(c[1] - j), c))]
 
 
 KEPT_SCENES = 512

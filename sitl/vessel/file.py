@@ -61,7 +61,7 @@ def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
         cells = rest.partition("*")[0].split(",")
         try:
             if kind.endswith("GGA"):
-                t_s = _seconds(cells[0])
+                t_s = 3600.0 * int(cells[0][:2]) + 60.0 * int(cells[0][2:4]) + float(cells[0][4:])
             if kind.endswith("PSXN") and math.isfinite(t_s) and (motion := ship_motion(line[line.index("$") :])):
                 moved.append((t_s, motion.roll_rad, motion.pitch_rad, motion.heading_rad, motion.heave_down_m))
             elif kind.endswith("GGA") and cells[5] == _RTK:
@@ -90,10 +90,6 @@ def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
             at, heading = np.array(headings).T
             eta[:, 5] = np.interp(stretch[:, 0], at, np.unwrap(heading))
     return (t, eta) if smooth_s == 0.0 else _smoothed(t, eta, smooth_s)
-
-
-def _seconds(hhmmss: str) -> float:
-    return 3600.0 * int(hhmmss[:2]) + 60.0 * int(hhmmss[2:4]) + float(hhmmss[4:])
 
 
 def _degrees(text: str, side: str) -> float:

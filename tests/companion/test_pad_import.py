@@ -19,6 +19,7 @@ from companion.cli.pad import clicked
 from companion.settings.load import read_toml
 from companion.tools.pads.price import CAMERA, VIEWS, kind_of, planted, price, view
 from companion.tools.pads.trace import drawn, read_svg, traced
+from companion.tools.print_pad.sheets import pad_drawing, sheets, svg
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Frame
@@ -27,8 +28,9 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import edges_of
 from estimator.vision.pad import RARE, Pad
 from estimator.vision.pose import PadPose
-from estimator.vision.regions import PaintedPolygon, PaintedRing, convex_pieces_of, covers, depth_in
+from estimator.vision.regions import PaintedArrowhead, PaintedPolygon, PaintedRing, convex_pieces_of, covers, depth_in
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from tests.support.shipped import shipped_pad
 
 ODD_VIEWS = [("octagon", 0.6, 0.3, 60.0, -1.6), ("octagon", 0.1, 0.0, 80.0, 0.2), ("ring_and_panels", 1.1, 0.0, 60.0, -1.6)]
 USERS = sorted((Path(__file__).parents[1] / "pads_of_users").glob("*.toml"))
@@ -43,7 +45,22 @@ SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="400mm" height="500mm" vi
 
 
 def imported(text: str, size_m: float | None = None, extent: str | None = None) -> Pad:
-    return Pad.from_mapping(traced(drawn(read_svg(text, "a.svg"), size_m, "a.svg", extent), "a", "a.svg"))
+    return Pad.from_mapping(traced(drawn(read_svg(text, "a.svg"), size_m, "a.svg", extent), "a", "a.svg")[0])
+
+
+@pytest.mark.parametrize(("name", "beyond_m"), [("thesis", 0.03), *((of, 0.0) for of in ("printed", "icao", "hospital", "lit"))])
+def test_a_pad_that_is_printed_and_imported_is_the_same_pad(name: str, beyond_m: float) -> None:
+    pad, change = shipped_pad(name), msgspec.structs.replace
+    moved = (change(r, tip_m=r.tip_m + beyond_m) if isinstance(r, PaintedArrowhead) else r for r in pad.regions)
+    drawing = pad_drawing(replace(pad, regions=tuple(moved)))
+    page = svg(drawing, change(sheets(drawing, "full")[0], lines=(), labels=()))
+    keys, remarks = traced(drawn(read_svg(page, "a.svg"), None, "a.svg"), "a", "a.svg")
+    own, other = Pad.from_mapping(keys).markings, pad.markings
+    for key in ("outer_radius_m", "rim_width_m", "ring_inner_m", "ring_outer_m"):
+        assert getattr(own, key) == pytest.approx(getattr(other, key), abs=5e-4), key
+    assert own.arrow_tip_m == pytest.approx(other.arrow_tip_m + beyond_m, abs=5e-4)
+    assert own.lettering_m == pytest.approx(other.lettering_m, abs=2e-3)
+    assert bool(remarks) == bool(pad.lamps)
 
 
 def user_s(name: str) -> Pad:

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.mission import contact, out_of_reach, rules
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
-from companion.guidance.mission.phase import LANDING, Aimed, Phase, descending, looks_upwind, still
+from companion.guidance.mission.phase import LANDING, Phase, descending, looks_upwind, still
 from companion.guidance.mission.progress import GuidanceCycle, Progress, of_frames
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
@@ -55,10 +55,6 @@ def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Event
     yield from rules.pad_seen(p, s, o)
 
 
-def _aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
-    return still(p, s, o, looks_upwind(p, s, o))
-
-
 def keep_up(aim: Command | None, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command | None:
     """Return the command with a climb against what the drone sinks over the ground beyond its order, in a hold without sight.
 
@@ -91,6 +87,6 @@ PHASES = {
             Event.SIGHT: State.INTERCEPT,
         },
         _events,
-        _aim,
+        lambda p, s, o: still(p, s, o, looks_upwind(p, s, o)),
     ),
 }

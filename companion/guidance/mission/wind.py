@@ -147,7 +147,8 @@ class WindWatch(Struct, frozen=True):
 def watched(watch: WindWatch, knowledge: Knowledge) -> WindWatch:
     """Return the memory after one guidance cycle; one without a body's motion, or in which nothing holds it, changes nothing."""
     body, now = knowledge.body, knowledge.at
-    if body is None or not (knowledge.trusts_velocity or _in_sight(knowledge)):
+    in_sight = knowledge.relative is not None and knowledge.relative.age_s(now) <= _GAP_MAX_S
+    if body is None or not (knowledge.trusts_velocity or in_sight):
         return watch
     c, s = math.cos(body.heading_rad), math.sin(body.heading_rad)
     (forward, right), (ahead, aside, _) = body.lean_m_s2, body.a_level.tolist()
@@ -170,10 +171,6 @@ def watched(watch: WindWatch, knowledge: Knowledge) -> WindWatch:
     gust = off[0] - watch.mean[0] + watch.before[0], off[1] - watch.mean[1] + watch.before[1]
     var = watch.var + slow * (0.5 * (1.0 - slow) * (gust[0] ** 2 + gust[1] ** 2) - watch.var)
     return WindWatch(now, known_s, quick, smooth, mean, before, max(0.0, var))
-
-
-def _in_sight(knowledge: Knowledge) -> bool:
-    return knowledge.relative is not None and knowledge.relative.age_s(knowledge.at) <= _GAP_MAX_S
 
 
 def trim_level(watch: WindWatch, heading_rad: float) -> F64:

@@ -122,15 +122,11 @@ def tilt_of_sigma(found: TiltResponse, cov: F64) -> ResponseCost:
     steps = (axes * np.sqrt(np.maximum(sizes, 0.0))).T
     costs = [[tilt_of_file(found, _tilt_moved(found, sign * step)) for sign in (1.0, -1.0)] for step in steps]
     tried = [cost for pair in costs for cost in pair]
-    slopes = np.array([_squares(plus) - _squares(minus) for plus, minus in costs])
+    slopes = np.array([plus.error_cm**2 - plus.own_cm**2 - minus.error_cm**2 + minus.own_cm**2 for plus, minus in costs])
     if np.isfinite(slopes).all() and np.linalg.norm(slopes) > 0.0:
         # Of a cost that changes evenly the worst lies there.
         tried.append(tilt_of_file(found, _tilt_moved(found, slopes / np.linalg.norm(slopes) @ steps)))
     return max(tried, key=lambda cost: cost.cost_cm)
-
-
-def _squares(cost: ResponseCost) -> float:
-    return cost.error_cm**2 - cost.own_cm**2
 
 
 def _tilt_moved(of: TiltResponse, by: F64) -> TiltResponse:

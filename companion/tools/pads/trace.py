@@ -9,6 +9,7 @@ resvg draws what an SVG paints. What it would leave out, and what is not of plai
 import math
 import re
 from collections.abc import Iterator, Sequence
+from itertools import compress, pairwise
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, ParseError, fromstring, tostring
 
@@ -16,14 +17,14 @@ import cv2
 import msgspec
 import numpy as np
 import resvg_py
-from msgspec import Struct
+from msgspec import Struct, convert, structs
 from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import SMALLEST_M, check_polygon, is_simple
 from estimator.vision.pad_rules import SIDES_MOST, Rgb
-from estimator.vision.regions import PaintedPolygon
+from estimator.vision.regions import PaintedPolygon, Region, borders_of, circle
 
 U8 = NDArray[np.uint8]
 _LARGEST_BYTES = 2_000_000
@@ -59,12 +60,7 @@ class SvgDrawing(Struct, frozen=True):
     """Millimetres in a px; None if the file does not say it."""
 
     def rendered(self, left: float, top: float, size_px: tuple[int, int], scale: float, *, crisp: bool) -> U8:
-        """Return a part of the sheet, (H, W, 4) BGRA, whose pixels are blended at no border if it is to be crisp.
-
-        Args:
-            size_px: its width and height, px of the image.
-            scale: px of the image in one of the sheet.
-        """
+        """Return a part of the sheet, (H, W, 4) BGRA, `scale` px to one of the sheet; a crisp one is blended at no border."""
         w, h = size_px
         box = f"{left} {top} {w / scale} {h / scale}"
         around = f'<svg xmlns="{_SVG[1:-1]}" width="{w}" height="{h}" viewBox="{box}">{self.markup}</svg>'
@@ -142,7 +138,7 @@ _ROUND, _CONCENTRIC = 0.006, 0.01
 """Greatest scatter of a circle's radius, and distance of its centre from the pad's, over the radius."""
 _THINNEST = 0.45
 """Least inner radius of a ring over its outer one: what is narrower within is a disc with a hole in it."""
-_LEAST_AREA = 4e-4
+_LEAST_AREA = 1e-4
 """Least area of a part over that of all that is painted: less is a speck."""
 _CORNERS_MOST = 60
 _CHANGE_MOST = 0.02
@@ -153,8 +149,9 @@ _SPECK_PX = 9
 """Width of what is not traced in a rectified photograph, px: it is less than a pixel from some metres away."""
 _LOST_MOST = 0.02
 """Greatest share of the paint of a photograph that is cut by its edge: creases and shadows along a sheet's edge are less."""
-_DIFFERS_MOST = 0.1
-"""Greatest share of the paint in which a pad may differ from the picture that it is traced from."""
+_UNLIKE, _SIZE_OFF = 1 / 150, 0.005
+"""Width, in the whole, of the widest difference between a pad and the picture that it is traced from; and the greatest one of
+sizes that is no reason to scale it."""
 _MARGIN = 0.4
 """Margin of the search around the rectangle of a photograph, in its larger side."""
 _SHEET_MARGIN = -0.02
@@ -178,6 +175,8 @@ class Picture(Struct, frozen=True):
     """(2,) px, the pad's; None for that of what is painted."""
     is_known: bool = True
     """True if the colour of the ground is known."""
+    size_m: float | None = None
+    """The largest extent of the pad; None if the file or a rectangle says the size."""
 
 
 class _Part(NamedTuple):
@@ -230,8 +229,7 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str, extent: str | N
     if fills and np.count_nonzero(edge) > 0.998 * len(edge):
         ground, middle = int(np.bincount(edge).argmax()), 0.5 * (low + high_px - 1.0)
         image[image == 0] = ground
-        rows, columns = np.nonzero(image != ground)
-        alone = float(max(np.ptp(rows), np.ptp(columns)) + 1) if len(rows) else across
+        alone = _extent(image != ground) or across
         if size_m is not None and extent is None and alone < 0.98 * across:
             raise BadInput(
                 f"{where}: the sheet is painted up to its edge: --size-mm {1000.0 * size_m:g} may be its size, or that of what "
@@ -251,7 +249,8 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str, extent: str | N
     if size_m is None and drawing.px_mm is None:
         raise BadInput(f"{where}: the drawing has no size in mm or cm: give it with --size-mm, across all that it paints")
     px_per_m = across / size_m if size_m is not None else 1000.0 * scale / (drawing.px_mm or 1.0)
-    return Picture(image, tuple(paints), px_per_m, ground, middle=middle, is_known=known)
+    size_m = size_m if middle is None else None
+    return Picture(image, tuple(paints), px_per_m, ground, middle=middle, is_known=known, size_m=size_m)
 
 
 def fault_of(corners_px: F64) -> str | None:
@@ -270,7 +269,6 @@ def photographed(
     """Return a photograph of a pad as a picture.
 
     Args:
-        px: (H, W, 3) BGR.
         corners_px: (4, 2) the corners of a rectangle on the pad's plane: fore left, fore right, aft right, aft left; None for a
             photograph from straight above.
         size_m: the rectangle's width and length; without one the largest extent of what is painted.
@@ -316,10 +314,9 @@ def photographed(
             f"{where}: what is painted reaches the edge of the {edge}, and {100.0 * lost:.0f} % of the paint would be left out: "
             "give a rectangle or picture that reaches further out, leave --sheet away, or give another number of --paints"
         )
-    if scale == 0.0:
-        rows, columns = np.nonzero(image != ground)
-        scale = (max(np.ptp(rows), np.ptp(columns)) + 1) / max(size_m) if len(rows) else 1.0
-    return Picture(image, tuple(rgb), scale, ground, _SPECK_PX)
+    extent_m = max(size_m) if corners_px is None else None
+    scale = scale or max(1.0, _extent(image != ground)) / max(size_m)
+    return Picture(image, tuple(rgb), scale, ground, _SPECK_PX, size_m=extent_m)
 
 
 def _clear_edges(image: U8, ground: int) -> None:
@@ -334,87 +331,156 @@ def _edge(image: U8) -> U8:
     return np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
 
 
-def traced(picture: Picture, name: str, where: str) -> dict[str, Any]:
-    """Return a pad file's keys.
+def traced(picture: Picture, name: str, where: str) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return a pad file's keys, and remarks on what was left out.
 
     Raises:
         BadInput: nothing is painted, or it is made of what a pad file cannot say.
     """
-    found = _parts(picture)
-    parts, grounds = ([p for p in found if (p.paint == picture.ground) == bare] for bare in (False, True))
+    parts, _ = _parts(picture, picture.paint != picture.ground)
     if not parts:
         raise BadInput(f"{where}: nothing is painted: all of it has one colour")
-    base = parts[0]
-    circle = _circle(base.outline, 0.5)
-    inside = [
-        p for p in parts[1:] if cv2.pointPolygonTest(base.outline.astype(np.float32), tuple(p.outline[0].tolist()), False) >= 0
-    ]
-    if circle is not None and len(inside) == len(parts) - 1:
-        centre = circle.centre
-    else:
-        circle = None
-        low, high = (f(np.concatenate([p.outline for p in parts]), axis=0) for f in (np.min, np.max))
-        centre = 0.5 * (low + high) if picture.middle is None else picture.middle
+    centre, is_round = _middle(picture, parts)
     m = 1.0 / picture.px_per_m
+    regions = _rounds(picture, centre) if is_round else []
+    # The border of a circle is a staircase in the picture: what is as thin beside it is no part.
+    back, nib = _painted(picture, regions, centre), np.ones((round(picture.thinnest_px) + 2,) * 2)
+    rest, specks = _parts(picture, (picture.paint != back) & (cv2.morphologyEx(back, cv2.MORPH_GRADIENT, nib) == 0))
+    ring = next((region for region in regions if region["shape"] == "ring" and region.get("part") is None), None)
+    beyond = [bool(ring) and float(np.hypot(*(p.outline - centre).T).min()) > (ring or {})["outer_m"] / m for p in rest]
+    for part in compress(rest, beyond):
+        arrow = _arrowhead(part, ring or {}, centre, m, 2.4 * picture.thinnest_px)
+        if arrow is None or sum(beyond) > 1:
+            raise BadInput(
+                f"{where}: {_described(picture, centre, part.area, part.outline.mean(axis=0))} lies beyond the ring, where "
+                "nothing is read but one arrowhead of the ring's paint that points up: take it out, or the ring"
+            )
+        regions.append(arrow)
     radius_px = max(float(np.hypot(*(p.outline - centre).T).max()) for p in parts)
-    regions, below, rest = list[dict[str, Any]](), picture.ground, parts
-    if circle is not None:
-        hole = next((c for line in base.holes if (c := _circle(line, -0.5)) and _within(c, circle)), None)
-        rest = [*parts[1:], *grounds]
-        if hole is None:
-            regions.append({"shape": "disc", "paint": base.paint, "radius_m": circle.radius * m})
-            below = base.paint
-        else:
-            below = int(picture.paint[tuple(np.rint(centre + np.array([0.97 * hole.radius, 0.0])).astype(int)[::-1])])
-            on_ground = below == picture.ground
-            if not on_ground:
-                regions.append({"shape": "disc", "paint": below, "radius_m": hole.radius * m})
-            ring = {"shape": "ring", "paint": base.paint, "inner_m": hole.radius * m, "outer_m": circle.radius * m}
-            regions.append(ring if on_ground else {**ring, "part": "rim"})
-            rest = [p for p in rest if not (p.paint == below and _is_all_of(p, hole))]
-            circle = hole if not on_ground else circle
-        if not any(region["shape"] == "ring" and region.get("part") is None for region in regions):
-            for i, part in enumerate(rest):
-                outer = _circle(part.outline, 0.5)
-                inner = next((c for line in part.holes if outer and (c := _circle(line, -0.5)) and _within(c, outer)), None)
-                if outer and inner and part.paint != below and _within(outer, circle, 0.0):
-                    regions.append(
-                        {"shape": "ring", "paint": part.paint, "inner_m": inner.radius * m, "outer_m": outer.radius * m}
-                    )
-                    rest = [p for j, p in enumerate(rest) if j != i and not (p.paint == below and _is_all_of(p, inner))]
-                    break
-    regions += _lettering(rest, below, centre, m, radius_px, where)
+    regions += _lettering([p for p, out in zip(rest, beyond, strict=True) if not out], centre, m, radius_px, where)
     if not picture.is_known and any(region["paint"] == picture.ground for region in regions):
         raise BadInput(f"{where}: holes show the sheet, whose colour the drawing does not say: draw a background behind it")
-    differs = _differs(picture, regions, centre)
-    if differs > _DIFFERS_MOST:
+    back = _painted(picture, regions, centre)
+    area, at = _unlike(picture, back)
+    if area > 4.0 * _LEAST_AREA * np.count_nonzero(picture.paint != picture.ground):
         raise BadInput(
-            f"{where}: {100.0 * differs:.0f} % of the paint is lost in the pad's regions: draw fewer and simpler parts, none "
-            "finer than a hundredth of the whole"
+            f"{where}: {_described(picture, centre, area, at)} is lost in the pad's regions ({len(regions)}): draw fewer and "
+            "simpler parts, none finer than a hundredth of the whole"
         )
+    remarks = list[str]()
+    if specks:
+        all_mm2 = 1e6 * m * m * sum(p.area for p in specks)
+        largest = _described(picture, centre, specks[0].area, specks[0].outline.mean(axis=0))
+        remarks.append(f"left out as too fine to be traced: {len(specks)} in all, {all_mm2:.0f} mm2; the largest: {largest}")
+    if picture.size_m is not None:
+        size_m = m * _extent(back != picture.ground)
+        if abs(size_m / picture.size_m - 1.0) > _SIZE_OFF:
+            scaled = structs.replace(picture, px_per_m=picture.px_per_m * size_m / picture.size_m)
+            keys, remarks_of_it = traced(scaled, name, where)
+            given = f"{1000.0 * picture.size_m:g} mm of --size-mm are now across what was traced: with what was left out "
+            return keys, (*remarks_of_it, f"{given}it would be {1000.0 * size_m:.0f} mm")
     used = list(dict.fromkeys([region["paint"] for region in regions] + [picture.ground] * picture.is_known))
     names = dict(zip(used, _names([picture.paints[i] for i in used]), strict=True))
     for region in regions:
         region |= {key: round(v, 5) for key, v in region.items() if isinstance(v, float)} | {"paint": names[region["paint"]]}
     ground = {"ground": names[picture.ground]} if picture.is_known else {}
-    return {"name": name, **ground, "paints": {names[i]: list(picture.paints[i]) for i in used}, "regions": regions}
+    paints = {names[i]: list(picture.paints[i]) for i in used}
+    return {"name": name, **ground, "paints": paints, "regions": regions}, tuple(remarks)
 
 
-def _differs(picture: Picture, regions: Sequence[dict[str, Any]], centre: F64) -> float:
-    """Return the share of the paint in which regions differ from the picture that they were made of."""
+def _middle(picture: Picture, parts: Sequence[_Part]) -> tuple[F64, bool]:
+    """Return the pad's centre, px, and whether the largest part is round about it."""
+    low, high = (f(np.concatenate([p.outline for p in parts]), axis=0) for f in (np.min, np.max))
+    centre = 0.5 * (low + high) if picture.middle is None else picture.middle
+    found, line = _circle(parts[0].outline, 0.5, whole=False), parts[0].outline.astype(np.float32)
+    if found is None:
+        return centre, False
+    beyond = [p for p in parts[1:] if cv2.pointPolygonTest(line, p.outline[0].tolist(), False) < 0]
+    # An arrowhead beyond a ring on the bare ground is no reason for another centre.
+    if not beyond or (len(beyond) == 1 and parts[0].holes and beyond[0].paint == parts[0].paint):
+        return found.centre, True
+    return centre, _is_about(found, centre)
+
+
+def _rounds(picture: Picture, centre: F64) -> list[dict[str, Any]]:
+    """Return what is round about the centre: a disc with a rim or without, and a ring; further circles are left to polygons."""
+    m, found = 1.0 / picture.px_per_m, list[float]()
+    for part in _parts(picture, np.ones(picture.paint.shape, bool))[0]:
+        circles = [_circle(line, side, whole=False) for line, side in ((part.outline, 0.5), *((h, -0.5) for h in part.holes))]
+        found += [c.radius for c in circles if c and _is_about(c, centre)]
+    found.sort(reverse=True)
+    apart = [i for i, r in enumerate(found) if i == 0 or found[i - 1] - r > picture.thinnest_px]
+    edges = [float(np.mean(found[i:j])) for i, j in zip(apart, [*apart[1:], len(found)], strict=True)] + [0.0]
+    around = list[tuple[int, float]]()
+    for outer, inner in pairwise(edges):
+        right, aft = np.rint(centre + circle(outer - 0.1 * min(outer - inner, 0.3 * outer), 720)).astype(int).T
+        paint = int(np.bincount(picture.paint[aft, right]).argmax())
+        if paint != (around[-1][0] if around else picture.ground):
+            around.append((paint, outer * m))
+    if not around:
+        return []
+    around += [(-1, 0.0)] * 3
+    (first, radius), (second, inner), (third, within), *_ = around
+    regions, rest = [{"shape": "disc", "paint": first, "radius_m": radius}], around
+    if inner > _THINNEST * radius and second == picture.ground:
+        return [{"shape": "ring", "paint": first, "inner_m": inner, "outer_m": radius}]
+    if inner > _THINNEST * radius and not (third == first and within > _THINNEST * inner):
+        rim = {"shape": "ring", "paint": first, "inner_m": inner, "outer_m": radius, "part": "rim"}
+        regions, rest = [{"shape": "disc", "paint": second, "radius_m": inner}, rim], around[1:]
+    (below, _), (paint, outer), (under, hole), *_ = rest
+    if under == below and hole > _THINNEST * outer:
+        regions.append({"shape": "ring", "paint": paint, "inner_m": hole, "outer_m": outer})
+    return regions
+
+
+def _arrowhead(part: _Part, ring: dict[str, Any], centre: F64, m: float, near_px: float) -> dict[str, Any] | None:
+    """Return the arrowhead that a part beyond a ring is; None if it does not point up or has another paint."""
+    x, y = (centre - part.outline).T[::-1] * np.array([[1.0], [-1.0]])
+    tip, left, right = int(x.argmax()), int(y.argmin()), int(y.argmax())
+    base, half = 0.5 * (x[left] + x[right]), 0.5 * (y[right] - y[left])
+    off = max(abs(y[tip]), abs(y[left] + y[right]), abs(x[left] - x[right]))
+    if part.paint != ring["paint"] or off > max(near_px, 0.1 * half) or x[tip] <= base:
+        return None
+    inner, outer = ring["inner_m"] / m, ring["outer_m"] / m
+    if math.hypot(base, half) < outer + near_px:
+        # The ring hides where it begins.
+        slope, base = half / (x[tip] - base), 0.5 * (inner + outer)
+        half = slope * (x[tip] - base)
+    sizes = {"tip_m": x[tip] * m, "depth_m": (x[tip] - base) * m, "half_base_m": half * m}
+    return {"shape": "arrowhead", "paint": part.paint, **{key: float(v) for key, v in sizes.items()}}
+
+
+def _painted(picture: Picture, regions: Sequence[dict[str, Any]], centre: F64) -> U8:
+    """Return regions as the pixels of a picture."""
     back = np.full_like(picture.paint, picture.ground)
     for region in regions:
-        if region["shape"] == "polygon":
-            lines = [np.array(line)[:, ::-1] * (1.0, -1.0) for line in (region["points_m"], *region.get("holes_m", ()))]
-            lines = [np.rint(16.0 * (centre + picture.px_per_m * line)).astype(np.int32) for line in lines]
-            cv2.fillPoly(back, lines, region["paint"], cv2.LINE_8, 4)
-        else:
-            inner, outer = (picture.px_per_m * region.get(key, 0.0) for key in ("inner_m", "outer_m"))
-            outer = outer or picture.px_per_m * region["radius_m"]
-            y, x = (np.arange(n)[:, None] - c for n, c in zip(back.shape, centre[::-1], strict=True))
-            away = np.hypot(y, x.T)
-            back[(inner < away) & (away <= outer)] = region["paint"]
-    return float(np.count_nonzero(back != picture.paint) / np.count_nonzero(picture.paint != picture.ground))
+        lines = borders_of(convert({**region, "paint": ""}, Region), 720)
+        px = [np.rint(16.0 * (centre + picture.px_per_m * line[:, ::-1] * (1.0, -1.0))).astype(np.int32) for line in lines]
+        cv2.fillPoly(back, px, region["paint"], cv2.LINE_8, 4)
+    return back
+
+
+def _extent(mask: NDArray[np.bool_]) -> float:
+    """Return the larger side of the box around what a mask has, px."""
+    return float(max(cv2.boundingRect(mask.astype(np.uint8))[2:]))
+
+
+def _unlike(picture: Picture, back: U8) -> tuple[float, F64]:
+    """Return area, px^2, and place of the largest connected difference that is more than a strip along a border."""
+    wide = round(max(picture.thinnest_px, _UNLIKE * _extent(picture.paint != picture.ground)))
+    nib = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (wide, wide))
+    opened = cv2.morphologyEx((picture.paint != back).astype(np.uint8), cv2.MORPH_OPEN, nib)
+    _, _, stats, places = cv2.connectedComponentsWithStats(opened)
+    largest = 1 + int(stats[1:, -1].argmax()) if len(stats) > 1 else 0
+    return float(stats[largest, -1]) if largest else 0.0, places[largest]
+
+
+def _described(picture: Picture, centre: F64, area_px2: float, at: F64) -> str:
+    """Return a part of a picture in words: its paint, its area, and its place on the pad."""
+    m = 1000.0 / picture.px_per_m
+    right, aft = (m * (at - centre)).tolist()
+    paint = picture.paints[int(picture.paint[tuple(np.rint(at).astype(int)[::-1])])]
+    return f"{area_px2 * m * m:.0f} mm2 of {_names([paint])[0]} {-aft:.0f} mm fore and {right:.0f} mm right of the centre"
 
 
 def _names(colours: Sequence[Rgb]) -> list[str]:
@@ -432,26 +498,23 @@ def _names(colours: Sequence[Rgb]) -> list[str]:
     return out
 
 
-def _parts(picture: Picture) -> list[_Part]:
-    """Return what hangs together, the largest outline first, with its holes; of the ground what is enclosed by others."""
-    out: list[_Part] = []
-    painted = int(np.count_nonzero(picture.paint != picture.ground))
-    for paint in np.unique(picture.paint).tolist():
-        contours, tree = cv2.findContours((picture.paint == paint).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-        if tree is None:
-            continue
-        least = max(4.0, _LEAST_AREA * painted)
+def _parts(picture: Picture, shown: NDArray[np.bool_]) -> tuple[list[_Part], list[_Part]]:
+    """Return what hangs together of one paint in a mask, the largest outline first, with its holes; and what is too fine."""
+    found: tuple[list[_Part], list[_Part]] = [], []
+    least = max(4.0, _LEAST_AREA * int(np.count_nonzero(picture.paint != picture.ground)))
+    for paint in np.unique(picture.paint[shown]).tolist():
+        mask = ((picture.paint == paint) & shown).astype(np.uint8)
+        contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         for i, contour in enumerate(contours):
-            outer = paint == picture.ground and not contour.min()
-            if tree[0][i][3] >= 0 or outer or not _is_thick(contour, least, picture.thinnest_px):
+            if tree[0][i][3] >= 0:
                 continue
-            holes, child = [], int(tree[0][i][2])
-            while child >= 0:
-                if _is_thick(contours[child], least, picture.thinnest_px):
-                    holes.append(contours[child].reshape(-1, 2).astype(float))
-                child = int(tree[0][child][0])
-            out.append(_Part(paint, contour.reshape(-1, 2).astype(float), tuple(holes), float(cv2.contourArea(contour))))
-    return sorted(out, key=lambda part: -part.area)
+            inner = [contours[child] for child in np.flatnonzero(tree[0][:, 3] == i)]
+            holes = [hole.reshape(-1, 2).astype(float) for hole in inner if _is_thick(hole, least, picture.thinnest_px)]
+            part = _Part(paint, contour.reshape(-1, 2).astype(float), tuple(holes), float(cv2.contourArea(contour)))
+            found[not _is_thick(contour, least, picture.thinnest_px)].append(part)
+    for parts in found:
+        parts.sort(key=lambda part: -part.area)
+    return found
 
 
 def _is_thick(contour: NDArray[Any], least_px2: float, thinnest_px: float) -> bool:
@@ -459,37 +522,32 @@ def _is_thick(contour: NDArray[Any], least_px2: float, thinnest_px: float) -> bo
     return area >= least_px2 and 2.0 * area >= thinnest_px * cv2.arcLength(contour, True)
 
 
-def _circle(line: F64, beyond_px: float) -> _Circle | None:
-    """Return the circle that a line of border pixels follows; None if it follows none."""
-    if len(line) < 30:
-        return None
-    A = np.c_[2.0 * line, np.ones(len(line))]
-    x, y, c = np.linalg.lstsq(A, np.sum(line**2, axis=1), rcond=None)[0].tolist()
-    centre = np.array([x, y])
-    radius = math.sqrt(max(0.0, c + x * x + y * y))
-    away = np.hypot(*(line - centre).T)
-    if radius < 8.0 or float(away.std()) > max(0.45, _ROUND * radius):
-        return None
-    # All of it has to be there: an arc has such a scatter, too.
-    turns = np.histogram(np.arctan2(*(line - centre).T), bins=24, range=(-math.pi, math.pi))[0]
-    return _Circle(centre, radius + beyond_px) if turns.min() > 0 else None
+def _circle(line: F64, beyond_px: float, *, whole: bool = True) -> _Circle | None:
+    """Return the circle that a line of border pixels follows, or most of it if it need not be whole; None if it follows none."""
+    kept, off = line, np.empty(0)
+    while len(kept) >= max(30.0, 0.7 * len(line)):
+        A = np.c_[2.0 * kept, np.ones(len(kept))]
+        x, y, c = np.linalg.lstsq(A, np.sum(kept**2, axis=1), rcond=None)[0].tolist()
+        centre = np.array([x, y])
+        radius = math.sqrt(max(0.0, c + x * x + y * y))
+        off = np.abs(np.hypot(*(kept - centre).T) - radius)
+        limit = max(0.45, _ROUND * radius)
+        # All of it has to be there: an arc has such a scatter, too. An arrowhead may stand before a fifth of it.
+        turns = np.histogram(np.arctan2(*(kept - centre).T), bins=24, range=(-math.pi, math.pi))[0]
+        if radius >= 8.0 and np.sqrt(np.mean(off**2)) <= limit and (whole or off.max() <= 3.0 * limit):
+            return _Circle(centre, radius + beyond_px) if np.count_nonzero(turns) >= (24 if whole else 20) else None
+        if whole:
+            return None
+        kept = kept[off < np.quantile(off, 0.95)]
+    return None
 
 
-def _within(inner: _Circle, outer: _Circle, thinnest: float = _THINNEST) -> bool:
-    """Return whether a circle lies about the same centre as a larger one, and is not far smaller."""
-    near = float(np.hypot(*(inner.centre - outer.centre))) < max(2.0, _CONCENTRIC * outer.radius)
-    return near and thinnest * outer.radius < inner.radius < outer.radius
+def _is_about(of: _Circle, centre: F64) -> bool:
+    return float(np.hypot(*(of.centre - centre))) < max(2.0, _CONCENTRIC * of.radius)
 
 
-def _is_all_of(part: _Part, circle: _Circle) -> bool:
-    return abs(part.area / (math.pi * circle.radius**2) - 1.0) < 0.05
-
-
-def _lettering(
-    parts: Sequence[_Part], below: int, centre: F64, m: float, radius_px: float, where: str
-) -> Iterator[dict[str, Any]]:
+def _lettering(parts: Sequence[_Part], centre: F64, m: float, radius_px: float, where: str) -> Iterator[dict[str, Any]]:
     """Yield the parts beside disc and rings as polygons: those of the paint with the largest area, then those of a second."""
-    parts = [p for p in parts if p.paint != below]
     layers = sorted({p.paint for p in parts}, key=lambda paint: -sum(p.area for p in parts if p.paint == paint))
     if len(layers) > 2:
         raise BadInput(f"{where}: {len(layers)} paints lie on the ground or the disc, and at most two are measured: use fewer")
@@ -527,12 +585,10 @@ def _is_filled(hole: F64, others: Sequence[_Part]) -> bool:
 
 def _corners(line: F64, off_px: float) -> F64:
     """Return the corners of an outline, (N, 2) px; a circle's are those of a polygon of its area."""
-    circle = _circle(line, 0.0)
-    if circle is not None:
-        n = int(np.clip(math.pi / math.acos(max(0.5, 1.0 - min(0.5, off_px / circle.radius))), 6, 16))
-        a = np.arange(n) * math.tau / n
-        r = circle.radius * math.sqrt(math.tau / (n * math.sin(math.tau / n)))
-        return np.asarray(circle.centre + r * np.stack([np.cos(a), np.sin(a)], axis=1))
+    found = _circle(line, 0.0)
+    if found is not None:
+        n = int(np.clip(math.pi / math.acos(max(0.5, 1.0 - min(0.5, off_px / found.radius))), 6, 32))
+        return found.centre + circle(found.radius * math.sqrt(math.tau / (n * math.sin(math.tau / n))), n)
     corners = np.asarray(cv2.approxPolyDP(line.astype(np.float32), off_px, True).reshape(-1, 2), float)
     # A side that nearly lies along an axis does so.
     for axis in (0, 1):

@@ -23,7 +23,6 @@ from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
-from estimator.vision.camera import Camera
 
 U8 = NDArray[np.uint8]
 
@@ -82,7 +81,8 @@ def drawn_frames(log: FlightLog, scale: float = 1.0, apart_s: float = 0.0) -> It
             R_level_body=frame.R_level_body,
             d_expected_level=frame.d_expected_level,
         )
-        yield annotate(image, overlay, _camera(log, frame), log.pad, scale), frame.exposed_at
+        camera = log.camera if frame.R_body_cam is None else log.camera.turned(frame.R_body_cam)
+        yield annotate(image, overlay, camera, log.pad, scale), frame.exposed_at
 
 
 def film_of(log: FlightLog, watch: Watch = unwatched) -> FilmFile | None:
@@ -124,11 +124,6 @@ def film_of(log: FlightLog, watch: Watch = unwatched) -> FilmFile | None:
         except OSError as why:
             raise Recoverable(f"{path}: cannot write the video: {why}") from why
         return FilmFile(path.read_bytes(), drawn[0], len(drawn)) if drawn else None
-
-
-def _camera(log: FlightLog, frame: FrameRecord) -> Camera:
-    """Return the camera as a gimbal held it at a frame's exposure, or the log's."""
-    return log.camera if frame.R_body_cam is None else log.camera.turned(frame.R_body_cam)
 
 
 def _nearest(states: list[RelativeState], instants: NDArray[np.int64], at: MonoNs) -> RelativeState | None:
