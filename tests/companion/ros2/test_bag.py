@@ -218,7 +218,7 @@ def test_nothing_is_overwritten_and_a_bag_that_failed_leaves_nothing(flight_file
     assert f"{tmp_path / 'mine'}: exists already" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
     assert cli.main([*command, str(tmp_path / "file/bag")]) == 2
-    assert "cannot write a bag there" in capsys.readouterr().err
+    assert "file/bag: Not a directory" in capsys.readouterr().err
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
