@@ -88,7 +88,7 @@ def _import(args: argparse.Namespace) -> int:
     text = file_text(keys, f"Made of {path.name} by decklander pad import.")
     pad = Pad.from_mapping(tomllib.loads(text), str(path))
     drawing = pad_drawing(pad)
-    png = resvg_py.svg_to_bytes(svg(drawing, sheets(drawing, "full")[0]), width=_PREVIEW_PX, dpi=96.0)
+    png = resvg_py.svg_to_bytes(svg(drawing, sheets(drawing, "full")[0]), width=800, dpi=96.0)
     with file_errors(str(out)):
         out.write_text(text, encoding="utf-8")
         shown.write_bytes(png)
@@ -106,9 +106,6 @@ def _import(args: argparse.Namespace) -> int:
         + "".join(f"{path}: {remark}\n" for remark in remarks)
     )
     return 0
-
-
-_PREVIEW_PX = 800
 
 
 def _picture(path: Path, data: bytes, size_m: tuple[float, float] | None, args: argparse.Namespace) -> Picture:

@@ -77,6 +77,7 @@ class FlightState(Struct, frozen=True, kw_only=True, tag_field="kind", tag="stat
     over_pad: bool = False
     """True if that is surely on the pad."""
     bars: str = ""
+    """The thing that bars the landing, in words; empty if nothing does."""
 
 
 class RequestRefused(Struct, frozen=True, kw_only=True, tag_field="kind", tag="refused"):

@@ -356,9 +356,8 @@ class OperatorArbiter:
         stood = self._stood_still(now)
         if stood is not None and order not in NEVER_OLD and seconds_between(stood[1], now) <= _WAITED_S:
             return f"it may be old, for this service stood still for {stood[0]:.1f} s: give it again"
-        bars, may = self._guided.barred()
-        if order is OperatorOrder.CLEAR and not may:
-            return f"{bars}: what moves is not ignored" if bars else "nothing is seen that bars a landing"
+        if order is OperatorOrder.CLEAR and not (bar := self._guided.barred())[1]:
+            return f"{bar[0]}: what moves is not ignored" if bar[0] else "nothing is seen that bars a landing"
         own = rule in (Rule.HOLDER, Rule.IDLE) and sender == control.hand
         if order in _TO_PAD and (own or rule is Rule.YES) and not self._guided.may_begin:
             return REASONS[Rule.ON_GROUND]

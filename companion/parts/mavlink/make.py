@@ -257,10 +257,8 @@ class AutopilotPart:
             self._links, autopilot.links.tap = autopilot.links, self._tap
             for watcher in self._watchers:
                 autopilot.add_listener(partial(watcher.on_message, autopilot))
-            landing = self._pilot.landing
-            autopilot.deck_velocity = DeckVelocity(
-                self._pilot.belief, autopilot, lambda at: landing.vessel_track.velocity_ned(at)
-            )
+            by = self._pilot.landing
+            autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot, lambda at: by.vessel_track.velocity_ned(at))
             async with (
                 speaking(self.component, autopilot, self._clock),
                 showing(self._show, autopilot, self._clock),

@@ -169,6 +169,7 @@ class PageWelcome(Struct, frozen=True, kw_only=True, tag_field="kind", tag="welc
     """The pad's drawing: lines of points along the arrow and to starboard of it, metres."""
     pad_radius_m: float
     words: dict[str, dict[str, str]]
+    """See `companion.base.orders.WORDS`."""
 
 
 class PageState(FlightState, frozen=True, kw_only=True, tag_field="kind", tag="state"):

@@ -52,9 +52,10 @@ class Asset(Struct, frozen=True):
 
 def assets() -> dict[str, Asset]:
     """Return the files by their paths in an address: the page itself at `/`, the others by their names."""
-    found = {}
+    # The built-in table alone: a host's own may call a script plain text, which a browser does not run.
+    found, types = {}, mimetypes.MimeTypes()
     for file in (resources.files("companion.parts.page") / "static").iterdir():
-        kind, _ = mimetypes.guess_type(file.name)
+        kind, _ = types.guess_type(file.name)
         if kind is not None:
             charset = "; charset=utf-8" if kind.startswith("text/") else ""
             found["/" if file.name == "index.html" else f"/{file.name}"] = Asset(file.read_bytes(), kind + charset)
