@@ -10,13 +10,13 @@ mode is sent in one of the states in which it is borrowed, and `setpoint_streame
 - LANDING, LEAVING, HOLDING, STANDING, TAKING_OFF: the autopilot does a thing by our order, and what it needs goes on being sent.
 - PERSON: a person, a failsafe or a refusal ended what we did. CUT: a person cut the motors at the computer.
 
-The orders of guidance come in every cycle, so no repeated command is ever an order to take the vehicle back. Two orders of a
-person are: `ENGAGE`, which the service gives once for each order to begin or to land, and a take-off.
+The orders of guidance come in every cycle, so no repeated command is ever an order to take the vehicle back. A person's are: a
+take-off, and `ENGAGE` (where setpoints steer what flies, `ENGAGE_ALOFT`), given once for each order to begin or to land.
 
 What holds in every state (`tests/drivers/mavlink/test_custody.py` flies random sequences against toy autopilots):
 
 1. A mode that is reported, that differs from the one before, and that we have not requested since, is a person's or a failsafe's.
-   It leads to PERSON from every state in which something of ours runs, at that report, and in flight from an order to begin on.
+   It leads to PERSON from every state in which something of ours runs, at that report, in flight from an order to begin on.
 2. A request is used up when it is obeyed. The same mode once more, or the mode from before our request, is a person's choice.
    A mode that was there when the request began is no change and says nothing.
 3. PERSON ends by an order of a person, or when the vehicle stands disarmed. The velocity mode, which a ground station chooses for
@@ -92,7 +92,8 @@ class HandEvent(Enum):
     CONTACT = "contact"
     TAKE_OFF = "takeoff"
     ENGAGE = "begin"
-    """A person's order to begin or to land."""
+    ENGAGE_ALOFT = "begin aloft"
+    """A person's order to begin or to land; in flight guidance's hover before its first velocity is flown, too."""
     CUT = "emergency"
     RESET = "reset"
     IN_MODE = "in mode"
@@ -101,7 +102,7 @@ class HandEvent(Enum):
     OTHER_MODE = "another mode"
     """A mode that was not requested since the last report, or a request that was undone."""
     MODE_SINCE = "mode since order"
-    """A change of mode in flight between a person's order to begin and the first velocity."""
+    """A change of mode in flight between a person's order to begin and a landing on targets."""
     MODE_ORDER = "mode as order"
     ARMED = "armed"
     """Not by us."""
@@ -137,8 +138,8 @@ _FLOWN: Row = {**_BORROWED, _E.LAND: _H.LANDING, _E.CONTACT: _H.STANDING}
 
 _ROWS: Table = {
     _H.NOBODY: {
-        **_CUT, _E.STEER: _H.TAKING, _E.LAND: _H.LANDING, _E.CONTACT: _H.LANDING, _E.TAKE_OFF: _H.TAKING_OFF,
-        _E.MODE_SINCE: _H.PERSON,
+        **_CUT, _E.STEER: _H.TAKING, _E.ENGAGE_ALOFT: _H.TAKING, _E.LAND: _H.LANDING, _E.CONTACT: _H.LANDING,
+        _E.TAKE_OFF: _H.TAKING_OFF, _E.MODE_SINCE: _H.PERSON,
     },
     _H.TAKING: {
         **_FLOWN, _E.IN_MODE: _H.OURS, _E.REFUSED: _H.PERSON, _E.STOOD: _H.NOBODY, _E.UNCLEAR: _H.HOLDING,
@@ -163,7 +164,8 @@ _ROWS: Table = {
         _E.CONTACT: _H.LANDING, _E.ALOFT: _H.OURS, _E.ON_DECK: _H.STANDING,
     },
     _H.PERSON: {
-        **_CUT, _E.ENGAGE: _H.NOBODY, _E.TAKE_OFF: _H.TAKING_OFF, _E.DOWN: _H.NOBODY, _E.MODE_ORDER: _H.OURS,
+        **_CUT, _E.ENGAGE: _H.NOBODY, _E.DOWN: _H.NOBODY, _E.ENGAGE_ALOFT: _H.TAKING, _E.TAKE_OFF: _H.TAKING_OFF,
+        _E.MODE_ORDER: _H.OURS,
     },
     _H.CUT: {_E.RESET: _H.PERSON},
 }  # fmt: skip

@@ -1,8 +1,8 @@
 """Choose what an autopilot is sent in each period, from the newest command and the state that it reports. No I/O.
 
 `custody` is the table of who has the vehicle; here are the bytes and the few numbers that are streamed in each of its states.
-The first velocity takes the vehicle into its velocity mode (ArduPilot GUIDED, PX4 OFFBOARD, whose setpoints must stream for a
-while first). From then on every period carries a setpoint.
+A person's order to begin in flight, or the first velocity, takes the vehicle into its velocity mode (ArduPilot GUIDED, PX4
+OFFBOARD, whose setpoints must stream for a while first). From then on every period carries a setpoint.
 A command of guidance is flown only for a short time unless guidance renews it. A velocity or a landing that is not renewed
 becomes a hold at the deck's own velocity, then one over the ground, then the autopilot's hold mode, and our stream ends.
 A landing by velocity is bounded by time and by height as well, renewed or not. A landing that a person ordered needs no renewal
@@ -183,7 +183,7 @@ class SetpointStreamer:
         self._turned: MonoNs | None = None
         """Time of the newest request for a heading; None before one."""
         self._engaged = False
-        """True from a person's order to begin in flight until the vehicle is taken."""
+        """True from a person's order to begin in flight until a mode is chosen, where targets alone lead."""
         self.hand = Hand.NOBODY
         self.cause: HandEvent | None = None
         """The event that led to the present state; None at the start."""
@@ -319,9 +319,10 @@ class SetpointStreamer:
             self._on(HandEvent.LEAVE)
 
     def engage(self) -> None:
-        """Allow a vehicle that a person took over to be taken back, because a person orders to begin or to land."""
-        self._on(HandEvent.ENGAGE)
-        self._engaged = self.hand is Hand.NOBODY and self._condition.flying is True
+        """Take the vehicle in flight, or allow one that a person took over to be taken: a person orders to begin or to land."""
+        flies, steers = self._condition.flying is True, self._authority is Authority.SETPOINTS and self._mode is not None
+        self._on(HandEvent.ENGAGE_ALOFT if flies and steers else HandEvent.ENGAGE)
+        self._engaged = flies and self._authority is Authority.MODES and self.hand is Hand.NOBODY
 
     def on_answer(self, command: int, *, accepted: bool) -> None:
         """Take the autopilot's answer to a command of ours, by the command's number."""
@@ -348,8 +349,10 @@ class SetpointStreamer:
         """Yield the events in a report; each is taken before the next is looked for."""
         ours, in_mode = self._modes.on_mode(now.mode, self._now) if beat else None, now.mode == self._mode
         if ours is False and not (self.hand is Hand.TAKING and in_mode and self._tries.begun):
-            if not self._engaged or not self._awaits(now.mode):
-                yield HandEvent.MODE_SINCE if self._engaged else HandEvent.OTHER_MODE
+            if not self._engaged:
+                yield HandEvent.OTHER_MODE
+            elif now.mode != TARGET_MODE.get(self._id.stack):
+                yield HandEvent.MODE_SINCE
             if in_mode and self._o.mode_is_order and self._authority is Authority.SETPOINTS:
                 yield HandEvent.MODE_ORDER
         elif ours and not in_mode:
@@ -366,11 +369,6 @@ class SetpointStreamer:
             yield HandEvent.LIFTED if in_mode else HandEvent.OTHER_MODE
         if in_mode:
             yield HandEvent.IN_MODE
-
-    def _awaits(self, mode: str) -> bool:
-        """Return whether a mode that a person chooses after the order to begin is what that order waits for."""
-        lands = self._authority is Authority.MODES and mode == TARGET_MODE.get(self._id.stack)
-        return lands or self._authority is Authority.NOTHING
 
     def on_position(self, down_m: float) -> None:
         """Take the autopilot's position below its own origin, metres."""

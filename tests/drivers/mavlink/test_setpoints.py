@@ -165,15 +165,14 @@ def test_a_mode_that_does_not_come_is_requested_a_few_times_and_then_left() -> N
     assert flight.periods(1.0, GO) == []
 
 
-def test_a_mode_chosen_between_the_order_to_begin_and_the_first_velocity_stands() -> None:
+def test_an_order_to_begin_takes_the_vehicle_in_flight_alone_and_a_mode_chosen_after_it_stands() -> None:
     flight = Flight(Stack.ARDUPILOT)
-    flight.told("poshold")
-    assert flight.streamer.hand is Hand.NOBODY, "without an order nobody is disobeyed"
-    flight.streamer.engage()
-    assert flight.periods(1.0, Hover()) == []
+    for flying in (False, None, True):
+        flight.told("poshold", flying=flying)
+        flight.streamer.engage()
+        assert modes(flight.periods(1.0, Hover())) == ([(4, 0)] if flying else []), "a hover of guidance's own takes no mode"
     flight.told("rtl")
     assert flight.periods(2.0, GO) == []
-    assert flight.streamer.hand is Hand.PERSON
     flight.streamer.engage()
     assert modes(flight.periods(0.2, GO)) == [(4, 0)]
 
