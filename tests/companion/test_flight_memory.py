@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from companion.base.mission import State
+from companion.base.mission import FLOWN, State
 from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot
 from companion.service.assemble import FlightKeeper, keeper_of, no_modes
@@ -15,10 +15,12 @@ from tests.companion.test_safety import Loop
 from tests.make import ns
 
 
-def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = True) -> Loop:
-    """Return a new service, 2 s after that record, in its first cycle without sight."""
+def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = True, hold: bool = False) -> Loop:
+    """Return a new service, 2 s after that record, in its first cycle without sight; an order to hold may come before."""
     loop = Loop(automatic=automatic, flying=flying)
     loop.pilot.landing.before, loop.now = before, ns(102.0)
+    if hold:
+        loop.pilot.pause()
     loop.tick("no frames")
     return loop
 
@@ -36,6 +38,8 @@ def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = 
 def test_a_landing_goes_on_and_a_person_s_hold_stays_one(state: State, begun: bool, automatic: bool, then: State) -> None:
     loop = back(FlightMemory(ns(100.0), state.name, begun, 0.3), automatic=automatic)
     assert loop.pilot.state is then
+    held = back(FlightMemory(ns(100.0), state.name, begun, 0.3), automatic=automatic, hold=True).pilot.state
+    assert held is State.PAUSED if state is State.COMMIT else held not in FLOWN
     assert loop.pilot.landing.mission.begun is (then is State.SEARCH or (begun and then is not State.READY))
 
 

@@ -4,8 +4,8 @@ import subprocess
 from pathlib import Path
 
 
-def make_certificates(folder: Path) -> None:
-    """Make a CA, a server certificate for localhost and 127.0.0.1, a client certificate, and one that this CA did not sign."""
+def make_certificates(folder: Path) -> dict[str, str]:
+    """Make a CA, certificates of a server for localhost and 127.0.0.1, of a client, of another CA; return the server's files."""
 
     def openssl(*words: str) -> None:
         subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
@@ -22,3 +22,5 @@ def make_certificates(folder: Path) -> None:
         key_and_request(name, subject)
         openssl("x509", "-req", "-in", f"{name}.csr", "-CA", "ca.crt", "-CAkey", "ca.key", "-CAcreateserial",
                 "-out", f"{name}.crt", "-days", "2", "-extfile", "names.txt")  # fmt: skip
+    (folder / "server.key").chmod(0o600)
+    return {"certificate_file": str(folder / "server.crt"), "key_file": str(folder / "server.key")}

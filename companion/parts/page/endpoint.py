@@ -129,13 +129,6 @@ _STAGES = (
 )
 
 
-def page_health(health: HealthSnapshot, decision: Decision | None, *, flying: bool) -> PageHealth:
-    """Return what is wrong, the worst first, and the figures of the service."""
-    rank: dict[Level, int] = {"fault": 0, "warning": 1, "info": 2}
-    causes = sorted(_causes(health, decision, flying=flying), key=lambda cause: rank[cause.level])
-    return PageHealth(causes=tuple(causes), figures=tuple(_figures(health)))
-
-
 def _causes(health: HealthSnapshot, decision: Decision | None, *, flying: bool) -> Iterator[HealthCause]:
     why = stuck(health, flying)
     if why is not None:
@@ -149,10 +142,8 @@ def _causes(health: HealthSnapshot, decision: Decision | None, *, flying: bool) 
     for text in missing_inputs(health):
         yield HealthCause(level="fault" if flying else "warning", text=text)
     belief = None if decision is None else decision.belief
-    for alert in () if belief is None else belief.alerts:
-        yield HealthCause(level="warning", text=alert.value)
-    for lost in () if belief is None else belief.lost:
-        yield HealthCause(level="warning", text=lost)
+    for text in () if belief is None else (*(alert.value for alert in belief.alerts), *belief.lost):
+        yield HealthCause(level="warning", text=text)
     if belief is not None and not belief.consistent and not belief.alerts:
         yield HealthCause(level="warning", text="the estimate of the pad contradicts itself")
     if decision is not None and decision.limit:
@@ -221,7 +212,8 @@ class PageEndpoint(NullObserver):
         self._viewers: list[PageViewer] = []
         self._frames: Latest[ProcessedFrame] = Latest()
         self._offered: MonoNs | None = None
-        self._advice = ""
+        self._advice = "", ""
+        """The mission's newest state, and the advice on it: it holds for no other, such as flight by hand."""
         self._events: deque[PageEvent] = deque(maxlen=_EVENTS)
         self._counts = service.counts
         self._began = clock.now()
@@ -240,7 +232,7 @@ class PageEndpoint(NullObserver):
         for change in decision.transitions:
             level: Level = "warning" if change.event in FAULTS else "info"
             todo = advice(change.target, change.reason) if change.event in FAULTS else ""
-            phase, self._advice = WORDS["phases"].get(change.target.value, change.target.value), todo
+            phase, self._advice = WORDS["phases"].get(change.target.value, change.target.value), (change.target.value, todo)
             self._tell(decision.at, level, f"{phase}: {change.reason.text}", todo)
 
     def on_order(self, handled: HandledOrder) -> None:
@@ -296,8 +288,7 @@ class PageEndpoint(NullObserver):
         return None
 
     async def _operate(self, request: web.Request) -> web.StreamResponse:
-        names = own_names(self._settings)
-        why = refused_origin(request.headers.get("Origin"), request.headers.get("Host"), names)
+        why = refused_origin(request.headers.get("Origin"), request.headers.get("Host"), own_names(self._settings))
         if why is not None:
             self._server.counts["foreign_origins"] += 1
             return web.Response(status=403, text=f"{why}\n")
@@ -349,6 +340,7 @@ class PageEndpoint(NullObserver):
         pad, camera = self._pilot.pad, self._pilot.camera
         return PageWelcome(
             you=str(viewer.sender),
+            run=str(self._began),
             vehicle=self._vehicle,
             camera_px=(camera.width, camera.height),
             h264=self._h264,
@@ -370,7 +362,7 @@ class PageEndpoint(NullObserver):
             rounds += 1
 
     def _tell_states(self) -> None:
-        now, decision = self._clock.now(), self._flight.decision
+        now, decision, (advised, todo) = self._clock.now(), self._flight.decision, self._advice
         belief, ahead = self._flight.belief(now), self._pilot.estimator.forecast(now, HORIZONS_S)
         roll = pitch = None
         if self._attitude is not None and seconds_between(self._attitude.stamp.received_at, now) < _ATTITUDE_S:
@@ -383,7 +375,7 @@ class PageEndpoint(NullObserver):
                 PageState(
                     **{name: getattr(flight, name) for name in flight.__struct_fields__},
                     at_s=seconds_between(self._began, now),
-                    advice=viewer.sender.reads(self._advice),
+                    advice=viewer.sender.reads(todo) if flight.phase == advised else "",
                     landing=decision is not None and decision.phase in _LANDING_PHASES,
                     belief=None if belief is None else structs.replace(facts.belief(belief), details=[]),
                     deck=None if ahead is None else facts.deck(DeckOutlook.of(ahead)),
@@ -396,9 +388,12 @@ class PageEndpoint(NullObserver):
             )
 
     def _health_report(self) -> PageHealth:
-        found = page_health(self._service.health.snapshot(), self._flight.decision, flying=self._service.flying)
-        sensors = self._pilot.estimator.ship_motion.standings()
-        return structs.replace(found, figures=(*found.figures, *((f"motion sensor {s.sensor}", s.text) for s in sensors)))
+        """Return what is wrong, the worst first, and the figures of the service."""
+        health, worst_first = self._service.health.snapshot(), ("fault", "warning", "info")
+        causes = list(_causes(health, self._flight.decision, flying=self._service.flying))
+        causes.sort(key=lambda cause: worst_first.index(cause.level))
+        sensors = ((f"motion sensor {s.sensor}", s.text) for s in self._pilot.estimator.ship_motion.standings())
+        return PageHealth(causes=tuple(causes), figures=(*_figures(health), *sensors))
 
     async def _send_pictures(self, worker: Worker) -> None:
         number, lean = 0, Rotation.identity()

@@ -161,6 +161,8 @@ class PageWelcome(Struct, frozen=True, kw_only=True, tag_field="kind", tag="welc
 
     you: str
     """This browser as a sender of orders."""
+    run: str
+    """Name of this run of the service: another one after a restart."""
     vehicle: str
     camera_px: tuple[int, int]
     h264: bool

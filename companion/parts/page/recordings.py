@@ -127,15 +127,13 @@ _BYTES_MAX = 400_000_000
 _NICE = 19
 _OOM_SCORE = 500
 """If memory runs short the kernel ends the report, not the service."""
-
-
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}\.mcap")
+"""Names of the recorder's files: without a path."""
 _LISTED = 50
 _TICKETS = 16
 _TICKET_S = 30.0
 _DOWNLOADS = 2
 IN_FLIGHT = "the vehicle flies, and its link is not to be shared with a download; ask again on the ground"
-NO_NAME = "that is no recording's name"
 
 
 class Recordings(Tool):
@@ -180,8 +178,8 @@ class Recordings(Tool):
         """Return why a recording is neither sent nor read now; empty if it is."""
         if self._service.flying:
             return IN_FLIGHT
-        if not is_recording_name(name):
-            return NO_NAME
+        if not _NAME.fullmatch(name):
+            return "that is no recording's name"
         return f"{most} {what}" if under_way >= most else ""
 
     async def _list(self) -> None:
@@ -303,11 +301,6 @@ async def _last_line(process: asyncio.subprocess.Process) -> str:
     return lines[-1].strip().removeprefix("decklander: ")[:300] if lines else ""
 
 
-def is_recording_name(name: str) -> bool:
-    """Return whether a file of the recorder's folder may have this name: one without a path."""
-    return _NAME.fullmatch(name) is not None
-
-
 def recordings_in(folder: Path) -> RecordingList:
     """Return the newest recordings of a folder. It reads the disk, so it belongs on a thread."""
     files = []
@@ -315,7 +308,7 @@ def recordings_in(folder: Path) -> RecordingList:
         for path in folder.iterdir():
             with suppress(FileNotFoundError):  # the recorder has removed it since it was listed
                 status = path.lstat()
-                if is_recording_name(path.name) and stat.S_ISREG(status.st_mode):
+                if _NAME.fullmatch(path.name) and stat.S_ISREG(status.st_mode):
                     files.append(RecordingFile(name=path.name, size_bytes=status.st_size, unix_s=status.st_mtime))
     except FileNotFoundError:
         return RecordingList(files=(), fault="")

@@ -4,7 +4,7 @@ import os
 import re
 import shutil
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -27,7 +27,7 @@ from tests.companion.test_report import report_flight
 from tests.fly import record_to
 from tests.support.certificates import make_certificates
 from tests.support.page_service import TOKEN, PageService, serving
-from tests.support.waiting import until
+from tests.support.waiting import free_port, until
 
 CHROMIUM = shutil.which("chromium")
 playwright = pytest.importorskip("playwright.async_api", reason="playwright is not installed (requirements/dev.txt)")
@@ -219,26 +219,37 @@ BEGUN_IN_SILENCE = """() => new Promise((done) => {
 })"""
 
 
+OLD = "getComputedStyle(document.getElementById('phase'), '::before').content"
+
+
 @pytest.mark.timeout(500)
-async def test_over_tls_a_lost_hand_a_silent_and_a_lost_connection_are_reported_and_it_comes_back(tmp_path: Path) -> None:
-    make_certificates(tmp_path)
-    files = {"certificate_file": str(tmp_path / "server.crt"), "key_file": str(tmp_path / "server.key")}
-    (tmp_path / "server.key").chmod(0o600)
-    async with (
-        serving(tmp_path, endpoint="https", **files, **CALM) as service,
-        chromium() as browser,
-        window(browser, service, ignore_https_errors=True) as one,
-    ):
-        await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "h264", timeout=WAIT_MS)
-        await one.page.evaluate(WITHOUT_STICKS)
-        await one.page.click("#by-hand")
-        await one.shows("answer", "Fly by hand: .*: nothing received from you for 0.5 s: it hovers")
-        assert await one.page.evaluate(BEGUN_IN_SILENCE) == "Begin landing: not sent, the connection is silent"
-        await one.shows("lost", "A landing goes on without this page")
-        await one.shows("link", "live")
-        assert await one.page.is_hidden("#lost")
-        assert "accepted" in await one.press("hold")
-        assert [order.order.value for order in service.orders] == ["manual", "hold", "hold"]
+async def test_over_tls_a_lost_hand_a_silent_and_an_ended_service_are_reported_and_the_next_gets_the_stop(tmp_path: Path) -> None:
+    options = {"endpoint": "https", "port": free_port(), **make_certificates(tmp_path), **CALM}
+    async with chromium() as browser, AsyncExitStack() as stack:
+        async with serving(tmp_path, **options) as service:
+            one = await stack.enter_async_context(window(browser, service, ignore_https_errors=True))
+            await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "h264", timeout=WAIT_MS)
+            await one.page.evaluate(WITHOUT_STICKS)
+            await one.page.click("#by-hand")
+            await one.shows("answer", "Fly by hand: .*: nothing received from you for 0.5 s: it hovers")
+            assert await one.page.evaluate(BEGUN_IN_SILENCE) == "Begin landing: not sent, the connection is silent"
+            await one.shows("lost", "The service is silent.*not known here: a landing may go on, or .*the drone hovers")
+            await one.shows("link", "live")
+            assert await one.page.is_hidden("#lost")
+            assert "accepted" in await one.press("hold")
+            assert [order.order.value for order in service.orders] == ["manual", "hold", "hold"]
+            assert await one.page.evaluate(OLD) == "none"
+        await one.shows("lost", "The service ends.*the drone hovers")
+        assert "last known" in await one.page.evaluate(OLD)
+        assert await one.text("answer") == "", "what was accepted before is over"
+        for order, says in (("hold", "^Hold: will be"), ("abort", "^Abort: will be"), ("begin", "^Begin.*not sent.*Abort: will")):
+            await one.page.click(f'[data-order="{order}"]', force=True)
+            await one.shows("answer", says)
+        async with serving(tmp_path, **options) as service:
+            await one.shows("phase", "aborted")
+            await one.shows("events", "the service started again")
+            assert (await one.page.evaluate(OLD), await one.page.is_hidden("#lost")) == ("none", True)
+            assert [order.order.value for order in service.orders] == ["abort"]
 
 
 @pytest.mark.timeout(500)
@@ -625,15 +636,11 @@ async def test_nothing_overlaps_or_is_too_small_on_phone_and_laptop(report: Path
                   && parseFloat(getComputedStyle(e).fontSize) < 11).map((e) => e.outerHTML.slice(0, 80))"""
             )
             assert small == []
-            painted = await one.page.evaluate(
-                """() => {
-                  const c = document.querySelector("figure.view canvas");
-                  c.scrollIntoView();
-                  const colours = () => new Set(c.getContext("2d").getImageData(0, 0, c.width, c.height).data).size;
-                  return new Promise((done) => setTimeout(() => done(colours()), 300));
-                }"""
-            )
-            assert painted > 40, "the pad is drawn"
+            canvas = one.page.locator("figure.view canvas").first
+            await canvas.scroll_into_view_if_needed()
+            await one.page.wait_for_timeout(300)
+            colours = "(c) => new Set(c.getContext('2d').getImageData(0, 0, c.width, c.height).data).size"
+            assert await canvas.evaluate(colours) > 40, "the pad is drawn"
             await one.page.evaluate("scrollTo(0, 0)")
         assert one.faults == []
 

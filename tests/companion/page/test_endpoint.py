@@ -86,9 +86,7 @@ async def test_pictures_come_one_after_the_other_and_wait_for_the_browser(tmp_pa
 
 
 async def test_a_page_on_tls_answers_nobody_in_clear_and_its_certificate_is_checked(tmp_path: Path) -> None:
-    make_certificates(tmp_path)
-    (tmp_path / "server.key").chmod(0o600)
-    files = {"certificate_file": str(tmp_path / "server.crt"), "key_file": str(tmp_path / "server.key")}
+    files = make_certificates(tmp_path)
     trusting = ssl.create_default_context(cafile=tmp_path / "ca.crt")
     async with serving(tmp_path, endpoint="https", **files) as service, aiohttp.ClientSession() as session:
         async with session.get(f"{service.address}/", ssl=trusting) as answer:
@@ -198,6 +196,11 @@ async def test_an_event_says_what_a_person_can_do_about_it(tmp_path: Path) -> No
             around = await browser.read("event")
         assert (around["level"], around["advice"]) == ("warning", "Wait for less wind, or let the ship run with it.")
         assert (await browser.read("event"))["advice"] == ""
+        while not (await browser.read("state"))["advice"]:
+            service.page.on_decision(Decision(now, "go around", None, None, transitions=changes[:1]))
+            service.page._tell_states()
+        while (await browser.read("state"))["advice"]:
+            pass  # the state that the pilot is in meanwhile needs no advice
 
 
 async def refused_with(service: PageService, token: str) -> None:
@@ -256,13 +259,8 @@ async def test_every_answer_has_strict_headers_and_no_path_leads_out(tmp_path: P
 
 async def test_garbage_a_flood_and_a_huge_message_end_their_own_connection_alone(tmp_path: Path) -> None:
     async with serving(tmp_path) as service, browsing(service) as other:
-        for said in (
-            "{}",
-            '{"kind":"sticks","forward":2.0}',
-            '{"kind":"login","token":"again"}',
-            '{"kind":"order","number":-1,"order":"land"}',
-            "x" * 70_000,
-        ):
+        order = '{"kind":"order","number":-1,"order":"land"}'
+        for said in ("{}", '{"kind":"sticks","forward":2.0}', '{"kind":"login","token":"again"}', order, "x" * 70_000):
             async with browsing(service) as browser:
                 await browser.read("welcome")
                 await browser.socket.send_str(said)

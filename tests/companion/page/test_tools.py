@@ -263,18 +263,10 @@ async def test_garbage_is_reported_and_what_is_no_message_ends_its_connection(tm
         assert path.read_text() == RIG
 
 
-@pytest.mark.parametrize(
-    ("was", "becomes", "line"),
-    [
-        ("20.0", "-1", 17),
-        ("[pad]", "[pad]\ncolour = 1", 11),
-        ("[guidance]", "[recorder]\nframe = 1\n[guidance]", 14),
-        ("[pad]", "[pad", 10),
-    ],
-)
-def test_a_fault_is_refused_with_its_line(was: str, becomes: str, line: int) -> None:
-    text = RIG.replace(was, becomes, 1)
-    assert line_of(text, refused(text)) == line
+def test_a_fault_is_refused_with_its_line() -> None:
+    for becomes, line in (("[pad]\ncolour = 1", 11), ("[recorder]\nframe = 1\n[pad]", 11), ("[pad", 10)):
+        text = RIG.replace("[pad]", becomes, 1)
+        assert line_of(text, refused(text)) == line
 
 
 @pytest.mark.parametrize(
@@ -286,11 +278,7 @@ def test_a_fault_is_refused_with_its_line(was: str, becomes: str, line: int) -> 
         ('file = "thesis"', 'file = "a/../../b.toml"', "pad.file"),
         ('device = "rtsp', 'device = "/srv/other/film.mp4"\n#', "camera.device"),
         ('device = "rtsp', 'device = "file:///srv/other/film.mp4"\n#', "camera.device"),
-        (
-            'source = "stream"\ndevice = "rtsp',
-            'source = "gstreamer"\ndevice = "fakesrc ! filesink location=x"\n#',
-            "camera.device",
-        ),
+        ('source = "stream"\ndevice = "rtsp', 'source = "gstreamer"\ndevice = "fakesrc ! filesink"\n#', "camera.device"),
         ('source = "stream"', 'source = "gstreamer"', "camera.device"),
         ("[guidance]", '[operator]\ngamepad = "/srv/other/pad.toml"\n[guidance]', "operator.gamepad"),
         ("[guidance]", '[operator]\nsocket = "/tmp/socket"\n[guidance]', "operator.socket"),

@@ -3,6 +3,11 @@
 export const words = { orders: {}, phases: {}, situations: {}, ended: {} };
 export const $ = (id) => document.getElementById(id);
 
+export function chip(element, level, text) {
+  element.dataset.level = level;
+  element.textContent = text;
+}
+
 export function part(tag, text, attributes = {}) {
   const element = document.createElement(tag);
   element.textContent = text;

@@ -1,5 +1,6 @@
 // The connection: login, messages to those who want them, and trying again after a loss.
 const WRONG_TOKEN = 4401;
+const GOING = 1001;
 const SILENT_MS = 2500; // a state comes ten times a second
 const QUIET_S = 1; // from here on what the page shows is old, and an order would come late
 const AGAIN_MS = 1000;
@@ -46,11 +47,11 @@ export class Link {
       if (this.#socket !== socket) return;
       this.#socket = null;
       if (event.code === WRONG_TOKEN) this.onRefused(this.#said || event.reason || "the token is wrong");
-      else this.#again(this.#said || event.reason || "The connection is lost");
+      else this.#again(this.#said || event.reason || "The connection is lost", event.code === GOING && this.#said !== "");
     };
   }
 
-  // Returns whether the message left; what a lost connection does not take is never sent later.
+  // Returns whether the message left; what a lost connection does not take is not kept here.
   send(message, inTime = false) {
     if (!this.live || (inTime && this.quiet_s > QUIET_S)) return false;
     this.#socket.send(JSON.stringify(message));
@@ -78,8 +79,8 @@ export class Link {
     this.#again("The service is silent");
   }
 
-  #again(why) {
-    this.onLost(why.charAt(0).toUpperCase() + why.slice(1));
+  #again(why, ends = false) {
+    this.onLost(why.charAt(0).toUpperCase() + why.slice(1), ends);
     setTimeout(() => {
       if (this.#socket === null) this.open(this.#token);
     }, AGAIN_MS);
@@ -88,10 +89,6 @@ export class Link {
   #drop() {
     const socket = this.#socket;
     this.#socket = null;
-    if (socket !== null) {
-      socket.onmessage = null;
-      socket.onclose = null;
-      socket.close();
-    }
+    if (socket !== null) Object.assign(socket, { onmessage: null, onclose: null }).close();
   }
 }

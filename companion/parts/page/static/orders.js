@@ -1,11 +1,13 @@
 // The buttons, the slides that confirm what cannot be taken back, and the answers of the service.
-import { words } from "./elements.js";
+import { chip, words } from "./elements.js";
 
 const ANSWER_MS = 3000;
 const KNOB_PX = 62;
 const CONFIRMED = 0.95;
 // Orders that leave over a silent connection too: what is seen of the drone itself counts for them, and not the screen.
 const STOPS = ["hold", "abort", "emergency"];
+// Orders that are kept while the page is out of touch, until it is back or closed: a stop stays one, however late.
+const KEPT = ["hold", "abort"];
 // Orders that a slide confirms; it says what comes of them.
 const ASKS = {
   land: { verb: "to land here", says: (state) => `Lands ${state.below}.` },
@@ -25,6 +27,8 @@ export class Orders {
   #begin = document.querySelector('[data-order="begin"]');
   #answer = document.getElementById("answer");
   #state = null;
+  #kept = null; // the newest of `KEPT` that did not leave, or was not answered
+  #passing = false; // the answer that is shown is of a connection that is lost or silent
   round_s = 0; // from the newest order until its answer
   #fit = false; // nothing is missing or wrong that a landing needs
   #asked = null; // the button whose order waits for its slide
@@ -77,7 +81,7 @@ export class Orders {
     this.#ask(null);
     const number = ++this.#number;
     if (!this.#link.send({ kind: "order", number, order, seen_at_s: this.#state?.at_s }, !STOPS.includes(order))) {
-      this.tell("fault", `${words.orders[order]}: not sent, the connection is ${this.#link.live ? "silent" : "lost"}`);
+      this.#unsent(order, `not sent, the connection is ${this.#link.live ? "silent" : "lost"}`);
       return;
     }
     button?.setAttribute("aria-busy", "true");
@@ -86,15 +90,29 @@ export class Orders {
     this.#waiting.set(number, { order, button, late, at: performance.now() });
   }
 
-  enable(on) {
+  // Shows the orders of a connection, and a notice of it; off when it is lost.
+  enable(on, notice = "") {
+    if (on || this.#state !== null) this.tell("warning", notice);
     if (on) {
       for (const button of this.#buttons) button.textContent = words.orders[button.dataset.order];
+      const kept = this.#kept;
+      this.#kept = null;
+      if (kept !== null) this.give(kept);
     } else {
       for (const button of this.#buttons) button.setAttribute("aria-disabled", "true");
-      for (const number of [...this.#waiting.keys()]) this.settle(number, "fault", "no answer, the connection is lost");
+      for (const number of [...this.#waiting.keys()]) this.#unsent(this.#take(number).order, "no answer, the connection is lost");
       this.#ask(null);
       this.#state = null;
     }
+  }
+
+  #unsent(order, why) {
+    const keeps = KEPT.includes(order);
+    if (keeps) this.#kept = order;
+    const says = keeps ? [] : [`${words.orders[order]}: ${why}`];
+    if (this.#kept !== null) says.push(`${words.orders[this.#kept]}: will be sent when the connection is back`);
+    this.tell(keeps ? "warning" : "fault", says.join(". "));
+    this.#passing = true;
   }
 
   health(message) {
@@ -104,6 +122,7 @@ export class Orders {
   state(message) {
     if (this.#state?.situation === "cutting" && message.situation === "emergency") this.tell("info", `${words.orders.emergency}: obeyed`);
     this.#state = message;
+    if (this.#passing) this.tell("", "");
     if (this.#asked && message.refusals[this.#asked.dataset.order]) this.#ask(null);
     else if (this.#asked) this.#say();
     for (const button of this.#buttons) {
@@ -116,19 +135,24 @@ export class Orders {
     document.getElementById("emergency").hidden = message.situation === "emergency";
   }
 
-  settle(number, level, text) {
+  #take(number) {
     const waiting = this.#waiting.get(number);
-    if (waiting === undefined) return;
     this.#waiting.delete(number);
-    clearTimeout(waiting.late);
+    clearTimeout(waiting?.late);
+    waiting?.button?.removeAttribute("aria-busy");
+    return waiting;
+  }
+
+  settle(number, level, text) {
+    const waiting = this.#take(number);
+    if (waiting === undefined) return;
     this.round_s = (performance.now() - waiting.at) / 1000;
-    waiting.button?.removeAttribute("aria-busy");
     this.tell(level === "info" && waiting.order === "emergency" ? "warning" : level, `${words.orders[waiting.order]}: ${text}`);
   }
 
   tell(level, text) {
-    this.#answer.dataset.level = level;
-    this.#answer.textContent = text;
+    this.#passing = false;
+    chip(this.#answer, level, text);
   }
 }
 

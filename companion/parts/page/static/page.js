@@ -10,10 +10,12 @@ import { SettingsEditor } from "./settings.js";
 import { Sticks } from "./sticks.js";
 import { Above, placeOf, Side } from "./place.js";
 import * as telling from "./telling.js";
-import { $, words } from "./elements.js";
+import { $, chip, words } from "./elements.js";
 
 const TOKEN = "decklander.token";
 const THEME = "decklander.theme";
+const UNKNOWN = "What the drone does now is not known here: a landing may go on, or the service has ended and the drone hovers.";
+const ENDS = "Without it the drone hovers; a landing that a person ordered may go on.";
 
 function theme(name) {
   document.documentElement.dataset.theme = name;
@@ -62,20 +64,25 @@ $("login-form").addEventListener("submit", (event) => {
   link.open(sessionStorage.getItem(TOKEN));
 });
 
+// What is shown stays old until the first state of a new connection, which may be to another run of the service.
+let [old, run] = [false, null];
+
 link.on("welcome", (message) => {
   $("login").hidden = true;
   $("lost").hidden = true;
   $("flight").hidden = false;
-  $("flight").classList.remove("stale");
   Object.assign(words, message.words);
   telling.welcome(message);
-  telling.chip($("link"), "info", "live");
+  const again = run !== null && run !== message.run ? "the service started again" : "";
+  run = message.run;
+  if (again) telling.event({ at_s: 0, level: "warning", text: again });
   picture.camera(...message.camera_px);
   picture.begin(message.h264);
   for (const view of views) view.pad(message);
-  orders.enable(true);
+  orders.enable(true, again);
 });
 link.on("state", (message) => {
+  old = false;
   message.place = placeOf(message);
   telling.state(message);
   orders.state(message);
@@ -91,27 +98,27 @@ link.on("event", telling.event);
 link.on("answer", ({ number, accepted, text }) => orders.settle(number, accepted ? "info" : "fault", text));
 link.on("picture", (header, image) => picture.show(header, image));
 link.onQuiet = (quiet_s) => {
-  $("flight").classList.toggle("stale", quiet_s !== null);
+  $("flight").classList.toggle("stale", old || quiet_s !== null);
   $("quiet").hidden = quiet_s === null;
   $("quiet").textContent = `nothing received for ${quiet_s?.toFixed(0)} s: this is old`;
-  if (quiet_s !== null) telling.chip($("link"), "fault", "silent");
+  if (quiet_s !== null) chip($("link"), "fault", "silent");
 };
-link.onLost = (why) => {
+link.onLost = (why, ends) => {
+  old = true;
   link.onQuiet(null);
-  telling.chip($("link"), "fault", "lost");
+  chip($("link"), "fault", "lost");
   orders.enable(false);
   sticks.lost();
   doctor.lost();
   calibration.lost();
   picture.forget();
-  $("flight").classList.add("stale");
   $("lost").hidden = $("flight").hidden;
-  $("lost").textContent = `${why}. Trying again. A landing goes on without this page.`;
+  $("lost").textContent = `${why}. Trying again. ${ends ? ENDS : UNKNOWN}`;
   if ($("flight").hidden) askForToken(`${why}. Trying again.`);
 };
 link.onRefused = (why) => {
   sessionStorage.removeItem(TOKEN);
-  telling.chip($("link"), "warning", "not connected");
+  chip($("link"), "warning", "not connected");
   askForToken(`Refused: ${why}.`);
 };
 

@@ -79,7 +79,7 @@ export class Picture {
   #age() {
     const age = this.#at === null ? null : performance.now() - this.#at;
     this.#note.hidden = age !== null && age < OLD_MS;
-    this.#note.textContent = age === null ? "no picture yet" : `no picture for ${Math.round(age / 1000)} s`;
+    this.#note.textContent = age === null ? (this.#newest ? "this picture is old" : "no picture yet") : `no picture for ${Math.round(age / 1000)} s`;
   }
 
   #draw() {

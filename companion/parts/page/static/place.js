@@ -82,8 +82,7 @@ export class Above extends View {
     this.svg.replaceChildren();
     for (const part of [0.5, 1]) {
       make(this.svg, "circle", { class: "grid", r: EDGE * part });
-      const text = make(this.svg, "text", { x: 2, y: 8 - EDGE * part });
-      text.textContent = `${scale_m * part} m`;
+      make(this.svg, "text", { x: 2, y: 8 - EDGE * part }).textContent = `${scale_m * part} m`;
     }
     make(this.svg, "path", { class: "grid", d: "M-98 0H98M0-98V98" });
     make(this.svg, "circle", { class: "disc", r: this.drawing.pad_radius_m * k });
@@ -137,8 +136,7 @@ export class Side extends View {
     this.svg.replaceChildren();
     for (let part = 0; part <= 1.5; part += 0.5) {
       make(this.svg, "path", { class: "grid", d: `M-98 ${(60 - EDGE * part).toFixed(2)}H98` });
-      const text = make(this.svg, "text", { x: -97, y: 58 - EDGE * part });
-      text.textContent = `${scale_m * part} m`;
+      make(this.svg, "text", { x: -97, y: 58 - EDGE * part }).textContent = `${scale_m * part} m`;
     }
     this.ghosts = AHEAD_S.map(() => make(this.svg, "line", { class: "ghost" }));
     this.deck = make(this.svg, "line", { class: "deck" });
@@ -162,7 +160,7 @@ export class Side extends View {
       const up = found ? found[1] * k : 0;
       put(this.ghosts[i], { x1: -half, x2: half, y1: 60 - up, y2: 60 - up, visibility: found ? "visible" : "hidden" });
     });
-    const last = place.deck_m.at(-1);
+    const last = place.deck_m.find(([at]) => at >= AHEAD_S.at(-1) - 0.01);
     this.ahead.textContent = last ? `deck in ${last[0]} s: ${last[1] >= 0 ? "+" : "−"}${Math.abs(100 * last[1]).toFixed(0)} cm, ± ${(196 * last[2]).toFixed(0)}` : "";
     put(this.line, { points: points(this.trail.map(([tx, , tz]) => [tx * k, 60 - tz * k])) });
     const sigma = 1.96 * place.sigma_z_m * k;

@@ -57,10 +57,7 @@ export class Plots {
     pen.textAlign = "right";
     pen.textBaseline = "middle";
     for (let value = low; value <= high + 1e-9; value += step) {
-      pen.beginPath();
-      pen.moveTo(left, y(value));
-      pen.lineTo(width - 4, y(value));
-      pen.stroke();
+      pen.stroke(new Path2D(`M${left} ${y(value)}H${width - 4}`));
       pen.fillText(step < 1 ? value.toFixed(1) : value.toFixed(0), left - 5, y(value));
     }
     pen.textBaseline = "alphabetic";
@@ -74,26 +71,17 @@ export class Plots {
     pen.clip();
     pen.strokeStyle = ink("--ahead");
     pen.setLineDash([2, 3]);
-    for (const { at_s } of this.#phases.slice(1)) {
-      pen.beginPath();
-      pen.moveTo(x(at_s), top);
-      pen.lineTo(x(at_s), bottom);
-      pen.stroke();
-    }
+    for (const { at_s } of this.#phases.slice(1)) pen.stroke(new Path2D(`M${x(at_s)} ${top}V${bottom}`));
     pen.setLineDash([]);
+    pen.fillStyle = pen.strokeStyle = ink("--drone");
+    pen.lineWidth = 1.8;
     for (const run of runs(known)) {
-      pen.fillStyle = ink("--drone");
+      const path = (of) => new Path2D(`M${of.map(({ at_s, value }) => `${x(at_s)} ${y(value)}`).join("L")}`);
+      const edge = (side) => run.map(({ at_s, value, half }) => ({ at_s, value: value + side * half }));
       pen.globalAlpha = 0.18;
-      pen.beginPath();
-      run.forEach(({ at_s, value, half }) => pen.lineTo(x(at_s), y(value + half)));
-      [...run].reverse().forEach(({ at_s, value, half }) => pen.lineTo(x(at_s), y(value - half)));
-      pen.fill();
+      pen.fill(path([...edge(1), ...edge(-1).reverse()]));
       pen.globalAlpha = 1;
-      pen.strokeStyle = ink("--drone");
-      pen.lineWidth = 1.8;
-      pen.beginPath();
-      run.forEach(({ at_s, value }) => pen.lineTo(x(at_s), y(value)));
-      pen.stroke();
+      pen.stroke(path(run));
     }
     pen.restore();
     const newest = known.at(-1);

@@ -20,11 +20,11 @@ export class RecordingsList {
 
   #show(files, fault) {
     this.#files = files;
-    $("recordings-note").textContent = fault || (files.length ? "" : "there are none");
-    this.#draw();
+    this.#draw(fault || (files.length ? "" : "there are none"));
   }
 
-  #draw() {
+  #draw(note) {
+    $("recordings-note").textContent = note;
     $("recordings").replaceChildren(...this.#files.map((file) => this.#line(file)));
   }
 
@@ -55,9 +55,7 @@ export class RecordingsList {
   }
 
   #report({ name, address, text }) {
-    $("recordings-note").textContent = address === null ? `${name}: the report ${text}` : `${name}: the report is ready`;
-    if (address === null) return;
-    this.#reports.set(name, address);
-    this.#draw();
+    if (address !== null) this.#reports.set(name, address);
+    this.#draw(address === null ? `${name}: the report ${text}` : `${name}: the report is ready`);
   }
 }

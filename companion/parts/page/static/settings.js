@@ -1,5 +1,5 @@
 // The settings: what is in force, and the settings file to edit, which the service checks and saves on the ground alone.
-import { $ } from "./elements.js";
+import { $, chip } from "./elements.js";
 
 export class SettingsEditor {
   #link;
@@ -30,7 +30,7 @@ export class SettingsEditor {
     $("settings-refusal").textContent = message.refusal ? `Cannot be saved from here: ${message.refusal}.` : "";
     $("settings-refusal").hidden = !message.refusal;
     $("save-settings").hidden = Boolean(message.refusal);
-    this.#tell("", "");
+    chip($("settings-note"), "", "");
   }
 
   #save() {
@@ -39,7 +39,7 @@ export class SettingsEditor {
   }
 
   #saved({ saved, text, line, revision }) {
-    this.#tell(saved ? "info" : "fault", line === null ? text : `Line ${line}: ${text}`);
+    chip($("settings-note"), saved ? "info" : "fault", line === null ? text : `Line ${line}: ${text}`);
     $("settings-text").setAttribute("aria-invalid", String(!saved));
     if (saved) this.#shown = { ...this.#shown, text: this.#sent, revision };
     if (line !== null) this.#select(line);
@@ -55,12 +55,7 @@ export class SettingsEditor {
   }
 
   #send(message, words) {
-    if (this.#link.send(message)) this.#tell("", words);
-    else this.#tell("fault", "not sent, the connection is lost");
-  }
-
-  #tell(level, text) {
-    $("settings-note").dataset.level = level;
-    $("settings-note").textContent = text;
+    if (this.#link.send(message)) chip($("settings-note"), "", words);
+    else chip($("settings-note"), "fault", "not sent, the connection is lost");
   }
 }

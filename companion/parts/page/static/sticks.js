@@ -74,8 +74,7 @@ export class Sticks {
   #key(event, down) {
     if (!this.#yours || !(event.code in KEYS) || event.target.closest?.("input, [role=slider]")) return;
     event.preventDefault();
-    if (down) this.#pressed.add(event.code);
-    else this.#pressed.delete(event.code);
+    this.#pressed[down ? "add" : "delete"](event.code);
   }
 
   #send() {

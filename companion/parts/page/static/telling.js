@@ -1,5 +1,5 @@
 // What the page says in words and figures: phase and reason, who commands, figures, health and its causes, events.
-import { $, part, words } from "./elements.js";
+import { $, chip, part, words } from "./elements.js";
 
 const EVENTS = 100;
 const DEGREES = 180 / Math.PI;
@@ -18,11 +18,6 @@ function set(id, text, unit = "", level = "") {
 
 function write(id, text) {
   if ($(id).textContent !== text) $(id).textContent = text;
-}
-
-export function chip(element, level, text) {
-  element.dataset.level = level;
-  element.textContent = text;
 }
 
 export function welcome(message) {
@@ -98,8 +93,8 @@ export function health(message) {
 
 export function event(message) {
   const line = item("li", "", message.level);
-  const minutes = Math.floor(message.at_s / 60);
-  line.append(item("time", `${minutes}:${(message.at_s % 60).toFixed(1).padStart(4, "0")}`), item("span", message.text, message.level));
+  const tenths = Math.round(10 * message.at_s);
+  line.append(item("time", `${Math.floor(tenths / 600)}:${((tenths % 600) / 10).toFixed(1).padStart(4, "0")}`), item("span", message.text, message.level));
   if (message.advice) line.append(item("small", message.advice));
   $("events").prepend(line);
   while ($("events").children.length > EVENTS) $("events").lastChild.remove();

@@ -52,7 +52,7 @@ export class VideoPictures {
     this.#decoder.configure({ codec, optimizeForLatency: true });
   }
 
-  // A decoder that fails is not mended: the service begins anew with a key frame, and after some times with JPEG.
+  // A decoder that fails is not mended: the service begins again with a key frame, and after some times with JPEG.
   #failed() {
     this.#drop();
     this.#faults += 1;
