@@ -35,7 +35,7 @@ class ReasonCause(Enum):
     HELD_UP = "contact: held up by {measured:.1f} m/s against the commands"
     REACHED = "contact: by sight and what was reckoned since, the feet are {measured:.2f} m over the deck"
     PRESSED = "pressed on for {measured:.1f} s"
-    HIGH_ENOUGH = "{measured:.1f} m over the deck"
+    HIGH_ENOUGH = "at least {measured:.1f} m over the deck"
     STAYED = "stayed over the pad for {measured:.0f} s (limit {limit:g} s)"
     VESSEL_FAR = "the vessel was {measured:.0f} m away"
     VESSEL_AWAY = "the vessel is {measured:.0f} m away"

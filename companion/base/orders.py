@@ -80,7 +80,7 @@ class OrderSender(Struct, frozen=True):
         """
         if self.source is OrderSource.PAGE:
             text = _QUOTED.sub(lambda m: f'"{WORDS["orders"].get(m[1], m[1])}"', text)
-        text = text.replace(str(self), "you")
+        text = text.replace(f"{self} has", "you have").replace(str(self), "you")
         return _NUMBERED.sub(lambda m: f"{'another' if m[1] == self.source.value else 'a'} {m[1]} ", text)
 
 

@@ -249,14 +249,9 @@ DESCRIPTION = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    option(
-        parser,
-        "order ORDER",
-        f"{', '.join(ORDERS)} or status; without it, fly by the keyboard",
-        nargs="?",
-        choices=(*ORDERS, "status"),
-    )
-    option(parser, "--config FILE", "settings of the service, if several run on this computer")
+    names = f"{', '.join(ORDERS)} or status; without it, fly by the keyboard"
+    option(parser, "order ORDER", names, nargs="?", choices=(*ORDERS, "status"))
+    option(parser, "--config FILE", "settings of the service, or its socket, if several run on this computer")
     option(
         parser,
         "--wait S",
@@ -279,12 +274,10 @@ def run(args: argparse.Namespace) -> int:
     refuse_any(
         (not waits, f"--wait takes up to 3600 seconds, with one of {', '.join(sorted(_AWAITED))}"),
         (args.here and args.order != "land", "--here goes with land"),
-        (
-            args.order is None and not _at_terminal(),
-            f"there is no terminal to fly by; name an order: {', '.join(ORDERS)}, status",
-        ),
+        (args.order is None and not _at_terminal(), f"there is no terminal to fly by; name one of {', '.join(ORDERS)}, status"),
     )
-    path = running(None if args.config is None else load(args.config))
+    is_socket = args.config is not None and Path(args.config).is_socket()
+    path = Path(args.config) if is_socket else running(None if args.config is None else load(args.config))
     if args.order is None:
         return event_loop.run(fly(path))
     return event_loop.run(_once(args, path))

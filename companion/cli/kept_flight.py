@@ -107,8 +107,8 @@ class KeptFlight:
         from companion.tools.report.page import PAGE, write_report
 
         ending.write_into(self.log)
-        self.log.facts += [("scenario", self.args.scenario), ("seed", str(self.args.seed)), ("decklander", version())]
-        self.log.facts += [("flown in", f"{wall_s:.1f} s, {time}"), *ending.facts()]
+        self.log.facts += [*ending.facts(), ("flown in", f"{wall_s:.1f} s, {time}"), ("scenario", self.args.scenario)]
+        self.log.facts += [("seed", str(self.args.seed)), ("decklander", version())]
         with writing(self.args.report / PAGE, quiet=self.args.json) as watch:
             return recorded + written(write_report(self.log, self.args.report, watch))
 

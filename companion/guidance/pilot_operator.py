@@ -132,13 +132,15 @@ class FlightWatch(NullObserver):
         if belief is None:
             return "where no pad is known: this may be deck, rail or water", False
         sigma_m = math.sqrt(max(float(belief.cov[0, 0]), float(belief.cov[1, 1])))
-        sure = belief.consistent and belief.age_s(now) < _SURE_S
+        why = "" if belief.age_s(now) < _SURE_S else f"last seen {belief.age_s(now):.0f} s ago"
+        why = why if belief.consistent else "the sightings contradict it"
+        unsure = f"; the pad's place is not sure: {why}" if why else ""
         if belief.lateral_m + 2.0 * sigma_m <= self._pilot.pad.disc_radius_m:
-            return f"over the pad, {100 * belief.lateral_m:.0f} cm from its centre" + ("" if sure else ", out of sight"), sure
+            return f"over the pad, {100 * belief.lateral_m:.0f} cm from its centre{unsure}", not why
         range_m = self._range_m(now)
         lower_m = 0.0 if range_m is None else range_m - belief.height_m
         what = "over deck or water" if lower_m < _LOWER_M else f"over water, or a deck that is {lower_m:.1f} m lower"
-        return f"{belief.lateral_m:.1f} m beside the pad, {what}", False
+        return f"{belief.lateral_m:.1f} m beside the pad, {what}{unsure}", False
 
     def _range_m(self, now: MonoNs) -> float | None:
         fresh = self._range is not None and seconds_between(self._range.stamp.received_at, now) < _RANGE_S

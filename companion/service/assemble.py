@@ -333,7 +333,7 @@ def make_daemon(
         watching.append(pulse)
         extras["manager"] = pulse.run
     if isinstance(ticking, SystemClock):
-        stands = PilotOperator(pilot, OrderSender(OrderSource.LIMITS, "standstill"), ticking)
+        stands = PilotOperator(pilot, OrderSender(OrderSource.LIMITS, "(the service stood still)"), ticking)
         extras["loop"] = LoopWatch(health, partial(_flies, pilot), partial(stands.order, OperatorOrder.HOLD)).run
 
     return Daemon(

@@ -8,7 +8,7 @@ that it was refused for, over a ship that goes on.
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from typing import Any, NamedTuple
 
@@ -465,18 +465,20 @@ class Ending(Struct, frozen=True):
             lines += [f"UNSAFE: {line}" for line in j.unsafe]
             if j.grade is Grade.FAILED and not j.unsafe:
                 lines.append(f"failed: {j.because}")
+        return "\n".join([*lines, *self._too_slow()])
+
+    def _too_slow(self) -> Iterator[str]:
+        """Yield that the machine was too slow, and what the flight is worth; nothing if it kept up."""
         if self.load is not None and (slow := self.load.starved()) is not None:
             worth = "go-arounds and a wide landing may come of that" if self.good else "the result means nothing"
-            lines.append(f"this machine was too slow to fly in real time ({slow}): {worth}; decklander simulate needs no speed")
-        return "\n".join(lines)
+            yield f"this machine was too slow to fly in real time ({slow}): {worth}; decklander simulate needs no speed"
 
     def facts(self) -> list[tuple[str, str]]:
-        """Return the simulator's facts for the report."""
-        out = [(f"contact at {seconds_between(self.started, c.at):.1f} s", _in_words(c)) for c in self.contacts]
-        if self.standing is not None:
-            out.append(("standing", self.standing.in_words()))
-        if self.aftermath is not None:
-            out.append(("afterwards", self.aftermath.in_words()))
+        """Return the simulator's facts for the report, what they are worth first."""
+        out = [("warning", text) for text in self._too_slow()]
+        out += [(f"contact at {seconds_between(self.started, c.at):.1f} s", _in_words(c)) for c in self.contacts]
+        later = (("standing", self.standing), ("afterwards", self.aftermath))
+        out += [(name, part.in_words()) for name, part in later if part is not None]
         if self.judged is not None:
             out += [("fault", f"{kind} from {at_s:.1f} s on") for kind, at_s in self.judged.faults]
             out += [("judged", f"{self.judged.grade.value}: {self.judged.because}")]

@@ -40,6 +40,7 @@ def test_a_demo_that_gave_up_on_a_machine_too_slow_reports_it_with_the_figure() 
         "this machine was too slow to fly in real time (half of the guidance cycles came 85 ms late or later): "
         "the result means nothing; decklander simulate needs no speed"
     )
+    assert late.facts()[0] == ("warning", late.in_words().splitlines()[-1]), "at the head of the report"
     assert late.as_json()["machine_too_slow"] == "half of the guidance cycles came 85 ms late or later"
 
 

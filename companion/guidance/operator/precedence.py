@@ -63,7 +63,7 @@ class Rule(Enum):
 REASONS: Mapping[Rule, str] = MappingProxyType(
     {
         Rule.HOLDER: "{holder} has the hand",
-        Rule.IDLE: "{holder} has the hand and moves it",
+        Rule.IDLE: f"{{holder}} has the hand, and moved it in the last {IDLE_HAND_S:g} s",
         Rule.OVER: 'the flight is over: {outcome}; "begin" tries again, "land" lands here',
         Rule.FLYING: "the vehicle flies already",
         Rule.ON_GROUND: 'the vehicle stands on the ground: "takeoff" first, or order it in the air',

@@ -75,7 +75,7 @@ def running(settings: Settings | None) -> Path:
     if not alive:
         raise Recoverable(f"{what}; start one with: decklander run --config FILE")
     if len(alive) > 1:
-        raise BadInput(f"{len(alive)} services run ({', '.join(p.name for p in alive)}): say which with --config FILE")
+        raise BadInput(f"{len(alive)} services run: give the settings or socket of one, --config {' or '.join(map(str, alive))}")
     return alive[0]
 
 

@@ -82,7 +82,7 @@ async def test_it_flies_on_whatever_becomes_of_its_log_its_terminal_and_its_sign
                 return words in "".join(lines)
 
             await until(lambda: heard("the drone is commanded to hold"))
-            await until(lambda: heard("standstill: hold: accepted"))
+            await until(lambda: heard("stood still): hold: accepted"))
             for words in ("the terminal hung up (SIGHUP)", "Ctrl-Z (SIGTSTP) is not followed"):
                 assert heard(words), "".join(lines)
 

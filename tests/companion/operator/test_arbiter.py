@@ -224,7 +224,7 @@ def test_an_idle_hand_may_be_taken_by_another_person_and_a_moving_one_may_not() 
         bridge.sticks(forward=1.0 if second < 4 else 0.0)
         bridge.cycle(0.4)
         bridge.sticks(forward=1.0 if second < 4 else 0.0)
-        assert bridge.order(OperatorOrder.MANUAL, OTHER) == "gamepad pad has the hand and moves it"
+        assert bridge.order(OperatorOrder.MANUAL, OTHER) == "gamepad pad has the hand, and moved it in the last 3 s"
         bridge.cycle(0.1)
     for _ in range(8):
         bridge.sticks()
@@ -529,18 +529,18 @@ def test_a_person_reads_where_a_landing_would_end() -> None:
     watch, page = FlightWatch(pilot, StillClock()), OrderSender(OrderSource.PAGE, "1 (::1)")
     radius_m = pilot.pad.disc_radius_m
 
-    def below(off_m: float, sigma_m: float = 0.01, range_m: float = 2.0, age_s: float = 0.0) -> tuple[str, bool]:
+    def below(off_m: float, sigma_m: float = 0.01, range_m: float = 2.0, age_s: float = 0.0, ok: bool = True) -> tuple[str, bool]:
         watch.on_sample(Range(Stamp(MonoNs(2), MonoNs(2), 0.001, "sim"), range_m, 0.02))
-        belief = estimate(0.0, (off_m, 0.0, 2.0), sigma=sigma_m, age=age_s)
+        belief = estimate(0.0, (off_m, 0.0, 2.0), sigma=sigma_m, age=age_s, consistent=ok)
         watch.on_decision(Decision(MonoNs(2), "search", None, belief))
         state = watch.state(page)
         return state.below, state.over_pad
 
     assert watch.state(page).below == "where no pad is known: this may be deck, rail or water"
     assert below(0.1) == ("over the pad, 10 cm from its centre", True)
-    assert below(0.1, age_s=3.0) == ("over the pad, 10 cm from its centre, out of sight", False)
+    assert below(0.1, age_s=3.0) == ("over the pad, 10 cm from its centre; the pad's place is not sure: last seen 3 s ago", False)
+    assert below(2.9, ok=False)[0].endswith("over deck or water; the pad's place is not sure: the sightings contradict it")
     assert below(0.1, sigma_m=radius_m) == ("0.1 m beside the pad, over deck or water", False)
-    assert below(2.9) == ("2.9 m beside the pad, over deck or water", False)
     assert below(2.9, range_m=3.9) == ("2.9 m beside the pad, over water, or a deck that is 1.9 m lower", False)
     assert below(0.1, sigma_m=1.2, range_m=3.9)[0].startswith("where no pad is known")
     assert (watch.state(page).height_m, watch.state(page).lateral_m) == (3.9, None), "what is not known is no figure"

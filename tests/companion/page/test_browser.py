@@ -174,7 +174,7 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
             await one.shows("phase", "paused")
             await one.shows("events", "another page .*: Hold: accepted")
             await two.page.click('[data-order="land"]')
-            await two.shows("asks-says", "Lands over the pad, 36 cm from its centre, out of sight")
+            await two.shows("asks-says", "Lands over the pad, 36 cm from its centre; the pad's place is not sure: last")
             await two.slide("confirm", 0.5)
             await two.page.click('[data-order="land"]')
             await playwright.expect(two.page.locator("#asks")).to_be_hidden(timeout=WAIT_MS)
