@@ -239,7 +239,8 @@ async def test_over_tls_a_lost_hand_a_silent_and_an_ended_service_are_reported_a
             assert "accepted" in await one.press("hold")
             assert [order.order.value for order in service.orders] == ["manual", "hold", "hold"]
             assert await one.page.evaluate(OLD) == "none"
-        await one.shows("lost", "The service ends.*the drone hovers")
+        await until(lambda: one.faults)  # a try has failed
+        await one.shows("lost", "The service has ended.*the drone hovers")
         assert "last known" in await one.page.evaluate(OLD)
         assert await one.text("answer") == "", "what was accepted before is over"
         for order, says in (("hold", "^Hold: will be"), ("abort", "^Abort: will be"), ("begin", "^Begin.*not sent.*Abort: will")):

@@ -15,7 +15,7 @@ import { $, chip, words } from "./elements.js";
 const TOKEN = "decklander.token";
 const THEME = "decklander.theme";
 const UNKNOWN = "What the drone does now is not known here: a landing may go on, or the service has ended and the drone hovers.";
-const ENDS = "Without it the drone hovers; a landing that a person ordered may go on.";
+const ENDED = "Without it the drone hovers; a landing that a person ordered may go on.";
 
 function theme(name) {
   document.documentElement.dataset.theme = name;
@@ -64,8 +64,9 @@ $("login-form").addEventListener("submit", (event) => {
   link.open(sessionStorage.getItem(TOKEN));
 });
 
-// What is shown stays old until the first state of a new connection, which may be to another run of the service.
-let [old, run] = [false, null];
+// What is shown stays old until the first state of a new connection, which may be to another run of the service; and one that
+// has ended has, whatever the tries until then meet.
+let [old, ended, run] = [false, false, null];
 
 link.on("welcome", (message) => {
   $("login").hidden = true;
@@ -74,7 +75,7 @@ link.on("welcome", (message) => {
   Object.assign(words, message.words);
   telling.welcome(message);
   const again = run !== null && run !== message.run ? "the service started again" : "";
-  run = message.run;
+  [run, ended] = [message.run, false];
   if (again) telling.event({ at_s: 0, level: "warning", text: again });
   picture.camera(...message.camera_px);
   picture.begin(message.h264);
@@ -104,7 +105,7 @@ link.onQuiet = (quiet_s) => {
   if (quiet_s !== null) chip($("link"), "fault", "silent");
 };
 link.onLost = (why, ends) => {
-  old = true;
+  [old, ended] = [true, ended || ends];
   link.onQuiet(null);
   chip($("link"), "fault", "lost");
   orders.enable(false);
@@ -113,7 +114,7 @@ link.onLost = (why, ends) => {
   calibration.lost();
   picture.forget();
   $("lost").hidden = $("flight").hidden;
-  $("lost").textContent = `${why}. Trying again. ${ends ? ENDS : UNKNOWN}`;
+  $("lost").textContent = `${ended ? "The service has ended" : why}. Trying again. ${ended ? ENDED : UNKNOWN}`;
   if ($("flight").hidden) askForToken(`${why}. Trying again.`);
 };
 link.onRefused = (why) => {
