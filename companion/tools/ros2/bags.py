@@ -13,6 +13,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final
 
@@ -109,13 +110,11 @@ def _kept() -> Any:
     )  # fmt: skip
 
 
-_LATEST_S = 5.0
+_LATEST_NS: Final = 5 * NS_PER_S
 """A header whose stamp is older than this when its message is written is of another clock."""
 _DOWN = ("down", "rangefinder", "altimeter")
 """Names in the topic or frame of a range sensor that looks down; the message itself has no direction."""
 _ANY = Stamp(MonoNs(0), MonoNs(0), SIGMA_S, "synced")
-
-
 _BAGS = (".db3", ".mcap", ".bag")
 _MADE = re.compile(
     r"rect|undistort|scaled|resize|detect|debug|overlay|annotat|result|track|draw|marker|mask|segment|label|output|stitch"
@@ -126,7 +125,7 @@ _DEPTH = re.compile(r"(?i)16UC1|32FC1|mono16|TYPE_|disparity|depth")
 
 
 def read(path: Path, tell: Tell, topic: str = "") -> Iterator[Sample | Frame]:
-    """Yield what a bag holds in the order in which it was written, the first message at 0.
+    """Yield what a bag holds in the order in which it was written, the first measurement at 0.
 
     Args:
         path: a bag's folder (ROS 2), with its metadata or without, or its file (`.bag`, `.db3`, `.mcap`), whatever its name.
@@ -179,25 +178,36 @@ class _Import:
         if not chosen:
             names = ", ".join(sorted({c.msgtype for c in self._bag.connections})) or "nothing"
             raise BadInput(f"{self._path}: no IMU, range or camera in it that is imported; it holds {names}")
-        written = [at for _, at, _ in self._bag.messages(connections=chosen)]
-        when = timeline([at // 1000 for at in written], self._tell)
+        when = timeline([at // 1000 for _, at, _ in self._bag.messages(connections=chosen)], self._tell)
+        early = takewhile(lambda one: one[2] <= _LATEST_NS, self._read(chosen, when))
+        # What was measured before the first message was written is not lost: 0 is when the earliest was measured.
+        zero_ns = min((0, *(since_ns - late_ns for _, _, since_ns, late_ns in early if 0 <= late_ns <= _LATEST_NS)))
         given = 0
-        for (connection, at, data), since_ns in zip(self._bag.messages(connections=chosen), when, strict=True):
-            if since_ns is None:
+        for topic, message, since_ns, late_ns in self._read(chosen, when):
+            if message is None:
+                self._left_out[f"of {topic} are damaged"] += 1
                 continue
-            try:
-                message = self._bag.deserialize(data, connection.msgtype)
-            except Exception:  # of the library: any of a damaged message
-                self._left_out[f"of {connection.topic} are damaged"] += 1
-                continue
-            stamp = self._stamp(connection.topic, message, at, since_ns)
-            for one in () if stamp is None else self._of(connection.topic, message, stamp):
+            if not 0 <= late_ns <= _LATEST_NS:
+                self._left_out[f"of {topic} have a header of another clock: their time is that of the bag"] += 1
+                late_ns = 0
+            stamp = Stamp(MonoNs(since_ns - zero_ns - late_ns), MonoNs(since_ns - zero_ns), SIGMA_S, "synced")
+            for one in self._of(topic, message, stamp):
                 given += 1
                 yield one
         for why, n in sorted(self._left_out.items()):
             self._tell(f"{n} messages {why}")
         if not given:
             raise BadInput(f"{self._path}: not one message of it can be read")
+
+    def _read(self, chosen: list[Any], when: list[int | None]) -> Iterator[tuple[str, Any, int, int]]:
+        """Yield each topic, message (None if damaged), its time of writing and how long that was after its header's stamp, ns."""
+        for (connection, at, data), since_ns in zip(self._bag.messages(connections=chosen), when, strict=True):
+            message, late_ns = None, -1
+            with suppress(Exception):  # of the library: any of a damaged message
+                message = self._bag.deserialize(data, connection.msgtype)
+                late_ns = at - message.header.stamp.sec * NS_PER_S - message.header.stamp.nanosec
+            if since_ns is not None:
+                yield connection.topic, message, since_ns, late_ns
 
     def _chosen(self) -> list[Any]:
         """Return the connections that are read: of each kind the best topic, and all ranges that look down.
@@ -215,15 +225,13 @@ class _Import:
             for connection in found:
                 counts[connection.topic] += connection.msgcount
             by_count = [topic for topic, _ in counts.most_common()]
-            topics = set(by_count[:1])
+            topics = set(counts if kind in ("range", "velocity") else by_count[:1])
             if kind == "camera":
                 topics = {self._topic or self._choose_camera(found, by_count)}
                 if not topics <= set(counts):
                     raise BadInput(f"{self._path}: --topic {self._topic} is none of its cameras: {', '.join(sorted(counts))}")
             if kind == "IMU":
                 topics = self._choose_imu(found, by_count)
-            if kind in ("range", "velocity"):
-                topics = set(counts)
             chosen += [connection for connection in found if connection.topic in topics]
             how = " (--topic reads another)" if kind == "camera" else ""
             if left := sorted(set(counts) - topics):
@@ -258,16 +266,6 @@ class _Import:
         self._source_of = {Imu: readings, Attitude: attitude}
         return {readings, attitude}
 
-    def _stamp(self, topic: str, message: Any, written_ns: int, since_ns: int) -> Stamp | None:
-        """Return when a message was measured; None for one that was before the bag began."""
-        header = message.header.stamp
-        late_s = (written_ns - (header.sec * NS_PER_S + header.nanosec)) / NS_PER_S
-        if not 0.0 <= late_s <= _LATEST_S:
-            self._left_out[f"of {topic} have a header of another clock: their time is that of the bag"] += 1
-            late_s = 0.0
-        measured_ns = since_ns - round(late_s * NS_PER_S)
-        return Stamp(MonoNs(measured_ns), MonoNs(since_ns), SIGMA_S, "synced") if measured_ns >= 0 else None
-
     def _of(self, topic: str, message: Any, stamp: Stamp) -> Iterator[Sample | Frame]:
         try:
             for one in _KINDS[message.__msgtype__][1](self, topic, message, stamp):
@@ -297,6 +295,8 @@ class _Import:
             self._left_out[f"of {topic} are ranges, and nothing shows that they look down (in the names of topic or frame)"] += 1
         elif m.min_range <= m.range <= m.max_range:
             yield Range(stamp, float(m.range), math.sqrt(v) if (v := getattr(m, "variance", 0.0)) > 0.0 else 0.02)
+        else:
+            self._left_out[f"of {topic} are ranges outside of the sensor's own limits"] += 1
 
     def velocity(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Sample]:
         """Yield a velocity in the level frame; those in other frames are left out."""
