@@ -663,6 +663,10 @@ typedef struct {
     double turn_yaw_rad;
     /* Rate at which the deck turns, rad/s. */
     double turn_rate_rad_s;
+    /* Part of a guidance period by which the commands under way are short of the time that passed, -0.5..0.5. */
+    double periods_left;
+    /* The tilt that was commanded last, north and east, m/s^2: the vehicle comes to it by its jerk. */
+    double commanded[2];
     /* The climb commands under way, m/s. */
     double climbs[DL_UNDER_WAY_MAX];
     /* The two horizontal axes. */
@@ -738,10 +742,9 @@ typedef struct {
 } dl_law_command;
 
 /* Step one horizontal axis by dt with a measurement, and return the tilt to command over a still deck, m/s^2, by `gains` alone: what
- * the law's stability margins query. The command that has arrived is an acceleration. Return NAN if the law has no room for its
- * commands. */
-double dl_law_axis_step(const dl_law_in_use *law, double dt, double arrived, const dl_law_axis *before,
-    const dl_axis_measured *z, dl_law_axis *after);
+ * the law's stability margins query. Return NAN if the law has no room for its commands. */
+double dl_law_axis_step(const dl_law_in_use *law, double dt, const dl_law_axis *before, const dl_axis_measured *z,
+    dl_law_axis *after);
 /* Run one cycle. Where no target steers, the memory notes what the vehicle does and the command is zero. Return false, and write
  * nothing, if the law has no room for its commands or for the horizons. */
 bool dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *before,

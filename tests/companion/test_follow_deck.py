@@ -1,6 +1,8 @@
 """The law that follows the deck: its axes, limits and silences in one guidance cycle, and its gains beside scipy's."""
 
 import math
+from collections.abc import Sequence
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -133,7 +135,9 @@ def test_after_half_a_second_of_silence_it_begins_again_and_keeps_the_wind(silen
     assert abs(wind[0]) > 0.1
     after = stepped(memory, knows(99 * T + silent_s, (0.0, 0.0, 1.0), lean=(0.1, 0.2), yaw=0.2))[0].core
     if kept:
-        assert list(after.axes[0].under_way)[1 : LAW._remembered] == list(memory.core.axes[0].under_way)[: LAW._remembered - 1]
+        before, periods = list(memory.core.axes[0].under_way), round(silent_s / T)
+        held = [before[0]] * (periods - 1) + before
+        assert list(after.axes[0].under_way)[1 : LAW._remembered] == held[: LAW._remembered - 1], "a command acts until the next"
         assert after.turn_rate_rad_s != 0.0
     else:
         assert list(after.axes[0].under_way)[1 : LAW._remembered] == [pytest.approx(0.1)] * (LAW._remembered - 1)
@@ -300,13 +304,18 @@ def test_a_wind_that_takes_thirty_five_degrees_is_known_whole(over_ground: bool)
         assert [part.own for part in memory.core.own] == pytest.approx([7.0, -1.0], abs=0.05)
 
 
-def come_from(beside_m: float, jerk_m_s3: float, stated_m_s3: float | None) -> tuple[list[float], list[float]]:
-    """Fly a vehicle of the shipped response to the pad, through a limit of the jerk; return its places and commanded jerks."""
+def come_from(
+    beside_m: float, jerk_m_s3: float, stated_m_s3: float | None, late: Sequence[int] = (1,), holds_1_s: float = 0.0
+) -> tuple[list[float], list[float]]:
+    """Fly a vehicle of the shipped response to the pad, through a limit of the jerk; return its places and commanded jerks.
+
+    `late` are the periods from one guidance cycle to the next, `holds_1_s` the stiffness of the vehicle's own velocity loop.
+    """
     response = shipped_response("autopilot")
     tilt = structs.replace(response.tilt, jerk_max_m_s3=None)
     law = FollowDeck(structs.replace(response, tilt=tilt), T, over_ground=True)
     memory, places, jerks = law.start(), list[float](), list[float]()
-    p, v, lean, rate, shaped, before = beside_m, 0.0, 0.0, 0.0, 0.0, 0.0
+    p, v, lean, rate, shaped, before, due, lengths = beside_m, 0.0, 0.0, 0.0, 0.0, 0.0, 0, cycle(late)
     waiting = [0.0] * round(tilt.delay_s / T)
     in_use = ResponseInUse(ResponseState.KNOWN, tilt.delay_s, 0.005, 0.0)
     for k in range(400):
@@ -315,9 +324,11 @@ def come_from(beside_m: float, jerk_m_s3: float, stated_m_s3: float | None) -> t
             v_deck=(0.0, 0.0, 0.0), response=in_use,
         )  # fmt: skip
         now = structs.replace(now, jerk_max_m_s3=stated_m_s3)
-        memory, command = stepped(memory, now, Target(np.array([0.0, 0.0, 1.5])), law)
-        jerks.append(abs(ask_law(command)[0] - before) / T)
-        before = ask_law(command)[0]
+        if k == due:
+            due += next(lengths)
+            memory, command = stepped(memory, now, Target(np.array([0.0, 0.0, 1.5])), law)
+            jerks.append(abs(ask_law(command)[0] - before) / T)
+        before = command.a_level[0] + (holds_1_s * (command.v_level[0] + v) if holds_1_s else command.trim_level[0])
         shaped += float(np.clip(before - shaped, -jerk_m_s3 * T, jerk_m_s3 * T))
         waiting.append(shaped)
         arrived = waiting.pop(0)
@@ -338,6 +349,14 @@ def test_a_vehicle_that_limits_jerk_comes_to_the_pad_from_any_distance(beside_m:
     assert min(places) > -0.45 * beside_m
     assert max(map(abs, places[300:])) < 0.02
     assert max(jerks[1:]) < 1.02 * jerk_m_s3
+
+
+@pytest.mark.parametrize("late", [(5,), (7,), (2, 2, 2, 10), (3, 10, 5, 8)])
+def test_late_cycles_drive_no_vehicle_with_a_velocity_loop_away(late: tuple[int, ...]) -> None:
+    """WHY: at 100 ms a cycle the model of its tilt grew without end; it left the pad that it hovered over by 50 m."""
+    places, _ = come_from(0.25, 20.0, 20.0, late, 2.0)
+    assert max(map(abs, places)) < 0.8
+    assert max(map(abs, places[350:])) < 0.3
 
 
 @pytest.mark.parametrize(

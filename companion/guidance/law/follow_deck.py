@@ -74,6 +74,8 @@ class TuningChoice(NamedTuple):
     """Factors on those of the response file."""
     softer: float = 1.0
     """Factor by which the place weighs less."""
+    periods: int = 1
+    """Guidance periods that a cycle takes: gains of a quick one swing the vehicle wider and wider in slow ones."""
 
 
 AS_GIVEN = TuningChoice()
@@ -104,13 +106,14 @@ class TiltTuning:
     Args:
         response, weights: of `tuned`.
         period_s: the guidance period.
+        periods: how many of them a cycle takes.
         delay_line: whether commands under way are in the state.
     """
 
-    def __init__(self, response: TiltResponse, weights: TiltWeights, period_s: float, *, delay_line: bool) -> None:
-        self.response = response
+    def __init__(self, response: TiltResponse, weights: TiltWeights, period_s: float, periods: int, *, delay_line: bool) -> None:
+        self.response, self.periods = response, periods
         self.under_way = max(1, math.ceil(response.delay_s / period_s - 1e-9))
-        self._weights, self._period_s, self._delay_line = weights, period_s, delay_line
+        self._weights, self._period_s, self._delay_line = weights, periods * period_s, delay_line
         self._solved: dict[float, TiltGains] = {}
         self._after: dict[tuple[float, int], F64] = {}
 
@@ -123,9 +126,9 @@ class TiltTuning:
             self._solved[sigma] = tilt_gains(self.response, weights, self._period_s, delay_line=self._delay_line)
         return self._solved[sigma]
 
-    def after(self, sigma_p_m: float, cycles: int) -> F64:
-        """Return what leads from the state of the closed loop to place and speed some guidance cycles later, (2, n)."""
-        key = chosen(SIGMAS_P_M, sigma_p_m), cycles
+    def after(self, sigma_p_m: float, seconds: float) -> F64:
+        """Return what leads from the state of the closed loop to place and speed so many seconds later, (2, n)."""
+        key = chosen(SIGMAS_P_M, sigma_p_m), (cycles := max(0, round(seconds / self._period_s)))
         if key not in self._after:
             model = tilt_model(self.response, self._period_s, delay_line=self._delay_line)
             gains = self.gains(key[0])
@@ -139,7 +142,7 @@ class TiltTuning:
         reference = a_deck - axis.d
         lag = (axis.lag - reference,) if self.response.lag_s else ()
         n = self.under_way if self._delay_line else 1
-        under_way = [axis.under_way[k] - reference for k in range(n)]
+        under_way = [axis.under_way[k] - reference for k in range(0, n, self.periods)]
         return np.array([axis.p - aim_m, axis.w, axis.lean - reference, axis.rate, *lag, *under_way])
 
     def solve(self) -> TiltTuning:
@@ -155,6 +158,14 @@ class TiltTuning:
 
 _GAP_MAX_S = 0.5
 """A silence longer than this restarts the observer at the measurement; it keeps its estimate of the wind."""
+
+
+_CYCLE_S, _CYCLE_MAX_S = 2.0, 0.18
+"""Time over which the length of a cycle is measured, and the mean beyond which the vehicle hovers by itself, s."""
+_LATE_S, _SOFTER_PER_LATE_S = 0.04, 60.0
+"""Time by which a cycle may be longer without a loss of the position's weight, and its loss for each second more."""
+_PERIODS = (1, 2, 3, 4, 6, 8, 12, 16, 24)
+"""Lengths of a cycle for which there are gains, in guidance periods."""
 
 
 _ROUGH_M_S2, _ROUGH_S = 0.8, 1.0
@@ -185,6 +196,8 @@ class FollowDeckMemory(Struct, frozen=True, eq=False):
     """The measured acceleration less that of the tilt, forward and right, m/s^2."""
     noise_var: float = 0.0
     """Mean variance of its noise, by what changes from cycle to cycle, (m/s^2)^2."""
+    cycle_s: float = 0.0
+    """Mean length of a cycle, each weighing as long as it takes, s."""
 
 
 class FollowDeck:
@@ -229,10 +242,7 @@ class FollowDeck:
         self._params = law_params(
             response.tilt, response.climb, period_s, self._remembered, view, looks_ahead=forecast, over_ground=over_ground
         )
-        felt = noise or ObserverNoise()
-        self._observers = observer_gains(felt, period_s)
-        self._observers_unfelt = observer_gains(felt._replace(accelerometer=False), period_s)
-        self._observers_rough = observer_gains(felt._replace(sigma_a_m_s2=_ROUGH_M_S2), period_s)
+        self._noise = noise or ObserverNoise()
         self._in_use: dict[tuple[TuningChoice, TuningChoice, float, float, tuple[float, float], bool, bool], Any] = {}
 
     @property
@@ -248,7 +258,9 @@ class FollowDeck:
         """Return the gains of a choice, kept once they are made."""
         if choice not in self._tunings:
             response, weights = tuned(self.response.tilt, TiltWeights(), choice)
-            self._tunings[choice] = TiltTuning(response, weights, self.period_s, delay_line=self._delay_line)
+            late_s = max(0.0, (choice.periods - 1) * self.period_s - _LATE_S)
+            weights = weights._replace(p_m=weights.p_m * (1.0 + _SOFTER_PER_LATE_S * late_s))
+            self._tunings[choice] = TiltTuning(response, weights, self.period_s, choice.periods, delay_line=self._delay_line)
         return self._tunings[choice]
 
     def tilt_max_deg(self, knowledge: Knowledge) -> float:
@@ -272,7 +284,8 @@ class FollowDeck:
         key = memory.tuning, before, chosen(SIGMAS_P_M, sigma_p_m), chosen(SIGMAS_P_M, soft_m), limits, unfelt, rough
         if key not in self._in_use:
             gains, earlier = self._gains(memory.tuning, soft_m), self._gains(before, soft_m)
-            observers = self._observers_unfelt if unfelt else self._observers_rough if rough else self._observers
+            felt = {"accelerometer": False} if unfelt else {"sigma_a_m_s2": _ROUGH_M_S2} if rough else {}
+            observers = observer_gains(self._noise._replace(**felt), memory.tuning.periods * self.period_s)
             of = self._tuning(memory.tuning).response
             tilt_max_m_s2 = replace(self.response.tilt, max_deg=limits[1]).max_m_s2
             own = {"frequency_rad_s": of.frequency_rad_s, "damping": of.damping}
@@ -291,9 +304,10 @@ class FollowDeck:
             raise ValueError(f"a command that acts after {tuning.under_way} periods is forgotten after {self._remembered}")
         # What delays the tilt longer than its file says delays the climb as well.
         climb_delay = round((self.response.climb.delay_s + choice.longer_s) / self.period_s)
-        return law_gains(
-            tuning.gains(sigma_p_m), tuning.under_way, max(1, min(self._remembered, climb_delay)), tuning.response.slowness_s
-        )
+        gains = tuning.gains(sigma_p_m)
+        between = (0.0,) * (choice.periods - 1)
+        gains = gains._replace(under_way=tuple(one for gain in gains.under_way for one in (gain, *between))[: self._remembered])
+        return law_gains(gains, tuning.under_way, max(1, min(self._remembered, climb_delay)), tuning.response.slowness_s)
 
     def _jerk_max_m_s3(self, knowledge: Knowledge) -> float:
         """Return the limit of the jerk, 0 without one: the vehicle's own word before its file's."""
@@ -344,7 +358,7 @@ class FollowDeck:
         c, s = math.cos(body.heading_rad), math.sin(body.heading_rad)
         a_ned, aim_ned = ((c * x - s * y, s * x + c * y) for x, y in (a_deck, knowledge.aim_level))
         soft_m = self._soft_m(memory, knowledge, relative, knowledge.aim_level)
-        after = tuning.after(soft_m, max(0, round(seconds / self.period_s)))
+        after = tuning.after(soft_m, seconds)
         (p_n, w_n), (p_e, w_e) = (
             (after @ tuning.state(memory.core.axes[axis], aim_ned[axis], a_ned[axis])).tolist() for axis in range(2)
         )
@@ -361,7 +375,10 @@ class FollowDeck:
             assert self._fallback is not None
             plain, given = self._fallback.step(memory.plain, now, knowledge, target)
             return replace(memory, plain=plain), given
-        memory = _felt(self._retuned(memory, now, chosen_tuning(knowledge.response)), now, body)
+        cycles = memory.cycle_s / self.period_s
+        wanted = chosen_tuning(knowledge.response)._replace(periods=min(_PERIODS, key=lambda n: abs(n - cycles)))
+        memory = _felt(self._retuned(memory, now, wanted), now, body)
+        target = target if memory.cycle_s <= _CYCLE_MAX_S else None
         over = (0.0, 0.0) if target is None else (target.d_body_pad_level.item(0), target.d_body_pad_level.item(1))
         soft_m = self._soft_m(memory, knowledge, relative, over)
         law, share = self._law(memory, _sigma_m(relative), soft_m, knowledge), memory.share
@@ -377,13 +394,15 @@ class FollowDeck:
 
 
 def _felt(memory: FollowDeckMemory, now: MonoNs, body: BodyMotion) -> FollowDeckMemory:
-    """Return the memory with the noise of the accelerometer, which gusts and tilts hardly change from one cycle to the next."""
+    """Return the memory with a cycle's length and the accelerometer's noise; gusts and tilts hardly change in one cycle."""
     (forward, right, _), (lean_f, lean_r) = body.a_level.tolist(), body.lean_m_s2
-    felt, noise_var = (forward - lean_f, right - lean_r), memory.noise_var
-    if memory.at is not None and 0.0 < (dt := seconds_between(memory.at, now)) <= _GAP_MAX_S:
+    felt, noise_var, cycle_s = (forward - lean_f, right - lean_r), memory.noise_var, memory.cycle_s
+    dt = 0.0 if memory.at is None else max(0.0, seconds_between(memory.at, now))
+    cycle_s += min(dt, _GAP_MAX_S) / _CYCLE_S * (min(dt, _GAP_MAX_S) - cycle_s)
+    if 0.0 < dt <= _GAP_MAX_S:
         change = min(math.dist(felt, memory.felt), _JOLT_M_S2)
         noise_var += min(dt / _ROUGH_S, 1.0) * (0.25 * change * change - noise_var)
-    return replace(memory, felt=felt, noise_var=noise_var)
+    return replace(memory, felt=felt, noise_var=noise_var, cycle_s=cycle_s)
 
 
 def _sigma_m(relative: RelativeState) -> float:

@@ -239,7 +239,7 @@ class ObserverGains(NamedTuple):
     rows: tuple[tuple[float, float, float], ...]
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def observer_gains(noise: ObserverNoise, period_s: float) -> tuple[ObserverGains, ...]:
     """Return the steady gains for each of `SIGMAS_P_M`."""
     T = period_s

@@ -194,7 +194,7 @@ def _law(assumed: TiltResponse, weights: TiltWeights) -> _Law:
         before = dict(zip(_AXIS, state.tolist(), strict=False)) | {"under_way": state[seen:].tolist()}
         measured = CORE.ffi.new("dl_axis_measured *", dict(zip(_MEASURED, z.tolist(), strict=True)))
         was, after = CORE.ffi.new("dl_law_axis *", before), CORE.ffi.new("dl_law_axis *")
-        u = CORE.lib.dl_law_axis_step(flown, PERIOD_S, state[-1], was, measured, after)
+        u = CORE.lib.dl_law_axis_step(flown, PERIOD_S, was, measured, after)
         return np.array([*(getattr(after, name) for name in _AXIS), u, *state[seen:-1]]), u
 
     own = [step(e, np.zeros(5)) for e in np.eye(seen + n)]

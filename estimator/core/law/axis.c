@@ -42,12 +42,12 @@ void under_way_note(int64_t remembered, double command, double *under_way)
 
 /* p, w, d and b of the observer after dt: its rows hold the gains of p, w, d and b, its columns those by place, speed and
  * acceleration. */
-static void observe(const dl_law_observer *observer, double dt, double a_lean, const dl_law_axis *before, const dl_axis_measured *z,
-                    dl_law_axis *after)
+static void observe(const dl_law_observer *observer, double dt, double a_lean, double a_lately, const dl_law_axis *before,
+                    const dl_axis_measured *z, dl_law_axis *after)
 {
     const double push = z->a_deck - a_lean - before->d;
     const double p = before->p + dt * before->w + 0.5 * dt * dt * push, w = before->w + dt * push;
-    const double off[3] = {z->p - p, z->w - w, z->a_body - a_lean - before->d - before->b};
+    const double off[3] = {z->p - p, z->w - w, z->a_body - a_lately - before->d - before->b};
     const double was[4] = {p, w, before->d, before->b};
     double is[4];
     for (int i = 0; i < 4; i++) {
@@ -57,20 +57,35 @@ static void observe(const dl_law_observer *observer, double dt, double a_lean, c
     after->p = is[0], after->w = is[1], after->d = law_limited(is[2], PUSH_MAX_M_S2), after->b = is[3];
 }
 
-/* How far a tilt's rate has come after dt by the response: rate' = frequency^2 (lag - lean) - 2 damping frequency rate. */
-static double rate_after(const dl_law_params *o, double dt, double rate, double lean, double lag)
+/* A tilt and its rate after h by the response: rate' = frequency^2 (lag - lean) - 2 damping frequency rate. */
+static void tilt_flown(const dl_law_params *o, double h, double lag, double *lean, double *rate)
 {
     const double w = o->frequency_rad_s;
-    return rate + dt * (w * w * (lag - lean) - 2.0 * o->damping * w * rate);
+    *rate += h * (w * w * (lag - *lean) - 2.0 * o->damping * w * *rate);
+    *lean += h * *rate;
 }
 
-void axis_observe(const dl_law_in_use *law, double dt, double arrived, const dl_law_axis *before, const dl_axis_measured *z, dl_law_axis *after)
+/* The command that arrived so many periods ago, an acceleration. */
+static double arrived(const dl_law_in_use *law, const dl_law_cycle *in, int64_t ago, const double *under_way)
+{
+    const double last = (double)law->params.remembered - 1.0;
+    const double now = (double)(law->gains.tilt_delay - 1 + ago), earlier = (double)(law->gains_before.tilt_delay - 1 + ago);
+    return law_between(in, under_way[(int64_t)fmin(now, last)], under_way[(int64_t)fmin(earlier, last)]);
+}
+
+void axis_observe(const dl_law_in_use *law, const dl_law_cycle *in, int64_t n, const dl_law_axis *before, const dl_axis_measured *z,
+                  dl_law_axis *after)
 {
     const dl_law_params *o = &law->params;
-    observe(&law->observer, dt, 0.5 * (z->lean + before->lean), before, z, after);
-    const double keep = exp(-dt / o->lag_s);
-    const double rate = rate_after(o, dt, before->rate, before->lean, before->lag);
-    after->lag = keep * before->lag + (1.0 - keep) * arrived;
+    const double h = in->dt / (double)n, keep = exp(-h / o->lag_s);
+    double lean = before->lean, rate = before->rate, lag = before->lag, lately = lean, all = 0.5 * (z->lean - lean);
+    for (int64_t k = 1; k <= n; k++) {
+        lately = lean, all += lean;
+        tilt_flown(o, h, lag, &lean, &rate);
+        lag = keep * lag + (1.0 - keep) * arrived(law, in, n - k, before->under_way);
+    }
+    observe(&law->observer, in->dt, all / (double)n, 0.5 * (z->lean + lately), before, z, after);
+    after->lag = lag;
     after->rate = rate + GYRO_SHARE * (z->rate - rate);
     after->lean = z->lean;
     memcpy(after->under_way, before->under_way, sizeof after->under_way);
@@ -108,18 +123,22 @@ int law_fits(const dl_law_in_use *law)
     return is_number_of_commands(law->params.remembered) && gains_fit(&law->gains) && gains_fit(&law->gains_before);
 }
 
-double dl_law_axis_step(const dl_law_in_use *law, double dt, double arrived, const dl_law_axis *before, const dl_axis_measured *z, dl_law_axis *after)
+double dl_law_axis_step(const dl_law_in_use *law, double dt, const dl_law_axis *before, const dl_axis_measured *z, dl_law_axis *after)
 {
     if (!law_fits(law)) {
         return NAN;
     }
-    axis_observe(law, dt, arrived, before, z, after);
+    const dl_law_cycle in = {.dt = dt, .share = 1.0};
+    axis_observe(law, &in, 1, before, z, after);
     return axis_tilt(after, &law->gains, after->p, 0.0, 0.0);
 }
 
-void own_flown(const dl_law_params *o, double dt, const dl_law_axis *x, const dl_law_own *before, dl_law_own *after)
+void own_flown(const dl_law_params *o, double dt, int64_t n, const dl_law_axis *x, const dl_law_own *before, dl_law_own *after)
 {
-    const double rate = rate_after(o, dt, before->rate, before->lean, x->lag), explained = before->lean + dt * rate;
+    double explained = before->lean, rate = before->rate;
+    for (int64_t k = 0; k < n; k++) {
+        tilt_flown(o, dt / (double)n, x->lag, &explained, &rate);
+    }
     const double own = before->own + (1.0 - exp(-dt / OWN_FLOWN_S)) * (x->lean - explained);
     after->own = law_limited(own, PUSH_MAX_M_S2), after->lean = explained, after->rate = rate;
 }

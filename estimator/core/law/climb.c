@@ -15,10 +15,10 @@ static const double SPEED_GAIN_1_S = 4.0, HEIGHT_GAIN_1_S = 1.5;
  * d, for the body answers its commands by the true one. */
 static const double DISTURBANCE_S = 0.15, DISTURBANCE_MAX_M_S = 1.0;
 
-double climb_pushed(const dl_law_params *o, double d, double a_down, double v, double arrived)
+double climb_pushed(const dl_law_params *o, double dt, double d, double a_down, double v, double arrived)
 {
     const double beside = a_down - (arrived - v) / o->climb_lag_s;
-    return law_limited(d + (1.0 - exp(-o->period_s / DISTURBANCE_S)) * (beside - d), DISTURBANCE_MAX_M_S / o->climb_lag_s);
+    return law_limited(d + (1.0 - exp(-dt / DISTURBANCE_S)) * (beside - d), DISTURBANCE_MAX_M_S / o->climb_lag_s);
 }
 
 double climb_predicted(const dl_law_params *o, double *v, double d, int64_t n, const double *under_way)

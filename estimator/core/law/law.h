@@ -19,14 +19,15 @@ double law_between(const dl_law_cycle *in, double later, double earlier);
 void axis_begin(int64_t remembered, const dl_axis_measured *z, const dl_law_axis *before, dl_law_axis *after);
 /* Another command under way. */
 void under_way_note(int64_t remembered, double command, double *under_way);
-/* The memory of one axis after dt with a measurement; the command that has arrived is an acceleration. */
-void axis_observe(const dl_law_in_use *law, double dt, double arrived, const dl_law_axis *before, const dl_axis_measured *z, dl_law_axis *after);
+/* The memory of one axis after a cycle of n periods with a measurement. */
+void axis_observe(const dl_law_in_use *law, const dl_law_cycle *in, int64_t n, const dl_law_axis *before, const dl_axis_measured *z,
+                  dl_law_axis *after);
 /* The tilt to command, m/s^2, not limited yet: the later reference less the present error, the commands under way included. */
 double axis_tilt(const dl_law_axis *x, const dl_law_gains *gains, double off_m, double a_deck, double a_deck_then);
 /* The tilt that keeps the body over the deck, m/s^2: its acceleration less the disturbance. */
 double axis_reference(const dl_law_axis *x, double a_deck);
-/* The tilt that the vehicle adds by itself, after a cycle in which the law steered or somebody else did. */
-void own_flown(const dl_law_params *o, double dt, const dl_law_axis *x, const dl_law_own *before, dl_law_own *after);
+/* The tilt that the vehicle adds by itself, after a cycle of n periods in which the law steered, or one in which somebody else did. */
+void own_flown(const dl_law_params *o, double dt, int64_t n, const dl_law_axis *x, const dl_law_own *before, dl_law_own *after);
 void own_hovered(double dt, double lean, const dl_law_own *before, dl_law_own *after);
 
 /* The deck this many seconds ahead; still where nothing is known of its motion. */
@@ -37,7 +38,7 @@ void turn_observe(const dl_law_cycle *in, const dl_law_memory *before, dl_law_me
 double turn_command(const dl_law_cycle *in, const dl_law_memory *memory);
 
 /* What accelerates the body beside its answer to climb commands, m/s^2 down. */
-double climb_pushed(const dl_law_params *o, double d, double a_down, double v, double arrived);
+double climb_pushed(const dl_law_params *o, double dt, double d, double a_down, double v, double arrived);
 /* Vertical speed v and the way made when n commands under way have acted, the oldest first. */
 double climb_predicted(const dl_law_params *o, double *v, double d, int64_t n, const double *under_way);
 /* The vertical speed to command, m/s down, not limited yet. */

@@ -78,6 +78,6 @@ static void law(int rounds, double poison)
     }
     const dl_axis_measured z = {0.1, 0.2, 0.3 * poison, 0.4, 0.5, 0.6};
     dl_law_axis one;
-    const double u = dl_law_axis_step(&flown, 0.02, uniform(), &memory.axes[0], &z, &one);
+    const double u = dl_law_axis_step(&flown, 0.02, &memory.axes[0], &z, &one);
     fold(&u, 1);
 }
