@@ -313,7 +313,7 @@ class Health:
         for change in decision.transitions:
             why = change.event.name.lower(), change.reason.cause.name.lower()
             self._transitions[change.source.value, change.target.value, *why] += 1
-            if change.target in ENDED:
+            if change.target in ENDED and change.source not in ENDED:
                 self._flights[change.target.value] += 1
 
     def _mission(self) -> MissionHealth:

@@ -60,6 +60,7 @@ class ReasonCause(Enum):
     NOT_FOUND = "the pad was not found within {limit:g} s"
     NOT_FOUND_AGAIN = "the pad was not found again within {limit:g} s"
     FRAMES = "{measured:.0f} % of frames {detail}"
+    FRAMES_UNSEEN = "{measured:.0f} % of frames {detail}; {limit:.0f} % of those that were searched show no pad"
 
     TRY_TIME = "no landing within {limit:g} s"
     LANDING_TIME = "no landing within {limit:g} s, all tries together"
@@ -281,22 +282,15 @@ FAULTS = frozenset(
 
 
 class FlightOutcome(Enum):
-    """The outcome of a flight."""
+    """The outcome of a flight: the state that ended it."""
 
     LANDED = State.LANDED.value
-    """The vehicle reports that it is on the ground after our order to land."""
     LANDED_BY_OTHERS = State.LANDED_BY_OTHERS.value
-    """The vehicle reports that it is on the ground without our order to land."""
     GAVE_UP = State.GAVE_UP.value
-    """The pad was not found again, or the attempts are used up; the vehicle is held still."""
     REFUSED = State.REFUSED.value
-    """The conditions are beyond the limits; the vehicle is held still."""
     TAKEN = State.TAKEN.value
-    """A failsafe of the autopilot or a person took the vehicle."""
     EMERGENCY = State.EMERGENCY.value
-    """The vehicle cut its motors."""
     ABORTED = State.ABORTED.value
-    """The operator aborted the attempt; the vehicle is held still."""
 
 
 REFUSALS = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED)

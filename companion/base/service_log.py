@@ -16,13 +16,14 @@ import select
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 
 from msgspec import Struct
 
 from companion.base.signals import PROCESS
 from estimator.contracts.address import masked
+from estimator.contracts.time import MonoNs, seconds_between
 
 LINES_A_MINUTE = 60
 """The most lines of one kind in a minute."""
@@ -37,6 +38,8 @@ _LINE_MAX = 2000
 """The most characters of one message; peers choose the length of some."""
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 """Control characters and line separators in texts from a peer: they could begin a new line or control a terminal."""
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+_AWAY_S = 30.0
 _OURS = ("companion", "drivers", "estimator", "sitl")
 _OTHERS = {"pymavlink": logging.CRITICAL, "paho": logging.CRITICAL, "mqtt": logging.CRITICAL, "libav": logging.ERROR}
 """Log levels of other people's loggers; WARNING if not named. Our drivers count and log what these report."""
@@ -99,6 +102,20 @@ class KindLimit:
             if kind.held and now_s - kind.since_s >= _MINUTE_S:
                 yield kind.name, f"{kind.held} more lines like this in {now_s - kind.since_s:.0f} s: {kind.last}"
                 kind.since_s, kind.written, kind.held = now_s, 0, 0
+
+
+class ReportedOnce:
+    """Texts that come and go: each is new once, and again after it was away for `_AWAY_S`. Numbers in it do not count."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, MonoNs] = {}
+
+    def new(self, texts: Iterable[str], now: MonoNs) -> list[str]:
+        """Return which of the present texts are new."""
+        present = {_NUMBER.sub("", text): text for text in texts}
+        seen = {key for key, at in self._seen.items() if seconds_between(at, now) <= _AWAY_S}
+        self._seen |= dict.fromkeys(present, now)
+        return [text for key, text in present.items() if key not in seen]
 
 
 class ServiceLog(logging.Handler):

@@ -229,7 +229,7 @@ def _rows(name: str, usual: Mapping[State, Row]) -> Iterator[str]:
     if name == "cone":
         *most, last = (f"**{target.value}**: {event.value}" for event, target in LANDING.items())
         yield f"| all from waiting for the start to another pad | {'; '.join(most)} |"
-        yield f"| all from rendezvous to another pad | {last} |"
+        yield f"| all from paused to another pad | {last} |"
     for state in State:
         row = TABLES[name][state]
         flown = sum(row.get(event) is target for event, target in LANDING.items()) >= len(LANDING) - 2

@@ -101,7 +101,7 @@ def fix(args: argparse.Namespace, snapshot: Snapshot, found: Sequence[Finding]) 
     autopilot = snapshot.autopilot
     offers = [] if autopilot is None else offered(autopilot, found)
     if autopilot is None or not offers:
-        _say(args, "nothing is wrong that a parameter fixes")
+        _say(args, "nothing is wrong that a parameter fixes" if autopilot else "no autopilot was examined: nothing was written")
         return _code(found, set())
     if autopilot.armed is not False:
         raise BadInput("--fix: no parameter is written while the vehicle is armed: land, disarm and begin again")
@@ -160,7 +160,6 @@ def _written(
     links = given_links(args, load(args.config) if args.config else None)
     if links is None:
         raise BadInput(f"--config {args.config}: its vehicle is no autopilot: no parameter can be written")
-
     return event_loop.run(_write(links, system, args.seconds, planned, kept, partial(_report, args)))
 
 
@@ -189,7 +188,8 @@ def _report(args: argparse.Namespace, result: WriteResult) -> None:
         sys.stdout.write(json.dumps(line) + "\n")
         return
     outcome = "written and read back" if refused is None else f"NOT written: {refused}"
-    sys.stdout.write(f"{one.parameter:<17} {one.was:g} -> {one.to:g}: {outcome}\n")
+    change = f"is {one.to:g} already" if result.already else f"{one.was:g} -> {one.to:g}: {outcome}"
+    sys.stdout.write(f"{one.parameter:<17} {change}\n")
 
 
 def _boot(args: argparse.Namespace, done: set[str]) -> None:
@@ -198,14 +198,8 @@ def _boot(args: argparse.Namespace, done: set[str]) -> None:
 
 
 def _command(args: argparse.Namespace) -> str:
-    words = ["decklander", "doctor"]
-    for url in args.link:
-        words += ["--link", url]
-    if args.config:
-        words += ["--config", args.config]
-    if args.signing_key:
-        words += ["--signing-key", args.signing_key]
-    return shlex.join(words)
+    given = [("--link", url) for url in args.link] + [("--config", args.config), ("--signing-key", args.signing_key)]
+    return shlex.join(["decklander", "doctor", *(word for pair in given if pair[1] for word in pair)])
 
 
 def _say(args: argparse.Namespace, text: str) -> None:

@@ -31,5 +31,5 @@ def advice(state: State, reason: Reason) -> str:
         state: the state that the machine went to.
         reason: why.
     """
-    named = reason.detail if isinstance(reason.detail, IntegrityAlert | Verdict) else reason.cause
-    return " ".join(filter(None, (_ADVICE.get(named, ""), _HOVERS if state in _WAITING else "")))
+    detail = _ADVICE.get(reason.detail, "") if isinstance(reason.detail, IntegrityAlert | Verdict) else ""
+    return " ".join(filter(None, (detail, _ADVICE.get(reason.cause, ""), _HOVERS if state in _WAITING else "")))

@@ -36,6 +36,7 @@ from companion.settings.guidance import ClimbResponse, GuidanceOptions, TiltResp
 from companion.settings.load import shipped_response
 from companion.settings.operator import LimitOptions, ManualOptions
 from companion.settings.vessel import ReportLimits
+from drivers.mavlink.options import VELOCITY_MODES
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.samples import (
@@ -182,7 +183,6 @@ class LandingGuidance:
         self._charge = ChargeWatch()
         self._now = MonoNs(0)
         self._attitude: Attitude | None = None
-        """The newest attitude."""
         self._heard: MonoNs | None = None
         """Time of receipt of the vehicle's own newest sample."""
         self._measured: MonoNs | None = None
@@ -209,7 +209,6 @@ class LandingGuidance:
         self._by_baselines = False
         """True if the newest sight of the pad is by baselines."""
         self._thing: Reason | None = None
-        """Objects on the pad in the newest guidance cycle."""
         self.vessel_track = VesselTrack(options.reports)
         self._ship_wind: ReportedWind | None = None
         self._vessel: VesselPosition | Reason | None = None
@@ -491,7 +490,8 @@ class LandingGuidance:
         """Take the command that is sent; return the vehicle's response when it is another one than last reported, else None."""
         if command is not self._ordered:
             self.mission = flown_by_others(self.mission)
-        response = self._response.on_command(now, command, self.state)
+        by_mode = not self._hold.over_ground or (self.vehicle is not None and self.vehicle.mode in VELOCITY_MODES)
+        response = self._response.on_command(now, command, self.state, flown=by_mode)
         down_m_s = float(command.v_level[2]) if isinstance(command, Lean) else None
         self._climbs_m_s = None if down_m_s is None else -down_m_s
         if self._hold.over_ground:

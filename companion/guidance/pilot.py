@@ -32,7 +32,6 @@ from estimator.options import EstimatorOptions
 from estimator.pipeline import RelativeEstimator
 from estimator.vision.camera import Camera
 from estimator.vision.detection import Detection
-from estimator.vision.pad import Pad
 from estimator.vision.tracker_config import FRAME_WORK, TrackerConfig
 
 if TYPE_CHECKING:
@@ -161,6 +160,8 @@ class Pilot:
     ) -> None:
         given = options or PilotOptions()
         self.search = PadSearch(tracker, given.gimballed)
+        self.camera, self.pad = self.search.camera, self.search.pad
+        """The camera on the body, one on a gimbal as it is while that points straight down; and the pad."""
         self.estimator = RelativeEstimator(estimator, given.shadows, given.motion_sensor)
         """The estimate: where the pad is, how body and deck move, and what was made of each sample."""
         self.landing = LandingGuidance(guidance, given)
@@ -169,15 +170,6 @@ class Pilot:
         """Called when a person orders to begin or to land: the driver may take back a vehicle that a person had taken over."""
         self.operator = OperatorArbiter(self, given.manual, given.limits)
         """The arbiter of people's orders, which has the last word."""
-
-    @property
-    def camera(self) -> Camera:
-        """The camera on the body; one on a gimbal as it is while that points straight down."""
-        return self.search.camera
-
-    @property
-    def pad(self) -> Pad:
-        return self.search.pad
 
     @property
     def vehicle(self) -> VehicleStatus | None:
@@ -196,8 +188,9 @@ class Pilot:
 
     @property
     def outcome(self) -> FlightOutcome | None:
-        """The outcome of the flight; None while it goes on."""
-        return _OUTCOMES.get(self.landing.state)
+        """The outcome of the flight, which a pilot's hand does not change once it has ended; None while it goes on."""
+        state, before = self.landing.state, self.landing.mission.taken_from
+        return _OUTCOMES.get(before or state) or _OUTCOMES.get(state)
 
     @property
     def paused(self) -> bool:

@@ -1,11 +1,10 @@
 """The mission "targets" (`guidance.mission = "targets"`): the autopilot lands by its own landing, led by LANDING_TARGETs alone.
 
-No target for the controller and no velocity comes from here: an aim is the vehicle's own landing, or a hover. SEARCH waits for
-the pad, GATE offers it while targets are sent, DOWN is the autopilot's own landing, GO_AROUND its own hold. The way from GATE to
-DOWN is the pilot's choice of the landing mode, or, where `guidance.mode_changes` lets us, our request. What the pilot chose is
-never called off by us: the reason is shown, and the targets go on. What we requested is called off only as high over the deck as
-a hold over the ground is safe; lower down the landing is the better end. States that are not named here are those of the other
-missions, with a hover for an aim.
+No velocity comes from here: an aim is the vehicle's own landing, or a hover. SEARCH waits for the pad, GATE offers it while
+targets are sent, DOWN is the autopilot's own landing, GO_AROUND its own hold. The way from GATE to DOWN is the pilot's choice of
+the landing mode, or, where `guidance.mode_changes` lets us, our request. What the pilot chose we never call off: the reason is
+shown, and the targets go on. What we requested is called off only as high over the deck as a hold over the ground is safe.
+All other states are those of the other missions, with a hover for an aim.
 """
 
 from collections.abc import Iterator, Mapping

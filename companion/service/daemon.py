@@ -9,7 +9,6 @@ Vehicle and guidance are vital; observers and every further part run beside the 
 
 import asyncio
 import logging
-import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from companion.base.memory import GroundedCollector, no_full_collections
 from companion.base.mission import FAULTS, FlightOutcome
 from companion.base.observer import Decision, FrameTimes, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder
+from companion.base.service_log import ReportedOnce
 from companion.base.worker import Worker
 from companion.guidance.pilot import Look, Pilot
 from companion.settings.service import RestartOptions
@@ -108,7 +108,6 @@ class FramePace:
             log.warning("%s", slow or "this computer keeps up again")
 
 
-_NUMBER = re.compile(r"\d+(\.\d+)?")
 _ATTITUDE_TRIES, _ATTITUDE_PAUSE_S, _ATTITUDE_SILENT_S = 10, 0.005, 0.2
 _UNASKED_S = 0.1
 """Time between two looks for samples that neither guidance nor vision took, because one of them waits or is being restarted."""
@@ -188,7 +187,7 @@ class Daemon:
         self._decided = asyncio.Event()
         """Set after the first guidance cycle, which nothing is to delay."""
         self._wrong_size_logged = False
-        self._logged = ("", "")
+        self._logged, self._reasons = "", ReportedOnce()
         self._look_began = MonoNs(0)
         self._taken_at = MonoNs(0)
         """Time when the waiting samples were last taken."""
@@ -459,21 +458,18 @@ class Daemon:
         self._audience.on_order(handled)
 
     def _tell(self, decision: Decision) -> None:
-        """Log each change of the mission's state, and the phase with its reason where these change by themselves.
-
-        A reason in which a number alone has changed is not logged again.
-        """
+        """Log each change of the mission's state, and the phase with its reason where these change by themselves."""
         for change in decision.transitions:
             level = logging.WARNING if change.event in FAULTS else logging.INFO
             log.log(level, "%s: %s (from %s)", change.target.value, change.reason.text, change.source.value)
         if decision.response is not None:
             level = logging.WARNING if decision.response.contradicts else logging.INFO
             log.log(level, "%s", decision.response.text)
-        entry = (decision.phase, _NUMBER.sub("", decision.reason))
-        if entry != self._logged and not decision.transitions:
+        new = self._reasons.new(decision.reason.split("; "), decision.at)
+        if (new or decision.phase != self._logged) and not decision.transitions:
             words = ": ".join(filter(None, (decision.phase, decision.reason)))
             log.log(logging.WARNING if decision.reason else logging.INFO, "%s", words)
-        self._logged = entry
+        self._logged = decision.phase
 
     async def _log_health(self) -> None:
         while True:

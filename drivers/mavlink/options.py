@@ -13,6 +13,8 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import CheckedOptions, choice, number, text
 
 LINKS = "MAVLink links, with commas between: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD"
+VELOCITY_MODES = ("guided", "offboard")
+"""The modes in which ArduPilot and PX4 follow setpoints."""
 TARGET_MODES = ("land", "auto.precland")
 """The modes in which ArduPilot and PX4 land on LANDING_TARGETs by themselves."""
 

@@ -10,7 +10,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.options import TARGET_MODES
+from drivers.mavlink.options import TARGET_MODES, VELOCITY_MODES
 from estimator.contracts.geometry import GeoPoint
 
 
@@ -65,7 +65,7 @@ _MODES = {Stack.ARDUPILOT: COPTER_MODES, Stack.PLANE: PLANE_MODES}
 _NUMBERS = {stack: {name: number for number, name in modes.items()} for stack, modes in _MODES.items()}
 _PX4_NUMBERS = {name: number for number, name in PX4_MODES.items()}
 
-VELOCITY_MODE = {Stack.ARDUPILOT: "guided", Stack.PLANE: "guided", Stack.PX4: "offboard"}
+VELOCITY_MODE = dict(zip((Stack.ARDUPILOT, Stack.PX4), VELOCITY_MODES, strict=True)) | {Stack.PLANE: "guided"}
 """The mode in which each stack follows velocity setpoints."""
 LAND_MODE = {Stack.ARDUPILOT: "land", Stack.PLANE: "qland", Stack.PX4: "auto.land"}
 TARGET_MODE = dict(zip((Stack.ARDUPILOT, Stack.PX4), TARGET_MODES, strict=True)) | {Stack.PLANE: "qland"}

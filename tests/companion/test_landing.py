@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from companion.base.mission import Event, Reason, ReasonCause, State
+from companion.base.mission import Event, FlightOutcome, Reason, ReasonCause, State
 from companion.guidance.controller import Knowledge
 from companion.guidance.landing import LandingGuidance, PilotOptions
 from companion.guidance.mission.gate import Gate
@@ -355,6 +355,10 @@ def test_a_vehicle_that_a_person_took_is_commanded_again_once_he_gives_it_back()
         assert landing.reason == "a person took it"
         landing.on_samples([status(2.0)])
         assert landing.state is then
+    pilot = Pilot(EYES, EstimatorOptions(), GuidanceOptions())
+    pilot.landing = enter(in_flight(), State.GAVE_UP)
+    pilot.on_sample(status(1.0, taken="a person took it"))
+    assert (pilot.state, pilot.outcome) == (State.TAKEN, FlightOutcome.GAVE_UP)
 
 
 def test_a_dip_of_the_battery_lands_no_refused_drone_where_it_is() -> None:

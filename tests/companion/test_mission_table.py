@@ -14,7 +14,7 @@ from companion.guidance.advice import advice
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission import machine
 from companion.guidance.mission.machine import TABLES, Transitions, mission_step, take_order, take_status
-from companion.guidance.mission.progress import GuidanceCycle, Progress
+from companion.guidance.mission.progress import GuidanceCycle, Progress, of_frames
 from companion.parts.mqtt.encode import Changes
 from companion.recording import decode
 from companion.settings.guidance import GuidanceOptions
@@ -56,8 +56,8 @@ def breach(name: str, state: State, event: Event) -> str:
         "what stays goes down by no way of its own": state is not State.STAY
         or target not in DESCENDS
         or (event, target) == (Event.OUT_OF_CONE, State.INTERCEPT),
-        "an end is left by a take-off, the operator or a battery that ends": state not in ENDED
-        or event is Event.TAKEN_OFF
+        "an end is left by a take-off, the operator, a pilot or a battery that ends": state not in ENDED
+        or event in (Event.TAKEN_OFF, Event.TAKEN)
         or (event in (Event.BEGIN, Event.STAY) and state in AGAIN)
         or (event is Event.BATTERY_ENDS and state in (State.REFUSED, State.GAVE_UP)),
         "the ground is left by a take-off": state not in GROUND or target in GROUND | ENDED or event is Event.TAKEN_OFF,
@@ -143,14 +143,11 @@ def test_cut_motors_end_the_flight_even_if_the_vehicle_says_that_it_flies() -> N
     assert events_of(changes) == [(ns(3), State.DESCEND, Event.CUT, State.EMERGENCY, ReasonCause.MOTORS_CUT)]
 
 
-@pytest.mark.parametrize(
-    ("we_land", "event", "target"),
-    [(True, Event.GROUNDED, State.LANDED), (False, Event.GROUNDED_BY_OTHERS, State.LANDED_BY_OTHERS)],
-)
-def test_a_vehicle_that_stands_landed_by_our_order_or_by_others(we_land: bool, event: Event, target: State) -> None:
+@pytest.mark.parametrize(("we_land", "event"), [(True, Event.GROUNDED), (False, Event.GROUNDED_BY_OTHERS)])
+def test_a_vehicle_that_stands_landed_by_our_order_or_by_others(we_land: bool, event: Event) -> None:
     p, changes = take_status(in_state(State.DOWN, we_land=we_land), status(3.0, flying=False), OPTIONS)
-    assert p.state is target
-    assert events_of(changes) == [(ns(3), State.DOWN, event, target, ReasonCause.VEHICLE_STANDS)]
+    assert events_of(changes) == [(ns(3), State.DOWN, event, p.state, ReasonCause.VEHICLE_STANDS)]
+    assert p.state is REPORTS[event]
 
 
 @pytest.mark.parametrize("state", STAYS_UP)
@@ -210,8 +207,11 @@ def test_whoever_takes_the_vehicle_is_the_outcome_until_it_is_given_back() -> No
     back, changes = take_status(p, status(4.0, flying=True), OPTIONS, resumes=True)
     assert (back.state, changes[0].reason.cause) == (State.SEARCH, ReasonCause.GIVEN_BACK)
     assert take_status(replace(back, asked_at=ns(3.0)), taken, OPTIONS)[1] == (), "a report from before the order"
-    for state in (State.READY, State.PAUSED):
-        assert take_status(in_state(state), taken, OPTIONS)[1] == ()
+    assert take_status(in_state(State.READY), taken, OPTIONS)[1] == ()
+    for state in (State.PAUSED, State.REFUSED, State.GAVE_UP, State.ABORTED):
+        p, _ = take_status(replace(in_state(state), begun=True), taken, OPTIONS)
+        assert (p.state, mission_step(p, cycle, OPTIONS)[1]) == (State.TAKEN, Hover())
+        assert take_status(p, status(4.0, flying=True), OPTIONS, resumes=True) == (p, ()), "no landing was flown"
 
 
 NO_FAULT = {
@@ -237,6 +237,10 @@ def test_details_have_an_advice_of_their_own() -> None:
     frames = {verdict: Reason(ReasonCause.FRAMES, 60.0, detail=verdict) for verdict in Verdict}
     assert all(reason.text.startswith("60 % of frames ") for reason in frames.values())
     assert [verdict for verdict, reason in frames.items() if not advice(State.HOLD_BLIND, reason)] == [Verdict.FUSED]
+    slow = {Verdict.REPLACED: 53, Verdict.GATED: 5}
+    hidden = of_frames(slow | {Verdict.NO_PAD: 42})
+    assert hidden.text.endswith("this machine is too slow; 89 % of those that were searched show no pad")
+    assert advice(State.GO_AROUND, hidden).startswith(advice(State.GO_AROUND, of_frames(slow)) + " Look at the picture")
 
 
 @pytest.mark.parametrize("state", [State.REFUSED, State.GAVE_UP, State.ABORTED])

@@ -5,7 +5,7 @@ Margins and errors of one axis stand against loops of the textbook, and against 
 
 import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,10 +38,12 @@ from companion.guidance.law.response_watch import (
     ResponseWatch,
     asked,
     begun,
+    course_of,
     judged,
     landed,
     reported,
     shaped,
+    track,
 )
 from companion.guidance.pilot import make_pilot
 from companion.settings.guidance import ClimbResponse, FollowDeckOptions, GuidanceOptions, Response, TiltResponse
@@ -147,40 +149,24 @@ def test_an_order_to_begin_again_ends_what_nothing_can_take_back() -> None:
     assert landing._response.late_s is None
 
 
-def course(kind: str) -> tuple[F64, F64, float]:
-    u = leans(5, 16.0, 0.6)
-    y = answers(structs.replace(GIVEN.tilt, delay_s=0.2), u, 5)
-    rng = np.random.default_rng(9)
-    if kind == "held by hand":
-        return u, np.column_stack([gauss_markov(rng, u.shape[0], 0.5, 1.0) for _ in range(2)]), 0.01
-    if kind == "standing still":
-        return u, np.zeros_like(u), 0.01
-    if kind == "degrees for radians":
-        return u, np.degrees(y), 0.01
-    if kind == "turned the wrong way":
-        return u, -y, 0.01
-    if kind == "axes swapped":
-        return u, y[:, ::-1], 0.01
-    if kind == "at its limit of tilt":
-        return 5.0 * u, np.clip(5.0 * y, -0.6, 0.6), 0.01
-    if kind == "reports two seconds old":
-        return u, y, 2.0
-    if kind == "later than may be flown with":
-        return u, answers(structs.replace(GIVEN.tilt, delay_s=0.5), u, 5), 0.01
-    raise ValueError(kind)
+NOT_THIS_FLIGHT: dict[str, Callable[[F64, F64], tuple[F64, F64, float]]] = {
+    "held by hand": lambda u, y: (u, gauss_markov(np.random.default_rng(9), 2 * u.shape[0], 0.5, 1.0).reshape(2, -1).T, 0.01),
+    "standing still": lambda u, y: (u, np.zeros_like(u), 0.01),
+    "degrees for radians": lambda u, y: (u, np.degrees(y), 0.01),
+    "turned the wrong way": lambda u, y: (u, -y, 0.01),
+    "axes swapped": lambda u, y: (u, y[:, ::-1], 0.01),
+    "at its limit of tilt": lambda u, y: (5.0 * u, np.clip(5.0 * y, -0.6, 0.6), 0.01),
+    "reports two seconds old": lambda u, y: (u, y, 2.0),
+    "later than may be flown with": lambda u, y: (u, answers(structs.replace(GIVEN.tilt, delay_s=0.5), u, 5), 0.01),
+}
 
 
 @pytest.mark.parametrize("given_tilt", [GIVEN.tilt, SURE])
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "held by hand", "standing still", "degrees for radians", "turned the wrong way", "axes swapped", "at its limit of tilt",
-        "reports two seconds old", "later than may be flown with",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("kind", NOT_THIS_FLIGHT)
 def test_what_is_not_this_vehicles_flight_changes_nothing(kind: str, given_tilt: TiltResponse) -> None:
-    first = begun(given_tilt, KNOWN_S)
-    for _, after in watch_response(first, *course(kind)):
+    first, u = begun(given_tilt, KNOWN_S), leans(5, 16.0, 0.6)
+    y = answers(structs.replace(GIVEN.tilt, delay_s=0.2), u, 5)
+    for _, after in watch_response(first, *NOT_THIS_FLIGHT[kind](u, y)):
         assert after.in_use is first.in_use
         assert after.shape is AS_FILED
 
@@ -333,10 +319,11 @@ def identified_by(guidance: GuidanceOptions, tilt: TiltResponse, **other: Any) -
     identifier, noted = ResponseIdentifier(tilt, guidance), []
     u = leans(5, 16.0, 0.6)
     y = answers(structs.replace(GIVEN.tilt, delay_s=0.2), u, 5)
-    for k in range(u.shape[0]):
+    for k in range(round(other.get("ends_s", 16.0) / T)):
         identifier.on_attitude(Stamp(ns(k * T), ns(k * T + 0.01), 0.002, "synced"), (y[k, 0], y[k, 1]))
         command = other.get("command") or Lean(u[k], np.zeros(2), np.zeros(3), 0.0)
-        found = identifier.on_command(ns(k * T), command, other.get("state", State.DESCEND))
+        state = State.TAKEN if k * T >= other.get("taken_s", math.inf) else other.get("state", State.DESCEND)
+        found = identifier.on_command(ns(k * T), command, state, flown=other.get("flown", True))
         noted += [] if found is None else [found]
     return identifier, noted
 
@@ -351,11 +338,27 @@ def test_softer_gains_and_a_contradiction_are_reported_once_each() -> None:
     assert [one.state for one in noted] == [ResponseState.IDENTIFIED], "that the file holds is nothing to tell"
 
 
-@pytest.mark.parametrize("state", [State.STANDBY, State.PRESS, State.DOWN, State.LANDED])
-def test_a_drone_that_touches_something_reports_nothing(state: State) -> None:
-    identifier, noted = identified_by(GuidanceOptions(), GIVEN.tilt, state=state)
-    assert noted == []
+BY_OTHERS = (State.STANDBY, State.COMMIT, State.PRESS, State.DOWN, State.LANDED, State.TAKEN)
+
+
+@pytest.mark.parametrize("other", [*({"state": state} for state in BY_OTHERS), {"flown": False}])
+def test_a_drone_that_touches_something_or_flies_by_others_reports_nothing(other: dict[str, Any]) -> None:
+    identifier, noted = identified_by(GuidanceOptions(), GIVEN.tilt, **other)
     assert identifier.in_use == ASSUMED
+    assert noted in ([], [ASSUMED])
+
+
+def test_cycles_that_come_late_are_not_learned_from() -> None:
+    for period_s, learned in ((0.2, True), (0.3, False)):
+        flown = course_of(track([(period_s * k, 0.1, 0.0) for k in range(50)]), track([(T * k, 0.1, 0.0) for k in range(500)]))
+        assert flown is not None
+        assert flown.counts.any() == learned
+
+
+@pytest.mark.parametrize("at_s", [5.1, 5.5, 6.1, 6.5, 7.1])
+def test_nothing_more_is_decided_once_another_has_the_vehicle(at_s: float) -> None:
+    taken, cut = (identified_by(GuidanceOptions(), GIVEN.tilt, **{key: at_s})[0].in_use for key in ("taken_s", "ends_s"))
+    assert taken == cut
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.base.http_server import ConnectionLimits, listen, make_runner
-from companion.base.service_log import LINES_A_MINUTE, KindLimit, ServiceLog, logging_to_stderr
+from companion.base.service_log import LINES_A_MINUTE, KindLimit, ReportedOnce, ServiceLog, logging_to_stderr
+from tests.make import ns
 from tests.support.waiting import PATIENCE_S, wait_until
 
 
@@ -175,3 +176,9 @@ async def test_an_error_of_ours_is_reported_with_its_traceback(caplog: pytest.Lo
     assert record.levelno == logging.ERROR
     assert record.exc_info is not None
     assert isinstance(record.exc_info[1], KeyError)
+
+
+def test_a_text_that_comes_and_goes_is_new_once_and_again_after_it_was_away() -> None:
+    shown = ReportedOnce()
+    times = [t for t in range(200) if t % 2 == 0 and not 100 <= t < 150 and shown.new([f"off by 0.{t} m"], ns(t))]
+    assert times == [0, 150]

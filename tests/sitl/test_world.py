@@ -21,7 +21,7 @@ from sitl.sea.sea import SEA_STATES, Sea, Waves
 from sitl.sensors.sensors import Readings, Sensors
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.vehicle import Vehicle, VehiclePhase
-from sitl.vessel.contact import DeckShape, Ground
+from sitl.vessel.contact import DeckShape
 from sitl.vessel.file import VesselSettings
 from sitl.vessel.vessel import Mounted
 from sitl.world.stage import airframe
@@ -178,11 +178,6 @@ PERFECT = SensorSettings(
     velocity_scale=1.0, velocity_noise_sigma_m_s=0.0, ultrasound_sigma_m=0.0, ultrasound_delay_s=0.0,
     pressure_sigma_pa=0.0, pressure_drift_sigma_pa=0.0, magnetometer_sigma_t=0.0, magnetometer_bias_sigma_t=0.0,
 )  # fmt: skip
-
-
-def deck() -> Ground:
-    """Return a deck at z = -0.5 m over water at 0."""
-    return Ground.of(np.array([0.0, 0.0, -0.5]), np.zeros(3), np.eye(3), np.zeros(3))
 
 
 ZERO = np.zeros((1, 1, 3))

@@ -10,13 +10,12 @@ swings about the pad and never comes to the gate.
 Frequency and damping are of the same fits. Where two in a row are sure of other ones than are flown by, gains for these take
 over: as stiff as the margins allow for all that the flight leaves possible (`shape_of`).
 
-No delay shorter than the file's is flown with. The loop of the file's gains stands every shorter one, with more margin than its
-own. Gains for a shorter one that the vehicle does not have hardly stand the vehicle, and in a loop that disturbances drive the
-fit errs that way.
+No delay shorter than the file's is flown with: the loop of its gains stands every shorter one, and in a loop that disturbances
+drive the fit errs that way.
 
-The courses that are fitted are of commands and samples: commanded and reported, in even steps. Commands count from guidance's
-decision and are held until the next one; reports count from the instant of their measurement. Where nobody requested a tilt the
-vehicle's own one stands in for it, and nothing is compared until the response to it is over.
+Commands count from guidance's decision and are held until the next one, reports from the instant of their measurement. Where we
+requested no tilt, near the deck, or while the vehicle flies by another's mode, its own tilt stands in for the command, and
+nothing is compared until the response to it is over.
 """
 
 import math
@@ -37,9 +36,8 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
-HELD_S = 0.5
-"""A command that is not renewed for longer than this is not held any more, s: the vehicle hovers."""
-_REPORT_GAP_S = 0.25
+_GAP_S = 0.25
+"""Longest time between two commands or two reports, s: between those of late cycles nobody knows what was flown."""
 _SETTLING_S = 1.2
 """Time after which the response to what came before the first command is over, s."""
 
@@ -98,7 +96,7 @@ def course_of(asked: Track, reported: Track, stamp_sigma_s: float = 0.0, drifts:
     known = np.asarray(np.isfinite(u).all(axis=1))
     u = np.where(known[:, None], u, y)
     after = np.maximum(1, np.searchsorted(reported.t_s, grid[:-1]))
-    fresh = reported.t_s[after] - reported.t_s[after - 1] <= _REPORT_GAP_S
+    fresh = reported.t_s[after] - reported.t_s[after - 1] <= _GAP_S
     settled = round(_SETTLING_S / STEP_S)
     since = np.arange(n) - np.maximum.accumulate(np.where(known, -1, np.arange(n)))
     return FlightCourse(u, y, known & fresh & (since > settled), stamp_sigma_s, drifts)
@@ -118,7 +116,7 @@ def _held(asked: Track, grid: F64) -> F64:
     A command in the middle of a step keeps its instant.
     """
     t, length = asked.t_s, np.diff(asked.t_s)
-    values = np.where((length <= HELD_S)[:, None], asked.values[:-1], math.nan)
+    values = np.where((length <= _GAP_S)[:, None], asked.values[:-1], math.nan)
     area = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(np.nan_to_num(values) * length[:, None], axis=0)])
     out = np.column_stack([np.diff(np.interp(grid, t, one)) / STEP_S for one in area.T])
     missing = np.interp(grid, t, np.append(0.0, np.cumsum(np.isnan(values).any(axis=1))))
@@ -128,8 +126,8 @@ def _held(asked: Track, grid: F64) -> F64:
 
 _SOFTER = (1.0, 1.25, 1.6, 2.0, 2.6, 10.0 / 3.0)
 """Factors by which the place may weigh less; the last one is that of a response which is only assumed."""
-_FREQUENCY_STEP, _DAMPING_STEP = 0.05, 0.1
-"""Steps in which shapes are distinguished, as natural logarithms."""
+_SHAPE_STEPS = np.array([0.05, 0.1])
+"""Steps in which frequency and damping are distinguished, as natural logarithms."""
 
 
 def shaped(given: TiltResponse, frequency: float, damping: float) -> TiltResponse:
@@ -146,8 +144,7 @@ def shape_of(given: TiltResponse, found: F64, cov: F64) -> TiltShape:
         found: logarithms of the factors of frequency and damping, (2,).
         cov: covariance of these, (2, 2).
     """
-    steps = np.array([_FREQUENCY_STEP, _DAMPING_STEP])
-    frequency, damping = np.exp(steps * np.round(found / steps)).tolist()
+    frequency, damping = np.exp(_SHAPE_STEPS * np.round(found / _SHAPE_STEPS)).tolist()
     shape = TiltShape(frequency, damping, sigma=max(0.01, round(math.sqrt(float(cov[0, 0])), 2)))
     return shape._replace(softer=_softer(given, shape))
 
@@ -200,7 +197,6 @@ class ResponseWatch(Struct, frozen=True, eq=False):
     given: TiltResponse
     in_use: ResponseInUse
     fit: TiltFit | None = None
-    """The newest fit."""
     doubt: ResponseInUse | None = None
     """Contradiction of the newest fit to the response in use."""
     late_s: float | None = None
@@ -229,8 +225,7 @@ def begun(given: TiltResponse, known_s: float) -> ResponseWatch:
         known_s: standard deviation up to which a delay counts as known.
     """
     sigma = given.delay_sigma_s
-    known = sigma is not None and sigma <= known_s
-    state = ResponseState.KNOWN if known else ResponseState.ASSUMED
+    state = ResponseState.ASSUMED if sigma is None or sigma > known_s else ResponseState.KNOWN
     return ResponseWatch(given, ResponseInUse(state, given.delay_s, sigma))
 
 
@@ -274,7 +269,9 @@ def asked(watch: ResponseWatch, now: MonoNs, command: Command | None, known_s: f
 
 
 def _fitted(watch: ResponseWatch, course: FlightCourse, known_s: float) -> ResponseWatch:
-    fit = fit_tilt(course, watch.given, begin=watch.fit, steps=_STEPS)
+    # The same samples once more are no second witness.
+    fresh = course.counts[-round(_EACH_S / STEP_S) :].any()
+    fit = fit_tilt(course, watch.given, begin=watch.fit, steps=_STEPS) if fresh else None
     if fit is None:
         return watch
     delay_s, explains = fit.response.delay_s, _explains(course, fit)
@@ -360,7 +357,7 @@ def _appended(before: Track | None, rows: tuple[tuple[float, float, float], ...]
     return Track(t, values)
 
 
-_ON_DECK = (*GROUND, State.PRESS, State.DOWN)
+_ON_DECK = (*GROUND, State.COMMIT, State.PRESS, State.DOWN)
 
 
 class ResponseIdentifier:
@@ -372,9 +369,8 @@ class ResponseIdentifier:
 
     def __init__(self, given: TiltResponse, guidance: GuidanceOptions) -> None:
         self._watch = begun(given, guidance.follow_deck.delay_known_s)
-        known = self._watch.in_use.state is ResponseState.KNOWN
         # That the file holds is nothing to tell; that the gains are softer is.
-        self._told = self._watch.in_use if known else None
+        self._told = self._watch.in_use if self._watch.in_use.state is ResponseState.KNOWN else None
         self.retune(guidance)
 
     def retune(self, guidance: GuidanceOptions) -> None:
@@ -405,12 +401,19 @@ class ResponseIdentifier:
         """Begin another flight, or landing, with what is known."""
         self._watch = landed(self._watch)
 
-    def on_command(self, now: MonoNs, command: Command | None, state: State) -> ResponseInUse | None:
-        """Take the command of a cycle; return the response in use when it differs from the last reported one, else None."""
+    def on_command(self, now: MonoNs, command: Command | None, state: State, *, flown: bool = True) -> ResponseInUse | None:
+        """Take the command of a cycle; return the response in use when it differs from the last reported one, else None.
+
+        Args:
+            flown: whether the vehicle flies by commands: its mode is not another one.
+        """
         if not self._on:
             return None
+        if state is State.TAKEN:
+            # It was another's before its report said so, up to a second later.
+            self._watch = landed(self._watch)
         on_deck = state in _ON_DECK
-        self._watch = asked(self._watch, now, None if on_deck else command, self._known_s)
+        self._watch = asked(self._watch, now, command if flown and not on_deck else None, self._known_s)
         if on_deck or self.in_use == self._told:
             return None
         self._told = self.in_use

@@ -1,14 +1,10 @@
 """The mission as one machine: one total table of states and events, assembled from the states' files, and a step of it.
 
-Theory of operation
--------------------
-**Phases.** A landing is a way down a chain of states, each with one purpose. SEARCH and RENDEZVOUS find the pad (`search`).
-INTERCEPT brings the drone over it and DESCEND down the cone (`descend`); where a person ordered to stay, STAY waits
-there instead (`stay`). GATE is the last place to wait: it follows the deck
-until every limit holds (`gate`). COMMIT goes down to the deck (`commit`), PRESS and DOWN keep it there and stop the motors
-(`press`). Three states lead back: HOLD_BLIND waits for a lost sight (`hold_blind`), GO_AROUND climbs to begin again
-(`go_around`), ANOTHER_PAD asks (`another_pad`). In all others no landing is flown (`waiting`). `thesis` and `targets` have what
-differs in the thesis' mission, and in the one in which the autopilot lands by itself.
+**Phases.** A landing is a way down a chain of states. SEARCH and RENDEZVOUS find the pad (`search`). INTERCEPT brings the drone
+over it and DESCEND down the cone (`descend`), or STAY waits there by a person's order (`stay`). GATE follows the deck until every
+limit holds (`gate`). COMMIT goes down to the deck (`commit`), PRESS and DOWN keep it there and stop the motors (`press`).
+HOLD_BLIND waits for a lost sight (`hold_blind`), GO_AROUND climbs to begin again (`go_around`), ANOTHER_PAD asks
+(`another_pad`). In all others no landing is flown (`waiting`). `thesis` and `targets` have what differs in their missions.
 
 **A file is a state.** It says what the state watches and where each event leads, what it aims at, its time budget, its
 constants, and the memory that only it needs (`Progress.kept`, empty on entry). What several states watch or fly is in `rules`
@@ -25,15 +21,13 @@ changes of state.
 - Motors stop only in DOWN, which is entered by a contact and a press (in the other missions by the vehicle's own landing).
 - On the ground, before the first order, and while somebody else has the vehicle, guidance sends nothing but a hover.
 
-**What a go-around costs.** Some ten seconds, a new budget for the attempt, and one of the allowed go-arounds; the time without
-sight and the time of the landing go on. Each one widens the limits of place and tilt a little: a landing that stays on the pad
-is better than another try. It is the way out of every doubt above the height of no return, below which a climb would touch the
-deck.
+**What a go-around costs.** A new budget for the attempt, and one of the allowed go-arounds; the time without sight and the time
+of the landing go on. Each one widens the limits of place and tilt a little. It is the way out of every doubt above the height of
+no return, below which a climb would touch the deck.
 
-**Why a refusal is no failure.** A deck that rolls too far, a wind that takes the whole tilt, or answers that come too late make
-some landings impossible, and then staying up is the right outcome. REFUSED names the condition with its number, GAVE_UP says
-that the pad was not found or the attempts are used up. Both hold the drone, and a person may begin again. Where its battery
-ends a landing is the last one (`limits.last_landing`), and a contact that is less good is better than to fall.
+**Why a refusal is no failure.** Deck, wind or late answers make some landings impossible. REFUSED names the condition with its
+number, GAVE_UP says that the pad was not found or the attempts are used up. Both hold the drone until a person begins again or
+takes it. Where its battery ends a landing is the last one (`limits.last_landing`): a bad contact is better than to fall.
 """
 
 from collections.abc import Mapping
@@ -82,7 +76,6 @@ TABLES: Mapping[str, Mapping[State, Row]] = MappingProxyType(
         "targets": total(targets.ways(_CONE), Event),
     }
 )
-"""The tables by `guidance.mission`."""
 
 Transitions = tuple[StateChange, ...]
 
@@ -168,11 +161,12 @@ def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resum
         by_us = Event.GROUNDED if p.ordered else Event.GROUNDED_BY_OTHERS
         return take(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
     # A report from before the order to begin belongs to the flight before.
-    if status.taken is not None and (p.asked_at is None or at > p.asked_at):
+    lifted = p.stood and p.state in ENDED
+    if status.taken is not None and not lifted and (p.asked_at is None or at > p.asked_at):
         p, changes = take(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
         if changes:
             return p, changes
-    if resumes and status.taken is None and p.state is State.TAKEN and not p.stood:
+    if resumes and status.taken is None and p.taken_from in FLOWN and not p.stood:
         return take(p, Event.BEGIN, Reason(ReasonCause.GIVEN_BACK), at, o)
     if status.flying is None or (p.state in ENDED and not p.stood):
         return p, ()

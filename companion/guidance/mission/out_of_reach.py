@@ -2,10 +2,9 @@
 
 A deck in waves comes up to a drone that stays where it is, and feet that move along a deck catch and turn the vehicle over. So a
 drone that is low, or does not know how high it is, climbs first and flies nowhere else meanwhile. One rule serves every state
-(`low`); the states differ in the height that they want (`_WANTED`). Three witnesses are asked in this order: the range sensor;
-the height that was last known, with what it has climbed and the deck has risen since; the time for which it has climbed, where
-the range sensor's silence says nothing. Each ends: a range sensor that reads one value for ever is not believed beyond twice the
-safe height.
+(`low`); the states differ in the height that they want (`_WANTED`). The witnesses in order: the range sensor, not believed beyond
+twice the safe height; the height that was last known, with what it has climbed and the deck has risen since; the time for which
+it has climbed, where the range sensor's silence says nothing.
 """
 
 import math

@@ -178,6 +178,9 @@ def unfit(estimate: RelativeState | None, now: MonoNs, stale_after_s: float) -> 
     return None if estimate.consistent else Reason(ReasonCause.INCONSISTENT)
 
 
+_SEARCHED = frozenset(Verdict) - {Verdict.REPLACED, Verdict.SKIPPED}
+
+
 def of_frames(frames: Mapping[Verdict, int]) -> Reason | None:
     """Return what became of most frames without sight; None if there are too few to say, or they simply show no pad."""
     total = sum(frames.values())
@@ -185,7 +188,12 @@ def of_frames(frames: Mapping[Verdict, int]) -> Reason | None:
         return None
     verdict = max(frames, key=lambda each: frames[each])
     share = frames[verdict] / total
-    return None if verdict is Verdict.NO_PAD or share < 0.5 else Reason(ReasonCause.FRAMES, 100.0 * share, 50.0, verdict)
+    if verdict is Verdict.NO_PAD or share < 0.5:
+        return None
+    empty, searched = (sum(n for each, n in frames.items() if each in some) for some in ((Verdict.NO_PAD,), _SEARCHED))
+    if 2 * empty > searched:
+        return Reason(ReasonCause.FRAMES_UNSEEN, 100.0 * share, 100.0 * empty / searched, verdict)
+    return Reason(ReasonCause.FRAMES, 100.0 * share, 50.0, verdict)
 
 
 SIGHT_HOLDS_S = 5.0
@@ -220,8 +228,7 @@ class Attempt(Struct, frozen=True):
 
     def unseen(self, since_last_s: float) -> Attempt:
         """Add one guidance cycle without sight of the pad."""
-        without = self.without_sight_s + _counted_s(since_last_s)
-        return replace(self, with_sight_s=0.0, without_sight_s=without)
+        return replace(self, with_sight_s=0.0, without_sight_s=self.without_sight_s + _counted_s(since_last_s))
 
     def spend(self, state: State, since_last_s: float) -> Attempt:
         """Add one guidance cycle in a state: a gust that takes the drone out of it, and a loss of sight, give it no more time."""
@@ -291,6 +298,8 @@ class Progress(Struct, frozen=True, eq=False):
     """Time at which the state was entered; None until the first guidance cycle in it."""
     reason: Reason | None = None
     """Reason why the state was entered."""
+    taken_from: State | None = None
+    """State in which the vehicle was taken over; None while it is not."""
     fault: Reason | None = None
     """Reason why the newest attempt ended or was interrupted."""
     refusing: bool = False
@@ -366,7 +375,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
     """Return the memory after a transition."""
     p = replace(
         p, state=change.target, since=change.at, reason=change.reason, kept=None, held=None, held_yaw_rad=None,
-        entered_height_m=p.seen_height_m,
+        entered_height_m=p.seen_height_m, taken_from=change.source if change.target is State.TAKEN else None,
         begun=change.target in FLOWN or (p.begun and change.event is not Event.TAKEN_OFF),
     )  # fmt: skip
     match change.event:
@@ -396,8 +405,6 @@ def entered(p: Progress, change: StateChange) -> Progress:
             p = replace(
                 p, attempt=p.attempt.again(), seen_height_m=higher_m, climbed_m=0.0, was_silent=False, course=HeldCourse()
             )
-        case _:
-            pass
     match change.target:
         case State.GO_AROUND:
             touched = change.reason.cause is ReasonCause.OFF_DECK
@@ -408,8 +415,6 @@ def entered(p: Progress, change: StateChange) -> Progress:
             p = replace(p, ordered=True)
         case State.REFUSED | State.GAVE_UP:
             p = replace(p, fault=change.reason)
-        case _:
-            pass
     return replace(p, stood=change.target in (State.LANDED, State.LANDED_BY_OTHERS))
 
 

@@ -1,9 +1,8 @@
 """States in which no landing is flown: before the order, where a person holds the vehicle, and after the end.
 
-On the ground guidance leaves the vehicle alone, and keeps no order: who lifts it next may be somebody else. In the air it hovers
-before the first order, and stays against the deck after a pause, an abort, a refusal, or when it gave up; out of the deck's
-reach it may fly home or elsewhere, as settings say. After each a person may begin again, and while the pad is in sight an
-ending battery is a reason to try once more after a refusal. With the last charge it comes down where it is.
+On the ground guidance leaves the vehicle alone and keeps no order. In the air it hovers before the first order, and stays against
+the deck after a pause, an abort, a refusal, or when it gave up, or flies home as settings say, until a person begins again or
+takes it. With the pad in sight an ending battery is one more try after a refusal; with the last charge it comes down.
 """
 
 from collections.abc import Iterator
@@ -45,7 +44,8 @@ def _refused(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
 _NEXT: Row = {Event.TAKEN_OFF: State.READY}
 _SEARCHES: Row = {Event.BEGIN: State.SEARCH, Event.STAY: State.SEARCH}
 _AGAIN: Row = {**_NEXT, **_SEARCHES}
-_TRIES_AGAIN: Row = {**_AGAIN, Event.BATTERY_ENDS: State.SEARCH}
+_HOVERS: Row = {**_AGAIN, Event.TAKEN: State.TAKEN}
+_TRIES_AGAIN: Row = {**_HOVERS, Event.BATTERY_ENDS: State.SEARCH}
 
 PHASES = {
     State.STANDBY: Phase("The vehicle is on the ground, or its state is unknown.", {**_NEXT, Event.ABORT: State.ABORTED}),
@@ -57,14 +57,14 @@ PHASES = {
         "Flying, in its own hover until somebody requests a landing; an autopilot stays with whoever flies it.",
         {**FLIGHT, **_SEARCHES},
     ),
-    State.PAUSED: Phase("Held still by the operator.", {**HELD, **_SEARCHES}, aim=still_as_ordered),
+    State.PAUSED: Phase("Held still by the operator.", {**HELD, **_SEARCHES, Event.TAKEN: State.TAKEN}, aim=still_as_ordered),
     State.LANDED: Phase("The vehicle is on the ground after our order.", _NEXT),
     State.LANDED_BY_OTHERS: Phase("The vehicle is on the ground without our order.", _NEXT),
     State.REFUSED: Phase("Held still: the conditions are beyond the limits.", _TRIES_AGAIN, _battery_ends, _refused),
     State.GAVE_UP: Phase(
         "Held still: the pad was not found, or the attempts are used up.", _TRIES_AGAIN, _battery_ends, _refused
     ),
-    State.ABORTED: Phase("Held still: the operator ended the attempt.", _AGAIN, aim=still_as_ordered),
+    State.ABORTED: Phase("Held still: the operator ended the attempt.", _HOVERS, aim=still_as_ordered),
     State.TAKEN: Phase("Left alone: a failsafe of the autopilot or a person flies the vehicle.", _AGAIN),
     State.EMERGENCY: Phase("The vehicle cut its motors.", _NEXT),
 }

@@ -27,6 +27,7 @@ from companion.base.health import Health
 from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSource
+from companion.base.service_log import ReportedOnce
 from companion.base.version import version
 from companion.guidance.targets import LED
 from companion.parts.mavlink.commands import (
@@ -299,7 +300,7 @@ class Component(NullObserver):
         self._links: Links | None = None
         self._computer = ComputerReader()
         self._phase = ""
-        self._lost: tuple[str, ...] = ()
+        self._lost = ReportedOnce()
         self._decided: MonoNs | None = None
         self.belief: RelativeState | None = None
         """The newest belief that the component reports."""
@@ -361,11 +362,8 @@ class Component(NullObserver):
                 self.texts.say(MavSeverity.NOTICE, f"Decklander: {decision.reason}", decision.at)
         if decision.response is not None and decision.response.contradicts:
             self.texts.say(MavSeverity.WARNING, f"Decklander: {decision.response.text}", decision.at)
-        lost = () if decision.belief is None else decision.belief.lost
-        for text in lost:
-            if text not in self._lost:
-                self.texts.say(MavSeverity.WARNING, f"Decklander: {text}", decision.at)
-        self._lost = lost
+        for text in self._lost.new(() if decision.belief is None else decision.belief.lost, decision.at):
+            self.texts.say(MavSeverity.WARNING, f"Decklander: {text}", decision.at)
         if decision.phase != self._phase:
             self._phase = decision.phase
             severity = _SEVERITIES.get(decision.phase, MavSeverity.INFO)

@@ -88,6 +88,8 @@ class WriteResult(Struct, frozen=True):
     """The parameter's value as read last; None if it was not answered."""
     refused: str | None = None
     """Reason why the parameter does not have the planned value; None if it has."""
+    already: bool = False
+    """True if it had the value before: nothing was written."""
 
 
 async def read_parameters(autopilot: Autopilot, clock: Clock, names: Iterable[str]) -> dict[str, float]:
@@ -133,7 +135,7 @@ async def _write(autopilot: Autopilot, clock: Clock, one: PlannedWrite) -> Write
     if value is None:
         return WriteResult(one, None, "it is not answered")
     if same(value, one.to):
-        return WriteResult(one, value)
+        return WriteResult(one, value, already=True)
     if not same(value, one.was):
         return WriteResult(one, value, f"it was {one.was:g} and is {value:g}: somebody else changed it")
     identity, parameters = autopilot.identity, autopilot.parameters

@@ -86,8 +86,6 @@ def log_of(recording: Recording, title: str, *, images: bool = True) -> FlightLo
                 flying = flying if event.flying is None else event.flying
             case HealthRecord():
                 late = {count.name: count.value for count in event.counters if count.part == "loop"}
-            case _:
-                pass
     if not log.started:
         raise BadInput(f"{recording.name}: holds no event")
     if late.keys() >= {"lag_worst_s", "lag_p999_s", "held"}:
@@ -102,7 +100,9 @@ def _outcome(log: FlightLog, flying: bool | None) -> str:
     """Return how the flight ended; a vehicle that stands after the order to stop its motors has landed."""
     if not log.transitions:
         return "unfinished"
-    last = log.transitions[-1].target
+    before, last = log.transitions[-1].source, log.transitions[-1].target
+    if last is State.TAKEN and before in ENDED:
+        last = before
     if last is State.DOWN and flying is False:
         last = State.LANDED
     return last.value if last in ENDED else f"unfinished: {last.value}"

@@ -157,7 +157,7 @@ def _cards(log: FlightLog) -> str:
 
 def _ended(log: FlightLog) -> str:
     """Return how the mission ended, and why."""
-    ended = next((change for change in reversed(log.transitions) if change.target in ENDED), None)
+    ended = next((one for one in reversed(log.transitions) if one.target in ENDED and one.source not in ENDED), None)
     return "" if ended is None else f"<p><b>{escape(ended.target.value)}: {escape(ended.reason.text)}</b></p>"
 
 

@@ -4,7 +4,7 @@ import asyncio
 import io
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from tests.companion.doctor.test_rules import defaults, run_doctor
-from tests.support.waiting import until
+from tests.support.waiting import free_port, until
 
 HOST = "127.0.0.1"
 GOOD = {stack: {r.parameter: r.good for r in rules_values.RULES if r.stack == stack} for stack in ("ArduPilot", "PX4")}
@@ -72,17 +72,12 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gather, "_VERSION_S", 0.0)
 
 
-@pytest.fixture
-def typed(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    """Return what sets the lines that the person types."""
-    return lambda text: monkeypatch.setattr("sys.stdin", io.StringIO(text))
-
-
-def test_what_is_agreed_to_is_written_and_undone(tmp_path, capsys, typed):
+def test_what_is_agreed_to_is_written_and_undone(tmp_path, capsys, monkeypatch):
     fake = quiet("ArduPilot", LAND_SPEED=250.0, GUID_TIMEOUT=0.2, PLND_STRICT=0.0)
     kept = tmp_path / "undo.json"
     with on_link(fake) as url:
-        typed("y\nn\ny\n")  # warnings in the order of the rules: PLND_STRICT, GUID_TIMEOUT, LAND_SPEED
+        # Warnings in the order of the rules: PLND_STRICT, GUID_TIMEOUT, LAND_SPEED.
+        monkeypatch.setattr("sys.stdin", io.StringIO("y\nn\ny\n"))
         code, out = run_doctor(capsys, "--link", url, "--fix", "--undo-file", str(kept))
         assert [fake.parameters[name] for name in ("PLND_STRICT", "GUID_TIMEOUT", "LAND_SPEED")] == [2.0, 0.2, 40.0]
         assert code == 1, "a warning is left"
@@ -113,7 +108,13 @@ def test_a_px4_s_integers_and_reals_are_written_as_they_are(tmp_path: Path, caps
         code, out = run_doctor(capsys, "--link", url, "--undo", str(kept), "--yes")
         assert code == 0
         assert "reboot the autopilot, then examine it again; read at its start: EKF2_HGT_REF" in out
+        assert "EKF2_HGT_REF      is 2 already\n" in run_doctor(capsys, "--link", url, "--undo", str(kept), "--yes")[1]
         assert (fake.parameters["EKF2_GPS_CHECK"], fake.parameters["COM_OF_LOSS_T"]) == (245 | 512, 10.0)
+
+
+def test_where_nothing_listens_nothing_is_in_order(capsys: pytest.CaptureFixture[str]) -> None:
+    out = run_doctor(capsys, "--link", f"tcp://{HOST}:{free_port()}", "--fix", "--yes", "--seconds", "0.5")[1]
+    assert out.endswith("no autopilot was examined: nothing was written\n")
 
 
 def test_a_refused_write_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,10 +171,8 @@ def test_it_is_looked_at_again_before_each_write(tmp_path: Path, capsys: pytest.
 def test_an_undo_file_of_another_vehicle_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kept = tmp_path / "undo.json"
     kept.write_text('{"autopilot": "PX4", "system": 1, "written": [{"parameter": "COM_OF_LOSS_T", "was": 10, "to": 1}]}')
-    with (
-        on_link(quiet("ArduPilot")) as url,
-        pytest.raises(BadInput, match="it is of PX4, system 1; found is ArduPilot, system 1"),
-    ):
+    other = "it is of PX4, system 1; found is ArduPilot, system 1"
+    with on_link(quiet("ArduPilot")) as url, pytest.raises(BadInput, match=other):
         run_doctor(capsys, "--link", url, "--undo", str(kept), "--yes")
     kept.write_text("{}")
     with pytest.raises(BadInput, match="no undo file"):

@@ -211,13 +211,6 @@ def sighting_rows(b: State, s: Sighting, *, yaw_sigma: float = 0.1, place_only: 
     return SimpleNamespace(innov=innov[:m], H=H.reshape(6, N)[:m], R=R[: m * m].reshape(m, m), by_rate=by_rate.reshape(3, N))
 
 
-def moved(b: State, params: FilterParams) -> tuple[State, F64, F64]:
-    """Return the state with everything but `P` propagated from `t_cov` to `t`, and the (N, N) F and Q that propagate `P`."""
-    numbers, F, Q = written(b), np.empty((N, N)), np.empty((N, N))
-    part("propagated_belief")(PARTS.cast("dl_filter_params *", params.core), numbers, F, Q)
-    return _read(numbers, b.P, b.bank), F, Q
-
-
 # States and sightings that are made by hand or drawn
 
 

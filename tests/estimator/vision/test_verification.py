@@ -79,11 +79,6 @@ def looked(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_le
     return look(FrameView(Pyramid(px), camera, pad), start, Orientation.of(attitude), CLOSE)
 
 
-def sure(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_level_body: Rotation) -> float:
-    found = looked(px, camera, pad, start, R_level_body)
-    return 0.0 if found is None else confidence(found.log_odds)
-
-
 def test_a_look_is_a_registration_an_alignment_and_their_evidence(camera: Camera) -> None:
     """One call of the core gives what the parts give one by one."""
     rng, compared = np.random.default_rng(8), 0
