@@ -61,9 +61,9 @@ def _add_camera(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "camera",
         help="measure intrinsics and distortion with a printed board",
         description="Measure intrinsics and distortion with images of a printed board (decklander pad print --board charuco). "
-        "The result "
-        "is graded: good; fair, if the numbers hold but parts of the image or of the tilts are not covered; poor, if the numbers "
-        "do not hold. If the grade is worse than --accept, write no file, list what the images lack, and return exit code 1.",
+        "The result is graded: good; fair, if the numbers hold but parts of the image or of the tilts are not covered; poor, if "
+        "the numbers do not hold. If the grade is worse than --accept, write no file, list what the images lack, and return exit "
+        "code 1.",
     )
     option(p, "paths PATH", "images, folders of images, or videos", nargs="*")
     option(
@@ -222,6 +222,8 @@ def _say(
     args: argparse.Namespace, collection: Collection, solution: Solution | None, found: Assessment, *, written: bool
 ) -> None:
     lines = [f"{collection.image_count} images: {len(collection.views)} views, the board not found in {len(collection.without)}"]
+    if again := collection.repeated:
+        lines[0] += f"; {len(again)} do not count: it stands where another view has it, or moves ({again[0]} first)"
     if solution is not None:
         c, s = solution.camera, solution.sigma
         lines += [
@@ -266,6 +268,7 @@ def _record(
         "images": collection.image_count,
         "views": len(collection.views),
         "without_board": collection.without,
+        "repeated": collection.repeated,
     }
     if solution is not None:
         c, s = solution.camera, solution.sigma

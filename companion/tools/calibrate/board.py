@@ -213,7 +213,7 @@ MOST = 60
 _NEW = 0.06
 """Share of the image's diagonal that the board must have moved, shrunk or turned to be a new view."""
 _STILL = 0.004
-"""Share of the diagonal that the board may have moved since the previous frame of a video: more causes blur."""
+"""Share of the diagonal by which a board that is held still moves: from one frame of a video to the next, or in a burst."""
 _MIRROR_TRIES = 8
 """Number of images without the board that are searched for a mirrored one."""
 
@@ -232,7 +232,8 @@ class BoardView:
 class Collection:
     """Views of one camera, collected image by image.
 
-    With `moving` (video, live camera) an image is used only if the board is still in it and in a new pose.
+    An image of a board that another view has in the same place is no second view: its errors are the other's, too. With `moving`
+    (video, live camera) an image is used only if the board is still in it and in a clearly new pose.
     """
 
     def __init__(self, board: Board, moving: bool) -> None:
@@ -247,8 +248,8 @@ class Collection:
         """Names of images in which the board was not found."""
         self.mirrored = 0
         """Number of the first images without the board that show it mirrored."""
-        self.repeated = 0
-        """Number of images that showed nothing new, or a moving board."""
+        self.repeated: list[str] = []
+        """Names of images that showed nothing new, or a moving board."""
 
     def add(self, name: str, px: U8) -> BoardView | None:
         """Search one (H, W) or (H, W, 3) image for the board; return the view if it is kept.
@@ -273,19 +274,16 @@ class Collection:
         view = BoardView(name, *found)
         before, self._before = self._before, view
         diagonal_px = float(np.hypot(*size))
-        if self._moving:
-            moved = _moved(view, before) if before is not None else None
-            new = all(d is None or d > _NEW * diagonal_px for d in (_moved(view, v) for v in self.views))
-            if moved is None or moved > _STILL * diagonal_px or not new or len(self.views) >= MOST:
-                self.repeated += 1
-                return None
+        still = before is not None and _moved_px(view, before) <= _STILL * diagonal_px and len(self.views) < MOST
+        least_px = (_NEW if self._moving else _STILL) * diagonal_px
+        if (self._moving and not still) or any(_moved_px(view, v) <= least_px for v in self.views):
+            self.repeated.append(name)
+            return None
         self.views.append(view)
         return view
 
 
-def _moved(a: BoardView, b: BoardView) -> float | None:
-    """Return the largest displacement of a corner that both views show, px; None if they share too few."""
+def _moved_px(a: BoardView, b: BoardView) -> float:
+    """Return the largest displacement of a corner that both views show, px; inf if they share too few."""
     _, ia, ib = np.intersect1d(a.ids, b.ids, return_indices=True)
-    if len(ia) < 4:
-        return None
-    return float(np.linalg.norm(a.uv_px[ia] - b.uv_px[ib], axis=1).max())
+    return float(np.linalg.norm(a.uv_px[ia] - b.uv_px[ib], axis=1).max()) if len(ia) >= 4 else np.inf
