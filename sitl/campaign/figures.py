@@ -85,10 +85,10 @@ def severity(flight: Flight) -> int:
 
 
 def _badness(flight: Flight) -> tuple[float, ...]:
-    contacts = flight["contacts"]
-    lateral_m = max((contact["lateral_m"] for contact in contacts), default=0.0)
-    speed = max((contact["vertical_speed_m_s"] for contact in contacts), default=0.0)
-    return severity(flight), flight["contacts_outside_commit"], lateral_m, speed, flight["duration_s"], -flight["seed"]
+    # In the order of what the report shows of a flight.
+    touch = flight["touchdown"]
+    off_m, speed_m_s = (0.0, 0.0) if touch is None else (error_m(flight), touch["vertical_speed_m_s"])
+    return severity(flight), off_m, speed_m_s, flight["contacts_outside_commit"], flight["duration_s"], -flight["seed"]
 
 
 def _landed(of: Callable[[Flight], float]) -> Callable[[Flight], float | None]:

@@ -412,8 +412,7 @@ def test_success_by_value_and_by_scenario_is_a_table_and_plain_values() -> None:
 
 
 def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    given = overridable()
-    axes = [parse_axis(t, given, AT) for t in ("wind.speed_m_s=0:8:2", "sea.peak_period_s=4:8:2")]
+    axes = [parse_axis(t, overridable(), AT) for t in ("wind.speed_m_s=0:8:2", "sea.peak_period_s=4:8:2")]
     varied = replace(plan(), design=described("factorial", axes))
     for name, seeds in (("now", range(6)), ("before", range(3, 9))):
         with closing(FolderStore(tmp_path / name, varied, seeds)) as store:
@@ -438,8 +437,9 @@ def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert page.count("<svg") == 1 + 1 + 4 + 2 + 1
     assert "http" not in page.replace("http://www.w3.org", ""), "the page needs nothing else"
     assert [flight["grade"] for flight in whole.worst] == ["failed"] * 10
-    assert cli.main(["campaign", "report", str(tmp_path)]) == 2
-    assert cli.main(["campaign", "report"]) == 2
+    stood = [{**flown(n), "standing": {"lateral_m": off_m}} for n, off_m in enumerate((0.02, 0.05, 0.03))]
+    assert [flight["seed"] for flight in tally_of(stood).worst] == [1, 2, 0], "as the report shows them"
+    assert [cli.main(["campaign", "report", *folder]) for folder in ([str(tmp_path)], [])] == [2, 2]
     with pytest.raises(BadInput, match="no flights yet"):
         render_report(manifest_of(tmp_path / "now"), [], 0.0)
     assert fly_again(flown(3), ("--config", "a b.toml")).endswith("--seed 3 --config 'a b.toml' --report flight-3")
