@@ -10,6 +10,7 @@ import json
 import math
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from glob import escape
 from pathlib import Path
@@ -151,8 +152,7 @@ def run(args: argparse.Namespace) -> int:
     tilts = _attitudes(_found(args.attitude), files) if args.attitude is not None else {}
     options = _options(args.method, args.colours)
     asked = None if args.second_opinion is None else second_opinion(args.second_opinion, "--second-opinion")
-    if args.draw is not None:
-        _check_drawing(args.draw, files, force=args.force)
+    drawings = {} if args.draw is None else _drawings(args.draw, files, force=args.force)
     frames = found = sure = ambiguous = unreadable = mirrored = 0
     untried = _MIRROR_TRIES
     if not args.json:
@@ -185,8 +185,8 @@ def run(args: argparse.Namespace) -> int:
                 opinions = "" if o is None else f"  verified {o.verified:.2f}, learned {o.learned:.2f}"
                 line = f"{_line(image, seen)} {elapsed_ms:6.1f}{opinions}"
                 sys.stdout.write((json.dumps(record) if args.json else line) + "\n")
-                if args.draw is not None:
-                    _draw(args.draw, image, seen, models[file])
+                if file in drawings:
+                    _draw(drawings[file], image, seen, models[file])
         except _NoImageError as why:
             unreadable += 1
             sys.stdout.flush()
@@ -200,9 +200,7 @@ def run(args: argparse.Namespace) -> int:
             f"decklander: {mirrored} frames show the pad mirrored, and no drone lands by such: turn off the mirror "
             "(horizontal flip) of the camera, its driver or its pipeline\n"
         )
-    if unreadable:
-        return 2
-    return 0 if found else 1
+    return 2 if unreadable else int(not found)
 
 
 def _found(text: str) -> Path:
@@ -213,7 +211,7 @@ def _found(text: str) -> Path:
 
 def _model(args: argparse.Namespace, file: Path) -> _Model:
     recording = open_recording([file]) if file.suffix.lower() in RECORDINGS else None
-    camera = pad = None
+    camera = None
     camera_source = str(file)
     if args.camera is not None:
         path = find_file(args.camera, "cameras", Path(), "--camera")
@@ -222,8 +220,7 @@ def _model(args: argparse.Namespace, file: Path) -> _Model:
         camera = recording.camera()
     if camera is None:
         raise BadInput(f"{file}: does not say which camera took it: give --camera FILE")
-    if args.pad is None and recording is not None:
-        pad = recording.pad()
+    pad = recording.pad() if args.pad is None and recording is not None else None
     if pad is None:
         path = find_file(args.pad or "thesis", "pads", Path(), "--pad")
         pad = pad_of_file(path)
@@ -297,8 +294,7 @@ def _recorded(file: Path, model: _Model) -> Iterator[_Image]:
         size = event.record.width, event.record.height
         if size != (model.camera.width, model.camera.height):
             raise _wrong_size(str(file), size, model)
-        frame = event.frame(size)
-        if frame is not None:
+        if (frame := event.frame(size)) is not None:
             kept += 1
             yield _Image(str(file), index, frame.px, event.attitude, frame.coded)
         index += 1
@@ -446,8 +442,8 @@ def _is_image(path: Path) -> bool:
     return path.suffix.lower() in images.PICTURES
 
 
-def _check_drawing(path: Path, files: Sequence[Path], *, force: bool) -> None:
-    """Check where frames are drawn.
+def _drawings(path: Path, files: Sequence[Path], *, force: bool) -> dict[Path, Path]:
+    """Return what the frames of each file are drawn into: the image, or a folder and the beginning of their names.
 
     Raises:
         BadInput: several frames would be drawn into one file, or into files of one name, or a file would be overwritten.
@@ -456,10 +452,13 @@ def _check_drawing(path: Path, files: Sequence[Path], *, force: bool) -> None:
         raise BadInput(f"--draw {path}: an image file takes one image only: name a folder, each frame is drawn into a file there")
     if path.resolve() in [file.parent.resolve() for file in files]:
         raise BadInput(f"--draw {path}: the images to search are there: name another place, none of them is overwritten")
-    if not _is_image(path) and len({file.stem for file in files}) < len(files):
-        raise BadInput(f"--draw {path}: two files to search differ in their folder or ending only: draw them in separate runs")
-    drawings = _DRAWINGS._replace(inside=tuple(f"{escape(one.stem)}_[0-9]*.png" for one in files))
+    stems = Counter(file.stem for file in files)
+    names = {file: file.stem if stems[file.stem] == 1 else file.name for file in files}
+    if len(set(names.values())) < len(files):
+        raise BadInput(f"--draw {path}: two files to search differ in their folder only: draw them in separate runs")
+    drawings = _DRAWINGS._replace(inside=tuple(f"{escape(name)}_[0-9]*.png" for name in names.values()))
     check_output(path, drawings, "--draw", list(files), force=force)
+    return {file: path if _is_image(path) else path / f"{name}_" for file, name in names.items()}
 
 
 def _draw(path: Path, image: _Image, seen: Detection, model: _Model) -> None:
@@ -474,7 +473,7 @@ def _draw(path: Path, image: _Image, seen: Detection, model: _Model) -> None:
     figures = [f"{s.method} {np.round(s.d_body_pad_level, 3).tolist()} {s.confidence:.2f}" for s in sightings]
     for y, text, grey in ((16, _line(image, seen).rstrip(), 255), (36, "   ".join(figures), 200)):
         cv2.putText(canvas, text, (6, len(drawn) + y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (grey,) * 3, 1, cv2.LINE_AA)
-    target = path if _is_image(path) else path / f"{Path(image.source).stem}_{image.index:05d}.png"
+    target = path if _is_image(path) else path.with_name(f"{path.name}{image.index:05d}.png")
     with file_errors(f"--draw {target}"):
         target.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(target), canvas):

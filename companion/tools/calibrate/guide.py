@@ -1,6 +1,7 @@
 """Collect views of the board from files or a live camera, say what to add to them, and guide the person who moves it."""
 
 import asyncio
+import re
 from collections.abc import Callable, Container, Sequence
 from pathlib import Path
 from typing import Literal
@@ -212,7 +213,7 @@ Report = Callable[[Collection], None]
 
 
 def files_of(paths: Sequence[Path], endings: Container[str] = images.PICTURES, kinds: str = "image") -> list[Path]:
-    """Return the files that the paths name; a folder gives all in it with certain endings.
+    """Return the files that the paths name; a folder gives all in it with certain endings, numbers in their names in order.
 
     Args:
         kinds: what these files are, for errors.
@@ -224,7 +225,8 @@ def files_of(paths: Sequence[Path], endings: Container[str] = images.PICTURES, k
     for path in paths:
         with refused(str(path), OSError):
             if path.is_dir():
-                inside = sorted(p for p in path.iterdir() if p.is_file() and p.suffix.lower() in endings)
+                inside = [p for p in path.iterdir() if p.is_file() and p.suffix.lower() in endings]
+                inside.sort(key=lambda p: (re.sub(r"\d+", lambda number: number[0].zfill(20), p.name), p.name))
                 if not inside:
                     raise BadInput(f"{path}: no {kinds} in this folder")
                 files += inside
