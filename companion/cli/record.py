@@ -33,8 +33,8 @@ from drivers.imports.stamps import Tell
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.samples import Frame, Sample
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.samples import Attitude, Frame, Sample
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
 DESCRIPTION = (
     "Show what is in recordings (info); cut, repair, export, import and upload them. The service makes recordings if "
@@ -99,8 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
-    actions = {"info": _info, "cut": _cut, "export": _export, "upload": _upload, "import": _import}
-    return actions[args.action](args)
+    return {"info": _info, "cut": _cut, "export": _export, "upload": _upload, "import": _import}[args.action](args)
 
 
 def _opened(args: argparse.Namespace) -> Recording:
@@ -112,8 +111,7 @@ def _opened(args: argparse.Namespace) -> Recording:
 def _info(args: argparse.Namespace) -> int:
     recording = _opened(args)
     first: int | None = None
-    last = 0
-    images = 0
+    last = images = 0
     verdicts: Counter[str] = Counter()
     for event in recording.events():
         at = instant(event)
@@ -215,7 +213,7 @@ _READERS: dict[FileKind, Callable[[Path, Tell], Iterable[Sample]]] = {
     FileKind.ULOG: px4_ulog.read, FileKind.DATAFLASH: dataflash.read, FileKind.TLOG: tlog.read,
     FileKind.NAVDATA: ardrone_capture.samples, FileKind.NETWORK: network.read,
 }  # fmt: skip
-_DAY_S = 86_400.0
+_DAY_S, _ATTITUDE_NS = 86_400.0, NS_PER_S
 _INSTEAD = {
     FileKind.PARAMETERS: "give it to `decklander doctor`",
     FileKind.ENCRYPTED: DECRYPT,
@@ -275,28 +273,31 @@ def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -
     camera = camera_model(settings)
     described = about(settings, {"kind": "import", "sources": ", ".join(s.path.name for s in sources)})
     counts, progress = Counter[str](), WorkProgress("importing", "samples and frames").take
+    tilted_ns, untilted = -_ATTITUDE_NS, 0
     with recorder_to_file(output, camera, described) as recorder, named_wait("reading the sources") as begun:
         for datum in heapq.merge(*_streams(sources, settings, (camera.width, camera.height)), key=lambda d: d.stamp.received_at):
             if isinstance(datum, Frame):
-                height, width = datum.px.shape[:2]
+                width, height = datum.px.shape[1::-1]
                 if (width, height) != (camera.width, camera.height):
-                    raise BadInput(
-                        f"frames are {width}x{height} px, the camera file {settings.camera.file} describes "
-                        f"{camera.width}x{camera.height} px"
-                    )
+                    of_camera = f"the camera file {settings.camera.file} describes {camera.width}x{camera.height} px"
+                    raise BadInput(f"frames are {width}x{height} px, {of_camera}")
                 # Nobody looked at it yet: hence the verdict REPLACED.
-                recorder.on_frame(
-                    ProcessedFrame(datum, None, None, Verdict.REPLACED, datum.stamp.received_at, datum.stamp.received_at)
-                )
+                at = datum.stamp.received_at
+                recorder.on_frame(ProcessedFrame(datum, None, None, Verdict.REPLACED, at, at))
                 counts["frames"] += 1
+                untilted += datum.stamp.measured_at - tilted_ns >= _ATTITUDE_NS
             else:
                 recorder.on_sample(datum)
+                tilted_ns = datum.stamp.measured_at if isinstance(datum, Attitude) else tilted_ns
                 counts["samples"] += 1
             begun()
             progress(counts.total(), None)
         progress(counts.total(), counts.total())
     if recorder.why:
         raise BadInput(f"{output}: {recorder.why}")
+    if untilted and tilted_ns >= 0:
+        what = f"{untilted} of {counts['frames']} frames have no attitude in the second before them"
+        sys.stderr.write(f"decklander: {what}: do the times of both begin at one instant, in seconds?\n")
     return counts
 
 

@@ -2,10 +2,9 @@
 
 A folder's times are those of a table in it, or of its images' names. A table is a text file (`.csv`, `.txt`) whose lines pair a
 time with a file's name, as data sets of robotics have them. Of several columns of numbers the one counts whose head says time,
-else the one of Unix times beside the name. Without a table, the last number of a name is the time. A number of 10, 13, 16 or 19
-digits is Unix time in s, ms, us or ns, one of 14 or 17 a date and time of day; a smaller one is seconds, unless the head of its
-column states a unit. Frames of a video have its own time stamps; those of one without any (raw H.264, MJPEG) follow its frame
-rate.
+else the one of Unix times beside the name. Without a table, a date and time of day in a name is the time, else its last number.
+A number of 10, 13, 16 or 19 digits is Unix time in s, ms, us or ns; a smaller one is seconds, unless the head of its column
+states a unit. Frames of a video have its own time stamps; those of one without any (raw H.264, MJPEG) follow its frame rate.
 
 A table of attitudes is CSV with the header `time_s,roll_deg,pitch_deg` and, if the heading is known, `yaw_deg`.
 """
@@ -14,6 +13,7 @@ import csv
 import math
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from decimal import ROUND_HALF_EVEN, Decimal, InvalidOperation
 from itertools import pairwise
@@ -37,8 +37,9 @@ _TIME = re.compile(r"time|stamp|^t\b|^(?:[mun]?s|[mun]?secs?|seconds)$")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _TABLE_MOST = 64 << 20
 _UNIX_DIGITS = 10
-"""A name's number with fewer digits before its point is a counter, and no time; so is one that begins with a zero."""
-_DAY = {14: "%Y%m%d%H%M%S", 17: "%Y%m%d%H%M%S%f"}
+_DATE = re.compile(
+    r"(?<!\d)(?:19|20)\d\d[-_.]?\d\d[-_.]?\d\d[-_.T ]?\d\d[-_.:h]?\d\d[-_.:m]?\d\d(?:[.,]\d+|\d{3}|\d{6,9})?(?!\d)"
+)
 
 
 def folder_frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell = quiet) -> Iterator[Frame]:
@@ -53,9 +54,10 @@ def folder_frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell 
     with refused(str(folder), OSError):
         paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES and path.is_file())
         tables = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".csv", ".txt") and path.is_file())
+        below = [path.parent for path in folder.glob("*/*") if path.suffix.lower() in PICTURES]
     if not paths:
-        raise BadInput(f"{folder}: holds no image")
-    times = next((found for table in tables if (found := _of_table(table, paths))), None) or _of_names(paths)
+        raise BadInput(f"{folder}: holds no image" + (f", {min(below)} does: give that folder" if below else ""))
+    times = next((found for table in tables if (found := _of_table(table, paths, tell))), None) or _of_names(paths)
     if times is None:
         raise BadInput(
             f"{folder}: neither a table nor the names of its images tell their times: put a table into it, "
@@ -90,8 +92,8 @@ def _decode(
         tell(f"{len(refused)} of {len(paths)} images cannot be used and are left out: {refused[0]}")
 
 
-def _of_table(table: Path, paths: Sequence[Path]) -> dict[str, int]:
-    """Return the time of each image that a table names, us; nothing if it is no such table.
+def _of_table(table: Path, paths: Sequence[Path], tell: Tell) -> dict[str, int]:
+    """Return the time of each image that a table names, us; nothing if it is no such table. Lines without use are reported.
 
     Raises:
         BadInput: it names the images, and which of its columns is the time is not clear.
@@ -103,16 +105,23 @@ def _of_table(table: Path, paths: Sequence[Path]) -> dict[str, int]:
     except (OSError, BadInput):
         return {}
     names = {path.name for path in paths}
-    head, rows = list[str](), dict[str, list[str]]()
+    head, rows, absent, twice = list[str](), dict[str, list[str]](), list[str](), list[str]()
     for line in lines:
         cells = _cells(line)
-        named = next((name for cell in cells if (name := cell.replace("\\", "/").rpartition("/")[2]) in names), None)
+        files = [cell.replace("\\", "/").rpartition("/")[2] for cell in cells if cell.lower().endswith(tuple(PICTURES))]
+        named = next((name for name in files if name in names), None)
         if named is not None:
+            twice += [named] if named in rows else []
             rows.setdefault(named, cells)
+        elif files:
+            absent.append(files[0])
         elif not rows:
             head = [cell.lower() for cell in cells]
     if not rows:
         return {}
+    for left, why in ((absent, "is not in the folder"), (twice, "has a line above, which counts")):
+        if left:
+            tell(f"{len(left)} of {len(lines)} lines of {table.name} are left out: {left[0]} {why}")
     width = len(next(iter(rows.values())))
     rows = {name: cells for name, cells in rows.items() if len(cells) == width}
     head = head if len(head) == width else [""] * width
@@ -133,15 +142,12 @@ def _cells(line: str) -> list[str]:
 
 def _value(cell: str) -> Decimal | datetime | None:
     """Return a cell's number, with a point or a comma for decimals, or its date and time; None if it is neither."""
-    try:
+    with suppress(InvalidOperation):
         number = Decimal(cell.replace(",", "."))
         return number if number.is_finite() and abs(number) < 2**62 else None
-    except InvalidOperation:
-        pass
-    try:
+    with suppress(ValueError):
         return datetime.fromisoformat(cell)
-    except ValueError:
-        return None
+    return None
 
 
 def _column_of_time(table: Path, numbers: list[int], head: list[str], row: list[str], names: set[str]) -> int:
@@ -150,12 +156,9 @@ def _column_of_time(table: Path, numbers: list[int], head: list[str], row: list[
     dated = [
         k for k in numbers if isinstance(at := _value(row[k]), datetime) or (at is not None and at >= 10 ** (_UNIX_DIGITS - 1))
     ]
-    for columns in (said, numbers, dated):
+    for columns in (said, numbers, dated, [k for k in said or dated if abs(k - named) == 1][:1]):
         if len(columns) == 1:
             return columns[0]
-    beside = [k for k in said or dated if abs(k - named) == 1]
-    if beside:
-        return beside[0]
     raise BadInput(
         f"{table}: {len(numbers)} columns of numbers beside the images' names, and no head says which is their time: write "
         "time_s above it"
@@ -168,15 +171,13 @@ def _of_names(paths: Sequence[Path]) -> dict[str, int] | None:
     for path in paths:
         text = (_NUMBER.findall(path.stem) or [""])[-1]
         whole = text.partition(".")[0]
-        if len(whole) < _UNIX_DIGITS or whole.startswith("0"):
-            return None
-        if len(whole) in _BY_DIGITS:
+        at_us = None
+        if date := _DATE.search(path.stem):
+            digits = re.sub(r"\D", "", date[0])
+            with suppress(ValueError):  # no such day
+                at_us = _in_us(datetime.strptime(f"{digits[:14]}.{digits[14:20] or 0}", "%Y%m%d%H%M%S.%f"), "")
+        elif len(whole) in _BY_DIGITS and not whole.startswith("0"):
             at_us = _in_us(Decimal(text), "")
-        else:
-            try:
-                at_us = _in_us(datetime.strptime(text, _DAY.get(len(text), "")), "")
-            except ValueError:
-                return None
         if at_us is None:
             return None
         out[path.name] = at_us
@@ -193,8 +194,6 @@ def _in_us(value: Decimal | datetime, unit: str) -> int | None:
 
 
 HEADER = ("time_s", "roll_deg", "pitch_deg")
-
-
 _PAUSE_S = 600.0
 """A video that goes on after a longer pause was not paused."""
 
@@ -210,20 +209,22 @@ def attitudes(path: Path, tell: Tell = quiet) -> list[Sample]:
     rows = csv.DictReader(lines, skipinitialspace=True, delimiter=";" if lines and ";" in lines[0] else ",")
     if missing := [name for name in HEADER if name not in (rows.fieldnames or [])]:
         raise BadInput(f"{path}: column {missing[0]!r} is missing; the header must be {','.join(HEADER)} and may have yaw_deg")
-    table: list[tuple[float, float, float, float]] = []
+    table, twice = dict[float, list[float]](), 0
     for row in rows:
         with refused(f"{path}, line {rows.line_num}: not a number", TypeError, ValueError):
             numbers = [float(row[name]) for name in HEADER] + [float(row.get("yaw_deg") or 0.0)]
         if not all(map(math.isfinite, numbers)):
             raise BadInput(f"{path}, line {rows.line_num}: not a finite number")
-        table.append((numbers[0], numbers[1], numbers[2], numbers[3]))
+        twice += numbers[0] in table
+        table.setdefault(numbers[0], numbers)
     if not table:
         raise BadInput(f"{path}: holds no attitudes")
-    table.sort()
-    times = timeline([round(row[0] * 1e6) for row in table], tell)
+    if twice:
+        tell(f"{twice} of {twice + len(table)} lines have the time of one above and are left out")
+    times = timeline([round(time_s * 1e6) for time_s in sorted(table)], tell)
     return [
         attitude(at_ns, Rotation.from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
-        for at_ns, (_, roll, pitch, yaw) in zip(times, table, strict=True)
+        for at_ns, (_, roll, pitch, yaw) in zip(times, sorted(table.values()), strict=True)
         if at_ns is not None
     ]
 
@@ -246,9 +247,8 @@ def video_frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Fr
         if len(container.streams.video) == 0:
             raise BadInput(f"{path}: holds no video")
         last_s: float | None = None
-        elapsed_s = 0.0
         stream = video_of(container, size)
-        number, coded, timed = 0, predicts_frames(stream), has_times(container)
+        elapsed_s, number, coded, timed = 0.0, 0, predicts_frames(stream), has_times(container)
         rate_hz = float(stream.average_rate or 0.0) or 25.0
         try:
             for image in container.decode(stream):

@@ -93,21 +93,22 @@ def test_a_video_and_an_attitude_table_become_a_recording_that_replays(flight_fi
     writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (640, 360))
     lines = ["time_s,roll_deg,pitch_deg,yaw_deg"]
     for i, recorded in enumerate(frames):
-        frame = recorded.frame((640, 360))
+        frame, a = recorded.frame((640, 360)), recorded.record.attitude
         assert frame is not None
-        assert recorded.record.attitude is not None
+        assert a is not None
         writer.write(frame.px)
-        a = recorded.record.attitude
         lines.append(f"{i / 30:.5f},{a.roll_deg:.4f},{a.pitch_deg:.4f},{a.yaw_deg:.4f}")
     writer.release()
     (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
-    out = tmp_path / "imported.mcap"
-    sources = [f"{tmp_path / 'v.avi'}@0.5", f"{tmp_path / 'a.csv'}@0.5"]
+    out, sources = tmp_path / "imported.mcap", [f"{tmp_path / 'v.avi'}@0.5", f"{tmp_path / 'a.csv'}@0.5"]
     assert cli.main(["record", "import", *sources, "--config", "sim", "--output", str(out)]) == 0
     events = list(open_recording([out]).events())
     assert sum(isinstance(e, RecordedFrame) for e in events) == len(frames)
     assert min(e.stamp.measured_at for e in events if isinstance(e, Attitude)) == 500_000_000
-    capsys.readouterr()
+    assert "no attitude" not in capsys.readouterr().err
+    sources[1] = f"{tmp_path / 'a.csv'}@9"
+    assert cli.main(["record", "import", *sources, "--config", "sim", "--output", str(tmp_path / "late.mcap")]) == 0
+    assert f"{len(frames)} of {len(frames)} frames have no attitude" in capsys.readouterr().err
     assert cli.main(["replay", str(out), "--json", "--path", "median_mean", "--record", str(tmp_path / "seen.mcap")]) == 0
     done = json.loads(capsys.readouterr().out)["passes"][0]
     assert done["counts"]["searched"] == len(frames)
