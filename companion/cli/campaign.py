@@ -17,7 +17,6 @@ from companion.cli import flight_options
 from companion.cli.options import WorkProgress, named_wait, option, refuse_any, require_drawing
 from companion.cli.outputs import CAMPAIGN, PLOT, READINGS, REPORT_FOLDER, check_output, output
 from companion.settings.load import shipped
-from companion.settings.remarks import warn_of_idle
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.pipeline import RelativeEstimator
 from sitl.campaign import plan as plans
@@ -137,15 +136,17 @@ def _set_plan(args: argparse.Namespace) -> tuple[plans.SetPlan, list[plans.Point
         chosen, scenarios = plans.set_of(names), {name: load_scenario(name) for name in names}
     else:
         chosen, scenarios = plans.load_set(args.scenario)
-    members = {}
+    members, flown = {}, []
     for member in chosen.scenario:
         name = member.name
         level = chosen.level(member) if args.perception is None else args.perception
         with refused(f"{args.scenario}: {name}", BadInput):
-            members[name], _ = _plan_of(args, name, scenarios[name], level)
+            members[name], given = _plan_of(args, name, scenarios[name], level)
+            flown.append(given.settings)
             perceive(members[name].perception, args.perception_model).refuse(scenarios[name].faults)
             if args.faults is not None:
                 members[name] = _with_random_faults(args, members[name], scenarios[name])
+    flight_options.warn(args, flown)
     base = () if chosen.base is None else ("--base", chosen.base)
     args.perception = None  # each flight says its own when it is to be flown again
     found = {} if args.more else {name: plans.place_of(args.scenario, name) for name in members}
@@ -171,8 +172,7 @@ def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str
     perceive(perception, args.perception_model)
     settings = settings_for(scenario, args.config)
     given = plans.Overridable(scenario, settings)
-    overrides = [given.parse(text, "--set") for text in args.set]
-    scenario, settings = given.with_values(overrides, "--set")
+    scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
     RelativeEstimator(settings.estimator)  # a path that lacks its library is refused before any flight
     plan = plans.make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args)))
     return plan, plans.Overridable(scenario, settings)
@@ -196,7 +196,7 @@ def _design(
         return _with_random_faults(args, plan, given.scenario), [()]
     axes = [plans.parse_axis(text, given, "--vary") for text in args.vary]
     points = plans.factorial(axes)
-    warn_of_idle([given.with_values(point, "--vary")[1] for point in points])
+    flight_options.warn(args, [given.with_values(point, "--vary")[1] for point in points])
     return (replace(plan, design=plans.described("factorial", axes)) if axes else plan), points
 
 
@@ -398,6 +398,7 @@ def run_soak(args: argparse.Namespace, plan: plans.CampaignPlan, given: plans.Ov
         (real and args.set, "--set with --soak needs --virtual; in real time the drone is a process of its own"),
         (failed_max < 0, f"--failed-max must be 0 or more, got {failed_max}"),
     )
+    flight_options.warn(args, [given.settings])
     draw: Draw | None = None
     if args.plot is not None:
         require_drawing("--plot")

@@ -3,6 +3,8 @@
 import argparse
 
 from companion.cli.options import option
+from companion.settings.model import Settings
+from companion.settings.overrides import warn_of_idle
 from sitl.flight.one_flight import PERCEPTIONS
 
 
@@ -32,3 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         type="wrong_model.sigma={}".format,
     )
+
+
+def warn(args: argparse.Namespace, points: list[Settings], place: str = "a simulated flight") -> None:
+    """Name on standard error what was given and cannot act in a flight by these settings."""
+    places = [place, "a flight without frames, as by --perception model"]
+    frames = args.perception in (None, "pixels")
+    warn_of_idle(points, [*args.set, *vars(args).get("vary", ())], places[:1] if frames else places)

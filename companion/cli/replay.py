@@ -32,9 +32,8 @@ from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.frame_encoder import VideoImage
 from companion.recording.reading import RecordedFrame, Recording, open_recording
 from companion.settings.load import Settings
-from companion.settings.overrides import with_overrides
-from companion.settings.remarks import warn_of_idle
-from companion.tools.replay.engine import Replay, pilot_of, settings_of
+from companion.settings.overrides import key_and_text, warn_of_idle, with_overrides
+from companion.tools.replay.engine import OWN, Replay, pilot_of, settings_of, with_files_of
 from companion.tools.replay.recorded_log import BeliefLogObserver, Difference, differences, recorded_beliefs
 from companion.tools.replay.ship_sensors import SensorJudge
 from companion.tools.report.figures import DeckRow, ErrorRow, all_series, deck_rows, error_rows, innovation_series
@@ -87,7 +86,8 @@ def play(args: argparse.Namespace, recording: Recording, settings: Settings) -> 
     Raises:
         BadInput: a MAVLink address that is none.
     """
-    pilot = pilot_of(recording, settings, args.path, own_camera=args.config is None, alone=True)
+    with with_files_of(recording, settings, _own(args)) as used:
+        pilot = pilot_of(used, args.path, alone=True)
     return event_loop.run(_play(args, recording, settings, pilot))
 
 
@@ -104,7 +104,7 @@ async def _play(args: argparse.Namespace, recording: Recording, settings: Settin
             await stack.enter_async_context(speaking(component, autopilot, clock))
             observers.append(component)
         observers += stack.enter_context(shown(quiet=args.json))
-        late_s = await _paced(args, recording, settings, pilot, observers, clock)
+        late_s = await _paced(args, recording, settings.guidance.rate_hz, pilot, observers, clock)
     sys.stdout.write(f"played to the end; {1e3 * late_s:.0f} ms late at most\n")
     return 0
 
@@ -117,20 +117,13 @@ def _autopilot(urls: list[str]) -> AutopilotOptions:
 
 
 async def _paced(
-    args: argparse.Namespace,
-    recording: Recording,
-    settings: Settings,
-    pilot: Pilot,
-    observers: list[Observer],
-    clock: SystemClock,
+    args: argparse.Namespace, recording: Recording, rate_hz: float, pilot: Pilot, observers: list[Observer], clock: SystemClock
 ) -> float:
     """Replay at the pace of the recording; return the largest delay, seconds."""
     first = next((at for at, _ in Replay(recording, pilot).steps()), MonoNs(0))
     start = clock.now()
     shift_ns = start - first + round(_LEAD_S * 1e9)
-    replay = Replay(
-        recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, shift_ns=shift_ns, observers=observers
-    )
+    replay = Replay(recording, pilot, sightings=args.sightings, rate_hz=rate_hz, shift_ns=shift_ns, observers=observers)
     late_s = 0.0
     for at, _ in replay.steps():
         ahead_s = seconds_between(clock.now(), at)
@@ -189,14 +182,14 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
     if args.set or args.config:
-        warn_of_idle([settings])
+        warn_of_idle([settings], args.set, ["a replay", "a replay without --mavlink"][: 1 if args.mavlink else 2])
     if args.realtime:
         return play(args, recording, settings)
     if not args.json:
         recording.watch = WorkProgress(f"replaying {recording.name}", "kB").take
-    passes = [_pass(args, recording, "as set", settings, args.config is None, args.record)]
+    passes = [_pass(args, recording, "as set", settings, _own(args), args.record)]
     if args.against is not None:
-        passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), False, None))
+        passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), (), None))
     if not args.json:
         recording.watch = WorkProgress(f"comparing with the estimates in {recording.name}", "kB").take
     others = {"the recording": recorded_beliefs(recording)}
@@ -215,9 +208,19 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _pass(args: argparse.Namespace, recording: Recording, name: str, settings: Settings, own: bool, record: Path | None) -> Pass:
-    pilot = pilot_of(recording, settings, args.path, own_camera=own)
+def _own(args: argparse.Namespace) -> list[str]:
+    """Return which files of the recording are used in place of those that its settings name."""
+    chosen = [key_and_text(text, "--set", "pad.file=thesis")[0] for text in args.set]
+    return [] if args.config else [name for name in OWN if f"{Path(name).stem}.file" not in chosen]
+
+
+def _pass(
+    args: argparse.Namespace, recording: Recording, name: str, settings: Settings, own: Sequence[str], record: Path | None
+) -> Pass:
     steering = args.path or settings.estimator.path
+    with with_files_of(recording, settings, own) as used:
+        pilot = pilot_of(used, args.path)
+        described = about(used, {"kind": "replay", "of": recording.name}, named=settings)
     log_observer = BeliefLogObserver(
         FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=steering)
     )
@@ -227,7 +230,6 @@ def _pass(args: argparse.Namespace, recording: Recording, name: str, settings: S
     with ExitStack() as stack:
         recorder: Recorder | None = None
         if record is not None:
-            described = about(settings, {"kind": "replay", "of": recording.name})
             recorder = stack.enter_context(recorder_to_file(record, pilot.camera, described, frames="none"))
             observers.append(recorder)
         replay = Replay(recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=observers)
@@ -264,11 +266,8 @@ def _finished(recording: Recording, done: Pass, compared: dict[str, list[Differe
 
 
 def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, list[Difference]]) -> list[str]:
-    out = []
-    for path, why in recording.cut.items():
-        out.append(f"{path} is cut short or damaged ({why}): replayed without that")
-    for topic, n in recording.skipped.items():
-        out.append(f"{n} messages of {topic} cannot be read by this version and were left out")
+    out = [f"{path} is cut short or damaged ({why}): replayed without that" for path, why in recording.cut.items()]
+    out += [f"{n} messages of {topic} cannot be read by this version and were left out" for topic, n in recording.skipped.items()]
     for done in passes:
         c, pace = done.replay.counts, done.flown_s / max(1e-9, done.wall_s)
         out += [
@@ -277,17 +276,12 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
             *_became_of(done.log_observer.log),
             f"outputs: sha256 {done.replay.digest}",
         ]
-        rows = done.errors()
-        if rows:
+        if rows := done.errors():
             heads = f"{'lateral':>10}{'95 %':>10}{'down':>10}{'95 %':>10}{'heading':>9}{'95 %':>8}{'NEES':>10}"
-            out.append(f"{'against truth':<16}{'count':>7}{heads}")
-        out += [_row(row) for row in rows]
-        decks = done.decks()
-        if decks:
-            out.append(f"{'deck by truth':<16}{'count':>7}{'tilt':>9}{'95 %':>8}{'NEES':>8}")
-        out += [_deck_row(row) for row in decks]
-        if not rows:
-            out.append("no truth was recorded: no errors to show")
+            out += [f"{'against truth':<16}{'count':>7}{heads}", *map(_row, rows)]
+        if decks := done.decks():
+            out += [f"{'deck by truth':<16}{'count':>7}{'tilt':>9}{'95 %':>8}{'NEES':>8}", *map(_deck_row, decks)]
+        out += [] if rows else ["no truth was recorded: no errors to show"]
     for name, found in compared.items():
         out += [_difference(name, d) for d in found]
     return out + passes[0].ship.in_words()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import re
 import shutil
 import tempfile
@@ -20,7 +19,7 @@ from companion.cli.kept_flight import keeping, shown
 from companion.cli.options import check_seed, option, print_result, refuse_any
 from companion.cli.outputs import LOGS, REPORT_FOLDER, output
 from companion.settings.load import find_file, shipped
-from companion.settings.remarks import warn_of_idle
+from companion.settings.overrides import finite
 from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
@@ -72,24 +71,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     output(beside, "--keep DIR", "keep the logs and output of the autopilot in this folder", LOGS)
 
 
-def _with_program(args: argparse.Namespace) -> bool:
-    """Return whether an option is given that only a flight with an autopilot program has."""
-    return args.binary is not None or args.keep is not None or bool(args.param) or args.unaided or args.physics != "ours"
-
-
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     check_seed(args)
     perception = perception_level(args.perception)
     follows, beside = args.follow is not None, args.autopilot is not None
+    with_program = args.binary is not None or args.keep is not None or args.param or args.unaided or args.physics != "ours"
     program = "--binary, --physics, --param, --unaided"
     refuse_any(
         (args.perception_model and perception == "pixels", "--perception-model goes with --perception model or truth"),
         (args.set and follows, "--set does not go with --follow"),
         (args.pad is not None and follows, "--pad does not go with --follow"),
         (args.faults and (follows or beside), "--faults does not go with --autopilot or --follow"),
-        (follows and (beside or _with_program(args)), f"--follow does not go with --autopilot, {program} or --keep"),
-        (_with_program(args) and not beside, f"{program} and --keep go with --autopilot"),
+        (follows and (beside or with_program), f"--follow does not go with --autopilot, {program} or --keep"),
+        (with_program and not beside, f"{program} and --keep go with --autopilot"),
     )
     if args.pad is not None:
         args.set = [f"pad.file={find_file(args.pad, 'pads', Path(), '--pad')}", *args.set]
@@ -101,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_for(scenario, args.config)
     given = Overridable(scenario, settings)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
-    warn_of_idle([settings])
+    flight_options.warn(args, [settings])
     if args.faults is not None:
         scenario = with_random_faults(scenario, args.seed, perception)
     with (
@@ -140,9 +135,8 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     settings = settings_for(scenario, args.config, by_autopilot=True)
     given = Overridable(scenario, settings, by_autopilot=True)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
-    warn_of_idle([settings])
-    given_parameters = parameters(args.param)
-    autopilot = AutopilotProgram(args.autopilot, binary, given_parameters, own=args.physics == "own", unaided=args.unaided)
+    flight_options.warn(args, [settings], "a flight with an autopilot program")
+    autopilot = AutopilotProgram(args.autopilot, binary, parameters(args.param), own=args.physics == "own", unaided=args.unaided)
     seen_by, began = perceive(perception, args.perception_model), time.monotonic()
     with shown(quiet=args.json) as observers, _folder(args.keep) as folder:
         flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, observers, seen_by)
@@ -200,14 +194,9 @@ def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:
     """
     out = []
     for text in given:
-        found = re.fullmatch(r"([A-Z][A-Z0-9_]{0,15})=(.+)", text)
-        try:
-            value = float(found[2]) if found else math.nan
-        except ValueError:
-            value = math.nan
-        if found is None or not math.isfinite(value):
+        if (found := re.fullmatch(r"([A-Z][A-Z0-9_]{0,15})=(.+)", text)) is None:
             raise BadInput(f"--param {text!r}: write NAME=VALUE, a name in capitals and a number")
-        out.append((found[1], value))
+        out.append((found[1], finite(found[2], f"--param {found[1]}")))
     return tuple(out)
 
 

@@ -2,6 +2,8 @@
 
 import difflib
 import math
+import re
+import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -9,10 +11,12 @@ import msgspec
 
 from companion.settings.load import from_mapping
 from companion.settings.model import EXPERT, Settings
+from companion.settings.remarks import without_effect
 from estimator.contracts.errors import BadInput
 
 Value = bool | int | float | str
 NOTHING = object()
+_NUMBER = "+-.0123456789eE"
 
 
 def with_overrides(settings: Settings, texts: Sequence[str], where: str) -> Settings:
@@ -30,7 +34,6 @@ def with_overrides(settings: Settings, texts: Sequence[str], where: str) -> Sett
     tables = plain(settings)
     for text in texts:
         key, value = key_and_text(text, where, "estimator.history_s=1")
-        key = key.removeprefix(f"{EXPERT}.")
         present = leaf(tables, key.split("."))
         if present is NOTHING:
             hint = nearest(key, [*leaves(tables)]) or "keys are written as in guidance.rate_hz"
@@ -43,7 +46,7 @@ def with_overrides(settings: Settings, texts: Sequence[str], where: str) -> Sett
 
 
 def key_and_text(text: str, where: str, example: str) -> tuple[str, str]:
-    """Return the key and the value's text of `KEY=VALUE`.
+    """Return the key and the value's text of `KEY=VALUE`; the key without `expert.` before it.
 
     Raises:
         BadInput: it has another form.
@@ -51,25 +54,23 @@ def key_and_text(text: str, where: str, example: str) -> tuple[str, str]:
     key, equals, value = text.partition("=")
     if not equals or not key:
         raise BadInput(f"{where} {text!r}: write KEY=VALUE, as in {example}")
-    return key, value
+    return key.removeprefix(f"{EXPERT}."), value
 
 
 def value_like(present: Any, text: str, key: str, where: str) -> Value:
-    """Return the value that a text means, by the type of the key's present value.
+    """Return the value that a text means, by the type of the key's present value; by its own form where there is none.
 
     Raises:
         BadInput: the key is true or false, or holds numbers, and the text is none of these.
     """
+    if isinstance(present, bool | None) and text in ("true", "false"):
+        return text == "true"
     if isinstance(present, bool):
-        if text in ("true", "false"):
-            return text == "true"
         raise BadInput(f"{where}: {key} is true or false, found {text!r}")
-    if isinstance(present, str):
+    if isinstance(present, str) or (present is None and text.strip(_NUMBER)):
         return text
     number = finite(text, f"{where}: {key}")
-    if isinstance(present, int) and number == int(number):
-        return int(number)
-    return number
+    return number if isinstance(present, float) or number != int(number) else int(number)
 
 
 def finite(text: str, where: str) -> float:
@@ -130,3 +131,27 @@ def put(table: Any, path: Sequence[str], value: Value) -> None:
 
 def _index(table: Any, name: str) -> str | int:
     return int(name) if isinstance(table, list) else name
+
+
+_LINKS = r"(bridge|http|mqtt|recorder|video_stream)\."
+_IDLE_IN = {
+    "a replay": rf"{_LINKS}|(rtk|service)\.|camera\.(?!file|gimbal\.)|operator\.(?!manual\.)|vehicle\.(host|links)",
+    "a replay without --mavlink": r"landing_target\.",
+    "a simulated flight": rf"{_LINKS}|(landing_target|service)\.|operator\.(?!manual\.)|vehicle\.host",
+    "a flight with an autopilot program": _LINKS,
+    "a flight without frames, as by --perception model": (
+        r"(drops|lamps|video)\.|light\.(?!exposure_ev)|camera\.(blur|exposure_l|full|read|white)"
+    ),
+}
+"""Patterns of the keys of settings and scenarios that nothing reads there."""
+
+
+def warn_of_idle(points: Sequence[Settings], given: Sequence[str], places: Sequence[str]) -> None:
+    """Name on standard error the keys of the `KEY=VALUE` given that cannot act in these places, or by any of these settings."""
+    keys = [text.partition("=")[0].removeprefix("settings.").removeprefix(f"{EXPERT}.") for text in given]
+    for place in places:
+        if idle := [key for key in keys if re.match(_IDLE_IN[place], key)]:
+            sys.stderr.write(f"decklander: {', '.join(idle)}: without effect in {place}\n")
+    found = [line for settings in points for line in without_effect(settings)]
+    for line, number in {line: found.count(line) for line in found}.items():
+        sys.stderr.write(f"decklander: {line}{f' ({number} of {len(points)} points)' if len(points) > 1 else ''}\n")

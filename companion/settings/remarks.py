@@ -1,8 +1,6 @@
 """Say of settings that are good what their author may want to know, such as keys that another key leaves without effect."""
 
 import json
-import sys
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import reduce
 from pathlib import Path
@@ -183,13 +181,6 @@ def _empty_battery(settings: Settings) -> tuple[str, ...]:
 def not_checked(keys: Sequence[str]) -> str:
     """Return a remark about settings that name systemd credentials, which exist only inside the unit; "" if there are none."""
     return f" ({', '.join(keys)}: credentials of the systemd unit, not checked here)" if keys else ""
-
-
-def warn_of_idle(points: Sequence[Settings]) -> None:
-    """Write a line to standard error for every cause that leaves keys without effect in any of these settings."""
-    found = Counter(line for settings in points for line in without_effect(settings))
-    for line, number in found.items():
-        sys.stderr.write(f"decklander: {line}{f' ({number} of {len(points)} points)' if len(points) > 1 else ''}\n")
 
 
 def without_effect(settings: Settings) -> tuple[str, ...]:

@@ -487,12 +487,15 @@ def in_columns(rows: Iterable[Mapping[str, Any]]) -> str:
     return columns([HEADINGS, *map(cells_of, rows)], TEXTS)
 
 
-def in_rows(effects: Mapping[str, Iterable[Mapping[str, Any]]]) -> str:
-    """Return a table for each varied key, a line for each value."""
-    return "\n".join(
-        columns([(key, "flights", "good", "95 % interval", "error, median"), *map(_effect_cells, rows)], ())
-        for key, rows in effects.items()
-    )
+def in_rows(effects: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+    """Return a table for each varied key, a line for each value, and a line below it where the key changed nothing."""
+    out = []
+    for key, rows in effects.items():
+        out.append(columns([(key, "flights", "good", "95 % interval", "error, median"), *map(_effect_cells, rows)], ()))
+        errors = {row["lateral_median_m"] for row in rows}
+        if len(rows) > len(errors) == 1 and None not in errors:
+            out.append(f"{key}: no figure differs between its values; it may not act in this flight")
+    return "\n".join(out)
 
 
 def _effect_cells(row: Mapping[str, Any]) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import math
 import platform
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache, lru_cache
-from importlib.util import find_spec
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,7 +32,7 @@ from companion.settings.schema import explain
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.keys import choice, text
 from sitl.flight.one_flight import Perception, following, perception_level
-from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
+from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal, refuse_idle, replaced
 from sitl.scenario.scenario import from_mapping as scenario_from_mapping
 from sitl.scenario.scenario import load as load_scenario
 
@@ -95,7 +95,10 @@ class Overridable:
             placed[which].append((path, value))
         for path, value in placed[0]:
             put(tables[0], path, value)
+            for name in replaced(path[0], [there[1] for there, _ in placed[0] if there[0] == path[0] and there[1:]]):
+                tables[0][path[0]].pop(name, None)
         scenario = scenario_from_mapping(tables[0], where) if placed[0] else self.scenario
+        refuse_idle([".".join(path) for path, _ in placed[0]], scenario, where)
         settings = self.settings
         if placed[0] and following(self.scenario, settings, by_autopilot=self._by_autopilot) == settings:
             settings = following(scenario, settings, by_autopilot=self._by_autopilot)
@@ -163,7 +166,7 @@ def parse_axis(text: str, given: Overridable, where: str) -> Axis:
     count = math.floor((high - low) / step * (1.0 + 1e-9)) + 1
     if count > POINTS_MAX:
         raise BadInput(f"{where} {text!r}: {count} values are more than {POINTS_MAX}")
-    whole = type(given._find(key, where)) is int
+    whole = not isinstance(given._find(key, where), float)
     steps = [float(f"{low + n * step:.{_DIGITS}g}") for n in range(count)]
     return Axis(key, text, tuple(int(v) if whole and v == int(v) else v for v in steps))
 
@@ -299,10 +302,7 @@ def sources_digest() -> str:
     """Return a digest of the names and contents of all source files of the installed packages."""
     digest = hashlib.blake2b(digest_size=16)
     for package in _PACKAGES:
-        spec = find_spec(package)
-        assert spec is not None
-        assert spec.submodule_search_locations is not None
-        root = Path(next(iter(spec.submodule_search_locations)))
+        root = Path(next(iter(import_module(package).__path__)))
         for path in sorted(root.rglob("*")):
             if path.suffix in _SOURCES:
                 content = path.read_bytes()
@@ -312,12 +312,8 @@ def sources_digest() -> str:
 
 def differences(ours: dict[str, str], other: dict[str, str]) -> str:
     """Return what differs between two versions of the code, in words; empty where they agree."""
-    words = []
-    for name in sorted(ours.keys() | other.keys()):
-        one, two = ours.get(name, "none"), other.get(name, "none")
-        if one != two:
-            words.append(f"{name} {two[:12]} instead of {one[:12]}")
-    return ", ".join(words)
+    each = {name: (ours.get(name, "none"), other.get(name, "none")) for name in sorted(ours.keys() | other.keys())}
+    return ", ".join(f"{name} {two[:12]} instead of {one[:12]}" for name, (one, two) in each.items() if one != two)
 
 
 FORMAT = 1

@@ -12,7 +12,7 @@ a wind raises, its profile, its gusts, and the wake of the ship in it.
 import difflib
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -171,34 +171,19 @@ _KEPT = {"sea": ("current_m_s", "current_to_deg"), "wind": ("from_deg", "gusts")
 """Keys of waves and wind that a table `weather` leaves as they are."""
 
 
-def _says(table: object) -> bool:
-    return isinstance(table, dict) and bool(table.keys() & {"wind_m_s", "sea_state"})
+def refuse_idle(keys: Iterable[str], scenario: "Scenario", where: str) -> None:
+    """Refuse keys, given in a file or by an option, of waves, wind and weather that do not act in this scenario.
 
-
-def contradicted(data: Mapping[str, Any]) -> str:
-    """Return why a file's table `weather` contradicts its waves or its wind; empty where it does not."""
-    if not _says(data.get("weather")):
-        return ""
-    for table, kept in _KEPT.items():
-        output = data.get(table)
-        if isinstance(output, dict) and (more := sorted(output.keys() - set(kept))):
-            return f"{table}.{more[0]} follows from the weather; beside it {table} may say {', '.join(kept)} alone"
-    return ""
-
-
-def merged_under(over: Mapping[str, Any], base: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables of a base without the waves and the wind that a table `weather` replaces."""
-    if not _says(over.get("weather")):
-        return base
-    out = dict(base)
-    for table, keys in _KEPT.items():
-        before = base.get(table)
-        if isinstance(before, dict):
-            out[table] = {key: value for key, value in before.items() if key in keys}
-    before, other = base.get("weather"), "sea_state" if "wind_m_s" in over["weather"] else "wind_m_s"
-    if isinstance(before, dict):
-        out["weather"] = {key: value for key, value in before.items() if key != other}
-    return out
+    Raises:
+        BadInput: one of them follows from the weather, or is of a weather that is not there.
+    """
+    for table, name in (key.split(".")[:2] for key in keys if "." in key):
+        if scenario.weather.given and table in _KEPT and name not in _KEPT[table]:
+            instead = "weather.sea_state or weather.wind_m_s" if table == "sea" else "weather.wind_m_s, gusts or wake"
+            kept = f"beside it {table} may say {', '.join(_KEPT[table])} alone"
+            raise BadInput(f"{where}: {table}.{name} follows from the weather: set {instead}; {kept}")
+        if table == "weather" and not scenario.weather.given:
+            raise BadInput(f"{where}: weather.{name} acts beside weather.wind_m_s or weather.sea_state alone")
 
 
 def signals_of(vessel: VesselSettings, vehicle: VehicleSettings) -> tuple[Signal, ...]:
@@ -245,7 +230,12 @@ def _contradictions(fault: Fault, scenario: "Scenario") -> Iterator[str]:
         yield f".to_m_s is {fault.to_m_s:g} m/s, which is vessel.speed_m_s already"
 
 
-_EXCLUDES: dict[str, dict[str, tuple[str, ...]]] = {"sea": SEA_EXCLUDES, "vessel": VESSEL_EXCLUDES, "wind": WIND_EXCLUDES}
+_EXCLUDES: dict[str, dict[str, tuple[str, ...]]] = {
+    "sea": SEA_EXCLUDES,
+    "vessel": VESSEL_EXCLUDES,
+    "weather": {"wind_m_s": ("sea_state",), "sea_state": ("wind_m_s",)},
+    "wind": WIND_EXCLUDES,
+}
 FAULTS = "faults"
 """Folder of the shipped scenarios that have one fault each."""
 TITLE_MAX = 120
@@ -393,13 +383,12 @@ def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) 
         if not isinstance(name, str):
             raise BadInput(f"{path}: base must be the name of a scenario or a path, found {name!r}")
         base = _with_base(_find(name, "scenarios", beside, f"{path}: base"), (*above, path.resolve()))
-    if conflict := contradicted(data):
-        raise BadInput(f"{path}: {conflict}")
-    whole = _merged(merged_under(data, base), data)
+    whole = _merged(base, data)
     try:
         scenario = msgspec.convert(whole, Scenario, strict=True)
     except msgspec.ValidationError as why:
         raise BadInput(f"{path}: {_explain(whole, str(why), len(base.get('faults', ())))}") from why
+    refuse_idle([f"{table}.{key}" for table, keys in data.items() if isinstance(keys, dict) for key in keys], scenario, str(path))
     for table, folder, named in (("camera", "cameras", scenario.camera.file), ("pad", "pads", scenario.pad.file)):
         if table not in base or table in data:
             found = _find(named, folder, path.parent, f"{path}: {table}.file")
@@ -413,17 +402,18 @@ def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) 
     return whole
 
 
-def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables of both, merged key by key; the faults of the base come first.
+def replaced(table: str, given: Collection[str]) -> set[str]:
+    """Return the keys of a table that given ones replace, as `sea.sea_state` replaces a height."""
+    return {name for key in given for name in _EXCLUDES.get(table, {}).get(key, ())}.difference(given)
 
-    A key of `over` that replaces others, as `sea.sea_state` replaces a height, removes them from the base.
-    """
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Return the tables of both, merged key by key; the faults of the base come first."""
     out = dict(base)
     for key, value in over.items():
-        excludes: dict[str, tuple[str, ...]] = _EXCLUDES.get(key, {})
         under = out.get(key)
         if isinstance(under, dict) and isinstance(value, dict):
-            gone = {name for said in value for name in excludes.get(said, ())} - value.keys()
+            gone = replaced(key, value)
             out[key] = {**{name: kept for name, kept in under.items() if name not in gone}, **value}
         elif key == "faults" and isinstance(under, list) and isinstance(value, list):
             out[key] = [*under, *value]

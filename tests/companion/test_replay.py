@@ -25,13 +25,11 @@ from companion.guidance.pilot import make_pilot
 from companion.parts.metrics.endpoint import text
 from companion.parts.mqtt import encode as mqtt_encode
 from companion.parts.mqtt import messages
-from companion.parts.recorder.recorder import Recorder, SingleFile
-from companion.parts.recorder.setup import about
+from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording import decode
 from companion.recording.reading import open_recording
 from companion.recording.rewriting import Cut, rewrite
-from companion.settings.load import camera_model
-from companion.settings.service import RecorderOptions
+from companion.settings.load import SHIPPED, camera_model, pad_of_file, read_camera
 from companion.tools.replay.engine import Replay, pilot_of
 from companion.tools.replay.recorded_log import BeliefLogObserver, differences, log_of, recorded_beliefs
 from companion.tools.report.figures import innovation_series
@@ -62,7 +60,7 @@ def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(
     recording = open_recording([recorded_flight[0]])
     settings = sim_settings()
     reported = ObservedCalls()
-    pilot = pilot_of(recording, settings, None, own_camera=True)
+    pilot = pilot_of(settings, None)
     log_observer = BeliefLogObserver(FlightLog("replay", MonoNs(0), pilot.pad, pilot.camera))
     replay = Replay(recording, pilot, sightings=True, observers=[log_observer, reported])
     replay.run()
@@ -96,6 +94,14 @@ def test_the_same_replay_has_the_same_hash_and_a_change_another(recorded_flight,
     assert against["median_mean"]["identical"] > against["dead_reckoning"]["identical"] == 0
     by_key = replayed(recorded_flight[0], "--set", "estimator.dead_reckoning.sigma_pad_v_m_s=0.7", "--sightings", capsys=capsys)
     assert by_key["passes"][0]["sha256"] == second["sha256"]
+    out, key = tmp_path / "out.mcap", ["--set=pad.file=icao", "--set=expert.camera.file=ardrone2_bottom"]
+    other = replayed(recorded_flight[0], *key, "--record", str(out), capsys=capsys)["passes"][0]["errors"]
+    assert "ekf" in {row["name"] for row in first["errors"]} - {row["name"] for row in other}
+    kept = open_recording([out])
+    assert (kept.pad(), kept.settings().pad.file) == (pad_of_file(SHIPPED / "pads" / "icao.toml"), "icao")
+    assert kept.camera() == read_camera(SHIPPED / "cameras" / "ardrone2_bottom.toml")
+    assert cli.main(["replay", str(recorded_flight[0]), "--set", "pad.file=nope", "--set", "http.port=9"]) == 2
+    assert re.match(r"decklander: http.port: without effect in a replay\n(?s:.*)no file 'nope'", capsys.readouterr().err)
     nees = {row["name"]: row["nees"] for row in by_key["passes"][0]["errors"]}
     assert 0.0 < nees["dead_reckoning"] != {row["name"]: row["nees"] for row in first["errors"]}["dead_reckoning"]
 
@@ -119,8 +125,7 @@ def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
     settings = sim_settings()
     settings = msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="signal"))
     pilot, reported, path = make_pilot(settings), ObservedCalls(), tmp_path / "told.mcap"
-    options = RecorderOptions(frames="none")
-    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options, lossless=True) as recorder:
+    with recorder_to_file(path, camera_model(settings), about(settings, {}), frames="none") as recorder:
         flight = Flight(load_scenario("demo"), 2, settings, pilot, observers=[reported, recorder])
         for step in range(240):
             if step == 100:
@@ -132,7 +137,7 @@ def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
             flight.step()
     again = ObservedCalls()
     recording = open_recording([path])
-    Replay(recording, pilot_of(recording, settings, None, own_camera=True), observers=[again]).run()
+    Replay(recording, pilot_of(settings, None), observers=[again]).run()
     assert [d.phase for d in again.decisions] == [d.phase for d in reported.decisions]
     assert {"waiting for the start", "paused", "aborted"} < {d.phase for d in reported.decisions}
     assert [type(d.command) for d in again.decisions] == [type(d.command) for d in reported.decisions]
@@ -141,12 +146,11 @@ def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
 
 def test_without_recorded_guidance_it_runs_at_its_own_rate(recorded_flight: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
     settings, path, reported = sim_settings(), tmp_path / "inputs.mcap", ObservedCalls()
-    options = RecorderOptions(frames="none")
-    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options, lossless=True) as out:
+    with recorder_to_file(path, camera_model(settings), about(settings, {}), frames="none") as out:
         for sample in recorded_flight[1].samples:
             out.on_sample(sample)
     recording = open_recording([path])
-    Replay(recording, pilot_of(recording, settings, None, own_camera=True), rate_hz=40.0, observers=[reported]).run()
+    Replay(recording, pilot_of(settings, None), rate_hz=40.0, observers=[reported]).run()
     instants = [d.at for d in reported.decisions]
     assert np.all(np.diff(instants) == 25_000_000)
     assert (instants[-1] - instants[0]) * 1e-9 == pytest.approx(1.5, abs=0.1)
@@ -198,14 +202,13 @@ def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
     settings = sim_settings()
     settings = msgspec.structs.replace(settings, estimator=msgspec.structs.replace(settings.estimator, path="ekf"))
     flown, again, path = ObservedCalls(), ObservedCalls(), tmp_path / "flown.mcap"
-    options = RecorderOptions(frames="none")
-    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options, lossless=True) as recorder:
+    with recorder_to_file(path, camera_model(settings), about(settings, {}), frames="none") as recorder:
         flight = Flight(load_scenario("demo"), 1, settings, make_pilot(settings), observers=[flown, recorder])
         for _ in range(150):
             flight.step()
         flight.result()
     recording = open_recording([path])
-    Replay(recording, pilot_of(recording, settings, None, own_camera=False, alone=True), sightings=True, observers=[again]).run()
+    Replay(recording, pilot_of(settings, None, alone=True), sightings=True, observers=[again]).run()
     assert {r.source for _, r in flown.results} >= {"sighting", "attitude", "velocity", "baro", "imu"}
     assert len(again.results) == len(flown.results)
     assert all(a[0] == b[0] and same_bits(a[1], b[1]) for a, b in zip(again.results, flown.results, strict=True))
@@ -284,9 +287,7 @@ def test_the_report_draws_each_source_and_counts_what_was_refused() -> None:
     np.testing.assert_allclose(series["sighting"].t_s[[0, -1]], [0.0, 49 * 0.04])
     assert (series["sighting"].nis_mean, series["range"].test_ratio_p95) == (0.5, 0.1)
     page = render(log, None)
-    assert (
-        "<tr><td>ekf: range</td><td>1500</td><td>1350</td><td>150</td><td>150 gated</td><td>1.00</td><td>0.10</td></tr>" in page
-    )
+    assert "<tr><td>ekf: range</td><td>1500</td><td>1350</td><td>150</td><td>150 gated</td><td>1.00</td><td>0.10</td></" in page
     assert "<tr><td>ekf: baro</td><td>1</td><td>0</td><td>1</td><td>1 gated</td><td>-</td><td>-</td></tr>" in page
     drawn = re.findall(r"<span>(\w+): NIS over the number of components", page)
     assert drawn == ["sighting", "range"], "nothing of the barometer was compared"

@@ -103,9 +103,7 @@ def test_a_flight_that_is_refused_leaves_no_recording(tmp_path, capsys, key, cod
 def test_a_landing_on_fiducials(capsys: pytest.CaptureFixture[str]) -> None:
     """The frames are rendered from where the large fiducial is read to where only the small one and single cells are in view."""
     start = ["start.height_m=1.2", "start.pad_forward_m=0.1", "start.pad_right_m=0.1", "guidance.thesis.speed_m_s=0.3"]
-    assert (
-        cli.main(["simulate", "calm", "--pad", "apriltag_nest", "--seed", "1", "--json", *(f"--set={key}" for key in start)]) == 0
-    )
+    assert cli.main(["simulate", "calm", "--pad=apriltag_nest", "--seed=1", "--json", *(f"--set={key}" for key in start)]) == 0
     out, err = capsys.readouterr()
     assert 'guidance.thesis.speed_m_s: without effect, as guidance.mission is not "thesis"' in err
     reported = json.loads(out)

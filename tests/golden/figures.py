@@ -15,7 +15,7 @@ import msgspec
 from companion.facts.records import TruthRecord
 from companion.recording.reading import open_recording
 from companion.settings.load import load
-from companion.tools.replay.engine import Replay, pilot_of
+from companion.tools.replay.engine import Replay, pilot_of, with_files_of
 from companion.tools.replay.recorded_log import BeliefLogObserver
 from companion.tools.report.figures import all_series, error_rows
 from companion.tools.report.flight_log import FlightLog
@@ -34,7 +34,8 @@ def measured(name: str) -> Figures:
     recording = open_recording([HERE / f"{name}.mcap"])
     settings = load("sim")
     settings = msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="fused"))
-    pilot = pilot_of(recording, settings, None, own_camera=True)
+    with with_files_of(recording, settings) as used:
+        pilot = pilot_of(used, None)
     log_observer = BeliefLogObserver(FlightLog(name, MonoNs(0), pilot.pad, pilot.camera))
     for _, event in Replay(recording, pilot, observers=[log_observer]).steps():
         if isinstance(event, TruthRecord):

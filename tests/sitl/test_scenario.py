@@ -55,9 +55,8 @@ def test_a_sea_state_takes_the_place_of_the_height_of_a_base(tmp_path: Path) -> 
         assert (system.state.hs_m, system.state.tp_s) == (SEA_STATES[code].hs_m, SEA_STATES[code].tp_s)
         assert [swell.state.hs_m for swell in swells] == pytest.approx([0.5 * system.state.hs_m] * (code > 1), abs=0.006)
         assert (scenario.sea.runs_to_deg, scenario.vessel, scenario.wind) == (rough.sea.runs_to_deg, rough.vessel, rough.wind)
-    (tmp_path / "lower.toml").write_text(
-        'title = "l"\nbase = "sea_state_5"\n[sea]\nsignificant_height_m = 2.9\npeak_period_s = 9.0\n'
-    )
+    lower = "[sea]\nsignificant_height_m = 2.9\npeak_period_s = 9.0\n"
+    (tmp_path / "lower.toml").write_text(f'title = "l"\nbase = "sea_state_5"\n{lower}')
     (system,) = load(tmp_path / "lower.toml").sea.systems()
     assert (system.state.hs_m, system.state.tp_s) == (2.9, 9.0)
 

@@ -66,9 +66,10 @@ def test_weather_takes_the_place_of_waves_and_wind_and_contradicts_none(tmp_path
     assert sea_of(scenario).significant_height_m == pytest.approx(raised_sea(8.0).hs_m)
     old = load("sea_state_4")
     assert (sea_of(old), wind_of(old)) == (old.sea, old.wind)
-    (tmp_path / "b.toml").write_text('title = "b"\nbase = "sea_state_4"\n[weather]\nwind_m_s = 8.0\n[sea]\nsea_state = 4\n')
-    with pytest.raises(BadInput, match=r"b\.toml: sea\.sea_state follows from the weather"):
-        load(tmp_path / "b.toml")
+    for n, more in enumerate(("[sea]\nsea_state = 4\n", "[wind]\nspeed_m_s = 0.0\n")):
+        (tmp_path / "b.toml").write_text(f'title = "b"\nbase = "{("a.toml", "weather_4")[n]}"\n{more}')
+        with pytest.raises(BadInput, match=r"b\.toml: (sea\.sea_state|wind\.speed_m_s) follows from the weather: set weather\."):
+            load(tmp_path / "b.toml")
     assert WeatherSettings(wind_m_s=8.0, fetch_km=50.0).sea(old.sea, 0.0).swell is None, "no swell comes into sheltered water"
     both = WeatherSettings(wind_m_s=5.0, sea_state=5)
     assert (both.wind(old.wind, superstructure=False).speed_m_s, both.sea(old.sea, 0.0).significant_height_m) == (5.0, 3.25)

@@ -22,13 +22,13 @@ from estimator.vision.camera import Camera
 _PACKAGES = ("decklander", "numpy", "opencv-python-headless", "av", "mcap")
 
 
-def about(settings: Settings, flight: Mapping[str, str], offset_ns: int = 0) -> About:
-    """Return versions, settings, camera and pad, and the facts in `flight`: a simulation's scenario and seed, an import's source.
+def about(settings: Settings, flight: Mapping[str, str], offset_ns: int = 0, named: Settings | None = None) -> About:
+    """Return versions, settings (or those `named`), camera and pad, and the facts in `flight`, as a scenario and seed.
 
     Raises:
         BadInput: the camera or pad file is missing.
     """
-    files = [Attachment(SETTINGS, "application/toml", schema.toml(settings).encode())]
+    files = [Attachment(SETTINGS, "application/toml", schema.toml(named or settings).encode())]
     for name, text, folder in ((CAMERA, settings.camera.file, "cameras"), (PAD, settings.pad.file, "pads")):
         path = find_file(text, folder, Path(), name)
         files.append(Attachment(name, "application/toml", path.read_bytes()))

@@ -279,8 +279,7 @@ def photographed(
         BadInput: the corners are no rectangle that a camera sees.
     """
     if corners_px is not None:
-        fault = fault_of(corners_px)
-        if fault is not None:
+        if fault := fault_of(corners_px):
             raise BadInput(f"{where}: --corners {fault}")
         scale = _PHOTO_PX / max(size_m)
         w, h = scale * size_m[0], scale * size_m[1]

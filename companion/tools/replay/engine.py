@@ -6,7 +6,8 @@ and a hash over them proves it.
 
 import hashlib
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import get_args
@@ -25,13 +26,14 @@ from companion.guidance.pilot import Pilot, make_pilot
 from companion.recording.channels import CAMERA, PAD
 from companion.recording.reading import Event, RecordedFrame, Recording, instant
 from companion.settings.load import Settings, load
-from companion.settings.model import CameraSettings, PadSettings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import FusionResult, PathName, Sighting, Verdict
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.vision.detection import Detection
 
+OWN = CAMERA, PAD
+"""The files of a recording that its settings name."""
 _GAP_S = 10.0
 """The longest gap in the recording that is replayed through guidance, s."""
 _FLOWN = tuple(state.value for state in State if state in FLOWN and state is not State.ANOTHER_PAD)
@@ -279,25 +281,22 @@ def settings_of(recording: Recording, config: str | None) -> Settings:
     return settings
 
 
-def pilot_of(recording: Recording, settings: Settings, path: PathName | None, *, own_camera: bool, alone: bool = False) -> Pilot:
-    """Return a pilot that runs every path (or one `alone`) and steers by `path` (else by the settings' own).
+@contextmanager
+def with_files_of(recording: Recording, settings: Settings, names: Iterable[str] = OWN) -> Iterator[Settings]:
+    """Provide settings that name the recording's own files of these names, which exist as long as this lasts."""
+    with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
+        for path in (Path(folder) / name for name in names if name in recording.attachments):
+            path.write_bytes(recording.attachments[path.name])
+            settings = replace(settings, **{path.stem: replace(getattr(settings, path.stem), file=str(path))})
+        yield settings
 
-    Args:
-        own_camera: use the camera and the pad of the recording instead of those that the settings name.
+
+def pilot_of(settings: Settings, path: PathName | None, *, alone: bool = False) -> Pilot:
+    """Return a pilot that runs every path (or one `alone`) and steers by `path` (else by the settings' own).
 
     Raises:
         BadInput: a camera or pad file is missing or has a fault, or the path needs a library that is not installed.
     """
     steering = path or settings.estimator.path
     shadows = [] if alone else [p for p in available_paths() if p != steering]
-    estimator = msgspec.structs.replace(settings.estimator, path=steering)
-    with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
-        if own_camera and CAMERA in recording.attachments and PAD in recording.attachments:
-            for name in (CAMERA, PAD):
-                (Path(folder) / name).write_bytes(recording.attachments[name])
-            settings = msgspec.structs.replace(
-                settings,
-                camera=CameraSettings(str(Path(folder) / CAMERA), gimbal=settings.camera.gimbal),
-                pad=PadSettings(str(Path(folder) / PAD)),
-            )
-        return make_pilot(msgspec.structs.replace(settings, estimator=estimator), shadows=shadows)
+    return make_pilot(replace(settings, estimator=replace(settings.estimator, path=steering)), shadows=shadows)

@@ -44,7 +44,7 @@ def test_an_autopilot_is_flown_by_its_own_response_and_not_by_that_of_the_simula
     """WHY: ArduCopter was flown by a climb that answers after 58 ms, and swung up and down over the deck by 0.5 m/s."""
     scenario = load("weather_4")
     given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True), by_autopilot=True)
-    for changes in ([], ["wind.speed_m_s=4"]):
+    for changes in ([], ["weather.wind_m_s=4"]):
         _, settings = given.with_values([given.parse(text, "--set") for text in changes], "--set")
         flown_by = AutopilotFlight(scenario, 1, settings, AutopilotProgram(stack, None), tmp_path).service_settings(14540)
         assert response_model(flown_by) == shipped_response(response)
