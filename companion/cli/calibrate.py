@@ -141,9 +141,7 @@ def _run_camera(args: argparse.Namespace) -> int:
     if len(collection.views) < LEAST_VIEWS:
         lacks = missing_before(collection.views, size) if collection.views else [_NO_BOARD]
         if collection.mirrored:
-            lacks.insert(
-                0, "a camera that does not mirror: turn off the horizontal flip of the camera, its driver or its pipeline"
-            )
+            lacks.insert(0, "a camera that does not mirror: turn off the horizontal flip of camera, driver or pipeline")
         _say(args, collection, None, Assessment(tuple(lacks), ()), written=False)
         return 1
     with named_wait(f"solving for the camera by {len(collection.views)} views", quiet=args.json):

@@ -57,6 +57,7 @@ _SURE, _FOUND = 0.5, EstimatorOptions().min_confidence
 """Confidence from which a frame shows the pad without doubt, and from which flight uses it."""
 _MIRROR_TRIES = 8
 """Number of frames without a sure pad after which a mirrored one is searched: a camera that mirrors does so in all of them."""
+_NAMED = 3
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
 
 
@@ -154,7 +155,7 @@ def run(args: argparse.Namespace) -> int:
     asked = None if args.second_opinion is None else second_opinion(args.second_opinion, "--second-opinion")
     drawings = {} if args.draw is None else _drawings(args.draw, files, force=args.force)
     frames = found = sure = ambiguous = unreadable = mirrored = 0
-    untried = _MIRROR_TRIES
+    untried, level = _MIRROR_TRIES, list[str]()
     if not args.json:
         sys.stdout.write(_HEADER)
     for file in files:
@@ -164,6 +165,7 @@ def run(args: argparse.Namespace) -> int:
             memories = [TrackerMemory()] * len(trackers)
             for image in _images(file, models[file]):
                 attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg)) or image.attitude
+                level += [] if attitude else [f"{image.source}#{image.index}"]
                 frame = Frame(_STAMP, image.index, image.px, coded=image.coded)
                 if not frames:  # The first look sets the pad up, and all code that it runs is cold: neither is a look's time.
                     with named_wait(f"setting up the pad {pad.name}"):
@@ -191,7 +193,10 @@ def run(args: argparse.Namespace) -> int:
             unreadable += 1
             sys.stdout.flush()
             sys.stderr.write(f"decklander: {why}\n")
-    if not args.json:
+    if tilts and level:
+        named = f"{', '.join(level[:_NAMED])}{' ...' * (len(level) > _NAMED)}"
+        sys.stderr.write(f"decklander: {args.attitude} has no row for {len(level)} of {frames} frames, taken as level: {named}\n")
+    if frames and not args.json:
         doubtful = "? the pad looks alike from several sides: its heading may be another\n" if ambiguous else ""
         sys.stdout.write(f"{doubtful}found in {found} of {frames} frames\n")
     if mirrored > sure:

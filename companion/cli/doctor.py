@@ -255,9 +255,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         PARAMETERS,
     )
     option(parser, "--json", "print JSON Lines, one object per finding")
-    option(
-        parser, "--fix", "ask for each change of a parameter that fixes a fault, write it, and read it back; never while armed"
-    )
+    option(parser, "--fix", "ask for each change of a parameter that fixes a fault, write it, read it back; never while armed")
     option(parser, "--undo FILE", "set back what --fix wrote, from the undo file that it kept")
     option(parser, "--yes", "with --fix or --undo: say yes to every change")
     kept = "with --fix: keep what the parameters were in this file (default: decklander-undo-TIME.json)"

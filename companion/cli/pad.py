@@ -86,7 +86,11 @@ def _import(args: argparse.Namespace) -> int:
             data = path.read_bytes()
         keys, remarks = traced(_picture(path, data, size_m, args), args.name or path.stem, str(path))
     text = file_text(keys, f"Made of {path.name} by decklander pad import.")
-    pad = Pad.from_mapping(tomllib.loads(text), str(path))
+    try:
+        pad = Pad.from_mapping(tomllib.loads(text), str(path))
+    except BadInput as why:
+        photo = path.suffix.lower() not in (".svg", *BOARD_FILES)
+        raise BadInput(f"{why}{f'; or its paints are not the {args.paints} of --paints' * photo}") from why
     drawing = pad_drawing(pad)
     png = resvg_py.svg_to_bytes(svg(drawing, sheets(drawing, "full")[0]), width=800, dpi=96.0)
     with file_errors(str(out)):
@@ -119,9 +123,7 @@ def _picture(path: Path, data: bytes, size_m: tuple[float, float] | None, args: 
     if px is None:
         raise BadInput(f"{path}: neither an SVG drawing nor a picture that can be read")
     if size_m is None:
-        raise BadInput(
-            "--size-mm is needed with a photograph: the largest extent of the pad, or that of the rectangle of --corners"
-        )
+        raise BadInput("--size-mm is needed with a photograph: the pad's largest extent, or that of the rectangle of --corners")
     if args.sheet and args.corners is None:
         raise BadInput("--sheet is a property of the rectangle of --corners: give them, too")
     corners = _clicked(path, data) if args.corners == "click" else _corners(args.corners)
@@ -252,9 +254,7 @@ def _add_print(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     )
     option(p, "pad PAD", f"pad file, or the name of a shipped one (default: {_PAD})", nargs="?")
     output(p, "--out FILE", "file to write: .pdf (all sheets) or .svg (one file per sheet)", SHEETS, required=True)
-    option(
-        p, "--paper", "paper size; full is one sheet as large as needed (default: a4)", default="a4", choices=[*PAPERS, "full"]
-    )
+    option(p, "--paper", "paper size; full: one sheet as large as needed (default: a4)", default="a4", choices=[*PAPERS, "full"])
     option(p, "--margin-mm MM", "margin that the printer cannot reach (default: 10)", default=10.0)
     option(p, "--overlap-mm MM", "overlap of neighbouring sheets (default: 10)", default=10.0)
     option(p, "--board", "print a calibration board instead of the pad", choices=BOARDS)

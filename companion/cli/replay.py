@@ -217,13 +217,11 @@ def _own(args: argparse.Namespace) -> list[str]:
 def _pass(
     args: argparse.Namespace, recording: Recording, name: str, settings: Settings, own: Sequence[str], record: Path | None
 ) -> Pass:
-    steering = args.path or settings.estimator.path
+    path = args.path or settings.estimator.path
     with with_files_of(recording, settings, own) as used:
         pilot = pilot_of(used, args.path)
         described = about(used, {"kind": "replay", "of": recording.name}, named=settings)
-    log_observer = BeliefLogObserver(
-        FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=steering)
-    )
+    log_observer = BeliefLogObserver(FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=path))
     ship = SensorJudge()
     observers: list[Observer] = [log_observer, ship]
     began = time.monotonic()
@@ -302,11 +300,9 @@ def _became_of(log: FlightLog) -> list[str]:
 
 
 def _row(r: ErrorRow) -> str:
-    lengths = (_mm(x) for x in (r.lateral_median_m, r.lateral_p95_m, r.down_bias_m, r.down_p95_m))
+    mm = (_mm(x) for x in (r.lateral_median_m, r.lateral_p95_m, r.down_bias_m, r.down_p95_m))
     angles = [("-" if math.isnan(a) else f"{math.degrees(a):.2f}") for a in (r.yaw_median_rad, r.yaw_p95_rad)]
-    return (
-        f"{r.name:<16}{r.count:>7}" + "".join(f"{x:>10}" for x in lengths) + f"{angles[0]:>9}{angles[1]:>8}{_ratio(r.nees):>10}"
-    )
+    return f"{r.name:<16}{r.count:>7}" + "".join(f"{x:>10}" for x in mm) + f"{angles[0]:>9}{angles[1]:>8}{_ratio(r.nees):>10}"
 
 
 def _deck_row(r: DeckRow) -> str:

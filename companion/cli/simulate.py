@@ -51,9 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     option(parser, "--seed N", "seed of all random numbers (default: 0)", default=0)
     flight_options.add_arguments(parser)
-    option(
-        parser, "--base SCENARIO", "fly it on this scenario instead of the base that its file names, as a fault in another sea"
-    )
+    option(parser, "--base SCENARIO", "fly it on this scenario instead of the base its file names, as a fault in another sea")
     option(parser, "--faults", "add one or two faults that the seed draws (docs/campaigns.md)", choices=("random",))
     option(parser, "--pad FILE", "pad file, or the name of a shipped one, on deck and looked for")
     option(parser, "--json", "print one JSON object")

@@ -69,9 +69,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"{' '.join(args.scenario)}: a policy is trained for one vehicle, and these have several")
     response = response_model(settings_for(scenarios[0], None))
     options = ImitationOptions()
-    worlds = [
-        TrainingWorlds(scenario, max(16, _WORLDS // len(scenarios)), AS_HANDED_OVER, args.threads) for scenario in scenarios
-    ]
+    worlds = [TrainingWorlds(one, max(16, _WORLDS // len(scenarios)), AS_HANDED_OVER, args.threads) for one in scenarios]
     with refused(f"{' '.join(args.scenario)}", ValueError):
         student = Imitation(worlds, response, args.seed, first, options=options)
     curve: list[dict[str, Any]] = []

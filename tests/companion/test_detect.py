@@ -121,6 +121,8 @@ def test_attitudes_take_the_tilt_out(album: Path, tmp_path: Path, capsys: pytest
     assert np.linalg.norm(d_told - true) < 0.006 < np.linalg.norm(d_assumed - true) < 0.09
     cov = np.reshape(assumed["cov"], (4, 4))[:3, :3]
     assert (d_assumed - true) @ np.linalg.solve(cov, d_assumed - true) < 11.3
+    assert detect(album / "b.png", *common, "--attitude", table) == 0
+    assert f"{table} has no row for 1 of 2 frames, taken as level: " in capsys.readouterr().err
 
 
 def test_a_video_is_read_frame_by_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -210,13 +210,18 @@ def test_a_photograph_is_rectified_by_four_corners_traced_and_found_again(tmp_pa
 def test_a_photograph_whose_paint_reaches_the_edge_is_refused_with_its_share(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     px = np.full((420, 420, 3), 250, np.uint8)
     cv2.circle(px, (210, 210), 180, (200, 60, 20), -1)
+    cv2.circle(px, (210, 210), 112, (250, 250, 250), 14)
+    cv2.rectangle(px, (190, 180), (230, 240), (250, 250, 250), -1)
     picture = tmp_path / "photo.png"
     cv2.imwrite(str(picture), px)
-    for at, code in ((28, 2), (5, 0)):
+    for at, code in ((28, 2), (5, 0), (150, 2)):
         corners = " ".join(f"{u},{v}" for u, v in ((at, at), (419 - at, at), (419 - at, 419 - at), (at, 419 - at)))
-        words = ["pad", "import", str(picture), "--corners", corners, "--size-mm", "800x800", "--sheet"]
-        assert main([*words, "--out", str(tmp_path / "mine.toml")]) == code
-    assert "100 % of the paint would be left out" in capsys.readouterr().err
+        words = ["pad", "import", str(picture), "--corners", corners, "--size-mm", "800x800", "--force"]
+        assert main([*words, *["--sheet"][: at < 100], "--out", str(tmp_path / "mine.toml")]) == code
+    err = capsys.readouterr().err
+    assert "rectangle without 16 mm on each side, where sheets curl, and " in err
+    assert " % of the paint would be left out: " in err
+    assert "paint goes around the rectangle of --corners and would be left out: give one that holds all of the pad" in err
 
 
 @pytest.mark.parametrize(("name", "roll_rad", "pitch_rad", "radius_px", "beyond"), ODD_VIEWS, ids=["aslant", "cut", "ring"])

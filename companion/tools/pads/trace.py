@@ -307,15 +307,26 @@ def photographed(
     around = max(0, round(aside))
     inside = np.s_[around : px.shape[0] - around, around : px.shape[1] - around]
     lost = float(np.mean((whole != image)[inside]) / max(1e-9, np.mean((whole != ground)[inside])))
+    cut = f" without {-1000.0 * _SHEET_MARGIN * max(size_m):.0f} mm on each side, where sheets curl," if sheet else ""
     if lost > _LOST_MOST:
         edge = "picture" if corners_px is None else "rectangle" if sheet else "picture around the rectangle"
         raise BadInput(
-            f"{where}: what is painted reaches the edge of the {edge}, and {100.0 * lost:.0f} % of the paint would be left out: "
-            "give a rectangle or picture that reaches further out, leave --sheet away, or give another number of --paints"
+            f"{where}: what is painted reaches the edge of the {edge}{cut} and {100.0 * lost:.0f} % of the paint would be left "
+            "out: give a rectangle or picture that reaches further out, leave --sheet away, or give another number of --paints"
+        )
+    if corners_px is not None and not sheet and any(_surrounds(whole == n, whole != image) for n in range(paints)):
+        raise BadInput(
+            f"{where}: paint goes around the rectangle of --corners and would be left out: give one that holds all of the pad"
         )
     extent_m = max(size_m) if corners_px is None else None
     scale = scale or max(1.0, _extent(image != ground)) / max(size_m)
     return Picture(image, tuple(rgb), scale, ground, _SPECK_PX, size_m=extent_m)
+
+
+def _surrounds(paint: NDArray[np.bool_], cleared: NDArray[np.bool_]) -> bool:
+    """Return whether what was cleared of a paint lies around the picture's middle."""
+    at, middle = np.argwhere(paint & cleared).astype(np.int32), 0.5 * np.array(paint.shape)
+    return len(at) > 0 and cv2.pointPolygonTest(cv2.convexHull(at), middle.tolist(), False) >= 0.0
 
 
 def _clear_edges(image: U8, ground: int) -> None:
