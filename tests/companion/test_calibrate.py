@@ -114,9 +114,7 @@ def test_what_a_calibration_says_of_itself_is_the_same_in_any_unit_and_true(tilt
 
 
 @pytest.mark.hazard("H12")
-def test_a_flat_set_is_written_by_consent_alone_and_its_cost_is_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flat_set_is_written_by_consent_alone_and_its_cost_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     studio, out = Studio(STRAIGHT, CHESSBOARD), tmp_path / "camera.toml"
     for i in range(4):
         px = studio.aim((200.0 + 15 * i, 180.0 - 8 * i), 0.55 + 0.02 * i, (0.6, -0.6, 7.0 * i))

@@ -201,9 +201,7 @@ def test_progress_stays_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, ca
     assert 10 < len(shown) < 40
 
 
-def test_what_is_logged_takes_the_place_of_the_progress(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_logged_takes_the_place_of_progress(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     with kept_flight.shown(quiet=False):
         logging.getLogger("drivers").warning("the link is gone")

@@ -235,9 +235,7 @@ def test_a_deck_moves_up_and_down_no_faster_than_any_vessel_does(deck: DeckMotio
         (0.12, 0.9, 0.46, True), (0.12, 0.9, 0.44, False), (0.09, 0.9, None, False),
     ],
 )  # fmt: skip
-def test_a_commit_that_would_slide_ends_while_it_can(
-    height_m: float, speed_m_s: float, ahead_m_s: float | None, ends: bool
-) -> None:
+def test_a_commit_that_would_slide_ends_in_time(height_m: float, speed_m_s: float, ahead_m_s: float | None, ends: bool) -> None:
     """WHY: 4 cm over the deck a drone that was braking already, from 0.46 m/s to 0.38, brushed it on its way up."""
     seen = estimate(NOW, (0.0, 0.0, height_m), (speed_m_s, 0.0, -0.4))
     contact = None if ahead_m_s is None else AtContact(0.0, ahead_m_s, 0.0)

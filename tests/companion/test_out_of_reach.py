@@ -168,9 +168,7 @@ def test_what_a_person_holds_moves_by_a_witness_alone(state: State) -> None:
         (0.0, None, 5.1, (), False), (20.0, 5.0, 5.1, (IntegrityAlert.RANGE,), True),
     ],
 )  # fmt: skip
-def test_a_refused_drone_climbs_no_further_where_range_and_estimate_agree_that_it_is_high(
-    age_s, range_m, height_m, alerts, climbs
-):
+def test_a_refused_drone_climbs_no_further_where_range_and_estimate_agree_it_is_high(age_s, range_m, height_m, alerts, climbs):
     """WHY: each wave lifted it a little without counting, and after it gave up it climbed by 3 m more, to 8.6 m."""
     seen = replace(estimate(NOW, (0.0, 0.0, height_m), age=age_s, sigma=0.2), alerts=alerts)
     p = waiting(State.GAVE_UP, seen_height_m=0.4, climbed_m=1.5)

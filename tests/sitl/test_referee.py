@@ -469,9 +469,7 @@ def numbers(referee: Referee) -> dict[str, float]:
 
 
 @given(flights, st.floats(-3.1, 3.1), st.tuples(*[st.floats(-100.0, 100.0)] * 3))
-def test_the_world_may_be_turned_and_moved(
-    flight: list[tuple[int, Step]], yaw_rad: float, at: tuple[float, float, float]
-) -> None:
+def test_the_world_may_be_turned_or_moved(flight: list[tuple[int, Step]], yaw_rad: float, at: tuple[float, float, float]) -> None:
     assert numbers(judged(in_time(flight), yaw_rad=yaw_rad, at_ned=at)) == pytest.approx(
         numbers(judged(in_time(flight))), abs=1e-6
     )
