@@ -210,7 +210,6 @@ class PageHealth(Struct, frozen=True, kw_only=True, tag_field="kind", tag="healt
     causes: tuple[HealthCause, ...]
     """Causes of trouble, the worst first; empty if there are none."""
     figures: tuple[tuple[str, str], ...]
-    """Names and values."""
 
 
 class PageEvent(Struct, frozen=True, kw_only=True, tag_field="kind", tag="event"):

@@ -3,6 +3,10 @@
 export const words = { orders: {}, phases: {}, situations: {}, ended: {} };
 export const $ = (id) => document.getElementById(id);
 
+export function write(id, text) {
+  if ($(id).textContent !== text) $(id).textContent = text;
+}
+
 export function chip(element, level, text) {
   element.dataset.level = level;
   element.textContent = text;

@@ -22,7 +22,7 @@ export class Link {
   }
 
   on(kind, handler) {
-    this.#handlers.set(kind, handler);
+    this.#handlers.set(kind, [...(this.#handlers.get(kind) ?? []), handler]);
   }
 
   get quiet_s() {
@@ -63,12 +63,12 @@ export class Link {
     if (data instanceof ArrayBuffer) {
       const length = new DataView(data).getUint32(0, true);
       const header = JSON.parse(this.#decoder.decode(new Uint8Array(data, 4, length)));
-      this.#handlers.get("picture")?.(header, new Uint8Array(data, 4 + length));
+      for (const handler of this.#handlers.get("picture")) handler(header, new Uint8Array(data, 4 + length));
       return;
     }
     const message = JSON.parse(data);
     if (message.kind === "refused") this.#said = message.text;
-    else this.#handlers.get(message.kind)?.(message);
+    else for (const handler of this.#handlers.get(message.kind) ?? []) handler(message);
   }
 
   #watch() {

@@ -1,7 +1,8 @@
 // The buttons, the slides that confirm what cannot be taken back, and the answers of the service.
-import { chip, words } from "./elements.js";
+import { chip, words, write } from "./elements.js";
 
 const ANSWER_MS = 3000;
+const SHOWN_MS = { info: 10_000, warning: 30_000, fault: 30_000 };
 const KNOB_PX = 62;
 const CONFIRMED = 0.95;
 // Orders that leave over a silent connection too: what is seen of the drone itself counts for them, and not the screen.
@@ -27,13 +28,13 @@ export class Orders {
   #begin = document.querySelector('[data-order="begin"]');
   #answer = document.getElementById("answer");
   #state = null;
-  #kept = null; // the newest of `KEPT` that did not leave, or was not answered
+  #kept = null; // the newest of `KEPT` that did not leave, or was not answered: then with what was seen when it left
   #passing = false; // the answer that is shown is of a connection that is lost or silent
+  #fades; // takes the answer away that is shown
   round_s = 0; // from the newest order until its answer
   #fit = false; // nothing is missing or wrong that a landing needs
   #asked = null; // the button whose order waits for its slide
   #asks = document.getElementById("asks");
-  #says = document.getElementById("asks-says");
   #slide;
   #confirm;
 
@@ -72,8 +73,7 @@ export class Orders {
   }
 
   #say() {
-    const says = ASKS[this.#asked.dataset.order].says(this.#state);
-    if (this.#says.textContent !== says) this.#says.textContent = says;
+    write("asks-says", ASKS[this.#asked.dataset.order].says(this.#state));
   }
 
   // An order that is likely to be refused is given all the same: the service's answer says why.
@@ -81,13 +81,14 @@ export class Orders {
     this.#ask(null);
     const number = ++this.#number;
     if (!this.#link.send({ kind: "order", number, order, seen_at_s: this.#state?.at_s }, !STOPS.includes(order))) {
-      this.#unsent(order, `not sent, the connection is ${this.#link.live ? "silent" : "lost"}`);
+      this.#unsent({ order, seen_s: Infinity }, `not sent, the connection is ${this.#link.live ? "silent" : "lost"}`);
       return;
     }
+    this.#kept = null;
     button?.setAttribute("aria-busy", "true");
     this.tell("", `${words.orders[order]}: sent`);
     const late = setTimeout(() => this.settle(number, "fault", "no answer"), ANSWER_MS);
-    this.#waiting.set(number, { order, button, late, at: performance.now() });
+    this.#waiting.set(number, { order, button, late, at: performance.now(), seen_s: this.#state?.at_s ?? 0 });
   }
 
   // Shows the orders of a connection, and a notice of it; off when it is lost.
@@ -95,27 +96,37 @@ export class Orders {
     if (on || this.#state !== null) this.tell("warning", notice);
     if (on) {
       for (const button of this.#buttons) button.textContent = words.orders[button.dataset.order];
-      const kept = this.#kept;
-      this.#kept = null;
-      if (kept !== null) this.give(kept);
     } else {
       for (const button of this.#buttons) button.setAttribute("aria-disabled", "true");
-      for (const number of [...this.#waiting.keys()]) this.#unsent(this.#take(number).order, "no answer, the connection is lost");
+      for (const number of [...this.#waiting.keys()]) this.#unsent(this.#take(number), "no answer, the connection is lost");
       this.#ask(null);
       this.#state = null;
     }
   }
 
-  #unsent(order, why) {
+  // One that left after the state of `seen_s` may have arrived: the events of the next connection say so.
+  #unsent({ order, seen_s }, why) {
     const keeps = KEPT.includes(order);
-    if (keeps) this.#kept = order;
+    if (keeps) this.#kept = { order, seen_s };
     const says = keeps ? [] : [`${words.orders[order]}: ${why}`];
-    if (this.#kept !== null) says.push(`${words.orders[this.#kept]}: will be sent when the connection is back`);
+    const will = this.#kept?.seen_s === Infinity ? "will be sent" : "no answer; will be sent again, if it did not arrive,";
+    if (this.#kept !== null) says.push(`${words.orders[this.#kept.order]}: ${will} when the connection is back`);
     this.tell(keeps ? "warning" : "fault", says.join(". "));
     this.#passing = true;
   }
 
+  // What is ordered by others makes an answer old; a connection begins with the newest events.
+  event({ at_s, text }) {
+    if (!text.endsWith(": accepted")) return;
+    if (this.#kept !== null && at_s >= this.#kept.seen_s && text.endsWith(`: ${words.orders[this.#kept.order]}: accepted`)) {
+      this.tell("info", `${words.orders[this.#kept.order]}: obeyed`);
+      this.#kept = null;
+    } else if (!text.startsWith("you") && this.#answer.dataset.level === "info") this.tell("", "");
+  }
+
+  // The first health of a connection follows its events.
   health(message) {
+    if (this.#kept !== null) this.give(this.#kept.order);
     this.#fit = message.causes.every(({ level }) => level === "info");
   }
 
@@ -152,6 +163,8 @@ export class Orders {
 
   tell(level, text) {
     this.#passing = false;
+    clearTimeout(this.#fades);
+    this.#fades = setTimeout(() => this.#passing || this.tell("", ""), SHOWN_MS[level]);
     chip(this.#answer, level, text);
   }
 }

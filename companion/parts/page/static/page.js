@@ -17,16 +17,14 @@ const THEME = "decklander.theme";
 const UNKNOWN = "What the drone does now is not known here: a landing may go on, or the service has ended and the drone hovers.";
 const ENDED = "Without it the drone hovers; a landing that a person ordered may go on.";
 
-function theme(name) {
-  document.documentElement.dataset.theme = name;
-}
 const system = matchMedia("(prefers-color-scheme: dark)");
-const chosen = () => localStorage.getItem(THEME) ?? (system.matches ? "dark" : "light");
-theme(chosen());
-system.addEventListener("change", () => theme(chosen()));
+const shown = document.documentElement.dataset;
+const theme = () => (shown.theme = localStorage.getItem(THEME) ?? (system.matches ? "dark" : "light"));
+theme();
+system.addEventListener("change", theme);
 $("theme").addEventListener("click", () => {
-  localStorage.setItem(THEME, document.documentElement.dataset.theme === "dark" ? "light" : "dark");
-  theme(chosen());
+  localStorage.setItem(THEME, shown.theme === "dark" ? "light" : "dark");
+  theme();
 });
 
 // A token in the address's fragment never reaches a server or its log; it leaves the address at once.
@@ -35,11 +33,13 @@ if (given !== null) {
   sessionStorage.setItem(TOKEN, given);
   history.replaceState(null, "", location.pathname);
 }
+// A browser does not load a page again whose address changes behind the # alone.
+addEventListener("hashchange", () => new URLSearchParams(location.hash.slice(1)).has("token") && location.reload());
 
 const link = new Link();
 const orders = new Orders(link);
-const picture = new Picture($("picture"), $("picture-note"), (message) => link.send(message));
-const sticks = new Sticks(link, orders, $("sticks"), $("by-hand"), $("hand-note"));
+const picture = new Picture((message) => link.send(message));
+const sticks = new Sticks(link, orders);
 const plots = new Plots();
 new RecordingsList(link);
 const doctor = new Doctor(link);
@@ -77,8 +77,7 @@ link.on("welcome", (message) => {
   const again = run !== null && run !== message.run ? "the service started again" : "";
   [run, ended] = [message.run, false];
   if (again) telling.event({ at_s: 0, level: "warning", text: again });
-  picture.camera(...message.camera_px);
-  picture.begin(message.h264);
+  picture.begin(message);
   for (const view of views) view.pad(message);
   orders.enable(true, again);
 });
@@ -91,11 +90,10 @@ link.on("state", (message) => {
   plots.show(message);
   for (const view of views) view.show(message);
 });
-link.on("health", (message) => {
-  telling.health(message);
-  orders.health(message);
-});
+link.on("health", telling.health);
+link.on("health", (message) => orders.health(message));
 link.on("event", telling.event);
+link.on("event", (message) => orders.event(message));
 link.on("answer", ({ number, accepted, text }) => orders.settle(number, accepted ? "info" : "fault", text));
 link.on("picture", (header, image) => picture.show(header, image));
 link.onQuiet = (quiet_s) => {

@@ -1,4 +1,5 @@
 // The live picture with the estimate's lines over it. A picture is drawn as soon as it is decoded, and the service is told so.
+import { $ } from "./elements.js";
 import { VideoPictures } from "./video.js";
 
 const INK = { pad: "#f0e442", seen: "#cc79a7", sigma: "#ff6f3c", ahead: "#56b4e9" };
@@ -6,8 +7,8 @@ const DASH = { sigma: [4, 3], ahead: [6, 4] };
 const OLD_MS = 1000;
 
 export class Picture {
-  #canvas;
-  #note;
+  #canvas = $("picture");
+  #note = $("picture-note");
   #send;
   #video;
   #newest = null;
@@ -15,21 +16,21 @@ export class Picture {
   #lines = true;
   #camera = [640, 360];
 
-  constructor(canvas, note, send) {
-    this.#canvas = canvas;
-    this.#note = note;
+  constructor(send) {
     this.#send = send;
     this.#video = new VideoPictures(
       (header, frame) => this.#take(header, frame),
       (codec) => send({ kind: "picture", codec }),
     );
-    new ResizeObserver(() => this.#draw()).observe(canvas);
+    new ResizeObserver(() => this.#draw()).observe(this.#canvas);
     setInterval(() => this.#age(), 250);
   }
 
-  camera(width, height) {
-    this.#camera = [width, height];
-    this.#canvas.parentElement.style.setProperty("--aspect", `${width} / ${height}`);
+  // A new connection: the service sends JPEG until it is asked for H.264.
+  begin({ camera_px, h264 }) {
+    this.#camera = camera_px;
+    this.#canvas.parentElement.style.setProperty("--aspect", camera_px.join(" / "));
+    this.#video.begin(h264);
   }
 
   showLines(on) {
@@ -40,11 +41,6 @@ export class Picture {
   forget() {
     this.#at = null;
     this.#age();
-  }
-
-  // A new connection: the service sends JPEG until it is asked for H.264.
-  begin(h264) {
-    this.#video.begin(h264);
   }
 
   async show(header, image) {

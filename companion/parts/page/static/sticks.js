@@ -1,6 +1,6 @@
 // Flight by hand: touch, keyboard or gamepad. Positions leave 20 times a second while this page has the hand; when they stop
 // (a hidden tab, a lost link) the service holds.
-import { part, words } from "./elements.js";
+import { $, part, words, write } from "./elements.js";
 
 const EACH_MS = 50;
 const DEAD = 0.1;
@@ -17,24 +17,20 @@ export class Sticks {
   #link;
   #orders;
   #taken = "";
-  #host;
-  #button;
-  #note;
-  #pads;
+  #host = $("sticks");
+  #button = $("by-hand");
+  #note = $("hand-note");
+  #pads = [new Pad(this.#host, "Height and turning", "turn", "climb"), new Pad(this.#host, "Sideways and forward", "right", "forward")];
   #pressed = new Set();
   #yours = false;
   #asked = -ASKED_MS;
 
-  constructor(link, orders, host, button, note) {
+  constructor(link, orders) {
     this.#link = link;
     this.#orders = orders;
-    this.#host = host;
-    this.#button = button;
-    this.#note = note;
-    this.#pads = [new Pad(host, "Height and turning", "turn", "climb"), new Pad(host, "Sideways and forward", "right", "forward")];
-    button.addEventListener("click", () => {
+    this.#button.addEventListener("click", () => {
       this.#asked = this.#yours ? -ASKED_MS : performance.now();
-      orders.give(this.#yours ? "release" : "manual", button);
+      orders.give(this.#yours ? "release" : "manual", this.#button);
     });
     addEventListener("keydown", (event) => this.#key(event, true));
     addEventListener("keyup", (event) => this.#key(event, false));
@@ -47,8 +43,7 @@ export class Sticks {
     this.#yours = message.yours;
     this.#host.hidden = !message.yours;
     this.#button.setAttribute("aria-pressed", String(message.yours));
-    const name = words.orders[message.yours ? "release" : "manual"];
-    if (this.#button.textContent !== name) this.#button.textContent = name;
+    write("by-hand", words.orders[message.yours ? "release" : "manual"]);
     const why = message.refusals[message.yours ? "release" : "manual"];
     this.#button.setAttribute("aria-disabled", String(why !== null));
     this.#button.title = why ?? "";

@@ -1,5 +1,5 @@
 // What the page says in words and figures: phase and reason, who commands, figures, health and its causes, events.
-import { $, chip, part, words } from "./elements.js";
+import { $, chip, part, words, write } from "./elements.js";
 
 const EVENTS = 100;
 const DEGREES = 180 / Math.PI;
@@ -14,10 +14,6 @@ function set(id, text, unit = "", level = "") {
   element.dataset.level = level;
   element.replaceChildren(text);
   if (unit) element.append(part("small", unit));
-}
-
-function write(id, text) {
-  if ($(id).textContent !== text) $(id).textContent = text;
 }
 
 export function welcome(message) {
