@@ -20,6 +20,8 @@ class ReasonCause(Enum):
     TAKEN_OVER = "{detail:s}"
     GIVEN_BACK = "the vehicle was given back"
     OPERATOR = "by the operator's order"
+    LANDING = "the operator lands it where it is"
+    SERVICE = "by the service's own watch: {detail:s}"
     AUTOMATIC = "the settings say to begin by itself"
     RESTARTED = "the service came back {measured:.1f} s after its last record: {detail:s}"
 
@@ -165,6 +167,9 @@ class Reason(Struct, frozen=True):
             detail = "" if self.detail is None else self.detail if isinstance(self.detail, str) else self.detail.value
         numbers = {"measured": _or_nan(self.measured), "limit": _or_nan(self.limit)}
         return self.cause.value.format(detail=detail, **numbers)
+
+
+ORDERED = Reason(ReasonCause.OPERATOR)
 
 
 def _or_nan(value: float | None) -> float:

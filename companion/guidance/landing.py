@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from msgspec import Struct, field, structs
 
-from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, Event, Reason, ReasonCause, State, StateChange
+from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, ORDERED, Event, Reason, ReasonCause, State, StateChange
 from companion.base.observer import ResponseInUse
 from companion.guidance import targets
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, FieldOfView, Impact, Knowledge, Target
@@ -232,7 +232,7 @@ class LandingGuidance:
         if self.mission.state is State.INTERCEPT and self._thing is not None:
             return self._thing.text
         ended = self.mission.reason
-        if self.mission.state is State.PAUSED and ended is not None and ended.cause is ReasonCause.STAYED:
+        if self.mission.state is State.PAUSED and ended is not None and ended.cause in (ReasonCause.STAYED, ReasonCause.SERVICE):
             return ended.text
         if self.mission.state in _PLAIN:
             return "" if (late := self._late_video()) is None or self.mission.state not in FLOWN else late.text
@@ -253,8 +253,8 @@ class LandingGuidance:
             return None
         return Reason(ReasonCause.VIDEO_LATE, late_s, 100.0 * expected_error_m(self._tilt, late_s))
 
-    def order(self, event: Event, at: MonoNs | None = None) -> None:
-        """Take an order of the operator, given at a time later than the newest sample or cycle, or now."""
+    def order(self, event: Event, at: MonoNs | None = None, why: Reason = ORDERED) -> None:
+        """Take an order, given at a time later than the newest sample or cycle, or now."""
         self._now = max(self._now, at or self._now)
         if event in (Event.BEGIN, Event.STAY):
             self.vessel_track = self.vessel_track.restarted()
@@ -264,7 +264,7 @@ class LandingGuidance:
         if event is Event.PAUSE and self.before is not None and State.__members__.get(self.before.state) in FLOWN:
             # A hold may come before the vehicle's first report, and what was under way does not go on against it.
             self.before = structs.replace(self.before, state=State.PAUSED.name)
-        self.mission, changes = take_order(self.mission, event, self._now, self._guidance)
+        self.mission, changes = take_order(self.mission, event, self._now, self._guidance, why)
         self._changes += changes
 
     def retune(self, guidance: GuidanceOptions) -> None:

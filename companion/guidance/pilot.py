@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from msgspec import Struct, structs
 
-from companion.base.mission import FLOWN, GROUND, Event, FlightOutcome, State
+from companion.base.mission import FLOWN, GROUND, ORDERED, Event, FlightOutcome, Reason, State
 from companion.base.observer import Decision, DeckOutlook
 from companion.guidance.controller import Controller, FieldOfView
 from companion.guidance.controllers import ControllerSetup, make_controller
@@ -182,11 +182,6 @@ class Pilot:
         return self.landing.state
 
     @property
-    def phase(self) -> str:
-        """The state of the mission as text."""
-        return self.landing.state.value
-
-    @property
     def outcome(self) -> FlightOutcome | None:
         """The outcome of the flight, which a pilot's hand does not change once it has ended; None while it goes on."""
         state, before = self.landing.state, self.landing.mission.taken_from
@@ -212,9 +207,9 @@ class Pilot:
         self.landing.order(Event.STAY, at)
         self.engage()
 
-    def pause(self) -> None:
-        """Hold still for the operator until `begin` is called."""
-        self.landing.order(Event.PAUSE)
+    def pause(self, why: Reason = ORDERED) -> None:
+        """Hold still until `begin` is called."""
+        self.landing.order(Event.PAUSE, None, why)
 
     def abort(self) -> None:
         """Hold still for the operator and end the flight. A landing already ordered is no longer repeated."""
@@ -342,7 +337,7 @@ class Pilot:
         response = self.landing.on_command(now, chosen.command)
         shadows = tuple(b for b in believed if b.path != steering)
         changes = self.landing.changed()
-        phase, why = chosen.phase or self.phase, chosen.limit or chosen.reason or self._why(belief)
+        phase, why = chosen.phase or self.state.value, chosen.limit or chosen.reason or self._why(belief)
         limit, why = ("; ".join(filter(None, (text, self.landing.ignoring))) for text in (chosen.limit, why))
         made = self.landing.forecast_made(now)
         ahead = None if made is None else DeckOutlook.of(made)

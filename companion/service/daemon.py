@@ -482,7 +482,7 @@ class Daemon:
             log.log(
                 logging.WARNING if missing else logging.INFO,
                 "%s; frames: %s; exposure to belief %s",
-                ": ".join(filter(None, (self._pilot.phase, ", ".join(missing)))),
+                ": ".join(filter(None, (self._pilot.state.value, ", ".join(missing)))),
                 frames or "none",
                 "unknown" if belief is None or belief.p50_s is None else f"{1e3 * belief.p50_s:.0f} ms",
             )

@@ -148,6 +148,9 @@ def test_a_vehicle_that_stands_landed_by_our_order_or_by_others(we_land: bool, e
     p, changes = take_status(in_state(State.DOWN, we_land=we_land), status(3.0, flying=False), OPTIONS)
     assert events_of(changes) == [(ns(3), State.DOWN, event, p.state, ReasonCause.VEHICLE_STANDS)]
     assert p.state is REPORTS[event]
+    why = Reason(ReasonCause.LANDING if we_land else ReasonCause.OPERATOR)
+    paused, _ = take_order(in_state(State.PAUSED), Event.PAUSE, ns(1), OPTIONS, why)
+    assert take_status(paused, status(3.0, flying=False), OPTIONS)[0].state is p.state
 
 
 @pytest.mark.parametrize("state", STAYS_UP)
@@ -219,7 +222,7 @@ NO_FAULT = {
     ReasonCause.OUT_OF_CONE, ReasonCause.LOW_ENOUGH, ReasonCause.ALL_LIMITS_HOLD, ReasonCause.FELT, ReasonCause.STAYED,
     ReasonCause.HELD_UP, ReasonCause.PRESSED, ReasonCause.HIGH_ENOUGH, ReasonCause.VESSEL_FAR, ReasonCause.VESSEL_AWAY,
     ReasonCause.VESSEL_NEAR, ReasonCause.REACHED, ReasonCause.GIVEN_BACK, ReasonCause.RESTARTED,
-    ReasonCause.PILOT_LANDS,
+    ReasonCause.PILOT_LANDS, ReasonCause.LANDING, ReasonCause.SERVICE,
 }  # fmt: skip
 BY_DETAIL = {ReasonCause.ALERT, ReasonCause.FRAMES}
 

@@ -132,7 +132,7 @@ class Loop:
             decision = self.tick(fault)
             if done(decision):
                 return decision
-        raise AssertionError(f"not within {seconds} s: {self.pilot.phase}, {self.pilot.landing.reason}, {self.d}")
+        raise AssertionError(f"not within {seconds} s: {self.pilot.state.value}, {self.pilot.landing.reason}, {self.d}")
 
 
 def descends(decision: Decision) -> bool:
@@ -153,7 +153,7 @@ def below(height_m: float, loop: Loop):
 def test_no_history_of_faults_makes_it_descend_without_a_fresh_consistent_estimate_of_its_pad(spells, path, pause_at):
     loop, flown, landing_s, around = Loop(path), None, 0.0, 0
     loop.until(below(2.4, loop))
-    before = loop.pilot.phase
+    before = loop.pilot.state.value
     for ticks, fault in spells:
         for _ in range(ticks):
             decision = loop.tick(fault)
@@ -168,9 +168,9 @@ def test_no_history_of_faults_makes_it_descend_without_a_fresh_consistent_estima
                 assert belief.track == flown
             landing_s = landing_s + TICK_S if lands else 0.0
             assert landing_s <= GUIDANCE.land_timeout_s + 2 * TICK_S
-            around += loop.pilot.phase in ("go around",) and before not in ("go around",)
+            around += loop.pilot.state.value in ("go around",) and before not in ("go around",)
             assert around <= 2 * (TRIES.go_arounds_max + 1)
-            before = loop.pilot.phase
+            before = loop.pilot.state.value
             if loop.ticks == pause_at:
                 loop.pilot.pause()
                 assert not descends(paused := loop.tick(fault)) or fit_to_steer(paused.belief, paused.at, GUIDANCE.stale_after_s)
@@ -296,15 +296,15 @@ def test_a_deck_that_would_move_as_none_does_leads_nobody_down_nor_up(monkeypatc
 def test_a_pad_in_glare_is_not_landed_upon_before_it_is_seen_or_called_clear(passes: bool) -> None:
     loop = Loop("ekf", GuidanceOptions(mission="cone", controller="pid"))
     loop.glare = 0.31
-    loop.until(lambda decision: loop.pilot.phase == "gate" and "31 % of the pad is in glare" in decision.reason)
+    loop.until(lambda decision: loop.pilot.state.value == "gate" and "31 % of the pad is in glare" in decision.reason)
     for _ in range(60):
         loop.tick()
-        assert loop.pilot.phase not in ("commit", "press", "down")
+        assert loop.pilot.state.value not in ("commit", "press", "down")
     if passes:
         loop.glare = 0.0
     else:
         assert loop.pilot.operator.take(OperatorOrder.CLEAR, OrderSender(OrderSource.PAGE), loop.now).accepted
-    loop.until(lambda decision: loop.pilot.phase == "commit")
+    loop.until(lambda decision: loop.pilot.state.value == "commit")
 
 
 # The pilot's own: frames and samples as they come

@@ -179,7 +179,7 @@ class Guidance:
     def stay(self, at: MonoNs) -> None:
         self.begin(at)
 
-    def pause(self) -> None:
+    def pause(self, why: object = None) -> None:
         self.paused, self.command = True, Hover()
 
     def abort(self) -> None:

@@ -35,7 +35,7 @@ from types import MappingProxyType
 
 from msgspec.structs import replace
 
-from companion.base.mission import ENDED, FLOWN, GROUND, Event, Reason, ReasonCause, State, StateChange
+from companion.base.mission import ENDED, FLOWN, GROUND, ORDERED, Event, Reason, ReasonCause, State, StateChange
 from companion.guidance import targets
 from companion.guidance.controller import Target
 from companion.guidance.mission import (
@@ -138,12 +138,13 @@ def take(p: Progress, event: Event, reason: Reason, at: MonoNs, o: GuidanceOptio
     return entered(p, change), (change,)
 
 
-def take_order(p: Progress, event: Event, at: MonoNs, o: GuidanceOptions) -> tuple[Progress, Transitions]:
-    """Take an order of the operator: BEGIN, STAY, PAUSE or ABORT."""
+def take_order(p: Progress, event: Event, at: MonoNs, o: GuidanceOptions, why: Reason = ORDERED) -> tuple[Progress, Transitions]:
+    """Take an order: BEGIN, STAY, PAUSE or ABORT; the newest one gives a pause its reason."""
     if event in (Event.BEGIN, Event.STAY) and p.stays != (event is Event.STAY):
         # On the way to the pad the order alone decides what follows there.
         p = replace(p, stays=event is Event.STAY)
-    return take(p, event, Reason(ReasonCause.OPERATOR), at, o)
+    p, changes = take(p, event, why, at, o)
+    return (replace(p, reason=why) if event is Event.PAUSE and p.state is State.PAUSED else p), changes
 
 
 def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resumes: bool = False) -> tuple[Progress, Transitions]:
@@ -158,6 +159,8 @@ def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resum
     if status.flying is False:
         if p.state in ENDED:
             return replace(p, stood=True), ()
+        if p.state is State.PAUSED and p.reason is not None and p.reason.cause is ReasonCause.LANDING:
+            return take(p, Event.GROUNDED, ORDERED, at, o)
         by_us = Event.GROUNDED if p.ordered else Event.GROUNDED_BY_OTHERS
         return take(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
     # A report from before the order to begin belongs to the flight before.

@@ -58,7 +58,7 @@ PHASES = {
         {**FLIGHT, **_SEARCHES},
     ),
     State.PAUSED: Phase("Held still by the operator.", {**HELD, **_SEARCHES, Event.TAKEN: State.TAKEN}, aim=still_as_ordered),
-    State.LANDED: Phase("The vehicle is on the ground after our order.", _NEXT),
+    State.LANDED: Phase("The vehicle is on the ground after our order, or the operator's to land where it is.", _NEXT),
     State.LANDED_BY_OTHERS: Phase("The vehicle is on the ground without our order.", _NEXT),
     State.REFUSED: Phase("Held still: the conditions are beyond the limits.", _TRIES_AGAIN, _battery_ends, _refused),
     State.GAVE_UP: Phase(

@@ -15,6 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.base.loop_lag import STOOD_S
+from companion.base.mission import ORDERED, Reason, ReasonCause
 from companion.base.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.operator.command_limits import Limit, PlaceMemory, limited, place_step
 from companion.guidance.operator.precedence import CROSSING_S, IDLE_HAND_S, REASONS, TABLE, ControlSituation, Rule, crossed
@@ -64,7 +65,7 @@ class Guided(Protocol):
 
     def stay(self, at: MonoNs) -> None: ...
 
-    def pause(self) -> None: ...
+    def pause(self, why: Reason = ORDERED) -> None: ...
 
     def abort(self) -> None: ...
 
@@ -302,7 +303,7 @@ class OperatorArbiter:
         fenced_s = seconds_between(self._limited.fenced_since or now, now)
         if not manual and fenced_s >= self._limits.fence_ends_s and not self._guided.paused:
             why = f"{Limit.FENCE.value} held guidance back for {self._limits.fence_ends_s:g} s"
-            self._guided.pause()
+            self._guided.pause(Reason(ReasonCause.SERVICE, detail=why))
             self.tell(HandledOrder(now, OrderSender(OrderSource.LIMITS), OperatorOrder.HOLD, None, f"({why})"))
             self._limited = replace(self._limited, ended=f"landing ended: {why}")
             chosen = replace(chosen, command=Hover())
@@ -407,10 +408,12 @@ class OperatorArbiter:
                 if guided.vehicle is not None and guided.vehicle.taken is not None:
                     guided.engage()
                 if guided.vehicle is None or guided.vehicle.flying is not False:
-                    guided.pause()
+                    guided.pause(Reason(ReasonCause.LANDING))
             case OperatorOrder.ABORT | OperatorOrder.HOLD:
                 self._control = replace(control, hand=None, take_off=None, landing=None, called_off=given)
-                (guided.abort if order is OperatorOrder.ABORT else guided.pause)()
+                watch = Reason(ReasonCause.SERVICE, detail=given.sender.name.strip("()"))
+                why = watch if given.sender.source is OrderSource.LIMITS else ORDERED
+                guided.abort() if order is OperatorOrder.ABORT else guided.pause(why)
             case OperatorOrder.TAKE_OFF:
                 # During a landing it may only end that: the motors of a vehicle that has just touched down would start.
                 begins, ends = (given, None) if control.landing is None else (None, given)
@@ -427,5 +430,5 @@ class OperatorArbiter:
         """Take the hand from a sender that is gone, and hover."""
         self._control = replace(self._control, hand=None, sticks=CENTRED)
         self.hand_taken = sender, f"{why}: it hovers"
-        self._guided.pause()
+        self._guided.pause(Reason(ReasonCause.SERVICE, detail=why))
         self.tell(HandledOrder(now, sender, OperatorOrder.HOLD, None, f"({why})"))

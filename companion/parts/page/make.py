@@ -1,7 +1,6 @@
 """Make the page with its tools from the settings of a service: the guided calibration and the doctor among them."""
 
 import asyncio
-import math
 import tomllib
 from contextlib import closing
 from dataclasses import dataclass
@@ -39,7 +38,6 @@ from estimator.vision.camera import Camera
 NO_CALIBRATION_IN_FLIGHT = "the vehicle flies: the camera is calibrated on the ground"
 TOOK_OFF = "the vehicle took off, which ends the calibration"
 NAME = "camera_calibrated.toml"
-"""The file that is written beside the settings."""
 _FRAME_S = 0.2
 """Interval of the frames that are looked at: a person moves a board no faster."""
 _MARKER = 0.72
@@ -148,7 +146,7 @@ class CalibrationTool(Tool):
         solution = run.guide.solution
         if solution is None or run.guide.state.grade in (None, "poor"):
             return ""
-        roll, pitch, yaw = (math.degrees(angle) for angle in self._service.pilot.camera.T_body_cam.R.rpy_rad)
+        roll, pitch, yaw = np.degrees(self._service.pilot.camera.T_body_cam.R.rpy_rad).tolist()
         return text(solution, f"the operator page ({run.board}, {run.guide.state.grade})", (roll, pitch, yaw))
 
     def _saved(self) -> CalibrationReport:
@@ -182,7 +180,6 @@ EXAMINATION_ENDED = "the vehicle took off, which ends the examination"
 _AGAIN_S = 5.0
 """A younger diagnosis is used again."""
 LISTENING_S = 4.0
-"""Time for which messages are counted."""
 _LOOKS_S = 0.1
 
 

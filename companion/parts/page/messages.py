@@ -72,7 +72,6 @@ class ExaminedReport(Struct, frozen=True, kw_only=True, tag_field="kind", tag="e
 
     text: str
     busy: bool = False
-    """True if the examination is still under way."""
     findings: tuple[PageFinding, ...] | None = None
     """None if nothing was examined."""
 
@@ -93,7 +92,6 @@ class SettingsText(Struct, frozen=True, kw_only=True, tag_field="kind", tag="set
     """The settings, with the secrets of addresses hidden."""
 
     text: str
-    """The settings file."""
     in_force: str
     """The settings of the running service with every default."""
     path: str
@@ -120,9 +118,7 @@ class CalibrationRequest(Struct, frozen=True, kw_only=True, tag_field="kind", ta
     action: Literal["begin", "end", "save"]
     board: Literal["charuco", "chessboard"] = "charuco"
     columns: Annotated[int, Meta(ge=3, le=40)] = 7
-    """Squares across."""
     rows: Annotated[int, Meta(ge=3, le=40)] = 10
-    """Squares down."""
     square_mm: Annotated[float, Meta(ge=1.0, le=1000.0)] = 25.0
 
 
@@ -160,7 +156,6 @@ class PageWelcome(Struct, frozen=True, kw_only=True, tag_field="kind", tag="welc
     """The answer to the right token: what does not change while the service runs."""
 
     you: str
-    """This browser as a sender of orders."""
     run: str
     """Name of this run of the service: another one after a restart."""
     vehicle: str
@@ -182,11 +177,9 @@ class PageState(FlightState, frozen=True, kw_only=True, tag_field="kind", tag="s
     advice: str
     """Advice for a person on the mission's newest change; empty if there is nothing to do."""
     landing: bool
-    """Guidance flies a landing."""
     belief: BeliefRecord | None
     """The steering estimate, without its details; null where its place is not known."""
     deck: DeckRecord | None
-    """The deck's forecast."""
     things: tuple[ThingReport, ...]
     """Objects on the pad and about it in the newest frame."""
     roll_rad: float | None

@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from companion.base.mission import FLOWN, FlightOutcome, State
+from companion.base.mission import FLOWN, FlightOutcome, Reason, ReasonCause, State
 from companion.base.observer import Decision, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder
 from companion.facts import encode
@@ -213,6 +213,8 @@ class Replay:
         """Hand an order on; carry out the one that shows in no phase."""
         if handled.accepted and handled.order is OperatorOrder.CLEAR:
             self._pilot.overrule()
+        elif handled.accepted and handled.order is OperatorOrder.LAND:
+            self._pilot.pause(Reason(ReasonCause.LANDING))
         elif handled.accepted and handled.order is OperatorOrder.STAY:
             self._pilot.stay()
         elif handled.accepted and handled.order is OperatorOrder.BEGIN and self._pilot.landing.mission.stays:

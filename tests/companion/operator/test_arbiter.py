@@ -46,15 +46,14 @@ class Guidance:
     def may_begin(self) -> bool:
         return self.vehicle is not None and self.vehicle.flying is not False
 
-    def begin(self, at: MonoNs) -> None:
-        self.told.append("begin")
+    def begin(self, at: MonoNs, word: str = "begin") -> None:
+        self.told.append(word)
         self.outcome, self.paused = None, False
 
     def stay(self, at: MonoNs) -> None:
-        self.told.append("stay")
-        self.outcome, self.paused = None, False
+        self.begin(at, "stay")
 
-    def pause(self) -> None:
+    def pause(self, why: object = None) -> None:
         self.told.append("pause")
         self.paused = True
 
