@@ -63,7 +63,7 @@ class Answers(Struct, frozen=True):
     link: str
     """MAVLink link of an autopilot; address of an AR.Drone."""
     camera: str
-    """V4L2 device, "libcamera:" and the name of a Raspberry Pi's camera, or "vehicle"."""
+    """V4L2 device, "libcamera:" and the name of a Raspberry Pi's camera, a stream's address, or "vehicle"."""
     camera_file: str
     pad: str
     place: str
@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     option(parser, "--vehicle", "vehicle", choices=sorted(VEHICLES))
     option(parser, "--link URL", "MAVLink link of an autopilot, or address of an AR.Drone (default: found)")
-    option(parser, "--camera DEVICE", "camera: a V4L2 path or a part of its name, or libcamera:NAME (default: found)")
+    option(parser, "--camera DEVICE", "camera: a V4L2 path or a part of its name, libcamera:NAME or an address (default: found)")
     option(parser, "--camera-file FILE", "camera file of yours (default: a shipped one to begin with)")
     option(parser, "--pad NAME", "pad: a shipped one or a file of yours")
     option(parser, "--where", "place of the flights", choices=sorted(PLACES))
@@ -270,12 +270,9 @@ def _stack(messages: Sequence[Message]) -> str:
 def _page_addresses() -> dict[str, str]:
     """Return where the page may listen: on loopback, on this computer's own address by TLS, or nowhere."""
     found = {"127.0.0.1": "this computer alone; from elsewhere through SSH"}
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.168.1.1", 9))  # sends nothing: it chooses the address towards that network
-            found[probe.getsockname()[0]] = "phones and laptops of this network, by TLS with a certificate of its own"
-        except OSError:
-            pass
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.connect(("192.168.1.1", 9))  # sends nothing: it chooses the address towards that network
+        found[probe.getsockname()[0]] = "phones and laptops of this network, by TLS with a certificate of its own"
     return found | {"off": "no page"}
 
 
@@ -293,6 +290,8 @@ def settings_text(answers: Answers, out: Path) -> str:
     if kind == "libcamera":
         camera += ['source = "libcamera"', f'device = "{name}"    # empty: the only one', "[camera.exposure]"]
         camera += ['mode = "pad"    # by the light on the pad, and short: motion blurs']
+    elif "://" in answers.camera:
+        camera += ['source = "stream"', f'device = "{answers.camera.removeprefix("stream:")}"']
     elif autopilot:
         camera += ['source = "v4l2"', f'device = "{answers.camera}"']
         if answers.place != "indoors":

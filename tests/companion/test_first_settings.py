@@ -31,12 +31,13 @@ from tests.support.mqtt_service import decision
     ("vehicle", "where"), [*product(start.VEHICLES, sorted(start.PLACES)[:1]), *product(sorted(start.VEHICLES)[:1], start.PLACES)]
 )
 def test_the_file_is_short_commented_good_and_never_overwritten(vehicle, where, tmp_path, capsys):
-    out = tmp_path / "rig.toml"
-    words = ["start", "--yes", "--no-doctor", "--vehicle", vehicle, "--where", where, "--camera", "usb", "--out", str(out)]
+    out, camera = tmp_path / "rig.toml", "rtsp://deck/1" if vehicle == "px4" else "usb"
+    words = ["start", "--yes", "--no-doctor", "--vehicle", vehicle, "--where", where, "--camera", camera, "--out", str(out)]
     assert main([*words, "--page", "127.0.0.1"]) == 0
     text = out.read_text()
     assert len(text.splitlines()) <= 40
     assert text.count("#") >= 4
+    assert (vehicle == "px4") is ('source = "stream"' in text)
     assert load(out).limits.height_max_m == tomllib.loads(text)["limits"]["height_max_m"]
     token = tmp_path / "rig.token"
     assert token.stat().st_mode & 0o777 == 0o600
