@@ -290,7 +290,8 @@ async def test_a_phone_shows_every_order_without_scrolling_sideways(tmp_path: Pa
         await one.page.set_viewport_size({"width": 844, "height": 390})
         await one.page.click("#by-hand")
         await playwright.expect(one.page.locator("#sticks")).to_be_visible(timeout=WAIT_MS)
-        for name in ("#sticks", '[data-order="hold"]'):
+        await one.page.evaluate("lost.hidden = false, (lost.textContent = 'out of touch '.repeat(30))")
+        for name in ("#sticks", '[data-order="hold"]', "#answer", "#emergency"):
             box = await one.page.locator(name).bounding_box()
             assert 0 <= box["y"] <= box["y"] + box["height"] <= 390, f"{name} is in sight of who holds the phone sideways"
         picture, orders = [await one.page.locator(name).bounding_box() for name in ("#picture", "#orders")]
