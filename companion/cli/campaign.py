@@ -20,7 +20,7 @@ from companion.settings.load import shipped
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.pipeline import RelativeEstimator
 from sitl.campaign import plan as plans
-from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_columns, in_rows, in_words, tallies_of
+from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_columns, in_rows, in_words, tallies_of, unmoved
 from sitl.campaign.random_faults import Cases, FaultTally, fly_with_random_faults
 from sitl.campaign.report import AXES, MAP, REPORT, render_map, render_report
 from sitl.campaign.soak import Draw, SoakOptions, soak
@@ -260,12 +260,8 @@ def _conclude(args: argparse.Namespace, plan: plans.AnyPlan, store: FolderStore,
     whole = added(tallies.values())
     summary = {**whole.summary(plan.name, plan.perception, store.wall_s()), "out": store.place}
     each = by_scenario(plan.identity()["members"], tallies) if isinstance(plan, plans.SetPlan) else []
-    if each:
-        summary["scenarios"] = each
-    if effects:
-        summary["varied"] = effects
-    files = []
-    tally = None
+    summary |= {name: found for name, found in (("scenarios", each), ("varied", effects)) if found}
+    files, tally = [], None
     if args.faults is not None:
         tally = FaultTally()
         for flight in _asked(store, asked):
@@ -280,11 +276,10 @@ def _conclude(args: argparse.Namespace, plan: plans.AnyPlan, store: FolderStore,
         files.append(store.put(str(Path(args.report).resolve() / "index.html") if args.report else REPORT, page.encode()))
     if args.json:
         sys.stdout.write(json.dumps({"summary": summary}) + "\n")
+        sys.stderr.writelines(f"{note}\n" for key, rows in effects.items() if (note := unmoved(key, rows)))
     else:
-        sys.stdout.write(f"{in_columns(each)}\n" if each else "")
-        sys.stdout.write(f"{in_rows(effects)}\n" if effects else "")
-        sys.stdout.write("" if tally is None else f"{tally.in_words()}\n")
-        sys.stdout.write(f"{in_words(summary)}\nresults: {', '.join([store.place, *files])}\n")
+        tables = each and in_columns(each), effects and in_rows(effects), tally and tally.in_words(), in_words(summary)
+        sys.stdout.writelines(f"{table}\n" for table in (*filter(None, tables), f"results: {', '.join([store.place, *files])}"))
     return 0 if whole.counts["failed"] == 0 else 1
 
 
@@ -311,8 +306,11 @@ def _say(flight: Flight) -> None:
 
 def _report(args: argparse.Namespace) -> int:
     """Write the report of the folder; return 0."""
-    if len(args.more) != 1:
-        raise BadInput("campaign report needs the folder of a campaign")
+    chooses = args.set or args.vary or args.runs or args.seed or args.perception or args.faults
+    refuse_any(
+        (len(args.more) != 1, "campaign report needs the folder of a campaign"),
+        (bool(chooses), "campaign report draws all flights of a folder, without --set, --vary, --runs, --seed or --perception"),
+    )
     require_drawing("campaign report")
     folder = Path(args.more[0])
     check_output(folder, _BESIDE, "report", [], force=args.force)

@@ -38,6 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def warn(args: argparse.Namespace, points: list[Settings], place: str = "a simulated flight") -> None:
     """Name on standard error what was given and cannot act in a flight by these settings."""
-    places = [place, "a flight without frames, as by --perception model"]
-    frames = args.perception in (None, "pixels")
-    warn_of_idle(points, [*args.set, *vars(args).get("vary", ())], places[:1] if frames else places)
+    places = [place, "a flight without frames, as by --perception model", "a flight by --perception truth"]
+    acting = {None: 1, "pixels": 1, "model": 2}.get(args.perception, 3)
+    warn_of_idle(points, [*args.set, *vars(args).get("vary", ())], places[:acting])

@@ -182,7 +182,8 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
     if args.set or args.config:
-        warn_of_idle([settings], args.set, ["a replay", "a replay without --mavlink"][: 1 if args.mavlink else 2])
+        places = {"a replay": True, "a replay without --mavlink": not args.mavlink, "a replay by --sightings": args.sightings}
+        warn_of_idle([settings], args.set, [place for place, is_one in places.items() if is_one])
     if args.realtime:
         return play(args, recording, settings)
     if not args.json:

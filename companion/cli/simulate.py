@@ -80,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
         (args.perception_model and perception == "pixels", "--perception-model goes with --perception model or truth"),
         (args.set and follows, "--set does not go with --follow"),
         (args.pad is not None and follows, "--pad does not go with --follow"),
+        (args.pad is not None and any("pad.file=" in one for one in args.set), "--pad sets pad.file: give one of them"),
         (args.faults and (follows or beside), "--faults does not go with --autopilot or --follow"),
         (follows and (beside or with_program), f"--follow does not go with --autopilot, {program} or --keep"),
         (with_program and not beside, f"{program} and --keep go with --autopilot"),

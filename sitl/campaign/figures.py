@@ -492,10 +492,14 @@ def in_rows(effects: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     out = []
     for key, rows in effects.items():
         out.append(columns([(key, "flights", "good", "95 % interval", "error, median"), *map(_effect_cells, rows)], ()))
-        errors = {row["lateral_median_m"] for row in rows}
-        if len(rows) > len(errors) == 1 and None not in errors:
-            out.append(f"{key}: no figure differs between its values; it may not act in this flight")
+        out += filter(None, [unmoved(key, rows)])
     return "\n".join(out)
+
+
+def unmoved(key: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return in words that a varied key changed no figure; empty if it changed one."""
+    same = len(rows) > 1 and all({**row, "value": 0} == {**rows[0], "value": 0} for row in rows)
+    return f"{key}: no figure differs between its values; it may not act in this flight" * same
 
 
 def _effect_cells(row: Mapping[str, Any]) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from estimator.contracts.errors import refused
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
 from estimator.vision.regions import outlines_of, part_of
-from sitl.campaign.figures import SuccessMap, wilson
+from sitl.campaign.figures import SuccessMap, unmoved, wilson
 from sitl.campaign.soak import Flown, Reading, fault_of
 from sitl.flight.ending import Grade
 
@@ -172,6 +172,7 @@ def effect(key: str, rows: Sequence[Mapping[str, Any]]) -> str:
         top.fill_between(x, low, high, color=_GOOD, alpha=0.22, linewidth=0)
         top.plot(x, [row["good"] for row in rows], "o-", color=_GOOD, markersize=4)
         top.set(ylim=(-0.02, 1.04), ylabel="good flights")
+        top.set_title(unmoved(key, rows), fontsize="small", color=_BAD, wrap=True)
         top.yaxis.set_major_formatter(PercentFormatter(1.0))
         bottom.plot(x, 100.0 * error_m, "s-", color=_BLUE, markersize=4)
         bottom.set(ylabel="error, cm", xlabel=key)

@@ -395,10 +395,7 @@ class Tally(Struct):
         """
         endings = ", ".join(f"{n} {name}" for name, n in sorted(self.endings.items()))
         counts = ", ".join(f"{n} {worth.value}" for worth in Grade if (n := self.count(worth)))
-        lines = [
-            f"{len(self.flights)} flights in {self.flown_s / 3600:.2f} h: {endings}",
-            f"outcomes   {counts or 'none'}",
-        ]
+        lines = [f"{len(self.flights)} flights in {self.flown_s / 3600:.2f} h: {endings}", f"outcomes   {counts or 'none'}"]
         for flight in self.flights:
             if flight.worth in (Grade.FAILED, Grade.STARVED):
                 lines.append(f"  seed {flight.seed}, {fault_of(flight.title)}: {flight.worth.value}: {flight.because}")

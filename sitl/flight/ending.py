@@ -273,11 +273,7 @@ class AtEnd(NamedTuple):
 
 
 def grade(
-    outcome: FlightOutcome | None,
-    landed_m: float | None,
-    unsafe: Sequence[str],
-    expect: str,
-    at_end: AtEnd | None = None,
+    outcome: FlightOutcome | None, landed_m: float | None, unsafe: Sequence[str], expect: str, at_end: AtEnd | None = None
 ) -> tuple[Grade, str]:
     """Return the grade of a flight and the reason for it.
 

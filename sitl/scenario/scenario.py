@@ -255,8 +255,7 @@ class Start(Struct, frozen=True, forbid_unknown_fields=True):
         0.0
     )
     with_vessel: Annotated[
-        bool,
-        Meta(description="whether the vehicle starts with the vessel's steady velocity instead of at rest over the ground"),
+        bool, Meta(description="whether the vehicle starts with the vessel's steady velocity instead of at rest over the ground")
     ] = True
 
 

@@ -94,8 +94,10 @@ def test_a_flight_that_is_refused_leaves_no_recording(tmp_path, capsys, key, cod
     path, older = tmp_path / "new.mcap", tmp_path / "older.mcap"
     older.write_bytes(b"as it was")
     for out, force in ((path, []), (older, ["--force"])):
-        assert cli.main(["simulate", "calm", "--perception", "truth", "--set", key, "--record", str(out), *force]) == code
-        assert said in capsys.readouterr().err
+        keys = "--set", "estimator.path=ekf", "--set", key
+        assert cli.main(["simulate", "calm", "--perception", "truth", *keys, "--record", str(out), *force]) == code
+        assert said in (err := capsys.readouterr().err)
+        assert code == 2 or "estimator.path: without effect in a flight by --perception truth" in err
     assert not path.exists()
     assert older.read_bytes() == b"as it was"
 

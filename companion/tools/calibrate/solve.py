@@ -118,11 +118,7 @@ class Solution:
 
 
 def solve(
-    views: Sequence[BoardView],
-    board: Board,
-    size: tuple[int, int],
-    mount: Transform | None = None,
-    lens: LensChoice = "auto",
+    views: Sequence[BoardView], board: Board, size: tuple[int, int], mount: Transform | None = None, lens: LensChoice = "auto"
 ) -> Solution:
     """Return the camera that fits the views best.
 
