@@ -207,8 +207,9 @@ def threads() -> Iterator[str]:
 
 
 def _holding() -> list[threading.Thread]:
-    main = threading.main_thread()
-    return [thread for thread in threading.enumerate() if thread is not main and not thread.daemon]
+    # One whose start a signal cut short is there and cannot be joined.
+    there = (thread for thread in threading.enumerate() if thread.ident is not None and not thread.daemon)
+    return [thread for thread in there if thread is not threading.main_thread()]
 
 
 def _end(code: int, words: str) -> NoReturn:

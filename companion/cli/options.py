@@ -157,8 +157,8 @@ def reading(name: str, *, quiet: bool = False) -> Callable[[int, int], None]:
 def named_wait(title: str, *, quiet: bool = False) -> Iterator[Callable[[], None]]:
     """Print the title of a step whose length is unknown when it has taken two seconds; yield what ends the wait before."""
     timer = threading.Timer(_SILENT_S, lambda: None if quiet else print_line(f"{title} ..."))
-    timer.start()
     try:
+        timer.start()
         yield timer.cancel
     finally:
         timer.cancel()
