@@ -150,7 +150,7 @@ def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) ->
         (["--binary", "/bin/sh", "--record", "/dev/null"], "--record /dev/null: the name of a recording must end in .mcap"),
         (["--binary", "/bin/sh", "--follow", "udpin://127.0.0.1:0"], "does not go with"),
         (["--binary", "/bin/sh", "--keep", "/dev/null"], "--keep /dev/null: Not a directory"),
-        (["--binary", "/bin/sh", "--param", "PLND_LAG=nan"], "write NAME=VALUE"),
+        (["--binary", "/bin/sh", "--param", "PLND_LAG=nan"], "--param PLND_LAG needs a number"),
         (["--binary", "/bin/sh", "--autopilot", "px4"], "rcS"),
     ],
 )
