@@ -408,8 +408,8 @@ class PairedDifference(Struct, frozen=True):
 
     @property
     def clear(self) -> bool:
-        """True if the interval leaves zero out."""
-        return self.low > 0.0 or self.high < 0.0
+        """True if the interval leaves zero out, of 20 pairs or more: a bootstrap of fewer is too narrow to say so."""
+        return self.pairs >= 20 and (self.low > 0.0 or self.high < 0.0)
 
 
 FIGURES: tuple[tuple[str, str, Callable[[Flight], float | None]], ...] = (

@@ -252,7 +252,7 @@ def _worst(manifest: Mapping[str, Any], worst: Sequence[Flight]) -> str:
 
 def _comparison(name: str, differences: Sequence[PairedDifference]) -> str:
     if not differences:
-        raise BadInput(f"--against {name}: no seed was flown in both campaigns")
+        raise BadInput(f"--against {name}: no seed was flown in both campaigns with the same varied values")
     heads = ("mean of", "pairs", "earlier", "this", "difference", "95 % interval", "")
     rows = (
         (
@@ -262,7 +262,7 @@ def _comparison(name: str, differences: Sequence[PairedDifference]) -> str:
         )
         for r in differences
     )
-    note = "Paired by seed; the interval of the mean difference is a bootstrap of the pairs."
+    note = "Paired by seed; the interval of the mean difference is a bootstrap of the pairs, and too narrow for fewer than 20."
     return f"<h2>Against {escape(name)}</h2>{table(heads, rows)}{_note(note)}"
 
 
