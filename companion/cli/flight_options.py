@@ -38,6 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def warn(args: argparse.Namespace, points: list[Settings], place: str = "a simulated flight") -> None:
     """Name on standard error what was given and cannot act in a flight by these settings."""
-    places = [place, "a flight without frames, as by --perception model", "a flight by --perception truth"]
-    acting = {None: 1, "pixels": 1, "model": 2}.get(args.perception, 3)
-    warn_of_idle(points, [*args.set, *vars(args).get("vary", ())], places[:acting])
+    blind, truth = args.perception in ("model", "truth"), args.perception == "truth"
+    places = {place: True, "a flight without frames, as by --perception model": blind, "a flight by --perception truth": truth}
+    warn_of_idle(points, [*args.set, *vars(args).get("vary", ())], places)

@@ -183,7 +183,7 @@ def run(args: argparse.Namespace) -> int:
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
     if args.set or args.config:
         places = {"a replay": True, "a replay without --mavlink": not args.mavlink, "a replay by --sightings": args.sightings}
-        warn_of_idle([settings], args.set, [place for place, is_one in places.items() if is_one])
+        warn_of_idle([settings], args.set, places)
     if args.realtime:
         return play(args, recording, settings)
     if not args.json:

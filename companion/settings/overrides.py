@@ -4,7 +4,7 @@ import difflib
 import math
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -148,10 +148,10 @@ _IDLE_IN = {
 """Patterns of the keys of settings and scenarios that nothing reads there."""
 
 
-def warn_of_idle(points: Sequence[Settings], given: Sequence[str], places: Sequence[str]) -> None:
-    """Name on standard error the keys of the `KEY=VALUE` given that cannot act in these places, or by any of these settings."""
+def warn_of_idle(points: Sequence[Settings], given: Sequence[str], places: Mapping[str, bool]) -> None:
+    """Name on standard error the keys of the `KEY=VALUE` given that cannot act where this is, or by any of these settings."""
     keys = [text.partition("=")[0].removeprefix("settings.").removeprefix(f"{EXPERT}.") for text in given]
-    for place in places:
+    for place in (place for place, there in places.items() if there):
         if idle := [key for key in keys if re.match(_IDLE_IN[place], key)]:
             sys.stderr.write(f"decklander: {', '.join(idle)}: without effect in {place}\n")
     found = [line for settings in points for line in without_effect(settings)]

@@ -499,7 +499,7 @@ def in_rows(effects: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
 def unmoved(key: str, rows: Sequence[Mapping[str, Any]]) -> str:
     """Return in words that a varied key changed no figure; empty if it changed one."""
     same = len(rows) > 1 and all({**row, "value": 0} == {**rows[0], "value": 0} for row in rows)
-    return f"{key}: no figure differs between its values; it may not act in this flight" * same
+    return f"{key}: no figure differs between its values; it may not act in this flight" if same else ""
 
 
 def _effect_cells(row: Mapping[str, Any]) -> tuple[str, ...]:

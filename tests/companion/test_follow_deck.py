@@ -294,14 +294,14 @@ def test_no_gains_of_the_file_are_solved_in_flight(state: ResponseState, monkeyp
 @pytest.mark.parametrize("over_ground", [False, True])
 def test_a_wind_that_takes_thirty_five_degrees_is_known_whole(over_ground: bool) -> None:
     """WHY: what an autopilot leans by itself counted up to 17 degrees; in 10 m/s it flew upwind past the pad and lost it."""
-    law = FollowDeck(RESPONSE, T, over_ground=over_ground)
-    memory = law.start()
+    memory = (law := FollowDeck(shipped_response("autopilot"), T, over_ground=over_ground)).start()
     for k in range(1000):
-        now = knows(k * T, lean=(7.0, -1.0))
-        memory, _ = law.step(memory, now.at, now, None if over_ground else HOLD)
+        memory, _ = law.step(memory, ns(k * T), knows(k * T, lean=(7.0, -1.0)), None if over_ground else HOLD)
     assert [axis.d for axis in memory.core.axes] == pytest.approx([-7.0, 1.0], abs=0.05)
     if over_ground:
         assert [part.own for part in memory.core.own] == pytest.approx([7.0, -1.0], abs=0.05)
+        jumped = law.step(memory, ns(1000 * T), knows(1000 * T, lean=(4.0, -1.0)), None)[0].core.axes[0]
+        assert jumped.under_way[0] == pytest.approx(4.0), "a tilt that others fly is noted as it is"
 
 
 def come_from(

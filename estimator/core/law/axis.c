@@ -68,9 +68,8 @@ static void tilt_flown(const dl_law_params *o, double h, double lag, double *lea
 /* The command that arrived so many periods ago, an acceleration. */
 static double arrived(const dl_law_in_use *law, const dl_law_cycle *in, int64_t ago, const double *under_way)
 {
-    const double last = (double)law->params.remembered - 1.0;
-    const double now = (double)(law->gains.tilt_delay - 1 + ago), earlier = (double)(law->gains_before.tilt_delay - 1 + ago);
-    return law_between(in, under_way[(int64_t)fmin(now, last)], under_way[(int64_t)fmin(earlier, last)]);
+    const int64_t now = law->gains.tilt_delay - 1 + ago, earlier = law->gains_before.tilt_delay - 1 + ago, last = law->params.remembered - 1;
+    return law_between(in, under_way[now < last ? now : last], under_way[earlier < last ? earlier : last]);
 }
 
 void axis_observe(const dl_law_in_use *law, const dl_law_cycle *in, int64_t n, const dl_law_axis *before, const dl_axis_measured *z,

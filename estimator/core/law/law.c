@@ -58,8 +58,8 @@ static int leapt(double dt, const dl_law_axis was[2], const dl_axis_measured z[2
     return hypot(z[0].p - was[0].p - dt * was[0].w, z[1].p - was[1].p - dt * was[1].w) > LEAP_M;
 }
 
-static void observe_axes(const dl_law_in_use *law, const dl_law_cycle *in, int64_t n, const dl_axis_measured z[2], const dl_law_memory *before,
-                         dl_law_axis after[2])
+static void observe_axes(const dl_law_in_use *law, const dl_law_cycle *in, int64_t periods, const dl_axis_measured z[2],
+                         const dl_law_memory *before, dl_law_axis after[2])
 {
     const int anew = leapt(in->dt, before->axes, z);
     const int brakes = hypot(z[0].w - before->axes[0].w, z[1].w - before->axes[1].w) > LEAP_M_S;
@@ -73,19 +73,19 @@ static void observe_axes(const dl_law_in_use *law, const dl_law_cycle *in, int64
             was.p = anew ? z[i].p - in->dt * z[i].w : was.p;
             was.w = z[i].w;
         }
-        axis_observe(law, in, n, &was, &z[i], &after[i]);
+        axis_observe(law, in, periods, &was, &z[i], &after[i]);
     }
 }
 
 /* What a vehicle with a velocity loop of its own adds to the tilt. */
-static void observe_own(const dl_law_params *o, const dl_law_cycle *in, int64_t n, const dl_law_axis axes[2], const dl_law_own before[2],
+static void observe_own(const dl_law_params *o, const dl_law_cycle *in, int64_t periods, const dl_law_axis axes[2], const dl_law_own before[2],
                         dl_law_own after[2])
 {
     for (int i = 0; i < 2 && o->over_ground; i++) {
         if (!in->goes_on) {
             after[i] = (dl_law_own){axes[i].lean, axes[i].lean, 0.0};
         } else if (in->steers) {
-            own_flown(o, in->dt, n, &axes[i], &before[i], &after[i]);
+            own_flown(o, in->dt, periods, &axes[i], &before[i], &after[i]);
         } else {
             own_hovered(in->dt, axes[i].lean, &before[i], &after[i]);
         }
@@ -183,11 +183,11 @@ static double climb_by(const dl_law_params *o, const dl_law_gains *gains, const 
     return law_limited(climb_command(o, in, v, d, &then, height - in->wanted[2]), o->climb_max_m_s);
 }
 
-/* A period in which the vehicle comes towards the tilt that was commanded last. */
-static void note(const dl_law_params *o, double down, dl_law_memory *memory)
+/* A period, in which the vehicle comes towards the tilt that was commanded last by the jerk of so many seconds. */
+static void note(const dl_law_params *o, double jerk_s, double down, dl_law_memory *memory)
 {
     double ned[2] = {memory->commanded[0], memory->commanded[1]};
-    within_jerk(o, o->period_s, memory, ned);
+    within_jerk(o, jerk_s, memory, ned);
     under_way_note(o->remembered, ned[0], memory->axes[0].under_way);
     under_way_note(o->remembered, ned[1], memory->axes[1].under_way);
     under_way_note(o->remembered, down, memory->climbs);
@@ -199,54 +199,53 @@ static int64_t held(const dl_law_params *o, const dl_law_cycle *in, dl_law_memor
     const double periods = memory->periods_left + in->dt / o->period_s, whole = fmin(fmax(floor(periods + 0.5), 1.0), DL_UNDER_WAY_MAX);
     memory->periods_left = fmin(fmax(periods - whole, -0.5), 0.5);
     for (int64_t k = 1; k < (int64_t)whole; k++) {
-        note(o, memory->climbs[0], memory);
+        note(o, o->period_s, memory->climbs[0], memory);
     }
     return (int64_t)whole;
 }
 
-bool dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *remembered,
-                 dl_law_memory *after, dl_law_command *out)
+bool dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_course *course, const dl_law_memory *before, dl_law_memory *after,
+                 dl_law_command *out)
 {
     const dl_law_params *o = &law->params;
     const dl_law_gains *gains = &law->gains, *gains_before = &law->gains_before;
-    const nose ahead = {cos(in->heading_rad), sin(in->heading_rad)};
+    const nose n = {cos(in->heading_rad), sin(in->heading_rad)};
     deck_then here, then;
     dl_axis_measured z[2];
     if (!law_fits(law) || course->n < 0 || course->n > DL_HORIZONS_MAX) {
         return 0;
     }
-    dl_law_memory was = *remembered;
-    const dl_law_memory *before = &was;
-    const int64_t n = in->goes_on ? held(o, in, &was) : 1;
+    dl_law_memory was = *before;
+    const int64_t periods = in->goes_on ? held(o, in, &was) : 1;
     *after = was;
     deck_ahead_of(o, in, course, 0.0, &here);
-    measure(ahead, in, &here, z);
-    observe_axes(law, in, n, z, before, after->axes);
+    measure(n, in, &here, z);
+    observe_axes(law, in, periods, z, &was, after->axes);
     const double v_down = (in->has_deck ? in->v_deck[2] : 0.0) - in->v[2];
-    const double arrived = law_between(in, before->climbs[gains->climb_delay - 1], before->climbs[gains_before->climb_delay - 1]);
-    after->pushed_down_m_s2 = climb_pushed(o, in->goes_on ? in->dt : o->period_s, before->pushed_down_m_s2, in->a_body[2], v_down, arrived);
-    observe_own(o, in, n, after->axes, before->own, after->own);
-    turn_observe(in, before, after);
+    const double arrived = law_between(in, was.climbs[gains->climb_delay - 1], was.climbs[gains_before->climb_delay - 1]);
+    after->pushed_down_m_s2 = climb_pushed(o, in->goes_on ? in->dt : o->period_s, was.pushed_down_m_s2, in->a_body[2], v_down, arrived);
+    observe_own(o, in, periods, after->axes, was.own, after->own);
+    turn_observe(in, &was, after);
     if (!in->steers) {
         after->commanded[0] = after->axes[0].lean, after->commanded[1] = after->axes[1].lean;
-        note(o, v_down, after);
+        note(o, INFINITY, v_down, after);
         return 1;
     }
     double soon = law_between(in, gains->slowness_s, gains_before->slowness_s), lean[2];
     deck_ahead_of(o, in, course, soon, &then);
-    lean_to(law, in, ahead, after->axes, &here, &then, lean, out->trim);
+    lean_to(law, in, n, after->axes, &here, &then, lean, out->trim);
     const double later = climb_by(o, gains, in, course, after, v_down);
     const double earlier = climb_by(o, gains_before, in, course, after, v_down);
     out->v[2] = law_between(in, later, earlier);
-    to_ned(ahead, lean, after->commanded);
+    to_ned(n, lean, after->commanded);
     within_jerk(o, in->goes_on ? fmax(in->dt, o->period_s) : o->period_s, after, after->commanded);
-    to_level(ahead, after->commanded, lean);
-    note(o, out->v[2], after);
+    to_level(n, after->commanded, lean);
+    note(o, o->period_s, out->v[2], after);
     if (o->over_ground) {
         /* A velocity loop of its own gets its own velocity, so that only its integral adds to the acceleration. */
         const double own[2] = {after->own[0].own, after->own[1].own};
         soon = 0.0;
-        to_level(ahead, own, out->trim);
+        to_level(n, own, out->trim);
     }
     for (int i = 0; i < 2; i++) {
         out->a[i] = lean[i] - out->trim[i];
