@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing
 from pathlib import Path
+from typing import Any
 
 from msgspec.structs import replace
 
@@ -97,7 +98,9 @@ def run(args: argparse.Namespace) -> int:
         return _report(args)
     if args.more and (args.soak or args.map):
         raise BadInput(f"--soak and --map take one scenario, found {args.more[0]!r} besides")
-    refuse(args)
+    word = "does not go with" if args.soak else "goes with"
+    given = [name for name in (_OTHERS if args.soak else _OURS) if getattr(args, name) not in (None, False, [])]
+    refuse_any(*((True, f"--{name.replace('_', '-')} {word} --soak") for name in given))
     if args.soak:
         return run_soak(args, *_plan(args))
     if args.map:
@@ -114,13 +117,14 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         require_drawing("--report")
     plan, points = _set_plan(args) if args.more or plans.is_set(args.scenario) else _design(args, *_plan(args))
-    _compared_with(args.against)
+    names = list(plan.members) if isinstance(plan, plans.SetPlan) else [""]
+    jobs = [plans.Job(seed, point, name) for name in names for seed in seeds for point in points]
+    _compared_with(args.against, {job.key for job in jobs})
     with closing(_store(args, plan, seeds)) as store:
         try:
             with _workforce(args, plan, workers) as workforce:
-                names = list(plan.members) if isinstance(plan, plans.SetPlan) else [""]
-                jobs = [plans.Job(seed, point, name) for name in names for seed in seeds for point in points]
-                _fly_left(args, store, workforce, jobs, _by(args, min(workers, len(jobs))))
+                local = f"{(n := min(workers, len(jobs)))} {'process' if n == 1 else 'processes'}"
+                _fly_left(args, store, workforce, jobs, f"the cluster at {args.scheduler}" if args.scheduler else local)
         except Stopped:
             kept = len(store.keys())
             sys.stderr.write(f"{kept} flights are kept in {store.place}; the same command goes on from there\n")
@@ -222,12 +226,6 @@ def _workforce(
     return ClusterWorkers(plan, plans.code_version(), args.scheduler, flyer)
 
 
-def _by(args: argparse.Namespace, workers: int) -> str:
-    if args.scheduler is not None:
-        return f"the cluster at {args.scheduler}"
-    return f"{workers} {'process' if workers == 1 else 'processes'}"
-
-
 def _fly_left(
     args: argparse.Namespace, store: FolderStore, workforce: LocalWorkers | ClusterWorkers, jobs: Sequence[plans.Job], by: str
 ) -> None:
@@ -272,7 +270,7 @@ def _conclude(args: argparse.Namespace, plan: plans.AnyPlan, store: FolderStore,
         files.append(store.put(MAP, render_map(plan.name, plan.perception, _asked(store, asked)).encode()))
     if args.report is not None:
         manifest = manifest_of_plan(plan, range(args.seed, args.seed + args.runs), None)
-        page = render_report(manifest, _asked(store, asked), store.wall_s(), _compared_with(args.against))
+        page = render_report(manifest, _asked(store, asked), store.wall_s(), _compared_with(args.against, asked))
         files.append(store.put(str(Path(args.report).resolve() / "index.html") if args.report else REPORT, page.encode()))
     if args.json:
         sys.stdout.write(json.dumps({"summary": summary}) + "\n")
@@ -316,7 +314,8 @@ def _report(args: argparse.Namespace) -> int:
     check_output(folder, _BESIDE, "report", [], force=args.force)
     manifest = manifest_of(folder)
     path = folder / FLIGHTS
-    page = render_report(manifest, flights_in(path), wall_s_in(path), _compared_with(args.against))
+    against = _compared_with(args.against, {job_of(flight).key for flight in flights_in(path)} if args.against else set())
+    page = render_report(manifest, flights_in(path), wall_s_in(path), against)
     with file_errors(str(folder / REPORT)):
         write_whole(folder / REPORT, page.encode())
     sys.stdout.write(f"report: {folder / REPORT}\n")
@@ -326,19 +325,18 @@ def _report(args: argparse.Namespace) -> int:
     return 0
 
 
-def _compared_with(against: str | None) -> tuple[str, list[Flight]] | None:
-    """Return the name and the flights of an earlier campaign.
+def _compared_with(against: str | None, asked: set[str]) -> tuple[str, dict[str, Any], list[Flight]] | None:
+    """Return the name, manifest and flights of an earlier campaign.
 
     Raises:
-        BadInput: the folder is that of none, or has no flights.
+        BadInput: the folder is that of none, or has none of the flights that are asked for.
     """
     if against is None:
         return None
-    manifest_of(Path(against))
-    flights = list(flights_in(Path(against) / FLIGHTS))
-    if not flights:
-        raise BadInput(f"--against {against}: the campaign has no flights")
-    return against, flights
+    manifest, flights = manifest_of(Path(against)), list(flights_in(Path(against) / FLIGHTS))
+    if asked.isdisjoint(job_of(flight).key for flight in flights):
+        raise BadInput(f"--against {against}: no seed was flown in both campaigns with the same varied values")
+    return against, manifest, flights
 
 
 _OURS = ("hours", "virtual", "no_faults", "fault", "failed_max", "plot", "readings")
@@ -368,18 +366,6 @@ def _add_soak_arguments(parser: argparse.ArgumentParser) -> None:
     option(group, "--failed-max N", "allow this many failed flights (default: 0)", type=int)
     output(group, "--plot FILE", "plot memory, counts and outcomes over time (png, svg, pdf)", PLOT)
     output(group, "--readings FILE", "write every reading as a line of JSON into this file", READINGS)
-
-
-def refuse(args: argparse.Namespace) -> None:
-    """Refuse options that do not go together.
-
-    Raises:
-        BadInput: an option goes with `--soak` and that is not given, or the other way round.
-    """
-    for name in _OTHERS if args.soak else _OURS:
-        if getattr(args, name) not in (None, False, []):
-            word = "does not go with" if args.soak else "goes with"
-            raise BadInput(f"--{name.replace('_', '-')} {word} --soak")
 
 
 def run_soak(args: argparse.Namespace, plan: plans.CampaignPlan, given: plans.Overridable) -> int:

@@ -36,7 +36,7 @@ def with_overrides(settings: Settings, texts: Sequence[str], where: str) -> Sett
         key, value = key_and_text(text, where, "estimator.history_s=1")
         present = leaf(tables, key.split("."))
         if present is NOTHING:
-            hint = nearest(key, [*leaves(tables)]) or "keys are written as in guidance.rate_hz"
+            hint = nearest(key, [*dict(leaves(tables))]) or "keys are written as in guidance.rate_hz"
             raise BadInput(f"{where}: the settings have no key {key!r}; {hint}")
         put(tables, key.split("."), value_like(present, value, key, where))
     changed = from_mapping(tables, where)
@@ -112,14 +112,14 @@ def leaf(table: Any, path: Sequence[str]) -> Any:
     return NOTHING if isinstance(table, dict | list) else table
 
 
-def leaves(table: Any, above: str = "") -> Iterator[str]:
-    """Yield the key of every single value; an item of a list has its number for a name."""
+def leaves(table: Any, above: str = "") -> Iterator[tuple[str, Value]]:
+    """Yield every single value with its key; an item of a list has its number for a name."""
     named = table.items() if isinstance(table, dict) else enumerate(table)
     for name, value in named:
         if isinstance(value, dict | list):
             yield from leaves(value, f"{above}{name}.")
         else:
-            yield f"{above}{name}"
+            yield f"{above}{name}", value
 
 
 def put(table: Any, path: Sequence[str], value: Value) -> None:

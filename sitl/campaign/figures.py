@@ -341,7 +341,7 @@ def effect_of(tallies: Tallies, key: str) -> list[dict[str, Any]]:
                 "runs": runs,
                 "good": round(cell.good / max(1, runs), 6),
                 "good_interval": [round(x, 6) for x in wilson(cell.good, runs)],
-                "lateral_median_m": cell.quantile("standing_m", 0.5),
+                "standing_median_m": cell.quantile("standing_m", 0.5),
             }
         )
     return rows
@@ -503,7 +503,7 @@ def unmoved(key: str, rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _effect_cells(row: Mapping[str, Any]) -> tuple[str, ...]:
-    error = row["lateral_median_m"]
+    error = row["standing_median_m"]
     return (
         _label(row["value"]),
         str(row["runs"]),

@@ -123,7 +123,7 @@ class Overridable:
         which, path = self._place(key)
         found = leaf(self._tables[which], path)
         if found is NOTHING:
-            known = [*leaves(self._tables[0]), *leaves(self._tables[1])]
+            known = [key for table in self._tables for key, _ in leaves(table)]
             hint = nearest(key.removeprefix(_FORCED), known) or "keys are written as in wind.speed_m_s or guidance.rate_hz"
             raise BadInput(f"{where}: neither scenario nor settings have a key {key!r}; {hint}")
         return found
@@ -310,10 +310,16 @@ def sources_digest() -> str:
     return digest.hexdigest()
 
 
-def differences(ours: dict[str, str], other: dict[str, str]) -> str:
-    """Return what differs between two versions of the code, in words; empty where they agree."""
-    each = {name: (ours.get(name, "none"), other.get(name, "none")) for name in sorted(ours.keys() | other.keys())}
-    return ", ".join(f"{name} {two[:12]} instead of {one[:12]}" for name, (one, two) in each.items() if one != two)
+def differing(ours: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Yield each key with the value of both tables where they differ; None where one has none."""
+    one, two = (dict(leaves(table)) for table in (ours, other))
+    return ((key, one.get(key), two.get(key)) for key in one | two if one.get(key) != two.get(key))
+
+
+def differences(ours: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """Return in words the first three differences of two tables, as of two versions of the code; empty where they agree."""
+    found = [f"{key} {str(two)[:32]} instead of {str(one)[:32]}" for key, one, two in differing(ours, other)]
+    return ", ".join([*found[:3], *([f"{len(found) - 3} more"] if found[3:] else [])])
 
 
 FORMAT = 1

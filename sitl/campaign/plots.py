@@ -163,7 +163,7 @@ def effect(key: str, rows: Sequence[Mapping[str, Any]]) -> str:
     """Draw success and standing error against one varied key; the rows are those of `effect_of`."""
     values = [row["value"] for row in rows]
     low, high = np.array([row["good_interval"] for row in rows]).T
-    error_m = np.array([row["lateral_median_m"] for row in rows], dtype=float)
+    error_m = np.array([row["standing_median_m"] for row in rows], dtype=float)
 
     def draw(figure: Figure) -> None:
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])

@@ -13,7 +13,6 @@ from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
 from sitl.campaign.figures import (
     HEADINGS,
-    PairedDifference,
     Tallies,
     Tally,
     added,
@@ -27,6 +26,7 @@ from sitl.campaign.figures import (
     tallies_of,
     wilson,
 )
+from sitl.campaign.plan import differing
 from sitl.campaign.workers import Flight, error_m
 from sitl.scenario.scenario import from_mapping, pad_model
 
@@ -34,7 +34,7 @@ REPORT, MAP = "report.html", "map.html"
 WIND, SEA, VEHICLE = "weather.wind_m_s", "weather.sea_state", "vehicle.file"
 AXES = (f"{WIND}=3:12:3", f"{SEA}=2,3,4,5", f"{VEHICLE}=ardrone2,quad_1_5kg,hexa_7kg")
 """Varied values of `campaign --map` unless `--vary` names others."""
-_MAPS_MAX = 10
+_MAPS_MAX, _ROWS_MAX = 10, 20
 _UNSAFE = (
     "Outside commit: contacts with turning motors while neither guidance intended to land nor a person commanded. Unsafe: "
     "flights with such a contact, one beside the pad or in water, a descent without sight, or a service that died."
@@ -59,15 +59,15 @@ def render_report(
     manifest: Mapping[str, Any],
     flights: Sequence[Flight] | Iterable[Flight],
     wall_s: float,
-    against: tuple[str, list[Flight]] | None = None,
+    against: tuple[str, Mapping[str, Any], list[Flight]] | None = None,
 ) -> str:
     """Return the page of a campaign.
 
     Args:
-        against: the name and the flights of an earlier campaign to compare with.
+        against: the name, manifest and flights of an earlier campaign to compare with.
 
     Raises:
-        BadInput: there are no flights, or none that both campaigns have flown.
+        BadInput: there are no flights.
     """
     kept = list(flights) if against is not None else flights
     tallies = tallies_of(kept)
@@ -79,13 +79,13 @@ def render_report(
         _head(manifest, whole, wall_s),
         _cards(whole),
         _outcomes(whole, pad_model(scenario)),
-        _distributions(whole, None if against is None else added(tallies_of(against[1]).values())),
+        _distributions(whole, None if against is None else added(tallies_of(against[2]).values())),
         _varied(tallies),
         _scenarios(manifest, tallies),
         _causes(whole),
         _unsafe(whole),
         _worst(manifest, whole.worst),
-        "" if against is None else _comparison(against[0], differences_of(kept, against[1])),
+        "" if against is None else _comparison(manifest, kept, *against),
         _made_with(manifest),
     ]
     return document(f"Campaign {manifest['name']}", "\n".join(parts), _STYLE)
@@ -228,9 +228,9 @@ def fly_again(flight: Flight, options: Sequence[str], places: Mapping[str, str] 
     words = ["decklander", "simulate", places.get(name, name), "--seed", str(flight["seed"]), *options]
     if flight.get("in_set") and flight["perception"] != "pixels":
         words += ["--perception", flight["perception"]]
-    for key, value in flight.get("varied", {}).items():
-        words += ["--set", f"{key}={str(value).lower() if isinstance(value, bool) else value}"]
-    return shlex.join([*words, "--report", f"flight-{flight['seed']}"])
+    varied = [f"{key}={str(x).lower() if isinstance(x, bool) else x}" for key, x in flight.get("varied", {}).items()]
+    folder = "-".join(["flight", PurePath(name).stem, str(flight["seed"]), *(text.replace("/", "-") for text in varied)])
+    return shlex.join([*words, *(word for text in varied for word in ("--set", text)), "--report", folder])
 
 
 def _worst(manifest: Mapping[str, Any], worst: Sequence[Flight]) -> str:
@@ -250,9 +250,9 @@ def _worst(manifest: Mapping[str, Any], worst: Sequence[Flight]) -> str:
     return f'<h2>The worst {len(items)} flights</h2>{note}<ul class="flights">{"".join(items)}</ul>'
 
 
-def _comparison(name: str, differences: Sequence[PairedDifference]) -> str:
-    if not differences:
-        raise BadInput(f"--against {name}: no seed was flown in both campaigns with the same varied values")
+def _comparison(
+    manifest: Mapping[str, Any], flights: Iterable[Flight], name: str, other: Mapping[str, Any], theirs: Sequence[Flight]
+) -> str:
     heads = ("mean of", "pairs", "earlier", "this", "difference", "95 % interval", "")
     rows = (
         (
@@ -260,14 +260,27 @@ def _comparison(name: str, differences: Sequence[PairedDifference]) -> str:
             *(f"{r.pairs:,}", f"{r.other:.4g}", f"{r.ours:.4g}", f"{r.mean:+.4g}", f"{r.low:+.4g} to {r.high:+.4g}"),
             "clear" if r.clear else "may be chance",
         )
-        for r in differences
+        for r in differences_of(flights, theirs)
     )
     note = "Paired by seed; the interval of the mean difference is a bootstrap of the pairs, and too narrow for fewer than 20."
-    return f"<h2>Against {escape(name)}</h2>{table(heads, rows)}{_note(note)}"
+    differs = [[escape(str(x)) for x in row] for row in differing(_flown_with(other), _flown_with(manifest))]
+    more = f" {len(differs) - _ROWS_MAX} more keys differ." if len(differs) > _ROWS_MAX else ""
+    what = f"Keys of scenario and settings are written as for --set.{more}" if differs else "They differ in their seeds alone."
+    shown = table(("what differs", "earlier", "this"), differs[:_ROWS_MAX]) if differs else ""
+    return f"<h2>Against {escape(name)}</h2>{shown}{_note(what)}{table(heads, rows)}{_note(note)}"
+
+
+def _flown_with(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what makes the flights of a campaign, each key under the name that `--set` has for it."""
+    own: dict[str, Any] = {name: manifest[name] for name in ("name", "perception", "perception_model", "files", "code")}
+    if "members" in manifest:
+        return {**own, **manifest["members"]}
+    return {**own, **manifest["scenario"], "settings": manifest["settings"], "varied": manifest["design"].get("axes", [])}
 
 
 def _made_with(manifest: Mapping[str, Any]) -> str:
     items = {**manifest["code"], **{f"digest of the {name}": digest for name, digest in manifest["files"].items()}}
+    items |= {"options": shlex.join(manifest.get("options", ())) or "none"}
     if manifest["design"]:
         items |= {"design": manifest["design"]["kind"], "varied": ", ".join(manifest["design"]["axes"])}
     listed = "".join(f"<li>{escape(str(name))} <b>{escape(str(value))}</b></li>" for name, value in items.items())

@@ -24,7 +24,6 @@ from statistics import median
 from typing import Any, Generic, TypeVar
 
 import msgspec
-import numpy as np
 from msgspec import Struct, field, to_builtins
 
 from companion.base import event_loop, memory
@@ -114,8 +113,6 @@ class Trend(Struct, frozen=True):
     first: float
     last: float
     most: float
-    per_hour: float
-    """Slope of a straight line through all of them."""
 
     @property
     def growth(self) -> float:
@@ -170,15 +167,13 @@ def findings(readings: Sequence[Reading], warm_up_s: float) -> Findings | None:
     after = [r for r in readings if r.at_s >= warm_up_s]
     if len(after) < _READINGS_MIN:
         return None
-    hours = (np.array([r.at_s for r in after]) - after[0].at_s) / 3600.0
 
     def trend(name: str) -> Trend | None:
         values = [getattr(r, name) for r in after]
         if None in values:
             return None
-        slope = float(np.polyfit(hours, values, 1)[0]) if hours[-1] > 0.0 else 0.0
         quarter = len(values) // 4
-        return Trend(float(median(values[:quarter])), float(median(values[-quarter:])), float(max(values)), slope)
+        return Trend(float(median(values[:quarter])), float(median(values[-quarter:])), float(max(values)))
 
     wall_s = after[-1].at_s - after[0].at_s
     memory_mib = trend("memory_mib")

@@ -164,12 +164,10 @@ def refuse_other(place: str, manifest: Mapping[str, Any], identity: Mapping[str,
     """
     if manifest["format"] != identity["format"]:
         raise BadInput(f"--out {place}: its format is {manifest['format']}, this version writes {identity['format']}")
-    different = [name for name in identity if name not in ("format", "code") and manifest.get(name) != identity[name]]
-    if different:
-        name = different[0]
-        what = f"its {name} is {manifest.get(name)!r}" if name in ("name", "perception") else f"it was flown with another {name}"
-        raise BadInput(f"--out {place}: the folder holds another campaign: {what}; nothing was written")
-    if other := differences(dict(identity["code"]), dict(manifest["code"])):
+    own = [name for name in identity if name != "code"]
+    if other := differences({name: identity[name] for name in own}, {name: manifest.get(name) for name in own}):
+        raise BadInput(f"--out {place}: the folder holds another campaign: {other}; nothing was written")
+    if other := differences(identity["code"], manifest["code"]):
         raise BadInput(f"--out {place}: the campaign was begun with other code ({other}); nothing was written")
 
 

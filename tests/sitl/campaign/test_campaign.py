@@ -133,14 +133,14 @@ def test_a_full_disk_ends_the_session_and_leaves_whole_lines(tmp_path: Path) -> 
 def test_a_folder_of_another_campaign_or_code_is_refused_by_name_and_left_alone(tmp_path, monkeypatch):
     keep(tmp_path, range(2))
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
-    with pytest.raises(BadInput, match="another campaign: it was flown with another scenario"):
+    with pytest.raises(BadInput, match=r"another campaign: scenario.duration_limit_s 40.0 instead of 9.0; nothing"):
         FolderStore(tmp_path, plan(duration_limit_s=9.0), range(2))
-    with pytest.raises(BadInput, match="another campaign: its name is 'near'"):
+    with pytest.raises(BadInput, match="another campaign: name near instead of far;"):
         FolderStore(tmp_path, plan("far"), range(2))
     with closing(FolderStore(tmp_path, plan(), range(2))), pytest.raises(BadInput, match="another campaign is writing"):
         FolderStore(tmp_path, plan(), range(2))
     monkeypatch.setattr("sitl.campaign.plan.code_version", lambda: {**code_version(), "sources": "0" * 32, "numpy": "1.0"})
-    with pytest.raises(BadInput, match=r"begun with other code \(numpy \S+ instead of 1.0, sources \w+ instead of 0{12}\)"):
+    with pytest.raises(BadInput, match=r"begun with other code \(sources \w+ instead of 0{32}, numpy \S+ instead of 1.0\)"):
         FolderStore(tmp_path, plan(), range(2))
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
     other = tmp_path / "other"
@@ -164,7 +164,7 @@ def test_a_damaged_line_is_named_and_a_doubled_one_counts_once(tmp_path: Path) -
 
 def test_a_worker_with_other_code_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     order = Order(Job(1), plan().base(), {**code_version(), "sources": "f" * 32}, fake_fly)
-    with pytest.raises(OtherCode, match=r"the worker on \S+, process \d+, has other code: sources \w{12} instead of f{12}"):
+    with pytest.raises(OtherCode, match=r"the worker on \S+, process \d+, has other code: sources \w{32} instead of f{32}"):
         fly_order(order)
     assert differences(code_version(), code_version()) == ""
     assert sources_digest() == code_version()["sources"]
@@ -378,7 +378,7 @@ def test_success_against_one_and_two_keys() -> None:
     one = effect_of(tallies, "a")
     assert [row["value"] for row in one] == [0, 1, 2]
     assert [row["good"] for row in one] == pytest.approx([1.0, 2 / 3, 1 / 3], abs=1e-6)
-    assert [row["lateral_median_m"] for row in one] == pytest.approx([0.0, 0.1, 0.2])
+    assert [row["standing_median_m"] for row in one] == pytest.approx([0.0, 0.1, 0.2])
     assert map_of(tallies, "a", "b").shares.tolist() == [[1, 1, 1], [1, 1, 0], [1, 0, 0]]
     scattered = tallies_of(graded({"a": x, "b": 1.0 - x}, x < 0.5, None) for x in np.linspace(0.0, 1.0, 81).tolist())
     assert [row["good"] for row in effect_of(scattered, "a")] == [1, 1, 1, 1, 0, 0, 0, 0]
@@ -401,7 +401,7 @@ def test_success_by_value_and_by_scenario_is_a_table_and_plain_values() -> None:
     assert in_rows(idle).endswith("\nvessel.moored: no figure differs between its values; it may not act in this flight")
     wind = effects["wind.speed_m_s"]
     assert [(row["value"], row["runs"], row["good"]) for row in wind] == [(0.0, 4, 1.0), (7.0, 4, 0.0)]
-    assert wind[1]["lateral_median_m"] is None
+    assert wind[1]["standing_median_m"] is None
     (row,) = by_scenario({"near": {"scenario": {"expect": "go_around"}, "perception": "truth"}}, tallies)
     assert in_columns([row]).splitlines()[1] == (
         "near      go around  truth        8       4        0       4               0      0       4  4 landed beside the pad"
@@ -411,9 +411,9 @@ def test_success_by_value_and_by_scenario_is_a_table_and_plain_values() -> None:
 
 def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     axes = [parse_axis(t, overridable(), AT) for t in ("wind.speed_m_s=0:8:2", "sea.peak_period_s=4:8:2")]
-    varied = replace(plan(), design=described("factorial", axes))
-    for name, seeds in (("now", range(6)), ("before", range(3, 9))):
-        with closing(FolderStore(tmp_path / name, varied, seeds)) as store:
+    varied = described("factorial", axes)
+    for name, seeds, level in (("now", range(6), "truth"), ("before", range(3, 9), "model")):
+        with closing(FolderStore(tmp_path / name, replace(plan(), design=varied, perception=level), seeds)) as store:
             for seed in seeds:
                 store.keep([flown(seed, point) for point in factorial(axes)], 1.0 + seed)
     command = ["campaign", "report", str(tmp_path / "now"), "--against", str(tmp_path / "before")]
@@ -424,8 +424,8 @@ def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[st
     for output in (
         "60 of 90 on the pad",
         "landed beside the pad",
-        "decklander simulate near --seed 5 --set wind.speed_m_s=8.0 --set sea.peak_period_s=4 --report flight-5",
-        "Wilson",
+        "decklander simulate near --seed 5 --set wind.speed_m_s=8.0 --set sea.peak_period_s=4 --report flight-near-5-wind",
+        "<td>perception</td><td>model</td><td>truth</td>",
         "One factor",
         "Two factors",
         "may be chance",
@@ -440,7 +440,7 @@ def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert [cli.main(["campaign", "report", *folder]) for folder in ([str(tmp_path)], [])] == [2, 2]
     with pytest.raises(BadInput, match="no flights yet"):
         render_report(manifest_of(tmp_path / "now"), [], 0.0)
-    assert fly_again(flown(3), ("--config", "a b.toml")).endswith("--seed 3 --config 'a b.toml' --report flight-3")
+    assert fly_again(flown(3), ("--config", "a b.toml")).endswith("--seed 3 --config 'a b.toml' --report flight-near-3")
 
 
 def test_a_map_shows_what_lands_how_well_and_why_not() -> None:
@@ -517,7 +517,7 @@ def test_orders_that_a_broken_connection_cancelled_are_given_again(served) -> No
 
 def test_a_worker_of_the_cluster_with_other_code_is_refused_by_name(served) -> None:
     other = {**code_version(), "sources": "0" * 32}
-    with pytest.raises(OtherCode, match=r"worker tcp://\S+ has other code: sources \w{12} instead of 0{12}"):
+    with pytest.raises(OtherCode, match=r"worker tcp://\S+ has other code: sources \w{32} instead of 0{32}"):
         ClusterWorkers(plan(), other, served[1], fake_fly)
 
 
