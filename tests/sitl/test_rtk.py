@@ -10,7 +10,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Baseline
 from estimator.contracts.time import after
 from sitl.flight.one_flight import fly, settings_for
-from sitl.flight.rtk_pair import RtkPair
+from sitl.flight.vessel_reports import RtkPair
 from sitl.scenario.scenario import Scenario, load
 from sitl.sensors.rtk import RtkErrors, RtkSettings
 from sitl.world.world import World

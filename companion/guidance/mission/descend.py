@@ -13,12 +13,13 @@ import numpy as np
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import limits, rules, thesis
-from companion.guidance.mission.phase import STAYS, TRY, Aimed, Phase, not_lower, still, turn_rad, waits_m
+from companion.guidance.mission.phase import STAYS, TRY, Phase, not_lower, over_pad, waits_m
 from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions
 from estimator.contracts.commands import Command
+from estimator.contracts.estimates import RelativeState
 
 INSIDE = 1.2
 """The share of the descent rate on the axis, which is limited to 1: near the axis the rate does not depend on the error."""
@@ -47,7 +48,7 @@ def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions, ends
     return min(rate, max(ends_m_s, tapered) if tapered > 0.0 else tapered)
 
 
-def _over_pad(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+def _over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     yield from rules.other_pad(p, s, o)
     yield from rules.try_ends(p, s, o)
     if (limit := rules.try_over(p, s, o) or rules.sank(p, s, o)) is not None:
@@ -85,27 +86,14 @@ def _down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWi
             yield Event.AT_GATE, Reason(ReasonCause.LOW_ENOUGH, height_m, o.cone.gate_m)
 
 
-def _aim_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
-    estimate = s.estimate
-    if estimate is None:
-        return still(p, s, o)
-    yaw = turn_rad(s, o, estimate)
-    if o.mission == "thesis":
-        return p, thesis.target(o.thesis.approach_height_m, o.thesis, yaw)
+def _target_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
     # A cone that is wide enough for the error is higher up; and higher up the pad stays in view.
     wide_m = min(o.tries.safe_height_m, limits.beside_m(estimate, s.knowledge) / o.cone.slope)
     over = np.array([*s.knowledge.aim_level, max(min(estimate.height_m, p.entered_height_m), wide_m, waits_m(s, o))])
-    speed = o.cone.intercept_speed_m_s
-    return p, Target(over, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed, yaw_rad=yaw)
+    return Target(over, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=o.cone.intercept_speed_m_s)
 
 
-def _aim_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
-    estimate = s.estimate
-    if estimate is None:
-        return still(p, s, o)
-    yaw = turn_rad(s, o, estimate)
-    if o.mission == "thesis":
-        return p, thesis.target(o.thesis.final_height_m, o.thesis, yaw)
+def _target_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
     least_m = waits_m(s, o)
     # Where two witnesses of the deck find the gate open already, and surely so, it is passed at the commit's rate.
     falls_m_s = limits.fall_m_s(s.knowledge, limits.to_contact_s(estimate, s.knowledge, o.cone), o.cone, limits.SIGMAS_AHEAD)
@@ -113,7 +101,7 @@ def _aim_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
     ends_m_s = o.cone.commit_rate_m_s if surely and rules.bars_commit(p, s, o) is None else 0.0
     rate = descent_rate_m_s(limits.beside_m(estimate, s.knowledge), estimate.height_m, o.cone, least_m, ends_m_s)
     over = np.array([*s.knowledge.aim_level, least_m])
-    return p, Target(over, descent_rate_m_s=rate, speed_max_m_s=o.cone.intercept_speed_m_s, yaw_rad=yaw)
+    return Target(over, descent_rate_m_s=rate, speed_max_m_s=o.cone.intercept_speed_m_s)
 
 
 def _allows(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
@@ -126,8 +114,8 @@ PHASES = {
     State.INTERCEPT: Phase(
         "Flying over the pad at height.",
         {**TRY, Event.IN_CONE: State.DESCEND, Event.ARRIVED: State.STAY},
-        _over_pad,
-        _aim_over,
+        _over,
+        over_pad(_target_over, lambda s, o: o.thesis.approach_height_m),
         rules.spend,
         _allows,
     ),
@@ -135,7 +123,7 @@ PHASES = {
         "Descending in the cone over the pad.",
         {**TRY, **STAYS, Event.OUT_OF_CONE: State.INTERCEPT, Event.AT_GATE: State.GATE},
         _down,
-        _aim_down,
+        over_pad(_target_down, lambda s, o: o.thesis.final_height_m),
         rules.spend,
         _allows,
     ),

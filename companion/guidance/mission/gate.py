@@ -15,10 +15,11 @@ from msgspec.structs import replace
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, rules, thesis
-from companion.guidance.mission.phase import STAYS, TRY, Aimed, Phase, lower_if_agreed, still, turn_rad, waits_m
+from companion.guidance.mission.phase import STAYS, TRY, Phase, lower_if_agreed, over_pad, waits_m
 from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs, seconds_between
 
 _OVER_GATE_M = 0.3
@@ -90,16 +91,10 @@ def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Event
         yield Event.GATE_OPEN, Reason(ReasonCause.ALL_LIMITS_HOLD)
 
 
-def _aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
-    estimate = s.estimate
-    if estimate is None:
-        return still(p, s, o)
-    yaw = turn_rad(s, o, estimate)
-    if o.mission == "thesis":
-        return p, thesis.target(o.thesis.final_height_m, o.thesis, yaw)
+def _target(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
     least_m = waits_m(s, o)
     rate_max = o.tries.climb_m_s if least_m == o.cone.gate_m or estimate.height_m > least_m else _AWAY_M_S
-    return p, Target(np.array([*s.knowledge.aim_level, least_m]), vertical_rate_max_m_s=rate_max, yaw_rad=yaw)
+    return Target(np.array([*s.knowledge.aim_level, least_m]), vertical_rate_max_m_s=rate_max)
 
 
 PHASES = {
@@ -107,7 +102,7 @@ PHASES = {
         "Following the deck just above it until every limit holds.",
         {**TRY, **STAYS, Event.CONTACT: State.PRESS, Event.OUT_OF_CONE: State.DESCEND, Event.GATE_OPEN: State.COMMIT},
         _events,
-        _aim,
+        over_pad(_target, lambda s, o: o.thesis.final_height_m),
         _note,
         lower_if_agreed,
     ),

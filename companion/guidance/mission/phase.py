@@ -138,6 +138,25 @@ def looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Velocity 
     return Velocity(v, max(-_TURN_MOST_RAD_S, min(_TURN_MOST_RAD_S, turn)))
 
 
+def over_pad(
+    target: Callable[[Progress, GuidanceCycle, GuidanceOptions, RelativeState], Target],
+    thesis_m: Callable[[GuidanceCycle, GuidanceOptions], float],
+) -> Callable[[Progress, GuidanceCycle, GuidanceOptions], Aimed]:
+    """Return an aim at a target by the estimate, or at the thesis' way point of this height; without an estimate it stays."""
+
+    def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
+        if s.estimate is None:
+            return still(p, s, o)
+        if o.mission == "thesis":
+            over, speed = np.array([o.thesis.pad_ahead_m, 0.0, thesis_m(s, o)]), o.thesis.speed_m_s
+            found = Target(over, vertical_rate_max_m_s=speed, speed_max_m_s=speed)
+        else:
+            found = target(p, s, o, s.estimate)
+        return p, replace(found, yaw_rad=turn_rad(s, o, s.estimate))
+
+    return aim
+
+
 def turn_rad(s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> float | None:
     """Return the heading against the arrow to turn to; None to keep the present one."""
     if estimate.yaw_rad is None:

@@ -14,12 +14,11 @@ from msgspec.structs import replace
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
-from companion.guidance.mission import limits, rules, thesis
-from companion.guidance.mission.limits import battery_ends
-from companion.guidance.mission.phase import TRY, Aimed, Phase, lower_if_agreed, still, turn_rad, waits_m
+from companion.guidance.mission import limits, rules
+from companion.guidance.mission.phase import TRY, Phase, lower_if_agreed, over_pad, waits_m
 from companion.guidance.mission.progress import SIGHT_HOLDS_S, GuidanceCycle, Progress
-from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.estimates import RelativeState
 
 
 def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
@@ -29,10 +28,10 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     return replace(p, attempt=p.attempt.stayed(s.at), landing_began=s.at)
 
 
-def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[rules.EventWithReason]:
     yield from rules.other_pad(p, s, o)
     yield from rules.try_ends(p, s, o)
-    if s.battery is not None and battery_ends(s.battery, o):
+    if s.battery is not None and limits.battery_ends(s.battery, o):
         yield Event.HOPELESS, Reason(ReasonCause.BATTERY, 100.0 * s.battery, 100.0 * o.limits.battery)
     if (limit := rules.try_over(p, s, o) or rules.sank(p, s, o)) is not None:
         yield Event.LIMIT, limit
@@ -46,16 +45,13 @@ def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Event
         yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, limits.radius_m(estimate.height_m, o.cone))
 
 
-def _aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
-    estimate = s.estimate
-    if estimate is None:
-        return still(p, s, o)
-    yaw, height_m = turn_rad(s, o, estimate), max(o.stay_height_m, waits_m(s, o))
-    if o.mission == "thesis":
-        return p, thesis.target(height_m, o.thesis, yaw)
-    over = np.array([*s.knowledge.aim_level, height_m])
-    rate, speed = o.tries.climb_m_s, o.cone.intercept_speed_m_s
-    return p, Target(over, vertical_rate_max_m_s=rate, speed_max_m_s=speed, yaw_rad=yaw)
+def _height_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
+    return max(o.stay_height_m, waits_m(s, o))
+
+
+def _target(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
+    over = np.array([*s.knowledge.aim_level, _height_m(s, o)])
+    return Target(over, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=o.cone.intercept_speed_m_s)
 
 
 PHASES = {
@@ -69,7 +65,7 @@ PHASES = {
             Event.OUT_OF_CONE: State.INTERCEPT,
         },
         _events,
-        _aim,
+        over_pad(_target, _height_m),
         _note,
         lower_if_agreed,
     ),

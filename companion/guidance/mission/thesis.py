@@ -10,12 +10,10 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from companion.base.mission import Event, Reason, ReasonCause, State
-from companion.guidance.controller import Target
 from companion.guidance.mission import limits
 from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason, Row
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.mission import ThesisOptions
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import seconds_between
 
@@ -38,12 +36,6 @@ def near(estimate: RelativeState, ahead_m: float, height_m: float, reached_m: fl
     """Return whether the drone is within `reached_m` of a way point, aside and in height."""
     x, y, z = estimate.d_body_pad_level.tolist()
     return math.hypot(x - ahead_m, y) <= reached_m and abs(z - height_m) <= reached_m
-
-
-def target(height_m: float, way: ThesisOptions, yaw_rad: float | None) -> Target:
-    """Return the target of a way point."""
-    over = np.array([way.pad_ahead_m, 0.0, height_m])
-    return Target(over, vertical_rate_max_m_s=way.speed_m_s, speed_max_m_s=way.speed_m_s, yaw_rad=yaw_rad)
 
 
 def over_pad(s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[EventWithReason]:
