@@ -278,6 +278,8 @@ def run(args: argparse.Namespace) -> int:
     )
     is_socket = args.config is not None and Path(args.config).is_socket()
     path = Path(args.config) if is_socket else running(None if args.config is None else load(args.config))
+    if args.config is None:
+        sys.stderr.write(f"to the service for {path.stem}\n")
     if args.order is None:
         return event_loop.run(fly(path))
     return event_loop.run(_once(args, path))

@@ -68,16 +68,18 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
     pilot = make_pilot(settings)
     file = find_file(args.config, "", Path(), "settings")
     if args.check:
-        c = pilot.camera
+        c, camera, vision = pilot.camera, settings.camera, settings.vision
+        frames = "frames come from the vehicle" if camera.source == "vehicle" else f"frames from {camera.source} {camera.device}"
         unchecked = check_files(settings)
         sys.stdout.write(
             f"{_vehicle(settings)}\n"
-            f"camera: {settings.camera.file}, {c.width}x{c.height} px, {_source(settings)}\n"
+            f"camera: {camera.file}, {c.width}x{c.height} px, {frames}\n"
             f"pad: {settings.pad.file}\n"
-            f"colours: {settings.vision.colours}\n"
-            f"second opinion: {_second_opinion(settings)}\n"
+            f"colours: {vision.colours}\n"
+            f"second opinion: {'off' if vision.learned == 'off' else vision.learned_file or 'the shipped network'}\n"
             f"estimator: {settings.estimator.path} steers\n"
-            f"start of the approach: {settings.guidance.start}\n"
+            f"start of the approach: {'; '.join(_starts(settings))}\n"
+            f"limits: height {settings.limits.height_max_m:g} m, fence {settings.limits.fence}\n"
             f"recorder: {'on, into ' + settings.recorder.folder if settings.recorder.enabled else 'off'}\n"
             f"mqtt: {_broker(settings)}\n"
             f"http: {settings.http.endpoint}\n"
@@ -115,11 +117,6 @@ def _calibrate_pad(settings: Settings) -> None:
         sys.stderr.write(f"its calibration cannot be kept in {file}: {why.strerror or why}\n")
 
 
-def _second_opinion(settings: Settings) -> str:
-    vision = settings.vision
-    return "off" if vision.learned == "off" else vision.learned_file or "the shipped network"
-
-
 def _vehicle(settings: Settings) -> str:
     v, bridge = settings.vehicle, settings.bridge
     if isinstance(v, AutopilotOptions):
@@ -137,6 +134,18 @@ def _vehicle(settings: Settings) -> str:
     )
 
 
+def _starts(settings: Settings) -> list[str]:
+    """Return each way in which a landing begins."""
+    switch, handover = settings.operator.switch, settings.operator.handover
+    ways: list[str] = [settings.guidance.start]
+    if switch.channel:
+        ways.append(f"switch of channel {switch.channel} (low {switch.low}, middle {switch.middle}, high {switch.high})")
+    if handover.after != "nothing":
+        with_failsafe = ", with a failsafe in force too" if handover.failsafe else ""
+        ways.append(f"by itself after the autopilot's own {handover.after}{with_failsafe}")
+    return ways
+
+
 def _bridge(bridge: BridgeOptions) -> str:
     who = (
         f"system {bridge.operators}"
@@ -149,11 +158,6 @@ def _bridge(bridge: BridgeOptions) -> str:
         f"; shown to ground stations as system {bridge.system_id} over {bridge.links} ({bridge.unsigned or 'signed'}), "
         f"commands from {who}"
     )
-
-
-def _source(settings: Settings) -> str:
-    c = settings.camera
-    return "frames come from the vehicle" if c.source == "vehicle" else f"frames from {c.source} {c.device}"
 
 
 def _broker(settings: Settings) -> str:

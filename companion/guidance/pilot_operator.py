@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from typing import Protocol
 
+from companion.base.mission import FLOWN
 from companion.base.observer import Decision, NullObserver
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
 from companion.facts.wire import FlightState, OrderAnswer, OrderRequest
@@ -103,10 +104,12 @@ class FlightWatch(NullObserver):
         height_m = self._range_m(now) if belief is None else belief.height_m
         hand, (below, over_pad) = self._pilot.operator.hand, self.below(now)
         taken_from, why = self._pilot.operator.hand_taken or (None, "")
+        mission = self._pilot.landing.mission
+        goal = "" if mission.state not in FLOWN else "to stay over the pad" if mission.stays else "to land"
         return FlightState(
             situation=self._pilot.operator.situation(now).value,
             phase="" if decision is None else decision.phase,
-            reason="" if decision is None else sender.reads(decision.reason),
+            reason=goal if decision is None else sender.reads(decision.reason) or goal,
             hand=None if hand is None else sender.reads(str(hand)),
             yours=hand == sender,
             hand_taken=sender.reads(why) if sender == taken_from else "",

@@ -426,6 +426,8 @@ class Autopilot:
         stack, mode = known.identity.stack.value, known.sampler.condition.mode
         if known.streamer.cause is HandEvent.REFUSED:
             why = f"{stack} refused the mode {VELOCITY_MODE.get(known.identity.stack, '')}"
+        elif known.streamer.cause is HandEvent.RESET:
+            why = "nobody commands it since the reset"
         else:
             why = f"{stack} took the vehicle" if about else "the vehicle was taken over"
         words = min(about, key=lambda one: (one[0], -one[1]))[2] if about else ""

@@ -43,7 +43,7 @@ def memory(state: State, since_s: float = 1.0, **more: Any) -> Progress:
 
 
 def blind(state: State, since_s: float = 1.0, **more: Any) -> Progress:
-    return memory(state, since_s, **{"in_sight": False, "seen": None, "seen_height_m": 0.0, "was_silent": True, **more})
+    return memory(state, since_s, **{"in_sight": False, "seen": None, "seen_height_m": 0.0, "silent_m": 0.0, **more})
 
 
 def sees(d: tuple[float, float, float] = (0.0, 0.0, 1.0), **more: Any) -> Any:

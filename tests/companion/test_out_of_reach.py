@@ -36,7 +36,7 @@ HELD = [State.PAUSED, State.ABORTED]
 heights = st.one_of(st.just(math.inf), st.floats(0.0, 6.0))
 memories = st.fixed_dictionaries(
     {
-        "seen_height_m": heights, "was_silent": st.booleans(), "climbed_m": st.floats(0.0, 5.0),
+        "seen_height_m": heights, "silent_m": st.one_of(st.none(), st.floats(0.0, 5.0)), "climbed_m": st.floats(0.0, 5.0),
         "deck_rise_m": st.floats(-2.0, 2.0), "in_sight": st.just(False),
         "seen": st.sampled_from([None, ns(NOW - 0.3)]), "go_arounds": st.integers(0, 2),
     }
@@ -66,7 +66,7 @@ def test_no_order_moves_a_drone_along_a_deck_that_may_be_within_reach(state, mem
     assert isinstance(found, Velocity | Hover)
     v = found.v_level if isinstance(found, Velocity) else np.zeros(3)
     assert v[2] <= 0.0, "without sight it never goes lower"
-    from_m = 0.0 if math.isinf(memory["seen_height_m"]) or memory["was_silent"] else memory["seen_height_m"]
+    from_m = 0.0 if math.isinf(memory["seen_height_m"]) or memory["silent_m"] is not None else memory["seen_height_m"]
     near = range_m is not None and range_m < SAFE_M - 0.25
     if near and memory["climbed_m"] + from_m < 2.0 * SAFE_M:
         assert v[2] <= -OPTIONS.tries.climb_m_s, "the range sensor finds the deck"
@@ -77,6 +77,8 @@ def test_no_order_moves_a_drone_along_a_deck_that_may_be_within_reach(state, mem
 
 class Sea:
     """A drone that flies as it is ordered, with a lag, over a deck in a swell, and sees nothing."""
+
+    heard_each_s = DT
 
     def __init__(
         self, state: State, height_m: float, *, ranged: float | bool | None, over_ground: bool = False, swell_m: float = 0.0
@@ -91,9 +93,8 @@ class Sea:
         for _ in range(round(seconds / DT)):
             deck_up = self.swell_m * math.cos(math.tau * self.t / 9.0) * math.tau / 9.0
             read = self.height_m if self.ranged is True else self.ranged
-            s = GuidanceCycle(
-                ns(NOW + self.t), Knowledge(ns(NOW + self.t), None, climb_max_m_s=1.0), wind=WINDY, range_m=read or None
-            )
+            knowledge, silent_s = Knowledge(ns(NOW + self.t), None, climb_max_m_s=1.0), self.t % self.heard_each_s
+            s = GuidanceCycle(ns(NOW + self.t), knowledge, wind=WINDY, range_m=read or None, silent_s=silent_s)
             self.p, found, _ = mission_step(self.p, holding(s, self.over_ground), self.o)
             v = found.v_level if isinstance(found, Velocity) else np.zeros(3)
             self.v_up += (-float(v[2]) - self.v_up) * DT / 0.4
@@ -113,6 +114,16 @@ def test_from_the_deck_it_comes_out_of_reach_in_every_state(state: State, ranged
     assert sea.low_moves == 0.0
     flown = sea.fly(60.0)
     assert flown.climbed_m < 2.0 * SAFE_M + 0.5, "and stays there"
+
+
+@pytest.mark.parametrize("heard_each_s", [1.0, 1e9])
+def test_a_vehicle_that_is_not_heard_is_sent_out_of_reach_and_not_for_ever(heard_each_s: float) -> None:
+    """WHY: one whose streams had ended, and whose HEARTBEAT came each second, was sent up by 6.6 m."""
+    sea = Sea(State.SEARCH, 0.3, ranged=None, over_ground=True)
+    sea.heard_each_s = heard_each_s
+    assert SAFE_M - 0.3 < sea.fly(60.0).climbed_m < 2.0 * SAFE_M + 0.3
+    sea.heard_each_s, before_m = DT, sea.climbed_m
+    assert sea.fly(60.0).climbed_m - before_m > (SAFE_M - 0.3 if heard_each_s > 1.0 else -0.1), "it may have stayed below"
 
 
 @pytest.mark.parametrize("state", [State.SEARCH, State.HOLD_BLIND, State.REFUSED, State.PAUSED])

@@ -456,11 +456,13 @@ def test_links_that_are_not_signed_are_reported_with_the_cure(links, level, capl
     signed_links(AutopilotOptions(links))
     assert [r.levelname for r in caplog.records if "decklander keys make" in r.getMessage()] == [level]
     file = tmp_path / "build.toml"
-    file.write_text(AUTOPILOT.replace("serial:///dev/ttyAMA0:921600", links))
+    begins = '[operator.switch]\nchannel = 7\n[operator.handover]\nafter = "mission"\n'
+    file.write_text(AUTOPILOT.replace("serial:///dev/ttyAMA0:921600", links) + begins)
     assert cli.main(["run", "--config", str(file), "--check"]) == 0
     output = capsys.readouterr().out
     assert "not signed: decklander keys make" in output
     assert "commands from the autopilot's own link" in output
+    assert "; switch of channel 7 (low hold, middle stay, high begin); by itself after the autopilot's own mission\n" in output
 
 
 def test_a_key_is_looked_up_by_a_part_of_it(capsys) -> None:

@@ -334,7 +334,7 @@ def test_a_refused_drone_goes_out_of_reach_and_then_holds_or_returns() -> None:
         assert same_bits(high, ends) or (isinstance(high, Velocity) and not high.v_level.any() and refused == "hold")
     for seen_m, silent, needs_m in ((1.5, False, 2.5), (3.0, False, 1.0), (8.0, False, 0.0), (8.0, True, 2.0)):
         for climbed_m in (0.0, 0.9, 1.1, 1.9, 2.1, 2.6):
-            known_high = replace(p, seen_height_m=seen_m, was_silent=silent, climbed_m=climbed_m)
+            known_high = replace(p, seen_height_m=seen_m, silent_m=0.0 if silent else None, climbed_m=climbed_m)
             found = aim(known_high, blind, guided())[1]
             assert isinstance(found, Velocity)
             assert bool(found.v_level[2] < 0.0) is (climbed_m < needs_m), "it is high enough where it was seen high up"

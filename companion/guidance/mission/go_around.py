@@ -46,7 +46,7 @@ def _height_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     """Return the height over the pad: the one that is seen, or the least that the climb since the newest sight has made."""
     if p.in_sight:
         return p.seen_height_m
-    known = not p.was_silent and math.isfinite(p.seen_height_m)
+    known = p.silent_m is None and math.isfinite(p.seen_height_m)
     from_m = min(p.seen_height_m, o.tries.safe_height_m) if known else 0.0
     reckoned_m = from_m + p.climbed_m - p.deck_rise_m
     if s.range_m is not None and out_of_reach.near(p, s, o):

@@ -221,7 +221,7 @@ def _in_sight(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         course=_course(p, s, estimate),
         in_sight=True,
         seen=s.at,
-        was_silent=False,
+        silent_m=None,
         deck_rise_m=0.0,
         climbed_m=0.0,
         seen_height_m=estimate.height_m,
@@ -240,7 +240,7 @@ def _seen_from(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         if range_m is None or s.estimate.alerts or abs(range_m - height_m) >= _AGREES_WITHIN * range_m:
             return p
         height_m = min(height_m, range_m)
-    return replace(p, seen_height_m=height_m, was_silent=False, deck_rise_m=0.0, climbed_m=0.0)
+    return replace(p, seen_height_m=height_m, silent_m=None, deck_rise_m=0.0, climbed_m=0.0)
 
 
 def _in_wind(p: Progress, s: GuidanceCycle) -> Progress:

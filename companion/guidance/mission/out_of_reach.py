@@ -4,7 +4,7 @@ A deck in waves comes up to a drone that stays where it is, and feet that move a
 drone that is low, or does not know how high it is, climbs first and flies nowhere else meanwhile. One rule serves every state
 (`low`); the states differ in the height that they want (`_WANTED`). The witnesses in order: the range sensor, not believed beyond
 twice the safe height; the height that was last known, with what it has climbed and the deck has risen since; the time for which
-it has climbed, where the range sensor's silence says nothing.
+it has climbed, where the range sensor's silence says nothing. A silent vehicle may not have climbed: its time counts by itself.
 """
 
 import math
@@ -44,9 +44,10 @@ def climbed(p: Progress, s: GuidanceCycle, since_last_s: float) -> Progress:
     """Charge a guidance cycle to the climb and the deck's rise; a vehicle that is silent, or left alone, may not have climbed."""
     if s.knowledge.deck is not None:
         p = replace(p, deck_rise_m=p.deck_rise_m - since_last_s * s.knowledge.deck.v_level.item(2))
+    ordered_m = min(since_last_s, STARVED_S) * p.climbs_m_s
     if s.silent_s > SILENT_S:
-        return replace(p, was_silent=True)
-    return p if p.climbs_m_s == 0.0 else replace(p, climbed_m=p.climbed_m + min(since_last_s, STARVED_S) * p.climbs_m_s)
+        return replace(p, silent_m=(p.silent_m or 0.0) + ordered_m)
+    return replace(p, climbed_m=p.climbed_m + ordered_m)
 
 
 def flown_by_others(p: Progress) -> Progress:
@@ -60,7 +61,7 @@ def flown_by_others(p: Progress) -> Progress:
 
 def height_m(p: Progress, s: GuidanceCycle) -> float | None:
     """Return the least height over the deck by what was last known of it, m; None if nothing is."""
-    if math.isfinite(p.seen_height_m) and not p.was_silent:
+    if math.isfinite(p.seen_height_m) and p.silent_m is None:
         return p.seen_height_m + p.climbed_m - max(0.0, p.deck_rise_m)
     return None if s.place is None else s.place.height_m
 
@@ -68,7 +69,7 @@ def height_m(p: Progress, s: GuidanceCycle) -> float | None:
 def near(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether a range sensor finds the surface nearer than is safe, and may be believed."""
     # A drone that a person has flown meanwhile is not where it was seen.
-    from_m = p.seen_height_m if p.state in FLOWN and math.isfinite(p.seen_height_m) and not p.was_silent else 0.0
+    from_m = p.seen_height_m if p.state in FLOWN and math.isfinite(p.seen_height_m) and p.silent_m is None else 0.0
     safe_m = o.tries.safe_height_m
     return s.range_m is not None and s.range_m < safe_m - NEAR_SAFE_M and from_m + p.climbed_m < _MOST * safe_m
 
@@ -82,7 +83,8 @@ def low(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
         return True
     known_m = height_m(p, s)
     if known_m is None:
-        return s.range_m is None and s.hold.over_ground and p.state in _BY_TIME and p.climbed_m < safe_m
+        climbed_m = p.silent_m or 0.0 if s.silent_s > SILENT_S else p.climbed_m
+        return s.range_m is None and s.hold.over_ground and p.state in _BY_TIME and climbed_m < safe_m
     return known_m < wanted * safe_m and p.climbed_m < _MOST * safe_m
 
 

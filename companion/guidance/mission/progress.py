@@ -333,8 +333,8 @@ class Progress(Struct, frozen=True, eq=False):
     """Time of the newest estimate that was fit to steer by."""
     seen_height_m: float = math.inf
     """Height at that time."""
-    was_silent: bool = False
-    """The vehicle was silent since the newest sight: it may have flown on with its last command, down to the deck."""
+    silent_m: float | None = None
+    """Height ordered while the vehicle was silent since the newest sight, m: it may have flown down. None if it never was."""
     in_sight: bool = False
     deck_rise_m: float = 0.0
     """Rise of the deck since the newest sight, m, as far as it is estimated."""
@@ -402,9 +402,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
         case Event.CLEAR:
             climbed_to_m = p.seen_height_m if change.reason.measured is None else change.reason.measured
             higher_m = max(p.seen_height_m, climbed_to_m)
-            p = replace(
-                p, attempt=p.attempt.again(), seen_height_m=higher_m, climbed_m=0.0, was_silent=False, course=HeldCourse()
-            )
+            p = replace(p, attempt=p.attempt.again(), seen_height_m=higher_m, climbed_m=0.0, silent_m=None, course=HeldCourse())
     match change.target:
         case State.GO_AROUND:
             touched = change.reason.cause is ReasonCause.OFF_DECK
@@ -427,6 +425,6 @@ def _fresh(p: Progress) -> Progress:
     """Return the memory without anything of earlier tries."""
     return replace(
         p, fault=None, refusing=False, attempt=Attempt(), seen=None, seen_height_m=math.inf, in_sight=False, track=None,
-        heading_rad=None, turned=None, was_silent=False, course=HeldCourse(),
+        heading_rad=None, turned=None, silent_m=None, course=HeldCourse(),
         climbed_m=0.0, deck_rise_m=0.0,
     )  # fmt: skip

@@ -92,6 +92,9 @@ async def test_a_terminal_flies_by_hand_and_its_end_is_a_hold(folder: Path) -> N
         async with connected(path, states.append) as client:
             client.watch()
             assert (await client.order(OperatorOrder.RELEASE)).text == "refused: nobody flies by hand"
+            for order, goal in ((OperatorOrder.BEGIN, "to land"), (OperatorOrder.STAY, "to stay over the pad")):
+                assert (await client.order(order)).accepted
+                await until(lambda goal=goal: states[-1].reason == goal)
             assert (await client.order(OperatorOrder.MANUAL)).accepted
             client.move(StickPositions(forward=1.0))
             await until(lambda: isinstance(service.command, Velocity))

@@ -15,7 +15,7 @@ from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.roster import Roster
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.commands import CutMotors, Land, Velocity
+from estimator.contracts.commands import CutMotors, Land, LeaveEmergency, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample, VehicleStatus
 from estimator.contracts.time import seconds_between
@@ -246,3 +246,7 @@ async def test_who_takes_the_vehicle_is_reported_at_once_and_so_is_that_it_was_g
         assert await reported_within_s(fake, autopilot, lambda taken: taken == "the vehicle was taken over: mode posctl") < 0.5
         autopilot.engage()
         assert await reported_within_s(fake, autopilot, lambda taken: taken is None) < 0.1
+        autopilot.command(CutMotors())  # it goes on flying
+        autopilot.command(LeaveEmergency())
+        left = "nobody commands it since the reset: mode posctl"
+        assert await reported_within_s(fake, autopilot, lambda taken: taken == left) < 0.5
