@@ -276,7 +276,7 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
             f"outputs: sha256 {done.replay.digest}",
         ]
         if rows := done.errors():
-            heads = f"{'lateral':>10}{'95 %':>10}{'down':>10}{'95 %':>10}{'heading':>9}{'95 %':>8}{'NEES':>10}"
+            heads = f"{'aside 50 %':>11}{'95 %':>9}{'down 50 %':>11}{'95 %':>9}{'heading':>9}{'95 %':>8}{'NEES':>10}"
             out += [f"{'against truth':<16}{'count':>7}{heads}", *map(_row, rows)]
         if decks := done.decks():
             out += [f"{'deck by truth':<16}{'count':>7}{'tilt':>9}{'95 %':>8}{'NEES':>8}", *map(_deck_row, decks)]
@@ -301,7 +301,7 @@ def _became_of(log: FlightLog) -> list[str]:
 
 
 def _row(r: ErrorRow) -> str:
-    mm = (_mm(x) for x in (r.lateral_median_m, r.lateral_p95_m, r.down_bias_m, r.down_p95_m))
+    mm = (_mm(x) for x in (r.lateral_median_m, r.lateral_p95_m, r.down_median_m, r.down_p95_m))
     angles = [("-" if math.isnan(a) else f"{math.degrees(a):.2f}") for a in (r.yaw_median_rad, r.yaw_p95_rad)]
     return f"{r.name:<16}{r.count:>7}" + "".join(f"{x:>10}" for x in mm) + f"{angles[0]:>9}{angles[1]:>8}{_ratio(r.nees):>10}"
 

@@ -135,7 +135,7 @@ def test_error_statistics_are_those_put_in():
     assert math.isnan(rows["ellipse"].yaw_median_rad)
     assert rows["corners"].lateral_median_m < 0.01
     assert rows["corners"].yaw_p95_rad < 1e-3
-    assert rows["dead_reckoning"].down_bias_m == pytest.approx(0.1, abs=0.01)
+    assert rows["dead_reckoning"].down_median_m == pytest.approx(0.1, abs=0.01)
     assert rows["dead_reckoning"].fraction is None
     assert rows["dead_reckoning"].nees == pytest.approx((3 * 0.02**2 + 0.1**2) / 1e-4 / 7, rel=0.2)
     assert math.isnan(rows["corners"].nees)

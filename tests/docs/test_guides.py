@@ -292,7 +292,7 @@ def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_
             code, answer = cli("fly", "status", "--json")
             if code == 0 and done(status := json.loads(answer)):
                 return status
-            time.sleep(0.2)
+            time.sleep(1.0)
         raise AssertionError(f"{answer}{(tmp_path / 'log').read_text()}")
 
     drone = [sys.executable, "-m", "sitl.emulators.ardrone.serve", str(tmp_path / "sea.toml"), "--seed", "3"]

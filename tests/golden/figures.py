@@ -25,8 +25,8 @@ HERE = Path(__file__).parent
 FIGURES, REASONS = HERE / "figures.toml", HERE / "REASONS.md"
 RECORDINGS = ("approach", "frames")
 Figures = dict[str, dict[str, float]]
-"""Figures by path or method: count, lateral_median_m, lateral_p95_m, down_bias_m, down_p95_m, yaw_median_rad, yaw_p95_rad."""
-FIELDS = ("count", "lateral_median_m", "lateral_p95_m", "down_bias_m", "down_p95_m", "yaw_median_rad", "yaw_p95_rad")
+"""Figures by path or method: count, lateral_median_m, lateral_p95_m, down_median_m, down_p95_m, yaw_median_rad, yaw_p95_rad."""
+FIELDS = ("count", "lateral_median_m", "lateral_p95_m", "down_median_m", "down_p95_m", "yaw_median_rad", "yaw_p95_rad")
 
 
 def measured(name: str) -> Figures:

@@ -7,7 +7,7 @@ import pytest
 from tests.golden import figures
 
 TOLERANCE = {
-    "count": (3.0, 0.02), "lateral_median_m": (0.002, 0.1), "lateral_p95_m": (0.004, 0.1), "down_bias_m": (0.002, 0.1),
+    "count": (3.0, 0.02), "lateral_median_m": (0.002, 0.1), "lateral_p95_m": (0.004, 0.1), "down_median_m": (0.002, 0.1),
     "down_p95_m": (0.004, 0.1), "yaw_median_rad": (0.0005, 0.15), "yaw_p95_rad": (0.001, 0.15),
 }  # fmt: skip
 """Tolerance by field: a part of its own unit, and a share of the figure; the larger counts."""

@@ -203,12 +203,12 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str, extent: str | N
     Raises:
         BadInput: it paints nothing, or not in plain colours, or nobody says the size.
     """
-    coarse = 1500.0 / max(drawing.width, drawing.height)
+    coarse = 600.0 / max(drawing.width, drawing.height)
     size = math.ceil(coarse * drawing.width), math.ceil(coarse * drawing.height)
-    rows, columns = np.nonzero(drawing.rendered(0.0, 0.0, size, coarse, crisp=False)[..., 3])
-    if not len(rows):
+    painted = cv2.boundingRect(cv2.extractChannel(drawing.rendered(0.0, 0.0, size, coarse, crisp=False), 3))
+    left, top, wide, high = (v / coarse for v in painted)
+    if not wide:
         raise BadInput(f"{where}: the drawing paints nothing on its sheet")
-    left, top, wide, high = (float(v) / coarse for v in (columns.min(), rows.min(), np.ptp(columns) + 1, np.ptp(rows) + 1))
     scale, margin = ACROSS_PX / max(wide, high), 20
     aside = margin / scale
     size = math.ceil(wide * scale) + 2 * margin, math.ceil(high * scale) + 2 * margin
@@ -218,13 +218,15 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str, extent: str | N
         raise BadInput(
             f"{where}: it has gradients, filters or half transparent parts, and plain colours alone are read: take them out"
         )
-    image = np.searchsorted(colours, pixels).astype(np.uint8)
+    image: U8 = np.zeros(pixels.shape, np.uint8)
+    for k, colour in enumerate(colours.tolist()):
+        image[pixels == colour] = k
     paints: list[Rgb] = [(255, 255, 255), *((c >> 16 & 255, c >> 8 & 255, c & 255) for c in colours.tolist()[1:])]
-    rows, columns = np.nonzero(image)
-    low, high_px = np.array([(columns.min(), rows.min()), (columns.max() + 1, rows.max() + 1)], float)
+    x, y, across_px, along_px = cv2.boundingRect(image)
+    low, high_px = np.array([(x, y), (x + across_px, y + along_px)], float)
     across = float((high_px - low).max())
     fills = bool(np.all(np.abs((high_px - low) / scale - (drawing.width, drawing.height)) < 0.01 * max(wide, high)))
-    edge = _edge(image[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1])
+    edge = _edge(image[y : y + along_px, x : x + across_px])
     ground, middle, known = 0, None, True
     if fills and np.count_nonzero(edge) > 0.998 * len(edge):
         ground, middle = int(np.bincount(edge).argmax()), 0.5 * (low + high_px - 1.0)

@@ -57,7 +57,7 @@ class ErrorRow(Struct, frozen=True):
     """The fraction of all frames; None for a path, which is not tied to frames."""
     lateral_median_m: float
     lateral_p95_m: float
-    down_bias_m: float
+    down_median_m: float
     down_p95_m: float
     yaw_median_rad: float
     yaw_p95_rad: float
@@ -180,7 +180,7 @@ def error_rows(log: FlightLog, series: Sequence[Series]) -> list[ErrorRow]:
                 fraction=len(s.t_s) / frames if frames and not s.is_path else None,
                 lateral_median_m=_quantile(lateral, 0.5),
                 lateral_p95_m=_quantile(lateral, 0.95),
-                down_bias_m=_quantile(down, 0.5),
+                down_median_m=_quantile(down, 0.5),
                 down_p95_m=_quantile(np.abs(down), 0.95),
                 yaw_median_rad=_quantile(yaw, 0.5),
                 yaw_p95_rad=_quantile(yaw, 0.95),

@@ -263,12 +263,12 @@ def errors(log: FlightLog, series: list[Series]) -> str:
                 f"{swatch(r.name)} {escape(r.name.replace('_', ' '))}",
                 str(r.count),
                 "-" if r.fraction is None else f"{100 * r.fraction:.1f} %",
-                *(length(v) for v in (r.lateral_median_m, r.lateral_p95_m, r.down_bias_m, r.down_p95_m)),
+                *(length(v) for v in (r.lateral_median_m, r.lateral_p95_m, r.down_median_m, r.down_p95_m)),
                 *turns,
                 number(r.nees),
             ]
         )
-    heads = ["method or path", "estimates", "of frames", "lateral<br>median", "lateral<br>95 %", "down<br>bias"]
+    heads = ["method or path", "estimates", "of frames", "lateral<br>median", "lateral<br>95 %", "down<br>median"]
     return (
         table([*heads, "down<br>95 %", "heading<br>median", "heading<br>95 %", "NEES<br>mean"], rows)
         + '<p class="note">NEES: the square of a path\'s error in place, velocity and heading by its covariance, over its '

@@ -58,10 +58,10 @@ def simulate(*words: str) -> int:
 
 
 @pytest.mark.timeout(400)
-def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad(tmp_path, near, capsys):
-    binary = program(tmp_path, STAND_IN)
-    kept = tmp_path / "kept"
-    code = simulate(near, "--seed", "2", "--binary", binary, "--json", "--keep", str(kept), "--param", "LAND_SPEED=40")
+def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad_and_its_recording_replays_to_the_bit(tmp_path, near, capsys):
+    kept, record, page = tmp_path / "kept", str(tmp_path / "flight.mcap"), tmp_path / "report"
+    words = ["--keep", str(kept), "--param", "LAND_SPEED=40", "--perception", "model", "--record", record, "--report", str(page)]
+    code = simulate(near, "--seed", "2", "--binary", program(tmp_path, STAND_IN), "--json", *words)
     reported = json.loads(capsys.readouterr().out)
     assert code == 0, (reported, (kept / "texts.txt").read_text(), (kept / "output.txt").read_text())
     assert reported["landed_on_pad"]
@@ -76,6 +76,17 @@ def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad(tmp_path, near, caps
     asked = (kept / "decklander.parm").read_text()
     assert "PLND_LAG 0.05\n" in asked
     assert "LAND_SPEED 40\n" in asked
+    truths = [event for event in open_recording([Path(record)]).events() if isinstance(event, TruthRecord)]
+    assert max(b.at_ns - a.at_ns for a, b in itertools.pairwise(truths)) <= 24_000_000
+    contact = truths[-1].touchdown
+    assert contact is not None
+    assert contact.lateral_m == pytest.approx(reported["touchdown"]["lateral_m"], abs=1e-4)
+    assert truths[-1].phase == "landed"
+    assert main(["replay", record, "--json"]) == 0
+    (ekf,) = (row for row in json.loads(capsys.readouterr().out)["against"]["the recording"] if row["path"] == "ekf")
+    assert ekf["both"] > 300
+    assert ekf["identical"] == ekf["both"]
+    assert "Touchdown and trajectory" in (page / "index.html").read_text()
 
 
 @pytest.mark.skipif(not REAL, reason="DECKLANDER_ARDUCOPTER does not name an ArduCopter program")
@@ -106,25 +117,6 @@ def test_a_program_that_never_steps_leaves_no_recording(tmp_path: Path, near: st
         assert simulate(near, "--binary", program(tmp_path, "exit 1"), "--record", str(kept), "--force") == 1
         assert "ended with code 1" in capsys.readouterr().err
         assert (kept.read_bytes() if kept.exists() else None) == before
-
-
-@pytest.mark.timeout(400)
-def test_a_recorded_flight_holds_the_truth_and_replays_to_the_bit(tmp_path, near, capsys):
-    kept, page = tmp_path / "flight.mcap", tmp_path / "report"
-    words = ["--binary", "stand-in", "--perception", "model", "--record", str(kept), "--report", str(page), "--json"]
-    assert simulate(near, "--seed", "2", *words) == 0
-    reported = json.loads(capsys.readouterr().out)
-    truths = [event for event in open_recording([kept]).events() if isinstance(event, TruthRecord)]
-    assert max(b.at_ns - a.at_ns for a, b in itertools.pairwise(truths)) <= 24_000_000
-    contact = truths[-1].touchdown
-    assert contact is not None
-    assert contact.lateral_m == pytest.approx(reported["touchdown"]["lateral_m"], abs=1e-4)
-    assert truths[-1].phase == "landed"
-    assert main(["replay", str(kept), "--json"]) == 0
-    (ekf,) = (row for row in json.loads(capsys.readouterr().out)["against"]["the recording"] if row["path"] == "ekf")
-    assert ekf["both"] > 300
-    assert ekf["identical"] == ekf["both"]
-    assert "Touchdown and trajectory" in (page / "index.html").read_text()
 
 
 def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) -> None:
