@@ -226,10 +226,10 @@ def _dispatch(argv: list[str], load: Load) -> int:
     args, unknown = parser.parse_known_args(argv)
     if unknown:
         _refuse_words(subparsers.choices[asked], unknown)
-    from companion.cli.outputs import check_outputs  # a help needs none of it
+    from companion.cli.outputs import checked_outputs  # a help needs none of it
 
-    check_outputs(args)
-    return int(module.run(args))
+    with checked_outputs(args):
+        return int(module.run(args))
 
 
 def add_command(subparsers: argparse._SubParsersAction[Any], name: str, module: ModuleType) -> None:

@@ -5,9 +5,12 @@ else only with --force.
 """
 
 import argparse
+import hashlib
 import os
+import socket
 import tempfile
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -69,19 +72,37 @@ def output(parser: argparse._ActionsContainer, spec: str, meaning: str, kind: Ki
         option(parser, "--force", "replace what is there under the name of a file to write (never a file that is read)")
 
 
-def check_outputs(args: argparse.Namespace) -> None:
-    """Check the files that a command will write.
+@contextmanager
+def checked_outputs(args: argparse.Namespace) -> Iterator[None]:
+    """Check the files that a command will write, and keep other commands from them until it ends.
 
     Raises:
-        BadInput: the name has a wrong ending, names what is read or what is not ours to replace, or cannot be written.
+        BadInput: the name has a wrong ending, names what is read, what is not ours to replace or what another command writes, or
+            cannot be written.
     """
-    for one in getattr(args, "outputs", ()):
-        if path := getattr(args, one.dest):
-            check_output(Path(path), one.kind, one.option, _read_by(args), force=getattr(args, "force", False))
+    with ExitStack() as claims:
+        for one in getattr(args, "outputs", ()):
+            if path := getattr(args, one.dest):
+                if not Path(path).is_char_device():
+                    claims.enter_context(_claim(Path(path), one.option))
+                check_output(Path(path), one.kind, one.option, _read_by(args), force=getattr(args, "force", False))
+        yield
+
+
+@contextmanager
+def _claim(path: Path, named: str) -> Iterator[None]:
+    """Hold the name of a file: as that of an abstract socket, which leaves nothing behind however the command ends."""
+    digest = hashlib.blake2b(os.fsencode(os.path.abspath(path)), digest_size=16).hexdigest()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as held:
+        try:
+            held.bind(f"\0decklander writes {digest}")
+        except OSError:
+            raise BadInput(f"{named} {path}: another command is writing it: name another one") from None
+        yield
 
 
 def check_output(path: Path, kind: Kind, named: str, read: list[Path], *, force: bool = False) -> None:
-    """Check a file to write, or a folder and the files to write into it, as `check_outputs` does; `read` are the files read."""
+    """Check a file to write, or a folder and the files to write into it, as `checked_outputs` does; `read` are the files read."""
     if kind.inside is not None and path.suffix.lower() not in kind.endings:
         with refused(f"{named} {path}", OSError):
             for there in sorted({there for pattern in kind.inside for there in path.glob(pattern)}):

@@ -16,7 +16,7 @@ from msgspec import Struct, field
 
 from estimator.contracts.geometry import F64
 from sitl.campaign.plan import Point
-from sitl.campaign.workers import ERROR, Flight, error_m, job_of
+from sitl.campaign.workers import ERROR, Flight, error_m, flight_hash, job_of
 
 _Z95 = 1.959963984540054
 """Quantile of the standard normal distribution for 95 % between both tails."""
@@ -149,6 +149,11 @@ KINDS: Mapping[str, Callable[[Flight], Iterable[str]]] = {
 """Things that are counted by their words."""
 
 
+def _number(text: str) -> int:
+    """Return a hash that can be added to others."""
+    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=_HASH_BITS // 8).digest())
+
+
 class Tally(Struct):
     """The figures of some flights. None depends on the order in which they come, and two tallies can be added."""
 
@@ -164,6 +169,7 @@ class Tally(Struct):
     worst: list[Flight] = field(default_factory=list)
     """The worst flights, the worst first."""
     _hash: int = 0
+    _results: int = 0
 
     def take(self, flight: Flight) -> None:
         """Count a flight."""
@@ -184,8 +190,9 @@ class Tally(Struct):
             keys = ("scenario", "seed", "varied", reason)
             self.named[reason].append({key: flight[key] for key in keys if key in flight})
         self.worst.append(flight)
-        own = hashlib.blake2b(f"{job_of(flight).key} {flight['hash']}".encode(), digest_size=_HASH_BITS // 8).digest()
-        self._hash = (self._hash + int.from_bytes(own)) % 2**_HASH_BITS
+        self._hash = (self._hash + _number(f"{job_of(flight).key} {flight['hash']}")) % 2**_HASH_BITS
+        if "varied" in flight:
+            self._results = (self._results + _number(flight_hash({**flight, "varied": {}}))) % 2**_HASH_BITS
         if len(self.worst) >= 20 * WORST:
             self.trim()
 
@@ -202,6 +209,7 @@ class Tally(Struct):
         self.place_m += other.place_m
         self.worst += other.worst
         self._hash = (self._hash + other._hash) % 2**_HASH_BITS
+        self._results = (self._results + other._results) % 2**_HASH_BITS
         self.trim()
 
     def trim(self) -> None:
@@ -216,6 +224,11 @@ class Tally(Struct):
     def hash(self) -> str:
         """The hash of all flights, the same in whatever order and wherever they were flown."""
         return f"{self._hash:0{_HASH_BITS // 4}x}"
+
+    @property
+    def results_hash(self) -> str:
+        """The same without the varied values: equal where every flight went the same."""
+        return f"{self._results:0{_HASH_BITS // 4}x}"
 
     @property
     def good(self) -> int:
@@ -342,6 +355,7 @@ def effect_of(tallies: Tallies, key: str) -> list[dict[str, Any]]:
                 "good": round(cell.good / max(1, runs), 6),
                 "good_interval": [round(x, 6) for x in wilson(cell.good, runs)],
                 "standing_median_m": cell.quantile("standing_m", 0.5),
+                "hash": cell.results_hash,
             }
         )
     return rows
@@ -497,9 +511,9 @@ def in_rows(effects: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
 
 
 def unmoved(key: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return in words that a varied key changed no figure; empty if it changed one."""
-    same = len(rows) > 1 and all({**row, "value": 0} == {**rows[0], "value": 0} for row in rows)
-    return f"{key}: no figure differs between its values; it may not act in this flight" if same else ""
+    """Return in words that a varied key changed no flight; empty if it changed one."""
+    same = len(rows) > 1 and len({row["hash"] for row in rows}) == 1
+    return f"{key}: every flight is the same at all its values; it does not act here" if same else ""
 
 
 def _effect_cells(row: Mapping[str, Any]) -> tuple[str, ...]:

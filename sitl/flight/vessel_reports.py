@@ -1,4 +1,4 @@
-"""What the ship sends to the service, over a radio link: her GNSS, compass and RTK pair, and what `ship_sensors` adds."""
+"""Reports of a ship to the service over a radio link: her GNSS, compass and RTK pair, and what `ship_sensors` adds."""
 
 import math
 from collections import deque

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from companion.base.version import MARK
 from companion.cli.main import COMMANDS, Parser, add_command, main
-from companion.cli.outputs import EXPERIMENTS, PLOT, REPORT, Output, check_output
+from companion.cli.outputs import EXPERIMENTS, PLOT, REPORT, Output, check_output, checked_outputs
 from companion.tools.report.page_parts import document
 from estimator.contracts.errors import BadInput
 
@@ -90,6 +90,13 @@ def test_a_command_writes_over_nothing_that_it_reads_or_that_is_not_its_own(word
         assert why in capsys.readouterr().err
     left = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     assert left == dict.fromkeys(written, b"somebody's decklander, by Matplotlib")
+
+
+def test_a_file_that_another_command_is_writing_is_refused_until_that_one_ends(tmp_path: Path) -> None:
+    args = argparse.Namespace(outputs=(Output("--plot", "plot", PLOT),), plot=tmp_path / "a.png")
+    for _ in range(2):
+        with checked_outputs(args), pytest.raises(BadInput, match="another command is writing it"), checked_outputs(args):
+            pass
 
 
 def test_what_only_we_write_is_replaced_and_all_else_by_force_alone(tmp_path: Path) -> None:

@@ -398,7 +398,9 @@ def test_success_by_value_and_by_scenario_is_a_table_and_plain_values() -> None:
         "         True        8  50 %     22 to 78 %         2.5 cm",
     ]
     idle = effects_of(tallies_of(flown(seed, (("vessel.moored", moored),)) for seed in range(4) for moored in (True, False)))
-    assert in_rows(idle).endswith("\nvessel.moored: no figure differs between its values; it may not act in this flight")
+    assert in_rows(idle).endswith("\nvessel.moored: every flight is the same at all its values; it does not act here")
+    acts = ({**flown(1, (("vessel.moored", moored),)), "highest_m": 4.0 + moored} for moored in (True, False))
+    assert "every flight" not in in_rows(effects_of(tallies_of(acts))), "the same median is not the same flight"
     wind = effects["wind.speed_m_s"]
     assert [(row["value"], row["runs"], row["good"]) for row in wind] == [(0.0, 4, 1.0), (7.0, 4, 0.0)]
     assert wind[1]["standing_median_m"] is None
