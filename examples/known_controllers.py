@@ -156,7 +156,7 @@ def main(name: str, scenario_name: str, seed: int) -> bool:
     settings = settings_for(scenario, None)
     settings = replace(settings, guidance=replace(settings.guidance, controller=name))
     flight = fly(scenario_name, scenario, seed, settings, "model").as_json()
-    print(f"{name} in {scenario_name}: {flight['outcome']} after {flight['duration_s']:.1f} s")
+    print(f"{name} in {scenario_name}: {flight['outcome']} after {flight['duration_s']:.1f} s: {flight['because']}")
     return bool(flight["landed_on_pad"])
 
 

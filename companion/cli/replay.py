@@ -181,23 +181,30 @@ def run(args: argparse.Namespace) -> int:
     if args.mavlink and not args.realtime:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
-    if args.set or args.config:
-        places = {"a replay": True, "a replay without --mavlink": not args.mavlink, "a replay by --sightings": args.sightings}
-        warn_of_idle([settings], args.set, places)
+    places = {"a replay": True, "a replay without --mavlink": not args.mavlink}
     if args.realtime:
+        if args.set or args.config:
+            warn_of_idle([settings], args.set, {**places, "a replay that searches no frames": args.sightings})
         return play(args, recording, settings)
     if not args.json:
         recording.watch = WorkProgress(f"replaying {recording.name}", "kB").take
     passes = [_pass(args, recording, "as set", settings, _own(args), args.record)]
     if args.against is not None:
         passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), (), None))
+    blind, as_flown = passes[0].replay.counts.searched == 0, not (args.set or args.config)
+    if not as_flown:
+        warn_of_idle([settings], args.set, {**places, "a replay that searches no frames": blind})
     if not args.json:
         recording.watch = WorkProgress(f"comparing with the estimates in {recording.name}", "kB").take
     others = {"the recording": recorded_beliefs(recording)}
     if args.against is not None:
         others[args.against] = passes[1].log_observer.beliefs
     if args.compare is not None:
-        others[str(args.compare)] = recorded_beliefs(open_recording([args.compare]))
+        other = open_recording([args.compare])
+        of = [one.metadata.get("flight", {}) for one in (recording, other)]
+        if of[0] != of[1] and not any("of" in flight for flight in of):
+            sys.stderr.write(f"decklander: {args.compare} is of another flight than {recording.name}\n")
+        others[str(args.compare)] = recorded_beliefs(other)
     compared = {name: differences(passes[0].log_observer.beliefs, beliefs) for name, beliefs in others.items()}
     if args.report is not None:
         for i, done in enumerate(passes):
@@ -205,7 +212,10 @@ def run(args: argparse.Namespace) -> int:
             with writing(folder / PAGE, quiet=args.json) as watch:
                 write_report(_finished(recording, done, compared), folder, watch)
     report = [] if args.report is None else [written(args.report / PAGE)]
-    print_result(args, _as_json(recording, passes, compared), "\n".join([*_in_words(recording, passes, compared), *report]))
+    lossy = " (frames kept as JPEG or video: expected)" if as_flown and not blind else ""
+    print_result(
+        args, _as_json(recording, passes, compared), "\n".join([*_in_words(recording, passes, compared, lossy), *report])
+    )
     return 0
 
 
@@ -264,7 +274,7 @@ def _finished(recording: Recording, done: Pass, compared: dict[str, list[Differe
     return log
 
 
-def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, list[Difference]]) -> list[str]:
+def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, list[Difference]], lossy: str) -> list[str]:
     out = [f"{path} is cut short or damaged ({why}): replayed without that" for path, why in recording.cut.items()]
     out += [f"{n} messages of {topic} cannot be read by this version and were left out" for topic, n in recording.skipped.items()]
     for done in passes:
@@ -282,7 +292,7 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
             out += [f"{'deck by truth':<16}{'count':>7}{'tilt':>9}{'95 %':>8}{'NEES':>8}", *map(_deck_row, decks)]
         out += [] if rows else ["no truth was recorded: no errors to show"]
     for name, found in compared.items():
-        out += [_difference(name, d) for d in found]
+        out += [_difference(name, d, lossy if name == "the recording" else "") for d in found]
     return out + passes[0].ship.in_words()
 
 
@@ -316,13 +326,13 @@ def _ratio(x: float) -> str:
     return "-" if not math.isfinite(x) else f"{x:.2f}" if x < 1e4 else f"{x:.1e}"
 
 
-def _difference(name: str, d: Difference) -> str:
+def _difference(name: str, d: Difference, why: str) -> str:
     if d.both == 0:
         return f"{d.path} against {name}: no instants in common"
     if d.identical == d.both:
         return f"{d.path} against {name}: all {d.both} states identical to the bit"
     return (
-        f"{d.path} against {name}: {d.identical} of {d.both} states identical (frames kept as JPEG or video: expected); "
+        f"{d.path} against {name}: {d.identical} of {d.both} states identical{why}; "
         f"apart by {_mm(d.d_median_m)} median, {_mm(d.d_p95_m)} at 95 %, {_mm(d.d_max_m)} at most, "
         f"heading by {math.degrees(d.yaw_max_rad):.2f} deg at most"
     )

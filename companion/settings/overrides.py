@@ -139,7 +139,7 @@ _IDLE_IN = {
     "a replay without --mavlink": r"landing_target\.",
     "a simulated flight": rf"{_LINKS}|(landing_target|service)\.|operator\.(?!manual\.)|vehicle\.host",
     "a flight with an autopilot program": _LINKS,
-    "a replay by --sightings": r"(vision|pad|camera)\.",
+    "a replay that searches no frames": r"vision\.|camera\.(?!file)",
     "a flight by --perception truth": r"estimator\.",
     "a flight without frames, as by --perception model": (
         r"(drops|lamps|video)\.|light\.(?!exposure_ev)|camera\.(blur|exposure_l|full|read|white)"

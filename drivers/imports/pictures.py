@@ -202,7 +202,7 @@ def attitudes(path: Path, tell: Tell = quiet) -> list[Sample]:
     """Return the attitudes in order of time; one with an absurd time is left out, and reported.
 
     Raises:
-        BadInput: the file cannot be read, a column is missing, or a cell is not a finite number; the text names the line.
+        BadInput: the file cannot be read, a column is missing, or a cell is no number or angle; the text names the line.
     """
     with refused(str(path), OSError):
         lines = text_of(path.read_bytes(), str(path)).splitlines()
@@ -215,6 +215,8 @@ def attitudes(path: Path, tell: Tell = quiet) -> list[Sample]:
             numbers = [float(row[name]) for name in HEADER] + [float(row.get("yaw_deg") or 0.0)]
         if not all(map(math.isfinite, numbers)):
             raise BadInput(f"{path}, line {rows.line_num}: not a finite number")
+        if any(abs(angle_deg) > 360.0 for angle_deg in numbers[1:]):
+            raise BadInput(f"{path}, line {rows.line_num}: an angle beyond 360 degrees: the table has other units")
         twice += numbers[0] in table
         table.setdefault(numbers[0], numbers)
     if not table:

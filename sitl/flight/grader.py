@@ -244,6 +244,7 @@ class FlightGrader:
             seconds_between(world.started, world.at),
             Counter(health.frames),
             judged=judged,
+            without_outcome="the service died" if referee.counts["died"].over else "time ran out",
             wrong_model=scenario.wrong_model.as_json(),
         )
 
