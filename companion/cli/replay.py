@@ -181,19 +181,19 @@ def run(args: argparse.Namespace) -> int:
     if args.mavlink and not args.realtime:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
-    places = {"a replay": True, "a replay without --mavlink": not args.mavlink}
+    blind = "a replay that searches no frames"
+    if args.set or args.config:
+        places = {"a replay": True, "a replay without --mavlink": not args.mavlink, blind: args.sightings}
+        warn_of_idle([settings], args.set, places)
     if args.realtime:
-        if args.set or args.config:
-            warn_of_idle([settings], args.set, {**places, "a replay that searches no frames": args.sightings})
         return play(args, recording, settings)
     if not args.json:
         recording.watch = WorkProgress(f"replaying {recording.name}", "kB").take
     passes = [_pass(args, recording, "as set", settings, _own(args), args.record)]
     if args.against is not None:
         passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), (), None))
-    blind, as_flown = passes[0].replay.counts.searched == 0, not (args.set or args.config)
-    if not as_flown:
-        warn_of_idle([settings], args.set, {**places, "a replay that searches no frames": blind})
+    searched = passes[0].replay.counts.searched > 0
+    warn_of_idle([], args.set, {blind: not searched and not args.sightings})
     if not args.json:
         recording.watch = WorkProgress(f"comparing with the estimates in {recording.name}", "kB").take
     others = {"the recording": recorded_beliefs(recording)}
@@ -212,7 +212,7 @@ def run(args: argparse.Namespace) -> int:
             with writing(folder / PAGE, quiet=args.json) as watch:
                 write_report(_finished(recording, done, compared), folder, watch)
     report = [] if args.report is None else [written(args.report / PAGE)]
-    lossy = " (frames kept as JPEG or video: expected)" if as_flown and not blind else ""
+    lossy = " (frames kept as JPEG or video: expected)" if searched and not (args.set or args.config) else ""
     print_result(
         args, _as_json(recording, passes, compared), "\n".join([*_in_words(recording, passes, compared, lossy), *report])
     )
