@@ -205,12 +205,7 @@ def deck(
 
 
 def body(
-    t: float,
-    a: Vector = (0.0, 0.0, 0.0),
-    w: Vector = (0.0, 0.0, 0.0),
-    reported: Rotation | None = None,
-    *,
-    heading: float = 0.0,
+    t: float, a: Vector = (0.0, 0.0, 0.0), w: Vector = (0.0, 0.0, 0.0), reported: Rotation | None = None, *, heading: float = 0.0
 ) -> BodyMotion:
     """Return the body's motion: acceleration in `level`, m/s^2, turn rates in `body`, rad/s, and the attitude that it reports."""
     a, w, cov = np.array(a, dtype=float), np.array(w, dtype=float), 1e-4 * np.eye(3)

@@ -65,11 +65,7 @@ class Ids(Struct, frozen=True):
         return {Scope.SESSION: self.session, Scope.USER: self.user, Scope.APPLICATION: self.application}.get(scope, DEFAULT_ID)
 
 
-_ID_KEYS = {
-    "custom:session_id": Scope.SESSION,
-    "custom:profile_id": Scope.USER,
-    "custom:application_id": Scope.APPLICATION,
-}
+_ID_KEYS = {"custom:session_id": Scope.SESSION, "custom:profile_id": Scope.USER, "custom:application_id": Scope.APPLICATION}
 _DESCRIPTION_KEYS = {
     Scope.APPLICATION: "custom:application_desc",
     Scope.USER: "custom:profile_desc",

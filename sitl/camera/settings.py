@@ -69,8 +69,7 @@ class GimbalSettings(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """A gimbal; only the stand-in for an autopilot program has one (`simulate --autopilot ... --binary stand-in`)."""
 
     device_id: Annotated[
-        int,
-        number("its component id, or 1 to 6 for one that the autopilot itself drives; 0 for a fixed camera", "id", 0, 255),
+        int, number("its component id, or 1 to 6 for one that the autopilot itself drives; 0 for a fixed camera", "id", 0, 255)
     ] = 0
     start_pitch_deg: Annotated[float, number("its pitch at the start, against the horizon", "deg", -120.0, 45.0)] = 0.0
     lag_s: Annotated[float, number("time constant with which it follows its command", "s", 0.01, 5.0)] = 0.3

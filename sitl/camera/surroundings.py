@@ -139,12 +139,7 @@ _DRAWINGS: dict[str, tuple[RGB, list[tuple[F64, RGB | None]]]] = {
     ),
     "helipad": (
         (70, 95, 75),
-        [
-            (_disc(1.0, 8), None),
-            (_disc(0.80), (235, 195, 40)),
-            (_disc(0.70), None),
-            *_h_marking(0.55, (240, 240, 240)),
-        ],
+        [(_disc(1.0, 8), None), (_disc(0.80), (235, 195, 40)), (_disc(0.70), None), *_h_marking(0.55, (240, 240, 240))],
     ),
     "bare_h": ((10, 100, 20), [(_box(0, 0, 1.0, 1.0), None), *_h_marking(0.75, (245, 245, 245))]),
     "green_disc": ((0, 102, 0), [(_disc(), None)]),

@@ -135,13 +135,7 @@ class EffectSettings(Struct, frozen=True, forbid_unknown_fields=True):
     thing_forward_m: Annotated[float, number("its place along the arrow from the centre", "m", -5.0, 5.0)] = 0.0
     thing_right_m: Annotated[float, number("its place to starboard of the arrow", "m", -5.0, 5.0)] = 0.0
     video_least_s: Annotated[
-        float,
-        number(
-            "least delay of a frame, which wanders up to the most; 90 ms for all if both are 0",
-            "s",
-            0.0,
-            1.0,
-        ),
+        float, number("least delay of a frame, which wanders up to the most; 90 ms for all if both are 0", "s", 0.0, 1.0)
     ] = 0.0
     video_most_s: Annotated[float, number("most delay of a frame", "s", 0.0, 1.0, "AR.Drone 2.0: 0.06 to 0.15")] = 0.0
 

@@ -204,11 +204,7 @@ class RecordedMotion(Struct, frozen=True, eq=False):
         s, s1, s2 = (part[:, None] for part in smooth_step(np.where(ends, t / self.blend_s, 1.0)))
         s1, s2 = s1 / self.blend_s, s2 / self.blend_s**2
         d = tuple(b - a for a, b in zip(last, now, strict=True))
-        return (
-            last[0] + s * d[0],
-            last[1] + s * d[1] + s1 * d[0],
-            last[2] + s * d[2] + 2.0 * s1 * d[1] + s2 * d[0],
-        )
+        return (last[0] + s * d[0], last[1] + s * d[1] + s1 * d[0], last[2] + s * d[2] + 2.0 * s1 * d[1] + s2 * d[0])
 
     def _spline(self, t_s: F64) -> tuple[F64, F64, F64]:
         i = np.clip(np.searchsorted(self.t_s, t_s, side="right") - 1, 0, self.t_s.size - 2)
@@ -292,12 +288,7 @@ class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
     hull: Annotated[str, text(f"one of {', '.join(HULLS)}; {DEFAULT_HULL} by default", 40)] | None = None
     file: Annotated[str, text("a shipped vessel (configs/vessels), or a path relative to the scenario file", 200)] | None = None
     motion: Annotated[
-        str,
-        text(
-            "recorded motion in place of her own: a log of NMEA sentences, or a CSV file",
-            300,
-            shortest=0,
-        ),
+        str, text("recorded motion in place of her own: a log of NMEA sentences, or a CSV file", 300, shortest=0)
     ] = ""
     motion_smooth_s: Annotated[
         float, number("standard deviation in time by which a log's noise is averaged away; 0 flies it raw", "s", 0.0, 5.0)
@@ -316,13 +307,11 @@ class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("rate at which the ship reports her velocity and heading to the service; 0 for never", "Hz", 0.0, 20.0)
     ] = 0.0
     reports_place: Annotated[
-        bool,
-        Meta(description="whether they also say where she is; without --config the service then flies to her"),
+        bool, Meta(description="whether they also say where she is; without --config the service then flies to her")
     ] = False
     turn_over_s: Annotated[float, number("time until the turn is steady", "s", 0.5, 300.0, "assumed")] = 10.0
     reports_at_m: Annotated[
-        tuple[float, float, float],
-        choice("place of her GNSS antenna from the pad's centre: metres forward, to starboard, down"),
+        tuple[float, float, float], choice("place of her GNSS antenna from the pad's centre: metres forward, to starboard, down")
     ] = (0.0, 0.0, 0.0)
     turn_hz: Annotated[
         float, number("rate at which her gyrocompass reports rate of turn and heading; 0 for never", "Hz", 0.0, 50.0)

@@ -336,8 +336,4 @@ class TurningCourse:
 def smooth_step(x: F64) -> tuple[F64, F64, F64]:
     """Return the fifth-order step from 0 to 1 and its two derivatives, which are 0 at both ends."""
     u = np.clip(x, 0.0, 1.0)
-    return (
-        u**3 * (10.0 + u * (6.0 * u - 15.0)),
-        30.0 * u**2 * (1.0 - u) ** 2,
-        60.0 * u * (1.0 - u) * (1.0 - 2.0 * u),
-    )
+    return (u**3 * (10.0 + u * (6.0 * u - 15.0)), 30.0 * u**2 * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u))

@@ -10,14 +10,7 @@ from msgspec import structs
 
 from companion.guidance.law.gains import tilt_model
 from companion.guidance.law.margins import margins
-from companion.guidance.law.response_fit import (
-    STEP_S,
-    FlightCourse,
-    TiltFit,
-    fit_climb,
-    fit_tilt,
-    text,
-)
+from companion.guidance.law.response_fit import STEP_S, FlightCourse, TiltFit, fit_climb, fit_tilt, text
 from companion.guidance.law.response_watch import Track, asked_descent, asked_lean, course_of, joined, reported_lean
 from companion.settings.guidance import ClimbResponse, Response, TiltResponse, response_from_mapping
 from companion.settings.load import shipped_response

@@ -9,16 +9,7 @@ from estimator.contracts.commands import Velocity
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, SetupImpossible
 from estimator.contracts.estimates import Pose6, RelativeState, Sighting
 from estimator.contracts.geometry import GeoPoint, Rotation, fixed_matrix, fixed_vector, moved, ned_between
-from estimator.contracts.samples import (
-    Attitude,
-    Baro,
-    BodyVelocity,
-    Frame,
-    Imu,
-    Range,
-    VesselReport,
-    known,
-)
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, VesselReport, known
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")

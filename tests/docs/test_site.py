@@ -206,10 +206,7 @@ NAMED: dict[str, tuple[str, Callable[[str], bool]]] = {
         r"dl_[a-z_]+",
         lambda name: f'"{name}"' in source("companion/parts/mavlink/*.py") or name in source("estimator/core/decklander.h"),
     ),
-    "modules": (
-        rf"({PACKAGES})(\.[A-Za-z_]\w*)+(\(.*)?",
-        lambda text: is_importable(text.split("(")[0]) or text in keys(),
-    ),
+    "modules": (rf"({PACKAGES})(\.[A-Za-z_]\w*)+(\(.*)?", lambda text: is_importable(text.split("(")[0]) or text in keys()),
     "files": (rf"({PACKAGES})/[\w./*-]+(::.*)?", is_file),
 }
 """Kinds of names in backticks: the pattern of one, and whether it exists."""
@@ -230,10 +227,7 @@ EVERYWHERE: dict[str, tuple[str, Callable[[str], bool]]] = {
         lambda name: re.search(rf"^{name}:", source("Makefile"), re.MULTILINE) is not None,
     ),
     "files": (r"(?<![\w/.-])((?:configs|requirements)/[\w./-]+\w)", lambda path: (ROOT / path).exists()),
-    "topics": (
-        r"(?:decklander/v2/[^/\s`\"]+|`\.\.\.)/([a-z]+)",
-        lambda leaf: leaf in {"command", "vessel", *PUBLISHED},
-    ),
+    "topics": (r"(?:decklander/v2/[^/\s`\"]+|`\.\.\.)/([a-z]+)", lambda leaf: leaf in {"command", "vessel", *PUBLISHED}),
 }
 """Kinds of names anywhere in a page, commands and blocks included."""
 

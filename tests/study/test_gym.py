@@ -21,13 +21,7 @@ from sitl.world.stage import sea_and_vessel
 from sitl.world.world import World
 from study.experiments.chapter5 import error_of, spread
 from study.experiments.flown import Estimate, ExperimentFlight, calm_scenario, fly_by_hand
-from study.experiments.hand import (
-    HeldPose,
-    hold,
-    level_axes,
-    thesis_axes,
-    thesis_yaw_rad,
-)
+from study.experiments.hand import HeldPose, hold, level_axes, thesis_axes, thesis_yaw_rad
 from study.gym.environment import LandEnv, LandVectorEnv, weighted
 from study.gym.training import ENDS, TERMS, TrainingOptions, TrainingWorlds
 

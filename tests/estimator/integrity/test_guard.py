@@ -11,16 +11,7 @@ from estimator.contracts.estimates import IntegrityAlert, Pose6, RelativeState, 
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Range, Sample
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.integrity.guard import (
-    IntegrityGuard,
-    admit,
-    admit_frame,
-    admit_sighting,
-    alerts,
-    excludes,
-    follow,
-    judged,
-)
+from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, excludes, follow, judged
 from estimator.integrity.options import IntegrityOptions
 from tests import make
 from tests.make import baro, imu, ns, stamp, status

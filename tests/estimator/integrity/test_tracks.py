@@ -188,11 +188,7 @@ def corners(right_m: float, half_m: float = 1.8) -> NDArray[np.float64]:
     ],
 )
 def test_a_pad_that_left_the_picture_is_known_again_where_any_other_one_would_have_shown(
-    back: tuple[float, float],
-    out_s: float,
-    before: NDArray[np.float64] | None,
-    after: NDArray[np.float64] | None,
-    same: bool,
+    back: tuple[float, float], out_s: float, before: NDArray[np.float64] | None, after: NDArray[np.float64] | None, same: bool
 ) -> None:
     there = follow(known((1.6, 0.0, 4.4)), place(1.98, (1.6, 0.0, 4.4)), ASSUMED, LIMITS, before)
     assert there is not None

@@ -458,10 +458,7 @@ async def until_down(drone: ArDrone, channel: str) -> str:
 
 
 async def test_its_frames_and_samples_arrive() -> None:
-    async with (
-        first_drone() as server,
-        linked(server) as drone,
-    ):
+    async with first_drone() as server, linked(server) as drone:
         got = await frames(drone, 8)
         config = server.drone.state.config
         assert (config["video:video_codec"], config["video:video_channel"]) == ("32", "1")
@@ -480,10 +477,7 @@ async def test_its_frames_and_samples_arrive() -> None:
 
 
 async def test_p264_is_refused_with_the_setting_that_helps() -> None:
-    async with (
-        first_drone() as server,
-        linked(server) as drone,
-    ):
+    async with first_drone() as server, linked(server) as drone:
         await frames(drone, 2)
         ids = server.drone.state.config.ids
         server.drone.state.config.set("video:video_codec", "64", ids)

@@ -461,10 +461,7 @@ class StandIn(MiniatureAutopilot, ABC):
             ack = mav.MAVLink_command_ack_message(m.command, result, 0, 0, received.system, received.component)
             self._send_as(m.target_component, ack)
             return
-        own = {
-            mav.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm_disarm,
-            mav.MAV_CMD_NAV_TAKEOFF: self._on_take_off,
-        }.get(m.command)
+        own = {mav.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm_disarm, mav.MAV_CMD_NAV_TAKEOFF: self._on_take_off}.get(m.command)
         if own is None or m.target_system != self.system or m.target_component != 1:
             super()._on_command_long(m, received)
             return
