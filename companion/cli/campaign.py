@@ -199,6 +199,8 @@ def _design(
             raise BadInput("--faults does not go with --vary")
         return _with_random_faults(args, plan, given.scenario), [()]
     axes = [plans.parse_axis(text, given, "--vary") for text in args.vary]
+    twice = {axis.key for axis in axes} & {text.partition("=")[0] for text in args.set}
+    refuse_any((twice, f"--set and --vary both give {', '.join(sorted(twice))}: take one out"))
     points = plans.factorial(axes)
     flight_options.warn(args, [given.with_values(point, "--vary")[1] for point in points])
     return (replace(plan, design=plans.described("factorial", axes)) if axes else plan), points
@@ -306,7 +308,7 @@ def _report(args: argparse.Namespace) -> int:
     """Write the report of the folder; return 0."""
     chooses = args.set or args.vary or args.runs or args.seed or args.perception or args.faults
     refuse_any(
-        (len(args.more) != 1, "campaign report needs the folder of a campaign"),
+        (len(args.more) != 1, "campaign report needs the folder of one campaign"),
         (bool(chooses), "campaign report draws all flights of a folder, without --set, --vary, --runs, --seed or --perception"),
     )
     require_drawing("campaign report")

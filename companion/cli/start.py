@@ -141,6 +141,8 @@ def _answers(args: argparse.Namespace) -> Answers:
         on_board = {f"libcamera:{model}": "a Raspberry Pi's own camera" for model in ([] if flies_itself else libcamera_models())}
         names = on_board | {str(one.path): one.card for one in there} or {"usb": "the one USB camera, once it is plugged in"}
         device = ask("camera", names, next(iter(names)))
+    if device.count(".") == 3 and not device.strip("0123456789.:"):
+        raise BadInput(f"--camera {device} is no camera: a stream has an address as rtsp://{device}/PATH")
     shipped = {"sim": "sim", "ardrone1": "ardrone1_bottom", "ardrone2": "ardrone2_bottom"}.get(vehicle, "usb_640x480")
     find_file(args.camera_file or shipped, "cameras", args.out.parent, "--camera-file")
     from companion.cli.pad import shipped_pads  # it brings OpenCV, which a help needs none of

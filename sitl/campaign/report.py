@@ -157,7 +157,7 @@ def _distributions(whole: Tally, other: Tally | None) -> str:
         "standing_m": "standing error, m",
         "vertical_m_s": "speed into the deck, m/s",
         "sliding_m_s": "speed along the deck, m/s",
-        "duration_s": "time to the landing, s",
+        "duration_s": "duration of the flight, s",
     }
     drawn = [
         (plots.distribution(name, whole.values[name], label, other.values[name] if other else ()), "")

@@ -70,11 +70,7 @@ PHASES: Mapping[State, Phase] = {state: phase for file in _STATES for state, pha
 _LED = targets.phases(PHASES)
 _CONE: Mapping[State, Row] = {state: phase.ways for state, phase in PHASES.items()}
 TABLES: Mapping[str, Mapping[State, Row]] = MappingProxyType(
-    {
-        "cone": total(_CONE, Event),
-        "thesis": total(thesis.ways(_CONE), Event),
-        "targets": total(targets.ways(_CONE), Event),
-    }
+    {"cone": total(_CONE, Event), "thesis": total(thesis.ways(_CONE), Event), "targets": total(targets.ways(_CONE), Event)}
 )
 
 Transitions = tuple[StateChange, ...]

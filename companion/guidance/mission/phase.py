@@ -22,11 +22,7 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import seconds_between
 
-GROUNDED: Row = {
-    Event.CUT: State.EMERGENCY,
-    Event.GROUNDED: State.LANDED,
-    Event.GROUNDED_BY_OTHERS: State.LANDED_BY_OTHERS,
-}
+GROUNDED: Row = {Event.CUT: State.EMERGENCY, Event.GROUNDED: State.LANDED, Event.GROUNDED_BY_OTHERS: State.LANDED_BY_OTHERS}
 HELD: Row = {**GROUNDED, Event.ABORT: State.ABORTED}
 FLIGHT: Row = {**HELD, Event.PAUSE: State.PAUSED}
 LANDING: Row = {**FLIGHT, Event.TAKEN: State.TAKEN}

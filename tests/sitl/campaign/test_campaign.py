@@ -194,6 +194,7 @@ WRONG_USE = [
     (["calm", "calm"], "scenario 'calm' is listed twice"),
     (["gimbal", "--perception", "model"], "gimbal: an AR.Drone has none"),
     (["calm", "--vary", "wind.speed_m_s=0:3:1", "--vary", "wind.speed_m_s=4,5"], "wind.speed_m_s is given twice"),
+    (["calm", "--vary", "wind.speed_m_s=4,5", "--set", "wind.speed_m_s=1"], "--set and --vary both give wind.speed_m_s"),
     (["calm", "--against", "x"], "--against goes with --report"),
     (["calm", "--report", "--against", "nothing"], "nothing is no campaign's folder: manifest.json: No such file"),
     (["thirty_faults", "--vary", "wind.speed_m_s=0:4:2"], "--vary goes with one scenario"),
