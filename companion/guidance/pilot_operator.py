@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from typing import Protocol
 
-from companion.base.mission import FLOWN
+from companion.base.mission import FLOWN, ORDERED, State
 from companion.base.observer import Decision, NullObserver
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
 from companion.facts.wire import FlightState, OrderAnswer, OrderRequest
@@ -104,12 +104,14 @@ class FlightWatch(NullObserver):
         height_m = self._range_m(now) if belief is None else belief.height_m
         hand, (below, over_pad) = self._pilot.operator.hand, self.below(now)
         taken_from, why = self._pilot.operator.hand_taken or (None, "")
-        mission = self._pilot.landing.mission
+        mission, by = self._pilot.landing.mission, self._pilot.operator.called_off_by
         goal = "" if mission.state not in FLOWN else "to stay over the pad" if mission.stays else "to land"
+        goal = f"ordered by {by}" if by is not None and mission.state in (State.PAUSED, State.ABORTED) else goal
+        why = "" if decision is None else decision.reason
         return FlightState(
             situation=self._pilot.operator.situation(now).value,
             phase="" if decision is None else decision.phase,
-            reason=goal if decision is None else sender.reads(decision.reason) or goal,
+            reason=sender.reads(goal or why if why in ("", ORDERED.text) else why),
             hand=None if hand is None else sender.reads(str(hand)),
             yours=hand == sender,
             hand_taken=sender.reads(why) if sender == taken_from else "",

@@ -314,10 +314,7 @@ class ArDrone:
 
 @asynccontextmanager
 async def open_ardrone(
-    options: ArDroneOptions,
-    clock: Clock,
-    sample_queue_items: int = SAMPLE_QUEUE_ITEMS,
-    decoder: PictureDecoder | None = None,
+    options: ArDroneOptions, clock: Clock, sample_queue_items: int = SAMPLE_QUEUE_ITEMS, decoder: PictureDecoder | None = None
 ) -> AsyncIterator[ArDrone]:
     """Open the link and keep it open; it does not wait for the drone (see `ArDrone.ready`).
 

@@ -27,8 +27,7 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
         choice("generation of the drone: a 1.0 sends UVLC pictures of 176x144 px, a 2.0 H.264", public=True),
     ] = "2.0"
     command_period_s: Annotated[
-        float,
-        number("interval between commands; the drone counts 50 ms of silence as a miss", "s", 0.01, 0.05, "customary"),
+        float, number("interval between commands; the drone counts 50 ms of silence as a miss", "s", 0.01, 0.05, "customary")
     ] = 0.03
     command_timeout_s: Annotated[
         float, number("a velocity command older than this is flown as hover", "s", 0.05, 0.5, "six commands of guidance")

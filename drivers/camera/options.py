@@ -25,8 +25,7 @@ class ExposureOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, k
         ),
     ] = "camera"
     blur_px: Annotated[
-        float,
-        number("largest smear of the picture during the exposure, by turn rate and motion over the pad", "px", 0.2, 20),
+        float, number("largest smear of the picture during the exposure, by turn rate and motion over the pad", "px", 0.2, 20)
     ] = 1.5
     longest_s: Annotated[
         float, number("longest exposure time, however still the vehicle is; at most 0.8 of a frame's time", "s", 1e-4, 0.1)
@@ -102,10 +101,7 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
     ] = ""
     format: Annotated[
         Literal["auto", Format],
-        choice(
-            "pixel format of v4l2; auto: the first of these that the camera offers in this size and rate",
-            public=True,
-        ),
+        choice("pixel format of v4l2; auto: the first of these that the camera offers in this size and rate", public=True),
     ] = "auto"
     rate_hz: Annotated[
         float,

@@ -63,13 +63,7 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
         ),
     ] = ""
     signing_key_file: Annotated[
-        str,
-        text(
-            'key that messages are signed with: a path or "credential:NAME"; empty for none',
-            4096,
-            shortest=0,
-            public=True,
-        ),
+        str, text('key that messages are signed with: a path or "credential:NAME"; empty for none', 4096, shortest=0, public=True)
     ] = ""
     signing_time_file: Annotated[
         str,
@@ -200,8 +194,7 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
         float, number("time without renewal by guidance after which a landing is called off", "s", 0.05, 10.0)
     ] = 0.5
     landing_most_s: Annotated[
-        float,
-        number("longest time of a landing by velocity; the autopilot continues one that a person ordered", "s", 0.5, 120.0),
+        float, number("longest time of a landing by velocity; the autopilot continues one that a person ordered", "s", 0.5, 120.0)
     ] = 15.0
     landing_depth_m: Annotated[
         float,
@@ -281,8 +274,7 @@ class GimbalOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     ] = "auto"
     rate_hz: Annotated[float, number("reports to ask it for", "Hz", 5.0, 200.0)] = 50.0
     latency_s: Annotated[
-        float,
-        number("from the instant at which the attitude was true to its stamp, or its arrival if it has none", "s", 0, 0.2),
+        float, number("from the instant at which the attitude was true to its stamp, or its arrival if it has none", "s", 0, 0.2)
     ] = 0.0
     latency_sigma_s: Annotated[float, number("one standard deviation of it", "s", 0.0, 0.1)] = 0.01
     sigma_rad: Annotated[
@@ -291,8 +283,7 @@ class GimbalOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     point_down: Annotated[
         bool,
         choice(
-            "whether to point the gimbal down, at the start and whenever it has left; otherwise somebody else does",
-            public=True,
+            "whether to point the gimbal down, at the start and whenever it has left; otherwise somebody else does", public=True
         ),
     ] = False
 

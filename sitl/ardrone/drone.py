@@ -284,15 +284,15 @@ class Drone:
             self._stick = handler
             return
         self.counters[handler.value] += 1
+        if handler in (RefAction.TAKE_OFF, RefAction.LAND, RefAction.STAY_UP):
+            self._stick = self._flown = HOVER
+            self.world.stick(HOVER)
         match handler:
             case RefAction.TAKE_OFF:
-                self._stick = self._flown = HOVER
                 self.world.vehicle.take_off()
             case RefAction.LAND:
-                self._stick = self._flown = HOVER
                 self.world.vehicle.land()
             case RefAction.STAY_UP:
-                self._stick = self._flown = HOVER
                 self.world.vehicle.stay_up()
             case RefAction.CUT_MOTORS:
                 self.world.vehicle.cut_motors()

@@ -185,3 +185,14 @@ def test_the_sender_gives_up_in_the_end_and_the_drone_lands_by_its_own_rules() -
     bench.run(8.5, service=False)
     assert seconds_between(quiet, bench.now) > 3.0 + 2 * OPTIONS.com_watchdog_s
     assert bench.world.phase in (VehiclePhase.LANDING, VehiclePhase.LANDED)
+
+
+def test_a_stick_of_before_presses_no_take_off_down() -> None:
+    """WHY: after a landing that was pressed on the deck, each take-off fell back onto it and stood there with turning motors."""
+    bench = Bench(1.0, 5)
+    bench.run(2.5, lambda: go(0.0, 1.5))
+    bench.run(6.0, Land)
+    assert bench.world.phase is VehiclePhase.LANDED
+    bench.run(3.0, TakeOff)
+    bench.run(4.0, Hover)
+    assert bench.height_m > 0.5

@@ -186,6 +186,12 @@ class OperatorArbiter:
         status = self._guided.vehicle
         return status if status is not None and seconds_between(status.stamp.received_at, now) <= _STATUS_FRESH_S else None
 
+    @property
+    def called_off_by(self) -> OrderSender | None:
+        """The sender of the newest order that was obeyed, if that was a hold or an abort."""
+        order, given = self._control.accepted or (None, None)
+        return given.sender if given is not None and order in (OperatorOrder.HOLD, OperatorOrder.ABORT) else None
+
     def situation(self, now: MonoNs) -> ControlSituation:
         """Return the situation that decides about an order."""
         status, control = self.newest_status(now), self._control

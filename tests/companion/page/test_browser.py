@@ -169,6 +169,7 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
             assert "accepted" in await two.press("hold")
             await one.shows("phase", "paused")
             await one.shows("events", "another page .*: Hold: accepted")
+            await one.shows("reason", "ordered by another page")
             await two.page.click('[data-order="land"]')
             await two.shows("asks-says", "Lands over the pad, 36 cm from its centre; the pad's place is not sure: last")
             await two.slide("confirm", 0.5)
@@ -282,6 +283,9 @@ async def test_a_phone_shows_every_order_without_scrolling_sideways(tmp_path: Pa
                 box = await one.page.locator(f'[data-order="{name}"]').bounding_box()
                 assert box["height"] >= 44, "a thumb's size"
                 assert box["y"] + box["height"] <= PHONE["height"]
+            await one.page.evaluate("answer.textContent = 'Hold: refused: another page has the hand. '.repeat(3)")
+            assert await one.page.locator('[data-order="abort"]').bounding_box() == box, "no button moves under the thumb"
+            await one.page.evaluate("answer.textContent = ''")
         await one.page.set_viewport_size({"width": 320, "height": 568})
         assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         await one.shows("worst", "no status from the vehicle yet")

@@ -11,7 +11,7 @@ const STOPS = ["hold", "abort", "emergency"];
 const KEPT = ["hold", "abort"];
 // Orders that a slide confirms; it says what comes of them.
 const ASKS = {
-  land: { verb: "to land here", says: (state) => `Lands ${state.below}.` },
+  land: { verb: "to land here", says: ({ flying, below }) => (flying === false ? "It stands already." : `Lands ${below}.`) },
   clear: { verb: "to land although it is there", says: ({ bars }) => `Ignores for a minute, in this attempt alone: ${bars}.` },
   takeoff: { verb: "to take off", says: () => "The propellers start." },
   reset: {
@@ -97,7 +97,7 @@ export class Orders {
     if (on) {
       for (const button of this.#buttons) button.textContent = words.orders[button.dataset.order];
     } else {
-      for (const button of this.#buttons) button.setAttribute("aria-disabled", "true");
+      for (const button of this.#buttons) button.setAttribute("aria-disabled", String(!KEPT.includes(button.dataset.order)));
       for (const number of [...this.#waiting.keys()]) this.#unsent(this.#take(number), "no answer, the connection is lost");
       this.#ask(null);
       this.#state = null;
@@ -117,6 +117,7 @@ export class Orders {
 
   // What is ordered by others makes an answer old; a connection begins with the newest events.
   event({ at_s, text }) {
+    if (text.startsWith("you: ") && text.includes("not obeyed")) this.tell("fault", text.slice(5));
     if (!text.endsWith(": accepted")) return;
     if (this.#kept !== null && at_s >= this.#kept.seen_s && text.endsWith(`: ${words.orders[this.#kept.order]}: accepted`)) {
       this.tell("info", `${words.orders[this.#kept.order]}: obeyed`);
