@@ -18,7 +18,7 @@ from companion.cli.main import main
 from companion.cli.pad import clicked
 from companion.settings.load import read_toml
 from companion.tools.pads.price import CAMERA, VIEWS, kind_of, planted, price, view
-from companion.tools.pads.trace import drawn, read_svg, traced
+from companion.tools.pads.trace import drawn, photographed, read_svg, traced
 from companion.tools.print_pad.sheets import pad_drawing, sheets, svg
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
@@ -222,6 +222,18 @@ def test_a_photograph_whose_paint_reaches_the_edge_is_refused_with_its_share(tmp
     assert "rectangle without 16 mm on each side, where sheets curl, and " in err
     assert " % of the paint would be left out: " in err
     assert "paint goes around the rectangle of --corners and would be left out: give one that holds all of the pad" in err
+
+
+@pytest.mark.parametrize(("gap", "size_px"), [(5, 700), (5, 2100), (3, 1500), (14, 1000), (25, 2100)])
+def test_an_arrowhead_of_a_picture_has_its_size_and_its_gap_to_the_ring(gap: int, size_px: int) -> None:
+    round_parts = '<circle cx="350" cy="350" r="345"/><circle cx="350" cy="350" r="255" stroke="#fd2" stroke-width="30"/>'
+    text = f'<svg viewBox="0 0 700 700"><g fill="#148">{round_parts}<path d="M350 20l-40 {60 - gap}h80" fill="#fd2"/></g></svg>'
+    painted = read_svg(text, "a.svg").rendered(0.0, 0.0, (size_px, size_px), size_px / 700, crisp=False)
+    px = np.where(painted[..., 3:] == 0, np.uint8(255), painted[..., :3])
+    (arrow,) = traced(photographed(px, None, (0.69, 0.69), 3, "a.png"), "a", "a.png")[0]["regions"][2:]
+    assert [arrow[key] for key in ("tip_m", "depth_m", "half_base_m")] == pytest.approx([0.33, 0.06 - 1e-3 * gap, 0.04], abs=2e-3)
+    with pytest.raises(BadInput, match=r"mm2 of yellow 3[0-2]\d mm fore and -?0 mm right of the centre lies beyond the ring"):
+        imported(text.replace("l-40 ", "h-40v").replace("h80", f"h80v-{60 - gap}"), 0.69)
 
 
 @pytest.mark.parametrize(("name", "roll_rad", "pitch_rad", "radius_px", "beyond"), ODD_VIEWS, ids=["aslant", "cut", "ring"])

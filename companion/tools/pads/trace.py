@@ -138,6 +138,8 @@ _ROUND, _CONCENTRIC = 0.006, 0.01
 """Greatest scatter of a circle's radius, and distance of its centre from the pad's, over the radius."""
 _THINNEST = 0.45
 """Least inner radius of a ring over its outer one: what is narrower within is a disc with a hole in it."""
+_GAP, _OTHER = 0.2, 0.2
+"""Bare share of what lies between a ring and an arrowhead that is apart from it, and of an arrowhead that is another shape."""
 _LEAST_AREA = 1e-4
 """Least area of a part over that of all that is painted: less is a speck."""
 _CORNERS_MOST = 60
@@ -361,7 +363,7 @@ def traced(picture: Picture, name: str, where: str) -> tuple[dict[str, Any], tup
     ring = next((region for region in regions if region["shape"] == "ring" and region.get("part") is None), None)
     beyond = [bool(ring) and float(np.hypot(*(p.outline - centre).T).min()) > (ring or {})["outer_m"] / m for p in rest]
     for part in compress(rest, beyond):
-        arrow = _arrowhead(part, ring or {}, centre, m, 2.4 * picture.thinnest_px)
+        arrow = _arrowhead(picture, part, centre, *regions)
         if arrow is None or sum(beyond) > 1:
             raise BadInput(
                 f"{where}: {_described(picture, centre, part.area, part.outline.mean(axis=0))} lies beyond the ring, where "
@@ -445,21 +447,25 @@ def _rounds(picture: Picture, centre: F64) -> list[dict[str, Any]]:
     return regions
 
 
-def _arrowhead(part: _Part, ring: dict[str, Any], centre: F64, m: float, near_px: float) -> dict[str, Any] | None:
-    """Return the arrowhead that a part beyond a ring is; None if it does not point up or has another paint."""
-    x, y = (centre - part.outline).T[::-1] * np.array([[1.0], [-1.0]])
-    tip, left, right = int(x.argmax()), int(y.argmin()), int(y.argmax())
-    base, half = 0.5 * (x[left] + x[right]), 0.5 * (y[right] - y[left])
+def _arrowhead(picture: Picture, part: _Part, centre: F64, *below: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the arrowhead that a part beyond a ring is, the last region below it; None if it is none that points up."""
+    # The filters of a photograph round corners off: the sides say where they are.
+    corners = cv2.minEnclosingTriangle(part.outline.astype(np.float32))[1][:, 0]
+    y, x = ((corners - centre) * (1.0, -1.0) / picture.px_per_m).T.tolist()
+    left, tip, right = np.argsort(y).tolist()
+    base, half, ring, m = 0.5 * (x[left] + x[right]), 0.5 * (y[right] - y[left]), below[-1], 1.0 / picture.px_per_m
     off = max(abs(y[tip]), abs(y[left] + y[right]), abs(x[left] - x[right]))
-    if part.paint != ring["paint"] or off > max(near_px, 0.1 * half) or x[tip] <= base:
+    if part.paint != ring["paint"] or off > max(2.4 * picture.thinnest_px * m, 0.1 * half) or x[tip] <= base:
         return None
-    inner, outer = ring["inner_m"] / m, ring["outer_m"] / m
-    if math.hypot(base, half) < outer + near_px:
-        # The ring hides where it begins.
-        slope, base = half / (x[tip] - base), 0.5 * (inner + outer)
-        half = slope * (x[tip] - base)
-    sizes = {"tip_m": x[tip] * m, "depth_m": (x[tip] - base) * m, "half_base_m": half * m}
-    return {"shape": "arrowhead", "paint": part.paint, **{key: float(v) for key, v in sizes.items()}}
+    # An outline goes through the middles of pixels, and what is level ends half a pixel beyond.
+    depths = [x[tip] - base + 0.5 * m, x[tip] - 0.5 * (ring["inner_m"] + ring["outer_m"])]
+    sizes = [{"tip_m": x[tip], "depth_m": depth, "half_base_m": half / (x[tip] - base) * depth} for depth in depths]
+    both = [{"shape": "arrowhead", "paint": part.paint, **of} for of in sizes]
+    bare, apart, joined = (_painted(picture, [*below, *more], centre) for more in ((), both[:1], both[1:]))
+    # The ring hides where it begins if all between them is painted: a gap that the filters close shows at its ends.
+    bared, between = picture.paint != part.paint, joined != apart
+    is_joined = int(np.count_nonzero(between & bared) < _GAP * np.count_nonzero(between))
+    return both[is_joined] if np.count_nonzero(((apart, joined)[is_joined] != bare) & bared) < _OTHER * part.area else None
 
 
 def _painted(picture: Picture, regions: Sequence[dict[str, Any]], centre: F64) -> U8:
