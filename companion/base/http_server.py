@@ -74,11 +74,7 @@ class ConnectionLimits(Struct):
 
     def counts(self) -> dict[str, float]:
         """Return the counters for health."""
-        return {
-            "connections_evicted": self.evicted,
-            "connections_overdue": self.overdue,
-            "connections_oversized": self.oversized,
-        }
+        return {"connections_evicted": self.evicted, "connections_overdue": self.overdue, "connections_oversized": self.oversized}
 
 
 async def listen(

@@ -192,6 +192,8 @@ def run(args: argparse.Namespace) -> int:
     passes = [_pass(args, recording, "as set", settings, _own(args), args.record)]
     if args.against is not None:
         passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), (), None))
+    if recording.metadata.get("flight", {}).get("perception") == "truth":
+        sys.stderr.write(f"decklander: {recording.name} was flown with --perception truth: its estimate was drawn, not fused\n")
     searched = passes[0].replay.counts.searched > 0
     warn_of_idle([], args.set, {blind: not searched and not args.sightings})
     if not args.json:

@@ -121,7 +121,7 @@ def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
     """Write the part into `output`, which is replaced; return the number of its events.
 
     Raises:
-        BadInput: the recording does not name the camera that it was made with, or its metadata cannot be read.
+        BadInput: the recording does not name its camera, its metadata cannot be read, or no event lies in the part.
         OSError: the file cannot be written.
     """
     camera = recording.camera()
@@ -135,6 +135,8 @@ def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
     file = McapFile(output, About(metadata, attachments, offset_ns))
     try:
         n = _copy(recording, file, message_encoder, cut, offset_ns)
+        if n == 0:
+            raise BadInput(f"{recording.name}: no event lies in that part")
     except BaseException:
         file.abandon()
         raise

@@ -404,6 +404,10 @@ def _label(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+PAIRS_LEAST = 20
+"""Pairs from which a bootstrap of them is wide enough to say that a difference is clear."""
+
+
 class PairedDifference(Struct, frozen=True):
     """The mean of a figure in both campaigns, over the flights that have it in both, and the interval of the difference."""
 
@@ -422,8 +426,8 @@ class PairedDifference(Struct, frozen=True):
 
     @property
     def clear(self) -> bool:
-        """True if the interval leaves zero out, of 20 pairs or more: a bootstrap of fewer is too narrow to say so."""
-        return self.pairs >= 20 and (self.low > 0.0 or self.high < 0.0)
+        """True if the interval leaves zero out, of enough pairs."""
+        return self.pairs >= PAIRS_LEAST and (self.low > 0.0 or self.high < 0.0)
 
 
 FIGURES: tuple[tuple[str, str, Callable[[Flight], float | None]], ...] = (

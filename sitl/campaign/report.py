@@ -13,6 +13,7 @@ from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
 from sitl.campaign.figures import (
     HEADINGS,
+    PAIRS_LEAST,
     Tallies,
     Tally,
     added,
@@ -258,7 +259,7 @@ def _comparison(
         (
             f"{escape(r.name)}{f', {r.unit}' if r.unit else ''}",
             *(f"{r.pairs:,}", f"{r.other:.4g}", f"{r.ours:.4g}", f"{r.mean:+.4g}", f"{r.low:+.4g} to {r.high:+.4g}"),
-            "clear" if r.clear else "may be chance",
+            "clear" if r.clear else "too few pairs" if r.pairs < PAIRS_LEAST else "may be chance",
         )
         for r in differences_of(flights, theirs)
     )

@@ -105,7 +105,9 @@ class FolderStore:
             refuse_other(str(folder), manifest, identity)
             manifest = manifest_of_plan(plan, seeds, manifest)
         else:
-            if foreign := sorted(p.name for p in folder.iterdir() if p.name != FLIGHTS):
+            if foreign := sorted(p.name for p in folder.iterdir() if p.name not in (FLIGHTS, f"{MANIFEST}.new")):
+                if not self._path.stat().st_size:
+                    self._path.unlink()
                 raise BadInput(f"--out {folder}: the folder holds {foreign[0]!r} and no campaign")
             if self._path.stat().st_size:
                 raise BadInput(f"--out {folder}: the folder holds {FLIGHTS} without {MANIFEST}, which says what they are of")

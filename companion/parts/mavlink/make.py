@@ -207,10 +207,7 @@ class AutopilotPart:
         self._sample_queue_items = settings.service.sample_queue_items
         self.component = Component(
             Outputs(
-                settings.landing_target,
-                pilot.pad.disc_radius_m,
-                settings.guidance.stale_after_s,
-                self._lead(settings.guidance),
+                settings.landing_target, pilot.pad.disc_radius_m, settings.guidance.stale_after_s, self._lead(settings.guidance)
             ),
             PilotTower(pilot, lambda: self.component.belief, clock, recording),
             tunables(settings, pilot),

@@ -122,11 +122,7 @@ def _pieces(uv_px: F64, *, closed: bool) -> Iterator[tuple[float, ...]]:
 HORIZONS_S = tuple(0.25 * k for k in range(13))
 """Instants at which the deck's height is shown ahead, s."""
 _FLOWS = (("Frame", "camera"), ("Attitude", "attitude"), ("VehicleStatus", "status"))
-_STAGES = (
-    ("look", "picture searched in"),
-    ("exposure_to_command", "picture to command"),
-    ("guidance_late", "guidance late by"),
-)
+_STAGES = (("look", "picture searched in"), ("exposure_to_command", "picture to command"), ("guidance_late", "guidance late by"))
 
 
 def _causes(health: HealthSnapshot, decision: Decision | None, *, flying: bool) -> Iterator[HealthCause]:

@@ -171,7 +171,7 @@ def error_rows(log: FlightLog, series: Sequence[Series]) -> list[ErrorRow]:
     frames = sum(log.verdicts.values()) or len(log.frames)
     rows = []
     for s in series:
-        lateral, down, yaw = s.lateral_error_m, s.error[:, 2], np.abs(s.yaw_error)
+        lateral, down, yaw = s.lateral_error_m, np.abs(s.error[:, 2]), np.abs(s.yaw_error)
         rows.append(
             ErrorRow(
                 name=s.name,
@@ -181,7 +181,7 @@ def error_rows(log: FlightLog, series: Sequence[Series]) -> list[ErrorRow]:
                 lateral_median_m=_quantile(lateral, 0.5),
                 lateral_p95_m=_quantile(lateral, 0.95),
                 down_median_m=_quantile(down, 0.5),
-                down_p95_m=_quantile(np.abs(down), 0.95),
+                down_p95_m=_quantile(down, 0.95),
                 yaw_median_rad=_quantile(yaw, 0.5),
                 yaw_p95_rad=_quantile(yaw, 0.95),
                 nees=_mean(s.nees),
