@@ -78,7 +78,7 @@ class RelativeEstimator:
         shadows: Sequence[PathName] = (),
         motion_sensor: ShipMotionOptions | None = None,
     ) -> None:
-        self._options = options or EstimatorOptions()
+        self._options, self._motion_sensor = options or EstimatorOptions(), motion_sensor
         names = (self._options.path, *(name for name in shadows if name != self._options.path))
         self._paths = [_path(name, self._options) for name in names]
         self._attitudes = AttitudeHistory(self._options.history_s)
@@ -180,6 +180,10 @@ class RelativeEstimator:
         """Check one frame before vision processes it; return REPEATED if it shows nothing new, else None."""
         self.guard, verdict = integrity.admit_frame(self.guard, frame)
         return verdict
+
+    def begun_anew(self) -> RelativeEstimator:
+        """Return an estimator of the same options and paths that has received nothing."""
+        return RelativeEstimator(self._options, self.paths, self._motion_sensor)
 
     def steer_by(self, name: PathName) -> None:
         """Steer by another path; the previous one continues as a shadow.

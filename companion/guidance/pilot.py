@@ -248,8 +248,12 @@ class Pilot:
 
     def on_samples(self, samples: Sequence[Sample], *, wanted: bool = True) -> list[tuple[FusionResult, ...]]:
         """Process samples in the order in which they were received. Return the results of each, path by path, if `wanted`."""
+        was_cut = self.vehicle is not None and self.vehicle.emergency
         self.operator.on_samples(samples)
         self.landing.on_samples(samples)
+        if was_cut and self.vehicle is not None and not self.vehicle.emergency:
+            # After a fall, and however long it lay there, neither the estimate nor what it knows of the sensors holds.
+            self.estimator = self.estimator.begun_anew()
         fused = [sample for sample in samples if type(sample) not in _NOT_FUSED]
         by_antennas = any(type(sample) is Baseline for sample in fused)
         results = self.estimator.put(fused, wanted=wanted or by_antennas)

@@ -329,8 +329,7 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     mode_changes: Annotated[
         bool,
         choice(
-            "whether the mission targets may set the autopilot's modes, landing and hold; otherwise the pilot does",
-            public=True,
+            "whether the mission targets may set the autopilot's modes, landing and hold; otherwise the pilot does", public=True
         ),
     ] = False
     start: Annotated[
@@ -344,8 +343,7 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     ] = 3.0
     stay_s: Annotated[float, number("longest wait there; after it the drone holds where it is", "s", 1.0, 36000.0)] = 600.0
     land_timeout_s: Annotated[
-        float,
-        number("longest time from the land command to the landing; after it the drone goes around", "s", 1.0, 120.0),
+        float, number("longest time from the land command to the landing; after it the drone goes around", "s", 1.0, 120.0)
     ] = 6.0
     refused: Annotated[
         Literal["hold", "return", "land elsewhere"],

@@ -38,8 +38,7 @@ class HttpSettings(Struct, frozen=True, forbid_unknown_fields=True):
     endpoint: Annotated[
         Literal["off", "http", "https"],
         choice(
-            "whether there is one; https needs certificate_file and key_file; beyond loopback the page needs https",
-            public=True,
+            "whether there is one; https needs certificate_file and key_file; beyond loopback the page needs https", public=True
         ),
     ] = "off"
     host: Annotated[str, text("address to listen on; one other than loopback needs a token_file", 253, public=True)] = "127.0.0.1"
@@ -243,10 +242,7 @@ class OutputOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     ] = False
     ranges: Annotated[
         Literal["auto", "on", "off"],
-        choice(
-            "whether to send DISTANCE_SENSOR; auto: if ArduPilot's rangefinder is a MAVLink one",
-            public=True,
-        ),
+        choice("whether to send DISTANCE_SENSOR; auto: if ArduPilot's rangefinder is a MAVLink one", public=True),
     ] = "auto"
     range_rate_hz: Annotated[float, number("DISTANCE_SENSOR messages a second", "Hz", 1.0, 50.0)] = 20.0
     range_id: Annotated[int, number("id of the sensor in DISTANCE_SENSOR", "id", 0, 255)] = 0

@@ -16,8 +16,7 @@ class ConeOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     intercept_speed_m_s: Annotated[float, number("largest speed with which it flies over the pad", "m/s", 0.1, 10.0)] = 1.5
     descent_rate_m_s: Annotated[float, number("rate against the deck on the cone's axis", "m/s", 0.05, 3.0, public=True)] = 0.7
     slope: Annotated[
-        float,
-        number("radius of the cone over the height; at 1.1 times the radius the drone does not descend", "1", 0.02, 1.0),
+        float, number("radius of the cone over the height; at 1.1 times the radius the drone does not descend", "1", 0.02, 1.0)
     ] = 0.22
     feet_below_m: Annotated[
         float, number("distance of the vehicle's feet below the body's origin; 0.045 on an AR.Drone", "m", 0.0, 1.0, public=True)
@@ -217,8 +216,7 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         float, number("how far to that side it goes; the pad has to stay in view from the safe height", "m", 0.0, 10.0)
     ] = 0.3
     blind_s: Annotated[
-        float,
-        number("time after the newest sight for which it flies over the pad by dead reckoning", "s", 0.0, 30.0),
+        float, number("time after the newest sight for which it flies over the pad by dead reckoning", "s", 0.0, 30.0)
     ] = 10.0
     blind_sigma_m: Annotated[
         float, number("horizontal standard deviation of the estimate above which it no longer flies by it", "m", 0.01, 100.0)
@@ -239,14 +237,7 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     ] = "operator"
     another_pad_s: Annotated[float, number("that sight", "s", 1.0, 120.0)] = 5.0
     operator_wait_s: Annotated[
-        float,
-        number(
-            "longest wait for the operator's decision about another pad",
-            "s",
-            1.0,
-            3600.0,
-            public=True,
-        ),
+        float, number("longest wait for the operator's decision about another pad", "s", 1.0, 3600.0, public=True)
     ] = 60.0
 
     def __post_init__(self) -> None:
@@ -278,8 +269,7 @@ class ThesisOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         float, number("height over the pad from which the vehicle lands by itself", "m", 0.05, 5.0, "thesis section 4.6")
     ] = 0.3
     final_reached_m: Annotated[
-        float,
-        number("the same for the last way point", "m", 0.01, 2.0, "0.01 in the thesis, where it held for the set point"),
+        float, number("the same for the last way point", "m", 0.01, 2.0, "0.01 in the thesis, where it held for the set point")
     ] = 0.12
     final_dwell_s: Annotated[float, number("time for which the drone must stay that near", "s", 0.0, 60.0)] = 0.2
     touchdown_s: Annotated[

@@ -146,11 +146,7 @@ class LimitOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     return_charge: Annotated[
         float,
         number(
-            "charge below which manual flight goes no farther from the pad, or the start without one",
-            "1",
-            0.0,
-            1.0,
-            public=True,
+            "charge below which manual flight goes no farther from the pad, or the start without one", "1", 0.0, 1.0, public=True
         ),
     ] = 0.15
 

@@ -165,19 +165,11 @@ def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Call
         yield _signing("bridge", settings.bridge.signing_key_file)
     vision = settings.vision
     if vision.learned != "off":
-        yield (
-            "vision.learned_file",
-            (vision.learned_file,),
-            lambda: second_opinion(vision.learned_file, "vision.learned_file"),
-        )
+        yield ("vision.learned_file", (vision.learned_file,), lambda: second_opinion(vision.learned_file, "vision.learned_file"))
     m = settings.mqtt
     if m.transport != "off":
         yield "mqtt.password_file", (m.password_file,), lambda: files.text(m.password_file, "mqtt", "password_file")
-        yield (
-            "mqtt.command_key_file",
-            (m.command_key_file,),
-            lambda: files.key(m.command_key_file, "mqtt", "command_key_file"),
-        )
+        yield ("mqtt.command_key_file", (m.command_key_file,), lambda: files.key(m.command_key_file, "mqtt", "command_key_file"))
         yield "mqtt.ca_file", (m.ca_file, m.certificate_file, m.key_file), lambda: tls_context(m)
     if settings.http.endpoint != "off":
         http = settings.http

@@ -105,15 +105,12 @@ _RULES = (
     _Rule("bridge.signing_time_file", "bridge.signing_key_file is empty"),
     _Rule("vehicle.signing_time_file", "vehicle.signing_key_file is empty"),
     _Rule(
-        "landing_target.range_rate_hz landing_target.range_id landing_target.ground_clearance_m",
-        'landing_target.ranges is "off"',
+        "landing_target.range_rate_hz landing_target.range_id landing_target.ground_clearance_m", 'landing_target.ranges is "off"'
     ),
     _Rule("vehicle.descent_rate_m_s vehicle.landing_most_s vehicle.landing_depth_m", 'vehicle.landing is "mode"'),
     _Rule("camera.format camera.buffers", 'camera.source is not "v4l2"'),
     _Rule(
-        "camera.controls",
-        'camera.source is neither "v4l2" nor "libcamera"',
-        idle=lambda s: s.camera.source not in DRIVEN_SOURCES,
+        "camera.controls", 'camera.source is neither "v4l2" nor "libcamera"', idle=lambda s: s.camera.source not in DRIVEN_SOURCES
     ),
     _Rule(
         "camera.rate_hz camera.arrival_sigma_s",

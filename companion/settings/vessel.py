@@ -25,15 +25,13 @@ class RtkOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """
 
     source: Annotated[
-        str,
-        text(f"where the drone's receiver sends UBX NAV-RELPOSNED: {_WHERE}; empty for none", 256, shortest=0, public=True),
+        str, text(f"where the drone's receiver sends UBX NAV-RELPOSNED: {_WHERE}; empty for none", 256, shortest=0, public=True)
     ] = ""
     antenna_m: Annotated[
         str, text(f"the drone's antenna from the body's origin, forward, right, down, m: {_VECTOR}", 64, public=True)
     ] = "0, 0, 0"
     ship_antenna_m: Annotated[
-        str,
-        text(f"the ship's antenna from the pad's centre, towards the bow, to starboard, down, m: {_VECTOR}", 64, public=True),
+        str, text(f"the ship's antenna from the pad's centre, towards the bow, to starboard, down, m: {_VECTOR}", 64, public=True)
     ] = "0, 0, 0"
     alone: Annotated[
         bool, choice("whether a landing may begin without sight of the pad; otherwise the camera has to have seen it once")
@@ -42,8 +40,7 @@ class RtkOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     delay_s: Annotated[float, number("least time from the instant of a solution to its arrival", "s", 0.0, 0.5)] = 0.15
     length_max_m: Annotated[float, number("length of a baseline beyond which it is refused", "m", 1.0, 10_000.0)] = 300.0
     heading: Annotated[
-        str,
-        text("where NAV-RELPOSNED of two antennas on the ship comes from, for her heading: as source", 256, shortest=0),
+        str, text("where NAV-RELPOSNED of two antennas on the ship comes from, for her heading: as source", 256, shortest=0)
     ] = ""
     heading_mount_deg: Annotated[
         float, number("direction from that base antenna to the rover antenna, clockwise from the bow", "deg", -180.0, 180.0)
@@ -125,8 +122,7 @@ class ReportLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 10.0
     forget_s: Annotated[
-        float,
-        number("time without a report that fits after which the next one is believed alone", "s", 1.0, 600.0),
+        float, number("time without a report that fits after which the next one is believed alone", "s", 1.0, 600.0)
     ] = 30.0
     acceleration_m_s2: Annotated[
         float, number("acceleration by which the ship may leave the course that carries her place on", "m/s^2", 0.01, 5.0)
@@ -140,13 +136,7 @@ class ReportLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     pad_right_m: Annotated[float, number("the same to starboard", "m", -100.0, 100.0, public=True)] = 0.0
     pad_up_m: Annotated[
         float,
-        number(
-            "the same upward; without a reported height (AIS) the pad's height over the sea",
-            "m",
-            -50.0,
-            50.0,
-            public=True,
-        ),
+        number("the same upward; without a reported height (AIS) the pad's height over the sea", "m", -50.0, 50.0, public=True),
     ] = 0.0
 
     def __post_init__(self) -> None:
@@ -170,11 +160,7 @@ class RendezvousOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
     """
 
     enabled: Annotated[
-        bool,
-        choice(
-            "whether the drone flies to the ship's reported place when a landing is ordered without sight",
-            public=True,
-        ),
+        bool, choice("whether the drone flies to the ship's reported place when a landing is ordered without sight", public=True)
     ] = False
     bearing_deg: Annotated[
         float,
@@ -190,14 +176,7 @@ class RendezvousOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
         8.0
     )
     height_m: Annotated[
-        float,
-        number(
-            "height over the pad to which it climbs, and never descends, above masts",
-            "m",
-            1.0,
-            100.0,
-            public=True,
-        ),
+        float, number("height over the pad to which it climbs, and never descends, above masts", "m", 1.0, 100.0, public=True)
     ] = 6.0
     reached_m: Annotated[float, number("distance at which it counts as there", "m", 0.5, 50.0)] = 2.0
     speed_m_s: Annotated[float, number("largest speed against the ship on the way", "m/s", 0.2, 15.0, public=True)] = 3.0
@@ -232,13 +211,7 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
     """
 
     nmea: Annotated[
-        str,
-        text(
-            f"where sentences of NMEA 0183 and AIS come from: {_WHERE}; empty for none",
-            256,
-            shortest=0,
-            public=True,
-        ),
+        str, text(f"where sentences of NMEA 0183 and AIS come from: {_WHERE}; empty for none", 256, shortest=0, public=True)
     ] = ""
     nmea_from: Annotated[
         str,

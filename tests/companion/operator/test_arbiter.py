@@ -24,7 +24,7 @@ from companion.settings.load import load
 from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
-from tests.make import estimate
+from tests.make import estimate, status
 from tests.support.mqtt_service import vehicle_status
 
 PAD, OTHER = OrderSender(OrderSource.GAMEPAD, "pad"), OrderSender(OrderSource.MAVLINK)
@@ -552,3 +552,16 @@ def test_each_person_reads_his_own_orders_as_his_and_no_connection_s_number() ->
     text = f"ordered by {one}, then by {two} and terminal 3 (process 7, user 0)"
     assert one.reads(text) == "ordered by you, then by another page (10.0.0.3) and a terminal (process 7, user 0)"
     assert two.reads(text) == "ordered by another page (10.0.0.2), then by you and a terminal (process 7, user 0)"
+
+
+def test_after_a_fall_the_estimate_begins_anew_on_the_same_path() -> None:
+    """WHY: after a cut, 25 s on the deck and a take-off the old filter had the drone 250 m under the pad."""
+    pilot = make_pilot(load("sim"), shadows=["median_mean"])
+    pilot.estimator.steer_by("median_mean")
+    known = []
+    for n, emergency in enumerate((False, True, True, False, False)):
+        pilot.on_sample(status(100.0 + n, emergency=emergency))
+        known.append(pilot.estimator)
+    assert [known[0] is one for one in known] == [True, True, True, False, False]
+    assert known[4] is known[3], "at the end of the emergency alone"
+    assert known[3].paths == known[0].paths == ["median_mean", "ekf"]

@@ -13,7 +13,7 @@ const KEPT = ["hold", "abort"];
 const ASKS = {
   land: { verb: "to land here", says: ({ flying, below }) => (flying === false ? "It stands already." : `Lands ${below}.`) },
   clear: { verb: "to land although it is there", says: ({ bars }) => `Ignores for a minute, in this attempt alone: ${bars}.` },
-  takeoff: { verb: "to take off", says: () => "The propellers start." },
+  takeoff: { verb: "to take off", says: ({ flying }) => (flying ? "Stops the landing and hovers." : "The propellers start.") },
   reset: {
     verb: "to leave the emergency state",
     says: ({ situation }) => (situation === "cutting" ? "The cut is not confirmed, and is then sent no more." : "The motors stay off."),

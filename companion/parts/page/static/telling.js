@@ -58,7 +58,7 @@ function signed(value, digits) {
 
 function length(id, metres, level = "") {
   if (metres === null) set(id, "–");
-  else if (metres < 1) set(id, (100 * metres).toFixed(metres < 0.1 ? 1 : 0), "cm", level);
+  else if (Math.abs(metres) < 1) set(id, (100 * metres).toFixed(Math.abs(metres) < 0.1 ? 1 : 0), "cm", level);
   else set(id, metres.toFixed(2), "m", level);
 }
 
