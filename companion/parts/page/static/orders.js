@@ -165,7 +165,7 @@ export class Orders {
   tell(level, text) {
     this.#passing = false;
     clearTimeout(this.#fades);
-    this.#fades = setTimeout(() => this.#passing || this.tell("", ""), SHOWN_MS[level]);
+    if (level in SHOWN_MS) this.#fades = setTimeout(() => this.#passing || this.tell("", ""), SHOWN_MS[level]);
     chip(this.#answer, level, text);
   }
 }
