@@ -181,7 +181,7 @@ class RelativeEstimator:
         self.guard, verdict = integrity.admit_frame(self.guard, frame)
         return verdict
 
-    def begun_anew(self) -> RelativeEstimator:
+    def restarted(self) -> RelativeEstimator:
         """Return an estimator of the same options and paths that has received nothing."""
         return RelativeEstimator(self._options, self.paths, self._motion_sensor)
 

@@ -123,8 +123,8 @@ def run(args: argparse.Namespace) -> int:
     with closing(_store(args, plan, seeds)) as store:
         try:
             with _workforce(args, plan, workers) as workforce:
-                local = f"{(n := min(workers, len(jobs)))} {'process' if n == 1 else 'processes'}"
-                _fly_left(args, store, workforce, jobs, f"the cluster at {args.scheduler}" if args.scheduler else local)
+                by = "1 process" if 1 in (workers, len(jobs)) else f"{min(workers, len(jobs))} processes"
+                _fly_left(args, store, workforce, jobs, f"the cluster at {args.scheduler}" if args.scheduler else by)
         except Stopped:
             kept = len(store.keys())
             sys.stderr.write(f"{kept} flights are kept in {store.place}; the same command goes on from there\n")

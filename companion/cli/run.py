@@ -135,7 +135,7 @@ def _vehicle(settings: Settings) -> str:
 
 
 def _starts(settings: Settings) -> list[str]:
-    """Return each way in which a landing begins."""
+    """Return what begins a landing: the start, and the switch and the handover if they are on."""
     switch, handover = settings.operator.switch, settings.operator.handover
     ways: list[str] = [settings.guidance.start]
     if switch.channel:

@@ -253,7 +253,7 @@ class Pilot:
         self.landing.on_samples(samples)
         if was_cut and self.vehicle is not None and not self.vehicle.emergency:
             # After a fall, and however long it lay there, neither the estimate nor what it knows of the sensors holds.
-            self.estimator = self.estimator.begun_anew()
+            self.estimator = self.estimator.restarted()
         fused = [sample for sample in samples if type(sample) not in _NOT_FUSED]
         by_antennas = any(type(sample) is Baseline for sample in fused)
         results = self.estimator.put(fused, wanted=wanted or by_antennas)

@@ -47,7 +47,7 @@ def climbed(p: Progress, s: GuidanceCycle, since_last_s: float) -> Progress:
     ordered_m = min(since_last_s, STARVED_S) * p.climbs_m_s
     if s.silent_s > SILENT_S:
         return replace(p, silent_m=(p.silent_m or 0.0) + ordered_m)
-    return replace(p, climbed_m=p.climbed_m + ordered_m)
+    return replace(p, climbed_m=p.climbed_m + ordered_m) if ordered_m else p
 
 
 def flown_by_others(p: Progress) -> Progress:

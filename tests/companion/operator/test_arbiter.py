@@ -554,7 +554,7 @@ def test_each_person_reads_his_own_orders_as_his_and_no_connection_s_number() ->
     assert two.reads(text) == "ordered by another page (10.0.0.2), then by you and a terminal (process 7, user 0)"
 
 
-def test_after_a_fall_the_estimate_begins_anew_on_the_same_path() -> None:
+def test_after_a_fall_the_estimator_restarts_on_the_same_path() -> None:
     """WHY: after a cut, 25 s on the deck and a take-off the old filter had the drone 250 m under the pad."""
     pilot = make_pilot(load("sim"), shadows=["median_mean"])
     pilot.estimator.steer_by("median_mean")
