@@ -19,7 +19,7 @@ from drivers.mailbox import Line
 from drivers.relpos import RelposOptions, RelposReader
 from estimator.contracts.samples import Baseline, Sample, VesselReport
 from estimator.contracts.time import MonoNs
-from tests.support.waiting import free_port, until
+from tests.support.waiting import answering, free_port, until
 
 pyubx2 = pytest.importorskip("pyubx2", reason="the extra ship is not installed")
 
@@ -179,9 +179,7 @@ async def test_it_arrives_by_udp_tcp_and_a_serial_port():
         await ended.read()
         writer.close()
 
-    server = await asyncio.start_server(feed, "127.0.0.1", 0)
-    tcp = server.sockets[0].getsockname()[1]
-    try:
+    async with answering(feed) as tcp:
         for source in (f"127.0.0.1:{port}", f"tcp://127.0.0.1:{tcp}", f"serial://{os.ttyname(slave)}:115200"):
             reports = Line[Sample](16)
             part = RtkPart(RtkOptions(source=source), "source", reports, SystemClock())
@@ -199,7 +197,5 @@ async def test_it_arrives_by_udp_tcp_and_a_serial_port():
             running.cancel()
             await asyncio.gather(running, return_exceptions=True)
         assert part.counted()["refused_base_not_moving"] == 1.0
-    finally:
-        server.close()
-        os.close(master)
-        os.close(slave)
+    os.close(master)
+    os.close(slave)

@@ -12,6 +12,7 @@ from drivers.ardrone.counters import Refusal
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from sitl.emulators.ardrone.server import DatagramPort, StreamPort
+from tests.support.waiting import answering
 
 HOST = "127.0.0.1"
 
@@ -41,7 +42,6 @@ class FakeArDrone:
         self.altitude_mm = 900
         self.text = StreamPort("control", self.counters, clients_max=8, backlog_max=1 << 16)
         """The port of the configuration."""
-        self._handlers: list[Any] = []
         self._ids: at.ConfigIds | None = None
         self._navdata = DatagramPort("navdata", SystemClock().now, self.counters, backlog_max=1 << 16)
 
@@ -104,7 +104,6 @@ class FakeArDrone:
 
     async def _video(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.video_writers.append(writer)
-        self._handlers.append(asyncio.current_task())
         with suppress(OSError):
             for clip in self.clips:
                 if writer.is_closing():
@@ -123,13 +122,12 @@ class FakeArDrone:
     async def on_loopback(self, **options: Any) -> AsyncIterator[ArDroneOptions]:
         """Serve; yields options that lead here, patient for milliseconds only."""
         at_port = DatagramPort("at", SystemClock().now, self.counters, take=self._on_datagram)
-        video = await asyncio.start_server(self._video, HOST, 0)
-        async with AsyncExitStack() as stack, video:
+        async with AsyncExitStack() as stack, answering(self._video) as video_port:
             fast: dict[str, Any] = {
                 "host": HOST,
                 "navdata_port": await self._navdata.listen(HOST, 0, stack),
                 "at_port": await at_port.listen(HOST, 0, stack),
-                "video_port": video.sockets[0].getsockname()[1],
+                "video_port": video_port,
                 "control_port": await self.text.listen(HOST, 0, stack),
                 "command_period_s": 0.01,
                 "navdata_silence_s": 0.1,
@@ -145,8 +143,7 @@ class FakeArDrone:
                 yield ArDroneOptions(**(fast | options))
             finally:
                 ticker.cancel()
-                self.drop_video()
-                await asyncio.gather(ticker, *self._handlers, return_exceptions=True)
+                await asyncio.gather(ticker, return_exceptions=True)
 
     async def _run(self) -> None:
         loop, before = asyncio.get_running_loop(), asyncio.get_running_loop().time()

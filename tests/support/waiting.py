@@ -54,6 +54,29 @@ def accepts(port: int) -> bool:
     return True
 
 
+@asynccontextmanager
+async def answering(
+    serve: Callable[[asyncio.StreamReader, asyncio.StreamWriter], Coroutine[None, None, None] | None],
+) -> AsyncIterator[int]:
+    """Serve each connection to a port of the loopback, and yield the port. None is open afterwards, however soon it ends."""
+    writers: list[asyncio.StreamWriter] = []
+
+    def met(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> Coroutine[None, None, None] | None:
+        writers.append(writer)
+        if server.is_serving():
+            return serve(reader, writer)
+        writer.transport.abort()
+        return None
+
+    server = await asyncio.start_server(met, "127.0.0.1", 0)
+    try:
+        yield server.sockets[0].getsockname()[1]
+    finally:
+        server.close()
+        for writer in writers:
+            writer.transport.abort()
+
+
 class Serving(Protocol):
     """A part that listens on a port."""
 

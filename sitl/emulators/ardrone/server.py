@@ -9,7 +9,7 @@ import asyncio
 import os
 import socket
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, suppress
 from functools import partial
@@ -162,7 +162,7 @@ class StreamPort:
         Raises:
             OSError: the port is taken.
         """
-        server = await asyncio.start_server(self._serve, host, port)
+        server = await asyncio.start_server(self._meet, host, port)
         stack.callback(self.drop)
         stack.callback(server.close)
         return int(server.sockets[0].getsockname()[1])
@@ -181,7 +181,7 @@ class StreamPort:
                 transport.write(data)
                 self._count("sent")
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> Coroutine[None, None, None] | None:
         transport = writer.transport
         if self._buffer is not None:
             raw: socket.socket = transport.get_extra_info("socket")
@@ -189,12 +189,15 @@ class StreamPort:
         if len(self._clients) >= self._clients_max > 1:
             self._count("client_refused")
             transport.abort()
-            return
+            return None
         if len(self._clients) >= self._clients_max:
             self._count("client_replaced")
             self.drop()
         self._count("client")
         self._clients.add(transport)
+        return self._serve(reader, transport)
+
+    async def _serve(self, reader: asyncio.StreamReader, transport: asyncio.WriteTransport) -> None:
         try:
             with suppress(OSError):
                 while await reader.read(4096):

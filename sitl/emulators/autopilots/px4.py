@@ -12,7 +12,7 @@ px4-rc.simulator, px4-rc.mavlink).
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -179,8 +179,11 @@ async def serve_hil(
     """
     open_writers: set[asyncio.StreamWriter] = set()
 
-    async def met(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        open_writers.add(writer)
+    def met(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> Coroutine[None, None, None]:
+        open_writers.add(writer)  # before its task begins, which an end of the flight may cancel
+        return conversed(reader, writer)
+
+    async def conversed(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
             await _converse(backend, reader, writer, settle)
         except asyncio.CancelledError:

@@ -31,7 +31,7 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, defaults, run_doctor
-from tests.support.waiting import free_port, listening, until
+from tests.support.waiting import answering, free_port, listening, until
 
 HOST = "127.0.0.1"
 
@@ -133,9 +133,7 @@ async def test_the_service_s_own_files_broker_and_drone() -> None:
     assert snapshot.camera_fault is None
     assert snapshot.broker_fault
     assert snapshot.drone is not None
-    server = await asyncio.start_server(lambda r, w: w.close(), HOST, 0)
-    async with server:
-        port = server.sockets[0].getsockname()[1]
+    async with answering(lambda r, w: w.close()) as port:
         assert (await examine_service(None, f"{HOST}:{port}", SystemClock())).broker_fault is None
 
 

@@ -6,7 +6,7 @@ import struct
 import sys
 import time
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,7 +21,7 @@ from companion.settings.links import MqttSettings
 from estimator.contracts.estimates import FusionResult, Verdict
 from tests.support.mosquitto import Broker, on_message
 from tests.support.mqtt_service import RUN, SESSION, decision, running, vehicle_status
-from tests.support.waiting import until
+from tests.support.waiting import answering, until
 
 ROOT = Path(__file__).parents[3]
 TREE = "decklander/v2/deck/"
@@ -176,7 +176,7 @@ class WordyBroker:
         self.published: list[tuple[str, bytes]] = []
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        try:
+        with suppress(asyncio.IncompleteReadError, ConnectionError):
             while True:
                 head = (await reader.readexactly(1))[0]
                 size = shift = 0
@@ -184,8 +184,7 @@ class WordyBroker:
                     size, shift = size | (digit & 127) << shift, shift + 7
                 body = await reader.readexactly(size | digit << shift)
                 writer.write(self._answer(head, body, writer))
-        except (asyncio.IncompleteReadError, ConnectionError):
-            writer.close()
+        writer.close()
 
     def _answer(self, head: int, body: bytes, writer: asyncio.StreamWriter) -> bytes:
         kind = head >> 4
@@ -218,14 +217,8 @@ class WordyBroker:
 @asynccontextmanager
 async def wordy() -> AsyncIterator[tuple[WordyBroker, MqttSettings]]:
     broker = WordyBroker()
-    server = await asyncio.start_server(broker.serve, "127.0.0.1", 0)
-    port = server.sockets[0].getsockname()[1]
-    try:
+    async with answering(broker.serve) as port:
         yield broker, MqttSettings(transport="tcp", port=port, timeout_s=2.0, reconnect_first_s=0.05, reconnect_cap_s=0.1)
-    finally:
-        server.close()
-        for _, writer in broker.clients:
-            writer.close()
 
 
 @pytest.mark.parametrize(

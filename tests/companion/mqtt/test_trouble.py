@@ -29,7 +29,7 @@ from estimator.contracts.time import seconds_between
 from tests.support.mosquitto import Broker
 from tests.support.mqtt_consumer import Consumer
 from tests.support.mqtt_service import RUN, SESSION, RunningPart, decision, event, running
-from tests.support.waiting import until
+from tests.support.waiting import answering, until
 
 # A TLS handshake that fails leaves its socket to the garbage collector inside paho.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
@@ -140,14 +140,9 @@ async def test_a_line_that_is_open_and_silent(certificates: Path, tmp_path: Path
     async def accept(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         nonlocal opened
         opened += 1
-        try:
-            await asyncio.sleep(30)
-        finally:
-            writer.close()
+        await asyncio.sleep(30)
 
-    silent = await asyncio.start_server(accept, "127.0.0.1", 0)
-    port = silent.sockets[0].getsockname()[1]
-    try:
+    async with answering(accept) as port:
         for transport in ("tcp", "tls"):
             settings = MqttSettings(
                 transport=transport, host="127.0.0.1", port=port, timeout_s=0.2, reconnect_first_s=0.05, reconnect_cap_s=0.1,
@@ -157,8 +152,6 @@ async def test_a_line_that_is_open_and_silent(certificates: Path, tmp_path: Path
             _, flight = await fly_until(settings, tmp_path / transport, failed(2))
             assert opened - before >= 2
             undisturbed(flight)
-    finally:
-        silent.close()
     sockets = [t for t in asyncio.all_tasks() if "_misc_loop" in repr(t)]
     assert sockets == [], "a connection that failed half-way is still tended"
 
@@ -322,16 +315,14 @@ async def test_a_broker_that_sends_megabytes_is_hung_up_on(tmp_path: Path) -> No
         finally:
             writer.close()
 
-    server = await asyncio.start_server(serve, "127.0.0.1", 0)
-    port = server.sockets[0].getsockname()[1]
-    settings = MqttSettings(
-        transport="tcp", host="127.0.0.1", port=port, protocol="3.1.1", user="u", commands="broker", timeout_s=0.5,
-        reconnect_first_s=60.0, reconnect_cap_s=60.0,
-    )  # fmt: skip
-    async with running(settings, tmp_path / "spool") as rig:
-        await until(lambda: rig.count("connection_failures") == 1)
-        assert sent < 16 << 20
-    server.close()
+    async with answering(serve) as port:
+        settings = MqttSettings(
+            transport="tcp", host="127.0.0.1", port=port, protocol="3.1.1", user="u", commands="broker", timeout_s=0.5,
+            reconnect_first_s=60.0, reconnect_cap_s=60.0,
+        )  # fmt: skip
+        async with running(settings, tmp_path / "spool") as rig:
+            await until(lambda: rig.count("connection_failures") == 1)
+            assert sent < 16 << 20
 
 
 async def test_a_disk_that_stands_still_does_not_hold_up_the_end(broker, tmp_path, monkeypatch):

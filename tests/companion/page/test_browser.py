@@ -248,7 +248,8 @@ async def test_over_tls_a_lost_hand_a_silent_and_an_ended_service_are_reported_a
         async with serving(tmp_path, **options) as service:
             await one.shows("phase", "aborted")
             await one.shows("events", "the service started again")
-            assert (await one.page.evaluate(OLD), await one.page.is_hidden("#lost")) == ("none", True)
+            await one.page.wait_for_function(f"{OLD} === 'none'", timeout=WAIT_MS)
+            assert await one.page.is_hidden("#lost")
             assert [order.order.value for order in service.orders] == ["abort"]
 
 

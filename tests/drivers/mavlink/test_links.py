@@ -6,6 +6,7 @@ import os
 import select
 import socket
 import tty
+from contextlib import AsyncExitStack
 from typing import Any
 
 import pytest
@@ -20,7 +21,7 @@ from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing, SigningKey, SigningTimes
 from estimator.contracts.errors import BadInput, Recoverable
 from tests.make import ns
-from tests.support.waiting import until
+from tests.support.waiting import answering, until
 
 HOST = "127.0.0.1"
 ANYBODY = NamedSenders(everybody=True)
@@ -112,14 +113,14 @@ async def test_tcp_comes_back_when_the_server_does() -> None:
         messages.extend(codec.feed(await reader.read(100)))
         writer.close()
 
-    server = await asyncio.start_server(serve, HOST, 0)
-    port = server.sockets[0].getsockname()[1]
-    async with open_links([quick(f"tcp://{HOST}:{port}")], SystemClock(), (1, 191)) as ours:
+    server = AsyncExitStack()
+    port = await server.enter_async_context(answering(serve))
+    async with server, open_links([quick(f"tcp://{HOST}:{port}")], SystemClock(), (1, 191)) as ours:
         for _ in range(2):
             assert (await ours.received.get()).message.type == 2
             assert ours.send(heartbeat())
-        server.close()
-        await server.wait_closed()
+        await until(lambda: len(messages) == 2)
+        await server.aclose()
         await until(lambda: ours.all[0].down and "Connect call failed" in ours.all[0].down)
         assert ours.opened[0] >= 2
         assert ours.all[0].counters.restarts >= 2

@@ -22,7 +22,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import GeoFix, VesselReport
 from estimator.contracts.time import MonoNs
 from tests.make import ns
-from tests.support.waiting import until
+from tests.support.waiting import answering, until
 
 NOW = MonoNs(9_000_000_000)
 MMSI = 211_234_560
@@ -326,11 +326,7 @@ async def test_sentences_arrive_by_udp_tcp_and_a_serial_port() -> None:
             await asyncio.sleep(0.01)
         writer.close()
 
-    server = await asyncio.start_server(serve, HOST, 0)
-    async with (
-        server,
-        sentences_from(parse_endpoint(f"tcp://{HOST}:{server.sockets[0].getsockname()[1]}"), source, SystemClock()),
-    ):
+    async with answering(serve) as port, sentences_from(parse_endpoint(f"tcp://{HOST}:{port}"), source, SystemClock()):
         await until(lambda: b"\n".join(got).count(b"GPHDT") == 2)
     far, near = os.openpty()
     tty.setraw(far)

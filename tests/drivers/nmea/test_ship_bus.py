@@ -32,7 +32,7 @@ from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.samples import GeoFix, Sample, VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import MonoNs
 from tests.companion.test_ship_sensors import imported
-from tests.support.waiting import free_port, until
+from tests.support.waiting import answering, free_port, until
 
 pytest.importorskip("nmea2000", reason="the extra ship is not installed")
 import can
@@ -431,15 +431,13 @@ async def test_a_gateway_is_read_by_tcp_until_it_closes() -> None:
         await close.wait()
         writer.close()
 
-    async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
-        port = server.sockets[0].getsockname()[1]
-        async with bus_read(f"tcp://127.0.0.1:{port}") as ship:
-            await until(ship.took("attitude"))
-            await until(lambda: ship.part.counted().get("refused_malformed") == 1)
-            assert ship.part.counted()["used src 7 attitude"] == 1
-            close.set()
-            await until(lambda: ship.failure)
-            assert str(ship.failure).startswith(f"vessel.bus tcp://127.0.0.1:{port}: the other side closed")
+    async with answering(serve) as port, bus_read(f"tcp://127.0.0.1:{port}") as ship:
+        await until(ship.took("attitude"))
+        await until(lambda: ship.part.counted().get("refused_malformed") == 1)
+        assert ship.part.counted()["used src 7 attitude"] == 1
+        close.set()
+        await until(lambda: ship.failure)
+        assert str(ship.failure).startswith(f"vessel.bus tcp://127.0.0.1:{port}: the other side closed")
 
 
 async def test_an_ngt_at_a_serial_port_is_asked_for_its_messages_and_read() -> None:
