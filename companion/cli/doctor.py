@@ -33,7 +33,6 @@ from companion.tools.doctor.undo import (
     UndoFile,
     WriteResult,
     decode_undo,
-    encode_undo,
     same,
     why_not_written,
     write_parameters,
@@ -151,7 +150,7 @@ def _agreed(one: PlannedWrite, why: str) -> bool:
 
 def _keep(path: Path, undo_file: UndoFile) -> None:
     with refused(f"nothing was written to the autopilot: --undo-file {path}", OSError), path.open("xb") as file:
-        file.write(encode_undo(undo_file))
+        file.write(encode(undo_file))
 
 
 def _written(

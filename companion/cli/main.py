@@ -25,7 +25,7 @@ from typing import Any, NoReturn, TextIO
 
 from companion.base import signals
 from estimator.contracts.address import masked
-from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
+from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible, one_line
 
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "see it": {
@@ -87,7 +87,7 @@ class Parser(argparse.ArgumentParser):
     """A parser that reports an error in one line."""
 
     def error(self, message: str) -> NoReturn:
-        printed = _one_line(message)
+        printed = one_line(message)
         for words, meant in _PLAIN.items():
             printed = re.sub(words, meant, printed)
         self.exit(WRONG, f"{self.prog}: {printed} (see {self.prog} --help)\n")
@@ -259,7 +259,7 @@ def _load_for_good(name: str) -> ModuleType:
 
 
 def _refuse(why: DecklanderError) -> int:
-    printed = masked(_one_line(str(why)))
+    printed = masked(one_line(str(why)))
     erased = "\r\x1b[2K" if sys.stderr.isatty() else ""  # a line of progress
     sys.stderr.write(f"{erased}{_style('decklander:', '1;31', sys.stderr)} {printed}{_cure(why)}\n")
     if sys.stderr.isatty() and isinstance(why, BadInput):
@@ -346,10 +346,6 @@ def _leaves(group: BaseExceptionGroup[BaseException]) -> Iterator[BaseException]
             yield from _leaves(error)
         else:
             yield error
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
 
 
 if __name__ == "__main__":

@@ -290,11 +290,6 @@ class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("silence of the estimator after which the integrals start again from zero", "s", 0.1, 60.0)
     ] = 2.0
 
-    @property
-    def turn_max_rad_s(self) -> float:
-        """The largest turn rate, rad/s."""
-        return math.radians(self.turn_max_deg_s)
-
 
 class ElsewhereOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The place, on land or on a ship at rest, where a drone lands that refused. It needs GNSS; another one holds."""

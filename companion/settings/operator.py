@@ -1,6 +1,5 @@
 """The settings of people's commands: who may give them, how fast manual flight is, and the limits of every command."""
 
-import math
 from typing import Annotated, Literal
 
 from estimator.contracts.keys import CheckedOptions, choice, number, text
@@ -15,11 +14,6 @@ class ManualOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     silence_s: Annotated[
         float, number("silence of the sender that has the hand after which the vehicle holds", "s", 0.1, 0.5)
     ] = 0.5
-
-    @property
-    def turn_max_rad_s(self) -> float:
-        """The turn rate at full stick, rad/s."""
-        return math.radians(self.turn_max_deg_s)
 
 
 SwitchOrder = Literal["none", "begin", "stay", "hold", "abort"]

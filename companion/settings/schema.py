@@ -15,7 +15,7 @@ from msgspec import Struct, inspect
 
 from companion.settings.model import EXPERT, Settings, in_file, split
 from estimator.contracts.address import guarded
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, one_line
 from estimator.contracts.keys import PUBLIC
 
 
@@ -28,22 +28,22 @@ def explain(model: type[Struct], data: Mapping[str, Any], message: str) -> str:
     for name in path:
         field = next((f for f in _fields(node) if f.encode_name == name), None)
         if field is None or not isinstance(found, Mapping) or name not in found:
-            return _one_line(message)
+            return one_line(message)
         node, found = _chosen(field.type, found[name]), found[name]
     dotted = ".".join(path)
     if not isinstance(_bare(node), inspect.StructType | inspect.UnionType):
-        return _one_line(f"{dotted} must be {expectation(node)}, found {_show(found)}")
+        return one_line(f"{dotted} must be {expectation(node)}, found {_show(found)}")
     if not isinstance(found, Mapping):
-        return _one_line(f"{dotted} must be a table of keys, found {_show(found)}")
+        return one_line(f"{dotted} must be a table of keys, found {_show(found)}")
     known = {f.encode_name: f for f in _fields(node)}
     kinds = variants(node)
     if len(kinds) > 1 and (tag := kinds[0].tag_field) and tag not in found:
-        return _one_line(_missing(known[tag], path))
+        return one_line(_missing(known[tag], path))
     if unknown := [name for name in found if name not in known]:
-        return _one_line(_unknown(model, path, unknown[0], list(known)))
+        return one_line(_unknown(model, path, unknown[0], list(known)))
     if missing := [f for name, f in known.items() if f.required and name not in found]:
-        return _one_line(_missing(missing[0], path))
-    return _one_line(f"{dotted}: {reason or message}" if dotted else message)
+        return one_line(_missing(missing[0], path))
+    return one_line(f"{dotted}: {reason or message}" if dotted else message)
 
 
 def expectation(node: inspect.Type) -> str:
@@ -167,10 +167,6 @@ def _show(value: object) -> str:
     text = json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool | int | float) else type(value).__name__
     text = {"NaN": "nan", "Infinity": "inf", "-Infinity": "-inf", "dict": "a table", "list": "a list"}.get(text, text)
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
 
 
 def toml(settings: Settings) -> str:

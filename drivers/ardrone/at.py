@@ -312,6 +312,11 @@ def _values(words: list[bytes], kinds: list[str]) -> list[Any] | None:
     return out
 
 
+def unit(stick: float) -> float:
+    """Return a stick's position within its ends, -1 to 1."""
+    return min(1.0, max(-1.0, stick))
+
+
 def _bits_of(value: float) -> int:
     """Return the int32 with the bits of the nearest float32.
 

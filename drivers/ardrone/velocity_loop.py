@@ -24,7 +24,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from drivers.ardrone.arbiter import HOVER
-from drivers.ardrone.at import PCMD_PROGRESSIVE, Pcmd
+from drivers.ardrone.at import PCMD_PROGRESSIVE, Pcmd, unit
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
@@ -138,10 +138,10 @@ def sticks_of(accelerate: F64, descend_m_s: float, yaw_rate_rad_s: float, option
     tilt = math.atan2(size, G_M_S2) / options.euler_angle_max_rad
     forward, right = accelerate / size * tilt if size > 0 else (0.0, 0.0)
     return Sticks(
-        roll=_unit(float(right)),
-        pitch=_unit(-float(forward)),
-        gaz=_unit(-descend_m_s / options.vz_max_m_s),
-        yaw=_unit(yaw_rate_rad_s / options.yaw_rate_max_rad_s),
+        roll=unit(float(right)),
+        pitch=unit(-float(forward)),
+        gaz=unit(-descend_m_s / options.vz_max_m_s),
+        yaw=unit(yaw_rate_rad_s / options.yaw_rate_max_rad_s),
     )
 
 
@@ -162,7 +162,7 @@ def levelling(sticks: Sticks, a_level: F64, options: ArDroneOptions) -> Sticks:
     against = -sticks.pitch * float(a_level[0]) + sticks.roll * float(a_level[1]) < 0.0
     if not against or float(np.hypot(a_level[0], a_level[1])) < _LEANS_FAR_M_S2:
         return sticks
-    return replace(sticks, gaz=min(sticks.gaz, _unit(_LEVELS_M_S / options.vz_max_m_s)))
+    return replace(sticks, gaz=min(sticks.gaz, unit(_LEVELS_M_S / options.vz_max_m_s)))
 
 
 def _progressive(sticks: Sticks) -> Pcmd:
@@ -181,10 +181,6 @@ def _add(base: F64, more: F64, length: float) -> F64:
     if a == 0.0 or a + 2.0 * b <= c:
         return base + more
     return base + max(0.0, (math.sqrt(max(0.0, b * b + a * c)) - b) / a) * more
-
-
-def _unit(x: float) -> float:
-    return min(1.0, max(-1.0, x))
 
 
 class VelocityLoop:

@@ -24,6 +24,7 @@ __all__ = [
     "TargetAbsolute",
     "TargetRelative",
     "TimeSyncV2",
+    "boot_ms",
     "crc_extra_of",
     "define",
     "mav",
@@ -138,6 +139,11 @@ def define(msg_id: int, name: str, definition: str, extension: str = "", *, repl
     made = type(f"MAVLink_{name.lower()}_message", (mav.MAVLink_message,), attributes)
     mav.mavlink_map[msg_id] = made
     return made
+
+
+def boot_ms(now: int) -> int:
+    """Return an instant, nanoseconds since boot, as the `time_boot_ms` of a message."""
+    return now // 1_000_000 & 0xFFFFFFFF
 
 
 def unfit_field(message: Message) -> str:

@@ -48,6 +48,11 @@ _NAMED_WRONG = frozenset(
 )
 
 
+def one_line(text: str) -> str:
+    """Return a text with a space in place of each line break and indentation."""
+    return " ".join(text.split())
+
+
 def unusable(what: str, why: OSError) -> DecklanderError:
     """Return the error for a file, folder or device of the user's that cannot be used, for the caller to raise from `why`.
 

@@ -144,7 +144,7 @@ def _joined(cells: bytes, n: int) -> tuple[F64, ...]:
     """Return the outlines with each line around unset cells joined to the next line before it by a cut through set cells."""
     lines = list(_outlines(cells, n))
     while True:
-        hole = next((k for k, line in enumerate(lines) if _area(line) < 0.0), None)
+        hole = next((k for k, line in enumerate(lines) if signed_area(line) < 0.0), None)
         if hole is None:
             return tuple(lines)
         inner = lines.pop(hole)
@@ -168,8 +168,11 @@ def _next_before(lines: list[F64], at: F64) -> tuple[int, int, F64]:
     return k, i, np.array([at[0], y])
 
 
-def _area(line: F64) -> float:
-    """Return the signed area inside a closed line: positive if it has its inside to the left."""
+def signed_area(line: F64) -> float:
+    """Return the signed area inside a closed line (N, 2): positive if it has its inside to the left as y points up.
+
+    In the pad's frame, whose z points into the deck, that is clockwise seen from above.
+    """
     x, y = line.T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 

@@ -14,7 +14,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.vision.fiducial import PaintedFiducial
+from estimator.vision.fiducial import PaintedFiducial, signed_area
 
 Letter = Literal["H", "I", "L", "T", "X"]
 Part = Literal["disc", "panel", "rim", "ring", "arrow", "triangle", "letter", "fiducial"]
@@ -160,12 +160,12 @@ class PaintedPolygon(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
     def corners(self) -> F64:
         """Return the (N, 2) m outline, clockwise seen from above."""
         points = np.array(self.points_m, dtype=float).reshape(-1, 2)
-        return points if _area(points) > 0.0 else points[::-1]
+        return points if signed_area(points) > 0.0 else points[::-1]
 
     def holes(self) -> tuple[F64, ...]:
         """Return the outlines of the holes, (N, 2) m each, the other way around."""
         lines = (np.array(hole, dtype=float).reshape(-1, 2) for hole in self.holes_m)
-        return tuple(line if _area(line) < 0.0 else line[::-1] for line in lines)
+        return tuple(line if signed_area(line) < 0.0 else line[::-1] for line in lines)
 
 
 Region = (
@@ -365,12 +365,12 @@ def _ears(line: F64) -> list[F64]:
     while len(left) > 3:
         around = [np.roll(left, 1 - i, axis=0) for i in range(len(left))]
         # Three corners in a row that turn clockwise about a triangle in which none of the others lies.
-        turning = ((i, c[:3], c[3:]) for i, c in enumerate(around) if _area(c[:3]) > 0.0)
+        turning = ((i, c[:3], c[3:]) for i, c in enumerate(around) if signed_area(c[:3]) > 0.0)
         ears = (i for i, ear, rest in turning if not np.any(_depth_within(ear, np.roll(ear, -1, axis=0), rest) > 0.0))
         # What has no ear is nearly a line: its flattest corner goes.
         cut = next(ears, None)
         if cut is None:
-            cut = min(range(len(left)), key=lambda i: abs(_area(around[i][:3])))
+            cut = min(range(len(left)), key=lambda i: abs(signed_area(around[i][:3])))
         else:
             out.append(around[cut][:3])
         left = np.delete(left, cut, axis=0)
@@ -438,12 +438,6 @@ def _spans(start: F64, end: F64, y: float) -> list[tuple[float, float]]:
     crossed = (np.minimum(start[:, 1], end[:, 1]) < y) & (np.maximum(start[:, 1], end[:, 1]) > y)
     x = sorted(start[crossed, 0].tolist())
     return list(zip(x[::2], x[1::2], strict=False))
-
-
-def _area(points: F64) -> float:
-    """Return the signed area of a polygon, m^2: positive clockwise seen from above, as z points into the deck."""
-    x, y = points.T
-    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 def _distance(start: F64, end: F64, xy_m: F64) -> F64:

@@ -340,12 +340,8 @@ class DroneState:
 
 def stick_of(command: at.Pcmd | at.PcmdMag) -> Stick:
     """Return the stick of a PCMD, each axis limited to -1..1."""
-    roll, pitch, gaz, yaw = _unit(command.roll), _unit(command.pitch), _unit(command.gaz), _unit(command.yaw)
+    roll, pitch, gaz, yaw = at.unit(command.roll), at.unit(command.pitch), at.unit(command.gaz), at.unit(command.yaw)
     return Stick(roll=roll, pitch=pitch, gaz=gaz, yaw=yaw, progressive=bool(command.flags & at.PCMD_PROGRESSIVE))
-
-
-def _unit(x: float) -> float:
-    return min(1.0, max(-1.0, x))
 
 
 def _leds_of(value: str) -> Leds | None:

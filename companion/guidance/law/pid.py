@@ -35,13 +35,14 @@ class Pid(Struct, frozen=True, eq=False):
 
 def _limited(u: F64, gains: PidOptions) -> F64:
     """Return the nearest command within the limits, (4,) m/s and rad/s; the horizontal direction is kept."""
+    turn_max_rad_s = math.radians(gains.turn_max_deg_s)
     shrink = gains.speed_max_m_s / max(gains.speed_max_m_s, math.hypot(u[0], u[1]))
     return np.array(
         [
             shrink * u[0],
             shrink * u[1],
             min(gains.descent_rate_max_m_s, max(-gains.climb_max_m_s, u[2])),
-            min(gains.turn_max_rad_s, max(-gains.turn_max_rad_s, u[3])),
+            min(turn_max_rad_s, max(-turn_max_rad_s, u[3])),
         ]
     )
 

@@ -6,6 +6,7 @@ who ordered a landing, replaces it. Losing the sender that has the hand leads to
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Protocol
@@ -353,7 +354,7 @@ class OperatorArbiter:
         if sticks.centred:
             return Hover()
         v = np.array([sticks.forward * o.speed_max_m_s, sticks.right * o.speed_max_m_s, -sticks.climb * o.climb_max_m_s])
-        return Velocity(v, sticks.turn * o.turn_max_rad_s)
+        return Velocity(v, sticks.turn * math.radians(o.turn_max_deg_s))
 
     def refusal(self, order: OperatorOrder, sender: OrderSender, now: MonoNs) -> str | None:
         """Return why an order would be refused at this instant; None if it would be carried out."""

@@ -215,9 +215,9 @@ class Snapshot(Struct, frozen=True):
     id_conflicts: tuple[IdConflictSnapshot, ...] = ()
 
 
-def encode(snapshot: Snapshot) -> bytes:
-    """Return the snapshot as readable JSON."""
-    return msgspec.json.format(msgspec.json.encode(snapshot), indent=2) + b"\n"
+def encode(written: Struct) -> bytes:
+    """Return a snapshot, or another file of the doctor's, as readable JSON."""
+    return msgspec.json.format(msgspec.json.encode(written), indent=2) + b"\n"
 
 
 def decode(data: bytes, where: str) -> Snapshot:

@@ -56,11 +56,6 @@ def _rounded(value: float) -> float:
         return value
 
 
-def encode_undo(undo: UndoFile) -> bytes:
-    """Return the file as readable JSON."""
-    return msgspec.json.format(msgspec.json.encode(undo), indent=2) + b"\n"
-
-
 def decode_undo(data: bytes, where: str) -> UndoFile:
     """Return the file in a JSON text.
 
