@@ -107,11 +107,11 @@ class FlightWatch(NullObserver):
         mission, by = self._pilot.landing.mission, self._pilot.operator.called_off_by
         goal = "" if mission.state not in FLOWN else "to stay over the pad" if mission.stays else "to land"
         goal = f"ordered by {by}" if by is not None and mission.state in (State.PAUSED, State.ABORTED) else goal
-        said = "" if decision is None else decision.reason
+        said = "" if decision is None or decision.reason == ORDERED.text else decision.reason
         return FlightState(
             situation=self._pilot.operator.situation(now).value,
             phase="" if decision is None else decision.phase,
-            reason=sender.reads(goal or said if said in ("", ORDERED.text) else said),
+            reason=sender.reads("; ".join(filter(None, (goal if by is not None or not said else "", said)))),
             hand=None if hand is None else sender.reads(str(hand)),
             yours=hand == sender,
             hand_taken=sender.reads(why) if sender == taken_from else "",

@@ -165,12 +165,12 @@ class Browser:
 
 
 @asynccontextmanager
-async def browsing(service: PageService, token: str = TOKEN, origin: str | None = None) -> AsyncIterator[Browser]:
+async def browsing(service: PageService, token: str = TOKEN, origin: str | None = None, page: str = "") -> AsyncIterator[Browser]:
     """Connect as the page does."""
     async with (
         aiohttp.ClientSession() as session,
         session.ws_connect(f"{service.address}/operator", origin=service.address if origin is None else origin) as socket,
     ):
         browser = Browser(socket)
-        await browser.send(kind="login", token=token)
+        await browser.send(kind="login", token=token, page=page)
         yield browser

@@ -62,7 +62,7 @@ class Rule(Enum):
 
 REASONS: Mapping[Rule, str] = MappingProxyType(
     {
-        Rule.HOLDER: "{holder} has the hand",
+        Rule.HOLDER: '{holder} has the hand; "manual" takes it while its sticks rest',
         Rule.IDLE: f"{{holder}} has the hand, and moved it in the last {IDLE_HAND_S:g} s",
         Rule.OVER: 'the flight is over: {outcome}; "begin" tries again, "land" lands here',
         Rule.FLYING: "the vehicle flies already",

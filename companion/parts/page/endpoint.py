@@ -211,6 +211,8 @@ class PageEndpoint(NullObserver):
         self._advice = "", ""
         """The mission's newest state, and the advice on it: it holds for no other, such as flight by hand."""
         self._events: deque[PageEvent] = deque(maxlen=_EVENTS)
+        self._names: dict[str, str] = {}
+        """Name of each page's first connection, under which it orders over all of them."""
         self._counts = service.counts
         self._began = clock.now()
         service.health.counters("page", lambda: self._counts)
@@ -292,33 +294,36 @@ class PageEndpoint(NullObserver):
         if not socket.can_prepare(request).ok:
             return web.Response(status=426, text="this address is for a websocket\n", headers={"Upgrade": "websocket"})
         await socket.prepare(request)
-        if not await self._knows_token(socket):
+        login = await self._login(socket)
+        if login is None:
             return socket
         if self._server.full:
             await refuse(socket, FULL_CODE, f"{self._server.viewers} watch already, and there may be no more")
             return socket
         with self._server.watched_by(request):
             name = f"{self._server.counts['opened']} ({request.remote or 'unknown'})"
-            viewer = PageViewer(socket, OrderSender(OrderSource.PAGE, name), self._clock, self._counts)
+            sender = OrderSender(OrderSource.PAGE, self._names.setdefault(login.page or name, name))
+            viewer = PageViewer(socket, sender, self._clock, self._counts)
             await self._serve(viewer)
         return socket
 
-    async def _knows_token(self, socket: web.WebSocketResponse) -> bool:
+    async def _login(self, socket: web.WebSocketResponse) -> LoginRequest | None:
         """Wait for the token; refuse whoever does not name it in time."""
         try:
             async with asyncio.timeout(_LOGIN_S):
                 message = await socket.receive()
         except TimeoutError:
             await refuse(socket, WRONG_TOKEN_CODE, f"no token within {_LOGIN_S:g} s")
-            return False
+            return None
         request = request_in(message.data) if message.type is WSMsgType.TEXT else ""
         if socket.closed:
-            return False
-        if self._server.knows(request.token if isinstance(request, LoginRequest) else ""):
-            return True
+            return None
+        login = request if isinstance(request, LoginRequest) else LoginRequest(token="")
+        if self._server.knows(login.token):
+            return login
         await asyncio.sleep(_WRONG_TOKEN_S)
         await refuse(socket, WRONG_TOKEN_CODE, "the token is wrong")
-        return False
+        return None
 
     async def _serve(self, viewer: PageViewer) -> None:
         viewer.tell(self._welcome(viewer))
@@ -330,7 +335,8 @@ class PageEndpoint(NullObserver):
             await viewer.serve(partial(self._take, viewer))
         finally:
             self._viewers.remove(viewer)
-            self._pilot.operator.lost(viewer.sender, self._clock.now(), "its page closed")
+            if all(other.sender != viewer.sender for other in self._viewers):
+                self._pilot.operator.lost(viewer.sender, self._clock.now(), "its page closed")
 
     def _welcome(self, viewer: PageViewer) -> PageWelcome:
         pad, camera = self._pilot.pad, self._pilot.camera

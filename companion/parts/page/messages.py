@@ -23,6 +23,8 @@ class LoginRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="log
     """The first message: the token, which no browser sends by itself."""
 
     token: Annotated[str, Meta(max_length=512)]
+    page: Annotated[str, Meta(max_length=64)] = ""
+    """Random name of the page, the same over its connections; empty for a sender of orders of its own."""
 
 
 class DrawnNotice(Struct, frozen=True, kw_only=True, tag_field="kind", tag="drawn", forbid_unknown_fields=True):

@@ -184,7 +184,6 @@ class WordyBroker:
                     size, shift = size | (digit & 127) << shift, shift + 7
                 body = await reader.readexactly(size | digit << shift)
                 writer.write(self._answer(head, body, writer))
-        writer.close()
 
     def _answer(self, head: int, body: bytes, writer: asyncio.StreamWriter) -> bytes:
         kind = head >> 4

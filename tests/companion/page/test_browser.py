@@ -242,6 +242,7 @@ async def test_over_tls_a_lost_hand_a_silent_and_an_ended_service_are_reported_a
         await one.shows("lost", "The service has ended.*the drone hovers")
         assert "last known" in await one.page.evaluate(OLD)
         await one.shows("answer", "^$")  # what was accepted before is over
+        assert await violations(one) == []
         for order, says in (("hold", "^Hold: will be"), ("abort", "^Abort: will be"), ("begin", "^Begin.*not sent.*Abort: will")):
             await one.page.click(f'[data-order="{order}"]', force=True)
             await one.shows("answer", says)
@@ -273,19 +274,23 @@ async def test_a_wrong_token_is_refused_and_the_right_one_typed_in(tmp_path: Pat
 
 
 @pytest.mark.timeout(500)
-async def test_a_phone_shows_every_order_without_scrolling_sideways(tmp_path: Path) -> None:
+async def test_every_order_is_in_sight_and_stays_in_its_place_on_a_phone_and_a_laptop(tmp_path: Path) -> None:
     async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service, has_touch=True) as one:
-        for scheme in ("light", "dark"):
+        for scheme, size in (("light", LAPTOP), ("dark", PHONE)):
             await one.page.emulate_media(color_scheme=scheme)
-            await one.page.set_viewport_size(PHONE)
+            await one.page.set_viewport_size(size)
             await one.shows("link", "live")
             assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
             for name in ("takeoff", "begin", "hold", "land", "abort"):
                 box = await one.page.locator(f'[data-order="{name}"]').bounding_box()
                 assert box["height"] >= 44, "a thumb's size"
-                assert box["y"] + box["height"] <= PHONE["height"]
-            await one.page.evaluate("answer.textContent = 'Hold: refused: another page has the hand. '.repeat(3)")
-            assert await one.page.locator('[data-order="abort"]').bounding_box() == box, "no button moves under the thumb"
+                assert box["y"] + box["height"] <= size["height"]
+            await one.page.evaluate(
+                "for (const text of [answer, reason, worst]) text.textContent = 'refused: who has the hand '.repeat(6)"
+            )
+            assert await one.page.locator('[data-order="abort"]').bounding_box() == box, (
+                "no button moves under the thumb or pointer"
+            )
             await one.page.evaluate("answer.textContent = ''")
         await one.page.set_viewport_size({"width": 320, "height": 568})
         assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")

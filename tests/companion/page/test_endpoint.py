@@ -164,17 +164,22 @@ async def test_losing_every_page_changes_nothing_of_a_landing_under_way(tmp_path
         assert [order.order.value for order in service.orders] == ["begin"]
 
 
-async def test_two_operators_see_each_other_s_orders_and_one_has_the_hand(tmp_path: Path) -> None:
-    async with serving(tmp_path) as service, browsing(service) as one, browsing(service) as two:
+async def test_two_operators_see_each_other_s_orders_and_one_has_the_hand_over_its_connections(tmp_path: Path) -> None:
+    async with serving(tmp_path) as service, browsing(service, page="3-1-4") as one, browsing(service) as two:
         me = (await one.read("welcome"))["you"]
         await two.read("welcome")
         other = f"another page {me[me.index('(') :]}"
         assert (await one.order("manual"))["accepted"]
         await one.send(kind="sticks", forward=0.5)
-        assert (await two.order("begin"))["text"] == f"refused: {other} has the hand"
+        refusal = f'{other} has the hand; "Fly by hand" takes it while its sticks rest'
+        assert (await two.order("begin"))["text"] == f"refused: {refusal}"
         assert (state := await two.read("state"))["hand"] == other
-        assert state["refusals"]["begin"] == f"{other} has the hand"
+        assert state["refusals"]["begin"] == refusal
         assert [m["text"] for b in (one, two) for m in b.messages if m["kind"] == "event" and "Fly by hand" in m["text"]]
+        async with browsing(service, page="3-1-4") as again:
+            assert (await again.read("welcome"))["you"] == me
+        await until(lambda: service.server.viewers == 2)
+        assert "(its page closed)" not in [order.detail for order in service.orders]
         assert (await two.order("emergency"))["accepted"]
         while "Cut the motors: accepted" not in (await one.read("event"))["text"]:
             pass

@@ -26,10 +26,9 @@ export class Calibration {
 
   #ask(action) {
     const number = (id) => Number($(id).value);
-    const sent = this.#link.send({
+    this.#link.ask("calibration-note", {
       kind: "calibration", action, board: $("board-kind").value, columns: number("board-columns"), rows: number("board-rows"), square_mm: number("board-square"),
     });
-    if (!sent) $("calibration-note").textContent = "not sent, the connection is lost";
   }
 
   #show({ active, text, images, views, board_seen, cells, lacks, rms_px, grade, file }) {

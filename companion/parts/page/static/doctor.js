@@ -5,9 +5,7 @@ const LEVELS = { error: "fault", warning: "warning", advice: "info" };
 
 export class Doctor {
   constructor(link) {
-    $("examine").addEventListener("click", () => {
-      if (!link.send({ kind: "examine" })) $("examined").textContent = "not sent, the connection is lost";
-    });
+    $("examine").addEventListener("click", () => link.ask("examined", { kind: "examine" }));
     link.on("examined", (message) => this.#show(message));
   }
 

@@ -1,9 +1,13 @@
 // The connection: login, messages to those who want them, and trying again after a loss.
+import { $, chip } from "./elements.js";
+
 const WRONG_TOKEN = 4401;
 const GOING = 1001;
 const SILENT_MS = 2500; // a state comes ten times a second
 const QUIET_S = 1; // from here on what the page shows is old, and an order would come late
 const AGAIN_MS = 1000;
+// This page over all its connections, lest its own orders be those of another one after a loss.
+const PAGE = crypto.getRandomValues(new Uint32Array(4)).join("-");
 
 export class Link {
   #handlers = new Map();
@@ -41,7 +45,7 @@ export class Link {
     this.#socket = socket;
     this.#heard = performance.now();
     this.#said = "";
-    socket.onopen = () => socket.send(JSON.stringify({ kind: "login", token }));
+    socket.onopen = () => socket.send(JSON.stringify({ kind: "login", token, page: PAGE }));
     socket.onmessage = (message) => this.#take(message.data);
     socket.onclose = (event) => {
       if (this.#socket !== socket) return;
@@ -56,6 +60,12 @@ export class Link {
     if (!this.live || (inTime && this.quiet_s > QUIET_S)) return false;
     this.#socket.send(JSON.stringify(message));
     return true;
+  }
+
+  // Sends the request of a tool; its note then says what is under way, or that the request did not leave.
+  ask(note, message, words = "") {
+    const sent = this.send(message);
+    chip($(note), sent ? "" : "fault", sent ? words : "not sent, the connection is lost");
   }
 
   #take(data) {

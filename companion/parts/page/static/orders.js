@@ -29,6 +29,7 @@ export class Orders {
   #answer = document.getElementById("answer");
   #state = null;
   #kept = null; // the newest of `KEPT` that did not leave, or was not answered: then with what was seen when it left
+  #cutting = false; // the motors are to be cut
   #passing = false; // the answer that is shown is of a connection that is lost or silent
   #fades; // takes the answer away that is shown
   round_s = 0; // from the newest order until its answer
@@ -93,7 +94,8 @@ export class Orders {
 
   // Shows the orders of a connection, and a notice of it; off when it is lost.
   enable(on, notice = "") {
-    if (on || this.#state !== null) this.tell("warning", notice);
+    if (notice || (!on && this.#state !== null)) this.tell("warning", notice);
+    document.getElementById("emergency").setAttribute("aria-disabled", String(!on));
     if (on) {
       for (const button of this.#buttons) button.textContent = words.orders[button.dataset.order];
     } else {
@@ -117,7 +119,7 @@ export class Orders {
 
   // What is ordered by others makes an answer old; a connection begins with the newest events.
   event({ at_s, text }) {
-    if (text.startsWith("you: ") && text.includes("not obeyed")) this.tell("fault", text.slice(5));
+    if (this.#state !== null && text.startsWith("you: ") && text.includes("not obeyed")) this.tell("fault", text.slice(5));
     if (!text.endsWith(": accepted")) return;
     if (this.#kept !== null && at_s >= this.#kept.seen_s && text.endsWith(`: ${words.orders[this.#kept.order]}: accepted`)) {
       this.tell("info", `${words.orders[this.#kept.order]}: obeyed`);
@@ -132,9 +134,11 @@ export class Orders {
   }
 
   state(message) {
-    if (this.#state?.situation === "cutting" && message.situation === "emergency") this.tell("info", `${words.orders.emergency}: obeyed`);
+    if (this.#cutting && message.situation === "emergency") this.tell("info", `${words.orders.emergency}: obeyed`);
+    this.#cutting = message.situation === "cutting";
     this.#state = message;
-    if (this.#passing) this.tell("", "");
+    // That an order was not sent stays for a while, also when the connection is back at once.
+    if (this.#passing) this.tell(...(this.#answer.dataset.level === "fault" ? ["fault", this.#answer.textContent] : ["", ""]));
     if (this.#asked && message.refusals[this.#asked.dataset.order]) this.#ask(null);
     else if (this.#asked) this.#say();
     for (const button of this.#buttons) {
@@ -158,6 +162,7 @@ export class Orders {
   settle(number, level, text) {
     const waiting = this.#take(number);
     if (waiting === undefined) return;
+    this.#cutting ||= level === "info" && waiting.order === "emergency";
     this.round_s = (performance.now() - waiting.at) / 1000;
     this.tell(level === "info" && waiting.order === "emergency" ? "warning" : level, `${words.orders[waiting.order]}: ${text}`);
   }

@@ -15,6 +15,7 @@ import { $, chip, words } from "./elements.js";
 const TOKEN = "decklander.token";
 const THEME = "decklander.theme";
 const UNKNOWN = "What the drone does now is not known here: a landing may go on, or the service has ended and the drone hovers.";
+const STOOD = "The drone stood on the ground.";
 const ENDED = "Without it the drone hovers; a landing that a person ordered may go on.";
 
 const system = matchMedia("(prefers-color-scheme: dark)");
@@ -66,7 +67,7 @@ $("login-form").addEventListener("submit", (event) => {
 
 // What is shown stays old until the first state of a new connection, which may be to another run of the service; and one that
 // has ended has, whatever the tries until then meet.
-let [old, ended, run] = [false, false, null];
+let [old, ended, run, flying] = [false, false, null, null];
 
 link.on("welcome", (message) => {
   $("login").hidden = true;
@@ -82,7 +83,7 @@ link.on("welcome", (message) => {
   orders.enable(true, again);
 });
 link.on("state", (message) => {
-  old = false;
+  [old, flying] = [false, message.flying];
   message.place = placeOf(message);
   telling.state(message);
   orders.state(message);
@@ -112,7 +113,7 @@ link.onLost = (why, ends) => {
   calibration.lost();
   picture.forget();
   $("lost").hidden = $("flight").hidden;
-  $("lost").textContent = `${ended ? "The service has ended" : why}. Trying again. ${ended ? ENDED : UNKNOWN}`;
+  $("lost").textContent = `${ended ? "The service has ended" : why}. Trying again. ${!ended ? UNKNOWN : flying === false ? STOOD : ENDED}`;
   if ($("flight").hidden) askForToken(`${why}. Trying again.`);
 };
 link.onRefused = (why) => {

@@ -8,14 +8,10 @@ export class RecordingsList {
 
   constructor(link) {
     this.#link = link;
-    $("list-recordings").addEventListener("click", () => this.#ask({ kind: "recordings" }));
+    $("list-recordings").addEventListener("click", () => link.ask("recordings-note", { kind: "recordings" }));
     link.on("recordings", ({ files, fault }) => this.#show(files, fault));
     link.on("download", (message) => this.#load(message));
     link.on("report", (message) => this.#report(message));
-  }
-
-  #ask(request) {
-    $("recordings-note").textContent = this.#link.send(request) ? "" : "not sent, the connection is lost";
   }
 
   #show(files, fault) {
@@ -45,7 +41,7 @@ export class RecordingsList {
 
   #button(words, name, kind) {
     const button = part("button", words, { type: "button", class: "order small", "aria-label": `${words} ${name}` });
-    button.addEventListener("click", () => this.#ask({ kind, name }));
+    button.addEventListener("click", () => this.#link.ask("recordings-note", { kind, name }));
     return button;
   }
 

@@ -17,7 +17,7 @@ export class SettingsEditor {
   #load() {
     const edited = this.#shown !== null && $("settings-text").value !== this.#shown.text;
     if (edited && !confirm("Drop what you have changed here and load the settings again?")) return;
-    this.#send({ kind: "settings" }, "");
+    this.#link.ask("settings-note", { kind: "settings" });
   }
 
   #show(message) {
@@ -35,7 +35,7 @@ export class SettingsEditor {
 
   #save() {
     this.#sent = $("settings-text").value;
-    this.#send({ kind: "save_settings", text: this.#sent, revision: this.#shown.revision }, "Saving");
+    this.#link.ask("settings-note", { kind: "save_settings", text: this.#sent, revision: this.#shown.revision }, "Saving");
   }
 
   #saved({ saved, text, line, revision }) {
@@ -52,10 +52,5 @@ export class SettingsEditor {
     area.focus();
     area.setSelectionRange(start, start + lines[line - 1].length);
     area.scrollTop = (area.scrollHeight / lines.length) * Math.max(0, line - 4);
-  }
-
-  #send(message, words) {
-    if (this.#link.send(message)) chip($("settings-note"), "", words);
-    else chip($("settings-note"), "fault", "not sent, the connection is lost");
   }
 }
