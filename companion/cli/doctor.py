@@ -32,7 +32,6 @@ from companion.tools.doctor.undo import (
     PlannedWrite,
     UndoFile,
     WriteResult,
-    decode_undo,
     same,
     why_not_written,
     write_parameters,
@@ -128,7 +127,7 @@ def fix(args: argparse.Namespace, snapshot: Snapshot, found: Sequence[Finding]) 
 def undo(args: argparse.Namespace) -> int:
     """Set back what an undo file holds, the last first, and return the exit code: 0 if all is as it was."""
     with file_errors(f"--undo {args.undo}"):
-        kept = decode_undo(Path(args.undo).read_bytes(), args.undo)
+        kept = decode(Path(args.undo).read_bytes(), args.undo, UndoFile, "undo file of doctor --fix")
     backwards = [one.back for one in reversed(kept.written)]
     agreed = [one for one in backwards if args.yes or _agreed(one, f"--fix set {one.parameter} from {one.to:g} to {one.was:g}")]
     if not agreed:
@@ -336,7 +335,7 @@ def _snapshot(args: argparse.Namespace) -> Snapshot:
 def _saved(where: str) -> Snapshot:
     with file_errors(f"--snapshot {where}"):
         data = sys.stdin.buffer.read() if where == "-" else Path(where).read_bytes()
-    return decode(data, where)
+    return decode(data, where, Snapshot, "snapshot of a set-up")
 
 
 async def _examined(args: argparse.Namespace) -> Snapshot:

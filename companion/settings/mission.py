@@ -240,12 +240,7 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         float, number("longest wait for the operator's decision about another pad", "s", 1.0, 3600.0, public=True)
     ] = 60.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.climb_after_s >= self.give_up_after_s:
-            raise ValueError(
-                f"climb_after_s ({self.climb_after_s:g} s) must be shorter than give_up_after_s ({self.give_up_after_s:g} s)"
-            )
+    ORDER = ("climb_after_s < give_up_after_s",)
 
 
 class ThesisOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
@@ -277,9 +272,4 @@ class ThesisOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         number("time ahead at which the drone must still be near the last way point, at its present velocity", "s", 0.0, 5.0),
     ] = 0.6
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.final_height_m >= self.approach_height_m:
-            raise ValueError(
-                f"final_height_m ({self.final_height_m:g} m) must be below approach_height_m ({self.approach_height_m:g} m)"
-            )
+    ORDER = ("final_height_m < approach_height_m",)

@@ -28,12 +28,7 @@ class RestartOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 10
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.restart_cap_s < self.restart_first_s:
-            raise ValueError(
-                f"restart_cap_s ({self.restart_cap_s:g} s) must not be shorter than restart_first_s ({self.restart_first_s:g} s)"
-            )
+    ORDER = ("restart_first_s <= restart_cap_s",)
 
 
 FrameForm = Literal["jpeg", "h264", "png", "none"]
@@ -87,11 +82,4 @@ class RecorderOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     ] = 5.0
     retry_cap_s: Annotated[float, number("longest such back-off", "s", 0.01, 600.0)] = 60.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.max_total_mb < self.max_file_mb:
-            raise ValueError(
-                f"max_total_mb ({self.max_total_mb:g} MB) must not be less than max_file_mb ({self.max_file_mb:g} MB)"
-            )
-        if self.retry_cap_s < self.retry_s:
-            raise ValueError(f"retry_cap_s ({self.retry_cap_s:g} s) must not be shorter than retry_s ({self.retry_s:g} s)")
+    ORDER = ("max_file_mb <= max_total_mb", "retry_s <= retry_cap_s")

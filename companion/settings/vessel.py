@@ -195,12 +195,7 @@ class RendezvousOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
         float, number("distance from the pad's reported place at which the square begins again", "m", 1.0, 500.0)
     ] = 10.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.reached_m >= self.range_m:
-            raise ValueError(f"reached_m ({self.reached_m:g} m) must be shorter than range_m ({self.range_m:g} m)")
-        if self.extent_m < self.spacing_m:
-            raise ValueError(f"extent_m ({self.extent_m:g} m) must not be shorter than spacing_m ({self.spacing_m:g} m)")
+    ORDER = ("reached_m < range_m", "spacing_m <= extent_m")
 
 
 class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=True):

@@ -15,7 +15,7 @@ tenth of the service's start.
 
 from collections.abc import Container
 from functools import cache
-from typing import Annotated, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from msgspec import Meta, Struct
 from msgspec.structs import replace
@@ -74,11 +74,19 @@ class CheckedOptions(Struct, frozen=True, forbid_unknown_fields=True):
     """Options whose ranges hold for those made in code, too.
 
     Raises:
-        ValueError: a number outside its declared range or not finite, or a word that is not among the choices.
+        ValueError: a number outside its declared range or not finite, one out of order, or a word that is not among the choices.
     """
+
+    ORDER: ClassVar[tuple[str, ...]] = ()
+    """Relations of two keys, such as `first_s <= most_s`."""
 
     def __post_init__(self) -> None:
         check_ranges(self)
+        for less, relation, more in map(str.split, self.ORDER):
+            low, high = getattr(self, less), getattr(self, more)
+            if low > high or (low == high and relation == "<"):
+                least = "at least" if relation == "<=" else "more than"
+                raise ValueError(f"{more} ({high:g}) must be {least} {less} ({low:g})")
 
 
 def grown(options: _Options, factor: float, keys: Container[str]) -> _Options:

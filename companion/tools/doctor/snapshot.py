@@ -3,7 +3,7 @@
 Unknown values are None or absent, and no rule judges them.
 """
 
-from typing import Literal
+from typing import Literal, TypeVar
 
 import msgspec
 from msgspec import Struct, field
@@ -215,18 +215,21 @@ class Snapshot(Struct, frozen=True):
     id_conflicts: tuple[IdConflictSnapshot, ...] = ()
 
 
+_File = TypeVar("_File", bound=Struct)
+
+
 def encode(written: Struct) -> bytes:
     """Return a snapshot, or another file of the doctor's, as readable JSON."""
     return msgspec.json.format(msgspec.json.encode(written), indent=2) + b"\n"
 
 
-def decode(data: bytes, where: str) -> Snapshot:
-    """Return the snapshot in a JSON text.
+def decode(data: bytes, where: str, kind: type[_File], named: str) -> _File:
+    """Return the snapshot, or another file of the doctor's, in a JSON text.
 
     Raises:
-        BadInput: the text holds no snapshot; the message names the place.
+        BadInput: the text holds none; the message names the place.
     """
     try:
-        return msgspec.json.decode(data, type=Snapshot)
+        return msgspec.json.decode(data, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError) as why:
-        raise BadInput(f"{where}: no snapshot of a set-up: {why}") from why
+        raise BadInput(f"{where}: no {named}: {why}") from why

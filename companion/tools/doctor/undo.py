@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable, Sequence
 
-import msgspec
 from msgspec import Struct
 
 from companion.tools.doctor.gather import wait_until
@@ -13,7 +12,6 @@ from companion.tools.doctor.snapshot import AutopilotSnapshot
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.requests import wire_value
-from estimator.contracts.errors import BadInput
 from estimator.contracts.time import Clock
 
 
@@ -54,18 +52,6 @@ def _rounded(value: float) -> float:
         return float(struct.unpack("<f", struct.pack("<f", value))[0])
     except OverflowError:
         return value
-
-
-def decode_undo(data: bytes, where: str) -> UndoFile:
-    """Return the file in a JSON text.
-
-    Raises:
-        BadInput: the text holds none; the message names the place.
-    """
-    try:
-        return msgspec.json.decode(data, type=UndoFile)
-    except (msgspec.DecodeError, UnicodeDecodeError) as why:
-        raise BadInput(f"{where}: no undo file of doctor --fix: {why}") from why
 
 
 _READ_S = 5.0

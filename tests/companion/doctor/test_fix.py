@@ -14,7 +14,8 @@ import pytest
 from companion.cli import doctor
 from companion.tools.doctor import gather, rules_values
 from companion.tools.doctor.diagnose import PARAMETERS
-from companion.tools.doctor.undo import decode_undo
+from companion.tools.doctor.snapshot import decode
+from companion.tools.doctor.undo import UndoFile
 from drivers.clock import SystemClock
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.links import ReceivedMessage
@@ -84,7 +85,7 @@ def test_what_is_agreed_to_is_written_and_undone(tmp_path, capsys, monkeypatch):
         assert "set LAND_SPEED 250 -> 40? [y/N]" in out
         assert "LAND_SPEED        250 -> 40: written and read back" in out
         assert f"undo: decklander doctor --link {url} --undo {kept}" in out
-        assert [(w.parameter, w.was) for w in decode_undo(kept.read_bytes(), "it").written] == [
+        assert [(w.parameter, w.was) for w in decode(kept.read_bytes(), "it", UndoFile, "undo file").written] == [
             ("PLND_STRICT", 0.0), ("LAND_SPEED", 250.0)
         ]  # fmt: skip
         fake.parameters["PLND_STRICT"] = 1.0  # somebody chose otherwise meanwhile

@@ -273,7 +273,7 @@ def test_nothing_is_reported_of_a_good_set_up_or_of_what_is_not_known(snapshot: 
 @pytest.mark.parametrize("name", BROKEN)
 def test_the_trap_is_named_with_its_cure_and_no_other(name: str) -> None:
     rule, snapshot, word = BROKEN[name]
-    assert decode(encode(snapshot), "there") == snapshot
+    assert decode(encode(snapshot), "there", Snapshot, "snapshot") == snapshot
     found = diagnose(snapshot)
     assert [f.rule for f in found] == [rule]
     assert word in found[0].fix
@@ -298,7 +298,7 @@ def test_on_a_pad_that_does_not_move_the_ships_traps_are_none() -> None:
 def test_a_file_that_is_no_image_is_bad_input() -> None:
     for data in (b"", b"[1]", b'{"seconds": "x"}', b"\xff"):
         with pytest.raises(BadInput, match=r"pic\.json: no snapshot"):
-            decode(data, "pic.json")
+            decode(data, "pic.json", Snapshot, "snapshot of a set-up")
 
 
 @pytest.mark.parametrize(
