@@ -175,7 +175,8 @@ class _Keyboard:
         (order, words), now_s, (before, at_s) = TWICE[key], self._loop.time(), self._once
         within_s = TWICE_S[order]
         self._once = key, now_s
-        if before == key and now_s - at_s <= within_s:
+        ignores_nothing = order is OperatorOrder.CLEAR and self._state and not self._state.bars
+        if ignores_nothing or (before == key and now_s - at_s <= within_s):
             self._once = "", 0.0
             await self._give(client, order)
         else:

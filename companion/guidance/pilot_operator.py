@@ -9,6 +9,7 @@ from companion.base.observer import Decision, NullObserver
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
 from companion.facts.wire import FlightState, OrderAnswer, OrderRequest
 from companion.guidance.operator.arbiter import NEVER_OLD
+from companion.guidance.operator.precedence import ControlSituation
 from companion.guidance.pilot import Pilot
 from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.samples import Range, Sample
@@ -107,9 +108,12 @@ class FlightWatch(NullObserver):
         mission, by = self._pilot.landing.mission, self._pilot.operator.called_off_by
         goal = "" if mission.state not in FLOWN else "to stay over the pad" if mission.stays else "to land"
         goal = f"ordered by {by}" if by is not None and mission.state in (State.PAUSED, State.ABORTED) else goal
-        said = "" if decision is None or decision.reason == ORDERED.text else decision.reason
+        situation = self._pilot.operator.situation(now)
+        # With the motors cut nothing flies, and the sensors of a drone that lies there say nothing of interest.
+        silent = decision is None or decision.reason == ORDERED.text or situation is ControlSituation.EMERGENCY
+        said = "" if decision is None or silent else decision.reason
         return FlightState(
-            situation=self._pilot.operator.situation(now).value,
+            situation=situation.value,
             phase="" if decision is None else decision.phase,
             reason=sender.reads("; ".join(filter(None, (goal if by is not None or not said else "", said)))),
             hand=None if hand is None else sender.reads(str(hand)),
@@ -143,7 +147,7 @@ class FlightWatch(NullObserver):
         if belief.lateral_m + 2.0 * sigma_m <= self._pilot.pad.disc_radius_m:
             return f"over the pad, {100 * belief.lateral_m:.0f} cm from its centre{unsure}", not why
         range_m = self._range_m(now)
-        lower_m = 0.0 if range_m is None else range_m - belief.height_m
+        lower_m = 0.0 if range_m is None or not belief.consistent else range_m - belief.height_m
         what = "over deck or water" if lower_m < _LOWER_M else f"over water, or a deck that is {lower_m:.1f} m lower"
         return f"{belief.lateral_m:.1f} m beside the pad, {what}{unsure}", False
 

@@ -133,10 +133,10 @@ def _causes(health: HealthSnapshot, decision: Decision | None, *, flying: bool) 
         if not part.up:
             level: Level = "fault" if name in health.vital else "warning"
             yield HealthCause(level=level, text=f"{name}: {part.last_error or 'not begun'}")
-    if health.too_slow is not None:
-        yield HealthCause(level="fault", text=health.too_slow)
     for text in missing_inputs(health):
         yield HealthCause(level="fault" if flying else "warning", text=text)
+    if health.too_slow is not None:
+        yield HealthCause(level="fault", text=health.too_slow)
     belief = None if decision is None else decision.belief
     for text in () if belief is None else (*(alert.value for alert in belief.alerts), *belief.lost):
         yield HealthCause(level="warning", text=text)
@@ -261,7 +261,7 @@ class PageEndpoint(NullObserver):
         finally:
             worker.close()
             for viewer in list(self._viewers):
-                await refuse(viewer.socket, GOING_CODE, "the service ends")
+                await refuse(viewer.socket, GOING_CODE, f"the service has ended: {self._service.left_alone}")
 
     def _take(self, viewer: PageViewer, request: PageRequest) -> str | None:
         """Carry a browser's request out; return why it is refused, which ends the connection."""
@@ -370,6 +370,7 @@ class PageEndpoint(NullObserver):
         if self._attitude is not None and seconds_between(self._attitude.stamp.received_at, now) < _ATTITUDE_S:
             roll, pitch, _ = self._attitude.R_ned_body.rpy_rad
         looks = self._looked is not None and seconds_between(self._looked, now) < _THINGS_S
+        slow = self._service.health.too_slow is not None  # health says so, and another advice would lead away from it
         for viewer in self._viewers:
             flight = self._flight.state(viewer.sender)
             why = {order.value: self._pilot.operator.refusal(order, viewer.sender, now) for order in ORDERS}
@@ -377,7 +378,7 @@ class PageEndpoint(NullObserver):
                 PageState(
                     **{name: getattr(flight, name) for name in flight.__struct_fields__},
                     at_s=seconds_between(self._began, now),
-                    advice=viewer.sender.reads(todo) if flight.phase == advised else "",
+                    advice=viewer.sender.reads(todo) if flight.phase == advised and not slow else "",
                     landing=decision is not None and decision.phase in _LANDING_PHASES,
                     belief=None if belief is None else structs.replace(facts.belief(belief), details=[]),
                     deck=None if ahead is None else facts.deck(DeckOutlook.of(ahead)),

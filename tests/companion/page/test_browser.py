@@ -39,6 +39,8 @@ pytestmark = [
     pytest.mark.skipif(BUSY > BUSY_MAX, reason=f"{BUSY:.0f} processes wait for each core: a browser is not in real time here"),
 ]
 PHONE, LAPTOP = {"width": 390, "height": 844}, {"width": 1280, "height": 800}
+SIDEWAYS = {"width": 844, "height": 390}
+ORDER_BUTTONS = [f'[data-order="{order}"]' for order in ("takeoff", "begin", "hold", "land", "abort")]
 WAIT_MS = 60_000.0
 TRIES = 5
 """A browser that a busy machine stops for half a second loses the hand, for some seconds the connection, as it must."""
@@ -232,14 +234,14 @@ async def test_over_tls_a_lost_hand_a_silent_and_an_ended_service_are_reported_a
             await one.page.click("#by-hand")
             await one.shows("answer", "Fly by hand: .*: nothing received from you for 0.5 s: it hovers")
             assert await one.page.evaluate(BEGUN_IN_SILENCE) == "Begin landing: not sent, the connection is silent"
-            await one.shows("lost", "The service is silent.*not known here: a landing may go on, or .*the drone hovers")
+            await one.shows("lost", "The service is silent.*not known here: a landing may go on, or .*left the drone to itself")
             await one.shows("answer", "^Hold: obeyed$")
             assert await one.page.is_hidden("#lost")
             assert [order.order.value for order in service.orders] == ["manual", "hold", "hold"], "what arrived is not sent again"
             assert "accepted" in await one.press("hold")
             assert await one.page.evaluate(OLD) == "none"
         await until(lambda: one.faults)  # a try has failed
-        await one.shows("lost", "The service has ended.*the drone hovers")
+        await one.shows("lost", "The service has ended: the drone hovers, and lands where it is after 4 s if .*Trying again")
         assert "last known" in await one.page.evaluate(OLD)
         await one.shows("answer", "^$")  # what was accepted before is over
         assert await violations(one) == []
@@ -276,28 +278,34 @@ async def test_a_wrong_token_is_refused_and_the_right_one_typed_in(tmp_path: Pat
 @pytest.mark.timeout(500)
 async def test_every_order_is_in_sight_and_stays_in_its_place_on_a_phone_and_a_laptop(tmp_path: Path) -> None:
     async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service, has_touch=True) as one:
-        for scheme, size in (("light", LAPTOP), ("dark", PHONE)):
-            await one.page.emulate_media(color_scheme=scheme)
+        for size, least_px in ((LAPTOP, 44), (PHONE, 44), (SIDEWAYS, 40)):
             await one.page.set_viewport_size(size)
             await one.shows("link", "live")
             assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-            for name in ("takeoff", "begin", "hold", "land", "abort"):
-                box = await one.page.locator(f'[data-order="{name}"]').bounding_box()
-                assert box["height"] >= 44, "a thumb's size"
-                assert box["y"] + box["height"] <= size["height"]
-            await one.page.evaluate(
-                "for (const text of [answer, reason, worst]) text.textContent = 'refused: who has the hand '.repeat(6)"
-            )
-            assert await one.page.locator('[data-order="abort"]').bounding_box() == box, (
-                "no button moves under the thumb or pointer"
-            )
+            places: dict[str, Any] = {}
+            for grow in (False, True):
+                if grow:
+                    await one.page.click('[data-order="land"]')
+                    await playwright.expect(one.page.locator("#asks")).to_be_visible(timeout=WAIT_MS)
+                    await one.page.evaluate(
+                        "for (const e of [answer, reason, worst]) e.textContent = 'more than a line '.repeat(6)"
+                    )
+                for name in (
+                    *(f'[data-order="{order}"]' for order in ("takeoff", "begin", "hold", "land", "abort")),
+                    "#emergency",
+                ):
+                    box = await one.page.locator(name).bounding_box()
+                    assert box["height"] >= least_px, "a thumb's size"
+                    assert box["y"] + box["height"] <= size["height"]
+                    assert places.setdefault(name, box) == box, "no button moves under a thumb or pointer"
+            await one.page.keyboard.press("Escape")
             await one.page.evaluate("answer.textContent = ''")
         await one.page.set_viewport_size({"width": 320, "height": 568})
         assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         await one.shows("worst", "no status from the vehicle yet")
         assert await one.page.locator("#link").get_attribute("data-level") == "fault", "no green over what is missing"
         assert await one.page.locator('[data-order="begin"].primary').count() == 0
-        await one.page.set_viewport_size({"width": 844, "height": 390})
+        await one.page.set_viewport_size(SIDEWAYS)
         await one.page.click("#by-hand")
         await playwright.expect(one.page.locator("#sticks")).to_be_visible(timeout=WAIT_MS)
         await one.page.evaluate("lost.hidden = false, (lost.textContent = 'out of touch '.repeat(30))")

@@ -94,7 +94,7 @@ export class Orders {
 
   // Shows the orders of a connection, and a notice of it; off when it is lost.
   enable(on, notice = "") {
-    if (notice || (!on && this.#state !== null)) this.tell("warning", notice);
+    if (notice || (!on && this.#state !== null && this.#answer.dataset.level !== "fault")) this.tell("warning", notice);
     document.getElementById("emergency").setAttribute("aria-disabled", String(!on));
     if (on) {
       for (const button of this.#buttons) button.textContent = words.orders[button.dataset.order];

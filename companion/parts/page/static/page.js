@@ -14,9 +14,7 @@ import { $, chip, words } from "./elements.js";
 
 const TOKEN = "decklander.token";
 const THEME = "decklander.theme";
-const UNKNOWN = "What the drone does now is not known here: a landing may go on, or the service has ended and the drone hovers.";
-const STOOD = "The drone stood on the ground.";
-const ENDED = "Without it the drone hovers; a landing that a person ordered may go on.";
+const UNKNOWN = "What the drone does now is not known here: a landing may go on, or the service has ended and left the drone to itself.";
 
 const system = matchMedia("(prefers-color-scheme: dark)");
 const shown = document.documentElement.dataset;
@@ -65,9 +63,9 @@ $("login-form").addEventListener("submit", (event) => {
   link.open(sessionStorage.getItem(TOKEN));
 });
 
-// What is shown stays old until the first state of a new connection, which may be to another run of the service; and one that
-// has ended has, whatever the tries until then meet.
-let [old, ended, run, flying] = [false, false, null, null];
+// What is shown stays old until the first state of a new connection, which may be to another run of the service; and what one
+// said that has ended holds, whatever the tries until then meet.
+let [old, ended, run] = [false, "", null];
 
 link.on("welcome", (message) => {
   $("login").hidden = true;
@@ -76,14 +74,14 @@ link.on("welcome", (message) => {
   Object.assign(words, message.words);
   telling.welcome(message);
   const again = run !== null && run !== message.run ? "the service started again" : "";
-  [run, ended] = [message.run, false];
+  [run, ended] = [message.run, ""];
   if (again) telling.event({ at_s: 0, level: "warning", text: again });
   picture.begin(message);
   for (const view of views) view.pad(message);
   orders.enable(true, again);
 });
 link.on("state", (message) => {
-  [old, flying] = [false, message.flying];
+  old = false;
   message.place = placeOf(message);
   telling.state(message);
   orders.state(message);
@@ -104,7 +102,7 @@ link.onQuiet = (quiet_s) => {
   if (quiet_s !== null) chip($("link"), "fault", "silent");
 };
 link.onLost = (why, ends) => {
-  [old, ended] = [true, ended || ends];
+  [old, ended] = [true, ended || (ends ? why : "")];
   link.onQuiet(null);
   chip($("link"), "fault", "lost");
   orders.enable(false);
@@ -113,7 +111,7 @@ link.onLost = (why, ends) => {
   calibration.lost();
   picture.forget();
   $("lost").hidden = $("flight").hidden;
-  $("lost").textContent = `${ended ? "The service has ended" : why}. Trying again. ${!ended ? UNKNOWN : flying === false ? STOOD : ENDED}`;
+  $("lost").textContent = `${ended || why}. Trying again. ${ended ? "" : UNKNOWN}`;
   if ($("flight").hidden) askForToken(`${why}. Trying again.`);
 };
 link.onRefused = (why) => {

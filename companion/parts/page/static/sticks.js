@@ -58,6 +58,7 @@ export class Sticks {
   lost() {
     this.#yours = false;
     this.#host.hidden = true;
+    this.#button.setAttribute("aria-disabled", "true");
     this.#centre();
   }
 
@@ -100,8 +101,8 @@ class Pad {
     this.#knob = part("span", "");
     pad.append(this.#knob);
     host.append(pad);
+    let box; // where the stick was when it was touched: what changes above moves it, and the thumb stays
     const move = (event) => {
-      const box = pad.getBoundingClientRect();
       const reach = box.width * 0.36;
       const [x, y] = [(event.clientX - box.x - box.width / 2) / reach, (event.clientY - box.y - box.height / 2) / reach];
       const far = Math.max(1, Math.hypot(x, y));
@@ -110,6 +111,7 @@ class Pad {
     };
     pad.addEventListener("pointerdown", (event) => {
       pad.setPointerCapture(event.pointerId);
+      box = pad.getBoundingClientRect();
       move(event);
     });
     pad.addEventListener("pointermove", (event) => pad.hasPointerCapture(event.pointerId) && move(event));
