@@ -308,7 +308,15 @@ async def test_every_order_is_in_sight_and_stays_in_its_place_on_a_phone_and_a_l
         await one.page.set_viewport_size(SIDEWAYS)
         await one.page.click("#by-hand")
         await playwright.expect(one.page.locator("#sticks")).to_be_visible(timeout=WAIT_MS)
+        stick = await one.page.locator(".stick").first.bounding_box()
+        middle = (stick["x"] + stick["width"] / 2, stick["y"] + stick["height"] / 2)
+        await one.page.mouse.move(*middle)
+        await one.page.mouse.down()
         await one.page.evaluate("lost.hidden = false, (lost.textContent = 'out of touch '.repeat(30))")
+        await one.page.mouse.move(middle[0] + 1, middle[1])
+        moved = await one.page.locator(".stick span").first.evaluate("e => e.style.transform")
+        assert re.fullmatch(r"translate\([0-4]\.?\d*%, -?0%\)", moved), "a still thumb commands nothing when the page moves"
+        await one.page.mouse.up()
         for name in ("#sticks", '[data-order="hold"]', "#answer", "#emergency"):
             box = await one.page.locator(name).bounding_box()
             assert 0 <= box["y"] <= box["y"] + box["height"] <= 390, f"{name} is in sight of who holds the phone sideways"
