@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -37,6 +38,17 @@ def test_the_same_arguments_give_the_same_ending() -> None:
     assert len(reported) >= 200 // TRUTH_EACH, "one each 20 ms, and one at each exposure"
     assert reported[-1] == 1_000_000_000, "the last one at the end"
     assert land(scenario, 4, level="pixels").as_json()["seed"] == 4
+
+
+def test_a_hold_in_fast_flight_stops_there_and_does_not_fly_back_to_where_it_was_ordered() -> None:
+    orders = ({"order": "stay", "at_s": 0.5}, {"order": "manual", "at_s": 4.0, "forward": 1.0}, {"order": "hold", "at_s": 5.5})
+    flown = near(
+        duration_limit_s=11.0, faults=[{"kind": "operator"} | order for order in orders], expect="either", because="held"
+    )
+    truth: list[Truth] = []
+    land(flown, 3, options=FlyOptions(on_truth=truth.append))
+    far = [float(np.hypot(*one.d_body_pad_level[:2])) for one in truth]
+    assert 0.8 < max(far) < far[-1] + 0.3
 
 
 def test_what_is_flown_on_without_a_link_is_reported_and_is_no_blind_descent() -> None:

@@ -61,6 +61,10 @@ _TURN_1_S, _TURN_MOST_RAD_S = 0.8, 0.5
 """Rate of a turn for each radian that is left, 1/s, and the most of it, rad/s."""
 
 
+_STOPS_S, _STANDS_M_S = 3.0, 0.1
+"""Time after a hold in which the place that is held goes with the drone, while it moves faster than this over the deck."""
+
+
 def usable(s: GuidanceCycle, o: GuidanceOptions) -> RelativeState | None:
     """Return the estimate if it may be flown by without sight, else None."""
     estimate = s.estimate
@@ -96,6 +100,10 @@ def still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, searches: Velocity 
     if waits or (estimate.height_m >= o.tries.safe_height_m and not out_of_reach.near(p, s, o)):
         climb_m_s = 0.0
     held = estimate.d_body_pad_level if p.held is None else _in_present_axes(p.held, p.held_yaw_rad, estimate)
+    # A person who orders a hold in flight wants a stop, and no way back to where the order came.
+    stops = p.state in (State.PAUSED, State.ABORTED) and p.in_state_s(s.at) < _STOPS_S
+    if stops and math.hypot(*estimate.v_pad_level[:2]) > _STANDS_M_S:
+        held = np.array([*estimate.d_body_pad_level[:2], held[2]])
     speed, turns = _HOLD_SPEED_M_S, None
     if p.state is State.HOLD_BLIND:
         turns = turn_rad(s, o, estimate) if o.tries.heading == "across" else None

@@ -102,7 +102,7 @@ export class Orders {
       for (const button of this.#buttons) button.setAttribute("aria-disabled", String(!KEPT.includes(button.dataset.order)));
       for (const number of [...this.#waiting.keys()]) this.#unsent(this.#take(number), "no answer, the connection is lost");
       this.#ask(null);
-      this.#state = null;
+      [this.#state, this.#fit] = [null, false];
     }
   }
 
@@ -139,8 +139,11 @@ export class Orders {
     this.#state = message;
     // That an order was not sent stays for a while, also when the connection is back at once.
     if (this.#passing) this.tell(...(this.#answer.dataset.level === "fault" ? ["fault", this.#answer.textContent] : ["", ""]));
-    if (this.#asked && message.refusals[this.#asked.dataset.order]) this.#ask(null);
-    else if (this.#asked) this.#say();
+    const asked = this.#asked?.dataset.order;
+    if (message.refusals[asked]) {
+      this.#ask(null);
+      this.tell("warning", `${words.orders[asked]}: not given: ${message.refusals[asked]}`);
+    } else if (asked) this.#say();
     for (const button of this.#buttons) {
       const why = message.refusals[button.dataset.order];
       button.setAttribute("aria-disabled", String(why !== null));
@@ -148,7 +151,7 @@ export class Orders {
     }
     this.#begin.classList.toggle("primary", this.#fit && !message.landing);
     document.getElementById("reset").hidden = !["cutting", "emergency"].includes(message.situation);
-    document.getElementById("emergency").hidden = message.situation === "emergency";
+    document.getElementById("emergency").classList.toggle("done", message.situation === "emergency"); // its place stays
   }
 
   #take(number) {

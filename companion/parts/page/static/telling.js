@@ -24,9 +24,9 @@ export function welcome(message) {
 export function state(message) {
   const phase = words.phases[message.phase] ?? (message.phase || "no decision yet");
   const cuts = ["cutting", "emergency"].includes(message.situation);
-  write("phase", cuts ? words.situations[message.situation] : ENDED.includes(phase) ? `${phase}, ${words.ended[message.flying]}` : phase);
+  write("phase", cuts ? words.situations[message.situation] : ENDED.includes(phase) || message.flying === null ? `${phase}, ${words.ended[message.flying]}` : phase);
   $("phase").dataset.level = cuts ? "fault" : "";
-  write("reason", [message.reason, message.advice].filter(Boolean).join(". "));
+  write("reason", [message.reason, message.flying === null ? "" : message.advice].filter(Boolean).join(". "));
   const who = message.yours ? "you fly by hand" : message.hand ? `${message.hand} flies by hand` : "";
   const situation = who || (words.situations[message.situation] ?? message.situation);
   write("who", [situation, message.mode && `vehicle: ${message.mode.replaceAll("_", " ")}`].filter(Boolean).join(" · "));
