@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from queue import Queue
+from typing import Any
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
@@ -17,6 +18,7 @@ import pytest
 from companion.cli.main import main
 from companion.cli.pad import clicked
 from companion.settings.load import read_toml
+from companion.tools.pads import trace
 from companion.tools.pads.price import CAMERA, VIEWS, kind_of, planted, price, view
 from companion.tools.pads.trace import drawn, photographed, read_svg, traced
 from companion.tools.print_pad.sheets import pad_drawing, sheets, svg
@@ -44,8 +46,15 @@ SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="400mm" height="500mm" vi
   </g></svg>"""
 
 
-def imported(text: str, size_m: float | None = None, extent: str | None = None) -> Pad:
-    return Pad.from_mapping(traced(drawn(read_svg(text, "a.svg"), size_m, "a.svg", extent), "a", "a.svg")[0])
+def keys_of(text: str, size_m: float | None = None, extent: str | None = None, across_px: int = 1500):
+    """Return the keys and remarks of a drawing that is drawn in fewer pixels than a person's."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trace, "ACROSS_PX", across_px)
+        return traced(drawn(read_svg(text, "a.svg"), size_m, "a.svg", extent), "a", "a.svg")
+
+
+def imported(text: str, *how: Any) -> Pad:
+    return Pad.from_mapping(keys_of(text, *how)[0])
 
 
 @pytest.mark.parametrize(("name", "beyond_m"), [("thesis", 0.03), *((of, 0.0) for of in ("printed", "icao", "hospital", "lit"))])
@@ -54,7 +63,7 @@ def test_a_pad_that_is_printed_and_imported_is_the_same_pad(name: str, beyond_m:
     moved = (change(r, tip_m=r.tip_m + beyond_m) if isinstance(r, PaintedArrowhead) else r for r in pad.regions)
     drawing = pad_drawing(replace(pad, regions=tuple(moved)))
     page = svg(drawing, change(sheets(drawing, "full")[0], lines=(), labels=()))
-    keys, remarks = traced(drawn(read_svg(page, "a.svg"), None, "a.svg"), "a", "a.svg")
+    keys, remarks = keys_of(page, None, None, trace.ACROSS_PX)
     own, other = Pad.from_mapping(keys).markings, pad.markings
     for key in ("outer_radius_m", "rim_width_m", "ring_inner_m", "ring_outer_m"):
         assert getattr(own, key) == pytest.approx(getattr(other, key), abs=5e-4), key
@@ -76,7 +85,7 @@ def trust(pad: Pad, px: np.ndarray, at: PadPose | None = None, camera: Camera = 
 
 
 def test_a_drawing_becomes_rings_and_polygons_with_holes_to_a_tenth_of_a_millimetre() -> None:
-    pad = imported(SVG)
+    pad = imported(SVG, None, None, trace.ACROSS_PX)
     ring = next(r for r in pad.regions if isinstance(r, PaintedRing))
     polygons = sorted((r for r in pad.regions if isinstance(r, PaintedPolygon)), key=lambda r: len(r.holes_m))
     assert (ring.inner_m, ring.outer_m) == pytest.approx((0.120, 0.150), abs=1e-4)
@@ -176,10 +185,12 @@ def test_a_drawing_that_fills_its_sheet_keeps_its_size_and_middle_or_asks_for_th
     text = f'{sheet}<rect x="100" y="40" width="100" height="60"/><rect x="100" y="140" width="100" height="60"/></svg>'
     with pytest.raises(BadInput, match="--extent sheet or --extent paint"):
         imported(text, 0.8)
-    for (size_m, extent), (scale, middle) in {
-        (None, None): (1.0, (0.08, -0.05)),
-        (0.8, "sheet"): (2.0, (0.16, -0.1)),
-        (0.8, "paint"): (5.0, (0.0, 0.0)),
+    # A sheet that is painted beyond an edge between two pixels, as many programs' A4 is, ends there sharply.
+    bled = text.replace('viewBox="0 0 400 400"', 'viewBox="0 0 400 282.9"')
+    for (text, size_m, extent), (scale, middle) in {
+        (bled, None, None): (1.0, (0.02145, -0.05)),
+        (text, 0.8, "sheet"): (2.0, (0.16, -0.1)),
+        (text, 0.8, "paint"): (5.0, (0.0, 0.0)),
     }.items():
         pad = imported(text, size_m, extent)
         corners = np.concatenate([region.corners() for region in pad.regions if isinstance(region, PaintedPolygon)])

@@ -67,7 +67,11 @@ class SvgDrawing(Struct, frozen=True):
         sharp = "*{shape-rendering:crispEdges!important}" if crisp else None
         with refused("no SVG drawing", ValueError):
             png = resvg_py.svg_to_bytes(around, skip_system_fonts=True, dpi=_PX_IN_INCH, style_sheet=sharp)
-        return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8)
+        image = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8)
+        ends = np.rint(scale * np.array([(-left, self.width - left), (-top, self.height - top)])).astype(int)
+        (x, right), (y, bottom) = np.maximum(ends, 0).tolist()
+        image[:y], image[bottom:], image[:, :x], image[:, right:] = 0, 0, 0, 0
+        return image
 
 
 def read_svg(text: str, where: str) -> SvgDrawing:
@@ -94,7 +98,8 @@ def read_svg(text: str, where: str) -> SvgDrawing:
     if not (0.0 < width < 1e6 and 0.0 < height < 1e6):
         raise BadInput(f"{where}: the drawing has no size: give it a viewBox")
     measured = any(re.search(r"(?i)\d(mm|cm|q|in|pt|pc)\s*$", root.get(key, "")) for key in sizes)
-    root.attrib.update(width=f"{width}", height=f"{height}", x="0", y="0")
+    # resvg would blend the last pixels of a sheet that ends between two, and takes as long for that as for the rest.
+    root.attrib.update(width=f"{width}", height=f"{height}", x="0", y="0", overflow="visible")
     return SvgDrawing(tostring(root, encoding="unicode"), width, height, 25.4 / _PX_IN_INCH if measured else None)
 
 
@@ -488,9 +493,11 @@ def _unlike(picture: Picture, back: U8) -> tuple[float, F64]:
     wide = round(max(picture.thinnest_px, _UNLIKE * _extent(picture.paint != picture.ground)))
     nib = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (wide, wide))
     opened = cv2.morphologyEx((picture.paint != back).astype(np.uint8), cv2.MORPH_OPEN, nib)
+    if not opened.any():
+        return 0.0, np.zeros(2)
     _, _, stats, places = cv2.connectedComponentsWithStats(opened)
-    largest = 1 + int(stats[1:, -1].argmax()) if len(stats) > 1 else 0
-    return float(stats[largest, -1]) if largest else 0.0, places[largest]
+    largest = 1 + int(stats[1:, -1].argmax())
+    return float(stats[largest, -1]), places[largest]
 
 
 def _described(picture: Picture, centre: F64, area_px2: float, at: F64) -> str:
@@ -520,7 +527,7 @@ def _parts(picture: Picture, shown: NDArray[np.bool_]) -> tuple[list[_Part], lis
     """Return what hangs together of one paint in a mask, the largest outline first, with its holes; and what is too fine."""
     found: tuple[list[_Part], list[_Part]] = [], []
     least = max(4.0, _LEAST_AREA * int(np.count_nonzero(picture.paint != picture.ground)))
-    for paint in np.unique(picture.paint[shown]).tolist():
+    for paint in range(len(picture.paints)):
         mask = ((picture.paint == paint) & shown).astype(np.uint8)
         contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         for i, contour in enumerate(contours):
