@@ -5,7 +5,9 @@ import os
 import signal
 import sys
 import tempfile
+from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +75,16 @@ def flight_file(recorded_flight: tuple[Path, Any]) -> Path:
 def place(name: str) -> int:
     """Return the place of a file, or of the file of a test, among `SLOW`; their number for what is not slow."""
     return next((n for n, start in enumerate(SLOW) if name.startswith(start)), len(SLOW))
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Let each worker of a whole run import the test files from another one on: what one compiled the others read."""
+    config, files = session.config, sorted(ROOT.glob("tests/**/test_*.py"))
+    if hasattr(config, "workerinput") and config.args == ["tests"] and not config.option.markexpr:
+        first = int(config.workerinput["workerid"][2:]) * len(files) // config.workerinput["workercount"]
+        for file in files[first:] + files[:first]:
+            with suppress(Exception, pytest.skip.Exception):  # which its collection reports
+                import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
