@@ -63,7 +63,7 @@ def test_a_pad_that_is_printed_and_imported_is_the_same_pad(name: str, beyond_m:
     moved = (change(r, tip_m=r.tip_m + beyond_m) if isinstance(r, PaintedArrowhead) else r for r in pad.regions)
     drawing = pad_drawing(replace(pad, regions=tuple(moved)))
     page = svg(drawing, change(sheets(drawing, "full")[0], lines=(), labels=()))
-    keys, remarks = keys_of(page, None, None, trace.ACROSS_PX)
+    keys, remarks = keys_of(page, None, None, 2000)
     own, other = Pad.from_mapping(keys).markings, pad.markings
     for key in ("outer_radius_m", "rim_width_m", "ring_inner_m", "ring_outer_m"):
         assert getattr(own, key) == pytest.approx(getattr(other, key), abs=5e-4), key
@@ -187,12 +187,12 @@ def test_a_drawing_that_fills_its_sheet_keeps_its_size_and_middle_or_asks_for_th
         imported(text, 0.8)
     # A sheet that is painted beyond an edge between two pixels, as many programs' A4 is, ends there sharply.
     bled = text.replace('viewBox="0 0 400 400"', 'viewBox="0 0 400 282.9"')
-    for (text, size_m, extent), (scale, middle) in {
+    for (drawing, size_m, extent), (scale, middle) in {
         (bled, None, None): (1.0, (0.02145, -0.05)),
         (text, 0.8, "sheet"): (2.0, (0.16, -0.1)),
         (text, 0.8, "paint"): (5.0, (0.0, 0.0)),
     }.items():
-        pad = imported(text, size_m, extent)
+        pad = imported(drawing, size_m, extent)
         corners = np.concatenate([region.corners() for region in pad.regions if isinstance(region, PaintedPolygon)])
         assert np.ptp(corners, axis=0) == pytest.approx((0.16 * scale, 0.1 * scale), rel=0.01)
         assert 0.5 * (corners.max(axis=0) + corners.min(axis=0)) == pytest.approx(middle, abs=2e-3)
@@ -290,7 +290,8 @@ def test_a_pad_that_clutter_is_taken_for_too_often_has_to_tell_more_unless_that_
     assert odds[2] == pytest.approx(odds[0])
 
 
-def test_a_pad_of_any_polarity_is_found_and_followed_in_reversed_light_and_costs_twice_the_clutter() -> None:
+def test_a_pad_of_any_polarity_is_found_and_followed_in_reversed_light_and_costs_twice_the_clutter(monkeypatch) -> None:
+    monkeypatch.setattr("companion.tools.pads.price._EACH", 2)
     keys = read_toml(next(p for p in USERS if p.stem == "house"))
     pad, drawn_alone = Pad.from_mapping({**keys, "polarity": "any"}), Pad.from_mapping(keys)
     pose = PadPose(Rotation.from_rpy(0.1, 0.0, 0.4), np.array([0.0, 0.0, CAMERA.fx * pad.disc_radius_m / 40.0]))
@@ -318,7 +319,7 @@ def test_pads_of_users_can_be_named_and_are_not_seen_in_clutter() -> None:
 
 def test_a_pad_with_more_to_tell_is_cheaper_and_its_calibration_belongs_to_its_drawing() -> None:
     pad = imported(SVG)
-    found = price(pad, {}, 56)
+    found = price(pad, {}, 28)
     known = found.calibration
     assert known.chance <= RARE
     assert found.found[40.0] >= 0.8

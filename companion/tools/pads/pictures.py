@@ -79,7 +79,7 @@ class Found(Struct, frozen=True, eq=False):
 
     def points(self, at: F64) -> F64:
         """Return the pixels (N, 2) of points (N, 2) m of the pad."""
-        return self.camera.project(self.pose.points(np.pad(at, ((0, 0), (0, 1)))))
+        return self.camera.project(self.pose.points(np.column_stack([at, np.zeros(len(at))])))
 
     def at(self, at: F64) -> list[list[float]]:
         """Return the same as lists, for JSON."""
@@ -105,7 +105,7 @@ class Found(Struct, frozen=True, eq=False):
     def steps(self, k: int, size: float = 1.0, turn: float = 0.0) -> tuple[F64, F64]:
         """Return the file's and the picture's steps of light across a border at a size and a turn, where it is in view."""
         (sides, said), c, s = self.laid[k], math.cos(turn), math.sin(turn)
-        uv = np.stack([self.points(side @ (size * np.array([[c, s], [-s, c]]))) for side in sides])
+        uv = self.points((sides @ (size * np.array([[c, s], [-s, c]]))).reshape(-1, 2)).reshape(sides.shape)
         h, w = self.light.shape[:2]
         kept = np.all((uv > 1.0) & (uv < (w - 2.0, h - 2.0)), axis=(0, 2))
         if not kept.any():

@@ -68,8 +68,7 @@ class SvgDrawing(Struct, frozen=True):
         with refused("no SVG drawing", ValueError):
             png = resvg_py.svg_to_bytes(around, skip_system_fonts=True, dpi=_PX_IN_INCH, style_sheet=sharp)
         image = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8)
-        ends = np.rint(scale * np.array([(-left, self.width - left), (-top, self.height - top)])).astype(int)
-        (x, right), (y, bottom) = np.maximum(ends, 0).tolist()
+        x, y, right, bottom = np.rint(scale * np.maximum(0.0, (-left, -top, self.width - left, self.height - top))).astype(int)
         image[:y], image[bottom:], image[:, :x], image[:, right:] = 0, 0, 0, 0
         return image
 
@@ -493,11 +492,9 @@ def _unlike(picture: Picture, back: U8) -> tuple[float, F64]:
     wide = round(max(picture.thinnest_px, _UNLIKE * _extent(picture.paint != picture.ground)))
     nib = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (wide, wide))
     opened = cv2.morphologyEx((picture.paint != back).astype(np.uint8), cv2.MORPH_OPEN, nib)
-    if not opened.any():
-        return 0.0, np.zeros(2)
     _, _, stats, places = cv2.connectedComponentsWithStats(opened)
-    largest = 1 + int(stats[1:, -1].argmax())
-    return float(stats[largest, -1]), places[largest]
+    largest = 1 + int(stats[1:, -1].argmax()) if len(stats) > 1 else 0
+    return float(stats[largest, -1]) if largest else 0.0, places[largest]
 
 
 def _described(picture: Picture, centre: F64, area_px2: float, at: F64) -> str:

@@ -31,7 +31,7 @@ from drivers.one_source import SourceChoice
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.samples import GeoFix, Sample, VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import MonoNs
-from tests.companion.test_ship_sensors import imported
+from tests.companion.test_ship_sensors import begun, imported
 from tests.support.waiting import answering, free_port, until
 
 pytest.importorskip("nmea2000", reason="the extra ship is not installed")
@@ -357,7 +357,7 @@ def test_a_recorded_boat_is_read_whole(name: str, n: int, roll_27: float, heave_
 @pytest.mark.skipif(not BOAT.is_dir(), reason="the recorded boat is not here")
 @pytest.mark.parametrize("name", ["furuno-130842", "furuno-130842-accel"])
 def test_a_replay_of_the_boat_names_the_heave_that_is_none(name: str, tmp_path, capsys) -> None:
-    found = imported(tmp_path, BOAT / f"{name}.raw", capsys=capsys)
+    found = imported(tmp_path, begun(tmp_path, BOAT / f"{name}.raw"), capsys=capsys)
     assert "its heave wanders" in found["src 27"]["fault"]
     assert found["src 52"]["fault"] is None
     assert found["src 27"]["rate_hz"] == pytest.approx(10.0, rel=0.01)

@@ -184,7 +184,7 @@ async def test_a_pilot_who_switches_the_mode_is_obeyed_and_gives_it_back(stack, 
 @pytest.mark.timeout(400)
 async def test_unaided_it_lands_over_the_ground_while_the_ship_goes_on(tmp_path: Path) -> None:
     """The control flight: the daemon sees the pad and none of its words reaches the vehicle."""
-    flight = flight_of("arducopter", tmp_path, start={}, unaided=True)
+    flight = flight_of("arducopter", tmp_path, unaided=True)
     end = await flight.fly()
     assert flight.link.carried["samples out"] > 1000
     assert flight.link.muted
@@ -253,7 +253,7 @@ async def test_it_lands_by_a_swinging_camera_whose_yaw_is_from_north_and_which_s
 
 @pytest.mark.timeout(600)
 async def test_it_does_not_descend_while_the_gimbal_reports_nothing(tmp_path: Path) -> None:
-    landing = gimbal_flight(tmp_path, limit_s=6.0, silent_at_s=1.0)
+    landing = gimbal_flight(tmp_path, limit_s=3.5, silent_at_s=1.0)
     end = await landing.fly()
     assert end.landing is None
     assert end.outcome is not FlightOutcome.LANDED
