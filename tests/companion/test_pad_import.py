@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from queue import Queue
-from typing import Any
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
@@ -18,7 +17,6 @@ import pytest
 from companion.cli.main import main
 from companion.cli.pad import clicked
 from companion.settings.load import read_toml
-from companion.tools.pads import trace
 from companion.tools.pads.price import CAMERA, VIEWS, kind_of, planted, price, view
 from companion.tools.pads.trace import drawn, photographed, read_svg, traced
 from companion.tools.print_pad.sheets import pad_drawing, sheets, svg
@@ -46,15 +44,14 @@ SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="400mm" height="500mm" vi
   </g></svg>"""
 
 
-def keys_of(text: str, size_m: float | None = None, extent: str | None = None, across_px: int = 1500):
-    """Return the keys and remarks of a drawing that is drawn in fewer pixels than a person's."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trace, "ACROSS_PX", across_px)
-        return traced(drawn(read_svg(text, "a.svg"), size_m, "a.svg", extent), "a", "a.svg")
+@pytest.fixture(autouse=True)
+def drawn_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw in fewer pixels than for a person, to the same tenths of a millimetre."""
+    monkeypatch.setattr("companion.tools.pads.trace.ACROSS_PX", 2000)
 
 
-def imported(text: str, *how: Any) -> Pad:
-    return Pad.from_mapping(keys_of(text, *how)[0])
+def imported(text: str, size_m: float | None = None, extent: str | None = None) -> Pad:
+    return Pad.from_mapping(traced(drawn(read_svg(text, "a.svg"), size_m, "a.svg", extent), "a", "a.svg")[0])
 
 
 @pytest.mark.parametrize(("name", "beyond_m"), [("thesis", 0.03), *((of, 0.0) for of in ("printed", "icao", "hospital", "lit"))])
@@ -63,7 +60,7 @@ def test_a_pad_that_is_printed_and_imported_is_the_same_pad(name: str, beyond_m:
     moved = (change(r, tip_m=r.tip_m + beyond_m) if isinstance(r, PaintedArrowhead) else r for r in pad.regions)
     drawing = pad_drawing(replace(pad, regions=tuple(moved)))
     page = svg(drawing, change(sheets(drawing, "full")[0], lines=(), labels=()))
-    keys, remarks = keys_of(page, None, None, 2000)
+    keys, remarks = traced(drawn(read_svg(page, "a.svg"), None, "a.svg"), "a", "a.svg")
     own, other = Pad.from_mapping(keys).markings, pad.markings
     for key in ("outer_radius_m", "rim_width_m", "ring_inner_m", "ring_outer_m"):
         assert getattr(own, key) == pytest.approx(getattr(other, key), abs=5e-4), key
@@ -85,7 +82,7 @@ def trust(pad: Pad, px: np.ndarray, at: PadPose | None = None, camera: Camera = 
 
 
 def test_a_drawing_becomes_rings_and_polygons_with_holes_to_a_tenth_of_a_millimetre() -> None:
-    pad = imported(SVG, None, None, trace.ACROSS_PX)
+    pad = imported(SVG)
     ring = next(r for r in pad.regions if isinstance(r, PaintedRing))
     polygons = sorted((r for r in pad.regions if isinstance(r, PaintedPolygon)), key=lambda r: len(r.holes_m))
     assert (ring.inner_m, ring.outer_m) == pytest.approx((0.120, 0.150), abs=1e-4)

@@ -287,7 +287,6 @@ def test_an_empty_flight_still_has_a_page(tmp_path):
 
 def test_the_video_is_what_browsers_play(tmp_path):
     film = film_of(report_flight())
-    assert film is not None
     assert (film.frames, film.began) == (100, ns(100))
     path, data = tmp_path / "flight.mp4", film.data
     path.write_bytes(data)
@@ -338,7 +337,6 @@ def test_a_long_film_stays_small_enough_to_be_mailed(monkeypatch):
     monkeypatch.setattr("companion.tools.report.video.FILM_BYTES", 400_000)
     film = film_of(log)
     assert free is not None
-    assert film is not None
     assert len(film.data) < 1.5 * 400_000 < 0.7 * len(free.data)
     assert 4 / 3 * FILM_BYTES < 8.5e6
 
@@ -453,7 +451,6 @@ def test_the_log_of_a_recording_is_that_of_the_flight(flights: list[Path]) -> No
     (contact,) = log.contacts
     assert contact.on_pad
     assert np.hypot(*contact.p_pad_m) == pytest.approx(contact.lateral_m, abs=0.02)
-    assert log.touchdown is not None
     assert contact.lateral_m == log.touchdown.lateral_m
     ahead = {round(seconds_between(one.made_at, one.at), 3) for one in log.decks}
     assert ahead == {0.0, 1.0, 2.0}

@@ -276,8 +276,8 @@ LANDS_S, BEGINS = 90.0, 3
 def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_path, monkeypatch, capsys):
     block = re.search(r"```toml rig\n(.*?)```", PAGE, re.DOTALL)
     assert block is not None
-    start = "[start]\nheight_m = 1.5\npad_forward_m = 0.2\npad_right_m = 0.1\n"
-    (tmp_path / "sea.toml").write_text(f'title = "x"\nbase = "calm"\n[camera]\nfile = "ardrone2_bottom"\n{start}')
+    sea = 'title = "x"\nbase = "calm"\ncamera.file = "ardrone2_bottom"\nstart = {height_m = 1.5, pad_right_m = 0.2}\n'
+    (tmp_path / "sea.toml").write_text(sea)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     monkeypatch.chdir(tmp_path)
 

@@ -79,7 +79,6 @@ def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad_and_its_recording_re
     truths = [event for event in open_recording([Path(record)]).events() if isinstance(event, TruthRecord)]
     assert max(b.at_ns - a.at_ns for a, b in itertools.pairwise(truths)) <= 24_000_000
     contact = truths[-1].touchdown
-    assert contact is not None
     assert contact.lateral_m == pytest.approx(reported["touchdown"]["lateral_m"], abs=1e-4)
     assert truths[-1].phase == "landed"
     assert main(["replay", record, "--json"]) == 0
@@ -234,7 +233,6 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
         await standin
     assert end.failure == ""
     assert end.outcome is FlightOutcome.LANDED
-    assert end.landing is not None
     assert end.landing.on_pad
     assert end.landing.vertical_speed_m_s < 0.8
     assert any("Decklander: down" in text for _, _, text in end.texts)
@@ -256,6 +254,5 @@ async def test_a_real_program_is_landed_on_the_pad_of_a_ship_under_way(tmp_path:
     end = await flight.fly()
     assert end.failure == ""
     assert end.outcome is FlightOutcome.LANDED
-    assert end.landing is not None
     assert end.landing.on_pad
     assert end.failsafes == ()

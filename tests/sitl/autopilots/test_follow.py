@@ -73,7 +73,6 @@ def test_the_autopilots_place_is_shifted_onto_the_truth_smoothly(kind: str) -> N
         there = (position(t, p + off, v),)
         source.on_message(truth(kind, p), ns(t), there)
         pose = source.newest(ns(t), there, attitude(t))
-        assert pose is not None
         assert pose.is_truth
         found.append(pose.p_ned - p)
     errors = np.array(found)[200:]
@@ -87,7 +86,6 @@ def test_without_truth_it_is_the_autopilots_own_and_of_the_attitudes_instant() -
     source = PoseSource()
     there = (position(5.00, np.array([1.0, 2.0, -3.0]), np.array([0.5, 0.0, -1.0])),)
     pose = source.newest(ns(5.03), there, attitude(5.02))
-    assert pose is not None
     assert not pose.is_truth
     assert pose.at == ns(5.02)
     assert pose.p_ned == pytest.approx((1.01, 2.0, -3.02))
@@ -157,7 +155,6 @@ async def test_followed_seen_and_landed_in_real_time() -> None:
             break
     assert end.outcome is FlightOutcome.LANDED
     assert end.by_truth
-    assert end.landing is not None
     assert end.landing.lateral_m < 0.15
     assert end.landing.on_pad
     assert end.landing.vertical_speed_m_s == pytest.approx(0.4, abs=0.05)

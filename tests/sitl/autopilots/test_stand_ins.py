@@ -228,7 +228,6 @@ def test_a_tilt_of_px4_follows_an_acceleration_as_its_response_file_says() -> No
     course, given = course_of(track(asked), track(flown)), shipped_response("px4").tilt
     assert course is not None
     fit = fit_tilt(course, given)
-    assert fit is not None
     assert fit.response.frequency_rad_s == pytest.approx(given.frequency_rad_s, rel=0.12)
     assert fit.response.damping == pytest.approx(given.damping, rel=0.2)
 
@@ -449,7 +448,6 @@ def test_a_body_stands_on_a_moving_deck_and_goes_with_it() -> None:
 def test_packets_of_both_sizes_and_what_is_none() -> None:
     for channels in (16, 32):
         servos = decode(servo_packet(7, (0.1, 0.2, 0.3, 0.4), channels=channels))
-        assert servos is not None
         assert (servos.rate_hz, servos.frame, len(servos.pwm_us)) == (400, 7, channels)
         assert servos.motors == pytest.approx((0.1, 0.2, 0.3, 0.4))
     whole = servo_packet(7, REST)
