@@ -35,19 +35,27 @@ _SOURCES = {
 
 
 def counted(p: Snapshot, found: int) -> str:
-    """Return how many faults were found, of how many that were looked for: without an autopilot most rules judge nothing."""
-    a, links = p.autopilot, p.links
-    if a is None:
-        if not links:
-            flown = "not examined: the AR.Drone itself, whose control port answers\n" if p.service.drone and not found else ""
-            return f"{flown}{found or 'none'} of the known faults found"
-        why = "no link is open" if all(one.down for one in links) else "none was received"
-        return f"not examined: an autopilot ({why})\n{found or 'none'} of the other known faults found"
-    names = dict.fromkeys(names_in(rules_values.PARAMETERS.get(a.stack, ()), a.firmware))
-    unread = [name for name in names if name not in a.parameters]
-    shown = f"; not among those read: {', '.join(unread[:_SHOWN])}{' ...' if len(unread) > _SHOWN else ''}" if unread else ""
-    judged = f"judged: {len(names) - len(unread)} of {len(names)} parameters{shown}"
-    return f"{judged}\n{found or 'none'} of {len(RULES)} known faults found"
+    """Return what was judged and what was not, and how many faults were found."""
+    a, s = p.autopilot, p.service
+    parts = {
+        "the log": (p.log,), "the links": p.links, "the settings and their files": (s.camera_size, s.camera_fault),
+        "the camera": (s.frame_rate_hz, s.device_fault), "the running service": (s.exposure_to_belief_s, s.targets_sent),
+        "the broker": (s.broker,), "the AR.Drone's control port": (s.drone,),
+        "the ship's reports": (*s.ship_sources, s.ship_fault),
+    }  # fmt: skip
+    judged, left = [name for name, seen in parts.items() if any(one is not None for one in seen)], []
+    if a is not None:
+        names = dict.fromkeys(names_in(PARAMETERS[a.stack], a.firmware))
+        unread = [name for name in names if name not in a.parameters and name not in a.absent]
+        judged.append(f"{len(names) - len(unread)} of {len(names)} parameters")
+        shown = ", ".join(unread[:_SHOWN]) + " ..." * (len(unread) > _SHOWN)
+        left += [f"parameters that were not read: {shown}"] if unread else []
+    elif p.links:
+        left.append(f"an autopilot ({'no link is open' if all(one.down for one in p.links) else 'none was received'})")
+    left += ["the camera, the ship and a running service (for the fault of a file)"] if s.camera_fault else []
+    left += ["the AR.Drone itself"] if s.drone else []
+    lines = [f"{word}: {'; '.join(what)}\n" for word, what in (("judged", judged), ("not judged", left)) if what]
+    return f"{''.join(lines)}{found or 'none'} of the known faults found"
 
 
 def failsafes(p: Snapshot) -> Finding | None:

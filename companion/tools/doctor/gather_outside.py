@@ -5,12 +5,13 @@ Of the service: its files, camera, broker, drone and ship, and its figures if it
 
 import asyncio
 import contextlib
+import difflib
 import math
 import re
 import ssl
 import sys
 from collections import Counter
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from companion.settings.links import HttpSettings
 from companion.settings.model import Settings
 from companion.settings.vessel import VesselOptions
 from companion.tools.doctor.diagnose import PARAMETERS
-from companion.tools.doctor.firmware_parameters import differing, names_in
+from companion.tools.doctor.firmware_parameters import RENAMED, differing, names_in
 from companion.tools.doctor.gather_service import figures, files_of, ship_sources
 from companion.tools.doctor.snapshot import AutopilotSnapshot, ServiceSnapshot, ShipSource, Snapshot
 from drivers.ardrone.options import ArDroneOptions
@@ -47,6 +48,8 @@ from estimator.contracts.time import Clock, seconds_between
 _MANY = 100
 """A log with this many parameters holds all of them: one that is missing is not in the firmware."""
 _COPTER = "ArduCopter"
+_ALIKE = 0.8
+"""Least likeness of a misspelt word: none of 1,700 real files of ArduCopter's parameters has a name that is taken for another."""
 
 
 def examine_log(path: Path) -> Snapshot:
@@ -89,12 +92,27 @@ def _log_snapshot(path: Path, log: AutopilotLog) -> Snapshot:
             mode="auto.precland" if log.precision_landing else "unknown",
             parameters={n: v for n, v in log.parameters.items() if n in asked},
             absent=tuple(n for n in asked if n not in log.parameters) if len(log.parameters) >= _MANY else (),
+            misspelt=_misspelt(log.parameters, log.stack),
             texts=_standing(log),
             events=log.events,
             differs=differing(log.parameters, log.defaults),
         ),
         log=log.history,
     )
+
+
+def _misspelt(read: Mapping[str, float], stack: str) -> dict[str, str]:
+    """Return the names that are those of known parameters, which are missing, but for letters of one long word."""
+    names = dict.fromkeys((*PARAMETERS[stack], *(RENAMED[name].name for name in PARAMETERS[stack] if name in RENAMED)))
+    known = [name for name in names if name not in read]
+    out = {}
+    for name in read.keys() - names:
+        for k, word in enumerate(words := name.split("_")):
+            like = re.compile("_".join((*words[:k], "([A-Z]{3,})", *words[k + 1 :])))
+            there = [found[1] for one in known if (found := like.fullmatch(one)) is not None]
+            for near in difflib.get_close_matches(word, there, 1, _ALIKE) if re.fullmatch("[A-Z]{3,}", word) else ():
+                out[name] = "_".join((*words[:k], near, *words[k + 1 :]))
+    return dict(sorted(out.items()))
 
 
 _NEAR_DECK_S = 10.0

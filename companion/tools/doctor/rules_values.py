@@ -49,7 +49,13 @@ def arming_refused(p: Snapshot) -> Finding | None:
     return warning("arming-refused", f"it refuses to arm: {'; '.join(shown)}", fix)
 
 
-ARMING: tuple[Rule, ...] = (arming_refused,)
+ARMING: tuple[Rule, ...] = (
+    arming_refused,
+    Row("parameter-name", Severity.WARNING,
+        lambda p: p.autopilot and ", ".join(f"{name} for {known}" for name, known in p.autopilot.misspelt.items()),
+        "misspelt, so that no autopilot takes it: {0}",
+        "write the known name"),
+)  # fmt: skip
 
 
 FAILSAFE_PARAMETERS = {

@@ -79,6 +79,8 @@ class AutopilotSnapshot(Struct, frozen=True):
     parameters: dict[str, float] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     """Requested parameters that this firmware does not have."""
+    misspelt: dict[str, str] = field(default_factory=dict)
+    """Names in the file or log that are known ones but for a letter or two, each with the known one, which is not there."""
     rates_hz: dict[str, float] = field(default_factory=dict)
     """Measured rate of each message, Hz."""
     wanted_hz: dict[str, float] = field(default_factory=dict)

@@ -52,3 +52,11 @@ def test_a_file_of_an_examined_vehicle_holds_what_was_found(tmp_path: Path) -> N
     given.write_text("PLND_ENABLED,1\nPLND_TYPE,1\nPLND_OPTIONS,1\nGUID_OPTIONS,48\nPLND_LAG,0.05\nLAND_SPEED,250\n")
     assert main(["doctor", str(given), "--write", str(out)]) == 1
     assert re.findall(r"^([A-Z_]+),(\S+)$", out.read_text(), re.MULTILINE) == [("GUID_OPTIONS", "16"), ("LAND_SPEED", "40")]
+
+
+def test_a_misspelt_name_is_named_with_the_known_one(tmp_path: Path, capsys) -> None:
+    given = tmp_path / "mine.param"
+    given.write_text("PLND_ENABLE,1\nFENCE_ACTOIN,1\nWP_SPPD,10\nLAND_SPEED,40\nLAND_SPEEDS,40\nATC_RAT_RLL_I,1\nMINE,1\n")
+    assert main(["doctor", str(given)]) == 1
+    named = "FENCE_ACTOIN for FENCE_ACTION, PLND_ENABLE for PLND_ENABLED, WP_SPPD for WP_SPD"
+    assert f"takes it: {named} [parameter-name]" in capsys.readouterr().out

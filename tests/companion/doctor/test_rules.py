@@ -207,6 +207,7 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "gyros calibrated at sea": ("gyro-calibration", parameter("INS_GYR_CAL", 1.0), "ashore"),
     "another program's frame": ("frame-not-supported", ardupilot(texts=("Plnd: Frame not supported",)), "another program"),
     "targets at 1 Hz": ("target-too-rare", ardupilot(texts=("PrecLand: Init Failed",)), "10 Hz"),
+    "a name with a letter too few": ("parameter-name", ardupilot(misspelt={"PLND_ENABLE": "PLND_ENABLED"}), "known name"),
     "nobody disarms it on deck": ("disarm-script", ardupilot(parameters=ARDUPILOT.parameters | {"SCR_ENABLE": 0.0}),
         "SCR_ENABLE 1"),
     "target lost": ("target-lost", ardupilot(texts=("PrecLand: Target Lost",)), "light"),

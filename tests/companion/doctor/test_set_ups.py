@@ -13,7 +13,7 @@ from companion.tools.doctor.diagnose import RULES as ALL_RULES
 from companion.tools.doctor.firmware_parameters import RENAMED, defaults_of, differing, earlier_names, names_in
 from companion.tools.doctor.gather_outside import examine_log
 from companion.tools.doctor.rules_values import RULES, ValueRule
-from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
+from companion.tools.doctor.snapshot import LinkSnapshot, ServiceSnapshot, Snapshot
 from estimator.contracts.time import Clock
 from sitl.emulators.autopilots import arducopter
 from sitl.emulators.autopilots.lock_step import LockStepClock
@@ -183,12 +183,16 @@ def test_what_matters_on_a_ship_only_is_not_named_ashore() -> None:
 
 def test_the_last_line_says_what_was_judged_and_what_was_not() -> None:
     down = Snapshot(4.0, (LinkSnapshot("serial:///dev/ttyNOPE:921600", down="no such file"),))
-    assert counted(down, 1) == "not examined: an autopilot (no link is open)\n1 of the other known faults found"
+    left = "not judged: an autopilot (no link is open)\n1 of the known faults found"
+    assert counted(down, 1) == f"judged: the links\n{left}"
+    service = ServiceSnapshot(camera_size=(640, 360), device_fault="not there", broker="ship:1883")
+    assert counted(replace(down, service=service), 1) == (
+        f"judged: the links; the settings and their files; the camera; the broker\n{left}"
+    )
     some = dict(list(ARDUPILOT.parameters.items())[:3])
-    few = counted(replace(GOOD, autopilot=replace(ARDUPILOT, parameters=some)), 0)
-    assert few.startswith("judged: ")
-    assert "; not among those read: " in few
-    assert few.endswith(f"none of {len(ALL_RULES)} known faults found")
+    few = counted(Snapshot(0.0, autopilot=replace(ARDUPILOT, parameters=some, absent=("PLND_LAG",))), 0)
+    assert few.startswith("judged: 4 of 88 parameters\nnot judged: parameters that were not read: PLND_OPTIONS, ")
+    assert few.endswith("none of the known faults found")
 
 
 def test_every_rule_has_a_name_of_its_own() -> None:
