@@ -334,7 +334,7 @@ def test_a_full_disk_is_reported_once_flown_through_and_left_behind(tmp_path, di
         wait_until(lambda: recorder._queue.empty() and recorder.state is RecorderState.RECORDING)
     output = [r for r in caplog.records if r.levelname == "ERROR"]
     assert [r.getMessage() for r in output] == [
-        "recorder: nothing is recorded now: No space left on device; the flight goes on, trying again"
+        "recorder: nothing is recorded now: No space left on device; the flight goes on, trying again from 20 MB of free space on"
     ]
     assert any("recording again, into" in r.getMessage() for r in caplog.records)
     before, after = samples_of(path), samples_of(tmp_path / "a-2.mcap")
@@ -377,21 +377,21 @@ def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_p
 
 
 def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    free = {"bytes": 900_000_000}
+    free = {"bytes": 9_000_000}
     monkeypatch.setattr(
         "companion.parts.recorder.recorder.shutil.disk_usage", lambda _: type("Usage", (), {"free": free["bytes"]})
     )
-    folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=500.0)
+    folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=5.0)
     with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=0.5)) as recorder:
         for i in range(300):
             if i == 100:
                 wait_until(lambda: recorder._queue.empty())
-                free["bytes"] = 400_000_000
+                free["bytes"] = 4_000_000
             if i == 200:
                 wait_until(lambda: recorder._queue.empty())
                 assert recorder.state is RecorderState.BLOCKED
-                assert "400 MB free" in recorder.why, recorder.why
-                free["bytes"] = 600_000_000
+                assert "4 MB free" in recorder.why, recorder.why
+                free["bytes"] = 6_000_000
             recorder.on_sample(numbered_imu(0.01 * i))
         wait_until(lambda: recorder._queue.empty())
     first, second = sorted(tmp_path.glob("*.mcap"))

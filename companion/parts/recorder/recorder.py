@@ -9,6 +9,7 @@ Recordings have a bounded space: the oldest finished ones are removed first.
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import os
 import re
@@ -199,7 +200,7 @@ def _lacking(folder: Path, least_mb: float) -> str | None:
 log = logging.getLogger(__name__)
 PART = "recorder"
 _ROOM_AGAIN_MB = 20.0
-"""The free space at which a disk that was full is used again, MB: less would be full again within seconds."""
+"""The free space at which a disk that ran full is used again, MB: less would be full again within seconds."""
 _HANGS_S = 1.5
 """Time for one record after which the disk counts as hanging: a card that tidies itself takes up to a second."""
 _GATHER_S = 0.05
@@ -256,6 +257,7 @@ class Recorder:
         self._began = self._flushed = self._synced = MonoNs(0)
         self._tried: MonoNs | None = None
         self._back_off_s = options.retry_s
+        self._again_mb = 0.0
         self._recorded_health: MonoNs | None = None
         self._shown = RecorderState.IDLE
         self._busy_since_s: float | None = None
@@ -453,6 +455,7 @@ class Recorder:
                 file.abandon()
             self.lost += self._unflushed
             self._unflushed = 0
+            self._again_mb = _ROOM_AGAIN_MB if why.errno in (errno.ENOSPC, errno.EDQUOT) else 0.0
             self._lacks(in_words(why))
         except Exception:
             self.faults += 1
@@ -493,7 +496,7 @@ class Recorder:
         ):
             return False
         self._tried = at
-        reason = self._storage_policy.lacks_room(_ROOM_AGAIN_MB if self._state is RecorderState.BLOCKED else 0.0)
+        reason = self._storage_policy.lacks_room(self._again_mb)
         if reason is not None:
             self._lacks(reason)
             return False
@@ -510,7 +513,7 @@ class Recorder:
         self._began = self._flushed = self._synced = at
         if self._state is RecorderState.BLOCKED:
             log.warning("recorder: recording again, into %s", self._file.path)
-        self._state, self.why, self._back_off_s = RecorderState.RECORDING, "", self._options.retry_s
+        self._state, self.why, self._back_off_s, self._again_mb = RecorderState.RECORDING, "", self._options.retry_s, 0.0
         self._storage_policy.tidy(self._file.path)
 
     def _flush(self, now: MonoNs | None) -> None:
@@ -547,7 +550,8 @@ class Recorder:
         if self._state is RecorderState.BLOCKED:
             self._back_off_s = min(2.0 * self._back_off_s, self._options.retry_cap_s)
         else:
-            log.error("recorder: nothing is recorded now: %s; the flight goes on, trying again", reason)
+            room = f" from {self._again_mb:g} MB of free space on" if self._again_mb else ""
+            log.error("recorder: nothing is recorded now: %s; the flight goes on, trying again%s", reason, room)
         self._state, self.why = RecorderState.BLOCKED, reason
 
 
