@@ -43,7 +43,7 @@ SECRET, UNDO_FILE = Kind("secret", lasting=True), Kind("undo file", lasting=True
 READINGS = Kind("file of readings")
 REPORT = Kind("report", (".html", ".htm"), (b'<meta name="generator" content="decklander">',))
 REPORT_FOLDER = Kind("report", (), REPORT.marks, ("index.html", "against/index.html"))
-SHEETS = Kind("drawing", (".pdf", ".svg"), (b"\n%decklander\n", b"<desc>Printed by decklander.</desc>"))
+SHEETS = Kind("drawing", (".pdf", ".svg"))
 PREVIEW = Kind("preview", (".png",))
 ANIMATION = Kind("animation", (".gif",))
 PLOT = Kind("plot", (".png", ".svg", ".pdf"), (MARK["Title"].encode(),))

@@ -129,8 +129,9 @@ def test_svg_says_millimetres_and_draws_the_same_circles(tmp_path: Path) -> None
     assert (width_mm, height_mm) == (800.0, 800.0)
     drawn = [float(c.attrib["r"]) for c in root.iter("{http://www.w3.org/2000/svg}circle")]
     assert drawn == pytest.approx([s.radius_mm for s in pad_drawing(PAD).shapes if isinstance(s, Disc)])
-    assert main(["pad", "print", "--out", str(out)]) == 0
-    assert len(list(tmp_path.glob("pad_r*c*.svg"))) == len(sheets(pad_drawing(PAD), "a4"))
+    out = tmp_path / "many.svg"
+    assert [main(["pad", "print", *more, "--out", str(out)]) for more in ([], ["printed"], ["--force"])] == [0, 2, 0]
+    assert len(list(tmp_path.glob("many_r*c*.svg"))) == len(sheets(pad_drawing(PAD), "a4"))
 
 
 def test_shipped_pads_are_listed_and_checked(capsys: pytest.CaptureFixture[str]) -> None:

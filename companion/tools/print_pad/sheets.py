@@ -229,7 +229,7 @@ def svg(drawing: Drawing, sheet: Sheet) -> str:
     window = f'x="{_n(sheet.left_mm)}" y="{_n(sheet.top_mm)}" width="{_n(w)}" height="{_n(h)}"'
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}mm" height="{high}mm" viewBox="0 0 {wide} {high}">',
-        f"<title>{escape(drawing.name)}</title>\n<desc>Printed by decklander.</desc>",
+        f"<title>{escape(drawing.name)}</title>",
         f'<clipPath id="window"><rect {window}/></clipPath>',
         f'<g clip-path="url(#window)"><g transform="translate({_n(sheet.left_mm - x)} {_n(sheet.top_mm - y)})">',
         *(_shape(s) for s in drawing.shapes if touches(s, x, y, x + w, y + h)),
@@ -282,7 +282,7 @@ def pdf(drawing: Drawing, sheets: list[Sheet]) -> bytes:
         objects.append(page.encode())
         kids.append(f"{len(objects)} 0 R")
     objects[1] = f"<< /Type /Pages /Kids [{' '.join(kids)}] /Count {len(kids)} >>".encode()
-    out = bytearray(b"%PDF-1.7\n%\xe2\xe3\xcf\xd3\n%decklander\n")
+    out = bytearray(b"%PDF-1.7\n%\xe2\xe3\xcf\xd3\n")
     places = []
     for number, body in enumerate(objects, 1):
         places.append(len(out))
