@@ -317,7 +317,9 @@ def _report(args: argparse.Namespace) -> int:
     manifest = manifest_of(folder)
     path = folder / FLIGHTS
     against = _compared_with(args.against, {job_of(flight).key for flight in flights_in(path)} if args.against else set())
-    page = render_report(manifest, flights_in(path), wall_s_in(path), against)
+    if changed := _changed(manifest):
+        sys.stderr.write(f"the commands in the report may fly other flights now: {changed}\n")
+    page = render_report(manifest, flights_in(path), wall_s_in(path), against, changed)
     with file_errors(str(folder / REPORT)):
         write_whole(folder / REPORT, page.encode())
     sys.stdout.write(f"report: {folder / REPORT}\n")
@@ -325,6 +327,20 @@ def _report(args: argparse.Namespace) -> int:
         write_whole(folder / MAP, render_map(manifest["name"], manifest["perception"], flights_in(path)).encode())
         sys.stdout.write(f"map: {folder / MAP}\n")
     return 0
+
+
+def _changed(manifest: dict[str, Any]) -> str:
+    """Return in words what scenario, settings, their files and the code are now instead of what was flown; empty if the same."""
+    add_arguments(parser := argparse.ArgumentParser())
+    args, _ = parser.parse_known_args([*manifest["name"].split(", "), *manifest.get("options", ())])
+    levels = {one["perception"] for one in manifest.get("members", {"": manifest}).values()}
+    args.perception = levels.pop() if len(levels) == 1 else None
+    try:
+        now = (_set_plan if "members" in manifest else _plan)(args)[0].identity()
+    except BadInput as why:
+        return str(why)
+    keys = now.keys() - {"design"}
+    return plans.differences({key: manifest.get(key) for key in keys}, {key: now[key] for key in keys})
 
 
 def _compared_with(against: str | None, asked: set[str]) -> tuple[str, dict[str, Any], list[Flight]] | None:

@@ -61,11 +61,13 @@ def render_report(
     flights: Sequence[Flight] | Iterable[Flight],
     wall_s: float,
     against: tuple[str, Mapping[str, Any], list[Flight]] | None = None,
+    changed: str = "",
 ) -> str:
     """Return the page of a campaign.
 
     Args:
         against: the name, manifest and flights of an earlier campaign to compare with.
+        changed: what has changed since it was flown, so that its flights are not flown again; empty without.
 
     Raises:
         BadInput: there are no flights.
@@ -85,7 +87,7 @@ def render_report(
         _scenarios(manifest, tallies),
         _causes(whole),
         _unsafe(whole),
-        _worst(manifest, whole.worst),
+        _worst(manifest, whole.worst, changed),
         "" if against is None else _comparison(manifest, kept, *against),
         _made_with(manifest),
     ]
@@ -234,7 +236,7 @@ def fly_again(flight: Flight, options: Sequence[str], places: Mapping[str, str] 
     return shlex.join([*words, *(word for text in varied for word in ("--set", text)), "--report", folder])
 
 
-def _worst(manifest: Mapping[str, Any], worst: Sequence[Flight]) -> str:
+def _worst(manifest: Mapping[str, Any], worst: Sequence[Flight], changed: str) -> str:
     items = []
     for flight in worst:
         good = flight["grade"] != "failed"
@@ -247,7 +249,8 @@ def _worst(manifest: Mapping[str, Any], worst: Sequence[Flight]) -> str:
     pictures = "Flights by rendered frames have pictures in it."
     if blind := sorted({flight["perception"] for flight in worst} - {"pixels"}):
         pictures += f" Those by {' and '.join(blind)} render none; by pixels the same seed is another flight on the same sea."
-    note = _note(f"The command flies the same flight again, to the bit, and writes its report. {pictures}")
+    same = f"may fly another flight now: {escape(changed)}. It" if changed else "flies the same flight again, to the bit, and"
+    note = _note(f"The command {same} writes its report. {pictures}")
     return f'<h2>The worst {len(items)} flights</h2>{note}<ul class="flights">{"".join(items)}</ul>'
 
 

@@ -83,6 +83,11 @@ def test_the_report_of_a_set_prints_commands_that_fly_the_same_flights_again(tmp
         apart = {"cpu_s", "scenario"}
         assert again["scenario"] == str(tmp_path / flight["scenario"])
         assert {k: v for k, v in again.items() if k not in apart} == {k: flight[k] for k in again if k not in apart}
+    for limit_s, now in (("2.0", ""), ("3.0", "members.held.toml.scenario.duration_limit_s 3.0 instead of 2.0")):
+        (tmp_path / "held.toml").write_text((tmp_path / "held.toml").read_text().replace("limit_s = 2.0", f"limit_s = {limit_s}"))
+        assert cli.main(["campaign", "report", str(out)]) == 0
+        page, said = (out / REPORT).read_text(), capsys.readouterr().err
+        assert (" to the bit, and writes" in page, now in page, now in said, bool(said)) == (not now, True, True, bool(now))
 
 
 @pytest.mark.parametrize("name", shipped_sets())
