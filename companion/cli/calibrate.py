@@ -19,6 +19,7 @@ from companion.base import event_loop
 from companion.cli import board_option, calibrate_flight
 from companion.cli.options import named_wait, option, print_result, require_drawing
 from companion.cli.outputs import CAMERA_FILE, EXPORTED, FIGURES, check_output, output
+from companion.settings.load import write_whole
 from companion.tools.calibrate.board import BOARDS, Board, Collection
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
 from companion.tools.calibrate.flight_result import of_distance
@@ -156,12 +157,10 @@ def _run_camera(args: argparse.Namespace) -> int:
     if accepted:
         source = guarded(args.device or args.pipeline or f"{len(args.paths)} files or folders")
         with file_errors(f"--out {out}"):
-            others = {path: foreign(solution.camera, kind) for kind, path in exported.items()}
-            out.write_text(
-                text(solution, f"{source} ({board.kind} {board.columns}x{board.rows}, {found.grade})", rpy), encoding="utf-8"
-            )
-            for path, content in others.items():
-                path.write_text(content, encoding="utf-8")
+            files = {path: foreign(solution.camera, kind) for kind, path in exported.items()}
+            files[out] = text(solution, f"{source} ({board.kind} {board.columns}x{board.rows}, {found.grade})", rpy)
+            for path, content in files.items():
+                write_whole(path, content)
     _say(args, collection, solution, found, written=accepted)
     return 0 if accepted else 1
 

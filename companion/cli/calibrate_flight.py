@@ -20,7 +20,7 @@ from companion.guidance.law.response_fit import ClimbFit, TiltFit, fit_climb, fi
 from companion.recording.channels import CAMERA
 from companion.recording.reading import Recording, open_recording
 from companion.settings.guidance import FollowDeckOptions, Response, TiltResponse
-from companion.settings.load import load, read_text, response_model, shipped, shipped_response
+from companion.settings.load import load, read_text, response_model, shipped, shipped_response, write_whole
 from companion.settings.model import in_file
 from companion.tools.calibrate import flight_result as results
 from companion.tools.calibrate.flight_views import FlownCourses, flight_views, flown_courses
@@ -446,4 +446,4 @@ def _three(values: Any) -> str:
 
 def _write(path: Path, content: str) -> None:
     with file_errors(f"--out {path}"):
-        path.write_text(content, encoding="utf-8")
+        write_whole(path, content)

@@ -17,7 +17,7 @@ from companion.base.signals import Stopped
 from companion.cli import flight_options
 from companion.cli.options import WorkProgress, named_wait, option, refuse_any, require_drawing
 from companion.cli.outputs import CAMPAIGN, PLOT, READINGS, REPORT_FOLDER, check_output, output
-from companion.settings.load import shipped
+from companion.settings.load import shipped, write_whole
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.pipeline import RelativeEstimator
 from sitl.campaign import plan as plans
@@ -25,7 +25,7 @@ from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_colu
 from sitl.campaign.random_faults import Cases, FaultTally, fly_with_random_faults
 from sitl.campaign.report import AXES, MAP, REPORT, render_map, render_report
 from sitl.campaign.soak import Draw, SoakOptions, soak
-from sitl.campaign.store import FLIGHTS, FolderStore, flights_in, fly_left, manifest_of, manifest_of_plan, wall_s_in, write_whole
+from sitl.campaign.store import FLIGHTS, FolderStore, flights_in, fly_left, manifest_of, manifest_of_plan, wall_s_in
 from sitl.campaign.workers import ClusterWorkers, Flight, LocalWorkers, fly_flight, job_of
 from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
@@ -320,12 +320,13 @@ def _report(args: argparse.Namespace) -> int:
     if changed := _changed(manifest):
         sys.stderr.write(f"the commands in the report may fly other flights now: {changed}\n")
     page = render_report(manifest, flights_in(path), wall_s_in(path), against, changed)
-    with file_errors(str(folder / REPORT)):
-        write_whole(folder / REPORT, page.encode())
-    sys.stdout.write(f"report: {folder / REPORT}\n")
+    pages = {REPORT: page}
     if args.map:
-        write_whole(folder / MAP, render_map(manifest["name"], manifest["perception"], flights_in(path)).encode())
-        sys.stdout.write(f"map: {folder / MAP}\n")
+        pages[MAP] = render_map(manifest["name"], manifest["perception"], flights_in(path))
+    for name, text in pages.items():
+        with file_errors(str(folder / name)):
+            write_whole(folder / name, text)
+        sys.stdout.write(f"{name.partition('.')[0]}: {folder / name}\n")
     return 0
 
 

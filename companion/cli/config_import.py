@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from companion.settings.load import complete, from_file, read_camera, read_text
+from companion.settings.load import complete, from_file, read_camera, read_text, write_whole
 from companion.tools.pads.boards import FAMILY, fiducial, painted
 from companion.tools.pads.trace import file_text
 from estimator.contracts.errors import BadInput, file_errors, refused
@@ -87,7 +87,7 @@ def write(path: Path, out: Path, tag_m: float | None) -> list[str]:
     files[out] = f"# Made of {path.name} by decklander config import. Every key: docs/configuration.md.\n" + "".join(lines)
     with file_errors(str(out)):
         for file, content in files.items():
-            file.write_text(content, encoding="utf-8")
+            write_whole(file, content)
     try:
         complete(settings, out)
     except BadInput:

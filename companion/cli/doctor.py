@@ -13,13 +13,12 @@ from functools import partial
 from pathlib import Path
 
 from msgspec import structs
-from msgspec.structs import replace
 
 from companion.base import event_loop
 from companion.cli.options import option, refuse_any
 from companion.cli.outputs import PARAMETERS, SNAPSHOT, UNDO_FILE, output
 from companion.parts.mavlink.signed_links import signed_links
-from companion.settings.load import Settings, load
+from companion.settings.load import Settings, load, write_whole
 from companion.tools.doctor import rules_switch
 from companion.tools.doctor.diagnose import counted, diagnose
 from companion.tools.doctor.finding import Finding, Severity
@@ -62,7 +61,7 @@ def given_links(args: argparse.Namespace, settings: Settings | None) -> GivenLin
         vehicle = None if settings is None else settings.vehicle
         if not isinstance(vehicle, AutopilotOptions):
             return None
-        return vehicle if args.system is None else replace(vehicle, system_id=args.system), signed_links(vehicle)
+        return vehicle if args.system is None else structs.replace(vehicle, system_id=args.system), signed_links(vehicle)
     try:
         options = AutopilotOptions(", ".join(args.link), system_id=args.system or 0)
     except ValueError as why:
@@ -166,7 +165,7 @@ async def _write(
 ) -> tuple[WriteResult, ...]:
     options, opened = links
     clock = SystemClock()
-    async with open_autopilot(replace(options, system_id=system), clock, opened) as autopilot:
+    async with open_autopilot(structs.replace(options, system_id=system), clock, opened) as autopilot:
         await wait_until(clock, max(seconds, 4.0), lambda: autopilot.connected and autopilot.condition.armed is not None)
         identity = autopilot.identity
         if identity is None:
@@ -281,10 +280,10 @@ def run(args: argparse.Namespace, *, last: bool = True) -> int:
     snapshot = _snapshot(args)
     speed_m_s = snapshot.ship_speed_m_s if args.ship_speed is None else args.ship_speed
     moving = snapshot.moving_pad and not args.still_pad
-    snapshot = replace(snapshot, moving_pad=moving, ship_speed_m_s=speed_m_s)
+    snapshot = structs.replace(snapshot, moving_pad=moving, ship_speed_m_s=speed_m_s)
     if args.save:
         with file_errors(f"--save {args.save}"):
-            args.save.write_bytes(encode(snapshot))
+            write_whole(args.save, encode(snapshot))
     found = diagnose(snapshot)
     if args.write and (autopilot := snapshot.autopilot) is not None:
         write_parameters_file(args.write, autopilot.stack, wanted_of(found), autopilot.system)
@@ -354,7 +353,7 @@ async def _examined(args: argparse.Namespace) -> Snapshot:
     gimbal = None if settings is None else settings.camera.gimbal
     channel = 0 if settings is None else settings.operator.switch.channel
     snapshot = await examine(options, SystemClock(), args.seconds, _progress, links, gimbal, channel)
-    return replace(snapshot, service=service)
+    return structs.replace(snapshot, service=service)
 
 
 def _progress(text: str) -> None:

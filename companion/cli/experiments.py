@@ -8,7 +8,7 @@ from typing import Any
 
 from companion.cli.options import check_seed, option, print_result, require_drawing
 from companion.cli.outputs import EXPERIMENTS, output
-from companion.settings.load import SHIPPED, load, pad_of_file, read_camera
+from companion.settings.load import SHIPPED, load, pad_of_file, read_camera, write_whole
 from estimator.contracts.errors import file_errors
 from study.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, hover_table, lags
 from study.experiments.photographs import read_photographs
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     words += ["--photos", "DIR"] if args.photos is not None else []
     with file_errors(f"--out {args.out}"):
         args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / PAGE).write_text(page(chapter, photographs, shlex.join(words)), encoding="utf-8")
+        write_whole(args.out / PAGE, page(chapter, photographs, shlex.join(words)))
         draw(chapter, args.out)
     landed = [one.lateral_m for one in (chapter.landing, chapter.external) if one.outcome is not None]
     print_result(args, _tables(chapter), f"written: {args.out / PAGE}")

@@ -23,7 +23,7 @@ import resvg_py
 from companion.cli import board_option
 from companion.cli.options import WorkProgress, named_wait, option, print_result
 from companion.cli.outputs import PAD_FILE, PREVIEW, SHEETS, check_output, output
-from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, read_text, shipped
+from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, read_text, shipped, write_whole
 from companion.tools.calibrate.board import BOARDS
 from companion.tools.calibrate.guide import files_of, read_image
 from companion.tools.pads.boards import BOARD_FILES, board
@@ -94,8 +94,8 @@ def _import(args: argparse.Namespace) -> int:
     drawing = pad_drawing(pad)
     png = resvg_py.svg_to_bytes(svg(drawing, sheets(drawing, "full")[0]), width=800, dpi=96.0)
     with file_errors(str(out)):
-        out.write_text(text, encoding="utf-8")
-        shown.write_bytes(png)
+        write_whole(out, text)
+        write_whole(shown, png)
     corners = np.concatenate([line for region in pad.regions for line in outlines_of(region)])
     low, high = corners.min(axis=0), corners.max(axis=0)
     along, across = (1000.0 * (high - low)).tolist()
@@ -312,10 +312,10 @@ def _print(args: argparse.Namespace) -> int:
         check_output(path, SHEETS, "--out", [], force=args.force)
     with file_errors(str(out)):
         if whole:
-            out.write_bytes(pdf(drawing, pages))
+            write_whole(out, pdf(drawing, pages))
         else:
             for path, page in zip(written, pages, strict=True):
-                path.write_text(svg(drawing, page), encoding="utf-8")
+                write_whole(path, svg(drawing, page))
     size = f"{drawing.width_mm:g} x {drawing.height_mm:g} mm"
     sys.stdout.write(
         f"{drawing.name}, {size}: {len(pages)} sheet{'s' if len(pages) > 1 else ''} in {', '.join(map(str, written))}\n"
@@ -524,7 +524,7 @@ def _write(file: Path, found: Calibration) -> None:
     with file_errors(str(file)):
         text = read_text(file)
         bare = re.sub(r"\n*^\[calibration\]\n(?:(?!\[).*\n?)*", "\n", text, flags=re.MULTILINE).rstrip("\n")
-        file.write_text(f"{bare}\n\n{table}", encoding="utf-8")
+        write_whole(file, f"{bare}\n\n{table}")
 
 
 def _price_lines(pad: Pad, found: Price | None) -> Iterator[str]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from companion.cli.options import named_wait, option, print_result, reading
 from companion.cli.outputs import ERROR_MODEL, output
+from companion.settings.load import write_whole
 from estimator.contracts.errors import file_errors
 from sitl.perception.model import symmetric
 from sitl.perception.parameters import PerceptionModel, dump
@@ -35,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     with named_wait("fitting", quiet=args.json):
         model = fit(recorded)
     with file_errors(f"--output {args.output}"):
-        args.output.write_text(dump(model), encoding="utf-8")
+        write_whole(args.output, dump(model))
     print_result(args, _findings(model), f"{_table(model)}\nwritten: {args.output}")
     return 0
 

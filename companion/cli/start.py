@@ -21,7 +21,7 @@ from companion.cli.keys import write_secret
 from companion.cli.options import listening, named_wait, option
 from companion.cli.outputs import SETTINGS, output
 from companion.parts.page.access import make_token
-from companion.settings.load import find_file, pad_of_file
+from companion.settings.load import find_file, pad_of_file, write_whole
 from companion.settings.operator import SwitchOptions
 from companion.tools.doctor.gather import seen_moving
 from drivers.ardrone.navdata import Navdata, decode
@@ -340,7 +340,7 @@ def _write(out: Path, text: str) -> None:
             _certify(certificate, key, text.partition('host = "')[2].rpartition('host = "')[2].partition('"')[0])
         if f'"{word}"' in text and not token.exists():
             write_secret(token, make_token().encode() + b"\n")
-        out.write_text(text, encoding="utf-8")
+        write_whole(out, text)
 
 
 def _certify(certificate: Path, key: Path, address: str) -> None:

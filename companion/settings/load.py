@@ -11,7 +11,8 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -339,6 +340,38 @@ def read_toml(path: Path) -> dict[str, Any]:
         BadInput: the file cannot be read or is not TOML.
     """
     return toml_of(read_text(path), path)
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Give a path to write to. What is written takes the place of `path` at the end, synced, or is removed where that fails.
+
+    A link is followed, and a device is written as it is. Raises OSError.
+    """
+    path = path.resolve()
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    beside = path.with_name(f".new-{path.name}")
+    try:
+        yield beside
+        with beside.open("rb") as file:
+            os.fsync(file.fileno())
+        beside.replace(path)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file by `whole`, a text as UTF-8. Raises OSError."""
+    with whole(path) as beside:
+        beside.write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
 def read_text(path: Path) -> str:

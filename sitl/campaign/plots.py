@@ -16,6 +16,7 @@ from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import PercentFormatter
 
 from companion.base.version import MARK
+from companion.settings.load import whole
 from estimator.contracts.errors import refused
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
@@ -238,5 +239,5 @@ def soak(path: Path, readings: Sequence[Reading], flights: Sequence[Flown]) -> N
     outcomes.legend(loc="upper center", bbox_to_anchor=(0.4, -0.5 / rows_in), ncols=4, fontsize="small", frameon=False)
     for axes in (memory, counts, outcomes):
         axes.grid(alpha=0.25)
-    with refused(f"--plot {path}", OSError, ValueError):
-        figure.savefig(path, dpi=110, metadata=MARK)
+    with refused(f"--plot {path}", OSError, ValueError), whole(path) as beside:
+        figure.savefig(beside, dpi=110, metadata=MARK)

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from companion.settings.load import write_whole
 from estimator.contracts.errors import BadInput, Recoverable, file_errors, unusable
 from sitl.campaign.plan import AnyPlan, Job, SetPlan, differences
 from sitl.campaign.workers import Flight, flight_hash, job_of
@@ -105,7 +106,7 @@ class FolderStore:
             refuse_other(str(folder), manifest, identity)
             manifest = manifest_of_plan(plan, seeds, manifest)
         else:
-            if foreign := sorted(p.name for p in folder.iterdir() if p.name not in (FLIGHTS, f"{MANIFEST}.new")):
+            if foreign := sorted(p.name for p in folder.iterdir() if p.name not in (FLIGHTS, f".new-{MANIFEST}")):
                 if not self._path.stat().st_size:
                     self._path.unlink()
                 raise BadInput(f"--out {folder}: the folder holds {foreign[0]!r} and no campaign")
@@ -113,7 +114,7 @@ class FolderStore:
                 raise BadInput(f"--out {folder}: the folder holds {FLIGHTS} without {MANIFEST}, which says what they are of")
             manifest = manifest_of_plan(plan, seeds, None)
         with file_errors(f"--out {folder}: {MANIFEST}"):
-            write_whole(path, (json.dumps(manifest, indent=1) + "\n").encode())
+            write_whole(path, json.dumps(manifest, indent=1) + "\n")
 
 
 def manifest_of_plan(plan: AnyPlan, seeds: range, before: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -124,21 +125,6 @@ def manifest_of_plan(plan: AnyPlan, seeds: range, before: Mapping[str, Any] | No
     if isinstance(plan, SetPlan):
         again["places"] = dict(plan.places)
     return {**plan.identity(), **again, "seeds": asked if now in asked else [*asked, now]}
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that at any instant either the old or the new content is there."""
-    beside = path.with_name(path.name + ".new")
-    with beside.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def manifest_of(folder: Path) -> dict[str, Any]:

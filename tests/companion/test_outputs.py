@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import resource
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from matplotlib.figure import Figure
 from companion.base.version import MARK
 from companion.cli.main import COMMANDS, Parser, add_command, main
 from companion.cli.outputs import EXPERIMENTS, PLOT, REPORT, Output, check_output, checked_outputs
+from companion.tools.report.page import write_page
 from companion.tools.report.page_parts import document
 from estimator.contracts.errors import BadInput
 
@@ -119,6 +121,23 @@ def test_what_only_we_write_is_replaced_and_all_else_by_force_alone(tmp_path: Pa
             check_output(path, PLOT, "--plot", [])
         figure.savefig(path, metadata=MARK)
         check_output(path, PLOT, "--plot", [])
+
+
+@pytest.mark.parametrize("words", ["pad print --out x.pdf", "pad print --paper full --out x.svg", "doctor --write ardupilot.param"])
+def test_a_file_that_a_full_disk_cuts_short_does_not_bear_its_name(words: str, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    limits, path = resource.getrlimit(resource.RLIMIT_FSIZE), Path(words.split()[-1])
+    for before in ([], [path]):
+        for one in before:
+            one.write_text("as it was")
+        resource.setrlimit(resource.RLIMIT_FSIZE, (512, limits[1]))
+        try:
+            assert main([*words.split(), "--force"]) == 1
+            with pytest.raises(BadInput, match="cannot write the report"):
+                write_page(path, "x" * 1000)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert [one.read_text() for one in Path().iterdir()] == ["as it was"] * len(before)
 
 
 @pytest.mark.parametrize("value", ["a" * 5000, "a\0b", ""])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from companion.guidance.controller import FieldOfView, Knowledge, Target
 from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory
 from companion.settings.files import refuse_special, unzipped
-from companion.settings.load import SHIPPED
+from companion.settings.load import SHIPPED, whole
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.errors import BadInput, file_errors, unusable
 from estimator.contracts.estimates import RelativeState
@@ -87,7 +87,7 @@ class Policy:
         """
         record = np.frombuffer(json.dumps(self.record).encode(), np.uint8)
         arrays: dict[str, Any] = {name: self.weights[name] for name in ARRAYS}
-        with file_errors(str(path)), path.open("wb") as file:
+        with file_errors(str(path)), whole(path) as beside, beside.open("wb") as file:
             np.savez_compressed(file, record=record, **arrays)
 
 

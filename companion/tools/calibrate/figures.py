@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from companion.base.version import MARK
 from companion.guidance.law.response_fit import STEP_S, ClimbFit, Fitted, FlightCourse, TiltFit
+from companion.settings.load import whole
 from companion.tools.calibrate.board import BoardView
 from companion.tools.calibrate.flight_views import FlownCourses
 from companion.tools.calibrate.guide import CELLS, coverage
@@ -45,7 +46,7 @@ def write_response(path: Path, title: str, courses: FlownCourses, tilt: TiltFit,
     panels[0].legend(loc="upper right", ncols=3, fontsize=8)
     panels[-1].set_xlabel("s")
     with file_errors(f"--plot {path}"):
-        figure.savefig(path, dpi=110, metadata=MARK)
+        _save(figure, path)
 
 
 def _panel(axes: Axes, course: FlightCourse, fitted: Fitted, k: int, name: str) -> None:
@@ -129,4 +130,5 @@ def _image_axes(axes, size: tuple[int, int]) -> None:  # type: ignore[no-untyped
 
 def _save(figure: Figure, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, metadata=MARK)
+    with whole(path) as beside:
+        figure.savefig(beside, dpi=110, metadata=MARK)

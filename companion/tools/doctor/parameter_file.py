@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
+from companion.settings.load import write_whole
 from companion.tools.doctor.diagnose import diagnose
 from companion.tools.doctor.finding import Finding
 from companion.tools.doctor.firmware_parameters import PX4_SINCE, Firmware, defaults_of
@@ -80,8 +81,8 @@ def write_parameters_file(path: Path, stack: str, wanted: Wanted, system: int = 
     Raises:
         BadInput: the file cannot be written.
     """
-    with file_errors(f"--write {path}"), path.open("w") as file:
-        file.writelines(_lines(stack, wanted, system))
+    with file_errors(f"--write {path}"):
+        write_whole(path, "".join(_lines(stack, wanted, system)))
 
 
 def _lines(stack: str, wanted: Wanted, system: int) -> Sequence[str]:

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from companion.base.mission import ENDED, State
 from companion.recording.palette import FLIGHTS
+from companion.settings.load import write_whole
 from companion.tools.report import page_parts, plots
 from companion.tools.report.figures import all_series, error_rows, innovation_series, timing_rows
 from companion.tools.report.flight_log import FlightLog
@@ -64,7 +65,7 @@ def write_flights(path: Path, logs: Sequence[FlightLog], watch: Watch = unwatche
 def write_page(path: Path, text: str) -> Path:
     """Write a page and return its path. Raises BadInput if it cannot be written."""
     with refused(f"{path}: cannot write the report", OSError):
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
     return path
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from companion.recording.frame_encoder import CLOCK_HZ, TimedFrames, VideoImage, prepare
 from companion.recording.palette import OUTLINE, THREE, bgr
+from companion.settings.load import whole
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import FlightLog, FrameRecord
 from companion.tools.report.overlay import Overlay, annotate, annotated_size
@@ -185,7 +186,8 @@ def write_animation(log: FlightLog, path: Path) -> int:
     if not images:
         raise BadInput(f"{path}: the recording holds no frames to draw; record with --record-frames jpeg or h264")
     try:
-        _encode(path, images + images[-1:] * round(_STILL_S * GIF_HZ))
+        with whole(path) as beside:
+            _encode(beside, images + images[-1:] * round(_STILL_S * GIF_HZ))
     except OSError as why:
         raise BadInput(f"{path}: cannot write the animation: {why}") from why
     return path.stat().st_size
