@@ -119,7 +119,7 @@ def _checked(path: Path) -> Settings:
     Raises:
         BadInput: as for `load`, of the last fault.
     """
-    seen, data = set[str](), read_toml(path)
+    seen, data = set[str](), read_toml(path, "vehicle.kind")
     fault: BadInput | None = None
     vehicle = data.get("vehicle")
     autopilot = isinstance(vehicle, dict) and vehicle.get("kind") == "mavlink"

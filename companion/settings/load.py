@@ -48,6 +48,20 @@ _TUPLE = re.compile(rf"\((?:{_QUOTED},? ?)+\)")
 """A table's name in Python's words."""
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
+KINDS = {
+    "vehicle.kind": "a settings file: give it by --config",
+    "fx": "a camera file: settings and scenarios name it as camera.file",
+    "regions": "a pad file: settings and scenarios name it as pad.file",
+    "thrust_max_n": "a vehicle's file: a scenario names it as vehicle.file",
+    "draught_m": "a vessel's file: a scenario names it as vessel.file",
+    "tilt": "a response: settings name it as guidance.follow_deck.response",
+    "detection": "an error model: give it by --perception-model",
+    "scenario": "a set of scenarios: give it to decklander campaign",
+    "title": "a scenario: give it to decklander simulate or campaign",
+}
+"""Our kinds of TOML files by a key that only such a file has, or one that is none of those before it."""
+_TITLED = ("thrust_max_n", "draught_m", "scenario")
+"""Kinds that have a title, too."""
 _INTO_HTTP = {"page": 8480, "metrics": 9464, "foxglove": 8765}
 """Tables of 1.0 that are one table [http] now, with the ports that were their defaults. A recording is read without them."""
 _IN_HTTP = {"frames": "foxglove_frames", "frame_rate_hz": "picture_rate_hz"}
@@ -87,7 +101,7 @@ def load(name_or_path: str | Path, *, by_autopilot: bool = False) -> Settings:
             camera or pad file has such a fault. The text is one line that names the file and the key.
     """
     path = find_file(str(name_or_path), "", Path(), "settings")
-    return complete(from_file(read_toml(path), str(path), by_autopilot=by_autopilot), path)
+    return complete(from_file(read_toml(path, "vehicle.kind"), str(path), by_autopilot=by_autopilot), path)
 
 
 def complete(settings: Settings, path: Path) -> Settings:
@@ -240,7 +254,7 @@ def read_camera(path: Path) -> Camera:
     """
     text = read_text(path)
     foreign = foreign_camera(text, str(path))
-    return Camera.from_mapping(toml_of(text, path) if foreign is None else foreign, str(path))
+    return Camera.from_mapping(toml_of(text, path, "fx") if foreign is None else foreign, str(path))
 
 
 def mount_assumed(path: Path) -> tuple[str, ...]:
@@ -284,7 +298,7 @@ def pad_of_file(path: Path) -> Pad:
 
 @lru_cache(maxsize=16)
 def _pad(text: str, path: Path) -> Pad:
-    return Pad.from_mapping(toml_of(text, path), str(path))
+    return Pad.from_mapping(toml_of(text, path, "regions"), str(path))
 
 
 @lru_cache(maxsize=16)
@@ -330,16 +344,16 @@ def shipped_response(name: str, what: str = "response") -> Response:
         BadInput: there is none of that name.
     """
     path = find_file(name, "responses", Path(), what)
-    return response_from_mapping(read_toml(path), str(path))
+    return response_from_mapping(read_toml(path, "tilt"), str(path))
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path, kind: str = "") -> dict[str, Any]:
     """Return the content of a TOML file.
 
     Raises:
         BadInput: the file cannot be read or is not TOML.
     """
-    return toml_of(read_text(path), path)
+    return toml_of(read_text(path), path, kind)
 
 
 @contextmanager
@@ -391,19 +405,27 @@ def read_text(path: Path) -> str:
     return text_of(content, str(path))
 
 
-def toml_of(text: str, path: Path) -> dict[str, Any]:
+def toml_of(text: str, path: Path, kind: str = "") -> dict[str, Any]:
     """Return the content of a TOML file by its text.
 
+    Args:
+        kind: what it must be, as in `KINDS`; empty for anything.
+
     Raises:
-        BadInput: it is not TOML; the text names the path.
+        BadInput: it is not TOML, or another of our files; the text names the path.
     """
     if _DEEP_KEY.search(text) is not None:
         raise BadInput(f"{path}: not valid TOML: a key of more than {_DEEP_PARTS} parts")
     try:
-        return tomllib.loads(text)
+        data = tomllib.loads(text)
     except (ValueError, RecursionError) as why:  # a number of thousands of digits is a plain ValueError
         fault = _TUPLE.sub(lambda found: f"[{'.'.join(re.findall(_QUOTED, found[0]))}]", str(why))
         raise BadInput(f"{path}: not valid TOML: {fault.replace('Cannot overwrite a value', 'a key is there twice')}") from why
+    keys = {*data, *(f"vehicle.{key}" for key in vehicle)} if isinstance(vehicle := data.get("vehicle"), dict) else {*data}
+    found = next((key for key in KINDS if key in keys), kind)
+    if kind and found != kind and not (found == "title" and kind in _TITLED):
+        raise BadInput(f"{path}: it is {KINDS[found]}")
+    return data
 
 
 def shipped(folder: str = "") -> list[str]:

@@ -372,7 +372,7 @@ def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) 
     """Return the merged content of a file and its bases; each is checked alone, so that an error names its own file."""
     if path.resolve() in above:
         raise BadInput(f"{path}: base leads back to this file")
-    data = read_toml(path)
+    data = read_toml(path, "title")
     name = data.pop("base", None)
     beside = path.parent
     if instead is not None:

@@ -451,7 +451,7 @@ def load(path: Path) -> Ship:
         BadInput: the file or the recording that it names cannot be read, or a key is unknown, missing, wrong or contradicts
             another: one line with file and key.
     """
-    data = read_toml(path)
+    data = read_toml(path, "draught_m")
     try:
         f = msgspec.convert(data, VesselFile, strict=True)
         table = None if f.table is None else _table(f.table)

@@ -123,7 +123,7 @@ def test_what_only_we_write_is_replaced_and_all_else_by_force_alone(tmp_path: Pa
         check_output(path, PLOT, "--plot", [])
 
 
-@pytest.mark.parametrize("words", ["pad print --out x.pdf", "pad print --paper full --out x.svg", "doctor --write ardupilot.param"])
+@pytest.mark.parametrize("words", ["pad print --out x.pdf", "pad print --paper full --out x.svg", "doctor --write copter.param"])
 def test_a_file_that_a_full_disk_cuts_short_does_not_bear_its_name(words: str, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     limits, path = resource.getrlimit(resource.RLIMIT_FSIZE), Path(words.split()[-1])
