@@ -258,7 +258,8 @@ def _conclude(args: argparse.Namespace, plan: plans.AnyPlan, store: FolderStore,
     tallies = tallies_of(_asked(store, asked))
     effects = effects_of(tallies)
     whole = added(tallies.values())
-    summary = {**whole.summary(plan.name, plan.perception, store.wall_s()), "out": store.place}
+    wall_s = store.wall_s(whole.counts["runs"])
+    summary = {**whole.summary(plan.name, plan.perception, wall_s), "out": store.place}
     each = by_scenario(plan.identity()["members"], tallies) if isinstance(plan, plans.SetPlan) else []
     summary |= {name: found for name, found in (("scenarios", each), ("varied", effects)) if found}
     files, tally = [], None
@@ -272,7 +273,7 @@ def _conclude(args: argparse.Namespace, plan: plans.AnyPlan, store: FolderStore,
         files.append(store.put(MAP, render_map(plan.name, plan.perception, _asked(store, asked)).encode()))
     if args.report is not None:
         manifest = manifest_of_plan(plan, range(args.seed, args.seed + args.runs), None)
-        page = render_report(manifest, _asked(store, asked), store.wall_s(), _compared_with(args.against, asked))
+        page = render_report(manifest, _asked(store, asked), wall_s, _compared_with(args.against, asked))
         files.append(store.put(str(Path(args.report).resolve() / "index.html") if args.report else REPORT, page.encode()))
     if args.json:
         sys.stdout.write(json.dumps({"summary": summary}) + "\n")

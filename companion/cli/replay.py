@@ -7,7 +7,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import AsyncExitStack, ExitStack
+from contextlib import AsyncExitStack, ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -31,8 +31,8 @@ from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.frame_encoder import VideoImage
 from companion.recording.reading import RecordedFrame, Recording, open_recording
-from companion.settings.load import Settings
-from companion.settings.overrides import key_and_text, warn_of_idle, with_overrides
+from companion.settings.load import Settings, load
+from companion.settings.overrides import key_and_text, leaves, plain, warn_of_idle, with_overrides
 from companion.tools.replay.engine import OWN, Replay, pilot_of, settings_of, with_files_of
 from companion.tools.replay.recorded_log import BeliefLogObserver, Difference, differences, recorded_beliefs
 from companion.tools.replay.ship_sensors import SensorJudge
@@ -184,7 +184,7 @@ def run(args: argparse.Namespace) -> int:
     blind = "a replay that searches no frames"
     if args.set or args.config:
         places = {"a replay": True, "a replay without --mavlink": not args.mavlink, blind: args.sightings}
-        warn_of_idle([settings], args.set, places)
+        warn_of_idle([settings], [*args.set, *_otherwise(recording, args.config)], places)
     if args.realtime:
         return play(args, recording, settings)
     if not args.json:
@@ -219,6 +219,17 @@ def run(args: argparse.Namespace) -> int:
         args, _as_json(recording, passes, compared), "\n".join([*_in_words(recording, passes, compared, lossy), *report])
     )
     return 0
+
+
+def _otherwise(recording: Recording, config: str | None) -> list[str]:
+    """Return the keys to which a settings file gives another value than the recording's own settings."""
+    if config is None:
+        return []
+    with suppress(BadInput):  # of another version
+        if (own := recording.settings()) is not None:
+            was = dict(leaves(plain(own)))
+            return [key for key, value in leaves(plain(load(config))) if was.get(key) != value]
+    return []
 
 
 def _own(args: argparse.Namespace) -> list[str]:

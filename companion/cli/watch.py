@@ -381,6 +381,7 @@ def _cut(text: str, width: int) -> str:
 
 _REDRAW_S = 0.25
 _BACK_OFF_S = 1.0
+_SILENT_S = 2.5
 _LINE_EACH_S = 1.0
 _INCOMING = 2000
 _CLEAR, _HOME, _TO_END, _BELOW, _HIDE, _SHOW = "\x1b[2J", "\x1b[H", "\x1b[K", "\x1b[J", "\x1b[?25l", "\x1b[?25h"
@@ -465,6 +466,9 @@ class _Watch:
             sys.stderr.write(f"connecting to {self._where} ...\n")
         try:
             async with asyncio.timeout(seconds), asyncio.TaskGroup() as group:
+                silent = f"nothing answers at {self._where} yet{self._hint}"
+                later = asyncio.get_running_loop().call_later
+                later(_SILENT_S, lambda: self._reached or self._model.trouble or self._troubled(silent))
                 group.create_task(self._listen())
                 if self._live:
                     group.create_task(self._draw())
@@ -499,11 +503,13 @@ class _Watch:
                     async for publication in connection.publications():
                         self._take(publication.topic, publication.payload)
             except (Recoverable, MqttError) as why:
-                trouble = f"{why}{self._hint}" if not self._reached else str(why)
-                if not self._live and trouble != self._model.trouble:
-                    sys.stderr.write(f"no connection: {trouble}\n")
-                self._model.connected, self._model.trouble = False, trouble
+                self._troubled(f"{why}{self._hint}" if not self._reached else str(why))
             await asyncio.sleep(_BACK_OFF_S)
+
+    def _troubled(self, trouble: str) -> None:
+        if not self._live and trouble != self._model.trouble:
+            sys.stderr.write(f"no connection: {trouble}; trying again\n")
+        self._model.connected, self._model.trouble = False, trouble
 
     def _take(self, topic: str, payload: bytes) -> None:
         now_s = time.monotonic()

@@ -58,9 +58,9 @@ class FolderStore:
         """Return the kept flights in the order in which they were kept, each key once."""
         return flights_in(self._path)
 
-    def wall_s(self) -> float:
-        """Return the wall time of the sessions that flew what is kept."""
-        return sum(self._sessions.values())
+    def wall_s(self, flights: int) -> float:
+        """Return the share of so many flights in the wall time of the sessions that flew what is kept."""
+        return sum(self._sessions.values()) * flights / max(1, len(self._keys))
 
     def keep(self, flights: Sequence[Flight], at_s: float) -> None:
         """Keep flights; they are safe when this returns.

@@ -99,8 +99,11 @@ def test_the_same_replay_has_the_same_hash_and_a_change_another(recorded_flight,
     kept = open_recording([out])
     assert (kept.pad(), kept.settings().pad.file) == (pad_of_file(SHIPPED / "pads" / "icao.toml"), "icao")
     assert kept.camera() == read_camera(SHIPPED / "cameras" / "ardrone2_bottom.toml")
-    assert cli.main(["replay", str(recorded_flight[0]), "--set", "pad.file=nope", "--set", "http.port=9"]) == 2
-    assert re.match(r"decklander: http.port: without effect in a replay\n(?s:.*)no file 'nope'", capsys.readouterr().err)
+    config.write_text((SHIPPED / "sim.toml").read_text() + '[mqtt]\ndrone = "other"\n')
+    given = ["--config", str(config), "--set", "pad.file=nope", "--set", "http.port=9"]
+    assert cli.main(["replay", str(recorded_flight[0]), *given]) == 2
+    idle = "decklander: http.port, mqtt.drone: without effect in a replay\n"
+    assert re.match(f"{idle}(?s:.*)no file 'nope'", capsys.readouterr().err)
     nees = {row["name"]: row["nees"] for row in by_key["passes"][0]["errors"]}
     assert 0.0 < nees["dead_reckoning"] != {row["name"]: row["nees"] for row in first["errors"]}["dead_reckoning"]
 

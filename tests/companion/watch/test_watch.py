@@ -2,6 +2,7 @@
 
 import asyncio
 import re
+import socket
 import sys
 from itertools import count
 from pathlib import Path
@@ -162,6 +163,10 @@ def words_for(broker: Broker, *more: str) -> list[str]:
 
 
 def test_a_broker_that_does_not_answer_or_has_no_drones_is_reported(broker: Broker, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        port = silent.getsockname()[1]
+        assert cli.main(["watch", "--host", "127.0.0.1", "--port", str(port), "--plain-tcp", "--seconds", "3"]) == 1
+    assert f"no connection: nothing answers at broker 127.0.0.1:{port} (plain TCP) yet" in capsys.readouterr().err
     assert cli.main(["watch", "--host", "localhost", "--port", str(broker.port), "--plain-tcp", "--seconds", "0.7"]) == 1
     output = capsys.readouterr().err
     assert output.startswith(f"connecting to broker localhost:{broker.port} (plain TCP) ...\n")

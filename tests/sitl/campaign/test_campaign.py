@@ -419,6 +419,7 @@ def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[st
         with closing(FolderStore(tmp_path / name, replace(plan(), design=varied, perception=level), seeds)) as store:
             for seed in seeds:
                 store.keep([flown(seed, point) for point in factorial(axes)], 1.0 + seed)
+            assert store.wall_s(45) == pytest.approx(0.5 * seeds.stop), "the share of half of the flights"
     command = ["campaign", "report", str(tmp_path / "now"), "--against", str(tmp_path / "before")]
     assert cli.main(command) == 0
     assert capsys.readouterr().out == f"report: {tmp_path / 'now' / REPORT}\n"
