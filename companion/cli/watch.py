@@ -466,9 +466,7 @@ class _Watch:
             sys.stderr.write(f"connecting to {self._where} ...\n")
         try:
             async with asyncio.timeout(seconds), asyncio.TaskGroup() as group:
-                silent = f"nothing answers at {self._where} yet{self._hint}"
-                later = asyncio.get_running_loop().call_later
-                later(_SILENT_S, lambda: self._reached or self._model.trouble or self._troubled(silent))
+                asyncio.get_running_loop().call_later(_SILENT_S, self._silent)
                 group.create_task(self._listen())
                 if self._live:
                     group.create_task(self._draw())
@@ -505,6 +503,10 @@ class _Watch:
             except (Recoverable, MqttError) as why:
                 self._troubled(f"{why}{self._hint}" if not self._reached else str(why))
             await asyncio.sleep(_BACK_OFF_S)
+
+    def _silent(self) -> None:
+        if not self._reached and not self._model.trouble:
+            self._troubled(f"nothing answers at {self._where} yet{self._hint}")
 
     def _troubled(self, trouble: str) -> None:
         if not self._live and trouble != self._model.trouble:

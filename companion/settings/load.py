@@ -10,6 +10,7 @@ import difflib
 import math
 import os
 import re
+import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -52,16 +53,10 @@ KINDS = {
     "vehicle.kind": "a settings file: give it by --config",
     "fx": "a camera file: settings and scenarios name it as camera.file",
     "regions": "a pad file: settings and scenarios name it as pad.file",
-    "thrust_max_n": "a vehicle's file: a scenario names it as vehicle.file",
-    "draught_m": "a vessel's file: a scenario names it as vessel.file",
-    "tilt": "a response: settings name it as guidance.follow_deck.response",
-    "detection": "an error model: give it by --perception-model",
     "scenario": "a set of scenarios: give it to decklander campaign",
     "title": "a scenario: give it to decklander simulate or campaign",
 }
 """Our kinds of TOML files by a key that only such a file has, or one that is none of those before it."""
-_TITLED = ("thrust_max_n", "draught_m", "scenario")
-"""Kinds that have a title, too."""
 _INTO_HTTP = {"page": 8480, "metrics": 9464, "foxglove": 8765}
 """Tables of 1.0 that are one table [http] now, with the ports that were their defaults. A recording is read without them."""
 _IN_HTTP = {"frames": "foxglove_frames", "frame_rate_hz": "picture_rate_hz"}
@@ -344,7 +339,7 @@ def shipped_response(name: str, what: str = "response") -> Response:
         BadInput: there is none of that name.
     """
     path = find_file(name, "responses", Path(), what)
-    return response_from_mapping(read_toml(path, "tilt"), str(path))
+    return response_from_mapping(read_toml(path), str(path))
 
 
 def read_toml(path: Path, kind: str = "") -> dict[str, Any]:
@@ -358,28 +353,20 @@ def read_toml(path: Path, kind: str = "") -> dict[str, Any]:
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Give a path to write to. What is written takes the place of `path` at the end, synced, or is removed where that fails.
-
-    A link is followed, and a device is written as it is. Raises OSError.
-    """
-    path = path.resolve()
-    if path.exists() and not path.is_file():
-        yield path
-        return
-    beside = path.with_name(f".new-{path.name}")
+    """Give a path to write to; what is written takes the place of the file, or of the one that it links to, unless that fails."""
+    path, mask = path.resolve(), os.umask(0o077)
+    os.umask(mask)
+    number, name = tempfile.mkstemp(prefix=".new-", suffix=path.name, dir=path.parent)
+    os.close(number)
+    beside = Path(name)
     try:
+        beside.chmod(path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~mask)
         yield beside
         with beside.open("rb") as file:
             os.fsync(file.fileno())
         beside.replace(path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
     finally:
-        os.close(folder)
+        beside.unlink(missing_ok=True)
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -423,7 +410,7 @@ def toml_of(text: str, path: Path, kind: str = "") -> dict[str, Any]:
         raise BadInput(f"{path}: not valid TOML: {fault.replace('Cannot overwrite a value', 'a key is there twice')}") from why
     keys = {*data, *(f"vehicle.{key}" for key in vehicle)} if isinstance(vehicle := data.get("vehicle"), dict) else {*data}
     found = next((key for key in KINDS if key in keys), kind)
-    if kind and found != kind and not (found == "title" and kind in _TITLED):
+    if kind and found != kind:
         raise BadInput(f"{path}: it is {KINDS[found]}")
     return data
 

@@ -2,13 +2,12 @@
 
 import hashlib
 import os
-import tempfile
 from contextlib import suppress
 from pathlib import Path
 
 from msgspec import Struct
 
-from companion.settings.load import SHIPPED, read_text
+from companion.settings.load import SHIPPED, read_text, whole
 from estimator.contracts.errors import BadInput, refused
 
 BEFORE = ".before"
@@ -80,22 +79,8 @@ def _revision(content: bytes) -> str:
 def _replace(path: Path, content: bytes, like: Path) -> None:
     """Write a file so that whoever reads it finds the one before or this one, also after a loss of power."""
     status = like.stat()
-    number, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(number, "wb") as file:
-            os.fchmod(file.fileno(), status.st_mode & 0o777)
-            with suppress(PermissionError):
-                os.fchown(file.fileno(), status.st_uid, status.st_gid)
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, path)
-    except BaseException:
-        with suppress(OSError):
-            os.unlink(name)
-        raise
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    with whole(path) as beside:
+        beside.chmod(status.st_mode & 0o777)
+        with suppress(PermissionError):
+            os.chown(beside, status.st_uid, status.st_gid)
+        beside.write_bytes(content)

@@ -266,7 +266,7 @@ def load_set(name_or_path: str) -> tuple[ScenarioSet, dict[str, Scenario]]:
         BadInput: the file cannot be read; a key is unknown, missing or wrong; or a scenario has such a fault.
     """
     path = _path_of(name_or_path)
-    data: dict[str, Any] = read_toml(path, "scenario")
+    data: dict[str, Any] = read_toml(path)
     try:
         chosen = msgspec.convert(data, ScenarioSet, strict=True)
     except msgspec.ValidationError as why:

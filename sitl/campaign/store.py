@@ -106,7 +106,7 @@ class FolderStore:
             refuse_other(str(folder), manifest, identity)
             manifest = manifest_of_plan(plan, seeds, manifest)
         else:
-            if foreign := sorted(p.name for p in folder.iterdir() if p.name not in (FLIGHTS, f".new-{MANIFEST}")):
+            if foreign := sorted(p.name for p in folder.iterdir() if p.name != FLIGHTS and not p.name.startswith(".new-")):
                 if not self._path.stat().st_size:
                     self._path.unlink()
                 raise BadInput(f"--out {folder}: the folder holds {foreign[0]!r} and no campaign")

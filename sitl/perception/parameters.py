@@ -138,7 +138,7 @@ def load(name_or_path: str) -> PerceptionModel:
 @lru_cache(maxsize=8)
 def _read(path: Path, changed_ns: int) -> PerceptionModel:
     """Return the model in a file that was last changed at this time; the flights of one process read it once."""
-    data = read_toml(path, "detection")
+    data = read_toml(path)
     if data.get("format") != FORMAT:
         raise BadInput(f"{path}: format {data.get('format')!r} is not {FORMAT}: fit it again with decklander perception fit")
     with refused(str(path), msgspec.ValidationError):

@@ -281,7 +281,7 @@ def load(path: Path) -> VehicleFile:
     Raises:
         BadInput: the file cannot be read, or a key is unknown, missing, wrong or contradicts another: one line with file and key.
     """
-    data = read_toml(path, "thrust_max_n")
+    data = read_toml(path)
     try:
         return msgspec.convert(data, VehicleFile, strict=True)
     except msgspec.ValidationError as why:

@@ -24,6 +24,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from companion.settings.load import read_toml
+from companion.settings.overrides import finite
 from companion.settings.schema import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
@@ -233,7 +234,7 @@ def _rows(lines: Iterator[list[str]], path: Path) -> F64:
             raise BadInput(f"{path}: more than {ROWS_MAX} rows")
         if len(cells) != len(COLUMNS):
             raise BadInput(f"{path}: line {n} has {len(cells)} cells, not {len(COLUMNS)}")
-        row = [_cell(cell, name, n, path) for cell, name in zip(cells, header, strict=True)]
+        row = [finite(cell[:40], f"{path}: line {n}: {name}") for cell, name in zip(cells, header, strict=True)]
         for value, most, name in zip(row[1:], _FARTHEST, header[1:], strict=True):
             if abs(value) > most:
                 raise BadInput(f"{path}: line {n}: {name} must lie within {most:g}, found {value:g}")
@@ -248,16 +249,6 @@ def _rows(lines: Iterator[list[str]], path: Path) -> F64:
     if up:
         out[:, 3] = -out[:, 3]
     return out
-
-
-def _cell(text: str, name: str, line: int, path: Path) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise BadInput(f"{path}: line {line}: {name} must be a finite number, found {text[:40]!r}")
-    return value
 
 
 def _second_derivatives(t: F64, y: F64) -> F64:
@@ -451,7 +442,7 @@ def load(path: Path) -> Ship:
         BadInput: the file or the recording that it names cannot be read, or a key is unknown, missing, wrong or contradicts
             another: one line with file and key.
     """
-    data = read_toml(path, "draught_m")
+    data = read_toml(path)
     try:
         f = msgspec.convert(data, VesselFile, strict=True)
         table = None if f.table is None else _table(f.table)

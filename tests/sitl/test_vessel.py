@@ -138,7 +138,7 @@ def test_a_blended_loop_is_smooth_where_it_closes(tmp_path: Path) -> None:
         ("t,x,y\n1,2,3\n", "the first line must be time_s,surge_m"),
         (HEADER + row(0) + row(0.1), "2 rows of motion; four or more are needed"),
         (HEADER + row(0) + "0.1,1,2\n", "line 3 has 3 cells, not 7"),
-        (HEADER + row(0) + "0.1,0,0,nan,0,0,0\n", "line 3: heave_down_m must be a finite number, found 'nan'"),
+        (HEADER + row(0) + "0.1,0,0,nan,0,0,0\n", "line 3: heave_down_m needs a number, found 'nan'"),
         (HEADER + row(0.1) + row(0.1), "line 3: time_s must ascend, found 0.1 after 0.1"),
         (HEADER + row(0) + row(5), "line 3: a gap of 5 s"),
         (HEADER + row(0) + "0.1,0,0,0,95,0,0\n", "line 3: roll_deg must lie within 80, found 95"),
