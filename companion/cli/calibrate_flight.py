@@ -369,10 +369,8 @@ def _write_delay(args: argparse.Namespace, key: str, was: float, found: float, s
     if abs(stands - was) > 1e-6:
         flown = f"{was:g} in the recording; name the settings flown with"
         raise BadInput(f"--config {args.config}: {in_file(key)} is {stands:g}, but {flown}")
-    try:
+    with refused(f"--config {args.config}: give the path of a settings file", BadInput):
         text = read_text(Path(args.config))
-    except BadInput as why:
-        raise BadInput(f"--config {args.config}: give the path of a settings file: {why}") from why
     known = {
         key: round(found, 5),
         f"{key.removesuffix('_s')}_sigma_s": round(max(sigma_s, 1e-4), 5),

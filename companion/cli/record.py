@@ -31,7 +31,7 @@ from drivers.imports import ardrone_capture, dataflash, network, pictures, px4_u
 from drivers.imports.kinds import DECRYPT, FileKind, kind_of
 from drivers.imports.stamps import Tell
 from estimator.contracts.address import guarded
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
@@ -345,10 +345,8 @@ def storage(url: str) -> Storage:
         raise BadInput("record upload needs fsspec, which is not installed: install the extra decklander[fleet]")
     import fsspec
 
-    try:
+    with refused(f"--to {guarded(url)}", ImportError, ValueError):
         system, root = fsspec.core.url_to_fs(url, use_listings_cache=False)
-    except (ImportError, ValueError) as why:
-        raise BadInput(f"--to {guarded(url)}: {why}") from why
     return Storage(system, root)
 
 

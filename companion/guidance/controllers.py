@@ -87,8 +87,6 @@ def _offered(name: str) -> Callable[[ControllerSetup], Controller[Any]]:
     if name not in offered:
         known = ", ".join(sorted({*_OWN, *offered}))
         raise BadInput(f"guidance.controller: there is no controller {name!r}; known are {known}")
-    try:
+    with refused(f"guidance.controller: {name!r} of {offered[name].value} cannot be loaded", Exception):
         found: Callable[[ControllerSetup], Controller[Any]] = offered[name].load()
-    except Exception as why:
-        raise BadInput(f"guidance.controller: {name!r} of {offered[name].value} cannot be loaded: {why}") from why
     return found

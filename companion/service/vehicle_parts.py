@@ -32,7 +32,7 @@ from drivers.camera.source import VideoSource
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.commands import Command
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame, Imu, Sample
@@ -231,10 +231,8 @@ def vehicle_parts(
     if settings.camera.source == "vehicle":
         return parts
     camera = camera_model(settings)
-    try:
+    with refused(str(settings.camera.file), ValueError):
         size = check_size((camera.width, camera.height))
-    except ValueError as why:
-        raise BadInput(f"{settings.camera.file}: {why}") from why
     if not settings.camera.exposure.driven:
         lens = (camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2])
         return replace(parts, open_link=with_camera(parts.open_link, settings.camera, size, clock, lens=lens))

@@ -29,7 +29,7 @@ from companion.settings.model import PadSettings, Settings, in_file, joined
 from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import DOWN
 from estimator.contracts.address import guarded
-from estimator.contracts.errors import BadInput, unusable
+from estimator.contracts.errors import BadInput, refused, unusable
 from estimator.contracts.text import text_of
 from estimator.vision.camera import Camera
 from estimator.vision.camera_files import foreign_camera
@@ -138,10 +138,8 @@ def from_file(data: Mapping[str, Any], where: str, *, by_autopilot: bool = False
     Raises:
         BadInput: as for `load`, except that camera and pad files are not read. The keys are named as the file has them.
     """
-    try:
+    with refused(where, BadInput):
         tables = joined(data)
-    except BadInput as why:
-        raise BadInput(f"{where}: {why}") from None
     try:
         return from_mapping(tables, where, by_autopilot=by_autopilot)
     except BadInput as why:

@@ -12,7 +12,7 @@ from drivers.endpoint import BusAddress, Endpoint
 from drivers.nmea.ship_bus import KINDS, BusReader, greeting
 from drivers.nmea.ship_sensors import Samples
 from drivers.wires import open_wire
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import Recoverable, refused
 from estimator.contracts.time import Clock, MonoNs
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ async def read_bus(address: BusAddress, reader: BusReader, offer: Offer, clock: 
         Recoverable: it cannot be reached, or no longer.
     """
     reader.restart()
-    try:
+    with refused(f"vessel.bus {address.text}", Recoverable, by=Recoverable):
         if address.signalk is not None:
             await _read_signalk(address.signalk, reader, offer, clock, opened)
         if address.can is not None:
@@ -49,8 +49,6 @@ async def read_bus(address: BusAddress, reader: BusReader, offer: Offer, clock: 
             if address.wire.scheme == "serial":
                 wire.send(greeting, None)
             await wire.broken()
-    except Recoverable as why:
-        raise Recoverable(f"vessel.bus {address.text}: {why}") from why
 
 
 async def _read_can(

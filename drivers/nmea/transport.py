@@ -14,7 +14,7 @@ from contextlib import asynccontextmanager
 from drivers.endpoint import Address, Endpoint
 from drivers.nmea.motion import EM_SYNC, em3000_records
 from drivers.wires import Wire, open_wire
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import Recoverable, refused
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 DATAGRAM_MAX = 65_535
@@ -147,8 +147,6 @@ async def sentences_from(endpoint: Endpoint, source: SentenceSource, clock: Cloc
         Recoverable: it cannot be opened: the address is not of this computer, another program has it, nobody listens there, or
             there is no such device.
     """
-    try:
+    with refused(f"vessel.nmea {endpoint}", Recoverable, by=Recoverable):
         async with open_wire(endpoint, clock, source.take) as wire:
             yield wire
-    except Recoverable as why:
-        raise Recoverable(f"vessel.nmea {endpoint}: {why}") from why

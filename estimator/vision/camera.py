@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64, Rotation, Transform
 
 _LONGEST = 80
@@ -172,7 +172,7 @@ class Camera:
         for key in ("width", "height"):
             if not isinstance(data[key], int) or isinstance(data[key], bool):
                 raise BadInput(f"{where}: {key} must be a whole number of pixels, got {shown(data[key])}")
-        try:
+        with refused(where, ValueError):
             return Camera(
                 data["width"], data["height"], number("fx"), number("fy"), number("cx"), number("cy"),
                 vector("distortion", 5 if lens == "brown" else 4),
@@ -181,8 +181,6 @@ class Camera:
                 lens, number("focal_sigma") if "focal_sigma" in data else 0.0,
                 number("readout_s") if "readout_s" in data else 0.0,
             )  # fmt: skip
-        except ValueError as why:
-            raise BadInput(f"{where}: {why}") from why
 
     @property
     def optics(self) -> Camera:

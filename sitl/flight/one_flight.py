@@ -21,7 +21,7 @@ from companion.settings.model import CameraSettings, PadSettings, Settings
 from companion.settings.vessel import VesselOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import GimbalOptions
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import PathName
 from sitl.camera.render_worker import render_worker
 from sitl.flight.ending import Ending
@@ -114,11 +114,9 @@ def _placed(scenario: Scenario, known: VesselOptions) -> VesselOptions:
     ahead_m, aside_m, _ = scenario.vessel.motion_at_m
     # From zero, as a negative zero is another number in a campaign's digest.
     pad = {"pad_forward_m": 0.0 - forward_m, "pad_right_m": 0.0 - right_m, "pad_up_m": down_m}
-    try:
+    with refused("vessel.reports_at_m, vessel.motion_at_m", ValueError):
         sensor = replace(known.motion_sensor, forward_m=ahead_m, right_m=aside_m)
         return replace(known, motion_sensor=sensor, **pad)
-    except ValueError as why:
-        raise BadInput(f"vessel.reports_at_m, vessel.motion_at_m: {why}") from None
 
 
 class FlyOptions(Struct, frozen=True):

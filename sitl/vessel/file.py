@@ -26,7 +26,7 @@ from msgspec import Meta, Struct
 from companion.settings.load import read_toml
 from companion.settings.overrides import finite
 from companion.settings.schema import explain
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number, text
 from sitl.vessel.seakeeping import HULLS, MODES, Hull, ResponseTable, Superstructure, smooth_step
@@ -52,10 +52,8 @@ def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
     """
     from drivers.nmea.motion import ship_motion  # its libraries are not needed where no log is read
 
-    try:
+    with refused(f"{path}: not readable", OSError):
         lines = path.read_text(encoding="ascii", errors="replace").splitlines()
-    except OSError as why:
-        raise BadInput(f"{path}: not readable: {why}") from why
     places, headings, moved, t_s = [], [], [], math.nan
     for line in lines:
         kind, _, rest = line.partition(",")
@@ -150,11 +148,9 @@ class RecordedMotion(Struct, frozen=True, eq=False):
             BadInput: the file cannot be read, its header is another, a row has another number of cells or one that is no finite
                 number, time does not ascend or has a gap, or the motion is too short for the blend. One line with file and row.
         """
-        try:
-            with path.open(newline="", encoding="utf-8") as file:
-                rows = _rows(csv.reader(file), path)
-        except (OSError, ValueError, csv.Error) as why:
-            raise BadInput(f"{path}: not readable as a CSV file: {why}") from why
+        faults = refused(f"{path}: not readable as a CSV file", OSError, ValueError, csv.Error)
+        with faults, path.open(newline="", encoding="utf-8") as file:
+            rows = _rows(csv.reader(file), path)
         t, eta = rows[:, 0] - rows[0, 0], rows[:, 1:].copy()
         eta[:, 3:] = np.radians(eta[:, 3:])
         eta[:, 5] = np.unwrap(eta[:, 5])

@@ -16,7 +16,7 @@ from drivers.nmea.transport import SentenceSource, sentences_from
 from drivers.one_source import SourceChoice
 from drivers.relpos import RelposReader
 from drivers.wires import open_wire
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import Recoverable, refused
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import Clock
 
@@ -158,9 +158,7 @@ class RtkPart(_ShipPart):
         Raises:
             Recoverable: it cannot be listened to, or no longer.
         """
-        try:
+        with refused(f"rtk.{self._key} {self._endpoint}", Recoverable, by=Recoverable):
             async with open_wire(self._endpoint, self._clock, lambda *data: self._put(self._reader.take(*data))) as wire:
                 log.info("listening for relative positions on %s", self._endpoint)
                 await wire.broken()
-        except Recoverable as why:
-            raise Recoverable(f"rtk.{self._key} {self._endpoint}: {why}") from why

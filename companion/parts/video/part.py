@@ -18,7 +18,7 @@ from companion.recording.frame_encoder import CLOCK_HZ, TimedFrames, prepare
 from companion.settings.links import VideoStreamOptions
 from companion.tools.report.overlay import Overlay, annotate, annotated_size, camera_lean
 from drivers.mailbox import Latest
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import Recoverable, refused
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import Clock, MonoNs, seconds_between
@@ -63,10 +63,8 @@ class RtpStream:
             f":bitrate={kbit}:vbv-maxrate={kbit}:vbv-bufsize={kbit}",
         }
         self._stream = stream
-        try:
+        with refused(f"video_stream.to: {options.to}", OSError, FFmpegError, by=Recoverable):
             self._container.start_encoding()
-        except (OSError, FFmpegError) as why:
-            raise Recoverable(f"video_stream.to: {options.to}: {why}") from why
 
     def send(self, image: NDArray[np.uint8], at: MonoNs) -> bool:
         """Send an (H, W, 3) BGR picture of the instant `at`; return False for one that is not later than the last.
@@ -78,10 +76,8 @@ class RtpStream:
         frame = self._frames.frame(image, at)
         if frame is None:
             return False
-        try:
+        with refused(f"video_stream.to: {self._to}", OSError, FFmpegError, by=Recoverable):
             self._container.mux(self._stream.encode(frame))
-        except (OSError, FFmpegError) as why:
-            raise Recoverable(f"video_stream.to: {self._to}: {why}") from why
         return True
 
     def close(self) -> None:

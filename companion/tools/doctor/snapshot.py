@@ -10,7 +10,7 @@ from msgspec import Struct, field
 
 from companion.settings.remarks import Contradiction
 from drivers.imports.log_history import LogHistory
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import refused
 
 
 class LinkSnapshot(Struct, frozen=True):
@@ -231,7 +231,5 @@ def decode(data: bytes, where: str, kind: type[_File], named: str) -> _File:
     Raises:
         BadInput: the text holds none; the message names the place.
     """
-    try:
+    with refused(f"{where}: no {named}", msgspec.DecodeError, UnicodeDecodeError):
         return msgspec.json.decode(data, type=kind)
-    except (msgspec.DecodeError, UnicodeDecodeError) as why:
-        raise BadInput(f"{where}: no {named}: {why}") from why

@@ -20,7 +20,7 @@ from companion.tools.report.overlay import Overlay, annotate, annotated_size
 from companion.tools.report.plots import steering_states, times
 from drivers.camera import images
 from drivers.pyav import has_pyav, require_pyav
-from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.errors import BadInput, Recoverable, refused
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
@@ -105,25 +105,25 @@ def film_of(log: FlightLog, watch: Watch = unwatched) -> FilmFile | None:
     timed, drawn = TimedFrames(size), list[MonoNs]()
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         path = Path(folder) / "flight.mp4"
-        try:
-            with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
-                stream = container.add_stream("libx264", rate=_RATE_HZ)
-                prepare(stream.codec_context, size)
-                stream.codec_context.time_base = Fraction(1, CLOCK_HZ)
-                # A key frame each second: a cursor that moves seeks often.
-                options = {"preset": "veryfast", "crf": "27", "g": str(_RATE_HZ)}
-                stream.codec_context.options = options | {"maxrate": str(most_bit_s), "bufsize": str(2 * most_bit_s)}
-                container.start_encoding()
-                for done, (image, at) in enumerate(drawn_frames(log)):
-                    watch(done, len(exposures))
-                    if (frame := timed.frame(image, at)) is not None:
-                        container.mux(stream.encode(frame))
-                        drawn.append(at)
-                if drawn:
-                    container.mux(stream.encode())
-                    watch(len(exposures), len(exposures))
-        except OSError as why:
-            raise Recoverable(f"{path}: cannot write the video: {why}") from why
+        with (
+            refused(f"{path}: cannot write the video", OSError, by=Recoverable),
+            av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container,
+        ):
+            stream = container.add_stream("libx264", rate=_RATE_HZ)
+            prepare(stream.codec_context, size)
+            stream.codec_context.time_base = Fraction(1, CLOCK_HZ)
+            # A key frame each second: a cursor that moves seeks often.
+            options = {"preset": "veryfast", "crf": "27", "g": str(_RATE_HZ)}
+            stream.codec_context.options = options | {"maxrate": str(most_bit_s), "bufsize": str(2 * most_bit_s)}
+            container.start_encoding()
+            for done, (image, at) in enumerate(drawn_frames(log)):
+                watch(done, len(exposures))
+                if (frame := timed.frame(image, at)) is not None:
+                    container.mux(stream.encode(frame))
+                    drawn.append(at)
+            if drawn:
+                container.mux(stream.encode())
+                watch(len(exposures), len(exposures))
         return FilmFile(path.read_bytes(), drawn[0], len(drawn)) if drawn else None
 
 
@@ -185,11 +185,8 @@ def write_animation(log: FlightLog, path: Path) -> int:
     images = [_sheet(log, image, seconds_between(log.started, at), at_s, over_pad) for image, at in frames]
     if not images:
         raise BadInput(f"{path}: the recording holds no frames to draw; record with --record-frames jpeg or h264")
-    try:
-        with whole(path) as beside:
-            _encode(beside, images + images[-1:] * round(_STILL_S * GIF_HZ))
-    except OSError as why:
-        raise BadInput(f"{path}: cannot write the animation: {why}") from why
+    with refused(f"{path}: cannot write the animation", OSError), whole(path) as beside:
+        _encode(beside, images + images[-1:] * round(_STILL_S * GIF_HZ))
     return path.stat().st_size
 
 
