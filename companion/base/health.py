@@ -9,8 +9,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated
 
-from msgspec import Meta, Struct, field
-from msgspec.structs import replace
+from msgspec import Meta, Struct, field, structs
 
 from companion.base.mission import ENDED
 from companion.base.observer import Decision, ResponseInUse
@@ -388,7 +387,7 @@ class Health:
             vital=frozenset(name for name, part in self.parts.items() if part.vital),
             too_slow=self.too_slow,
         )
-        return replace(made, flight_up=made.flight_up and not (made.vital and missing_inputs(made)))
+        return structs.replace(made, flight_up=made.flight_up and not (made.vital and missing_inputs(made)))
 
 
 def missing_inputs(health: HealthSnapshot) -> tuple[str, ...]:

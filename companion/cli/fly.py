@@ -14,8 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
-from msgspec import Struct, field
-from msgspec.structs import replace
+from msgspec import Struct, field, structs
 
 from companion.base import event_loop
 from companion.base.orders import CENTRED, TWICE_S, OperatorOrder, StickPositions
@@ -85,11 +84,11 @@ class KeyMotion(Struct, frozen=True):
     def pressed(self, key: str, now_s: float) -> KeyMotion:
         """Return the motion after a key of `MOTIONS`, + or -."""
         if key in "+=":
-            return replace(self, fraction=min(1.0, round(self.fraction + _STEP, 3)))
+            return structs.replace(self, fraction=min(1.0, round(self.fraction + _STEP, 3)))
         if key == "-":
-            return replace(self, fraction=max(_STEP, round(self.fraction - _STEP, 3)))
+            return structs.replace(self, fraction=max(_STEP, round(self.fraction - _STEP, 3)))
         stick, direction = MOTIONS[key]
-        return replace(self, until_s={**self.until_s, stick: (direction, now_s + KEY_S)})
+        return structs.replace(self, until_s={**self.until_s, stick: (direction, now_s + KEY_S)})
 
     def sticks(self, now_s: float) -> StickPositions:
         """Return the positions of the sticks now; all are centred when no key is held."""
@@ -159,7 +158,7 @@ class _Keyboard:
                 wanted = not self._hand
                 if await self._give(client, OperatorOrder.MANUAL if wanted else OperatorOrder.RELEASE):
                     self._hand = wanted
-                    self._motion = replace(self._motion, until_s={})
+                    self._motion = structs.replace(self._motion, until_s={})
             elif key in TWICE:
                 await self._twice(key, client)
             elif key in KEYS:

@@ -366,10 +366,8 @@ def upload(folder: Path, to: Storage) -> Iterator[Uploaded]:
     Raises:
         BadInput: the folder cannot be read.
     """
-    try:
+    with refused(str(folder), OSError):
         waiting = [path for path in recordings(folder) if not digest_file(path).exists()]
-    except OSError as why:
-        raise BadInput(f"{folder}: {why.strerror or why}") from why
     for path in waiting:
         try:
             if not finished(path):

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import msgspec
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base import memory
 from companion.base.containment import Body, RestartablePart
@@ -164,7 +163,7 @@ class FlightKeeper(NullObserver):
             return
         self._written = decision.at
         if (status := self._pilot.landing.vehicle) is not None:
-            memory = replace(memory, modes=self._modes(status.mode))
+            memory = structs.replace(memory, modes=self._modes(status.mode))
         text = msgspec.json.encode(FlightRecord(self._boot, self._vehicle, memory))
         self._writer = threading.Thread(target=self._write, args=(text,), name="flight-memory", daemon=True)
         self._writer.start()

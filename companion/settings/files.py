@@ -109,12 +109,10 @@ def text(reference: str, part: str, key: str, environment: Mapping[str, str] = o
     if path is None:
         return None
     where = f"{part}.{key}: {path}"
-    try:
+    with file_errors(where):
         if stat.S_IMODE(path.stat().st_mode) & stat.S_IROTH:
             log.warning("%s can be read by everyone on this machine (chmod o-r)", where)
         secret = text_of(_content(path), where).rstrip("\r\n")
-    except OSError as why:
-        raise unusable(where, why) from why
     if not secret:
         raise BadInput(f"{where}: is empty")
     return secret

@@ -29,7 +29,7 @@ from companion.settings.model import PadSettings, Settings, in_file, joined
 from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import DOWN
 from estimator.contracts.address import guarded
-from estimator.contracts.errors import BadInput, refused, unusable
+from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.contracts.text import text_of
 from estimator.vision.camera import Camera
 from estimator.vision.camera_files import foreign_camera
@@ -380,21 +380,15 @@ def read_text(path: Path) -> str:
         BadInput: the file cannot be read, is a device or a pipe, or is larger than any settings.
     """
     refuse_special(path, str(path))
-    try:
-        with path.open("rb") as file:  # files of the kernel say that they are empty, and are not
-            content = file.read(LARGEST_BYTES + 1)
-        if len(content) > LARGEST_BYTES:
-            raise BadInput(f"{path}: more than {LARGEST_BYTES} bytes")
-    except OSError as why:
-        raise unusable(str(path), why) from why
+    with file_errors(str(path)), path.open("rb") as file:  # files of the kernel say that they are empty, and are not
+        content = file.read(LARGEST_BYTES + 1)
+    if len(content) > LARGEST_BYTES:
+        raise BadInput(f"{path}: more than {LARGEST_BYTES} bytes")
     return text_of(content, str(path))
 
 
 def toml_of(text: str, path: Path, kind: str = "") -> dict[str, Any]:
-    """Return the content of a TOML file by its text.
-
-    Args:
-        kind: what it must be, as in `KINDS`; empty for anything.
+    """Return the content of a TOML file by its text; if a kind of `KINDS` is given, it must be of that one.
 
     Raises:
         BadInput: it is not TOML, or another of our files; the text names the path.
@@ -430,13 +424,10 @@ def find_file(text: str, folder: str, base: Path, what: str) -> Path:
     """
     if _is_name(text) and text in shipped(folder):
         return SHIPPED / folder / f"{text}.toml"
-    try:
+    wrong = f"{what}: not a usable file name {text[:60]!r}"
+    with file_errors(wrong), refused(wrong, ValueError):
         path = base / text
         exists = path.exists()
-    except OSError as why:
-        raise unusable(f"{what}: not a usable file name {text[:60]!r}", why) from why
-    except ValueError as why:
-        raise BadInput(f"{what}: not a usable file name {text[:60]!r}: {why}") from why
     if exists and text:
         return path
     near = difflib.get_close_matches(text, shipped(folder), n=1)

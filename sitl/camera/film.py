@@ -20,8 +20,7 @@ from functools import cache, lru_cache
 
 import cv2
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
@@ -92,10 +91,10 @@ def taken_with(light: Light, sensor: Sensor, taken: Taken) -> tuple[Light, Senso
     if taken.setting is not None:
         gain = 2.0 ** (round(_STEPS_OF_GAIN * math.log2(taken.setting.gain)) / _STEPS_OF_GAIN)
         ev += math.log2(taken.setting.product_s / sensor.exposure_s)
-        sensor = replace(sensor, exposure_s=taken.setting.exposure_s, full_well_e=sensor.full_well_e / gain)
+        sensor = structs.replace(sensor, exposure_s=taken.setting.exposure_s, full_well_e=sensor.full_well_e / gain)
     if taken.white_balance_k is not None:
-        light = replace(light, balanced_for_k=taken.white_balance_k)
-    return replace(light, exposure_ev=min(max(ev, -10.0), 10.0)), sensor
+        light = structs.replace(light, balanced_for_k=taken.white_balance_k)
+    return structs.replace(light, exposure_ev=min(max(ev, -10.0), 10.0)), sensor
 
 
 _AS_IT_IS = Taken()
@@ -283,15 +282,15 @@ class Adjusted(Struct, frozen=True):
 def settings(light: Light, sensor: Sensor, automatics: Automatics, adjusted: Adjusted) -> tuple[Light, Sensor]:
     """Return light and sensor with what the automatics have set."""
     if automatics.balance_lag_s > 0:
-        light = replace(light, balanced_for_k=1e6 / adjusted.mired)
+        light = structs.replace(light, balanced_for_k=1e6 / adjusted.mired)
     if automatics.exposure_lag_s > 0:
         wanted = 2.0**adjusted.ev
         longest = max(sensor.exposure_s, automatics.longest_s) / max(sensor.exposure_s, 1e-6)
         longer = min(max(wanted, _SHORTEST), longest)
         amplified = min(max(wanted / longer, 1.0), _GAIN_MOST)
         steps = 2.0 ** (round(_STEPS_OF_GAIN * math.log2(amplified)) / _STEPS_OF_GAIN)
-        sensor = replace(sensor, exposure_s=sensor.exposure_s * longer, full_well_e=sensor.full_well_e / steps)
-        light = replace(light, exposure_ev=light.exposure_ev + math.log2(longer * amplified))
+        sensor = structs.replace(sensor, exposure_s=sensor.exposure_s * longer, full_well_e=sensor.full_well_e / steps)
+        light = structs.replace(light, exposure_ev=light.exposure_ev + math.log2(longer * amplified))
     return light, sensor
 
 

@@ -13,8 +13,7 @@ from enum import StrEnum
 from typing import Any, NamedTuple
 
 import numpy as np
-from msgspec import Struct, field
-from msgspec.structs import replace
+from msgspec import Struct, field, structs
 
 from companion.base.mission import CONTACT_INTENDED, REFUSALS, FlightOutcome
 from companion.guidance.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
@@ -380,20 +379,20 @@ class Ending(Struct, frozen=True):
 
     def followed(self, standing: Standing | None, aftermath: Aftermath | None, cpu_s: float) -> "Ending":
         """Return the ending with what came after the outcome, and the CPU time of both; a graded flight may fail by it."""
-        judged = None if self.judged is None else replace(self.judged, cpu_s=cpu_s)
+        judged = None if self.judged is None else structs.replace(self.judged, cpu_s=cpu_s)
         unsafe = () if aftermath is None else aftermath.unsafe
         if judged is not None and aftermath is not None and math.isfinite(aftermath.at_most_m):
-            judged = replace(judged, highest_m=round(aftermath.at_most_m, 3), counts=aftermath.counts)
+            judged = structs.replace(judged, highest_m=round(aftermath.at_most_m, 3), counts=aftermath.counts)
         if judged is not None and unsafe:
-            judged = replace(
+            judged = structs.replace(
                 judged, grade=Grade.FAILED, because="; ".join((*judged.unsafe, *unsafe)), unsafe=(*judged.unsafe, *unsafe)
             )
         elif judged is not None and standing is not None and not standing.on_pad and judged.grade is Grade.ON_PAD:
-            judged = replace(judged, grade=Grade.FAILED, because=standing.in_words())
+            judged = structs.replace(judged, grade=Grade.FAILED, because=standing.in_words())
         elif judged is not None and standing is None and judged.grade is Grade.ON_PAD:
             why = "it left the deck" if aftermath is None else f"it does not stand: {aftermath.in_words()}"
-            judged = replace(judged, grade=Grade.FAILED, because=why)
-        return replace(self, standing=standing, aftermath=aftermath, judged=judged)
+            judged = structs.replace(judged, grade=Grade.FAILED, because=why)
+        return structs.replace(self, standing=standing, aftermath=aftermath, judged=judged)
 
     @property
     def word(self) -> str:

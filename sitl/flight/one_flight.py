@@ -10,8 +10,7 @@ from contextlib import ExitStack
 from functools import partial
 
 import msgspec
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.health import Health
 from companion.base.observer import Observer
@@ -96,14 +95,14 @@ def following(scenario: Scenario, settings: Settings, *, by_autopilot: bool = Fa
     cone = msgspec.structs.replace(settings.guidance.cone, feet_below_m=feet.below_m, feet_aside_m=feet.half_base_m)
     gimbal = GimbalOptions(scenario.gimbal.device_id, point_down=scenario.gimbal.given)
     yaw_rad = math.radians(scenario.vessel.pad_yaw_deg) % math.tau
-    ekf = replace(settings.estimator.ekf, pad_yaw_in_vessel_rad=yaw_rad)
+    ekf = structs.replace(settings.estimator.ekf, pad_yaw_in_vessel_rad=yaw_rad)
     return msgspec.structs.replace(
         settings,
         vehicle=driver,
         camera=CameraSettings(scenario.camera.file, gimbal=gimbal),
         pad=PadSettings(scenario.pad.file),
         vessel=_placed(scenario, settings.vessel),
-        estimator=replace(settings.estimator, ekf=ekf),
+        estimator=structs.replace(settings.estimator, ekf=ekf),
         guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous, follow_deck=follow, cone=cone),
     )
 
@@ -115,8 +114,8 @@ def _placed(scenario: Scenario, known: VesselOptions) -> VesselOptions:
     # From zero, as a negative zero is another number in a campaign's digest.
     pad = {"pad_forward_m": 0.0 - forward_m, "pad_right_m": 0.0 - right_m, "pad_up_m": down_m}
     with refused("vessel.reports_at_m, vessel.motion_at_m", ValueError):
-        sensor = replace(known.motion_sensor, forward_m=ahead_m, right_m=aside_m)
-        return replace(known, motion_sensor=sensor, **pad)
+        sensor = structs.replace(known.motion_sensor, forward_m=ahead_m, right_m=aside_m)
+        return structs.replace(known, motion_sensor=sensor, **pad)
 
 
 class FlyOptions(Struct, frozen=True):
@@ -184,7 +183,7 @@ def fly(
                 on_truth(flight.world.truth())
         if on_truth is not None:
             on_truth(flight.world.truth())
-        ending = replace(flight.result(), scenario=name)
+        ending = structs.replace(flight.result(), scenario=name)
         standing, flown = flight.afterwards()
     return ending.followed(standing, flown, _cpu_s() - began_s)
 

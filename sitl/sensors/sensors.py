@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from estimator.contracts.geometry import F64, GeoPoint, moved, wrap_pi
 from estimator.contracts.motion import G_M_S2
@@ -259,9 +258,9 @@ class FaultySensors:
         if self._corruptions.signals:
             r = self._corrupted(true, r)
         for battery, _ in self._faults.on(LowBattery):
-            r = replace(r, battery_fraction=min(r.battery_fraction, battery.fraction))
+            r = structs.replace(r, battery_fraction=min(r.battery_fraction, battery.fraction))
         for stamp, _ in self._faults.on(NavdataMisstamped):
-            r = replace(r, at=after(r.at, stamp.by_s))
+            r = structs.replace(r, at=after(r.at, stamp.by_s))
         return r
 
     def _corrupted(self, true: Readings, r: Readings) -> Readings:
@@ -276,7 +275,7 @@ class FaultySensors:
                 value[part] = after_it
                 r = _put(r, field, value)
         (stamp_s,) = self._corruptions.of("sample_stamps", ((at_s := true.at * 1e-9),), true.at)
-        return r if stamp_s == at_s else replace(r, at=after(r.at, stamp_s - at_s))
+        return r if stamp_s == at_s else structs.replace(r, at=after(r.at, stamp_s - at_s))
 
     def _with(self, fault: SensorFault, since_s: float, number: int, true: Readings, r: Readings) -> Readings:
         """Return the readings with one fault more."""
@@ -301,7 +300,7 @@ class FaultySensors:
         if isinstance(fault, HeadingReading) and value is not None:
             by_rad = errors.offset[2] + since_s * errors.drift[2]
             value[2] = wrap_pi(float(value[2]))
-            r = replace(r, magnetometer=_turned(r.magnetometer, by_rad))
+            r = structs.replace(r, magnetometer=_turned(r.magnetometer, by_rad))
         return _put(r, field, value)
 
     def _at(self, at: MonoNs, true: Readings) -> Readings:
@@ -317,11 +316,11 @@ def _array(value: Sequence[float] | float | None) -> F64 | None:
 def _put(r: Readings, field: Field, value: F64 | None) -> Readings:
     """Return the readings with another value; a sensor that can fail may have None, the others then keep theirs."""
     if value is None:
-        return replace(r, **{field: None}) if field in ("ultrasound_m", "magnetometer") else r
+        return structs.replace(r, **{field: None}) if field in ("ultrasound_m", "magnetometer") else r
     numbers = value.tolist()
     if field == "ultrasound_m":
         numbers = [max(0.0, numbers[0])]
-    return replace(r, **{field: tuple(numbers) if len(numbers) > 1 else numbers[0]})
+    return structs.replace(r, **{field: tuple(numbers) if len(numbers) > 1 else numbers[0]})
 
 
 def _turned(field: tuple[float, float, float] | None, by_rad: float) -> tuple[float, float, float] | None:

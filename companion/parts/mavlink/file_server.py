@@ -15,8 +15,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from enum import IntEnum
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from drivers.mavlink.access import AccessLevel, Source
 from drivers.mavlink.dialect import Message, mav
@@ -160,7 +159,7 @@ class FileServer:
             end = r.offset + len(data)
             last = int(end == len(self._open[r.sender]) or r.sent + 1 == BURST)
             if not last:
-                self._waiting.append(replace(r, sequence=r.sequence + 1, offset=end, sent=r.sent + 1))
+                self._waiting.append(structs.replace(r, sequence=r.sequence + 1, offset=end, sent=r.sent + 1))
         return _HEADER.pack(r.sequence + 1 & 0xFFFF, session, opcode, len(data), r.opcode, last, 0, r.offset) + data
 
     def _named(self, r: _Request) -> str:

@@ -3,8 +3,7 @@
 import math
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.loop_lag import in_words
 from companion.base.mission import ENDED, State
@@ -160,7 +159,7 @@ class BeliefLogObserver(LogObserver):
     def attach_image(self, image: bytes | VideoImage | None) -> None:
         """Attach the recorded image to the newest frame."""
         if image is not None and self.log.frames:
-            self.log.frames[-1] = replace(self.log.frames[-1], image=image)
+            self.log.frames[-1] = structs.replace(self.log.frames[-1], image=image)
 
 
 class Difference(Struct, frozen=True):

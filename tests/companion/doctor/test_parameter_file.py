@@ -47,16 +47,11 @@ def test_a_later_release_gets_its_own_names_and_units() -> None:
     assert not set(wanted) & {name for name, later in RENAMED.items() if later.since <= (4, 7, 0)}
 
 
-def test_a_file_of_an_examined_vehicle_holds_what_was_found(tmp_path: Path) -> None:
+def test_a_file_of_an_examined_vehicle_holds_what_was_found_and_misspelt_names_are_named(tmp_path: Path, capsys) -> None:
     given, out = tmp_path / "mine.param", tmp_path / "fix.param"
     given.write_text("PLND_ENABLED,1\nPLND_TYPE,1\nPLND_OPTIONS,1\nGUID_OPTIONS,48\nPLND_LAG,0.05\nLAND_SPEED,250\n")
+    with given.open("a") as file:
+        file.write("FENCE_ACTOIN,1\nWP_SPPD,10\nLAND_SPEEDS,40\nATC_RAT_RLL_I,1\nMINE,1\n")
     assert main(["doctor", str(given), "--write", str(out)]) == 1
+    assert "takes it: FENCE_ACTOIN for FENCE_ACTION, WP_SPPD for WP_SPD [parameter-name]" in capsys.readouterr().out
     assert re.findall(r"^([A-Z_]+),(\S+)$", out.read_text(), re.MULTILINE) == [("GUID_OPTIONS", "16"), ("LAND_SPEED", "40")]
-
-
-def test_a_misspelt_name_is_named_with_the_known_one(tmp_path: Path, capsys) -> None:
-    given = tmp_path / "mine.param"
-    given.write_text("PLND_ENABLE,1\nFENCE_ACTOIN,1\nWP_SPPD,10\nLAND_SPEED,40\nLAND_SPEEDS,40\nATC_RAT_RLL_I,1\nMINE,1\n")
-    assert main(["doctor", str(given)]) == 1
-    named = "FENCE_ACTOIN for FENCE_ACTION, PLND_ENABLE for PLND_ENABLED, WP_SPPD for WP_SPD"
-    assert f"takes it: {named} [parameter-name]" in capsys.readouterr().out
