@@ -34,7 +34,6 @@ def test_the_pad_is_found_in_the_shipped_image() -> None:
 
 def test_an_image_without_a_pad_ends_with_exit_code_1(tmp_path: Path) -> None:
     black = cv2.imread(str(DATA / "pad.jpg"))
-    assert black is not None
     cv2.imwrite(str(tmp_path / "black.png"), black * 0)
     done = run_example("find_pad", str(tmp_path / "black.png"))
     assert done.returncode == 1
@@ -48,7 +47,6 @@ def test_the_csv_file_is_fused_to_within_the_attitude_s_error() -> None:
     assert len(lines) == 21
     median = re.fullmatch(r"median error (\d+) mm", lines[-1])
     # The simulated drone's own attitude is off by one to two degrees, which is 0.07 to 0.14 m from 4 m above the pad.
-    assert median is not None
     assert int(median[1]) < 150
 
 

@@ -25,7 +25,6 @@ def watch_forces(up: F64) -> list[float]:
         before = watch.newest
         watch = felt(watch, 1e3 * STEP_S * k, force)
         if watch.newest is not before:
-            assert watch.newest is not None
             found.append(watch.newest.at * 1e-9)
     return found
 
@@ -111,16 +110,13 @@ def test_an_accelerometer_that_repeats_itself_feels_nothing_and_a_live_one_does(
 def test_a_spike_and_one_push_of_many_are_in_doubt() -> None:
     first = felt(ContactWatch(), 0.0, 9.0)
     spike = felt(first, 11.0, 209.0).newest
-    assert spike is not None
     assert spike.doubtful, "no landing takes 2.2 m/s away at once"
     watch = felt(felt(first, 11.0, 30.0), 20.0, 9.0)
-    assert watch.newest is not None
     assert not watch.newest.doubtful
     for ms in range(120, 1000, 100):
         watch = felt(watch, float(ms), 9.0)
     again = felt(watch, 935.0, 30.0).newest
     assert again is not watch.newest
-    assert again is not None
     assert again.doubtful
 
 

@@ -77,7 +77,6 @@ def test_by_default_it_runs_what_flies(album: Path, tmp_path: Path, capsys: pyte
     px, inked = (np.asarray(cv2.imread(str(path)), np.uint8) for path in (album / "a.png", tmp_path / "drawn.png"))
     camera, pad = shipped_camera("sim"), shipped_pad("thesis")
     flown = PadTracker(camera, pad).track(px)
-    assert flown is not None
     assert shown["d_body_pad_level_m"] == [round(v, 6) for v in flown.d_body_pad_level.tolist()]
     assert shown["cov"] == flown.cov.ravel().tolist()
     assert (shown["method"], shown["colours"]) == ("registration", None)
@@ -97,7 +96,6 @@ def test_a_recording_brings_its_camera_its_pad_and_its_attitudes(tmp_path: Path,
     assert len(found) == len(kept) > 3
     assert all(r["found"] for r in found)
     first, d = kept[0].record.selected, found[0]["d_body_pad_level_m"]
-    assert first is not None
     assert d == pytest.approx(first.d_body_pad_level, abs=0.03)
     assert detect(GOLDEN, "--camera", "sim", "--draw", tmp_path / "seen") == 0
     assert (tmp_path / "seen/frames_00000.png").is_file()

@@ -128,7 +128,6 @@ def shut(
 def test_the_gate_is_open_up_to_a_limit_and_shut_beyond_it(within, beyond, cause, limit):
     assert shut(**within) is None
     found = shut(**beyond)
-    assert found is not None
     assert (found.cause, found.limit) == (cause, pytest.approx(limit))
     assert found.measured is not None
     assert not found.measured <= limit
@@ -170,7 +169,6 @@ def test_the_commit_has_limits_of_its_own() -> None:
     ):
         assert in_commit(within) is None
         found = in_commit(beyond)
-        assert found is not None
         assert found.cause is cause
     assert in_commit({}, tilted(2.4)) is None
     assert in_commit({"d": (0.0, 0.0, 1.0)}) is None
@@ -376,7 +374,6 @@ def test_the_gate_stays_shut_and_the_drone_goes_up_before_such_a_sea_comes() -> 
     o, rough = GuidanceOptions(), knowledge(forecast(swell(1.6)))
     assert rough.relative is not None
     kept_shut = gate(ns(0.0), rough.relative, rough, InputQuality(), o.limits, o.cone, aligned=False)
-    assert kept_shut is not None
     assert kept_shut.cause is ReasonCause.DECK_RISE
     assert "the deck will rise 0.95 m more than the drone can climb" in kept_shut.text
     open_to = knowledge(forecast(swell(0.9)))

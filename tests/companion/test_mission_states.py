@@ -138,7 +138,6 @@ def test_a_limit_holds_on_its_near_side_and_ends_the_state_beyond_it(state, even
     """The sides are a millisecond or a millimetre apart; the reason says what."""
     assert first(*at(-0.001)) is None
     found = first(*at(0.001))
-    assert found is not None
     assert (found[0], found[1].cause) == (event, cause)
 
 
@@ -318,7 +317,6 @@ def test_an_attempt_inherits_the_time_without_sight_and_unbroken_sight_gives_it_
 )
 def test_a_budget_is_used_up_beyond_its_limit(used: Attempt, cause: ReasonCause) -> None:
     found = used.used_up(TRIES, ns(NOW))
-    assert found is not None
     assert found.cause is cause
     assert Attempt(losses=TRIES.losses_max, blind_descent_m=TRIES.blind_descent_max_m).used_up(TRIES, ns(NOW)) is None
 
@@ -401,7 +399,6 @@ def test_what_keeps_the_gate_shut_is_noted_and_the_operator_sees_one_cause_for_t
         (None, InputQuality(), ReasonCause.NO_ESTIMATE),
     ):
         gate = gate_of(account(open_since, cycle(relative, quality=quality), OPTIONS))
-        assert gate.blocked is not None
         assert (gate.blocked.cause, gate.good_since, gate.waits_for) == (cause, None, gate.blocked)
     for stood_s, stands in ((1.9, True), (2.1, False)):
         old = Gate(waits_for=WHY, waits_since=ns(NOW - stood_s))

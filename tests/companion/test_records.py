@@ -120,7 +120,6 @@ def detected(**changes: Any) -> ProcessedFrame:
 @pytest.mark.parametrize("selected", [True, False])
 def test_what_is_seen_elsewhere_stays_where_a_recording_is_thinned(selected: bool) -> None:
     detection = seen(AT, True).detection
-    assert detection is not None
     assert detection.selected is not None
     one = replace(detection.selected, features=())
     there = replace(one, method="registration", d_body_pad_level=np.array([1.0, 3.1, 3.0]), confidence=1.0)
@@ -136,7 +135,6 @@ def test_what_is_seen_elsewhere_stays_where_a_recording_is_thinned(selected: boo
 def test_what_lies_on_the_pad_and_stands_about_it(thing: PadThing | None, near: NearThing | None) -> None:
     check = PadCheck(AT, 0.9, thing, near, 0.3)
     back = decode.detection(over_the_wire(encode.detection(detected(on_pad=check))))
-    assert back is not None
     assert back.on_pad == check
 
 
@@ -178,5 +176,4 @@ def test_the_camera_s_transform_is_that_of_each_frame_once_a_gimbal_turns_it() -
     assert turned in transforms(encoder, (record, None, None))
     assert fixed not in transforms(encoder, None)
     rotation = encode.held_rotation(record)
-    assert rotation is not None
     assert rotation.angle_to(DOWN @ CAMERA.T_body_cam.R) < 1e-9

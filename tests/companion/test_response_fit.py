@@ -237,7 +237,6 @@ def test_a_climb_without_errors_gives_the_response_that_made_it(delay_s: float, 
     for k in range(1, 600):
         v[k] = keep * v[k - 1] + (1.0 - keep) * 1.1 * u[max(0, k - 1 - late)]
     found = fit_climb(FlightCourse(u, v + 0.2, np.arange(600) > WARM), GIVEN.climb)
-    assert found is not None
     got, sigma = found.response, np.sqrt(np.diag(found.fitted.cov))
     assert (got.delay_s, got.lag_s, found.gain) == pytest.approx((delay_s, lag_s, 1.1), abs=4e-3)
     assert got.max_m_s == GIVEN.climb.max_m_s
@@ -256,7 +255,6 @@ def test_the_end_of_a_course_does_not_come_back_at_its_beginning() -> None:
 def test_residuals_that_never_end_are_whitened_by_less_than_a_difference() -> None:
     drifting = FlightCourse(np.zeros((9000, 1)), 1e-3 * np.arange(9000.0)[:, None], np.ones(9000, dtype=bool))
     found = fit_climb(drifting, GIVEN.climb)
-    assert found is not None
     assert found.fitted.rho == 0.999
 
 
@@ -354,7 +352,6 @@ def test_flights_are_joined_in_their_order() -> None:
 
     assert joined([]) is None
     both = joined([part(3, 1.0), part(4, 2.0)])
-    assert both is not None
     np.testing.assert_array_equal(both.asked[:, 0], [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0])
     np.testing.assert_array_equal(both.reported, -both.asked)
     np.testing.assert_array_equal(both.counts, [False, False, True, False, False, True, True])
@@ -402,7 +399,6 @@ def test_a_file_is_read_back_with_the_covariance_of_its_fits() -> None:
         v[k] = keep * v[k - 1] + (1.0 - keep) * u[k - 1, 0]
     climb = fit_climb(FlightCourse(u, v + 0.02 * rng.normal(size=v.shape), np.arange(600) > WARM), GIVEN.climb)
     assert tilt is not None
-    assert climb is not None
     read = response_from_mapping(tomllib.loads(text(Response(tilt.response, climb.response), "a", tilt, climb)), "a.toml")
     np.testing.assert_allclose(np.array(read.tilt.cov_delay_frequency_damping), tilt.cov, rtol=1e-5)
     np.testing.assert_allclose(np.array(read.climb.cov_delay_lag), climb.cov, rtol=1e-5)

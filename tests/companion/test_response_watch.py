@@ -112,7 +112,6 @@ def test_the_delay_flown_with_comes_to_the_vehicles_own_and_never_by_one_fit(see
     watch = begun(GIVEN.tilt, KNOWN_S)
     for before, after in watch_response(watch, u, y):
         if after.in_use is not before.in_use:
-            assert before.doubt is not None
             assert before.doubt.state is after.in_use.state
             assert abs(before.doubt.delay_s - after.in_use.delay_s) <= CONTRADICTION_S
         watch = after
@@ -351,7 +350,6 @@ def test_a_drone_that_touches_something_or_flies_by_others_reports_nothing(other
 def test_cycles_that_come_late_are_not_learned_from() -> None:
     for period_s, learned in ((0.2, True), (0.3, False)):
         flown = course_of(track([(period_s * k, 0.1, 0.0) for k in range(50)]), track([(T * k, 0.1, 0.0) for k in range(500)]))
-        assert flown is not None
         assert flown.counts.any() == learned
 
 

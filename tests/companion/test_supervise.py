@@ -488,7 +488,6 @@ def test_what_counts_as_stuck(ages: dict[str, float], frames_done: int, flying: 
 def test_the_manager_is_found_as_systemd_writes_it_and_may_be_gone(tmp_path: Path) -> None:
     systemd = Systemd(f"@decklander-{tmp_path.name}-{id(tmp_path)}")
     manager = Manager.of({"NOTIFY_SOCKET": "@" + systemd.socket.getsockname()[1:].decode()})
-    assert manager is not None
     manager.say(STATUS="two\nlines", READY="1")
     assert systemd.read() == [{"STATUS": "two lines", "READY": "1"}]
     systemd.socket.close()

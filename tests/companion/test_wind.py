@@ -59,7 +59,6 @@ def test_wind_is_what_the_tilt_holds_against(speed: float, bearing: float, turn:
         assert early is None or early.known == (watch.known_s >= MEAN_S)
         assert early is None or early.known or not (early.too_strong or early.spent), "it only says how to turn"
     wind = wind_over_drone(watch, TILT, heading)
-    assert wind is not None
     assert wind.speed_m_s == pytest.approx(speed, abs=0.15 + 0.25 * gust)
     assert wind.gust_m_s == pytest.approx(0.5 * gust, abs=0.1 + 0.2 * gust)
     assert wind.limit_m_s <= G_M_S2 * math.tan(math.radians(28.0)) / 0.35 + 1e-9
@@ -77,7 +76,6 @@ def test_a_wind_that_falls_steadily_on_the_way_down_is_no_gust() -> None:
         speed = 16.0 - 0.4 * max(0.0, n * DT - 15.0)
         watch = watched(watch, leaning(n * DT, 0.3, np.array([0.3 * speed, 0.0]), np.zeros(2)))
     wind = wind_over_drone(watch, TILT, 0.3)
-    assert wind is not None
     assert wind.gust_m_s < 0.6
 
 
@@ -90,7 +88,6 @@ def test_the_ship_s_anemometer_says_where_to_look_and_forbids_only_what_is_far_t
         return mean
 
     wind = wind_by_ship(blows(8.0), ns(10.5), np.array([0.0, 1.5]), TILT, math.pi / 2)
-    assert wind is not None
     assert wind.speed_m_s == pytest.approx(9.5), "she sails into it"
     assert wind.into_level == pytest.approx([1.0, 0.0], abs=1e-9), "the nose is east, and so is the wind"
     assert [wind.forbids, wind.too_strong, wind.known] == [False] * 3
@@ -98,7 +95,6 @@ def test_the_ship_s_anemometer_says_where_to_look_and_forbids_only_what_is_far_t
     assert most_m_s == pytest.approx(14.9, abs=0.1)
     for speed, forbids in ((14.0, False), (18.0, True)):
         wind = wind_by_ship(blows(speed), ns(10.5), None, TILT, 0.0)
-        assert wind is not None
         assert wind.forbids is forbids, "an instrument that is 30 % off refuses no flight"
     assert wind_by_ship(blows(18.0), ns(30.0), None, TILT, 0.0) is None, "an old report says nothing"
 
@@ -118,7 +114,6 @@ def test_a_gust_that_begins_is_told_from_those_before_while_a_commit_can_still_e
             break
     assert (begins_s is not None) is (gust_m_s > 0.0)
     assert begins_s is None or 0.0 < begins_s < 0.8
-    assert wind is not None
     assert wind.drags is (wind.push_rad > math.radians(8.0))
 
 
@@ -142,18 +137,15 @@ def test_the_turn_across_the_wind_is_the_smaller_one_to_the_wider_side(bearing: 
     watch = WindWatch(known_s=MEAN_S, mean=(3.0 * math.cos(bearing), 3.0 * math.sin(bearing)))
     for half_forward, half_right in ((0.4, 0.7), (0.7, 0.4)):
         wind = wind_over_drone(watch, TILT, 0.0, FieldOfView(0.0, 0.0, half_forward, half_right))
-        assert wind is not None
         assert abs(wind.across_rad) <= 0.5 * math.pi + 1e-9
         after = bearing - wind.across_rad
         narrow = math.cos(after) if half_right > half_forward else math.sin(after)
         assert narrow == pytest.approx(0.0, abs=1e-9)
     level = wind_over_drone(watch, TILT, 0.0)
-    assert level is not None
     assert level.across_rad == 0.0
 
 
 def test_a_vehicle_touches_upwind_by_what_levelling_takes_to_lee() -> None:
     wind = wind_over_drone(WindWatch(known_s=MEAN_S, mean=(3.57, 0.0)), TILT, 0.5 * math.pi)
-    assert wind is not None
     ahead, aside = wind.aim_level(0.1)
     assert (ahead, aside) == (pytest.approx(0.0, abs=1e-9), pytest.approx(0.056, abs=1e-3)), "the wind comes over the left side"

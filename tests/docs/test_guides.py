@@ -299,7 +299,6 @@ def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_
     drone = [sys.executable, "-m", "sitl.emulators.ardrone.serve", str(tmp_path / "sea.toml"), "--seed", "3"]
     drone += ["--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0"]
     with started(drone, stdin=subprocess.PIPE, lasting_s=400) as emulator:
-        assert emulator.stdout is not None
         ports = json.loads(emulator.stdout.readline())["ports"]
         text = "".join(line[3:] or "\n" for line in block[1].splitlines(keepends=True))
         text = text.replace("192.168.1.1", "127.0.0.1").replace("[http]\n", f"[http]\nport = {free_port()}\n")

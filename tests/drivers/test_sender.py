@@ -85,7 +85,6 @@ async def service(options: ArDroneOptions, fake: FakeArDrone) -> AsyncIterator[t
     child = await asyncio.to_thread(subprocess.Popen, words, stdout=subprocess.PIPE, cwd=ROOT)
     sender = 0
     try:
-        assert child.stdout is not None
         sender = int(await asyncio.to_thread(child.stdout.readline))
         fake.vx_mm_s = 100.0
         await until(lambda: moving_command(fake))

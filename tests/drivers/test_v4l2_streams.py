@@ -505,7 +505,6 @@ def test_it_does_not_outlive_the_service(tmp_path: Path) -> None:
         "asyncio.run(main())"
     )
     service = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert service.stdout is not None
     child = int(service.stdout.readline())
     service.kill()
     service.wait()

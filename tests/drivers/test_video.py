@@ -69,11 +69,9 @@ def test_images_are_those_that_went_in_colours_and_all() -> None:
     jump = VideoDecoder().newest(units)
     for u, px in zip(units, images, strict=True):
         image = decoder.newest([u])
-        assert image is not None
         difference = image.px.astype(int) - px
         assert np.abs(difference).mean() < 4
         assert np.abs(difference.mean(axis=(0, 1))).max() < 4, "blue, green and red in their places"
-    assert jump is not None
     assert jump.index == len(units) - 1
     np.testing.assert_array_equal(jump.px, image.px)
 
@@ -118,7 +116,6 @@ def test_after_anything_in_any_order_a_whole_idr_decodes(story: list[tuple[int, 
     for k in range(0, len(units), batch):
         decoder.newest(units[k : k + batch])
     image = decoder.newest([clip()[0][0]])
-    assert image is not None
     np.testing.assert_allclose(image.px.astype(int), clip()[1][0], atol=60)
 
 

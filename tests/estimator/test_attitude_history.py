@@ -37,7 +37,6 @@ def filled() -> AttitudeHistory:
 @given(t_s=st.floats(0.51, 1.03))
 def test_between_samples_and_a_little_past_the_newest_it_is_the_true_attitude(t_s: float) -> None:
     found = filled().at(ns(t_s), stamp(t_s))
-    assert found is not None
     assert found.R_ned_body.angle_to(turning(t_s).R_ned_body) < 1e-6
     past_s = max(0.0, t_s - 1.0)
     np.testing.assert_allclose(np.diag(found.cov_body), [1e-4 + (0.05 * past_s) ** 2, 1e-4, 1e-4], rtol=1e-3)
@@ -86,7 +85,6 @@ def test_the_same_pose_in_each_frame_is_the_same_camera_on_the_body(frame: Gimba
     reported = {"ned": R_NED_BODY @ R, "level": R_NED_BODY.without_heading() @ R, "body": R}[frame]
     history = GimbalHistory().add(pointing(1.0, reported, frame), pointing(1.1, reported, frame))
     held = history.at(stamp(1.05), attitude(1.05, *RPY))
-    assert held is not None
     assert held.R_body_gimbal.angle_to(R) < 1e-9
 
 
@@ -103,7 +101,6 @@ def test_a_swinging_gimbal_is_interpolated_within_its_claimed_error() -> None:
     history = GimbalHistory().add(*(pointing(t, swinging(t)) for t in np.arange(0.0, 1.0, 0.05)))
     for t in np.arange(0.3, 0.9, 0.013):
         held = history.at(stamp(t), attitude(0.5, var=1e-6))
-        assert held is not None
         off = float(held.R_body_gimbal.angle_to(swinging(t)))
         assert off < min(0.004, 3.0 * math.sqrt(float(held.cov_body[1, 1])))
 
@@ -113,7 +110,6 @@ def test_what_it_turns_within_the_uncertainty_of_the_times_is_in_the_covariance(
     for sigma_s in (0.0, 0.02):
         history = GimbalHistory().add(*(pointing(t, swinging(t), sigma_s=sigma_s) for t in (0.58, 0.60, 0.62, 0.64)))
         held = history.at(stamp(0.63), attitude(0.5, var=1e-6))
-        assert held is not None
         var.append(held.cov_body[1, 1])
     assert math.sqrt(var[1] - var[0]) == pytest.approx(abs(math.cos(5.0 * 0.63)) * 0.02, rel=0.02)
 
@@ -136,7 +132,6 @@ def test_the_estimator_keeps_the_reports_with_one_path_and_with_several(shadows:
     memory = RelativeEstimator(EstimatorOptions(), shadows)
     memory.put([attitude(1.0, *RPY), pointing(1.0), attitude(1.1, *RPY), pointing(1.1)])
     held = memory.held_at(stamp(1.05), attitude(1.05, *RPY))
-    assert held is not None
     assert held.R_body_gimbal.angle_to(R_NED_BODY.without_heading().inv @ DOWN) < 1e-9
 
 

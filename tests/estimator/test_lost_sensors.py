@@ -163,6 +163,5 @@ def test_a_filter_that_refuses_sightings_that_agree_is_begun_again() -> None:
         if isinstance(event, Sighting) and results[0].verdict is Verdict.FUSED:
             fused_at.append(t)
     state, (d, _, _) = memory.at(ns(15.9)), (x[0] for x in flight.relative(np.array([15.9])))
-    assert state is not None
     assert math.dist(state.d_body_pad_level, d) < 0.3
     assert max(b - a for a, b in pairwise(fused_at)) < 3.0

@@ -88,11 +88,9 @@ def test_a_frame_that_no_attitude_covers_is_looked_at_for_a_second_where_the_pad
     assert [memory.assumed_at(stamp(t_s)) for t_s in (0.88, 1.89)] == [None, None], "the pad was seen 0.88 s after the beginning"
     assert RelativeEstimator(STEERING).assumed_at(stamp(1.0)) is None
     assumed = memory.assumed_at(stamp(1.87))
-    assert assumed is not None
     assert assumed.R_ned_body.rpy_rad == pytest.approx((0.0, 0.0, 1.0), abs=1e-5)
     assert np.sqrt(assumed.cov_body.diagonal()) == pytest.approx([0.1] * 3)
     place = memory.place_to_look(assumed)
-    assert place is not None
     assert (place.at, place.sighted, place.consistent) == (stamp(1.87).measured_at, stamp(0.88).measured_at, True)
     assert place.d_body_pad_level == pytest.approx((0.5, -0.2, 2.0), abs=1e-3)
     assert all(0.05 < sigma_m < 0.1 for sigma_m in np.sqrt(place.cov.diagonal()[:3]))
@@ -111,13 +109,11 @@ def test_another_path_steers_on_with_what_it_knows_and_one_that_did_not_run_begi
     memory = hovering()
     first, second = memory.all_at(NOW)
     steering = memory.at(NOW)
-    assert steering is not None
     assert (steering.path, equal(steering, first)) == ("dead_reckoning", True)
     assert {"range_agrees", "heading_off_rad"} <= dict(steering.details).keys()
     memory.steer_by("median_mean")
     assert (memory.path, memory.paths) == ("median_mean", ["median_mean", "dead_reckoning"])
     after = memory.at(NOW)
-    assert after is not None
     assert (after.path, equal(after, second)) == ("median_mean", True)
     memory.steer_by("ekf")
     assert memory.paths == ["ekf", "median_mean", "dead_reckoning"]
@@ -150,7 +146,6 @@ def test_a_pad_that_is_clearer_elsewhere_is_remembered_and_the_tracked_one_fused
     view = memory.guard.view.core
     assert sum(view.bearings[i].level[1] < 0.0 for i in range(view.n)) == view.n > 4, "the view watch follows the tracked pad"
     estimate = memory.at(NOW)
-    assert estimate is not None
     assert IntegrityAlert.ELSEWHERE in estimate.alerts
     assert not estimate.consistent
 
@@ -177,7 +172,6 @@ def test_a_range_agrees_with_sightings_that_the_steering_path_has_fused() -> Non
             if i % 7 == 0 and i > 20:
                 memory.put([seen_at(i / 200 - 0.1, (0.05, 0.0, 2.0))])
         state = memory.at(MonoNs(1_195_000_000))
-        assert state is not None
         return dict(state.details)["range_agrees"]
 
     assert (agrees(2.0), agrees(5.0)) == (1.0, 0.0)
@@ -225,7 +219,6 @@ def test_dead_reckoning_remembers_its_way_for_as_long_as_a_frame_may_be_late() -
     (outcomes,) = memory.put([seen_at(0.8, (3.0, 0.0, 2.0), delay_s=1.2)])
     assert outcomes[0].verdict is Verdict.FUSED
     state = memory.at(MonoNs(2 * 10**9))
-    assert state is not None
     assert math.isclose(state.d_body_pad_level[0], 1.8, abs_tol=0.05)
 
 

@@ -286,7 +286,6 @@ def test_each_paint_has_its_share_of_a_pixel(pad: Pad, height_m: float) -> None:
     pose = pad_pose(exposure, PLAIN)
     R, t = pose.R_cam_pad.matrix, pose.t_cam_pad
     image = PadPainter(lens_of(PLAIN), pad).place([Stroke.still((R, t))])
-    assert image is not None
     some = np.random.default_rng(3).choice(len(image.edges), min(150, len(image.edges)), replace=False)
     v, u = np.divmod(image.edges[some], PLAIN.width)
     fine = (np.arange(FINE) + 0.5) / FINE - 0.5

@@ -231,7 +231,6 @@ def test_a_refusal_says_what_guidance_reported_and_what_became_of_the_frames(mon
     while flight.step():
         pass
     judged = flight.result().judged
-    assert judged is not None
     refused = judged.refused
     assert refused.startswith("the pad was not found again; frames since the pad was last truly seen: ")
     assert "no_pad" in refused
@@ -447,7 +446,6 @@ def test_what_acts_without_a_rendered_frame_acts_there_too() -> None:
     for faults in ((), (kinds.FocalLength(at_s=0.0, scale=1.1),)):
         flight = fly_for(1.6, CALM, level="model", faults=faults)
         belief = flight._pilot.estimator.at(flight._clock.t)
-        assert belief is not None
         heights.append(belief.height_m / float(flight.world.truth().d_body_pad_level[2]))
     assert heights[1] / heights[0] == pytest.approx(1.0 / 1.1, rel=0.03)
 

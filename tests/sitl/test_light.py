@@ -212,7 +212,6 @@ def errors(view: Exposure, camera: Camera, readout_s: float) -> tuple[F64, F64]:
     out = []
     for image in (px, mended):
         found = register(image, camera, painted, true, tilt)
-        assert found is not None
         turned: Rotation = found.pose.R_cam_pad @ true.R_cam_pad.inv
         out.append(np.r_[found.pose.t_cam_pad - true.t_cam_pad, turned.rotvec_rad])
     return out[0], out[1]
@@ -271,7 +270,6 @@ def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief_or_of_the_gy
     # The gyro's rate is that of the exposure's instant, not of now.
     monkeypatch.setattr(pilot.estimator, "motion", lambda then: (moves, None) if then == at else None)
     by_gyro = pilot.estimator.camera_motion(stamp, rolling, belief)
-    assert by_gyro is not None
     assert by_gyro.w_cam == pytest.approx(true.w_cam, abs=1e-9)
     assert np.linalg.norm(by_attitude.w_cam - true.w_cam) > 0.03
 
@@ -291,6 +289,5 @@ def test_a_camera_file_with_a_readout_time_changes_what_a_flight_sees() -> None:
         motion = motion_of(view, PLAIN) if known_s else None
         tracker = TrackerConfig(dataclasses.replace(PLAIN, readout_s=known_s), painted, motion=motion)
         seen, _ = track(tracker, TrackerMemory(), frame, attitude, belief)
-        assert seen.selected is not None
         off[known_s] = float(np.linalg.norm(seen.selected.d_body_pad_level - d))
     assert off[READOUT_S] < 0.003 < 0.008 < off[0.0]

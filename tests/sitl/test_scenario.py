@@ -96,7 +96,6 @@ def test_every_number_says_its_unit_range_and_meaning() -> None:
         kind = getattr(spot, "type", None)
         extra = getattr(spot, "extra_json_schema", None) or {}
         if type(kind).__name__ in ("FloatType", "IntType"):
-            assert kind is not None
             assert kind.ge is not None, path
             assert kind.le is not None, path
             assert extra["description"], path

@@ -97,7 +97,6 @@ def test_a_table_gives_back_the_responses_it_was_made_of(tmp_path: Path) -> None
     exact = responses(SUPPLY_SHIP, some_w, beta)
     size = np.abs(exact).max(axis=1, keepdims=True)
     assert (np.abs(responses(hull, some_w, beta) - exact) / size).max() < 0.03
-    assert hull.table is not None
     np.testing.assert_array_equal(hull.table.responses(-some_w, beta), hull.table.responses(some_w, beta).conj())
     overtaken = encounter_rad_s(np.array([2.0]), np.array([0.0]), 8.0)
     assert overtaken[0] < 0

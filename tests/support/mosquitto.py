@@ -118,7 +118,6 @@ class Broker:
 
     def hold(self) -> None:
         """Stop the process; its sockets stay open."""
-        assert self.process is not None
         self.process.send_signal(signal.SIGSTOP)
 
     def go_on(self) -> None:

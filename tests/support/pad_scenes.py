@@ -237,7 +237,6 @@ def pad_scene(
             best = (share, d_cam, uv)
         if share >= need:
             break
-    assert best is not None
     p_body = p_pad - R_ned_cam @ best[1] - R_ned_body @ camera.T_body_cam.t
     v = rng.normal(0, 0.4, 3) * min(1.0, height_m)
     shot = Exposure(float(rng.uniform(0, 100)), R_ned_body, p_body, R_ned_pad, p_pad, v, rng.normal(0, 0.1, 3))

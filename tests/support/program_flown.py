@@ -238,13 +238,11 @@ class ProgramFlown(OrderedFlight):
         self.clock.advance(body.step_s)
 
     def _say(self, message: Message) -> None:
-        assert self._links is not None
         self._links.send(message)
 
     async def _person(self) -> None:
         """Pass a cycle's time, read what the autopilot reports to the station, and keep the sticks centred."""
         await self.clock.sleep(STEP_S)
-        assert self._links is not None
         while len(self._links.received):
             message = (await self._links.received.get()).message
             self.station.on_message(message, self.now)
@@ -322,7 +320,6 @@ class ProgramFlown(OrderedFlight):
     async def _step(self) -> None:
         await self._person()
         autopilot = self._autopilot
-        assert autopilot is not None
         while len(autopilot.samples):
             sample = await autopilot.samples.get()
             if isinstance(sample, VehicleStatus):

@@ -51,7 +51,6 @@ def on_link(fake: MiniatureAutopilot) -> Iterator[str]:
         loops.append(asyncio.get_running_loop())
         async with fake.talking_to(f"udpin://{HOST}:0"):
             await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
-            assert fake.links is not None
             url[0] = "udpout://{}:{}".format(*fake.links.all[0].local)
             ready.set()
             await stop.wait()

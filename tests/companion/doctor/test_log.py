@@ -192,7 +192,6 @@ def test_a_parameter_that_is_no_number_is_left_out(tmp_path: Path) -> None:
 @needs_data
 def test_recorded_logs_of_both_stacks() -> None:
     old = examine_log(DATA / "arducopter_flight.bin")
-    assert old.log is not None
     assert [m.what for m in old.log.failsafes] == ["EKF check: variances too large"]
     assert {"log-failsafe", "log-ekf", "firmware-old"} <= (rules := {f.rule for f in diagnose(old)})
     assert "fence" not in rules, "a ceiling that only reports ends no flight"
@@ -219,7 +218,6 @@ def test_only_what_is_still_true_at_the_landing_is_a_fault_of_it(said, rules, tm
 def test_a_log_reports_what_its_own_firmware_begins_with(tmp_path: Path) -> None:
     path = copter_log(tmp_path / "x.bin", ARDUPILOT.parameters | {"PSC_POSXY_P": 0.7, "SERIAL1_BAUD": 57.0}, FLIGHT)
     autopilot = examine_log(path).autopilot
-    assert autopilot is not None
     assert autopilot.differs == {}, "a log without defaults says nothing"
     for value, default in ((1.0, 1.0), (1.25, 1.0)):
         rows = [(0.5, "PARM", ("PSC_POSXY_P", value, default)), (0.5, "PARM", ("SERIAL1_BAUD", 57.0, 115.0))]

@@ -160,7 +160,6 @@ def test_a_value_that_spoils_a_landing_is_named_with_its_fix_and_nothing_else(ru
         return
     (change,) = found[0].changes
     assert found[0].fix == f"set {rule.parameter} {change.value:g}"
-    assert snapshot.autopilot is not None
     assert change.value == snapshot.autopilot.parameters.get(rule.like, rule.good)
     assert diagnose(stand_in(rule.stack, **{rule.parameter: change.value})) == ()
     assert rule.parameter in PARAMETERS[rule.stack], "and it is asked for"

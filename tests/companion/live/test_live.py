@@ -366,7 +366,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, str], 
     messages: Messages = defaultdict(list)
     with path.open("rb") as stream:
         for schema, channel, message in make_reader(stream).iter_messages():
-            assert schema is not None
             kinds[channel.topic] = schema.name
             messages[channel.topic].append(json.loads(message.data))
     return kinds, messages

@@ -35,7 +35,6 @@ EVERY_COMMAND = [command_message(n) for n in (21, 193, 191, 31010, 2510, 2511, 5
 
 
 def setting(border: Border) -> float:
-    assert border.component._parameters is not None
     return border.component._parameters._store.get("PID_H_KP")
 
 
@@ -100,7 +99,6 @@ async def test_an_autopilot_that_moved_is_accepted_once_it_is_silent_where_it_wa
         await border.send(beat, FLIES)
         await border.send(beat, wire=stranger, source=AUTOPILOT)
         assert border.autopilot.connected
-        assert border.links.access.autopilot is not None
         assert border.links.access.autopilot[0][1] == (HOST, border.wire.getsockname()[1])
         clock.leap(10.0)
         await until(lambda: not border.autopilot.connected)

@@ -57,7 +57,6 @@ async def test_a_px4_gets_the_pad_in_its_own_local_frame() -> None:
         receiver = Px4Receiver()
         for m in fake.of("LANDING_TARGET")[-5:]:
             reported = receiver.on_message(m)
-            assert reported is not None
             assert reported[0] == "absolute"
             # It flies at 0.9 m/s: the place on the ground stands still only if both parts are of one instant
             assert reported[1] == pytest.approx(PAD_NED, abs=0.03)
@@ -118,7 +117,6 @@ async def test_our_own_distances_come_back_as_no_measurement() -> None:
         await until(lambda: stage.autopilot.counts["DISTANCE_SENSOR"] > received_at + 5)
         assert stage.ranges == before
         fake.parameters["RNGFND1_TYPE"] = 20.0
-        assert stage.autopilot.parameters is not None
         stage.autopilot.parameters.request(["RNGFND1_TYPE"])
         await until(lambda: stage.ranges > before + 3)
 

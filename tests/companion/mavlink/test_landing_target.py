@@ -435,7 +435,6 @@ def test_between_beliefs_and_a_little_beyond() -> None:
     track = filled()
     for t in (0.333, 0.777, 1.0, 1.03):
         seen = track.at(instant(t))
-        assert seen is not None
         assert seen.d_body_pad_ned == pytest.approx(d_ned(t), abs=0.003)
         assert seen.R_ned_body.angle_to(Rotation.from_rpy(*rpy(t))) < 0.003
         assert seen.R_ned_pad is not None
@@ -463,7 +462,6 @@ def test_an_ambiguous_heading_is_not_passed_on() -> None:
     )  # fmt: skip
     track.believe(ambiguous)
     seen = track.at(instant(1.02))
-    assert seen is not None
     assert seen.R_ned_pad is None
 
 

@@ -54,7 +54,6 @@ async def test_what_is_reported_arrives_and_the_status_is_there_for_late_comers(
     assert (received_at["status"].online, received_at["status"].reason, received_at["status"].version) == (True, "up", "1.2.3")
     state = received_at["state"]
     assert isinstance(state, StateMessage)
-    assert state.belief is not None
     assert (state.belief.d_body_pad_level, state.decision.command) == ([0.3, -0.2, 2.0], "velocity")
     assert isinstance(received_at["health"], HealthMessage)
     assert any(part.name == "broker" and part.up for part in received_at["health"].health.parts)
@@ -77,7 +76,6 @@ async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path
 
     words = (sys.executable, "-c", _DYING, msgspec.json.encode(broker.settings()).decode())
     child = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE, cwd=ROOT)
-    assert child.stdout is not None
     assert await child.stdout.readline() == b"connected\n"
     child.kill()
     await child.communicate()

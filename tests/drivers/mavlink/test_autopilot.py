@@ -66,10 +66,8 @@ async def test_a_fresh_link_gets_requests_for_streams_and_gives_samples(stack: S
         velocity = next(s for s in samples if isinstance(s, BodyVelocity))
         assert velocity.v_level == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
         assert autopilot.links.identity == (7, 191)
-        assert autopilot.identity is not None
         assert autopilot.identity.stack is stack
         offset = autopilot.sync.offset_ns(fake.clock.now()) if autopilot.sync else None
-        assert offset is not None
         assert abs(offset[0] - EPOCH_NS) < 3e6
         assert all(s.stamp.measured_at <= s.stamp.received_at for s in samples)
         assert autopilot.condition.battery_fraction == 0.83
@@ -122,7 +120,6 @@ async def test_silence_is_reported_and_everything_is_requested_again() -> None:
         await until(lambda: fake.commands[511] >= 2 * asked)
         assert autopilot.connects == 2
         await until(lambda: autopilot.parameters is not None and autopilot.parameters.settled)
-        assert autopilot.parameters is not None
         assert autopilot.parameters.values == {"PLND_LAG": pytest.approx(0.02)}
 
 
@@ -163,7 +160,6 @@ async def test_others_are_not_mistaken_for_the_autopilot() -> None:
             await asyncio.sleep(0.1)
             reports = [s for s in drain(autopilot) if type(s).__name__ == "VesselReport"]
             assert len(reports) == 5
-            assert autopilot.identity is not None
             assert autopilot.identity.system == 7
             assert len(autopilot.texts) == 0
 

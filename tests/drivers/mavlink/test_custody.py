@@ -120,7 +120,6 @@ class RandomHands(RuleBasedStateMachine):
         assert self.climbs or not {"arm", "take off"} & set(new)
         if "disarm forced" in new:
             assert guidance.command == Land(on_deck=True)
-            assert self.flown.reported is not None
             assert self.flown.reported.mode in OWN_MODES[self.stack]
 
     @precondition(lambda self: self.begun and not self.flown.guidance.paused and self.flown.guidance.outcome is None)

@@ -38,7 +38,6 @@ def quick(url: str, signing: Signing | None = None, **limits: Any) -> LinkOption
 
 def port_of(links: Links, number: int = 0) -> int:
     address = links.all[number].local
-    assert address is not None
     return address[1]
 
 

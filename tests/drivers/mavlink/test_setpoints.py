@@ -326,7 +326,6 @@ def test_the_way_of_a_deck_is_the_mean_over_its_waves_and_since_the_filter_knew_
         surge = 0.4 * math.sin(math.tau * k / 300)
         rest.on_velocity(np.array([0.0 if k < 500 else 1.5 + surge, 0.0, surge]), np.array([k, 0.0, 0.0]), now, stands=k < 900)
         gone = now if k < 900 else gone
-    assert rest.newest is not None
     assert rest.newest.at == gone
     assert rest.newest.p_ned[0] == 899
     assert rest.newest.v_ned == pytest.approx([1.5, 0.0, 0.0], abs=0.15)

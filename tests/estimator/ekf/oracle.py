@@ -652,7 +652,6 @@ def _predicted(b: State, kind: int, axes: tuple[int, ...], deck_weight: float) -
         H[0, [POS_DOWN, DECK_DISP[2], BARO_OFFSET]] = 1.0, -1.0, 1.0
     elif kind == RANGE:
         found = _by_range(x, b.R)
-        assert found is not None
         H = found[1]
     else:
         by_v = -deck_weight * _BY_V_PAD

@@ -50,7 +50,6 @@ def corrected(b: State, event: Event) -> State:
     filter, (expected, _) = holding(b, PARAMS), oracle.process(b, event, PARAMS)
     put(filter, event)
     found = newest(filter)
-    assert expected is not None
     np.testing.assert_allclose(found.x, expected.x, rtol=1e-9, atol=1e-9)
     return found
 

@@ -25,7 +25,6 @@ def after(b: State | None, event: Event) -> tuple[State, Verdict]:
     filter = Filter(OPTIONS) if b is None else holding(b, PARAMS)
     verdict, expected = put(filter, event).verdict, oracle.process(b, event, PARAMS)[0]
     found = newest(filter)
-    assert expected is not None
     np.testing.assert_allclose(found.x, expected.x, atol=1e-12)
     np.testing.assert_allclose(found.P, expected.P, atol=1e-12)
     return found, verdict

@@ -39,7 +39,6 @@ def fly_gated(
 
 def error_m(ekf: Filter, flight: TruthFlight, t: float, by: float | np.ndarray = 0.0) -> float:
     state = ekf.at(ns(t))
-    assert state is not None
     return float(np.linalg.norm(state.d_body_pad_level - flight.relative(np.array([t]))[0][0] - by))
 
 
@@ -93,12 +92,10 @@ def test_a_pad_that_has_moved_for_good_is_accepted_after_a_while() -> None:
         if isinstance(event, Sighting) and t > 4.0:
             verdicts.append((t, verdict))
             state = ekf.at(event.stamp.received_at)
-            assert state is not None
             consistent.add(state.consistent)
     assert 0.5 < min(t for t, v in verdicts if v is Verdict.FUSED) - 4.0 < 1.5
     assert [v for _, v in verdicts][-20:].count(Verdict.FUSED) >= 18
     state = ekf.at(ns(8.9))
-    assert state is not None
     assert (consistent, state.consistent) == ({False, True}, True)
     assert error_m(ekf, flight, 8.9, level(flight, 8.9, jump)) < 0.12
 
@@ -147,7 +144,6 @@ def test_an_offset_of_the_range_sensor_is_learned_and_not_accepted() -> None:
 
     flight = TruthFlight(OVER)
     state = list(fly_gated(flight, change))[-1][0].at(ns(8.9))
-    assert state is not None
     assert abs(dict(state.details)["range_offset_m"] + 0.06) < 0.02
     assert abs(state.d_body_pad_level[2] - flight.relative(np.array([8.9]))[0][0, 2]) < 0.02
 
@@ -187,7 +183,6 @@ def test_an_attitude_with_a_new_north_comes_back_in_and_the_pad_stays() -> None:
     before = ekf.at(instant(103.99))
     state = hover(4.0, ekf, since=104.0, yaw=0.8).at(instant(107.99))
     assert before is not None
-    assert state is not None
     np.testing.assert_allclose(state.d_body_pad_level, before.d_body_pad_level, atol=0.08)
     assert state.yaw_rad is not None
     assert abs(state.yaw_rad + 0.7) < 0.05

@@ -26,7 +26,6 @@ def put_all(what: list[Any], options: EkfOptions | None = None) -> tuple[Filter,
 def apart(one: RelativeState | None, two: RelativeState | None) -> float:
     """Return the largest difference of two estimates."""
     assert one is not None
-    assert two is not None
     assert one.sighted == two.sighted
     return max(
         float(np.abs(one.d_body_pad_level - two.d_body_pad_level).max()),
@@ -138,7 +137,6 @@ def test_a_forecast_is_of_as_many_instants_as_were_requested() -> None:
     ekf, now = holding(known(params), params), MonoNs(T)
     for horizons_s in ([], [3.0, 0.0], np.linspace(0.0, 20.0, 30)):
         found = ekf.forecast(now, horizons_s)
-        assert found is not None
         assert found.cov_d_level.shape == (len(horizons_s), 3, 3)
         assert np.all(found.sigma_roll_rad >= 0.0)
     with pytest.raises(ValueError, match="horizons"):

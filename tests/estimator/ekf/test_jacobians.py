@@ -129,7 +129,6 @@ def test_a_velocity(seed: int, deck_weight: float) -> None:
 def test_a_range(seed: int) -> None:
     def predicted(c: State) -> tuple[float, F64]:
         found = oracle._by_range(c.x, c.R)
-        assert found is not None
         return found[0] + c.x[RANGE_OFFSET], found[1]
 
     b = drawn(seed)

@@ -153,9 +153,7 @@ def test_a_cold_start_in_flight_with_an_attitude_that_is_degrees_off() -> None:
 def test_a_pad_that_stands_is_not_reported_to_move_because_the_attitude_errs() -> None:
     scene = replace(QUICK, sea="calm", speed_m_s=0.0, attitude_bias_deg=3.0, outliers=0.0)
     s = fly_voyage(scene, since_s=7.0, from_s=6.0, forecasts=False)
-    assert s.memory is not None
     state = s.memory.at(ns(19.9))
-    assert state is not None
     assert dict(state.details)["probability_moving"] < 0.3
 
 
@@ -173,11 +171,9 @@ def test_a_belief_that_nothing_confirms_is_not_called_consistent() -> None:
     ekf, _ = followed(replace(QUICK, duration_s=9.0), 8.0)
     for later_s, expected in ((8.1, True), (8.6, True), (9.5, False), (29.0, False)):
         state = ekf.at(ns(later_s))
-        assert state is not None
         assert state.consistent is expected
     strict = Filter(structs.replace(OPTIONS, consistent_sigma_m=1e-3), ekf.save())
     state = strict.at(ns(8.1))
-    assert state is not None
     assert not state.consistent, "a sigma beyond the bound"
 
 
@@ -188,7 +184,6 @@ def test_without_sightings_a_velocity_confirms_and_inertial_data_alone_do_not() 
             if event.stamp.received_at > ns(8.0) and not isinstance(event, left_out):
                 ekf.put([event])
         state = ekf.at(ns(10.0))
-        assert state is not None
         assert state.consistent is expected
 
 
@@ -223,7 +218,6 @@ def test_sightings_three_times_as_bad_as_they_say_are_not_consistent() -> None:
                 event = structs.replace(event, d_body_pad_level=event.d_body_pad_level + noise)
             ekf.put([event])
         state = ekf.at(ns(9.4))
-        assert state is not None
         assert state.consistent is expected
 
 

@@ -51,7 +51,6 @@ def estimate_sea(s: Setting) -> tuple[TruthFlight, Filter, list[float], dict[flo
     for event in events(flight):
         while event.stamp.received_at > ns(next_s):
             state = ekf.at(ns(next_s))
-            assert state is not None
             assert state.yaw_rad is not None
             d, v, yaw = (x[0] for x in flight.relative(np.array([next_s])))
             turn = math.remainder(state.yaw_rad - yaw, math.tau)
@@ -83,7 +82,6 @@ def test_forecast_grows_with_the_horizon_and_starts_at_the_estimate() -> None:
     _, ekf, _, _ = estimate_sea(replace(QUICK, duration_s=8.0))
     found, state = ekf.forecast(ns(7.9), (0.0, 1.0, 3.0)), ekf.at(ns(7.9))
     assert found is not None
-    assert state is not None
     np.testing.assert_allclose(found.d_body_pad_level[0], state.d_body_pad_level, atol=1e-9)
     np.testing.assert_allclose(found.cov_d_level[0], state.cov[:3, :3], atol=1e-9)
     assert found.sigma_deck_height_m[0] < found.sigma_deck_height_m[1] < found.sigma_deck_height_m[2]
@@ -93,7 +91,6 @@ def test_forecast_grows_with_the_horizon_and_starts_at_the_estimate() -> None:
 def test_moving_or_not(sea: int, speed: float, least: float, most: float) -> None:
     _, ekf, _, _ = estimate_sea(replace(QUICK, sea=sea, vessel_speed_m_s=speed, duration_s=14.0, accel_bias=0.05))
     state = ekf.at(ns(13.9))
-    assert state is not None
     assert least <= dict(state.details)["probability_moving"] <= most
 
 
@@ -104,7 +101,6 @@ def test_loss_of_sight_grows_the_covariance_and_the_return_does_not_jump_beyond_
         now = event.stamp.received_at
         if next_s < 14.0 and now > ns(next_s):
             state = ekf.at(ns(next_s))
-            assert state is not None
             sigma.append(float(np.trace(state.cov[:3, :3])))
             error = state.d_body_pad_level - flight.relative(np.array([next_s]))[0][0]
             assert float(error @ np.linalg.solve(state.cov[:3, :3], error)) < 25.0
@@ -143,7 +139,6 @@ def test_a_rate_of_turn_shows_a_manoeuvre_at_once_and_one_that_lies_is_left_out_
         if event.stamp.received_at > ns(next_s):
             verdict = ekf.put([vessel(stamp(next_s), turn_rad_s=0.5 if 7.0 <= next_s < 11.0 else 0.0)])[0][0].verdict.value
             state = ekf.at(ns(next_s))
-            assert state is not None
             error = state.d_body_pad_level - flight.relative(np.array([next_s]))[0][0]
             steered[next_s], verdicts[next_s], off[next_s] = state.steers, verdict, float(np.hypot(*error[:2]))
             named[next_s] = state.lost

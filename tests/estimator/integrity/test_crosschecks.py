@@ -94,7 +94,6 @@ def test_frames_and_paths_get_the_held_heading() -> None:
         t, noise = i * DT, 1e-9 * math.sin(5.0 * i)  # what repeats its bits is refused as frozen
         memory.put([imu(t, np.full(3, noise)), attitude(t, *TILT, math.radians(60.0) * (t > 1.5) + noise)])
     held = memory.attitude_at(stamp(2.9))
-    assert held is not None
     assert abs(math.degrees(held.R_ned_body.rpy_rad[2])) < 3.0
     assert abs(math.degrees(memory.guard.heading.off_rad)) > 50.0
 

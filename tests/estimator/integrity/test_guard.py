@@ -106,7 +106,6 @@ def test_a_sighting_is_placed_in_axes_of_fixed_heading_with_its_own_uncertainty(
     guard, verdict = see(IntegrityGuard(), sighting(T), attitude_of(T) if known else None)
     c, s = (math.cos(HEADING), math.sin(HEADING)) if known else (1.0, 0.0)
     assert verdict is None
-    assert guard.tracks.last is not None
     assert guard.tracks.last.d == pytest.approx((c - 0.5 * s, s + 0.5 * c, 2.0))
     assert (guard.tracks.last.sigma_m, guard.tracks.last.sigma_down_m) == pytest.approx((math.sqrt(8e-4), 0.03))
 
@@ -222,7 +221,6 @@ def test_a_pad_that_was_followed_without_an_attitude_is_known_again_whatever_the
     for n, t in enumerate(times[20:81]):
         x, y, z = Rotation.from_rpy(math.radians(tilts_to_deg) * n / 60, 0.0, 0.0).inv @ p
         guard = follow(guard, sighting(t, (x, y, z)), attitude_of(T))
-    assert guard.tracks.last is not None
     assert (guard.tracks.last.t, guard.tracks.n) == (ns(times[80]), 20), "followed, and no sighting of the track"
     verdicts = []
     for t in times[81:]:

@@ -208,11 +208,9 @@ def test_a_lost_gyro_is_replaced_by_the_turn_of_the_attitude_while_there_is_one(
         turn = turn.after(attitude(5.0 + 0.005 * n, roll=0.0025 * n))
     sample, late = imu(5.097, (9.0, 9.0, 9.0)), imu(5.4)
     left, accel = replace_halves(sample, 0.005, 0.0, turn), replace_halves(late, 0.0, 0.155, turn)
-    assert left is not None
     assert left.w_body == pytest.approx((0.5, 0.0, 0.0), abs=1e-9)
     assert (left.gyro_lost_s, left.accel_lost_s, left.f_body is sample.f_body) == (0.005, 0.0, True)
     assert replace_halves(late, 0.005, 0.0, turn) is None, "nothing says how it turns by now"
-    assert accel is not None
     assert (accel.w_body is late.w_body, accel.accel_lost_s) == (True, 0.155)
 
 

@@ -63,7 +63,6 @@ def test_found_from_afar_and_sure(camera: Camera, name: str, height_m: float, k:
         if best is None or (found.selected is not None and found.selected.confidence > best.confidence):
             best = found.selected
     assert seen.truth is not None
-    assert best is not None
     assert best.confidence > 0.5
     assert float(np.linalg.norm(best.d_body_pad_level)) == pytest.approx(seen.truth.range_m, rel=0.1)
 
@@ -72,7 +71,6 @@ def ring_place(camera: Camera, pad: Pad, px: U8, truth: PadPose) -> float:
     """Return how far the ring is from its place between disc and H, 0 or less."""
     pyramid = Pyramid(px)
     aligned = align(FrameView(pyramid, camera, pad).as_seen(), truth, SIGMA_TILT_RAD, 0)
-    assert aligned is not None
     return float(aligned.features[FEATURES.index("orange_place")])
 
 
@@ -153,7 +151,6 @@ def test_nothing_seems_to_cover_a_pad_in_plain_view(camera: Camera, pad: Pad) ->
 
 def test_a_cut_hides_what_is_beyond_it_from_registration_and_verification(camera: Camera, pad: Pad) -> None:
     scene = covered_scene(camera, pad, "plain", 2.0, 1)
-    assert scene.truth is not None
     middle = scene.truth.t_cam_pad[:2] / scene.truth.t_cam_pad[2]
     cut = np.array([1.0, 0.0, -middle[0]])
     beyond = np.arange(camera.width) < camera.cx + camera.fx * middle[0] - 2.0
@@ -173,7 +170,6 @@ def test_a_cut_hides_what_is_beyond_it_from_registration_and_verification(camera
     whole = register(scene.px, camera, pad, scene.truth, None, CLOSE, UNCUT)
     uncut = align(FrameView(Pyramid(scene.px), camera, pad), scene.truth, SIGMA_TILT_RAD, 0)
     assert whole is not None
-    assert uncut is not None
     assert aligned.in_view == pytest.approx(0.5 * uncut.in_view, abs=0.06)
     assert np.trace(found.cov[:3, :3]) > np.trace(whole.cov[:3, :3])
 
@@ -202,7 +198,6 @@ def test_what_covers_a_distant_pad_does_not_turn_it(camera: Camera, pad: Pad) ->
     covered = right = turned_right = 0
     for seed in range(20):
         scene = covered_scene(camera, pad, "half covered", 15.0, seed)
-        assert scene.truth is not None
         pyramid, start = Pyramid(scene.px), scene.truth.turned(math.radians(75.0))
         found = align_uncovered(FrameView(pyramid, camera, pad), start, SIGMA_TILT_RAD, 4)
         if found is not None:
@@ -238,7 +233,6 @@ def test_what_covers_a_pad_in_the_shade_of_its_disc_does_not_pull_it_nearer_or_f
     assert scene.truth is not None
     start = acquire(scene.px, camera, HARD[name].pad, scene.R_level_body)[0]
     of = verify(FrameView(Pyramid(scene.px), camera, HARD[name].pad), start.pose, Orientation.of(None), cut=start.cut)
-    assert of is not None
     assert of.confidence > SURE
     assert of.found.pose.range_m == pytest.approx(scene.truth.range_m, rel=0.045)
 
@@ -251,7 +245,6 @@ def test_a_pad_whose_arrowhead_is_not_where_it_is_in_view_is_turned_by_half_a_tu
     assert scene.truth is not None
     pyramid = Pyramid(scene.px)
     found = align_at(scene.truth.turned(math.pi), True, FrameView(pyramid, camera, of.pad).as_seen())
-    assert found is not None
     assert abs((scene.truth.R_cam_pad.inv @ found.pose.R_cam_pad).rpy_rad[2]) < 0.2
     assert found.score > 0.3
 
@@ -279,7 +272,5 @@ def test_a_cover_lies_where_it_was_for_a_time_and_is_found_again_then(camera: Ca
     for at_ms, found_ms in ((0, 0), (100, 0), (200, 0), (300, 300)):
         stamp = Stamp(MonoNs(at_ms * 10**6), MonoNs(at_ms * 10**6), 0.0, "sim")
         seen, memory = track(tracker, memory, Frame(stamp, at_ms, scene.px), attitude, belief)
-        assert seen.selected is not None
         assert np.linalg.norm(seen.selected.d_body_pad_level - d) < 0.02
-        assert memory.cover is not None
         assert memory.cover[1] == found_ms * 10**6

@@ -83,11 +83,9 @@ def test_a_lit_pad_is_found_from_cold_within_its_covariance(condition: NightCond
     seen = [(s, seen_in(s)) for s in scenes if s.shown > 0.6]
 
     for scene, found in seen:
-        assert found is not None
         assert found.confidence > 0.5
         assert found.method == "lamps"
         by_camera = camera_pose(found, CAMERA, scene.orientation)
-        assert by_camera is not None
         turned = (Rotation(by_camera.R_cam_pad) @ scene.truth.R_cam_pad.inv).rotvec_rad
         off = np.append(by_camera.t_cam_pad - scene.truth.t_cam_pad, turned)
         assert off @ np.linalg.solve(by_camera.cov, off) < 35.0  # 99.9995 % of six numbers
@@ -129,10 +127,8 @@ def test_lamps_are_distinguished_although_the_pad_is_expected_farther_off_than_t
         off_m = 12.0 * height_m / CAMERA.fx * np.array([math.cos(way), math.sin(way), 0.0])
         expected = PadPose(scene.truth.R_cam_pad, scene.truth.t_cam_pad + off_m)
         found = detect_lamps(Frame(STAMP, 0, scene.px), CAMERA, LIT, scene.orientation, expected, 16.0)
-        assert found is not None
         assert found.confidence > 0.99
         by_camera = camera_pose(found, CAMERA, scene.orientation)
-        assert by_camera is not None
         assert np.linalg.norm(by_camera.t_cam_pad - scene.truth.t_cam_pad) < 0.05 * height_m
 
 
@@ -155,7 +151,6 @@ def test_another_lit_pad_does_not_take_the_tracked_ones_place_but_is_reported():
     measured = Attitude(STAMP, night.measured, np.eye(3) * math.radians(1.0) ** 2)
     frame, config = Frame(STAMP, 0, night.px), TrackerConfig(CAMERA, LIT)
     cold, memory = track(config, TrackerMemory(), frame, measured)
-    assert cold.selected is not None
     place = cold.selected.d_body_pad_level
     for aside_m, is_tracked in ((0.0, True), (1.6, False)):
         d = place + np.array([aside_m, 0.0, 0.0])

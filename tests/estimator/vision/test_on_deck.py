@@ -58,7 +58,6 @@ def shown(
 def test_a_grey_crate_is_seen_in_its_place_and_size(at: tuple[float, float]) -> None:
     of = shown(BRIGHT, Decal("crate", at, 0.15, 0.0, "pad", (98, 98, 98))).check
     assert of.seen > 0.9
-    assert of.thing is not None
     assert of.thing.width_m == pytest.approx(0.15, abs=0.04)
     assert math.hypot(of.thing.forward_m - at[0], of.thing.right_m - at[1]) < 0.03
     assert of.thing.from_centre_m == pytest.approx(math.hypot(*at), abs=0.03)
@@ -71,7 +70,6 @@ def test_a_grey_crate_is_seen_in_its_place_and_size(at: tuple[float, float]) -> 
 )
 def test_a_thing_of_the_discs_own_colour_is_seen_by_the_ring_that_it_hides(light: Light) -> None:
     of = shown(light, Decal("crate", (0.0, 0.26), 0.15, 0.3, "pad", PAD.markings.colours.disc)).check
-    assert of.thing is not None
     assert math.hypot(of.thing.forward_m, of.thing.right_m - 0.26) < 0.05
 
 
@@ -109,7 +107,6 @@ def test_nothing_old_is_reported_and_on_the_ground_all_is_forgotten() -> None:
 
     pilot.search._memory = TrackerMemory(deck=DeckMemory(deck))
     check = looked(1.0, State.REFUSED)
-    assert check is not None
     assert check.thing is not None
     assert looked(LASTS_S + 1.0, State.REFUSED) is None
     assert looked(1.0, State.LANDED) is None

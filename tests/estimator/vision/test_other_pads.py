@@ -53,7 +53,6 @@ def test_a_pad_of_any_shape_is_registered_and_verified(name: str, height_m: floa
     off = np.array([0.5, -0.5, 0.0]) * height_m / camera.fx + np.array([0.0, 0.0, 0.002 * height_m])
     start = PadPose(truth.R_cam_pad @ Rotation.from_rpy(0.01, 0.01, 0.02), truth.t_cam_pad + off)
     found = register(px, camera, pad, start, None, RegistrationOptions(coarse=False))
-    assert found is not None
     error, sigma = found.pose.t_cam_pad - truth.t_cam_pad, np.sqrt(np.diag(found.cov)[:3])
     assert np.all(np.abs(error) < 4.0 * sigma + 1e-5)
     assert abs(error[2]) < 0.005 * height_m
@@ -65,7 +64,6 @@ def test_a_pad_of_any_shape_is_registered_and_verified(name: str, height_m: floa
     ]
     assert all(found.edges[kind].in_view == 0.0 for kind in lacking)
     seen = look(FrameView(Pyramid(px), camera, pad), found.pose, Orientation.of(None), RegistrationOptions(coarse=False))
-    assert seen is not None
     assert confidence(seen.log_odds) > 0.9
 
 
@@ -77,13 +75,11 @@ def test_a_pad_of_several_headings_is_followed_without_a_search(name: str, monke
     config = TrackerConfig(PLAIN, pad, TrackerOptions(method="registration"))
     attitude = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
     seen, memory = track(config, TrackerMemory(), Frame(STAMP, 0, px), attitude)
-    assert seen.selected is not None
     assert seen.selected.yaw_ambiguous
     d, cov = seen.selected.d_body_pad_level, np.diag([1e-4] * 6 + [3.0])
     belief = RelativeState(STAMP.measured_at, "ekf", d, np.zeros(3), None, cov, STAMP.measured_at, True)
     monkeypatch.setattr(by_paint, "search", None)
     again = track(config, memory, Frame(STAMP, 0, px), attitude, belief)[0].selected
-    assert again is not None
     assert again.yaw_rad == pytest.approx(seen.selected.yaw_rad, abs=0.01)
     assert again.confidence > 0.9
 
@@ -112,7 +108,6 @@ def test_a_heading_that_the_drawing_hardly_shows_is_put_right(name: str, turns_d
         assert heading_z_scores(px, PLAIN, pad, truth, [turn])[turn] > 4.0
         assert heading_z_scores(px, PLAIN, pad, truth.turned(turn), [-turn])[-turn] < -4.0
         seen = verify(FrameView(Pyramid(px), PLAIN, pad), truth.turned(turn), orientation)
-        assert seen is not None
         assert seen.confidence > 0.5
         off = abs((truth.R_cam_pad.inv @ seen.found.pose.R_cam_pad).rpy_rad[2])
         assert min(off, math.pi - off if seen.found.yaw_ambiguous else off) < 0.02
@@ -189,7 +184,6 @@ def test_a_fiducial_is_read_by_the_detector_where_and_as_it_is_painted(name: str
     xy = np.stack([0.4 - 0.002 * (v.ravel() + 0.5), 0.002 * (u.ravel() + 0.5) - 0.4], axis=1)
     px = np.asarray(255.0 * paint_at(pad, xy, np.full(3, 0.2)).mean(axis=1), np.uint8).reshape(400, 400)
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(name)).detectMarkers(px)
-    assert ids is not None
     assert ids.ravel().tolist() == [number]
     want = np.stack([(fiducial.corners_read()[:, 1] + 0.4) / 0.002, (0.4 - fiducial.corners_read()[:, 0]) / 0.002], axis=1) - 0.5
     assert np.abs(np.asarray(corners[0])[0] - want).max() < 1.5
@@ -240,7 +234,6 @@ def seen_from(
 def test_a_pad_of_fiducials_is_found_from_cold_and_measured(name, log_m, roll, pitch, yaw):
     height_m = math.exp(log_m)
     seen, true = seen_from(shipped_pad(name), height_m, (roll, pitch, yaw))
-    assert seen is not None
     assert seen.confidence > 0.9
     assert not seen.yaw_ambiguous
     assert seen.yaw_rad is not None
@@ -257,7 +250,6 @@ def test_a_pad_of_fiducials_is_not_seen_a_cell_aside_or_a_quarter_turn_off(name:
     for aside_m, turn_rad in ((0.0, 0.0), (0.1, 0.0), (0.0, math.pi / 2), (0.0, math.pi)):
         start = PadPose(pose.turned(turn_rad).R_cam_pad, pose.points(np.array([[aside_m, 0.0, 0.0]]))[0])
         found = register(px, PLAIN, pad, start, None, RegistrationOptions(coarse=False))
-        assert found is not None
         right = float(np.linalg.norm(found.pose.t_cam_pad - pose.t_cam_pad)) < 0.01 and turn_rad == 0.0
         assert right or (aside_m, turn_rad) != (0.0, 0.0)
         assert (cells_log_odds(px, PLAIN, pad, found) > -1.0) == right
@@ -284,7 +276,6 @@ def test_a_fiducial_in_a_ring_is_found_beyond_its_own_reach_by_the_ring() -> Non
     assert pad.has_known_parts
     for height_m in (1.0, 3.0, 12.0):
         seen, true = seen_from(pad, height_m)
-        assert seen is not None
         assert seen.confidence > 0.5
         assert abs(seen.d_body_pad_level[2] - true[2]) < 0.005 * height_m
 

@@ -102,7 +102,6 @@ def _moved(rng: np.random.Generator, turn_rad: float, most_m: tuple[float, float
 def _somewhere(renderer: Renderer, deck_from_pad: F64) -> Renderer:
     """Put the pad elsewhere on the deck: decks are drawn once, and their wear would be the same on all pads."""
     deck = renderer._deck
-    assert deck is not None
     deck._R_deck_pad = deck_from_pad
     deck.rim_pad = (deck._rim - [*deck_from_pad[:2, 2], 0.0]) @ np.block(
         [[deck_from_pad[:2, :2], np.zeros((2, 1))], [np.zeros((1, 2)), np.ones((1, 1))]]
@@ -191,7 +190,6 @@ def test_accuracy_and_covariance(camera, pad, height_m, lateral_mm, range_mm, bi
     for _ in range(24):
         view = stage.view(height_m)
         found = register(view.px, camera, pad, stage.start(view, 0.5), view.orientation(), TRACK)
-        assert found is not None
         d, angle = pad_error(found.pose, view.pose)
         off.append(d * 1e3)
         turn.append(math.degrees(angle))
@@ -228,7 +226,6 @@ def test_blur_does_not_bias_range(camera: Camera, pad: Pad, height_m: float) -> 
         for _ in range(5):
             view = stage.view(height_m)
             found = register(view.px, camera, pad, stage.start(view, 0.3), view.orientation(), TRACK)
-            assert found is not None
             away.append(pad_error(found.pose, view.pose)[0][2] / height_m)
             blur.append(found.blur_px)
         # A hundredth of a pixel in the disc's radius, or less.
@@ -255,7 +252,6 @@ def test_a_tilted_deck_is_measured(camera: Camera, pad: Pad) -> None:
         # Attitude known, deck taken as level to 4 degrees.
         prior = view.orientation(math.radians(0.05), math.radians(4.0))
         found = register(view.px, camera, pad, stage.start(view, 0.5), prior, TRACK)
-        assert found is not None
         assert math.degrees(np.abs(error(found.pose, view.pose)[3:]).max()) < 0.2
         assert nees(found, view) < chdtri(6, 0.0001)
 
@@ -298,7 +294,6 @@ def test_a_reflection_on_the_distant_pad_moves_it_less_than_half_a_pixel(camera:
         stage = Stage(camera, pad, light=light, seed=n)
         view = stage.view(height_m, lateral=0.02)
         found = register(view.px, camera, pad, stage.start(view, 0.4), view.orientation(), TRACK)
-        assert found is not None
         d, _ = pad_error(found.pose, view.pose)
         assert np.hypot(*d[:2]) < 0.5 * height_m / camera.fx
         assert abs(d[2]) < 0.08 * height_m
@@ -312,7 +307,6 @@ def test_what_the_edges_do_not_fix_is_uncertain(camera: Camera, pad: Pad) -> Non
     uv = camera.project(view.pose.points(pad.circle(0.33)))
     cv2.fillPoly(px, [np.round(uv * 16).astype(np.int32)], (0, 102, 0), cv2.LINE_AA, 4)
     found = register(px, camera, pad, view.pose, view.orientation(), TRACK)
-    assert found is not None
     assert found.yaw_ambiguous
     R = found.pose.R_cam_pad.matrix
     var = np.diag(R.T @ found.cov[3:, 3:] @ R)
@@ -343,7 +337,6 @@ def test_the_arrow_shows_the_heading(camera: Camera, pad: Pad) -> None:
         view = stage.view(height_m, lateral=0.02)
         opposite = PadPose(view.pose.R_cam_pad @ Rotation.from_rpy(0.0, 0.0, math.pi), view.pose.t_cam_pad)
         found = register(view.px, camera, pad, opposite, view.orientation())
-        assert found is not None
         assert not found.yaw_ambiguous
         assert abs(pad_error(found.pose, view.pose)[1]) < 0.01
 
@@ -441,7 +434,6 @@ def test_a_pad_painted_to_a_tolerance_is_at_a_range_of_that_tolerance(camera, pa
     sigmas = []
     for drawn in (pad, rough):
         found = register(view.px, camera, drawn, view.start, view.prior, TRACK)
-        assert found is not None
         sigmas.append(math.sqrt(found.cov[2, 2]) / height_m)
     assert sigmas[0] < least < sigmas[1] < 0.0075
 
@@ -481,6 +473,5 @@ def test_only_predicted_frames_are_downgraded(camera: Camera, pad: Pad) -> None:
     ]
     plain, suspect = (look.selected for look in seen)
     assert plain is not None
-    assert suspect is not None
     assert np.all(plain.d_body_pad_level == suspect.d_body_pad_level)
     assert np.linalg.eigvalsh(suspect.cov[:3, :3] - plain.cov[:3, :3]).min() > 0.0

@@ -30,7 +30,6 @@ def test_each_height_has_its_method(camera: Camera, pad: Pad) -> None:
         scene = PadPlacement((0.15, 0.0, height_m), 0.5)
         seen = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5), scene.attitude(), camera, pad, SIMULATOR)
         chosen.append(seen.chosen)
-        assert seen.selected is not None
         assert seen.selected.method == "selected"
         assert np.linalg.norm(errors(seen.selected, scene)[0]) < 0.004 * height_m
     assert chosen == ["corners", "arrow", "ellipse"]
@@ -134,7 +133,6 @@ def test_the_covariance_holds_even_for_cues_that_err_together(sigmas: list[float
     """Every cue errs by the same number of its own sigmas: the fused error must not exceed that number of the fused sigma."""
     methods: list[Method] = ["registration", "ellipse", "arrow", "corners"]
     fused = fuse([cue(m, s, (shared * s, 0, 0)) for m, s in zip(methods, sigmas, strict=False)])
-    assert fused is not None
     error = abs(fused.d_body_pad_level[0] - TRUTH[0])
     assert error <= abs(shared) * math.sqrt(fused.cov[0, 0]) + 1e-12
     assert fused.cov[0, 0] >= min(sigmas) ** 2 * (1 - 1e-9)
@@ -146,7 +144,6 @@ def test_the_odd_one_out_is_left_out(wrong: str) -> None:
     methods: tuple[Method, ...] = ("registration", "ellipse", "arrow", "corners")
     cues = [cue(m, 0.01, (0.5, 0, 0) if m == wrong else (0, 0, 0)) for m in methods]
     fused = fuse(cues)
-    assert fused is not None
     assert np.allclose(fused.d_body_pad_level, TRUTH, atol=1e-9)
     assert fused.confidence < 0.9
 
@@ -161,7 +158,6 @@ def test_a_cue_that_comes_or_goes_moves_the_result_less_than_three_centimetres(s
     whole = fuse(cues)
     without = fuse(cues[:-1])
     assert whole is not None
-    assert without is not None
     assert np.linalg.norm(whole.d_body_pad_level - without.d_body_pad_level) < 0.03
 
 
@@ -170,10 +166,8 @@ def test_a_cue_that_comes_or_goes_moves_the_result_less_than_three_centimetres(s
 def test_an_ambiguous_heading_follows_the_sure_one(yaw: float, flipped: bool) -> None:
     other = math.remainder(yaw + (math.pi if flipped else 0.0), math.tau)
     alone = fuse([cue("corners", 0.002, yaw=other, ambiguous=True)])
-    assert alone is not None
     assert alone.yaw_ambiguous
     both = fuse([cue("corners", 0.002, yaw=other, ambiguous=True), cue("arrow", 0.01, yaw=yaw)])
-    assert both is not None
     assert not both.yaw_ambiguous
     assert both.yaw_rad is not None
     assert abs(math.remainder(both.yaw_rad - yaw, math.tau)) < 1e-6
@@ -188,7 +182,6 @@ def test_points_of_an_ellipse_give_that_ellipse_back(x: float, y: float, a: floa
     """Also far from the origin, where the scatter matrix of raw coordinates is singular to machine precision."""
     true = Ellipse(x, y, a, a * flat, angle)
     fit = fit_ellipse(true.points(n))
-    assert fit is not None
     assert math.hypot(fit.x - x, fit.y - y) < 1e-6 * a
     assert fit.a == pytest.approx(a, rel=1e-6)
     assert fit.b == pytest.approx(a * flat, rel=1e-6)
@@ -217,7 +210,6 @@ def test_the_heading_is_right_all_round(height_m: float, method: Method, yaw_deg
     """The heading of the H is known up to half a turn."""
     scene = PadPlacement((0.16, 0.01, height_m), math.radians(yaw_deg))
     s = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5), scene.attitude(), camera, pad, SIMULATOR).methods[method]
-    assert s is not None
     assert s.yaw_ambiguous == (method == "corners")
     assert s.yaw_rad is not None
     assert method == "arrow" or -math.pi / 2 - 1e-9 < s.yaw_rad <= math.pi / 2 + 1e-9
@@ -253,7 +245,6 @@ def test_two_inner_corners_do_on_the_long_side_and_on_the_short_one(place, camer
     seg = segment(frame.px, SIMULATOR)
     assert seg is not None
     found = find_corners(seg, OrientedCamera(camera, Orientation.of(scene.attitude())), pad)
-    assert found is not None
     inner_seen = [tuple(xy) for xy in np.abs(found.marks.pad_xy_m).round(3).tolist()].count((0.02, 0.06))
     assert inner_seen == 2
     s = corners_of(scene, camera, pad)

@@ -76,7 +76,6 @@ def test_found_in_the_whole_image_and_followed_from_the_belief(height_m: float, 
     assert searched.selected.confidence > (0.5 if height_m >= 0.5 else 0.2)
     followed, _ = track(tracker(method), memory, view.frame(), attitude_of(view), estimate_of(view, (0.02, -0.01, 0.01)))
     assert right(followed.selected, view)
-    assert followed.selected is not None
     assert followed.selected.method == method
     assert followed.selected.confidence > 0.5
 
@@ -147,12 +146,10 @@ def test_another_pad_never_takes_the_place_of_one_that_is_hidden(method: Tracker
         assert hidden < 1.0
         assert np.linalg.norm(found.selected.d_body_pad_level - of.d_body_pad_level) < 0.1
     else:
-        assert found.elsewhere is not None
         assert np.linalg.norm(found.elsewhere.d_body_pad_level - other) < 0.1
         assert found.elsewhere.confidence > 0.5
     alone, _ = track(tracker(method), TrackerMemory(), Frame(STAMP, 0, seen.px), reported)
     assert alone.elsewhere is None
-    assert alone.selected is not None
     assert np.linalg.norm(alone.selected.d_body_pad_level - other) < 0.1, "without a belief the one in full view is the pad"
 
 
@@ -180,7 +177,6 @@ def test_a_bare_green_disc_is_rejected_although_the_ellipse_is_sure_of_it() -> N
     frame = Frame(STAMP, 0, seen.px)
     reported = Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3))
     alone, _ = track(tracker("thesis"), TrackerMemory(), frame, reported)
-    assert alone.selected is not None
     assert alone.selected.confidence > 0.5
     together, _ = track(tracker(), TrackerMemory(), frame, reported)
     assert together.selected is None or together.selected.confidence < 0.2
@@ -236,7 +232,6 @@ def test_a_track_learns_the_tone(camera: Camera, pad: Pad, tone: str, steps: set
         estimate_of = RelativeState(ns, "ekf", view.d_body_pad_level, np.zeros(3), view.yaw_rad, cov, ns, True)
         attitude_of = Attitude(stamp, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), np.eye(3) * 1e-8)
         seen, memory = track(tracker, memory, Frame(stamp, k, curve[view.px]), attitude_of, estimate_of)
-        assert seen.selected is not None
         off_mm.append(1e3 * (math.dist(seen.selected.d_body_pad_level, (0, 0, 0)) - math.dist(view.d_body_pad_level, (0, 0, 0))))
     assert memory.tone.steps in steps
     assert abs(np.median(off_mm[-8:])) < within_mm
@@ -253,7 +248,6 @@ def test_a_letter_is_found_up_to_its_symmetry(name: str, height_m: float, yaw_ra
     config = TrackerConfig(PLAIN, pad, TrackerOptions(method="registration"))
     attitude_of = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
     found = track(config, TrackerMemory(), Frame(STAMP, 0, px), attitude_of)[0].selected
-    assert found is not None
     assert found.yaw_rad is not None
     assert found.confidence > 0.9
     assert found.yaw_ambiguous

@@ -133,7 +133,6 @@ def view(camera: Camera, pad: Pad, light: Light, seed: int = 0) -> Teach:
 
     def teach(memory: PaintMemory) -> PaintMemory:
         found = look(FrameView(pyramid, camera, pad), seen.truth, orientation, RegistrationOptions(coarse=False), paint=memory)
-        assert found is not None
         return found.paint()
 
     return teach
@@ -245,7 +244,6 @@ def seen_at(k: int, pad_name: str) -> tuple[Pad, Aimed, Registration]:
 
 def sigmas(found: Registration, other: Registration | None, in_cam: F64, in_pad: F64) -> float:
     """Return how far the pose of the other view lies from that of the first, its axes turned back, in standard deviations."""
-    assert other is not None
     R = Rotation(in_cam @ other.pose.R_cam_pad.matrix @ in_pad) @ found.pose.R_cam_pad.inv
     e = np.append(in_cam @ other.pose.t_cam_pad - found.pose.t_cam_pad, R.rotvec_rad)
     return math.sqrt(e @ np.linalg.solve(found.cov, e))
@@ -278,7 +276,6 @@ def test_a_distant_pad_in_a_mirror_has_the_mirrored_pose(k: int, pad_name: str, 
     pad, view, found = seen_at(k, pad_name)
     other = mirrored(view, in_cam, ACROSS).seen(pad)
     assert sigmas(found, other, in_cam, ACROSS) < 0.05
-    assert other is not None
     assert other.evidence == pytest.approx(found.evidence, abs=2e-3)
     across = np.array([1.0, -1.0, 1.0])
     assert level_numbers(other.in_level)[:3] * across == pytest.approx(level_numbers(found.in_level)[:3], abs=1e-4)
@@ -290,5 +287,4 @@ def test_a_pad_elsewhere_in_a_larger_frame_is_the_same_pad(k: int, pad_name: str
     pad, view, found = seen_at(k, pad_name)
     other = elsewhere(view).seen(pad)
     assert sigmas(found, other, np.eye(3), np.eye(3)) < 1e-9
-    assert other is not None
     assert other.evidence == pytest.approx(found.evidence, abs=1e-9)

@@ -291,7 +291,6 @@ def test_it_ends_when_ordered_and_leaves_the_whole_truth(how: str, tmp_path: Pat
     truth = tmp_path / "truth.jsonl"
     with start("calm", "--truth", str(truth), *ANY_PORTS, stdin=subprocess.PIPE) as process:
         assert process.stdin is not None
-        assert process.stdout is not None
         ready = json.loads(process.stdout.readline())
         assert ready["event"] == "ready"
         assert len(set(ready["ports"].values())) == 4

@@ -165,7 +165,6 @@ class Px4(Px4StandIn):
 
     def controls(self) -> Message:
         """Return the motors for the state as it is."""
-        assert self._flight.body is not None
         motors = self.step(self._flight.body.state())
         return mav.MAVLink_hil_actuator_controls_message(0, [*motors, *[0.0] * 12], 129 if self.armed else 1, 0)
 

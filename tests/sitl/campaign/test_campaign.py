@@ -230,7 +230,6 @@ def test_a_signal_ends_the_command_with_what_is_kept(tmp_path: Path) -> None:
     child = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": os.getcwd()}
     )
-    assert child.stderr is not None
     assert child.stderr.readline() == "50 flights to fly, by 1 process; results in c\n"
     child.send_signal(signal.SIGINT)
     _, output = child.communicate(timeout=60)

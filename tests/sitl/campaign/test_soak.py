@@ -54,7 +54,6 @@ def test_what_grows_after_the_warm_up_is_reported(leak: dict[str, float], said: 
         for i in range(40)
     ]
     found = findings(readings, 5.0)
-    assert found is not None
     assert [fault[: len(said[0])] for fault in found.faults] == said
     assert found.flights == 39
     assert found.cpu_share == pytest.approx(0.3)
