@@ -14,8 +14,7 @@ from collections.abc import Sequence
 from typing import Annotated, Literal, get_args
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
@@ -251,18 +250,20 @@ class _Sensor:
             return None
         heave, tilt = self.channels["heave"], self.channels["tilt"]
         at = min(sample.stamp.received_at, after(sample.stamp.measured_at, -self.delay_s))
-        made = VesselMotion(replace(sample.stamp, measured_at=at), self.name)
+        made = VesselMotion(structs.replace(sample.stamp, measured_at=at), self.name)
         known = bool(tilt.t) and t - tilt.t[-1] < 0.5
         turned = np.array([tilt.values[-1]]) - tilt.mean if known else np.zeros((1, 2))
         for kind in due:
             self.channels[kind].fused_at = t
         if "tilt" in due:
             roll, pitch = self._tilted(turned)[0].tolist()
-            made = replace(made, roll_rad=roll, pitch_rad=pitch, sigma_tilt_rad=self._sigma(tilt, sample.sigma_tilt_rad))
+            made = structs.replace(made, roll_rad=roll, pitch_rad=pitch, sigma_tilt_rad=self._sigma(tilt, sample.sigma_tilt_rad))
         if "heave" in due:
             down = heave.values[-1][0] - heave.mean[0] + float(turned[0] @ self._lever_m)
             of_arm_m = math.hypot(*self._to_pad_m) * (tilt.noise if known else 0.03)
-            made = replace(made, heave_down_m=down, sigma_heave_m=math.hypot(self._sigma(heave, sample.sigma_heave_m), of_arm_m))
+            made = structs.replace(
+                made, heave_down_m=down, sigma_heave_m=math.hypot(self._sigma(heave, sample.sigma_heave_m), of_arm_m)
+            )
         return made
 
     def _sigma(self, channel: _Channel, digits: float) -> float:

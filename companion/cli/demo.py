@@ -12,8 +12,7 @@ from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base import event_loop
 from companion.base.health import Health
@@ -105,7 +104,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario, place: tuple[str, 
                 settings = _with_http(settings, args, place, Path(folder), token)
             if args.video is not None:
                 with refused("--video", ValueError):
-                    settings = replace(settings, video_stream=VideoStreamOptions(to=args.video))
+                    settings = structs.replace(settings, video_stream=VideoStreamOptions(to=args.video))
             pilot = make_pilot(settings, shadows=compared_paths())
             began = clock.now()
             with (
@@ -138,7 +137,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario, place: tuple[str, 
                     kept.keep(kept_flight.truth_from_log(line))
     ending = _ending(args, outcome, seconds_between(began, ended), truth, daemon.health, child)
     if stopped:
-        ending = replace(ending, without_outcome="stopped by a person")
+        ending = structs.replace(ending, without_outcome="stopped by a person")
     report = kept.write_report(ending, ending.duration_s, "real time")
     print_result(args, ending.as_json(), f"{ending.in_words()}\n{report}")
     return 0 if ending.on_pad else 1
@@ -198,10 +197,10 @@ def _profile(scenario: Scenario, ports: dict[str, int]) -> Settings:
     """Return the shipped profile `sim` with these ports and the camera and pad of the scenario."""
     settings = load("sim")
     model = scenario.vehicle.generation
-    vehicle = replace(settings.vehicle, model=model, **{f"{name}_port": port for name, port in ports.items()})
-    service = replace(settings.service, health_period_s=0.0)
+    vehicle = structs.replace(settings.vehicle, model=model, **{f"{name}_port": port for name, port in ports.items()})
+    service = structs.replace(settings.service, health_period_s=0.0)
     camera, pad = CameraSettings(scenario.camera.file), PadSettings(scenario.pad.file)
-    return replace(settings, vehicle=vehicle, camera=camera, pad=pad, service=service)
+    return structs.replace(settings, vehicle=vehicle, camera=camera, pad=pad, service=service)
 
 
 def _ending(
@@ -249,7 +248,9 @@ def _with_http(settings: Settings, args: argparse.Namespace, place: tuple[str, i
     page, foxglove = args.page is not None, args.foxglove is not None
     given = str(token_file) if page else ""
     http = HttpSettings(endpoint="http", host=place[0], port=place[1], token_file=given, page=page, foxglove=foxglove)
-    return replace(settings, http=http, guidance=replace(settings.guidance, start="signal") if page else settings.guidance)
+    return structs.replace(
+        settings, http=http, guidance=structs.replace(settings.guidance, start="signal") if page else settings.guidance
+    )
 
 
 async def _announce(http: HttpSettings, token: str) -> None:

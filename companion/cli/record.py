@@ -305,10 +305,9 @@ def _written(output: Path, write: Callable[[Path], Any]) -> Any:
     """Write a file under another name, and give it its own once it is whole: what is there stays until then."""
     part = output.with_name(f"{output.name}.part")
     try:
-        done = write(part)
-        part.replace(output)
-    except OSError as why:
-        raise BadInput(f"{output}: {why.strerror or why}") from why
+        with refused(str(output), OSError):
+            done = write(part)
+            part.replace(output)
     finally:
         part.unlink(missing_ok=True)
     return done

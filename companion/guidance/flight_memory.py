@@ -8,8 +8,7 @@ another mode than it was left in, is a person's until he orders to begin: he may
 
 from collections.abc import Mapping
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.mission import FLOWN, GROUND, Event, State
 from companion.guidance.mission.out_of_reach import height_m
@@ -70,7 +69,7 @@ def carried_on(p: Progress, memory: FlightMemory, now: MonoNs, *, taken: bool) -
     Args:
         taken: whether a person has the vehicle, so that nothing is requested any more.
     """
-    p = replace(p, begun=memory.begun and not taken, stays=memory.stays)
+    p = structs.replace(p, begun=memory.begun and not taken, stays=memory.stays)
     if memory.height_m is None:
         return p
-    return replace(p, seen_height_m=max(0.0, memory.height_m - _NEARER_M_S * seconds_between(memory.at, now)))
+    return structs.replace(p, seen_height_m=max(0.0, memory.height_m - _NEARER_M_S * seconds_between(memory.at, now)))

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from estimator.contracts.errors import BadInput, file_errors, unusable
+from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.contracts.text import text_of, utf8_of
 
 LARGEST_BYTES = 1_000_000
@@ -25,12 +25,8 @@ def refuse_special(path: Path, where: str, largest: int = LARGEST_BYTES) -> None
     Raises:
         BadInput: it does not exist, is no plain file, or is larger than `largest` bytes.
     """
-    try:
+    with file_errors(where), refused(where, ValueError):  # a path with a NUL character
         found = path.stat()
-    except OSError as why:
-        raise unusable(where, why) from why
-    except ValueError as why:  # a path with a NUL character
-        raise BadInput(f"{where}: {why}") from why
     if stat.S_ISDIR(found.st_mode):
         raise BadInput(f"{where}: Is a directory")
     if not stat.S_ISREG(found.st_mode):

@@ -352,6 +352,9 @@ def read_toml(path: Path, kind: str = "") -> dict[str, Any]:
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
     """Give a path to write to; what is written takes the place of the file, or of the one that it links to, unless that fails."""
+    if path.exists() and not path.is_file():
+        yield path  # a device or a pipe, which nothing may take the place of
+        return
     path, mask = path.resolve(), os.umask(0o077)
     os.umask(mask)
     number, name = tempfile.mkstemp(prefix=".new-", suffix=path.name, dir=path.parent)

@@ -20,8 +20,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from drivers.ardrone.arbiter import HOVER
 from drivers.ardrone.at import PCMD_PROGRESSIVE, Pcmd, unit
@@ -57,7 +56,7 @@ class LoopState(Struct, frozen=True):
     def at_heading(self, heading_rad: float | None) -> LoopState:
         """Return the state in the axes of another heading: the wind stays where it is while the nose turns."""
         if heading_rad is None or self.heading_rad is None:
-            return replace(self, heading_rad=self.heading_rad if heading_rad is None else heading_rad)
+            return structs.replace(self, heading_rad=self.heading_rad if heading_rad is None else heading_rad)
         c, s = math.cos(heading_rad - self.heading_rad), math.sin(heading_rad - self.heading_rad)
         x, y = self.forward_m_s2, self.right_m_s2
         return LoopState(c * x + s * y, c * y - s * x, heading_rad)
@@ -129,7 +128,7 @@ def held(
     integral = np.array([state.forward_m_s2, state.right_m_s2])
     integral = integral + dt_s / max(dt_s, min(_HELD_S, held_s)) * (trim - integral)
     integral = _within(integral, G_M_S2 * math.tan(options.euler_angle_max_rad))
-    return replace(state, forward_m_s2=float(integral[0]), right_m_s2=float(integral[1]))
+    return structs.replace(state, forward_m_s2=float(integral[0]), right_m_s2=float(integral[1]))
 
 
 def sticks_of(accelerate: F64, descend_m_s: float, yaw_rate_rad_s: float, options: ArDroneOptions) -> Sticks:
@@ -162,7 +161,7 @@ def levelling(sticks: Sticks, a_level: F64, options: ArDroneOptions) -> Sticks:
     against = -sticks.pitch * float(a_level[0]) + sticks.roll * float(a_level[1]) < 0.0
     if not against or float(np.hypot(a_level[0], a_level[1])) < _LEANS_FAR_M_S2:
         return sticks
-    return replace(sticks, gaz=min(sticks.gaz, unit(_LEVELS_M_S / options.vz_max_m_s)))
+    return structs.replace(sticks, gaz=min(sticks.gaz, unit(_LEVELS_M_S / options.vz_max_m_s)))
 
 
 def _progressive(sticks: Sticks) -> Pcmd:
@@ -260,7 +259,7 @@ class VelocityLoop:
         if self._mean == RESET:
             self._mean = self._loop
         before, share = self._mean.at_heading(self._loop.heading_rad), 1.0 - math.exp(-dt_s / _HELD_S)
-        self._mean = replace(
+        self._mean = structs.replace(
             self._loop,
             forward_m_s2=before.forward_m_s2 + share * (self._loop.forward_m_s2 - before.forward_m_s2),
             right_m_s2=before.right_m_s2 + share * (self._loop.right_m_s2 - before.right_m_s2),

@@ -17,7 +17,7 @@ from pyulog import ULog
 
 from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment, LogHistory
 from drivers.imports.stamps import Tell, attitude, in_level, quiet, stamp, timeline
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
 
@@ -26,6 +26,8 @@ _TOPICS = (
     "sensor_combined", "vehicle_attitude", "vehicle_local_position", "distance_sensor", "vehicle_air_data",
     "vehicle_land_detected",
 )  # fmt: skip
+_OF_OTHERS = (KeyError, IndexError, TypeError, ValueError, OverflowError)
+"""Errors of reading topics that are not as PX4 writes them."""
 _DOWN = 25
 """The orientation of a distance_sensor that looks down (ROTATION_DOWNWARD_FACING)."""
 _SIGMA_V_M_S = 0.3
@@ -46,12 +48,10 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
     topics = {data.name: data.data for data in reversed(log.data_list) if data.name != "distance_sensor"}
     if not topics.keys() & {"sensor_combined", "vehicle_attitude"}:
         raise BadInput(f"{path}: holds neither sensor_combined nor vehicle_attitude")
-    try:
+    with refused(f"{path}: not the topics of a PX4 log", *_OF_OTHERS):
         if (ranges := _looking_down([data.data for data in log.data_list if data.name == "distance_sensor"], tell)) is not None:
             topics["distance_sensor"] = ranges
         return _samples(topics, int(log.start_timestamp), tell)
-    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as why:
-        raise BadInput(f"{path}: not the topics of a PX4 log: {type(why).__name__}: {why}") from why
 
 
 def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
@@ -281,10 +281,8 @@ def read_history(path: Path, tell: Tell = quiet) -> AutopilotLog:
         BadInput: the file cannot be read, is no ULog, or holds no parameters.
     """
     log = open_ulog(path, _HISTORY_TOPICS, tell)
-    try:
+    with refused(f"{path}: not the topics of a PX4 log", *_OF_OTHERS):
         return _autopilot_log(path, log)
-    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as why:
-        raise BadInput(f"{path}: not the topics of a PX4 log: {type(why).__name__}: {why}") from why
 
 
 def _autopilot_log(path: Path, log: Any) -> AutopilotLog:

@@ -24,10 +24,10 @@ __all__ = [
     "TargetAbsolute",
     "TargetRelative",
     "TimeSyncV2",
-    "boot_ms",
     "crc_extra_of",
     "define",
     "mav",
+    "ms_since_boot",
     "unfit_field",
 ]
 
@@ -141,7 +141,7 @@ def define(msg_id: int, name: str, definition: str, extension: str = "", *, repl
     return made
 
 
-def boot_ms(now: int) -> int:
+def ms_since_boot(now: int) -> int:
     """Return an instant, nanoseconds since boot, as the `time_boot_ms` of a message."""
     return now // 1_000_000 & 0xFFFFFFFF
 

@@ -17,8 +17,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal, TypeVar
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from drivers.endpoint import Address, Endpoint
 from drivers.mailbox import Line
@@ -308,7 +307,7 @@ class Link:
         self.counters.echoed += ids == self._links.identity and self._links.sent_by_us(received)
         if level is AccessLevel.UNKNOWN and self._links.follows(received):
             level = access.level(source, ids, received_at, asked_for=self._asked_for, signed=self.signed)
-            received = replace(received, access_level=level)
+            received = structs.replace(received, access_level=level)
         if level is AccessLevel.UNKNOWN:
             self.counters.unknown_senders += 1
             if address in self._before or len(self._before) < _PLACES_MAX:

@@ -17,8 +17,7 @@ from collections.abc import Container
 from functools import cache
 from typing import Annotated, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from msgspec import Meta, Struct
-from msgspec.structs import replace
+from msgspec import Meta, Struct, structs
 
 PUBLIC = "x-public"
 """Note of a key that stands outside of `[expert]` in a settings file."""
@@ -92,7 +91,9 @@ class CheckedOptions(Struct, frozen=True, forbid_unknown_fields=True):
 def grown(options: _Options, factor: float, keys: Container[str]) -> _Options:
     """Return options with some numbers times a factor, each within its declared range."""
     ranges, _ = _limits(type(options))
-    return replace(options, **{k: max(low, min(high, factor * getattr(options, k))) for k, low, high in ranges if k in keys})
+    return structs.replace(
+        options, **{k: max(low, min(high, factor * getattr(options, k))) for k, low, high in ranges if k in keys}
+    )
 
 
 @cache

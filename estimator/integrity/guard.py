@@ -6,8 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from msgspec import Struct, field
-from msgspec.structs import replace
+from msgspec import Struct, field, structs
 
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation
@@ -136,10 +135,10 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
                     against = crosschecks.add_range(against, sample, o)
                 elif type(sample) is Baro:
                     against = crosschecks.add_baro(against, sample, o)
-                    halves = replace(halves, parity=parity.weighed(halves.parity, sample))
+                    halves = structs.replace(halves, parity=parity.weighed(halves.parity, sample))
                 elif type(sample) is BodyVelocity:
                     if (moved := parity.moved(halves.parity, sample)) is not halves.parity:
-                        halves = replace(halves, parity=moved)
+                        halves = structs.replace(halves, parity=moved)
                     verdict = Verdict.IMPOSSIBLE if halves.velocity_fault is not None else None
             if kind is BodyVelocity:
                 trusts = verdict is None
@@ -154,7 +153,7 @@ def admit(guard: IntegrityGuard, samples: Sequence[Sample]) -> tuple[IntegrityGu
 def admit_frame(guard: IntegrityGuard, frame: Frame) -> tuple[IntegrityGuard, Verdict | None]:
     """Check one frame before detection; return REPEATED if its pixels were received before."""
     watch, repeated = sensors.watch_frame(guard.frames, frame.px, frame.stamp.received_at)
-    return replace(guard, frames=watch), Verdict.REPEATED if repeated else None
+    return structs.replace(guard, frames=watch), Verdict.REPEATED if repeated else None
 
 
 def admit_sighting(
@@ -180,33 +179,33 @@ def admit_sighting(
         # In flight a slower link cannot be distinguished from stamps that have become wrong.
         keep_s = o.delay_keep_s if guard.flying else math.inf
         watch, verdict = sensors.watch_delay(watch, "Sighting", sighting.stamp, o.delay_step_max_s, o.delay_settle_s, keep_s)
-    guard = replace(guard, clock=watch)
+    guard = structs.replace(guard, clock=watch)
     if verdict is not None:
         return guard, verdict
     if attitude is not None and guard.flying:
-        guard = replace(guard, view=crosschecks.watch_view(guard.view, sighting, attitude, o))
+        guard = structs.replace(guard, view=crosschecks.watch_view(guard.view, sighting, attitude, o))
         if guard.view.frozen or guard.view.reversed:
             return guard, Verdict.FROZEN if guard.view.frozen else Verdict.IMPOSSIBLE
     if attitude is not None and sighting.pose6 is not None and not sighting.yaw_ambiguous:
-        guard = replace(guard, inertial=_pictured(guard, sighting, attitude))
+        guard = structs.replace(guard, inertial=_pictured(guard, sighting, attitude))
     expected = None if belief is None else _expected(belief, sighting, attitude)
     place = _place(sighting, attitude)
     if guard.tracks.assumed is not None and guard.tracks.last is not None and guard.tracks.last.t == place.t:
-        guard = replace(guard, tracks=guard.tracks._replace(last=place, assumed=None))
+        guard = structs.replace(guard, tracks=guard.tracks._replace(last=place, assumed=None))
     following, explained = tracks.associate(guard.tracks, place, expected, o)
     swung = expected if belief is not None and belief.adrift else None
     if not explained and swung is not None and math.dist(swung.d[:2], place.d[:2]) <= _SWUNG_SIGMAS * swung.sigma_m:
         following, explained = Tracks(following.number, 0, place), True
     # The arbiter's doubt grows while it takes nothing, and would come to reach where the picture leapt to.
     if not explained and (following.leapt or not guard.arbiter.explains(place)):
-        return replace(guard, tracks=following), Verdict.ELSEWHERE
+        return structs.replace(guard, tracks=following), Verdict.ELSEWHERE
     seen = tracks.arbitrate(guard.arbiter, place)
     if belief is not None and expected is not None and seen.t == place.t and not seen.misses:
         v = _fixed(belief.v_pad_level, attitude)
         seen = tracks.compare_estimate(seen, expected.d, v, tuple(belief.cov.diagonal()[:6].tolist()))
     if explained:
-        guard = replace(guard, tracks=following)
-    return replace(guard, arbiter=seen), None
+        guard = structs.replace(guard, tracks=following)
+    return structs.replace(guard, arbiter=seen), None
 
 
 def follow(guard: IntegrityGuard, sighting: Sighting, assumed: Attitude, alone_in: F64 | None = None) -> IntegrityGuard:
@@ -235,7 +234,7 @@ def _follow_on(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude, as
 
 def _following(guard: IntegrityGuard, place: Place, assumed: Attitude, alone_in: F64 | None = None) -> IntegrityGuard:
     following = tracks.follow(guard.tracks, place, assumed, guard.options, alone_in)
-    return guard if following is None else replace(guard, tracks=following)
+    return guard if following is None else structs.replace(guard, tracks=following)
 
 
 def excludes(belief: RelativeState, sighting: Sighting, o: IntegrityOptions) -> bool:
@@ -250,17 +249,19 @@ def judged(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None,
     seen = tracks.record_fused(guard.arbiter, place.t, is_fused)
     felt = guard.inertial
     if attitude is not None:
-        felt = replace(felt, parity=parity.sighted(felt.parity, place.t, place.d, sighting.yaw_rad))
-    guard = replace(guard, arbiter=seen, inertial=felt)
+        felt = structs.replace(felt, parity=parity.sighted(felt.parity, place.t, place.d, sighting.yaw_rad))
+    guard = structs.replace(guard, arbiter=seen, inertial=felt)
     if seen.overrules:
         followed = guard.tracks._replace(number=guard.tracks.number + seen.leapt)
-        guard = replace(guard, overruled=guard.overruled + 1, arbiter=tracks.restarted(seen), tracks=followed)
+        guard = structs.replace(guard, overruled=guard.overruled + 1, arbiter=tracks.restarted(seen), tracks=followed)
     if not is_fused:
         return guard
-    guard = replace(guard, tracks=tracks.add_fused(guard.tracks, place), baselines=replace(guard.baselines, pictured=place.t))
+    guard = structs.replace(
+        guard, tracks=tracks.add_fused(guard.tracks, place), baselines=structs.replace(guard.baselines, pictured=place.t)
+    )
     if attitude is None:
         return guard
-    return replace(guard, heights=crosschecks.add_sighting(guard.heights, sighting, attitude.R_ned_body))
+    return structs.replace(guard, heights=crosschecks.add_sighting(guard.heights, sighting, attitude.R_ned_body))
 
 
 def baseline_judged(
@@ -272,15 +273,15 @@ def baseline_judged(
         sigma_m: the baseline's largest standard deviation on one axis.
         belief: the steering estimate at its instant, with it.
     """
-    guard = replace(guard, baselines=crosschecks.baseline_compared(guard.baselines, result, sigma_m))
+    guard = structs.replace(guard, baselines=crosschecks.baseline_compared(guard.baselines, result, sigma_m))
     if result.verdict is not Verdict.FUSED or belief is None or attitude is None or belief.sighted != result.measured_at:
         return guard
     place = Place(int(result.measured_at), _fixed(belief.d_body_pad_level, attitude), *_sigmas(belief.cov))
     if guard.tracks.last is None:
-        return replace(guard, tracks=tracks.Tracks(1, 0, place))
+        return structs.replace(guard, tracks=tracks.Tracks(1, 0, place))
     if guard.baselines.contradicts:
         return guard
-    return replace(guard, tracks=tracks.add_fused(guard.tracks, place))
+    return structs.replace(guard, tracks=tracks.add_fused(guard.tracks, place))
 
 
 def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
@@ -333,7 +334,7 @@ def _pictured(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude) -> 
     R_ned_pad = (R_ned_level @ sighting.pose6.R_level_pad).matrix
     off = next((off for since, off in reversed(guard.heading.offs) if since <= at), 0.0)
     seen = parity.pictured(state.parity, at, attitude.R_ned_body.matrix, R_ned_pad, off)
-    return replace(state, parity=seen)
+    return structs.replace(state, parity=seen)
 
 
 def _place(sighting: Sighting, attitude: Attitude | None) -> Place:

@@ -18,8 +18,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 from estimator.contracts.estimates import Verdict
@@ -232,7 +231,7 @@ def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float)
     """Process an arrival; return TOO_NEW or TOO_OLD if no other arrival confirms its time."""
     received_at, now = stamp.received_at, state.now
     if now is None:
-        return replace(state, now=received_at), None
+        return structs.replace(state, now=received_at), None
     step = round(step_max_s * 1e9)
     if abs(received_at - now) <= step:
         return ClockWatch(max(now, received_at), None, state.delays), None
@@ -245,7 +244,7 @@ def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float)
     lasting = rival.n >= _CONFIRMED_BY and rival.last - rival.first >= _CONFIRMED_IN_NS
     if lasting or len(rival.kinds) >= 2:
         return ClockWatch(rival.last), None
-    return replace(state, rival=rival), Verdict.TOO_NEW if received_at > now else Verdict.TOO_OLD
+    return structs.replace(state, rival=rival), Verdict.TOO_NEW if received_at > now else Verdict.TOO_OLD
 
 
 def watch_delay(
@@ -283,7 +282,7 @@ def delay_after(
     if stamp.measured_at > newest:
         newest, newest_at = stamp.measured_at, received_at
     elif quick and received_at - newest_at > _STANDS_NS:
-        return replace(delay, off_since=received_at if off_since is None else off_since, at=received_at), Verdict.TOO_OLD
+        return structs.replace(delay, off_since=received_at if off_since is None else off_since, at=received_at), Verdict.TOO_OLD
     off_s = d - median_s
     if abs(off_s) <= step_max_s:
         # The median moves in small steps, so that an outlier has no more effect than any other sample.

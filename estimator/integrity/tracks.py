@@ -22,8 +22,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude
@@ -380,10 +379,10 @@ def arbitrate(state: Arbiter, seen: Place) -> Arbiter:
     if dt <= 0.0:
         return state
     if not _follows(state.axes, dt, seen):
-        missed = replace(state, misses=state.misses + 1)
+        missed = structs.replace(state, misses=state.misses + 1)
         if missed.misses < _MISSES:
             return missed
-        return replace(arbitrate(Arbiter(), seen), leapt=state.leapt or state.n >= _FOLLOWED)
+        return structs.replace(arbitrate(Arbiter(), seen), leapt=state.leapt or state.n >= _FOLLOWED)
     axes = tuple(a.ahead(dt).measured(p, var) for a, p, var in zip(state.axes, seen.d, _vars(seen), strict=True))
     return Arbiter(seen.t, axes, state.n + 1, 0, state.apart_since, state.refused_since, state.leapt)
 
@@ -401,23 +400,23 @@ def compare_estimate(state: Arbiter, d: tuple[float, ...], v: tuple[float, ...],
     for a, p, u, var_p, var_u in zip(state.axes, d, v, variances[:3], variances[3:], strict=True):
         off = max(off, (p - a.p) ** 2 / (var_p + a.pp + floor * floor), (u - a.v) ** 2 / (var_u + a.vv + _FLOOR_M_S**2))
     if off <= _SIGMAS**2 or state.n < _FOLLOWED:
-        return state if state.apart_since is None else replace(state, apart_since=None)
-    return state if state.apart_since is not None else replace(state, apart_since=state.t)
+        return state if state.apart_since is None else structs.replace(state, apart_since=None)
+    return state if state.apart_since is not None else structs.replace(state, apart_since=state.t)
 
 
 def record_fused(state: Arbiter, seen_at: int, fused: bool) -> Arbiter:
     """Take note of whether the filter fused the newest sighting."""
     if fused:
         known = state.refused_since is None and not state.leapt
-        return state if known else replace(state, refused_since=None, leapt=False)
+        return state if known else structs.replace(state, refused_since=None, leapt=False)
     if seen_at != state.t or state.refused_since is not None:
         return state
-    return replace(state, refused_since=state.t)
+    return structs.replace(state, refused_since=state.t)
 
 
 def restarted(state: Arbiter) -> Arbiter:
     """Return the arbiter after it had the filter started again."""
-    return replace(state, apart_since=None, refused_since=None, leapt=False)
+    return structs.replace(state, apart_since=None, refused_since=None, leapt=False)
 
 
 def _vars(seen: Place) -> tuple[float, float, float]:

@@ -18,8 +18,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from estimator.contracts.estimates import CENTRE, Feature, IntegrityAlert, Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
@@ -309,7 +308,7 @@ def read_deck(seen: Detection, memory: TrackerMemory) -> tuple[Detection, Tracke
         deck = _watch_deck(now, deck, best, belief)
     if best is not None and best.is_sure and deck.around is memory.deck.around and deck.passing is memory.deck.passing:
         tone = learn_tone(tone, now.view, best.found, now.orientation, at)
-    seen = seen if seen.chosen == "lamps" else replace(seen, on_pad=deck.check(at))
+    seen = seen if seen.chosen == "lamps" else structs.replace(seen, on_pad=deck.check(at))
     return seen, dataclasses.replace(memory, deck=deck, tone=tone, unread=None)
 
 
@@ -323,7 +322,7 @@ def _add_outlines(best: _Registered, check: PadCheck | None, camera: Camera) -> 
         points = best.found.pose.points(width_m * _SQUARE + np.array([forward_m, right_m, 0.0]))
         if points[:, 2].min() > 0.05:
             features.append(Feature("outline", "thing", camera.project(points)))
-    return replace(best.sighting, features=tuple(features))
+    return structs.replace(best.sighting, features=tuple(features))
 
 
 def _watch_deck(now: _Now, memory: DeckMemory, best: _Registered | None, belief: RelativeState | None) -> DeckMemory:
@@ -454,9 +453,11 @@ def _verify_cues(now: _Now, thesis: Detection, best: _Seen, place: ExpectedPlace
         aligned = None
         if candidate is not None and candidate.score >= WORTH_A_TRY:
             aligned = _register_from(now, candidate.pose, CLOSE)
-        methods[method] = replace(cue, confidence=0.0 if aligned is None else min(cue.confidence, aligned.sighting.confidence))
+        methods[method] = structs.replace(
+            cue, confidence=0.0 if aligned is None else min(cue.confidence, aligned.sighting.confidence)
+        )
         best = best.having(aligned, place)
-    return replace(thesis, methods=MappingProxyType(methods)), best
+    return structs.replace(thesis, methods=MappingProxyType(methods)), best
 
 
 def _align_cue(view: FrameView, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
@@ -485,7 +486,7 @@ def _spread(best: _Registered, a: _Registered | None, b: _Registered) -> _Regist
     turn = 0.0 if one.yaw_rad is None or other.yaw_rad is None else math.remainder(one.yaw_rad - other.yaw_rad, math.tau)
     # Opposite headings say nothing of how far the pad is turned.
     apart = np.append(one.d_body_pad_level - other.d_body_pad_level, turn if abs(turn) < 0.5 * math.pi else 0.0)
-    return dataclasses.replace(best, sighting=replace(best.sighting, cov=best.sighting.cov + np.outer(apart, apart)))
+    return dataclasses.replace(best, sighting=structs.replace(best.sighting, cov=best.sighting.cov + np.outer(apart, apart)))
 
 
 def _stays(a: _Registered | None, b: _Registered) -> bool:

@@ -16,8 +16,7 @@ import math
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Method, Sighting
 from estimator.contracts.geometry import F64, wrap_pi
@@ -94,7 +93,7 @@ def _intersected(cues: list[Sighting], confidence: float) -> Sighting:
     yaw = None if source is None else wrap_pi(reference + float(fused[3]))
     if yaw is None:
         cov = _with_unknown_yaw(cov)
-    return replace(
+    return structs.replace(
         first,
         method="fused",
         d_body_pad_level=fused[:3],

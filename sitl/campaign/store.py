@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.settings.load import write_whole
-from estimator.contracts.errors import BadInput, Recoverable, file_errors, unusable
+from estimator.contracts.errors import BadInput, Recoverable, file_errors, refused
 from sitl.campaign.plan import AnyPlan, Job, SetPlan, differences
 from sitl.campaign.workers import Flight, flight_hash, job_of
 
@@ -133,12 +133,8 @@ def manifest_of(folder: Path) -> dict[str, Any]:
     Raises:
         BadInput: there is none, or it is damaged.
     """
-    try:
+    with file_errors(f"{folder} is no campaign's folder: {MANIFEST}"), refused(f"{folder}: {MANIFEST} is damaged", ValueError):
         manifest = json.loads((folder / MANIFEST).read_bytes())
-    except OSError as why:
-        raise unusable(f"{folder} is no campaign's folder: {MANIFEST}", why) from why
-    except ValueError as why:
-        raise BadInput(f"{folder}: {MANIFEST} is damaged: {why}") from why
     if not isinstance(manifest, dict) or "format" not in manifest or "code" not in manifest:
         raise BadInput(f"{folder}: {MANIFEST} is not that of a campaign")
     return manifest

@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import os
 import resource
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 from companion.base.version import MARK
 from companion.cli.main import COMMANDS, Parser, add_command, main
 from companion.cli.outputs import EXPERIMENTS, PLOT, REPORT, Output, check_output, checked_outputs
+from companion.settings.load import write_whole
 from companion.tools.report.page import write_page
 from companion.tools.report.page_parts import document
 from estimator.contracts.errors import BadInput
@@ -153,3 +155,11 @@ def test_a_folder_or_a_device_is_no_file_to_write(tmp_path: Path, capsys: pytest
         assert main(["simulate", "calm", "--force", "--record", str(tmp_path / name)]) == 2
         assert "name a new one" in capsys.readouterr().err
     assert Path("/dev/null").is_char_device()
+
+
+def test_a_pipe_gets_what_is_written_and_stays_a_pipe(tmp_path: Path) -> None:
+    os.mkfifo(pipe := tmp_path / "pipe")
+    reads = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_whole(pipe, "all")
+    assert (os.read(reads, 9), pipe.is_fifo(), list(tmp_path.iterdir())) == (b"all", True, [pipe])
+    os.close(reads)

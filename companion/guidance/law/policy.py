@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 from companion.guidance.controller import FieldOfView, Knowledge, Target
@@ -227,12 +226,12 @@ class PolicyController:
         """Run one guidance cycle; `Hover` without a target or an estimate."""
         relative, body, deck = knowledge.relative, knowledge.body, knowledge.deck
         law, kept = self._law.step(memory.law, now, knowledge, target)
-        memory = replace(memory, law=law)
+        memory = structs.replace(memory, law=law)
         if body is not None:
             keep = 0.0 if memory.at is None else kept_share(seconds_between(memory.at, now))
             beyond = (lean - a for lean, a in zip(body.lean_m_s2, body.a_level.tolist(), strict=False))
             trim = [keep * old + (1.0 - keep) * new for old, new in zip(memory.trim, beyond, strict=True)]
-            memory = replace(memory, trim=(trim[0], trim[1]), at=now)
+            memory = structs.replace(memory, trim=(trim[0], trim[1]), at=now)
         if target is None or relative is None or body is None or deck is None or not isinstance(kept, Lean):
             return memory, kept
         place = relative.d_body_pad_level - np.array([*target.d_body_pad_level[:2], 0.0])
@@ -245,7 +244,7 @@ class PolicyController:
         if target.lean_max_rad is not None:
             tilt_max_rad = min(tilt_max_rad, target.lean_max_rad)
         lean = _shortened(lean, trim_level, G_M_S2 * math.tan(tilt_max_rad))
-        memory = replace(memory, action=tuple(action.tolist()))
+        memory = structs.replace(memory, action=tuple(action.tolist()))
         return memory, Lean(lean - trim_level, trim_level, kept.v_level, kept.yaw_rate_rad_s)
 
     def _in_view(self, d: F64, trim: F64, lean: F64) -> F64:

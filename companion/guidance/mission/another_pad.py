@@ -6,8 +6,7 @@ one other pad alone has been in unbroken sight for long enough. Otherwise a pers
 
 from collections.abc import Iterator
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
@@ -29,9 +28,9 @@ class OtherPad(Struct, frozen=True):
 def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     estimate, pad = s.estimate, p.kept if isinstance(p.kept, OtherPad) else OtherPad()
     if estimate is None or unfit(estimate, s.at, o.stale_after_s) is not None:
-        return replace(p, kept=replace(pad, seen_since=None))
+        return structs.replace(p, kept=structs.replace(pad, seen_since=None))
     steady = pad.seen_since if estimate.track == pad.track else None
-    return replace(p, kept=OtherPad(estimate.track, s.at if steady is None else steady))
+    return structs.replace(p, kept=OtherPad(estimate.track, s.at if steady is None else steady))
 
 
 def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:

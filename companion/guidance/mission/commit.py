@@ -10,8 +10,7 @@ a limit of its own ends it.
 from collections.abc import Iterator
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
@@ -40,7 +39,7 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     if not p.in_sight or s.estimate is None:
         return p
     low = s.estimate.height_m <= limits.no_return_m(s.knowledge, o.cone)
-    return replace(p, kept=Commit(after(s.at, o.cone.no_return_s) if low else None))
+    return structs.replace(p, kept=Commit(after(s.at, o.cone.no_return_s) if low else None))
 
 
 def _meets_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:

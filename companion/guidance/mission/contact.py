@@ -23,8 +23,7 @@ same ones to the deck (`to_deck`): a deck that falls faster and faster carries a
 import math
 from collections.abc import Iterator
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.mission import Event, Reason, ReasonCause
 from companion.guidance.controller import Impact
@@ -118,20 +117,20 @@ def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
     if push <= LEAST_M_S2:
         if watch.since is not None and watch.since == watch.at and watch.taken_m_s >= LEAST_M_S and last_s > QUIET_S:
             # It was gone with the next sample: feet on a deck push for longer.
-            fresh = replace(fresh, newest=Impact(watch.at, "accelerometer", watch.peak_m_s2, doubtful=True))
-        return replace(fresh, mean_m_s2=watch.mean_m_s2 + (1.0 - math.exp(-dt / MEAN_S)) * push)
+            fresh = structs.replace(fresh, newest=Impact(watch.at, "accelerometer", watch.peak_m_s2, doubtful=True))
+        return structs.replace(fresh, mean_m_s2=watch.mean_m_s2 + (1.0 - math.exp(-dt / MEAN_S)) * push)
     # The mean waits while something pushes: it stands for flight.
     since = now if watch.since is None else watch.since
     if seconds_between(since, now) > WITHIN_S:
         # A push that lasts is no contact: the weight or the sensor changed.
         return fresh
     taken, peak = watch.taken_m_s + push * dt, max(watch.peak_m_s2, push)
-    watch = replace(watch, at=now, since=since, taken_m_s=taken, peak_m_s2=peak, up_m_s2=up, same_since=same)
+    watch = structs.replace(watch, at=now, since=since, taken_m_s=taken, peak_m_s2=peak, up_m_s2=up, same_since=same)
     if taken >= TOUCH_M_S and peak >= TOUCH_M_S2:
-        watch = replace(watch, touch=Impact(now, "accelerometer", peak, doubtful=True))
+        watch = structs.replace(watch, touch=Impact(now, "accelerometer", peak, doubtful=True))
     alone = since == now and dt <= _QUICK_S
     if taken >= LEAST_M_S and last_s > QUIET_S and not alone:
-        return replace(watch, newest=Impact(now, "accelerometer", peak, doubtful=taken > MOST_M_S or last_s <= _AGAIN_S))
+        return structs.replace(watch, newest=Impact(now, "accelerometer", peak, doubtful=taken > MOST_M_S or last_s <= _AGAIN_S))
     return watch
 
 
@@ -285,7 +284,7 @@ class HeldUp(Struct, frozen=True):
         # One that is older than the window stays: it was flown when the window began.
         while len(kept) > 1 and seconds_between(kept[1][0], at) > ANSWERED_S:
             kept = kept[1:]
-        return replace(self, commands=(*kept, (at, down_m_s)))
+        return structs.replace(self, commands=(*kept, (at, down_m_s)))
 
     def to_deck(self, at: MonoNs, deck_down_m_s: float | None) -> float | None:
         """Return the speed towards the deck that the vehicle is to fly now, m/s down: by the command that it answers now.
@@ -299,11 +298,11 @@ class HeldUp(Struct, frozen=True):
     def measured(self, at: MonoNs, down_m_s: float) -> "HeldUp":
         """Return the memory after the vehicle's vertical speed, m/s down; `newest` is the newest contact."""
         if not self.commands or seconds_between(self.commands[0][0], at) < ANSWERED_S:
-            return replace(self, since=None)
+            return structs.replace(self, since=None)
         short_m_s = min(v for _, v in self.commands) - down_m_s
         if short_m_s < _HELD_LEAST_M_S:
-            return replace(self, since=None)
+            return structs.replace(self, since=None)
         since = at if self.since is None else self.since
         if seconds_between(since, at) < HELD_S:
-            return replace(self, since=since)
-        return replace(self, since=since, newest=Impact(at, "velocity", held_m_s=short_m_s))
+            return structs.replace(self, since=since)
+        return structs.replace(self, since=since, newest=Impact(at, "velocity", held_m_s=short_m_s))

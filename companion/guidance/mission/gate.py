@@ -9,8 +9,7 @@ time is over. A contact here, near the centre, is the landing (PRESS): nothing i
 from collections.abc import Iterator
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
@@ -53,13 +52,15 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     """Note what keeps the gate shut, and since when nothing does."""
     p, gate, shut = rules.spend(p, s, o), gate_of(p), _blocked(p, s, o)
     if shut is None:
-        return replace(p, kept=replace(gate, blocked=None, good_since=s.at if gate.good_since is None else gate.good_since))
+        return structs.replace(
+            p, kept=structs.replace(gate, blocked=None, good_since=s.at if gate.good_since is None else gate.good_since)
+        )
     if gate.waits_since is None or seconds_between(gate.waits_since, s.at) >= _REASON_STANDS_S:
-        gate = replace(gate, waits_for=shut, waits_since=s.at)
+        gate = structs.replace(gate, waits_for=shut, waits_since=s.at)
     tilts = shut.measured if shut.cause is ReasonCause.DECK_TILT else None
     # A deck that tilts this far in its swing is not still for as long as a commit takes: one wait for it is enough.
     refusing = p.refusing or (tilts is not None and tilts > _TILTS_FAR * o.limits.deck_tilt_gate_deg)
-    return replace(p, kept=replace(gate, blocked=shut, good_since=None), refusing=refusing)
+    return structs.replace(p, kept=structs.replace(gate, blocked=shut, good_since=None), refusing=refusing)
 
 
 def _blocked(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:

@@ -15,8 +15,7 @@ from __future__ import annotations
 
 import math
 
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.settings.guidance import ClimbResponse
 from estimator.contracts.samples import Baro
@@ -66,7 +65,7 @@ class HeldCourse(Struct, frozen=True):
         if self.sign == 0:
             return self
         if self.at is None or explained or self.sign * (height_m - self.best_m) < 0.0:
-            return replace(self, best_m=height_m, at=now)
+            return structs.replace(self, best_m=height_m, at=now)
         return self
 
     def against_m(self, now: MonoNs, height_m: float) -> float | None:
@@ -141,7 +140,7 @@ class ClimbWatch(Struct, frozen=True):
         course = self.baro.to(baro_m, by_orders_m, since_last_s, since_read_s, -math.expm1(-max(0.0, since_read_s) / _BARO_S))
         pad = self.pad.to(pad_m, by_orders_m, since_last_s, since_last_s, 1.0)
         if self.since_gap_s < _SETTLES_S:
-            course, pad = replace(course, off_m=self.baro.off_m), replace(pad, off_m=self.pad.off_m)
+            course, pad = structs.replace(course, off_m=self.baro.off_m), structs.replace(pad, off_m=self.pad.off_m)
         return ClimbWatch(climbs_m_s, course, at, pad, self.ordered_s + since_last_s, self.since_gap_s + since_last_s)
 
     @property

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.mission import Reason, ReasonCause
 from companion.guidance.controller import Knowledge
@@ -63,11 +62,11 @@ def battery_ends(charge: float | None, options: GuidanceOptions) -> bool:
 def last_landing(options: GuidanceOptions) -> GuidanceOptions:
     """Return the options of a landing whose battery ends: a contact that is less good, or another pad, is better than to fall."""
     o = options
-    return replace(
+    return structs.replace(
         o,
         limits=grown(o.limits, _LOOSER, ("error_m", "relative_speed_m_s", "deck_tilt_gate_deg", "deck_tilt_commit_deg")),
         cone=grown(o.cone, _LOOSER, ("slope", "descent_rate_m_s")),
-        tries=replace(o.tries, go_arounds_max=_TRIES, landing_s=_TIME_S, another_pad="automatic"),
+        tries=structs.replace(o.tries, go_arounds_max=_TRIES, landing_s=_TIME_S, another_pad="automatic"),
     )
 
 

@@ -11,8 +11,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
@@ -45,12 +44,12 @@ class Press(Struct, frozen=True):
 
 def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     if not isinstance(p.kept, Press):
-        return replace(p, kept=Press(contact.way_s(s, o)))
+        return structs.replace(p, kept=Press(contact.way_s(s, o)))
     estimate, since = s.estimate, p.since
     # What no frame shows any more is reckoned with an accelerometer that the contact may have shaken.
     seen_since = estimate is not None and since is not None and estimate.sighted > since and estimate.age_s(s.at) <= _FRESH_S
     left_s = contact.way_s(s, o, contact.NEAR_M) if seen_since else 0.0
-    return p if left_s <= 0.0 else replace(p, kept=Press(max(p.kept.way_s, p.in_state_s(s.at) + left_s)))
+    return p if left_s <= 0.0 else structs.replace(p, kept=Press(max(p.kept.way_s, p.in_state_s(s.at) + left_s)))
 
 
 def _rises(s: GuidanceCycle) -> bool:

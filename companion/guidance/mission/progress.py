@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from typing import TypeGuard
 
 import numpy as np
-from msgspec import Struct, field
-from msgspec.structs import replace
+from msgspec import Struct, field, structs
 
 from companion.base.mission import DESCENDS, FLOWN, Event, Reason, ReasonCause, State, StateChange
 from companion.guidance.controller import Impact, Knowledge
@@ -224,27 +223,27 @@ class Attempt(Struct, frozen=True):
         """Add one guidance cycle with sight of the pad."""
         held = self.with_sight_s + _counted_s(since_last_s)
         without = 0.0 if held >= SIGHT_HOLDS_S else self.without_sight_s
-        return replace(self, began=now if self.began is None else self.began, with_sight_s=held, without_sight_s=without)
+        return structs.replace(self, began=now if self.began is None else self.began, with_sight_s=held, without_sight_s=without)
 
     def unseen(self, since_last_s: float) -> Attempt:
         """Add one guidance cycle without sight of the pad."""
-        return replace(self, with_sight_s=0.0, without_sight_s=self.without_sight_s + _counted_s(since_last_s))
+        return structs.replace(self, with_sight_s=0.0, without_sight_s=self.without_sight_s + _counted_s(since_last_s))
 
     def spend(self, state: State, since_last_s: float) -> Attempt:
         """Add one guidance cycle in a state: a gust that takes the drone out of it, and a loss of sight, give it no more time."""
-        return replace(self, spent_s={**self.spent_s, state: self.spent_s.get(state, 0.0) + _counted_s(since_last_s)})
+        return structs.replace(self, spent_s={**self.spent_s, state: self.spent_s.get(state, 0.0) + _counted_s(since_last_s)})
 
     def cycle(self, since_last_s: float) -> Attempt:
         """Add one guidance cycle as late as it comes."""
-        return self if since_last_s <= STARVED_S else replace(self, starved_s=self.starved_s + since_last_s)
+        return self if since_last_s <= STARVED_S else structs.replace(self, starved_s=self.starved_s + since_last_s)
 
     def lost(self) -> Attempt:
         """Add one loss of sight."""
-        return replace(self, losses=self.losses + 1)
+        return structs.replace(self, losses=self.losses + 1)
 
     def descended(self, metres: float) -> Attempt:
         """Add the height lost between two sights, metres; climbing gives nothing back."""
-        return replace(self, blind_descent_m=self.blind_descent_m + max(0.0, metres))
+        return structs.replace(self, blind_descent_m=self.blind_descent_m + max(0.0, metres))
 
     def again(self) -> Attempt:
         """Return the budget of the next attempt: the remaining time without sight carries over."""
@@ -373,57 +372,59 @@ class Progress(Struct, frozen=True, eq=False):
 
 def entered(p: Progress, change: StateChange) -> Progress:
     """Return the memory after a transition."""
-    p = replace(
+    p = structs.replace(
         p, state=change.target, since=change.at, reason=change.reason, kept=None, held=None, held_yaw_rad=None,
         entered_height_m=p.seen_height_m, taken_from=change.source if change.target is State.TAKEN else None,
         begun=change.target in FLOWN or (p.begun and change.event is not Event.TAKEN_OFF),
     )  # fmt: skip
     match change.event:
         case Event.TAKEN_OFF:
-            p = _asked(replace(_fresh(p), stood=False, ordered=False, stays=False), change.at)
+            p = _asked(structs.replace(_fresh(p), stood=False, ordered=False, stays=False), change.at)
         case Event.BATTERY_ENDS:
-            p = _asked(replace(_fresh(p), stays=False), change.at)
+            p = _asked(structs.replace(_fresh(p), stays=False), change.at)
         case Event.STAY if change.source in DESCENDS:
-            p = _asked(replace(p, attempt=p.attempt.again()), change.at)
+            p = _asked(structs.replace(p, attempt=p.attempt.again()), change.at)
         case Event.BEGIN | Event.STAY:
             p = _fresh(p)
             if change.reason.cause is not ReasonCause.AUTOMATIC:
                 p = _asked(p, change.at)
             elif p.asked_at is None:
-                p = replace(p, asked_at=change.at)
+                p = structs.replace(p, asked_at=change.at)
         case Event.CONTACT:
             felt = change.reason.cause is not ReasonCause.REACHED
             again = change.source is not State.COMMIT
-            p = replace(p, reckoned=None if felt else change.at, bounces=p.bounces + again)
+            p = structs.replace(p, reckoned=None if felt else change.at, bounces=p.bounces + again)
         case Event.OTHER_PAD:
-            p = replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False)
+            p = structs.replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False)
         case Event.NO_CONDITIONS:
-            p = replace(p, refusing=True)
+            p = structs.replace(p, refusing=True)
         case Event.CLEAR:
             climbed_to_m = p.seen_height_m if change.reason.measured is None else change.reason.measured
             higher_m = max(p.seen_height_m, climbed_to_m)
-            p = replace(p, attempt=p.attempt.again(), seen_height_m=higher_m, climbed_m=0.0, silent_m=None, course=HeldCourse())
+            p = structs.replace(
+                p, attempt=p.attempt.again(), seen_height_m=higher_m, climbed_m=0.0, silent_m=None, course=HeldCourse()
+            )
     match change.target:
         case State.GO_AROUND:
             touched = change.reason.cause is ReasonCause.OFF_DECK
-            p = replace(
+            p = structs.replace(
                 p, fault=change.reason, go_arounds=p.go_arounds + 1, turned=None, bounces=p.bounces + touched, course=HeldCourse()
             )
         case State.COMMIT | State.DOWN:
-            p = replace(p, ordered=True)
+            p = structs.replace(p, ordered=True)
         case State.REFUSED | State.GAVE_UP:
-            p = replace(p, fault=change.reason)
-    return replace(p, stood=change.target in (State.LANDED, State.LANDED_BY_OTHERS))
+            p = structs.replace(p, fault=change.reason)
+    return structs.replace(p, stood=change.target in (State.LANDED, State.LANDED_BY_OTHERS))
 
 
 def _asked(p: Progress, at: MonoNs) -> Progress:
     """Return the memory after an order of a person, or the take-off that stands for one: all budgets begin again."""
-    return replace(p, asked_at=at, go_arounds=0, questions=0, landing_began=None, bounces=0, reckoned=None)
+    return structs.replace(p, asked_at=at, go_arounds=0, questions=0, landing_began=None, bounces=0, reckoned=None)
 
 
 def _fresh(p: Progress) -> Progress:
     """Return the memory without anything of earlier tries."""
-    return replace(
+    return structs.replace(
         p, fault=None, refusing=False, attempt=Attempt(), seen=None, seen_height_m=math.inf, in_sight=False, track=None,
         heading_rad=None, turned=None, silent_m=None, course=HeldCourse(),
         climbed_m=0.0, deck_rise_m=0.0,

@@ -13,8 +13,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.mission import out_of_reach, rules
@@ -58,7 +57,7 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     if s.place is None:
         return p
     leg = next_leg(_search(p).leg, s.place, o.rendezvous) if p.state is State.SEARCH else 0
-    return replace(p, kept=Search(s.at, leg))
+    return structs.replace(p, kept=Search(s.at, leg))
 
 
 def _refuses(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:

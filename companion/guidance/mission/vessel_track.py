@@ -14,8 +14,7 @@ from enum import Enum
 from types import MappingProxyType
 
 import numpy as np
-from msgspec import Struct, field
-from msgspec.structs import replace
+from msgspec import Struct, field, structs
 
 from companion.base.mission import Reason, ReasonCause
 from companion.guidance.mission.progress import VesselPosition
@@ -77,7 +76,7 @@ class VesselTrack(Struct, frozen=True, eq=False):
         """Return the track after a sample."""
         match sample:
             case Attitude():
-                return replace(self, yaw=(sample.stamp.measured_at, sample.R_ned_body.rpy_rad[2]))
+                return structs.replace(self, yaw=(sample.stamp.measured_at, sample.R_ned_body.rpy_rad[2]))
             case VesselReport():
                 return _reported(self, sample)
             case _:
@@ -85,7 +84,7 @@ class VesselTrack(Struct, frozen=True, eq=False):
 
     def restarted(self) -> VesselTrack:
         """Return the track without the ship's places, so that the next one is accepted alone: a person decided to go on."""
-        return replace(self, vessel=None, newest_refusal=None)
+        return structs.replace(self, vessel=None, newest_refusal=None)
 
     def position(self, now: MonoNs) -> VesselPosition | Reason:
         """Return the pad's place by the newest reports, or why it is not known."""
@@ -142,7 +141,7 @@ def _turn_rad_s(track: VesselTrack, now: MonoNs) -> float:
 def _to_vessel(track: VesselTrack, vehicle: GeoFix, vessel: GeoFix, now: MonoNs) -> F64:
     """Return the vector from vehicle to ship at an instant, (3,) m in ned; a ship without a height is at sea level."""
     height_m = 0.0 if track.vessel_height_m is None else track.vessel_height_m
-    d = ned_between(vehicle.place, replace(vessel.place, height_m=height_m))
+    d = ned_between(vehicle.place, structs.replace(vessel.place, height_m=height_m))
     age_s = seconds_between(vessel.stamp.measured_at, now)
     # On an arc the way has the direction of its middle.
     d[:2] += _turned(_velocity(track, now)[0], -0.5 * _turn_rad_s(track, now) * age_s) * age_s
@@ -192,11 +191,11 @@ def _reported(track: VesselTrack, report: VesselReport) -> VesselTrack:
             return _refused(track, "vessel", ReportRefusal.TOO_FAST)
         if track.velocity is None or at >= track.velocity[0]:
             variance = float(max(report.cov_v_ned[0, 0], report.cov_v_ned[1, 1]))
-            track = replace(track, velocity=(at, v, math.sqrt(variance)))
+            track = structs.replace(track, velocity=(at, v, math.sqrt(variance)))
     if report.heading_rad is not None and (track.heading is None or at >= track.heading[0]):
-        track = replace(track, heading=(at, report.heading_rad))
+        track = structs.replace(track, heading=(at, report.heading_rad))
     if report.turn_rad_s is not None and (track.turn is None or at >= track.turn[0]):
-        track = replace(track, turn=(at, report.turn_rad_s))
+        track = structs.replace(track, turn=(at, report.turn_rad_s))
     return track
 
 
@@ -204,14 +203,14 @@ def _placed(track: VesselTrack, fix: GeoFix) -> VesselTrack:
     """Take or refuse a place."""
     if fix.whose == "vehicle":
         refusal = _unfit(track, fix, track.vehicle, _VEHICLE_SPEED_MAX_M_S, np.zeros(2), _VEHICLE_SPEED_MAX_M_S)
-        return _refused(track, "vehicle", refusal) if refusal is not None else replace(track, vehicle=fix)
+        return _refused(track, "vehicle", refusal) if refusal is not None else structs.replace(track, vehicle=fix)
     v, sigma_v = _velocity(track, fix.stamp.measured_at)
     refusal = _unfit(track, fix, track.vessel, track.limits.speed_max_m_s, v, sigma_v)
     if refusal is not None:
         track = _refused(track, "vessel", refusal)
-        return replace(track, newest_refusal=(fix.stamp.received_at, refusal))
+        return structs.replace(track, newest_refusal=(fix.stamp.received_at, refusal))
     height_m = track.vessel_height_m if fix.place.height_m is None else fix.place.height_m
-    return replace(track, vessel=fix, vessel_height_m=height_m, taken=track.taken + 1, newest_refusal=None)
+    return structs.replace(track, vessel=fix, vessel_height_m=height_m, taken=track.taken + 1, newest_refusal=None)
 
 
 def _unfit(
@@ -238,7 +237,7 @@ def _unfit(
 
 def _refused(track: VesselTrack, whose: str, why: ReportRefusal) -> VesselTrack:
     name = f"{whose}_{why.value}"
-    return replace(track, refused=MappingProxyType({**track.refused, name: track.refused.get(name, 0) + 1}))
+    return structs.replace(track, refused=MappingProxyType({**track.refused, name: track.refused.get(name, 0) + 1}))
 
 
 def _turned(v: F64, angle_rad: float) -> F64:

@@ -15,8 +15,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.guidance.controller import FieldOfView, Knowledge
 from companion.settings.guidance import TiltResponse
@@ -157,7 +156,7 @@ def watched(watch: WindWatch, knowledge: Knowledge) -> WindWatch:
     dt = 0.0 if watch.at is None else seconds_between(watch.at, now)
     if not 0.0 < dt <= _GAP_MAX_S:
         fresh = watch.at is None
-        return replace(watch, at=now, quick=(north, east), smooth=(north, east) if fresh else watch.smooth)
+        return structs.replace(watch, at=now, quick=(north, east), smooth=(north, east) if fresh else watch.smooth)
     known_s = watch.known_s + dt
     slow = dt / min(MEAN_S, known_s)
     quick, smooth = (

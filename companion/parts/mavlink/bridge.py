@@ -35,7 +35,7 @@ from companion.parts.mavlink.file_server import FILE_REQUEST, FileServer
 from companion.parts.mavlink.metadata import metadata_files, metadata_message
 from companion.settings.links import BridgeOptions
 from drivers.mavlink.access import AccessLevel, NamedSenders
-from drivers.mavlink.dialect import ComponentMetadata, Message, boot_ms, mav
+from drivers.mavlink.dialect import ComponentMetadata, Message, mav, ms_since_boot
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, Tap, open_links
 from drivers.mavlink.vehicle import ARMED
 from estimator.contracts.geometry import F64, Rotation
@@ -213,7 +213,7 @@ class VehicleBridge(NullObserver):
         if a is None:
             return None
         q = (float(v) for v in a.R_ned_body.quat_wxyz)
-        return mav.MAVLink_attitude_quaternion_message(boot_ms(a.stamp.measured_at), *q, *(float(w) for w in self._w_body))
+        return mav.MAVLink_attitude_quaternion_message(ms_since_boot(a.stamp.measured_at), *q, *(float(w) for w in self._w_body))
 
     def _local_position(self, now: MonoNs) -> Message | None:
         v = self._velocity
@@ -224,7 +224,7 @@ class VehicleBridge(NullObserver):
             height_m = self._range.range_m * float(self._attitude.R_ned_body.matrix[2, 2])
         x, y = (float(p) for p in self._p_ned[:2])
         vx, vy, vz = (float(c) for c in self._v_ned(v))
-        return mav.MAVLink_local_position_ned_message(boot_ms(v.stamp.measured_at), x, y, -height_m, vx, vy, vz)
+        return mav.MAVLink_local_position_ned_message(ms_since_boot(v.stamp.measured_at), x, y, -height_m, vx, vy, vz)
 
     def _sys_status(self, now: MonoNs) -> Message | None:
         if self._status is None:

@@ -20,7 +20,7 @@ from companion.parts.mavlink.commands import ACCEPTED, UNSUPPORTED, Offered
 from companion.settings.links import VideoStreamOptions
 from drivers.mavlink.access import AccessLevel, Source
 from drivers.mavlink.autopilot import Autopilot
-from drivers.mavlink.dialect import Message, boot_ms, mav
+from drivers.mavlink.dialect import Message, mav, ms_since_boot
 from drivers.mavlink.links import ReceivedMessage
 from drivers.reconnect import running_beside
 from estimator.contracts.time import Clock, MonoNs
@@ -109,12 +109,12 @@ class CameraComponent:
     def _information(self, now: MonoNs) -> Message:
         c = self._camera
         return mav.MAVLink_camera_information_message(
-            boot_ms(now), _bytes(_NAME), _bytes("downward camera"), _version(), math.nan, math.nan, math.nan, c.width, c.height,
-            0, int(mav.CAMERA_CAP_FLAGS_HAS_VIDEO_STREAM), 0, b"",
+            ms_since_boot(now), _bytes(_NAME), _bytes("downward camera"), _version(), math.nan, math.nan, math.nan, c.width,
+            c.height, 0, int(mav.CAMERA_CAP_FLAGS_HAS_VIDEO_STREAM), 0, b"",
         )  # fmt: skip
 
     def _settings(self, now: MonoNs) -> Message:
-        return mav.MAVLink_camera_settings_message(boot_ms(now), int(mav.CAMERA_MODE_VIDEO))
+        return mav.MAVLink_camera_settings_message(ms_since_boot(now), int(mav.CAMERA_MODE_VIDEO))
 
     def _stream_information(self, now: MonoNs) -> Message:
         width, height = self._size

@@ -46,7 +46,7 @@ from companion.parts.mavlink.metadata import metadata_files, metadata_message
 from companion.parts.mavlink.outputs import AutopilotView, Outputs
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
-from drivers.mavlink.dialect import ComponentInformationBasic, ComponentMetadata, Message, boot_ms, mav
+from drivers.mavlink.dialect import ComponentInformationBasic, ComponentMetadata, Message, mav, ms_since_boot
 from drivers.mavlink.links import Links, ReceivedMessage
 from drivers.reconnect import running_beside
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -494,7 +494,7 @@ class Component(NullObserver):
         return computer_status(self._computer.read(), now)
 
     def _information(self, now: MonoNs) -> Message:
-        return ComponentInformationBasic(boot_ms(now), CAPABILITIES, 0, "Decklander", "companion", version(), "", "")
+        return ComponentInformationBasic(ms_since_boot(now), CAPABILITIES, 0, "Decklander", "companion", version(), "", "")
 
     def _value(self, now: MonoNs) -> Message | None:
         for _ in _VALUES:
@@ -502,7 +502,7 @@ class Component(NullObserver):
             self._values += 1
             value = self._figure(name, now)
             if value is not None:
-                return mav.MAVLink_named_value_float_message(boot_ms(now), name.encode(), value)
+                return mav.MAVLink_named_value_float_message(ms_since_boot(now), name.encode(), value)
         return None
 
     def _figure(self, name: str, now: MonoNs) -> float | None:

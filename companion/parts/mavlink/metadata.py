@@ -19,7 +19,7 @@ from companion.parts.mavlink.commands import NAMES
 from companion.parts.mavlink.file_server import crc32
 from companion.settings.model import EXPERT, Settings
 from companion.settings.schema import unit_of, walk
-from drivers.mavlink.dialect import ComponentMetadata, Message, boot_ms
+from drivers.mavlink.dialect import ComponentMetadata, Message, ms_since_boot
 from estimator.contracts.keys import PUBLIC
 from estimator.contracts.time import MonoNs
 
@@ -51,7 +51,7 @@ def metadata_files(component: int) -> dict[str, bytes]:
 
 def metadata_message(component: int, now: MonoNs) -> Message:
     """Return COMPONENT_METADATA: where the general file of this component is, and its checksum."""
-    return ComponentMetadata(boot_ms(now), crc32(metadata_files(component)[GENERAL]), _uri(component, GENERAL))
+    return ComponentMetadata(ms_since_boot(now), crc32(metadata_files(component)[GENERAL]), _uri(component, GENERAL))
 
 
 def _uri(component: int, name: str) -> str:

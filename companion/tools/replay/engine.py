@@ -14,8 +14,7 @@ from typing import get_args
 
 import msgspec
 import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
+from msgspec import Struct, structs
 
 from companion.base.mission import FLOWN, FlightOutcome, Reason, ReasonCause, State
 from companion.base.observer import Decision, Observer, ProcessedFrame
@@ -127,7 +126,7 @@ class Replay:
                 self._follow_operator(event.phase)
                 self._decide(MonoNs(event.at + self._shift_ns))
             case OrderRecord():
-                self._order(encode.handled(replace(event, at_ns=int(at))))
+                self._order(encode.handled(structs.replace(event, at_ns=int(at))))
             case FusionRecord() | TruthRecord() | LinkRecord() | HealthRecord():
                 pass
             case _:
@@ -136,12 +135,12 @@ class Replay:
     def _moved(self, stamp: Stamp) -> Stamp:
         if not self._shift_ns:
             return stamp
-        return replace(
+        return structs.replace(
             stamp, measured_at=MonoNs(stamp.measured_at + self._shift_ns), received_at=MonoNs(stamp.received_at + self._shift_ns)
         )
 
     def _sample(self, recorded: Sample) -> None:
-        sample = replace(recorded, stamp=self._moved(recorded.stamp))
+        sample = structs.replace(recorded, stamp=self._moved(recorded.stamp))
         self.counts.samples += 1
         results = self._pilot.on_sample(sample)
         for result in results:
@@ -159,7 +158,9 @@ class Replay:
         self.counts.frames += 1
         attitude = recorded.attitude
         attitude = (
-            self._pilot.estimator.attitude_at(stamp) if attitude is None else replace(attitude, stamp=self._moved(attitude.stamp))
+            self._pilot.estimator.attitude_at(stamp)
+            if attitude is None
+            else structs.replace(attitude, stamp=self._moved(attitude.stamp))
         )
         held = None if attitude is None else self._pilot.held_at(stamp, attitude)
         detection: Detection | None = None
@@ -175,19 +176,19 @@ class Replay:
             else:
                 verdict, results = self._pilot.on_detection(detection)
             frame = _black(recorded)
-        elif (refused := self._pilot.estimator.admit(replace(frame, stamp=stamp))) is not None:
+        elif (refused := self._pilot.estimator.admit(structs.replace(frame, stamp=stamp))) is not None:
             verdict = refused
         elif attitude is not None and held is None and self._pilot.search.gimballed:
             verdict = Verdict.NO_GIMBAL
         elif attitude is not None:
             self.counts.searched += 1
-            detection = self._pilot.detect(self._pilot.look_at(replace(frame, stamp=stamp), attitude, held))
+            detection = self._pilot.detect(self._pilot.look_at(structs.replace(frame, stamp=stamp), attitude, held))
             verdict, results = self._pilot.on_detection(detection)
         elif (assumed := self._pilot.assumed_at(stamp)) is not None:
-            look = self._pilot.look_after(replace(frame, stamp=stamp), assumed)
+            look = self._pilot.look_after(structs.replace(frame, stamp=stamp), assumed)
             self._pilot.on_followed(self._pilot.detect(look), assumed)
         self._pilot.landing.on_verdict(verdict)
-        seen = replace(frame, stamp=stamp)
+        seen = structs.replace(frame, stamp=stamp)
         camera = self._pilot.search.camera_held(held)
         processed = ProcessedFrame(seen, attitude, detection, verdict, began, done, results, recorded.times, camera)
         self._hash.update(self._encoder.encode(encode.detection(processed)))
@@ -203,11 +204,11 @@ class Replay:
         selected, elsewhere = self._shifted(detection.selected), self._shifted(detection.elsewhere)
         methods = {name: self._shifted(seen) for name, seen in detection.methods.items()}
         check = detection.on_pad
-        on_pad = None if check is None else replace(check, at=MonoNs(check.at + self._shift_ns))
-        return replace(detection, selected=selected, methods=methods, elsewhere=elsewhere, on_pad=on_pad)
+        on_pad = None if check is None else structs.replace(check, at=MonoNs(check.at + self._shift_ns))
+        return structs.replace(detection, selected=selected, methods=methods, elsewhere=elsewhere, on_pad=on_pad)
 
     def _shifted(self, seen: Sighting | None) -> Sighting | None:
-        return None if seen is None else replace(seen, stamp=self._moved(seen.stamp))
+        return None if seen is None else structs.replace(seen, stamp=self._moved(seen.stamp))
 
     def _order(self, handled: HandledOrder) -> None:
         """Hand an order on; carry out the one that shows in no phase."""
@@ -235,7 +236,7 @@ class Replay:
     def _guide_until(self, now: MonoNs) -> None:
         if self._due is None:
             self._due = now
-            self._pilot.landing.mission = replace(self._pilot.landing.mission, state=State.WAIT)
+            self._pilot.landing.mission = structs.replace(self._pilot.landing.mission, state=State.WAIT)
         if seconds_between(self._due, now) > _GAP_S:
             self._due = now
         while self._due <= now:
@@ -289,7 +290,7 @@ def with_files_of(recording: Recording, settings: Settings, names: Iterable[str]
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         for path in (Path(folder) / name for name in names if name in recording.attachments):
             path.write_bytes(recording.attachments[path.name])
-            settings = replace(settings, **{path.stem: replace(getattr(settings, path.stem), file=str(path))})
+            settings = structs.replace(settings, **{path.stem: structs.replace(getattr(settings, path.stem), file=str(path))})
         yield settings
 
 
@@ -301,4 +302,4 @@ def pilot_of(settings: Settings, path: PathName | None, *, alone: bool = False) 
     """
     steering = path or settings.estimator.path
     shadows = [] if alone else [p for p in available_paths() if p != steering]
-    return make_pilot(replace(settings, estimator=replace(settings.estimator, path=steering)), shadows=shadows)
+    return make_pilot(structs.replace(settings, estimator=structs.replace(settings.estimator, path=steering)), shadows=shadows)

@@ -82,20 +82,16 @@ export function health(message) {
     causes.forEach(({ text }, i) => (list.children[i].textContent = text));
   } else {
     list.dataset.shown = key;
-    list.replaceChildren(...causes.map(({ level, text }) => item("li", text, level)));
+    list.replaceChildren(...causes.map(({ level, text }) => part("li", text, { "data-level": level })));
   }
-  $("service").replaceChildren(...message.figures.flatMap(([name, value]) => [item("dt", name), item("dd", value)]));
+  $("service").replaceChildren(...message.figures.flatMap(([name, value]) => [part("dt", name), part("dd", value)]));
 }
 
 export function event(message) {
-  const line = item("li", "", message.level);
+  const line = part("li", "", { "data-level": message.level });
   const tenths = Math.round(10 * message.at_s);
-  line.append(item("time", `${Math.floor(tenths / 600)}:${((tenths % 600) / 10).toFixed(1).padStart(4, "0")}`), item("span", message.text, message.level));
-  if (message.advice) line.append(item("small", message.advice));
+  line.append(part("time", `${Math.floor(tenths / 600)}:${((tenths % 600) / 10).toFixed(1).padStart(4, "0")}`), part("span", message.text, { "data-level": message.level }));
+  if (message.advice) line.append(part("small", message.advice));
   $("events").prepend(line);
   while ($("events").children.length > EVENTS) $("events").lastChild.remove();
-}
-
-function item(tag, text, level = "") {
-  return part(tag, text, level ? { "data-level": level } : {});
 }
