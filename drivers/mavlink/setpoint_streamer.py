@@ -261,8 +261,7 @@ class SetpointStreamer:
 
     def _take_land(self, command: Land, now: MonoNs) -> None:
         landing = self._landing
-        if command.on_deck and self.hand not in LEFT_ALONE:
-            self._felt_at = now
+        self._felt_at = now if command.on_deck and self.hand not in LEFT_ALONE else None
         if self.hand is Hand.LANDING and not command.on_deck:
             if command.persistent and not landing.order.persistent:
                 landing.order, landing.at, landing.began, landing.spent = command, now, now, False

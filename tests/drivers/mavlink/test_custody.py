@@ -92,7 +92,8 @@ class RandomHands(RuleBasedStateMachine):
         for _ in range(round(seconds / STEP_S)):
             before, toy, hand = self.flown.reported, self.flown.toy, self.flown.hand
             self.flown.step()
-            if self.mode is not None and toy.mode != self.mode and not self.his:
+            ours = {what for _, what in toy.log[self.read :]}
+            if not self.his and (toy.mode != self.mode or f"mode {self.mode}" in ours):
                 self.mode = None  # a request of ours crossed his choice
             if self.flown.reported is not before and self.flown.reported is not None:
                 self._report(self.flown.reported, hand)
@@ -147,7 +148,8 @@ class RandomHands(RuleBasedStateMachine):
     def switch(self, modes: dict[Stack, str]) -> None:
         mode, toy = modes[self.stack], self.flown.toy
         asked = {what for at_s, what in toy.log if self.flown.now_s - at_s < LAPSES_S + 0.5}
-        if mode != toy.mode and f"mode {mode}" not in asked:  # else nobody can say whose it is
+        # Else nobody can say whose it is.
+        if self.flown.reported is not None and mode != toy.mode and f"mode {mode}" not in asked:
             toy.switch(mode)
             self.mode, toy.others_stream = mode, True
 
