@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from msgspec import Struct
 
 from drivers.mavlink.options import MavlinkOptions
-from estimator.contracts.keys import CheckedOptions, choice, name, number, text
+from estimator.contracts.keys import CheckedOptions, check_order, choice, name, number, text
 
 
 def is_address(host: str) -> bool:
@@ -174,11 +174,7 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ] = "second"
 
     def __post_init__(self) -> None:
-        if self.reconnect_cap_s < self.reconnect_first_s:
-            raise ValueError(
-                f"reconnect_cap_s ({self.reconnect_cap_s:g} s) must not be shorter than reconnect_first_s "
-                f"({self.reconnect_first_s:g} s)"
-            )
+        check_order(self, "reconnect_first_s <= reconnect_cap_s")
         if bool(self.certificate_file) != bool(self.key_file):
             raise ValueError("certificate_file and key_file need each other")
         if (self.commands == "signed") != bool(self.command_key_file):

@@ -69,6 +69,15 @@ def check_ranges(options: Struct) -> None:
             raise ValueError(f"{kind}.{key} must be one of {', '.join(map(str, words))}, got {getattr(options, key)!r}")
 
 
+def check_order(options: Struct, *relations: str) -> None:
+    """Check relations of two keys, as `CheckedOptions.ORDER` has them. Raises ValueError."""
+    for less, relation, more in map(str.split, relations):
+        low, high = getattr(options, less), getattr(options, more)
+        if low > high or (low == high and relation == "<"):
+            least = "at least" if relation == "<=" else "more than"
+            raise ValueError(f"{more} ({high:g}) must be {least} {less} ({low:g})")
+
+
 class CheckedOptions(Struct, frozen=True, forbid_unknown_fields=True):
     """Options whose ranges hold for those made in code, too.
 
@@ -81,11 +90,7 @@ class CheckedOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         check_ranges(self)
-        for less, relation, more in map(str.split, self.ORDER):
-            low, high = getattr(self, less), getattr(self, more)
-            if low > high or (low == high and relation == "<"):
-                least = "at least" if relation == "<=" else "more than"
-                raise ValueError(f"{more} ({high:g}) must be {least} {less} ({low:g})")
+        check_order(self, *self.ORDER)
 
 
 def grown(options: _Options, factor: float, keys: Container[str]) -> _Options:

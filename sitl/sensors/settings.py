@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from estimator.contracts.keys import choice, number
+from estimator.contracts.keys import check_order, choice, number
 
 _MEASURED = "a recorded AR.Drone 2.0 flight against motion capture"
 _THESIS = "the thesis' simulator"
@@ -105,5 +105,4 @@ class SensorSettings(Struct, frozen=True, forbid_unknown_fields=True):
     battery_life_s: Annotated[float, number("flight time of a full battery", "s", 10.0, 36000.0, _THESIS)] = 1200.0
 
     def __post_init__(self) -> None:
-        if self.ultrasound_min_m >= self.ultrasound_max_m:
-            raise ValueError("ultrasound_min_m must be less than ultrasound_max_m")
+        check_order(self, "ultrasound_min_m < ultrasound_max_m")

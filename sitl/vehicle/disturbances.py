@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Meta, Struct, structs
 
 from estimator.contracts.geometry import F64
-from estimator.contracts.keys import number
+from estimator.contracts.keys import check_order, number
 from sitl.core.library import SIM
 
 
@@ -140,8 +140,7 @@ class EffectSettings(Struct, frozen=True, forbid_unknown_fields=True):
     video_most_s: Annotated[float, number("most delay of a frame", "s", 0.0, 1.0, "AR.Drone 2.0: 0.06 to 0.15")] = 0.0
 
     def __post_init__(self) -> None:
-        if self.video_most_s < self.video_least_s:
-            raise ValueError("video_most_s must not be less than video_least_s")
+        check_order(self, "video_least_s <= video_most_s")
 
 
 _WRONG_STREAM = 0x3B0D

@@ -28,7 +28,7 @@ from companion.settings.overrides import finite
 from companion.settings.schema import explain
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64
-from estimator.contracts.keys import choice, number, text
+from estimator.contracts.keys import check_order, choice, number, text
 from sitl.vessel.seakeeping import HULLS, MODES, Hull, ResponseTable, Superstructure, smooth_step
 
 _EARTH_M = 6_371_000.0
@@ -419,8 +419,7 @@ class VesselFile(Struct, frozen=True, forbid_unknown_fields=True):
         block = self.superstructure
         if block is not None and block.covers(self.pad_forward_m, self.pad_starboard_m):
             raise ValueError("superstructure stands on the pad: forward_m and length_m reach over its centre")
-        if self.bow_taper_m >= self.length_m:
-            raise ValueError("bow_taper_m must be less than length_m")
+        check_order(self, "bow_taper_m < length_m")
 
 
 class Ship(Struct, frozen=True):
