@@ -23,7 +23,7 @@ from companion.parts.recorder.recorder import digest_file, recordings
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant, open_recording
 from companion.recording.rewriting import TABLE_OF, Cut, export, rewrite
-from companion.settings.load import Settings, camera_model, load, shipped
+from companion.settings.load import Settings, camera_model, load, shipped, whole
 from companion.settings.remarks import sources as sources_of_ship
 from companion.settings.vessel import VesselOptions
 from companion.tools.ros2 import bags
@@ -303,14 +303,8 @@ def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -
 
 def _written(output: Path, write: Callable[[Path], Any]) -> Any:
     """Write a file under another name, and give it its own once it is whole: what is there stays until then."""
-    part = output.with_name(f"{output.name}.part")
-    try:
-        with refused(str(output), OSError):
-            done = write(part)
-            part.replace(output)
-    finally:
-        part.unlink(missing_ok=True)
-    return done
+    with refused(str(output), OSError), whole(output) as part:
+        return write(part)
 
 
 # Upload finished recordings to object storage: a folder, S3 or whatever else fsspec has a file system for.

@@ -10,10 +10,10 @@ import difflib
 import math
 import os
 import re
-import tempfile
+import secrets
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -350,18 +350,25 @@ def read_toml(path: Path, kind: str = "") -> dict[str, Any]:
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """Give a path to write to; what is written takes the place of the file, or of the one that it links to, unless that fails."""
+def whole(path: Path, like: Path | None = None) -> Iterator[Path]:
+    """Give a path to write to; what is written takes the place of the file, or of the one that it links to, unless that fails.
+
+    Args:
+        like: the file whose owner and mode the new one gets; None for the one before.
+    """
     if path.exists() and not path.is_file():
         yield path  # a device or a pipe, which nothing may take the place of
         return
-    path, mask = path.resolve(), os.umask(0o077)
-    os.umask(mask)
-    number, name = tempfile.mkstemp(prefix=".new-", suffix=path.name, dir=path.parent)
-    os.close(number)
-    beside = Path(name)
+    path = path.resolve()
+    like = like or path
+    beside = path.with_name(f".new-{secrets.token_hex(4)}-{path.name}")
+    beside.touch(exist_ok=False)
     try:
-        beside.chmod(path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~mask)
+        if like.exists():
+            status = like.stat()
+            with suppress(PermissionError):
+                os.chown(beside, status.st_uid, status.st_gid)
+            beside.chmod(status.st_mode & 0o777)
         yield beside
         with beside.open("rb") as file:
             os.fsync(file.fileno())
@@ -370,9 +377,9 @@ def whole(path: Path) -> Iterator[Path]:
         beside.unlink(missing_ok=True)
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
+def write_whole(path: Path, content: str | bytes, like: Path | None = None) -> None:
     """Write a file by `whole`, a text as UTF-8. Raises OSError."""
-    with whole(path) as beside:
+    with whole(path, like) as beside:
         beside.write_bytes(content if isinstance(content, bytes) else content.encode())
 
 

@@ -2,12 +2,11 @@
 
 import hashlib
 import os
-from contextlib import suppress
 from pathlib import Path
 
 from msgspec import Struct
 
-from companion.settings.load import SHIPPED, read_text, whole
+from companion.settings.load import SHIPPED, read_text, write_whole
 from estimator.contracts.errors import BadInput, refused
 
 BEFORE = ".before"
@@ -52,8 +51,8 @@ class SettingsFile(Struct, frozen=True):
             raise BadInput(f"{self.path} was changed since it was read here: load it again, and make your changes again")
         target, content = self.path.resolve(), text.encode()
         with refused(f"cannot be saved: {target}", OSError):
-            _replace(target.with_name(target.name + BEFORE), target.read_bytes(), like=target)
-            _replace(target, content, like=target)
+            write_whole(target.with_name(target.name + BEFORE), target.read_bytes(), like=target)
+            write_whole(target, content, like=target)
         return _revision(content)
 
     def save_beside(self, name: str, text: str) -> None:
@@ -68,19 +67,9 @@ class SettingsFile(Struct, frozen=True):
         target = like.with_name(name)
         with refused(f"cannot be saved: {target}", OSError):
             if target.exists():
-                _replace(target.with_name(name + BEFORE), target.read_bytes(), like)
-            _replace(target, text.encode(), like)
+                write_whole(target.with_name(name + BEFORE), target.read_bytes(), like)
+            write_whole(target, text.encode(), like)
 
 
 def _revision(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
-
-
-def _replace(path: Path, content: bytes, like: Path) -> None:
-    """Write a file so that whoever reads it finds the one before or this one, also after a loss of power."""
-    status = like.stat()
-    with whole(path) as beside:
-        beside.chmod(status.st_mode & 0o777)
-        with suppress(PermissionError):
-            os.chown(beside, status.st_uid, status.st_gid)
-        beside.write_bytes(content)

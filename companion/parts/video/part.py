@@ -76,8 +76,10 @@ class RtpStream:
         frame = self._frames.frame(image, at)
         if frame is None:
             return False
-        with refused(f"video_stream.to: {self._to}", OSError, FFmpegError, by=Recoverable):
+        try:
             self._container.mux(self._stream.encode(frame))
+        except (OSError, FFmpegError) as why:
+            raise Recoverable(f"video_stream.to: {self._to}: {why}") from why
         return True
 
     def close(self) -> None:

@@ -3,7 +3,6 @@
 import asyncio
 import errno
 import socket
-import tempfile
 import tomllib
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -220,12 +219,12 @@ async def test_nothing_is_saved_in_flight_while_armed_or_without_the_token(tmp_p
 async def test_where_the_service_may_not_write_it_reports_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = rig(tmp_path)
 
-    def read_only(**_: Any) -> None:
+    def read_only(*_: Any, **__: Any) -> None:
         raise OSError(errno.EROFS, "Read-only file system")
 
     async with serving(tmp_path, settings_file=path) as service, browsing(service) as browser:
         await service.lands()
-        monkeypatch.setattr(tempfile, "mkstemp", read_only)
+        monkeypatch.setattr(Path, "touch", read_only)
         answer = await saved(browser, masked(FASTER))
         assert not answer["saved"]
         assert "Read-only file system" in answer["text"]
