@@ -14,7 +14,7 @@ LIBRARIES := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 BINDINGS := estimator/core/abi.py sitl/core/abi.py
 CORE := $(LIBRARIES) $(BINDINGS)
 
-.PHONY: core demo check test qualify test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins release
+.PHONY: core demo check test pythons qualify test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins release
 
 # The core compiles while the packages are fetched.
 demo:
@@ -29,7 +29,12 @@ check: lint
 test: lint
 	$(BIN)/pytest $(WORKERS)
 
-# Slow proofs that a change of Python rarely breaks: sanitizers, another architecture, kernel devices, installations, a learned detector.
+# `make check` and one demo with every Python of the classifiers that this machine has, each in an environment of its own.
+pythons:
+	@sh supply/pythons.sh
+
+# Slow proofs that a change of Python rarely breaks: sanitizers, another architecture, kernel devices, installations, a learned
+# detector, no pad where there is none, and a report in a browser.
 qualify: $(VENV)/.dev $(VENV)/.compiler $(CORE)
 	$(BIN)/pytest qualification
 

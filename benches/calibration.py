@@ -10,6 +10,7 @@ from collections import Counter
 
 import numpy as np
 
+from benches.options import parsed
 from companion.tools.calibrate.board import Board, BoardView, Collection
 from companion.tools.calibrate.guide import assess
 from companion.tools.calibrate.solve import Solution, distance_errors, solve
@@ -74,7 +75,7 @@ def main() -> None:
     parser.add_argument("--images", action="store_true", help="render the board and find its corners")
     parser.add_argument("--fisheye", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+    args = parsed(parser, "--sets 1 --views 6")
     for name, tilt_deg in (("tilted to 30 degrees", 30.0), ("flat, 0.6 degrees", 0.6)):
         rows, grades, models = [], [], []
         for k in range(args.sets):

@@ -38,6 +38,7 @@ import av
 import numpy as np
 
 from benches.dead_man import drone
+from benches.options import parsed
 from drivers.mavlink.dialect import mav
 from sitl.emulators.ardrone.truth_log import read as read_truth
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
@@ -575,7 +576,7 @@ def main() -> int:
     parser.add_argument("--worst", type=Path, metavar="FILE", help="write the ten worst flights")
     parser.add_argument("--again", type=Path, metavar="FILE", help="fly the flights of a file")
     parser.add_argument("--log", action="store_true", help="print the log of each flight")
-    asked = parser.parse_args()
+    asked = parsed(parser, "--flights 1 --vehicle ardrone --healthy")
     flights = [draw(seed, asked.vehicle) for seed in range(asked.first, asked.first + asked.flights)]
     if asked.again is not None:
         flights = of_toml(asked.again.read_text())

@@ -1,4 +1,6 @@
-"""Measure what is seen on the pad in rendered approaches: `python -m benches.clear_deck [--runs N] [--clear N] [--bodies N]`.
+"""Measure what is seen on the pad in rendered approaches.
+
+python -m benches.clear_deck [--runs N] [--clear N] [--bodies N] [--leans]
 
 The camera comes down from 5 m to 0.9 m over the pad in 41 frames, swings, and drifts beside the axis. The tracker has a
 prediction that is off by 5 mm at one sigma. Light, exposure, white balance, wear, glare, wet paint and the drone's own shadow are
@@ -7,7 +9,10 @@ random. Things are squares of 0.1 to 0.5 m that lie anywhere within the disc. Th
 where the pad is sure in fewer than three of the last ten frames, nobody lands; where a part of it is in glare, the operator is
 asked. Bodies are crates of 0.3 to 1 m and people of 0.8 to 1.8 m that stand 0.3 to 0.7 m beside the disc, and people, birds and
 drones on their way over the pad and back: seen counts any frame. Half of these approaches and of the clear ones are over a small
-deck with waves about it. `--scenarios` comes down on the ships of scenarios.
+deck with waves about it. `--scenarios` comes down on the ships of scenarios. With `--leans` the camera is under an autopilot in
+wind: it comes from aside, leans by 6 to 26 degrees and swings beyond that, over the pad at 5 to 7 m for six seconds first.
+With `--hovers` it waits for a minute beside and over the empty pad of a ship, two pads in turn, and what counts is how long
+something was there at a stretch.
 """
 
 import argparse
@@ -15,12 +20,14 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from benches.options import parsed
 from benches.search import SIGMA_YAW_RAD
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation, wrap_pi
@@ -31,7 +38,7 @@ from estimator.vision.options import TrackerOptions
 from estimator.vision.srgb import LUMA, linear_light
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from sitl.camera.camera import Exposure, Renderer
-from sitl.camera.light import Mast, Sensor
+from sitl.camera.light import Sensor
 from sitl.camera.picture_effects import PictureEffects
 from sitl.camera.surroundings import RGB, Decal, Deck, Surroundings
 from sitl.faults.kinds import Bystander
@@ -46,7 +53,13 @@ from tests.support.pad_scenes import DECK_PAINTS, load_camera, load_pad, random_
 LIGHTS = ("light", "plain", "wet", "shadow", "glare", "mast", "dusk")
 BODIES = ("crate", "stands", "walks", "bird", "drone")
 HUES = ("grey", "any hue", "disc's hue")
-HIGH_M, LOW_M, FRAMES, PERIOD_S = 5.0, 0.9, 41, 0.1
+HIGH_M, LOW_M, FRAMES, PERIOD_S, LEAN_FRAMES = 5.0, 0.9, 41, 0.1, 110
+HOVER_FRAMES, HOVER_SEAS, HOVER_PADS, BARS_S = (
+    600,
+    ("demo", "sea_state_4", "sea_state_6", "weather_4"),
+    ("thesis", "printed"),
+    5.0,
+)
 LAST, LAST_SURE = 10, 3
 
 
@@ -62,6 +75,8 @@ class Approached:
     """The same about it."""
     lands: bool
     """True if the pad is sure in the last frames."""
+    near_s: float = 0.0
+    """Longest time at a stretch for which something was there about it."""
 
     @property
     def asks(self) -> bool:
@@ -86,7 +101,7 @@ def drawn_by(seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerC
     if light == "dusk":
         lit = replace(lit, colour_temperature_k=9000.0, drone_shadow=0.0, visibility_m=400.0)
     if light == "mast":
-        lit = replace(lit, mast=Mast(3.0, (1.0, float(rng.uniform(-1, 1)))))
+        lit = replace(lit, mast_height_m=3.0, mast_forward_m=1.0, mast_right_m=float(rng.uniform(-1, 1)))
     small = seed // 6 % 2 == 1
     deck = Deck(5.0, 2.8, (0.6, 0.0), 0.0) if small else Deck(8.0, 5.0, (0.0, 0.0), 0.0)
     waves = Waves.draw(SEA_STATES[4], seed % 6) if small else None
@@ -98,16 +113,106 @@ def drawn_by(seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerC
     return Renderer(tracker.camera, tracker.pad, around, lit, sensor)
 
 
-def over_ship(seed: int, scenario: Scenario) -> Approached:
+class Flown(NamedTuple):
+    """The camera's vehicle at an instant, from the pad and against the level."""
+
+    place_m: NDArray[np.float64]
+    v_m_s: NDArray[np.float64]
+    roll: float
+    pitch: float
+    w_rad_s: NDArray[np.float64] | None = None
+    """None for one that is drawn."""
+
+
+Way = Callable[[float], Flown]
+
+
+def swinging(rng: np.random.Generator) -> Way:
+    """Return a way straight down that swings a little."""
+    phase = rng.uniform(0, math.tau, 4)
+
+    def at(t: float) -> Flown:
+        height_m = HIGH_M + (LOW_M - HIGH_M) * t / (PERIOD_S * (FRAMES - 1))
+        roll, pitch = (0.05 * math.sin(1.3 * t + p) for p in phase[:2])
+        x, y = (0.06 * height_m * math.sin(0.9 * t + p) for p in phase[2:])
+        v = np.array([0.05 * height_m * math.cos(0.9 * t + phase[2]), 0.05 * height_m * math.cos(0.9 * t + phase[3]), 0.9])
+        return Flown(np.array([x, y, -height_m]), v, roll, pitch)
+
+    return at
+
+
+def leaning(rng: np.random.Generator) -> Way:
+    """Return a way over the pad from aside, and then down, of a vehicle that leans against the wind."""
+    lean, lee, from_m, bearing, high_m = rng.uniform((0.1, -math.pi, 0.5, -math.pi, 5.0), (0.45, math.pi, 2.5, math.pi, 7.0))
+    phase, aside = rng.uniform(0, math.tau, 6), from_m * np.array([math.cos(bearing), math.sin(bearing)])
+    slow, quick, wander = np.array([1.5, 1.4]), np.array([4.0, 3.7]), np.array([0.8, 0.9])
+
+    def at(t: float) -> Flown:
+        left, down_s = math.exp(-t / 3.0), max(0.0, t - 6.0)
+        turns = slow * t + phase[:2], quick * t + phase[2:4], wander * t + phase[4:]
+        roll, pitch = (
+            lean * np.array([math.sin(lee), math.cos(lee)]) + 0.12 * np.sin(turns[0]) + 0.05 * np.sin(turns[1])
+        ).tolist()
+        w = np.array([*(0.12 * slow * np.cos(turns[0]) + 0.05 * quick * np.cos(turns[1])), 0.0])
+        place, v = aside * left + 0.35 * np.sin(turns[2]), -aside * left / 3.0 + 0.35 * wander * np.cos(turns[2])
+        return Flown(np.array([*place, 0.6 * down_s - high_m]), np.array([*v, 0.6 if down_s else 0.0]), roll, pitch, w)
+
+    return at
+
+
+def hovering(rng: np.random.Generator) -> Way:
+    """Return a way of a vehicle that waits beside the pad, over it or between, and sways in the wind."""
+    high_m, aside_m, bearing, lean, lee = rng.uniform((2.0, 0.0, -math.pi, 0.0, -math.pi), (5.5, 1.5, math.pi, 0.15, math.pi))
+    phase, aside = rng.uniform(0, math.tau, 7), aside_m * np.array([math.cos(bearing), math.sin(bearing)])
+    slow, wander, rise = np.array([1.5, 1.4]), np.array([0.5, 0.6]), 0.7
+
+    def at(t: float) -> Flown:
+        turns, ways = slow * t + phase[:2], wander * t + phase[2:4]
+        roll, pitch = (lean * np.array([math.sin(lee), math.cos(lee)]) + 0.08 * np.sin(turns)).tolist()
+        w = np.array([*(0.08 * slow * np.cos(turns)), 0.0])
+        place, v = aside + 0.25 * np.sin(ways), 0.25 * wander * np.cos(ways)
+        up, climb = 0.3 * math.sin(rise * t + phase[4]), 0.3 * rise * math.cos(rise * t + phase[4])
+        return Flown(np.array([*place, up - high_m]), np.array([*v, climb]), roll, pitch, w)
+
+    return at
+
+
+def hovers(runs: range) -> None:
+    """Print the hovers over an empty deck in which something was there for so long that it holds a landing."""
+    barred = 0
+    for seed in runs:
+        name, pad = HOVER_SEAS[seed % len(HOVER_SEAS)], HOVER_PADS[seed // len(HOVER_SEAS) % len(HOVER_PADS)]
+        scenario = load_scenario(name)
+        of = over_ship(seed, replace(scenario, pad=replace(scenario.pad, file=pad)), way=hovering, frames=HOVER_FRAMES)
+        barred += of.near_s >= BARS_S
+        if of.near_s:
+            print(f"  seed {seed}, {name}, {pad}: something for {of.near_s:.1f} s, {of.check}", flush=True)
+    print(f"hovers: {barred} of {len(runs)} barred for {BARS_S:g} s and more", flush=True)
+
+
+def over_ship(
+    seed: int,
+    scenario: Scenario,
+    *,
+    leans: bool = False,
+    way: Callable[[np.random.Generator], Way] | None = None,
+    frames: int | None = None,
+) -> Approached:
     """Return what an approach to the clear pad of a scenario's ship shows, in its sea and light."""
     waves, vessel = sea_and_vessel(scenario, [seed])
     film = renderer_of(scenario, waves, vessel, seed)
     tracker = TrackerConfig(camera_model(scenario), pad_model(scenario), TrackerOptions())
-    return followed(tracker, vessel, film.render, np.random.default_rng([50, seed]))
+    return followed(tracker, vessel, film.render, np.random.default_rng([50, seed]), leans=leans, way=way, frames=frames)
 
 
 def approach(
-    seed: int, light: str, things: tuple[Decal, ...], tracker: TrackerConfig, bodies: tuple[Bystander, ...] = ()
+    seed: int,
+    light: str,
+    things: tuple[Decal, ...],
+    tracker: TrackerConfig,
+    bodies: tuple[Bystander, ...] = (),
+    *,
+    leans: bool = False,
 ) -> Approached:
     """Return what an approach to a pad at rest shows."""
     rng = np.random.default_rng([50, seed])
@@ -118,7 +223,7 @@ def approach(
         px = renderer.render(shot, rng)
         return effects.drawn(px, bodies, shot, rng) if bodies else px
 
-    return followed(tracker, None, image, rng)
+    return followed(tracker, None, image, rng, leans=leans)
 
 
 def followed(
@@ -126,23 +231,25 @@ def followed(
     vessel: Vessel | None,
     image: Callable[[Exposure, np.random.Generator], NDArray[np.uint8]],
     rng: np.random.Generator,
+    *,
+    leans: bool,
+    way: Callable[[np.random.Generator], Way] | None = None,
+    frames: int | None = None,
 ) -> Approached:
     """Return what the tracker makes of an approach to the pad of a vessel, or to one at rest."""
-    memory, check, first_m, near_m, sure = TrackerMemory(), None, 0.0, 0.0, 0
-    yaw, phase = float(rng.uniform(-math.pi, math.pi)), rng.uniform(0, math.tau, 4)
+    memory, check, first_m, near_m, sure, near_s, longest_s = TrackerMemory(), None, 0.0, 0.0, 0, 0.0, 0.0
+    yaw, flown = float(rng.uniform(-math.pi, math.pi)), (way or (leaning if leans else swinging))(rng)
+    frames = frames or (LEAN_FRAMES if leans else FRAMES)
     p_pad, v_pad, w_pad, R_pad = np.array([0.0, 0.0, -0.6]), np.zeros(3), np.zeros(3), Rotation.identity()
-    for k in range(FRAMES):
+    for k in range(frames):
         t = k * PERIOD_S
         if vessel is not None:
             pad = vessel.pad_at(t)
             p_pad, v_pad, w_pad, R_pad = pad.p_ned, pad.v_ned, pad.w, Rotation(pad.R_ned)
-        height_m = HIGH_M + (LOW_M - HIGH_M) * k / (FRAMES - 1)
-        roll, pitch = (0.05 * math.sin(1.3 * t + p) for p in phase[:2])
-        x, y = (0.06 * height_m * math.sin(0.9 * t + p) for p in phase[2:])
-        R = Rotation.from_rpy(roll, pitch, yaw)
-        v = np.array([0.05 * height_m * math.cos(0.9 * t + phase[2]), 0.05 * height_m * math.cos(0.9 * t + phase[3]), 0.9])
-        p_body = p_pad + np.array([x, y, -height_m])
-        shot = Exposure(t, R, p_body, R_pad, p_pad, v + v_pad, rng.normal(0, 0.1, 3), v_pad, w_pad)
+        is_at = flown(t)
+        R, p_body = Rotation.from_rpy(is_at.roll, is_at.pitch, yaw), p_pad + is_at.place_m
+        w = rng.normal(0, 0.1, 3) if is_at.w_rad_s is None else is_at.w_rad_s
+        shot = Exposure(t, R, p_body, R_pad, p_pad, is_at.v_m_s + v_pad, w, v_pad, w_pad)
         px = image(shot, rng)
         stamp = Stamp(MonoNs(round(1e9 * (1.0 + t))), MonoNs(round(1e9 * (1.0 + t))), 0.0, "sim")
         d_level = Rotation.from_rpy(0.0, 0.0, yaw).inv @ (p_pad - p_body)
@@ -153,12 +260,14 @@ def followed(
         )  # fmt: skip
         attitude = Attitude(stamp, Rotation.from_rotvec(rng.normal(0, 0.005, 3)) @ R, np.eye(3) * 0.006**2)
         seen, memory = track(tracker, memory, Frame(stamp, k, px), attitude, belief if k else None)
-        sure += k >= FRAMES - LAST and seen.selected is not None and seen.selected.confidence >= 0.5
+        sure += k >= frames - LAST and seen.selected is not None and seen.selected.confidence >= 0.5
         if seen.on_pad is not None:
             check = seen.on_pad
-            first_m = first_m or (height_m if check.thing is not None else 0.0)
-            near_m = near_m or (height_m if check.near is not None else 0.0)
-    return Approached(check, first_m, near_m, sure >= LAST_SURE)
+            first_m = first_m or (-is_at.place_m[2] if check.thing is not None else 0.0)
+            near_m = near_m or (-is_at.place_m[2] if check.near is not None else 0.0)
+        near_s = near_s + PERIOD_S if seen.on_pad is not None and seen.on_pad.near is not None else 0.0
+        longest_s = max(longest_s, near_s)
+    return Approached(check, first_m, near_m, sure >= LAST_SURE, longest_s)
 
 
 def with_things(runs: range, contrast: float, lights: tuple[str, ...], tracker: TrackerConfig) -> None:
@@ -188,12 +297,15 @@ def with_things(runs: range, contrast: float, lights: tuple[str, ...], tracker: 
     print(f"first seen at {np.median(heights or [0.0]):.1f} m in the median", flush=True)
 
 
-def without(runs: range, lights: Sequence[str], tracker: TrackerConfig | None) -> None:
+def without(runs: range, lights: Sequence[str], tracker: TrackerConfig | None, *, leans: bool) -> None:
     """Print the number of clear approaches in which something is seen at any time; None flies in scenarios of these names."""
     wrong: dict[str, list[tuple[bool, bool, bool]]] = defaultdict(list)
     for seed in runs:
         light = lights[seed % len(lights)]
-        of = over_ship(seed, load_scenario(light)) if tracker is None else approach(10_000 + seed, light, (), tracker)
+        if tracker is None:
+            of = over_ship(seed, load_scenario(light), leans=leans)
+        else:
+            of = approach(10_000 + seed, light, (), tracker, leans=leans)
         wrong[light].append((of.first_m > 0.0, of.near_m > 0.0, of.asks))
         if of.first_m or of.near_m:
             print(
@@ -205,7 +317,7 @@ def without(runs: range, lights: Sequence[str], tracker: TrackerConfig | None) -
         print(f"clear, {light}: {on} of {len(each)} with something seen on the pad, {about} about it, {asked} asked", flush=True)
 
 
-def with_bodies(runs: range, tracker: TrackerConfig) -> None:
+def with_bodies(runs: range, tracker: TrackerConfig, *, leans: bool) -> None:
     """Print the share of bodies about the pad that were seen, by kind."""
     seen: dict[str, list[bool]] = defaultdict(list)
     for seed in runs:
@@ -222,7 +334,7 @@ def with_bodies(runs: range, tracker: TrackerConfig) -> None:
             "bird": replace(walks, thing="bird", height_m=1.2, speed_m_s=float(rng.uniform(0.5, 2.0))),
             "drone": replace(walks, thing="drone", height_m=1.0, speed_m_s=float(rng.uniform(0.2, 0.8))),
         }[kind]
-        of = approach(20_000 + seed, light, (), tracker, (body,))
+        of = approach(20_000 + seed, light, (), tracker, (body,), leans=leans)
         seen[kind].append(max(of.first_m, of.near_m) > 0.0)
         where = f"{seed}, {kind}, {light}, {body.height_m:.1f} m high, {r:.2f} m off"
         print(f"  {where}: on the pad from {of.first_m:.1f} m, about it from {of.near_m:.1f} m", flush=True)
@@ -235,21 +347,25 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=60, help="approaches with a thing")
     parser.add_argument("--clear", type=int, default=60, help="approaches without one")
     parser.add_argument("--bodies", type=int, default=0, help="approaches with a body about the pad")
+    parser.add_argument("--hovers", type=int, default=0, help="hovers of a minute over an empty deck")
     parser.add_argument("--first", type=int, default=0, help="number of the first of both")
     parser.add_argument("--contrast", type=float, default=0.1, help="difference of luminance from the disc's")
     parser.add_argument("--scenarios", help="clear approaches over the ships of these scenarios, with commas")
     parser.add_argument("--light", choices=LIGHTS, help="fly in this light alone")
-    args = parser.parse_args()
+    parser.add_argument("--leans", action="store_true", help="clear approaches and those with a body lean against the wind")
+    args = parsed(parser, "--runs 1 --clear 0")
     lights = LIGHTS if args.light is None else (args.light,)
     cv2.setNumThreads(1)
     tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), TrackerOptions())
     clear = range(args.first, args.first + args.clear)
     if args.scenarios:
-        without(clear, args.scenarios.split(","), None)
+        without(clear, args.scenarios.split(","), None, leans=args.leans)
     else:
-        without(clear, lights, tracker)
+        without(clear, lights, tracker, leans=args.leans)
     with_things(range(args.first, args.first + args.runs), args.contrast, lights, tracker)
-    with_bodies(range(args.first, args.first + args.bodies), tracker)
+    with_bodies(range(args.first, args.first + args.bodies), tracker, leans=args.leans)
+    if args.hovers:
+        hovers(range(args.first, args.first + args.hovers))
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from benches.options import parsed
 from companion.base.observer import Decision, NullObserver
 from companion.guidance.pilot import make_pilot
 from companion.service.assemble import live, make_daemon
@@ -521,7 +522,7 @@ def main() -> None:
     parser.add_argument("--how", choices=("kill", "stop"), default="kill")
     parser.add_argument("--phase", nargs="*", choices=[case.name for case in CASES], metavar="NAME")
     parser.add_argument("--fly", metavar="FILE", help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    args = parsed(parser, "--phase descend")
     if args.fly:
         fly(args.fly)
         return

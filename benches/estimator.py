@@ -16,6 +16,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
+from benches.options import parsed
 from estimator.options import DeadReckoningOptions
 from estimator.paths import DeadReckoningPath, MedianMeanPath
 from tests.support import voyage_truth
@@ -59,7 +60,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--sea", choices=sorted(SEAS), action="append")
     parser.add_argument("--ideal", action="store_true", help="white sensor noise alone")
-    args = parser.parse_args()
+    args = parsed(parser, "--runs 1 --sea calm")
     head = ("sea", "position rms", ", ".join(PATHS), "NEES/7", "inside 95 %", "position bands 1, 2, 3 s 68/95")
     print(" | ".join((*head, "rise bands", "rise error over truth")))
     for sea in args.sea or [name for name in SEAS if name != "calm"]:

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.options import parsed
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
@@ -95,7 +96,7 @@ def main() -> int:
         "--condition", default="plain", choices=list(HARD), help="what happens to each frame, and which pad is looked for"
     )
     parser.add_argument("--pad", default="", help="name of a shipped pad in place of the condition's")
-    args = parser.parse_args()
+    args = parsed(parser, "--frames 100")
     chunks = range(args.first, args.first + max(1, args.frames // CHUNK))
     scores: list[float] = []
     took: list[float] = []

@@ -22,6 +22,8 @@ from statistics import median
 
 import tomlkit
 
+from benches.options import parsed
+
 ROOT = Path(__file__).parents[1]
 LIMITS = Path(__file__).with_suffix(".toml")
 PRODUCT = ("companion/", "drivers/", "estimator/", "sitl/")
@@ -342,7 +344,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benches.house", description="Measure the shape of the code.")
     parser.add_argument("--check", action="store_true", help="fail where a figure is worse than its limit")
     parser.add_argument("--tighten", action="store_true", help="set each limit to the figure where that is better")
-    args = parser.parse_args()
+    args = parsed(parser, "")
     tree, limits, failed = Tree(), tomlkit.parse(LIMITS.read_text()), False
     print(f"{'':<40}{'asked':>10}{'limit':>10}{'now':>10}")
     for figure in FIGURES:

@@ -16,8 +16,8 @@ from statistics import median
 
 import msgspec
 
+from benches.options import parsed
 from companion.base import event_loop
-from companion.base.mission import FlightOutcome
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.emulators.autopilots.program import executable
 from sitl.faults.kinds import ServiceKilled
@@ -56,11 +56,6 @@ def fly(args: argparse.Namespace, phase: str, seed: int) -> FlightEnd:
         return event_loop.run(flight.fly())
 
 
-def on_pad(end: FlightEnd) -> bool:
-    """Return whether the flight ended on the pad."""
-    return end.outcome is FlightOutcome.LANDED and bool(end.contacts) and end.contacts[-1].on_pad
-
-
 def table(flights: Sequence[tuple[str, FlightEnd]]) -> str:
     """Return a table with a row for each phase; ranges are from the least to the largest."""
     head = (
@@ -72,7 +67,7 @@ def table(flights: Sequence[tuple[str, FlightEnd]]) -> str:
         killed = [end for flown, end in flights if flown == phase and end.silences]
         if not killed:
             continue
-        quiet, down = [end.silences[0] for end in killed], [end.contacts[-1] for end in killed if on_pad(end)]
+        quiet, down = [end.silences[0] for end in killed], [end.ending.contacts[-1] for end in killed if end.ending.on_pad]
         cells = (
             phase, f"{len(down)} of {len(killed)}", _range([q.height_m for q in quiet], 2),
             _range([q.lowest_m for q in quiet], 2), f"{sum(q.touched for q in quiet)}",
@@ -104,16 +99,16 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--perception", type=perception_level, default="pixels")
     parser.add_argument("--for", dest="for_s", type=float, default=5.0)
-    args = parser.parse_args()
+    args = parsed(parser, "--perception model --phase press --for 1")
     flights = list[tuple[str, FlightEnd]]()
     for seed in range(args.first, args.first + args.seeds):
         for phase in args.phase:
             end = fly(args, phase, seed)
             flights.append((phase, end))
-            outcome = end.failure or (end.without_outcome if end.outcome is None else end.outcome.value)
-            sys.stderr.write(f"{phase} {seed}: {outcome}, {len(end.contacts)} contacts, failsafes {end.failsafes}\n")
+            outcome = end.failure or end.ending.word
+            sys.stderr.write(f"{phase} {seed}: {outcome}, {len(end.ending.contacts)} contacts, failsafes {end.failsafes}\n")
     sys.stdout.write(table(flights) + "\n")
-    return 0 if all(on_pad(end) for _, end in flights if end.silences) else 1
+    return 0 if all(end.ending.on_pad for _, end in flights if end.silences) else 1
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ import numpy as np
 from msgspec.structs import replace
 
 import examples.known_controllers  # noqa: F401 - offers lqr and mpc
+from benches.options import parsed
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.pilot import Pilot
 from estimator.contracts.estimates import Verdict
@@ -140,7 +141,7 @@ def main(ways: Ways, scenarios: Sequence[str]) -> None:
     parser.add_argument("--scenarios", nargs="+", default=list(scenarios))
     parser.add_argument("--hidden", type=float, default=0.0)
     parser.add_argument("--write", type=Path, default=Path(os.devnull))
-    args = parser.parse_args()
+    args = parsed(parser, f"--runs 1 --scenarios {scenarios[0]} --only {next(iter(ways))}")
     kept = [json.loads(line) for line in (args.write.read_text() if args.write.exists() else "").splitlines()]
     known = {(row["way"], row["name"], row["seed"], row["hidden_s"]): row for row in kept}
     print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}", flush=True)

@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.options import parsed
 from companion.cli.main import main as decklander
 from drivers.nmea.sentences import NmeaReader
 from estimator.contracts.estimates import Sighting
@@ -499,6 +500,32 @@ SAID = (
     "NEES is of the range (1 is right) and the bearing (2), a mean of few. The logo's imported file is wrong: its middle lies "
     "28 mm off, and one find of five is 4 % short. Frames aslant that no limit saw: [search](decisions/search.md)."
 )
+SOURCES = (
+    ("photographs of the thesis' pad", "mfalang/autodrone", "cb267b19", "none stated"),
+    ("drone photographs (AGH)", "vision-agh/drone_landing_static", "529ab0d", "none stated"),
+    ("octagon, ArUco marker", "thinhhoang95/helipad-yolo", "d6a5cd4", "GPL-3.0"),
+    ("ring with an X (MBZIRC 2017)", "castacks/mbzirc_dataset", "2d985d74", "BSD-3-Clause"),
+    ("sea, shore, boats", "simenallum/msc_thesis", "", "none stated; of several authors"),
+    ("grass, tags, other pads", "dukelin95/Drone-Landing", "", "none stated"),
+    ("the same", "luisgaboardi/Drone-Landing-Classifier", "", "none stated"),
+    ("the same", "venthur/python-ardrone", "", "MIT"),
+    ("the same", "acbchiella/Helipad", "", "none stated"),
+    ("boats at sea, RTK", "chongfengliu/Ocean-Disturbance-Data", "18e7211", "none stated"),
+    ("AR.Drone 2.0 with motion capture", "tud-cor/ardrone2_dem_filter", "", "Apache-2.0"),
+)
+"""Each recording with the repository of its author on GitHub, the commit where it is noted, and the licence."""
+
+
+def sources() -> list[str]:
+    """Return the table of where each recording comes from."""
+    head = ["| recording | author and repository on GitHub | commit | licence |", "|---|---|---|---|"]
+    rows = (
+        f"| {what} | [{of}](https://github.com/{of}) | {commit or 'not noted'} | {terms} |" for what, of, commit, terms in SOURCES
+    )
+    made = "The path-traced decks were rendered for this by Blender's Cycles."
+    return [*head, *rows, "", f"{made} Where no licence is stated, ask the author before you use it."]
+
+
 NOT_AVAILABLE = (
     "landings of ours on a real deck, or with any real autopilot in the air",
     "a real frame of a thermal, near-infrared or fisheye camera",
@@ -525,7 +552,7 @@ def main() -> None:
     parser.add_argument("--part", action="append", choices=PARTS, help="only this one; may be repeated")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth frame (default: all)")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write evidence.md there")
-    args = parser.parse_args()
+    args = parsed(parser, "--every 400")
     cv2.setNumThreads(1)
     rows: list[Row] = []
     for name in args.part or PARTS:
@@ -545,9 +572,11 @@ def main() -> None:
         of = f" --every {args.every}" if args.every > 1 else ""
         lines = [
             "# Evidence: real recordings", "",
-            f"Made by `python -m benches.real{of} --write docs`. The recordings are others' and not part of this repository.",
+            f"Made by `python -m benches.real{of} --write docs`. The recordings are others' and not part of this repository;",
+            "their sources stand below.",
             "Errors are of the range, median / 95th percentile.", "", *table(rows), "",
-            SAID, "", "What was not available, so nothing here speaks of it:", "", *(f"- {what}" for what in NOT_AVAILABLE), "",
+            SAID, "", *sources(), "",
+            "What was not available, so nothing here speaks of it:", "", *(f"- {what}" for what in NOT_AVAILABLE), "",
             "The same on rendered frames, by height: [benchmarks.md](benchmarks.md); limits: [limits.md](limits.md).", "",
         ]  # fmt: skip
         args.write.mkdir(parents=True, exist_ok=True)

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from benches.options import parsed
 from benches.real import SHIPPED, Looks, curve_of
 from companion.tools.pads.price import view
 from estimator.contracts.estimates import RelativeState, Sighting
@@ -368,7 +369,7 @@ def main() -> None:
     instead.add_argument("--times", action="store_true", help="time tracked looks")
     instead.add_argument("--lost", action="store_true", help="time looks where a pad is expected and none is there")
     parser.add_argument("--pad", default="thesis", help="shipped pad of the timed looks (default: %(default)s)")
-    args = parser.parse_args()
+    args = parsed(parser, "--frames 1 --only 'worn 15'")
     cv2.setNumThreads(1)
     tracker = TrackerConfig(load_camera("sim"), load_pad(args.pad), TrackerOptions(colours="simulator"))
     if args.times:

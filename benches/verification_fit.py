@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.options import parsed
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.detect.pyramid import FrameView, Pyramid
@@ -125,7 +126,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--registered", action="store_true")
     parser.add_argument("--keep", type=Path, help="write the examples here, or read them if the file is there")
-    args = parser.parse_args()
+    args = parsed(parser, "--frames 250")
     names, work, first = (FITTED, registered_examples, _REGISTERED_FROM) if args.registered else (FEATURES, examples, 0)
     if args.keep is not None and args.keep.exists():
         data = np.load(args.keep)

@@ -33,6 +33,7 @@ import numpy as np  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 from pupil_apriltags import Detector  # noqa: E402
 
+from benches.options import parsed  # noqa: E402
 from benches.search import floor_ms  # noqa: E402
 from estimator.contracts.estimates import Method, Sighting  # noqa: E402
 from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
@@ -303,7 +304,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=20, help="frames at each height")
     parser.add_argument("--heights", default=",".join(map(str, HEIGHTS_M)), help="metres, with commas")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write benchmarks.md there")
-    args = parser.parse_args()
+    args = parsed(parser, "--frames 1 --heights 1")
     cv2.setNumThreads(1)
     rows: list[list[str]] = []
     peers = ["| height | " + " | ".join(COLUMNS) + " |", "|" + "---|" * (1 + len(COLUMNS))]

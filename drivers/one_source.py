@@ -3,6 +3,8 @@
 The first source that gives a quantity is chosen until it is silent, or another one has been clearly better for some seconds.
 """
 
+from collections.abc import Callable
+
 from msgspec import Struct
 
 from estimator.contracts.time import MonoNs, seconds_between
@@ -39,9 +41,16 @@ class _Source(Struct):
 
 
 class SourceChoice:
-    """Keeps the chosen source of each quantity of one ship."""
+    """Keeps the chosen source of each quantity of one ship.
 
-    def __init__(self) -> None:
+    Args:
+        tell: is given a line where another source takes the place of the chosen one, whose place on board it may not have.
+    """
+
+    def __init__(self, tell: Callable[[str], None] = lambda text: None) -> None:
+        self._tell = tell
+        self._names: dict[str, str] = {}
+        """The name of the chosen source of each quantity."""
         self._sources: dict[str, dict[str, _Source]] = {}
         self._chosen: dict[str, _Source] = {}
 
@@ -54,7 +63,7 @@ class SourceChoice:
         one.gave(sigma, now)
         chosen = self._chosen.get(quantity)
         if chosen is None or chosen.silent(now):
-            self._chosen[quantity] = chosen = one
+            chosen = self._choose(quantity, source, one, "is silent")
         if chosen is one:
             return True
         if one.sigma >= _BETTER * chosen.sigma:
@@ -63,5 +72,12 @@ class SourceChoice:
         one.better_since = one.better_since or now
         if seconds_between(one.better_since, now) < _BETTER_FOR_S:
             return False
-        self._chosen[quantity] = one
+        self._choose(quantity, source, one, "is less certain")
         return True
+
+    def _choose(self, quantity: str, source: str, one: _Source, why: str) -> _Source:
+        before = self._names.get(quantity, source)
+        if before != source:
+            self._tell(f"the ship's {quantity} comes from {source} from now on: {before} {why}")
+        self._chosen[quantity], self._names[quantity] = one, source
+        return one

@@ -60,6 +60,7 @@ class AccessUnitDecoder:
 
 
 def whole(images: list[VideoFrame], size: tuple[int, int]) -> VideoFrame | None:
-    """Return the frame of a unit; None if these are not one undamaged frame of (width, height)."""
-    good = len(images) == 1 and not images[0].is_corrupt and (images[0].width, images[0].height) == size
-    return images[0] if good else None
+    """Return the frame of a unit; None if these are not one undamaged frame of (width, height) and of one instant."""
+    if len(images) != 1 or images[0].is_corrupt or images[0].interlaced_frame:
+        return None
+    return images[0] if (images[0].width, images[0].height) == size else None

@@ -24,6 +24,7 @@ import serial
 from msgspec import Struct, field
 
 from drivers.datagrams import WaitingDatagrams
+from drivers.device_errors import device_fault
 from drivers.endpoint import ONE_PEER, Address, Endpoint
 from drivers.reconnect import running_beside
 from estimator.contracts.errors import Recoverable
@@ -254,7 +255,7 @@ class Datagrams(Wire):
             self._refused(1)
         except OSError as why:
             if not self._listening:
-                self.stop(str(why))
+                self.stop(device_fault(why, "network"))
         return True
 
 
@@ -372,7 +373,7 @@ class _Serial(_Paced):
         except BlockingIOError:
             return
         except OSError as why:
-            self._fail(why.strerror or str(why))
+            self._fail(device_fault(why, "serial port"))
             return
         if data:
             self._take(data)
@@ -410,7 +411,7 @@ class _Serial(_Paced):
         except BlockingIOError:
             sent = 0
         except OSError as why:
-            self._fail(why.strerror or str(why))
+            self._fail(device_fault(why, "serial port"))
             return
         del self._rest[:sent]
         if self._rest:
@@ -441,7 +442,7 @@ async def open_wire(
         try:
             port = serial.Serial(endpoint.host, endpoint.port, timeout=0, exclusive=True)
         except (OSError, serial.SerialException) as why:
-            raise Recoverable(str(why) or "no answer") from why
+            raise Recoverable(f"{why}: {device_fault(why, 'serial port')}" if why.errno else str(why) or "no answer") from why
         line = _Serial(port, clock, received, counts)
         try:
             yield line

@@ -2,8 +2,8 @@
 
 from typing import Annotated
 
-from estimator.contracts.estimates import PathName
-from estimator.contracts.keys import CheckedOptions, choice, number
+from estimator.contracts.estimates import UNSURE, PathName
+from estimator.contracts.keys import CheckedOptions, choice, tuning
 from estimator.ekf.options import EkfOptions
 from estimator.integrity.options import IntegrityOptions
 
@@ -15,7 +15,7 @@ class DeadReckoningOptions(CheckedOptions, frozen=True, forbid_unknown_fields=Tr
 
     calibration_s: Annotated[
         float,
-        number(
+        tuning(
             "time over which biases are averaged while the drone is still on the ground; 0 for no averaging",
             "s",
             0.0,
@@ -24,51 +24,51 @@ class DeadReckoningOptions(CheckedOptions, frozen=True, forbid_unknown_fields=Tr
         ),
     ] = 0.0
     calibration_samples: Annotated[
-        int, number("least number of accelerometer samples of this average", "samples", 1, 1_000_000, "thesis section 4.3")
+        int, tuning("least number of accelerometer samples of this average", "samples", 1, 1_000_000, "thesis section 4.3")
     ] = 1000
     calibration_velocity_max_m_s: Annotated[
-        float, number("largest measured velocity of a drone at rest; a larger one restarts the calibration", "m/s", 0.001, 10.0)
+        float, tuning("largest measured velocity of a drone at rest; a larger one restarts the calibration", "m/s", 0.001, 10.0)
     ] = 0.15
     calibration_acceleration_max_m_s2: Annotated[
         float,
-        number("the same for acceleration", "m/s^2", 0.01, 20.0, "an AR.Drone 2.0 at rest shows up to 0.8"),
+        tuning("the same for acceleration", "m/s^2", 0.01, 20.0, "an AR.Drone 2.0 at rest shows up to 0.8"),
     ] = 1.5
     velocity_dead_band_m_s: Annotated[
-        float, number("velocity below which it counts as zero", "m/s", 0.0, 0.5, "3 mm/s in the thesis' code")
+        float, tuning("velocity below which it counts as zero", "m/s", 0.0, 0.5, "3 mm/s in the thesis' code")
     ] = 0.003
     acceleration_dead_band_m_s2: Annotated[
-        float, number("horizontal acceleration below which it counts as zero", "m/s^2", 0.0, 5.0, "0.5 m/s^2 in the thesis' code")
+        float, tuning("horizontal acceleration below which it counts as zero", "m/s^2", 0.0, 5.0, "0.5 m/s^2 in the thesis' code")
     ] = 0.5
     velocity_scale: Annotated[
-        float, number("factor of the measured velocity: one over the ratio at which the vehicle reads it", "1", 0.1, 10.0)
+        float, tuning("factor of the measured velocity: one over the ratio at which the vehicle reads it", "1", 0.1, 10.0)
     ] = 1.0
     sigma_velocity_scale: Annotated[
-        float, number("one standard deviation of the scale that remains", "1", 0.0, 10.0, "AR.Drone 2.0 over several floors")
+        float, tuning("one standard deviation of the scale that remains", "1", 0.0, 10.0, "AR.Drone 2.0 over several floors")
     ] = 0.2
     sigma_pad_v_m_s: Annotated[
-        float, number("standard deviation of the pad's own velocity along each horizontal axis", "m/s", 0.0, 10.0)
+        float, tuning("standard deviation of the pad's own velocity along each horizontal axis", "m/s", 0.0, 10.0)
     ] = 0.15
     sigma_heading_rate_rad_s: Annotated[
-        float, number("drift of the vehicle's heading against the pad's: one standard deviation", "rad/s", 0.0, 1.0)
+        float, tuning("drift of the vehicle's heading against the pad's: one standard deviation", "rad/s", 0.0, 1.0)
     ] = 0.01
     sigma_unknown_v_m_s: Annotated[
-        float, number("standard deviation of a velocity without a recent sample", "m/s", 0.0, 100.0)
+        float, tuning("standard deviation of a velocity without a recent sample", "m/s", 0.0, 100.0)
     ] = 1.0
     sigma_vertical_v_m_s: Annotated[
-        float, number("one standard deviation of a vertical velocity that has leaked to zero", "m/s", 0.0, 100.0)
+        float, tuning("one standard deviation of a vertical velocity that has leaked to zero", "m/s", 0.0, 100.0)
     ] = 0.3
     vertical_tau_s: Annotated[
-        float, number("within this time the vertical velocity is pulled towards the sightings' rate", "s", 0.01, 60.0, _AR_DRONE)
+        float, tuning("within this time the vertical velocity is pulled towards the sightings' rate", "s", 0.01, 60.0, _AR_DRONE)
     ] = 0.35
     vertical_leak_s: Annotated[
-        float, number("within this time the vertical velocity leaks to zero without sightings", "s", 0.01, 60.0)
+        float, tuning("within this time the vertical velocity leaks to zero without sightings", "s", 0.01, 60.0)
     ] = 1.0
     vertical_mean_s: Annotated[
-        float, number("the accelerometer's mean over this long is taken for its vertical bias", "s", 0.01, 600.0)
+        float, tuning("the accelerometer's mean over this long is taken for its vertical bias", "s", 0.01, 600.0)
     ] = 5.0
-    hold_s: Annotated[float, number("time for which a measured velocity or acceleration is used", "s", 0.001, 10.0)] = 0.25
+    hold_s: Annotated[float, tuning("time for which a measured velocity or acceleration is used", "s", 0.001, 10.0)] = 0.25
     history_s: Annotated[
-        float, number("largest delay of a sighting; estimator.max_delay_s if that is longer", "s", 0.05, 30.0)
+        float, tuning("largest delay of a sighting; estimator.max_delay_s if that is longer", "s", 0.05, 30.0)
     ] = 1.5
 
 
@@ -85,15 +85,16 @@ class EstimatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             "estimator that steers: the error-state filter; filtered sightings; these propagated by dead reckoning; or a Kalman "
             "filter of constant velocity (extra compare)",
             public=True,
+            page=True,
         ),
     ] = "ekf"
     max_gap_s: Annotated[
         float,
-        number("gap after which the moving median and mean start again", "s", 0.05, 10.0),
+        tuning("gap after which the moving median and mean start again", "s", 0.05, 10.0),
     ] = 0.5
-    min_confidence: Annotated[float, number("least confidence of a sighting; 1 is certain", "1", 0.0, 1.0)] = 0.2
-    max_delay_s: Annotated[float, number("largest age of a frame on arrival; an older one is refused", "s", 0.05, 5.0)] = 0.5
-    history_s: Annotated[float, number("time for which attitudes are kept for late frames", "s", 0.1, 30.0)] = 2.0
+    min_confidence: Annotated[float, tuning("least confidence of a sighting; 1 is certain", "1", 0.0, 1.0)] = UNSURE
+    max_delay_s: Annotated[float, tuning("largest age of a frame on arrival; an older one is refused", "s", 0.05, 5.0)] = 0.5
+    history_s: Annotated[float, tuning("time for which attitudes are kept for late frames", "s", 0.1, 30.0)] = 2.0
     ekf: EkfOptions = EkfOptions()
     dead_reckoning: DeadReckoningOptions = DeadReckoningOptions()
     integrity: IntegrityOptions = IntegrityOptions()

@@ -15,7 +15,7 @@ from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import GeoFix, GimbalAttitude, Sample, VehicleStatus, VesselWind
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.ekf import EkfOptions, Filter, Forecast
+from estimator.ekf import EkfOptions, Filter, FilterAnswer, Forecast
 from estimator.options import DeadReckoningOptions
 
 Event = Sample | Sighting
@@ -322,6 +322,10 @@ class EkfPath(Path):
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
         return self._filter.forecast(now, horizons_s)
+
+    def answer(self, at: MonoNs) -> FilterAnswer | None:
+        """Return all that the filter knows at an instant; None before there is anything."""
+        return self._filter.answer(at)
 
     def carried_down_m(self, at: MonoNs) -> float:
         """Return the body's place by the IMU alone at an instant, m downward from anywhere; nan before there is one."""

@@ -37,6 +37,7 @@ from estimator.contracts.samples import (
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.ekf import Forecast
 from estimator.integrity import guard as integrity
+from estimator.lens_watch import LensWatch
 from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
 from estimator.ship_motion import ShipMotion, ShipMotionOptions
@@ -81,6 +82,7 @@ class RelativeEstimator:
         self._options, self._motion_sensor = options or EstimatorOptions(), motion_sensor
         names = (self._options.path, *(name for name in shadows if name != self._options.path))
         self._paths = [_path(name, self._options) for name in names]
+        self._lens = LensWatch(self._options)
         self._attitudes = AttitudeHistory(self._options.history_s)
         self._gimbal = GimbalHistory()
         self._exposed: Attitude | None = None
@@ -154,11 +156,16 @@ class RelativeEstimator:
             samples = []
         return results + self._put_samples(samples, wanted)
 
-    def put_seen(self, tracked: Sighting | None, elsewhere: Sighting | None) -> tuple[FusionResult, ...]:
+    def put_seen(
+        self, tracked: Sighting | None, elsewhere: Sighting | None, alone_in: F64 | None = None
+    ) -> tuple[FusionResult, ...]:
         """Process what one frame shows: the tracked pad, or more clearly a pad in a place that the estimate excludes, or both.
 
         The guard judges the clearer one first. If that is another pad by the guard, too, the guard remembers it, and the tracked
         one is processed.
+
+        Args:
+            alone_in: as `Detection.alone_in` has it.
 
         Returns:
             The results of the one that counts, path by path; empty if no pad was seen.
@@ -167,7 +174,11 @@ class RelativeEstimator:
         if sighting is None:
             return ()
         if tracked is None or elsewhere is None:
-            return self._sight(sighting)
+            results = self._sight(sighting)
+            attitude = self.attitude_at(sighting.stamp)
+            if alone_in is not None and attitude is not None and results[0].verdict is Verdict.FUSED:
+                self.guard = integrity.cleared(self.guard, sighting, attitude, alone_in)
+            return results
         view = self.guard.view
         results = self._sight(elsewhere)
         if results[0].verdict is not Verdict.ELSEWHERE or _refusal(self._options, tracked) is not None:
@@ -315,6 +326,11 @@ class RelativeEstimator:
         guard, options = self.guard, self._options
         return lambda sighting: _refusal(options, sighting) is None and integrity.asks_alone(guard, sighting, assumed)
 
+    def asks_clear(self, attitude: Attitude) -> Callable[[Sighting], bool]:
+        """Return what tells the same of `put_seen` for a frame with an attitude; any thread may call it."""
+        guard, options = self.guard, self._options
+        return lambda sighting: _refusal(options, sighting) is None and integrity.asks_clear(guard, sighting, attitude)
+
     def follow(self, sighting: Sighting, assumed: Attitude, alone_in: F64 | None = None) -> None:
         """Take note of a sighting in a frame that no attitude covers. It is not fused: it tells which pad is seen, and not where.
 
@@ -354,6 +370,7 @@ class RelativeEstimator:
         if VesselMotion in {type(sample) for sample in passed}:
             admitted = [self.ship_motion.reported(s) if type(s) is VesselMotion else s for s in admitted]
             passed = [sample for sample in admitted if sample is not None and not isinstance(sample, Verdict)]
+        self._lens.put(passed)
         made = [path.put(passed, wanted=wanted) for path in self._paths]
         if not wanted:
             return []
@@ -372,6 +389,7 @@ class RelativeEstimator:
             self.guard, refusal = integrity.admit_sighting(self.guard, sighting, attitude, before)
         if refusal is not None:
             return self._refused(sighting, refusal)
+        self._lens.sight(sighting)
         results = tuple([path.sight(sighting) for path in self._paths])
         restarts = self.guard.restarts
         self.guard = integrity.judged(self.guard, sighting, attitude, results[0].verdict is Verdict.FUSED)
@@ -385,6 +403,7 @@ class RelativeEstimator:
         self.guard, (admitted,) = integrity.admit(self.guard, (baseline,))
         if isinstance(admitted, Verdict):
             return self._refused(baseline, admitted)
+        self._lens.put((baseline,))
         steering, *others = (path.put((baseline,))[0] for path in self._paths)
         if steering is not None:
             at, attitude = baseline.stamp.measured_at, self.attitude_at(baseline.stamp)
@@ -395,6 +414,7 @@ class RelativeEstimator:
     def _begin_again(self) -> None:
         """Begin the filter again: its state was made with a faulty sensor."""
         self._paths = [_path(path.name, self._options) if path.name == "ekf" else path for path in self._paths]
+        self._lens = LensWatch(self._options)
         self.ship_motion.begin_window()
 
     def _refused(self, event: Event, verdict: Verdict) -> tuple[FusionResult, ...]:
@@ -402,15 +422,18 @@ class RelativeEstimator:
         return tuple([uncompared(path.name, event, verdict) for path in self._paths])
 
     def _dressed(self, state: RelativeState, now: MonoNs) -> RelativeState:
-        guard = self.guard
+        guard, lens = self.guard, self._lens
+        (ahead_m, right_m), sigma_m = lens.off_m, lens.sigma_m
 
         def details() -> tuple[tuple[str, float], ...]:
             agrees = float(guard.heights.confirmed(now))
             sensors = [(f"{s.sensor} delay_s", s.delay_s) for s in self.ship_motion.standings()]
-            return *state.details, ("range_agrees", agrees), ("heading_off_rad", guard.heading.off_rad), *sensors
+            of_lens = ("lens_ahead_m", ahead_m), ("lens_right_m", right_m), ("sigma_lens_m", sigma_m)
+            return *state.details, ("range_agrees", agrees), ("heading_off_rad", guard.heading.off_rad), *of_lens, *sensors
 
         track, lost, jolted = guard.tracks.number, (*state.lost, *self.lost), self.ship_motion.jolted(now)
-        return state.marked(integrity.alerts(guard, now), track=track, lost=lost, details=Details(details), jolted=jolted)
+        fields = {"track": track, "lost": lost, "details": Details(details), "jolted": jolted, "lens_off_m": lens.misplaced_m}
+        return state.marked(integrity.alerts(guard, now), **fields)
 
 
 def _beside(stamp: Stamp, seconds: float) -> Stamp:

@@ -18,7 +18,7 @@ from msgspec import Struct, structs
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
-from estimator.contracts.keys import CheckedOptions, number, text
+from estimator.contracts.keys import CheckedOptions, text, tuning
 from estimator.contracts.samples import VesselMotion, VesselReport
 from estimator.contracts.time import MonoNs, after
 
@@ -26,6 +26,8 @@ Channel = Literal["heave", "tilt"]
 
 _PERIOD_S, _ALIKE = 0.19, 4.0
 """Least time between two reports that are fused, and number of them in a row whose errors are alike and count as one."""
+_SENSORS_MOST = 32
+"""Sensors that are compared; a ship has a few, and names may be invented."""
 _RECORD_S, _SILENT_S, _STUCK_S = 60.0, 5.0, 3.0
 """Time over which a mean is taken off, of silence after which another sensor is used, and of repeated bits of one that moved."""
 _DELAYS_S, _DELAY_MAX_S = np.arange(-0.3, 1.31, 0.05), 0.6
@@ -100,9 +102,9 @@ class ShipMotionOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
         text("the sensor to use, by its name on the page; best for the one that agrees best with the camera, none for none", 64),
     ] = "best"
     forward_m: Annotated[
-        float, number("place of the motion sensor from the pad's centre, towards her bow", "m", -400.0, 400.0, public=True)
+        float, tuning("place of the motion sensor from the pad's centre, towards her bow", "m", -400.0, 400.0, public=True)
     ] = 0.0
-    right_m: Annotated[float, number("the same to starboard", "m", -100.0, 100.0, public=True)] = 0.0
+    right_m: Annotated[float, tuning("the same to starboard", "m", -100.0, 100.0, public=True)] = 0.0
 
 
 class Standing(Struct, frozen=True):
@@ -239,6 +241,10 @@ class _Sensor:
     def proven(self, kind: Channel) -> bool:
         """Return whether the camera has agreed for a while, on a deck that it saw move."""
         return self.channels[kind].agrees and self.channels[kind].proof_s >= _PROVEN_S
+
+    def worth(self) -> tuple[bool, float]:
+        """Return whether the camera has agreed, and the time of the newest report: what is least is forgotten first."""
+        return any(map(self.proven, self.channels)), max((c.t[-1] for c in self.channels.values() if c.t), default=-math.inf)
 
     def _tilted(self, tilt: F64) -> F64:
         return np.stack([self._c * tilt[:, 0] + self._s * tilt[:, 1], self._c * tilt[:, 1] - self._s * tilt[:, 0]], axis=1)
@@ -387,6 +393,8 @@ class ShipMotion:
         t = 1e-9 * sample.stamp.measured_at
         sensor = self._sensors.get(sample.sensor)
         if sensor is None:
+            if len(self._sensors) >= _SENSORS_MOST:
+                del self._sensors[min(self._sensors.values(), key=_Sensor.worth).name]
             sensor = self._sensors[sample.sensor] = _Sensor(sample.sensor, self._to_pad_m, self._turn)
             self.reports = True
             self._begun = min(self._begun, t)

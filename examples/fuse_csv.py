@@ -29,4 +29,6 @@ with open(path, newline="") as file:
             print(
                 f"{float(row[1]):5.2f} s: pad at {forward:5.2f} {right:5.2f} {down:5.2f} m, error {errors_m[-1] * 1000:3.0f} mm"
             )
+if estimator.lost:
+    print(f"left out: {'; '.join(estimator.lost)}")
 print(f"median error {np.median(errors_m) * 1000:.0f} mm")

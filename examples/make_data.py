@@ -1,4 +1,4 @@
-"""Make the data of the examples with the simulator: `python -m examples.make_data` writes configs/examples/.
+"""Make the data of the examples with the simulator: `python -m examples.make_data --out DIR`. It writes over nothing.
 
 pad.jpg is one rendered image, attitude.csv the vehicle's tilt at its exposure; landing.csv holds the sensors, sightings and truth
 of a few seconds of the demo's flight. The same seed gives the same files.
@@ -6,6 +6,7 @@ of a few seconds of the demo's flight. The same seed gives the same files.
 
 from __future__ import annotations
 
+import argparse
 import csv
 import math
 from pathlib import Path
@@ -21,7 +22,6 @@ from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
 from sitl.world.truth import Truth
 
-FOLDER = Path(__file__).parents[1] / "configs/examples"
 IMAGE_AT_S, CSV_FROM_S, CSV_FOR_S = 4.0, 2.0, 4.0
 ATTITUDE_EACH = 4
 """Every fourth attitude is kept: 50 a second."""
@@ -66,21 +66,26 @@ class Tape(NullObserver):
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the three files")
+    folder = parser.parse_args().out
+    if there := [name for name in ("pad.jpg", "attitude.csv", "landing.csv") if (folder / name).exists()]:
+        parser.error(f"--out {folder}: there is {there[0]} already: name another folder")
     settings, tape = load("sim"), Tape()
     flight = Flight(load_scenario("demo"), 1, settings, make_pilot(settings), observers=[tape])
     tape.start = flight.world.started
     while tape.seconds(flight.world.at) < CSV_FROM_S + CSV_FOR_S and flight.step():
         if round(tape.seconds(flight.world.at) * 1000) % 200 == 0:
             tape.on_truth(flight.world.truth())
-    FOLDER.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     assert tape.image is not None
     processed, attitude = tape.image
-    cv2.imwrite(str(FOLDER / "pad.jpg"), processed.frame.px, [cv2.IMWRITE_JPEG_QUALITY, 90])
+    cv2.imwrite(str(folder / "pad.jpg"), processed.frame.px, [cv2.IMWRITE_JPEG_QUALITY, 90])
     roll, pitch, _ = (math.degrees(a) for a in attitude.R_ned_body.rpy_rad)
-    with (FOLDER / "attitude.csv").open("w", newline="") as file:
+    with (folder / "attitude.csv").open("w", newline="") as file:
         rows = [("source", "roll_deg", "pitch_deg"), ("pad.jpg", f"{roll:.3f}", f"{pitch:.3f}")]
         csv.writer(file, lineterminator="\n").writerows(rows)
-    with (FOLDER / "landing.csv").open("w", newline="") as file:
+    with (folder / "landing.csv").open("w", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(HEADER)
         for kind, measured_s, received_s, values in sorted(tape.rows, key=lambda row: row[2]):

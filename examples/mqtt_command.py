@@ -34,6 +34,7 @@ def on_message(client, _, message):
         fields = {
             "id": uuid.uuid4().hex,
             "run": operator["run"],
+            "given_ns": health["at_ns"],
             "expires_ns": health["at_ns"] + 5_000_000_000,
             "reply_to": reply,
         }

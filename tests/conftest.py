@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[1]
 SLOW = (ROOT / "tests/slow.txt").read_text(encoding="ascii").split()
 """Files and folders that take more than 0.8 s of processor time, the longest first. They are marked `slow`, and start first.
 Not among them are the strongest tests of filter and registration, some seconds each, which run before each commit."""
-APART = ("tests/sitl/autopilots/test_stand_in_landings.py",)
+APART = ("tests/sitl/autopilots/test_stand_in_landings.py", "tests/benches/test_smoke.py")
 """Files of long tests that share nothing, so that one worker need not run them all."""
 
 

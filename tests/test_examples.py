@@ -87,6 +87,14 @@ def test_a_recording_is_read(tmp_path: Path) -> None:
     assert re.fullmatch(r"frames: \{'fused': \d+.*\}", frames)
 
 
+def test_the_data_is_written_over_nothing(tmp_path: Path) -> None:
+    (tmp_path / "landing.csv").write_text("mine")
+    done = run_example("make_data", "--out", str(tmp_path))
+    assert done.returncode == 2
+    assert "there is landing.csv already" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["landing.csv"]
+
+
 def test_the_data_is_small_and_the_script_s_columns_are_the_file_s() -> None:
     sizes = {path.name: path.stat().st_size for path in DATA.iterdir() if path.is_file()}
     assert set(sizes) == {"attitude.csv", "landing.csv", "pad.jpg"}

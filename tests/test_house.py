@@ -106,6 +106,42 @@ def hard_messages(nodes: Sequence[ast.AST]) -> list[tuple[int, str]]:
     return found
 
 
+def let_go(nodes: Sequence[ast.AST]) -> list[int]:
+    """Return lines that keep nothing of a connection but its transport or its reader.
+
+    From Python 3.13 on a server's connection closes with its `StreamWriter`, as soon as nothing refers to that.
+    """
+    used = {id(node.func.value) for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)}
+    found = []
+    for node in nodes:
+        match node:
+            case ast.Attribute(value=ast.Name(id=name) | ast.Attribute(attr=name), attr="transport") if name.endswith("writer"):
+                found += [] if id(node) in used else [node.lineno]
+            case ast.Assign(targets=[ast.Tuple(elts=[_, ast.Name(id="_")])], value=ast.Await(value=ast.Call(func=call))):
+                found += [node.lineno] if re.search(r"open_(unix_)?connection", ast.unparse(call)) else []
+            case ast.FunctionDef(args=ast.arguments(args=args)):
+                kinds = {ast.unparse(arg.annotation or arg).rpartition(".")[2]: arg.arg for arg in args}
+                inside = list(ast.walk(node))
+                parts = {id(inner.value) for inner in inside if isinstance(inner, ast.Attribute)}
+                kept = {inner.id for inner in inside if isinstance(inner, ast.Name) and id(inner) not in parts}
+                found += [node.lineno] if "StreamReader" in kinds and kinds.get("StreamWriter", "") not in {"", *kept} else []
+    return found
+
+
+def test_no_connection_lives_by_its_transport_alone() -> None:
+    met = "def met(reader: asyncio.StreamReader, writer: asyncio.StreamWriter):\n    "
+    for lets_go in (
+        f"{met}transport = writer.transport",
+        f"{met}writer.write(b'x')",
+        "reader, _ = await asyncio.open_connection()",
+    ):
+        assert let_go(list(ast.walk(ast.parse(lets_go)))), lets_go
+    for keeps in (f"{met}kept.add(writer)", f"{met}return serve(reader, writer)", "writer.transport.abort()"):
+        assert not let_go(list(ast.walk(ast.parse(keeps)))), keeps
+    streams = {name: text for name, text in sources() if re.search(r"StreamWriter|open_\w*connection", text)}
+    assert {name: lines for name, text in streams.items() if (lines := let_go(list(ast.walk(ast.parse(text)))))} == {}
+
+
 def test_the_rules_for_sentences_catch_an_offender() -> None:
     parsed = ast.parse('"""What is there."""\nX = 1\n"""Of the disc."""')
     assert hard_to_read(parsed) == [(1, "What is there."), (3, "Of the disc.")]

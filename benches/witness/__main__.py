@@ -6,6 +6,7 @@ Without a name all witnesses are asked, one table each; `--write` puts the table
 import argparse
 from pathlib import Path
 
+from benches.options import parsed
 from benches.real import MissingDataError, write_part
 from benches.witness import body, contact, seas
 
@@ -18,7 +19,7 @@ def main() -> None:
     for option, module in WITNESSES.items():
         parser.add_argument(option, action="append_const", dest="options", const=option, help=module.TITLE)
     parser.add_argument("--write", type=Path, metavar="DIR", help="write the sections of evidence.md there")
-    args = parser.parse_args()
+    args = parsed(parser, "--contact")
     for option in args.options or WITNESSES:
         module = WITNESSES[option]
         lines = [f"## {module.TITLE}", "", f"Made by `python -m benches.witness {option} --write docs`.", ""]

@@ -111,7 +111,7 @@ def _complete(loop: asyncio.AbstractEventLoop, future: asyncio.Future[T]) -> T:
 
 def _abandon(loop: asyncio.AbstractEventLoop) -> None:
     if names := _names(loop):
-        log.error("not ended %.1f s after the signal: %s; going without", ABANDON_S, names)
+        log.error("not ended %.1f s after the signal: %s; going without", ABANDON_S + PROCESS.extra_s, names)
     loop.stop()
 
 

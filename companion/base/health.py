@@ -248,6 +248,8 @@ class Health:
         self.too_slow: str | None = None
         self.contained: Counter[str] = Counter()
         """Failures of callees that the flight does not need, by callee."""
+        self.failures: dict[str, tuple[int, str]] = {}
+        """Failures of each of the vehicle's connections: their number, and the newest one's reason."""
 
     def now(self) -> MonoNs:
         """Return the time on the clock that all of health uses."""
@@ -266,6 +268,10 @@ class Health:
         part.up, part.since = False, self._clock.now()
         part.restarts += 1
         part.last_error = in_words(why)
+
+    def failed(self, connection: str, why: BaseException) -> None:
+        """Count a failure of a connection of the vehicle's, which is opened again."""
+        self.failures[connection] = self.failures.get(connection, (0, ""))[0] + 1, in_words(why)
 
     def contain(self, name: str) -> int:
         """Count a failure of something that the flight does not need; return how many there were so far."""

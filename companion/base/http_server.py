@@ -3,7 +3,8 @@
 Parts add what they serve; the server knows none of them. aiohttp logs a request that is no HTTP, and a client that goes away in
 the middle of its handshake, as an error with a traceback. Anybody who reaches a port could fill the journal with them, so our own
 errors are logged, and a client's faults on its own connection are not. Bytes that are no text fail in several places of a
-handshake, with errors that could be ours, so that a request with them is refused before.
+handshake, with errors that could be ours, so that a request with them in a header that is read here is refused before. Headers
+that are not read judge nothing: a browser sends the cookies of every other service of this computer, of any text and length.
 
 aiohttp waits indefinitely for the first byte of a request. Here each connection has one deadline from its opening to its end,
 whatever it does meanwhile, and the newest connection is served: when there are too many, the oldest is closed.
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import ssl
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -49,6 +51,10 @@ HEADERS: Mapping[str, str] = MappingProxyType(
     }
 )
 """The headers of every answer: nothing of another host is loaded, and no other page may frame, read or script ours."""
+_READ = re.compile(
+    r"host|origin|authorization|connection|upgrade|sec-websocket-.*|x-forwarded-(host|port)|range|if-.*", re.IGNORECASE
+)
+"""Names of the headers that are read here, or by aiohttp for us."""
 _BY_CLIENTS = (HttpProcessingError, ConnectionError)
 
 
@@ -59,8 +65,8 @@ class ConnectionLimits(Struct):
     """The most connections that are open at once."""
     connection_s: float = 5.0
     """The longest duration of a connection."""
-    request_bytes: int = 16_384
-    """The most bytes that a connection may send in all."""
+    request_bytes: int = 65_536
+    """The most bytes that a connection may send in all, and the longest header: browsers keep 180 cookies of 4 kB for a name."""
     evicted: int = 0
     overdue: int = 0
     oversized: int = 0
@@ -164,8 +170,10 @@ class HttpServer:
         """Browsers and programs that watch, whose connections are bounded by those who serve them."""
         self.port: int | None = None
         """The port that the server listens on; None while it does not listen."""
-        self._token = files.token(settings.token_file, "http", "token_file")
-        self._tls = server_context(settings)
+        s = settings
+        self._token = files.Renewed(lambda: files.token(s.token_file, "http", "token_file"), "http", s.token_file)
+        of_tls = (s.certificate_file, s.key_file) if s.endpoint == "https" else ()
+        self._certified = files.Renewed(lambda: server_context(s), "http", *of_tls)
         self._routes: list[web.RouteDef] = []
         health.counters("http", self.counted)
 
@@ -179,7 +187,8 @@ class HttpServer:
 
     def knows(self, token: str) -> bool:
         """Return whether a text is the token; True if none is set. Wrong ones are counted."""
-        known = self._token is None or files.is_token(token, self._token)
+        wanted = self._token()
+        known = wanted is None or files.is_token(token, wanted)
         if not known:
             self.counts["wrong_tokens"] += 1
             if self.counts["wrong_tokens"] == 1:
@@ -194,7 +203,7 @@ class HttpServer:
     @property
     def has_token(self) -> bool:
         """True if a token is set."""
-        return self._token is not None
+        return bool(self.settings.token_file)
 
     @property
     def full(self) -> bool:
@@ -223,7 +232,10 @@ class HttpServer:
         runner = make_runner(app)
         await runner.setup()
         try:
-            server = await listen(runner, self.limits, self.settings.host, self.settings.port, self._tls)
+            tls = self._certified()
+            if tls is not None:
+                tls.sni_callback = self._certify
+            server = await listen(runner, self.limits, self.settings.host, self.settings.port, tls)
             try:
                 self.port = server.sockets[0].getsockname()[1]
                 log.info("listening on %s://%s:%d/", self.settings.endpoint, self.settings.host, self.port)
@@ -233,6 +245,10 @@ class HttpServer:
         finally:
             self.port = None
             await runner.cleanup()
+
+    def _certify(self, connection: ssl.SSLObject, name: str | None, context: ssl.SSLContext) -> None:
+        """Answer a browser's first message with the certificate of now; OpenSSL calls this whether it names a server or not."""
+        connection.context = self._certified() or context
 
 
 class ServerLog(logging.LoggerAdapter[logging.Logger]):
@@ -249,13 +265,14 @@ def make_runner(app: web.Application) -> web.AppRunner:
     """Return a runner of an application without a log of requests, whose errors go to this module's log."""
     app.middlewares.append(_of_ascii)
     app.on_response_prepare.append(_finish)
-    return web.AppRunner(app, access_log=None, shutdown_timeout=0.5, logger=ServerLog(log))
+    longest = ConnectionLimits().request_bytes
+    return web.AppRunner(app, access_log=None, shutdown_timeout=0.5, logger=ServerLog(log), max_field_size=longest)
 
 
 @web.middleware
 async def _of_ascii(request: web.Request, handler: Handler) -> web.StreamResponse:
-    if not all(text.isascii() for text in request.headers.values()):
-        raise web.HTTPBadRequest(text="headers must be of ASCII characters")
+    if torn := [name for name, text in request.headers.items() if _READ.fullmatch(name) and not text.isascii()]:
+        raise web.HTTPBadRequest(text=f"the headers {', '.join(torn)} must be of ASCII characters")
     return await handler(request)
 
 

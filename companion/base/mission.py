@@ -20,7 +20,6 @@ class ReasonCause(Enum):
     TAKEN_OVER = "{detail:s}"
     GIVEN_BACK = "the vehicle was given back"
     OPERATOR = "by the operator's order"
-    LANDING = "the operator lands it where it is"
     SERVICE = "by the service's own watch: {detail:s}"
     AUTOMATIC = "the settings say to begin by itself"
     RESTARTED = "the service came back {measured:.1f} s after its last record: {detail:s}"
@@ -34,6 +33,7 @@ class ReasonCause(Enum):
     PILOT_LANDS = "the pilot chose {detail:s}"
     NOT_IN_MODE = "the autopilot did not take its landing mode within {measured:.0f} s: mode {detail:s}"
     FELT = "contact felt, a step of {measured:.1f} m/s^2"
+    TURNED_ABOUT = "contact: the deck holds a foot, it turned by {measured:.0f} degrees a second"
     HELD_UP = "contact: held up by {measured:.1f} m/s against the commands"
     REACHED = "contact: by sight and what was reckoned since, the feet are {measured:.2f} m over the deck"
     PRESSED = "pressed on for {measured:.1f} s"
@@ -71,6 +71,8 @@ class ReasonCause(Enum):
     BLIND_DESCENT = "{measured:.2f} m lower without sight of the pad (limit {limit:g} m)"
     NO_LANDING = "no landing was reported within {limit:g} s"
     NO_CONTACT = "no contact was felt within {limit:g} s"
+    FEET = "the feet touch {measured:.0f} cm above where guidance.cone.feet_below_m puts them, in {limit:g} tries"
+    LENS = "the lens is {measured:.0f} cm from where the camera's file has it: {detail} (p_body_cam_m)"
     ROSE = "it rose by {measured:.2f} m instead of landing"
     OFF_DECK = "after the contact it is {measured:.2f} m over the deck again (limit {limit:.2f} m)"
     DRIFTED = "it drifted {measured:.2f} m off the pad while landing (limit {limit:.2f} m)"
@@ -80,6 +82,12 @@ class ReasonCause(Enum):
     SANK_AGAINST = "against its order it sank by {measured:.1f} m within {limit:g} s"
     ANSWERS_LATE = "the vehicle answers {measured:.2f} s late (limit {limit:g} s)"
     OFF_ORDERS = "the vehicle flies {measured:.1f} m {detail} than ordered (limit {limit:g} m): something else steers it"
+    UNCONFIRMED = "up to {measured:.0f} m flown unseen by a velocity that nothing confirms (limit {limit:g} m)"
+    UNCHECKED = "up to {measured:.0f} m flown unseen: it holds by itself to check its velocity (limit {limit:g} m)"
+    MOVES_IN_HOLD = "it holds by itself, and its velocity says {measured:.1f} m/s (limit {limit:g} m/s)"
+    OFF_POSITION = "its velocity is {measured:.1f} m/s off its positions (limit {limit:g} m/s)"
+    DOUBTFUL = "its velocity may be {measured:.1f} m/s off (limit {limit:g} m/s)"
+    TIPPED = "it lies on what it touched, tilted by {measured:.0f} degrees (limit {limit:.0f}): its motors are stopped"
     STARVED = "guidance stood still for {measured:.1f} s of this try (limit {limit:g} s)"
 
     ON_PAD = "something {measured:.0f} cm wide lies {detail} from the pad's centre"
@@ -104,6 +112,7 @@ class ReasonCause(Enum):
     GUST = "a gust began, {measured:.1f} m/s off the mean wind (usual: {limit:.1f})"
     BATTERY = "battery at {measured:.0f} % (limit {limit:.0f} %)"
     BATTERY_ENDS = "battery at {measured:.0f} %: it lands on the pad in sight"
+    CHARGE = "battery at {measured:.0f} %{detail:s}"
     LANDS_HERE = "battery at {measured:.0f} %: at {limit:.0f} % it lands where it is"
 
 
@@ -195,6 +204,7 @@ class State(Enum):
     COMMIT = "commit"
     PRESS = "press"
     DOWN = "down"
+    LAND_HERE = "landing where it is"
     HOLD_BLIND = "hold blind"
     GO_AROUND = "go around"
     ANOTHER_PAD = "another pad"
@@ -215,12 +225,16 @@ class Event(Enum):
     CUT = "motors cut"
     GROUNDED = "on the ground after our order"
     GROUNDED_BY_OTHERS = "on the ground without our order"
+    TIPPED = "tipped over"
+    """It lies on the deck with turning motors."""
     TAKEN_OFF = "taken off"
     """The vehicle flies, the first time or after it has stood."""
     TAKEN = "vehicle taken over"
     """The vehicle's mode is no longer the one in which it obeys: a failsafe or a person has it."""
     ABORT = "abort ordered"
     PAUSE = "pause ordered"
+    LAND = "to land where it is"
+    """A person ordered it, or the last charge is reached, or such a landing has left the deck again."""
     STAY = "stay ordered"
     BEGIN = "landing ordered"
     OTHER_PAD = "another pad seen"
@@ -265,15 +279,16 @@ ENDED = frozenset({State.LANDED, State.LANDED_BY_OTHERS, State.TAKEN, State.EMER
 """States that end a flight; the next one begins when the vehicle has stood and flies again."""
 FLOWN = frozenset(State) - GROUND - ENDED - {State.READY, State.PAUSED}
 """States in which the machine flies a landing."""
-DESCENDS = frozenset({State.INTERCEPT, State.STAY, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN})
-"""States in which the drone may be commanded to come nearer to the deck."""
-CONTACT_INTENDED = frozenset({State.COMMIT, State.PRESS, State.DOWN})
+CONTACT_INTENDED = frozenset({State.COMMIT, State.PRESS, State.DOWN, State.LAND_HERE})
 """States in which the drone may touch the deck with its motors turning."""
+DESCENDS = CONTACT_INTENDED | {State.INTERCEPT, State.STAY, State.DESCEND, State.GATE}
+"""States in which the drone may be commanded to come nearer to the deck."""
 
 FAULTS = frozenset(
     {
         Event.CUT,
         Event.GROUNDED_BY_OTHERS,
+        Event.TIPPED,
         Event.TAKEN,
         Event.OTHER_PAD,
         Event.NO_CONDITIONS,

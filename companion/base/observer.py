@@ -76,8 +76,8 @@ class ResponseInUse(Struct, frozen=True):
 
     @property
     def contradicts(self) -> bool:
-        """True if the flight contradicts its file."""
-        return self.state is ResponseState.IDENTIFIED or self.shape != AS_FILED
+        """True if the flight contradicts its file to a landing's cost. A faster vehicle is flown with more margin."""
+        return self.state is ResponseState.IDENTIFIED or self.shape.frequency < 1.0 or self.shape.softer > 1.0
 
     @property
     def text(self) -> str:
@@ -182,6 +182,8 @@ class Decision(Struct, frozen=True, eq=False):
     """The vehicle's response, where this cycle has come to know it otherwise than before."""
     ahead: DeckOutlook | None = None
     """The deck's forecast, where this cycle made one."""
+    charge: str = ""
+    """The end of the charge that is near for a drone that a person left in the air or flies, in words; it is in `reason` too."""
 
 
 class Observer(Protocol):

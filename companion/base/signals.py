@@ -17,7 +17,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -25,7 +25,8 @@ from typing import NoReturn
 ABANDON_S = 1.2
 """Time after the signal at which the remaining tasks are abandoned."""
 LAST_S = 1.7
-"""Time after SIGTERM or SIGQUIT at which the process ends, whatever it is doing. Below 2 s, with room for a busy machine."""
+"""Time after SIGTERM or SIGQUIT at which the process ends, whatever it is doing. Below 2 s, with room for a busy machine. A
+program that flies nothing real may ask for more (`more_time`)."""
 LINGER_S = 1.0
 """Time that a program which ends by itself waits for remaining tasks and threads."""
 _ECHO_S = 0.1
@@ -73,6 +74,8 @@ class Process:
         """Passes a signal to the running event loop; None while no loop runs."""
         self.unfinished: Callable[[], str] = str
         """Returns the names of the event loop's remaining tasks; empty if there are none."""
+        self.extra_s = 0.0
+        """Time by which both deadlines are later, s."""
         self.last_words: Callable[[str], None] = _to_stderr
         """Writes what is said just before the process ends; it may block."""
 
@@ -96,7 +99,7 @@ class Process:
 
     def left_s(self) -> float:
         """Return the time until tasks are abandoned, s; `LINGER_S` if no signal has come."""
-        return LINGER_S if self.number is None else self.at_s + ABANDON_S - time.monotonic()
+        return LINGER_S if self.number is None else self.at_s + ABANDON_S + self.extra_s - time.monotonic()
 
 
 PROCESS = Process()
@@ -113,6 +116,16 @@ def install() -> None:
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     os.register_at_fork(before=_hold, after_in_parent=_release, after_in_child=_release_child)
     threading.Thread(target=_watch, args=(reading,), name=_WATCHER, daemon=True).start()
+
+
+@contextmanager
+def more_time(extra_s: float) -> Iterator[None]:
+    """Let the process end this much later after a signal, s, so that it can write what would be lost."""
+    PROCESS.extra_s = extra_s
+    try:
+        yield
+    finally:
+        PROCESS.extra_s = 0.0
 
 
 def ending_signal() -> int | None:
@@ -167,7 +180,7 @@ def _watch(descriptor: int) -> None:
     first: int | None = None
     at_s = 0.0
     while True:
-        timeout_s = None if first in (None, signal.SIGINT) else max(0.0, at_s + LAST_S - time.monotonic())
+        timeout_s = None if first in (None, signal.SIGINT) else max(0.0, at_s + LAST_S + PROCESS.extra_s - time.monotonic())
         if select.select([descriptor], [], [], timeout_s)[0]:
             for number in os.read(descriptor, 64):
                 if number not in ENDING:
@@ -177,7 +190,10 @@ def _watch(descriptor: int) -> None:
                 elif time.monotonic() - at_s > _ECHO_S:
                     _end(128 + number, "")
         elif first is not None:
-            _end(128 + first, f"not ended {LAST_S} s after {signal.Signals(first).name}, ending at once: {_unfinished()}")
+            _end(
+                128 + first,
+                f"not ended {LAST_S + PROCESS.extra_s:.1f} s after {signal.Signals(first).name}, ending at once: {_unfinished()}",
+            )
 
 
 def _unfinished() -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from companion.cli.options import named_wait, option, print_result, reading, recording_argument, require_drawing
+from companion.cli.options import named_wait, option, print_result, reading, recording_argument, require_drawing, tell_damage
 from companion.cli.outputs import CAMERA_FILE, PLOT, RESPONSE_FILE, SETTINGS, output
 from companion.guidance.law.margins import LoopMargins, margins
 from companion.guidance.law.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt, text
@@ -57,8 +57,7 @@ def _vehicle(args: argparse.Namespace, recording: Recording) -> int:
         require_drawing("--plot")
     start = _start(args.response, recording)
     courses = flown_courses(recording)
-    for path, why in recording.cut.items():
-        sys.stderr.write(f"decklander: {path} is cut short or damaged ({why}): identified without that\n")
+    tell_damage(recording, "identified")
     with named_wait("fitting", quiet=args.json):
         tilt, climb = _fits(recording, courses, start)
     if tilt.delay_sigma_s > NOTHING_TOLD_S:

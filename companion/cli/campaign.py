@@ -8,6 +8,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from msgspec.structs import replace
 from companion.base.signals import Stopped
 from companion.cli import flight_options
 from companion.cli.options import WorkProgress, named_wait, option, refuse_any, require_drawing
-from companion.cli.outputs import CAMPAIGN, PLOT, READINGS, REPORT_FOLDER, check_output, output
+from companion.cli.outputs import CAMPAIGN, REPORT_FOLDER, check_output, output
 from companion.settings.load import shipped, write_whole
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.pipeline import RelativeEstimator
@@ -24,9 +25,9 @@ from sitl.campaign import plan as plans
 from sitl.campaign.figures import WORST, added, by_scenario, effects_of, in_columns, in_rows, in_words, tallies_of, unmoved
 from sitl.campaign.random_faults import Cases, FaultTally, fly_with_random_faults
 from sitl.campaign.report import AXES, MAP, REPORT, render_map, render_report
-from sitl.campaign.soak import Draw, SoakOptions, soak
 from sitl.campaign.store import FLIGHTS, FolderStore, flights_in, fly_left, manifest_of, manifest_of_plan, wall_s_in
-from sitl.campaign.workers import ClusterWorkers, Flight, LocalWorkers, fly_flight, job_of
+from sitl.campaign.workers import ClusterWorkers, Flight, Flyer, LocalWorkers, fly_flight, job_of
+from sitl.faults.carried import refuse_others
 from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import FAULTS, Scenario
@@ -41,8 +42,7 @@ DESCRIPTION = (
     "Fly many simulated landings of one scenario, each with its own seed, and summarize them. Results are kept "
     "in a folder as they come: the same command goes on where an earlier one ended, whatever ended it. Exit code 0 if every "
     "flight landed on the pad safely, or refused as the scenario expects; else 1. docs/campaigns.md has more. "
-    "'decklander campaign report DIR' writes the report of what is in a folder. --soak flies in one process, and "
-    "watches it for leaks."
+    "'decklander campaign report DIR' writes the report of what is in a folder."
 )
 
 
@@ -55,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"with a fault); or a set of scenarios ({', '.join(plans.shipped_sets())}, or its file); or the word report",
     )
     option(parser, "more SCENARIO", "further scenarios; with report: the folder of a campaign", nargs="*")
-    option(parser, "--runs N", "number of flights, at each point (default: 100; with --soak: by --hours)", type=int)
-    option(parser, "--seed FIRST", "seed of the first flight (default: 0; with --soak: 1)", type=int)
+    option(parser, "--runs N", "number of flights, at each point (default: 100)", type=int)
+    option(parser, "--seed FIRST", "seed of the first flight (default: 0)", type=int)
     flight_options.add_arguments(parser)
     parser.set_defaults(perception=None)
     where = parser.add_argument_group("where to fly and to keep")
@@ -78,6 +78,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"act; the first {WORST} failing flights become scenario files beside the results, with the fewest and weakest faults",
         choices=("random",),
     )
+    option(
+        more,
+        "--autopilot",
+        "fly the stand-in of this autopilot instead of an AR.Drone (docs/sitl.md)",
+        choices=("arducopter", "px4"),
+    )
     results = parser.add_argument_group("results")
     option(results, "--json", "print a line of JSON for each flight, and one of the summary")
     beside = f"write {REPORT} beside the results, or index.html into this folder"
@@ -89,20 +95,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"{' '.join(AXES)}; of --runs: {_MAP_RUNS})",
     )
     option(results, "--against DIR", "compare with this earlier campaign in the report, seed by seed")
-    _add_soak_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     if args.scenario == "report":
         return _report(args)
-    if args.more and (args.soak or args.map):
-        raise BadInput(f"--soak and --map take one scenario, found {args.more[0]!r} besides")
-    word = "does not go with" if args.soak else "goes with"
-    given = [name for name in (_OTHERS if args.soak else _OURS) if getattr(args, name) not in (None, False, [])]
-    refuse_any(*((True, f"--{name.replace('_', '-')} {word} --soak") for name in given))
-    if args.soak:
-        return run_soak(args, *_plan(args))
+    if args.more and args.map:
+        raise BadInput(f"--map takes one scenario, found {args.more[0]!r} besides")
     if args.map:
         output = {text.partition("=")[0] for text in args.vary}
         args.vary = [*args.vary, *(axis for axis in AXES if axis.partition("=")[0] not in output)]
@@ -113,6 +113,7 @@ def run(args: argparse.Namespace) -> int:
         (workers < 1, f"--workers must be 1 or more, got {workers}"),
         (args.workers is not None and args.scheduler, "--workers does not go with --scheduler: the cluster has its own"),
         (args.against and args.report is None, "--against goes with --report"),
+        (args.autopilot and (args.vary or args.map), "--autopilot does not go with --vary or --map"),
     )
     if args.report is not None:
         require_drawing("--report")
@@ -174,11 +175,16 @@ def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str
     if args.perception_model is not None and perception == "pixels":
         raise BadInput("--perception-model goes with --perception model or truth")
     perceive(perception, args.perception_model)
-    settings = settings_for(scenario, args.config)
-    given = plans.Overridable(scenario, settings)
+    beside = args.autopilot is not None
+    settings = settings_for(scenario, args.config, by_autopilot=beside)
+    given = plans.Overridable(scenario, settings, by_autopilot=beside)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
     RelativeEstimator(settings.estimator)  # a path that lacks its library is refused before any flight
+    if beside:
+        refuse_others(name, scenario.faults, stand_in=True)
     plan = plans.make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args)))
+    if beside:
+        plan = replace(plan, design=plans.described(f"stand-in of {args.autopilot}", []))
     return plan, plans.Overridable(scenario, settings)
 
 
@@ -187,6 +193,7 @@ def _options(args: argparse.Namespace) -> Iterator[str]:
     perception = None if args.perception == "pixels" else args.perception
     options = [("--config", args.config), ("--perception", perception), ("--perception-model", args.perception_model)]
     options += [*(("--set", value) for value in args.set), ("--faults", args.faults)]
+    options += [("--autopilot", args.autopilot), ("--binary", args.autopilot and "stand-in")]
     yield from (word for option in options if option[1] for word in option)
 
 
@@ -208,8 +215,9 @@ def _design(
 
 def _with_random_faults(args: argparse.Namespace, plan: plans.CampaignPlan, scenario: Scenario) -> plans.CampaignPlan:
     """Return the plan with faults that each seed draws; raises BadInput where there can be none."""
-    with_random_faults(scenario, args.seed, plan.perception)
-    return replace(plan, design=plans.described("random faults", []))
+    beside = args.autopilot is not None
+    with_random_faults(scenario, args.seed, plan.perception, autopilot=beside)
+    return replace(plan, design=plans.described("random faults" + (f", {args.autopilot}" if beside else ""), []))
 
 
 def _store(args: argparse.Namespace, plan: plans.AnyPlan, seeds: range) -> FolderStore:
@@ -222,10 +230,19 @@ def _store(args: argparse.Namespace, plan: plans.AnyPlan, seeds: range) -> Folde
 def _workforce(
     args: argparse.Namespace, plan: plans.AnyPlan, workers: int
 ) -> AbstractContextManager[LocalWorkers | ClusterWorkers]:
-    flyer = fly_flight if args.faults is None else fly_with_random_faults
+    flyer = _flyer(args, drawn=args.faults is not None)
     if args.scheduler is None:
         return LocalWorkers(plan, plans.code_version(), workers, flyer)
     return ClusterWorkers(plan, plans.code_version(), args.scheduler, flyer)
+
+
+def _flyer(args: argparse.Namespace, *, drawn: bool) -> Flyer:
+    """Return what flies one scenario once; `drawn`: with the faults that its seed draws."""
+    if args.autopilot is None:
+        return fly_with_random_faults if drawn else fly_flight
+    from sitl.emulators.autopilots.flight import fly_stand_in  # MAVLink and asyncio, which a flight in virtual time does not need
+
+    return partial(fly_stand_in, args.autopilot, drawn)
 
 
 def _fly_left(
@@ -268,7 +285,7 @@ def _conclude(args: argparse.Namespace, plan: plans.AnyPlan, store: FolderStore,
         for flight in _asked(store, asked):
             tally.take(flight)
         summary["random_faults"] = tally.as_json()
-        files += _cases(plan, store, tally)
+        files += _cases(args, plan, store, tally)
     if args.map:
         files.append(store.put(MAP, render_map(plan.name, plan.perception, _asked(store, asked)).encode()))
     if args.report is not None:
@@ -284,12 +301,13 @@ def _conclude(args: argparse.Namespace, plan: plans.AnyPlan, store: FolderStore,
     return 0 if whole.counts["failed"] == 0 else 1
 
 
-def _cases(plan: plans.AnyPlan, store: FolderStore, tally: FaultTally) -> list[str]:
+def _cases(args: argparse.Namespace, plan: plans.AnyPlan, store: FolderStore, tally: FaultTally) -> list[str]:
     """Write a scenario file for each of the first failing flights of each scenario, and return where they are."""
     written = []
     for one in plan.members.values() if isinstance(plan, plans.SetPlan) else (plan,):
         name, base, perception, model = plans.unpacked(one.base())
-        cases = Cases(name, base.scenario, base.settings, perception, model, one.options)
+        flyer, beside = _flyer(args, drawn=False), args.autopilot is not None
+        cases = Cases(name, base.scenario, base.settings, perception, model, one.options, flyer, beside)
         failing = [flight for flight in tally.failing if flight["scenario"] == name]
         written += [store.put(file, content) for file, content in cases.of(failing)]
     return written
@@ -357,58 +375,3 @@ def _compared_with(against: str | None, asked: set[str]) -> tuple[str, dict[str,
     if asked.isdisjoint(job_of(flight).key for flight in flights):
         raise BadInput(f"--against {against}: no seed was flown in both campaigns with the same varied values")
     return against, manifest, flights
-
-
-_OURS = ("hours", "virtual", "no_faults", "fault", "failed_max", "plot", "readings")
-_OTHERS = ("workers", "scheduler", "out", "vary", "report", "against", "faults")
-"""Options that go with `--soak` alone, and that do not go with it."""
-
-
-def _add_soak_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add `--soak` and the options that go with it."""
-    group = parser.add_argument_group(
-        "repeated flights in one process",
-        "Each flight has its own seed and its own fault, and is graded: on the pad, refused rightly, failed, or not judged "
-        "because the machine was too slow. Exit code 1 if more flights failed than --failed-max allows or most could not be "
-        "judged; also if memory grew by 1 %, or descriptors, threads or tasks by one, after warm-up. Ctrl-C stops the run "
-        "and prints the results so far.",
-    )
-    option(
-        group,
-        "--soak",
-        "fly in one process and watch for leaks: the landing service flies the simulated drone through sockets in real time",
-    )
-    option(group, "--hours H", "hours to run; with --virtual hours of flight time (default: 1, or --runs)", type=float)
-    option(group, "--virtual", "fly in virtual time, without sockets")
-    faults = group.add_mutually_exclusive_group()
-    option(faults, "--no-faults", "fly without faults")
-    option(faults, "--fault NAME", "fly this fault in every flight (needs --virtual; default: at random)")
-    option(group, "--failed-max N", "allow this many failed flights (default: 0)", type=int)
-    output(group, "--plot FILE", "plot memory, counts and outcomes over time (png, svg, pdf)", PLOT)
-    output(group, "--readings FILE", "write every reading as a line of JSON into this file", READINGS)
-
-
-def run_soak(args: argparse.Namespace, plan: plans.CampaignPlan, given: plans.Overridable) -> int:
-    """Run the command and return its exit code."""
-    seed, hours = 1 if args.seed is None else args.seed, 1.0 if args.hours is None else args.hours
-    failed_max, real = args.failed_max or 0, not args.virtual
-    few = args.runs is not None and (args.runs < 1 or real or args.hours is not None)
-    refuse_any(
-        (seed < 0, f"--seed must be 0 or more, got {seed}"),
-        (not 0.001 <= hours <= 1000, f"--hours must lie in 0.001 to 1000, got {hours:g}"),
-        (few, "--runs with --soak needs --virtual, takes the place of --hours, and is 1 or more"),
-        (real and args.fault, "--fault needs --virtual; in real time the drone chooses its faults by its seeds"),
-        (real and plan.perception != "pixels", "--perception needs --virtual; in real time the drone sends images"),
-        (real and args.set, "--set with --soak needs --virtual; in real time the drone is a process of its own"),
-        (failed_max < 0, f"--failed-max must be 0 or more, got {failed_max}"),
-    )
-    flight_options.warn(args, [given.settings])
-    draw: Draw | None = None
-    if args.plot is not None:
-        require_drawing("--plot")
-        from sitl.campaign import plots
-
-        draw = plots.soak
-    same = {name: getattr(args, name) for name in ("virtual", "fault", "plot", "readings", "json")}
-    options = SoakOptions(seed=seed, hours=hours, flights=args.runs, faults=not args.no_faults, failed_max=failed_max, **same)
-    return soak(options, plan, *given.with_values((), "--set"), draw)

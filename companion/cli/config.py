@@ -166,7 +166,7 @@ another state. Each change carries a cause, the measured number and its limit.
 
 Every state that waits has a time limit, after which the drone goes up or stays, never down. It never descends without a
 fresh, consistent estimate of the pad, and holds still against the deck. Low without sight it only climbs, by range sensor, height
-last known, or time. Before the first order to land it stays in its own hover.
+last known, time, or a contact felt in the last 20 s. Before the first order to land it stays in its own hover.
 """
 
 
@@ -220,7 +220,10 @@ def _table(name: str) -> Iterator[str]:
 
 def _other(name: str) -> Iterator[str]:
     yield from (f'## What differs with `guidance.mission = "{name}"`', "")
-    yield from _rows(name, TABLES["cone"])
+    idle = [event for event in Event if all(TABLES[name][state][event] is state for state in State)]
+    if idle:
+        yield from (f"Without effect: {', '.join(event.value for event in idle)}.", "")
+    yield from _rows(name, {state: {**row, **dict.fromkeys(idle, state)} for state, row in TABLES["cone"].items()})
 
 
 def _rows(name: str, usual: Mapping[State, Row]) -> Iterator[str]:

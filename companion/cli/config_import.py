@@ -64,7 +64,15 @@ def write(path: Path, out: Path, tag_m: float | None) -> list[str]:
     pad_file, text = out.with_suffix(".pad.toml"), read_text(path)
     if pad_file.exists():
         raise BadInput(f"--out {out}: {pad_file}, which it would be written with, is there already")
-    with refused(f"{path}: no settings that are read", msgspec.MsgspecError, configparser.Error, KeyError, TypeError, ValueError):
+    with refused(
+        f"{path}: no settings that are read",
+        msgspec.MsgspecError,
+        configparser.Error,
+        KeyError,
+        TypeError,
+        ValueError,
+        RecursionError,
+    ):
         read = _of_blueos if path.suffix.lower() == ".json" else _of_vision_landing
         found = read(text, path, tag_m)
     files = {}

@@ -17,7 +17,7 @@ from msgspec import Struct, structs
 from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.mission import FlightOutcome
-from companion.base.signals import check, ending_signal
+from companion.base.signals import check, ending_signal, more_time
 from companion.cli import kept_flight
 from companion.cli.kept_flight import compared_paths, shown
 from companion.cli.options import check_seed, listening, named_wait, option, print_line, print_result
@@ -40,6 +40,8 @@ from sitl.scenario.scenario import Scenario, camera_model, with_ardrone1
 from sitl.scenario.scenario import load as load_scenario
 
 _READY_S = 120.0
+_REPORT_S = 7.0
+"""Time for the report after SIGTERM, s: service managers and containers kill what has not ended after 10 s."""
 _SETTLE_S = 0.5
 _PROBE_S = 0.1
 """Time for which the demo continues after the landing, s, so that the recording shows the drone on the ground."""
@@ -88,7 +90,8 @@ def run(args: argparse.Namespace) -> int:
     if args.ardrone1:
         scenario = with_ardrone1(scenario)
     GENERATIONS[scenario.vehicle.generation].check_camera(camera_model(scenario))
-    return event_loop.run(_demo(args, scenario, _place(args)))
+    with more_time(_REPORT_S):
+        return event_loop.run(_demo(args, scenario, _place(args)))
 
 
 async def _demo(args: argparse.Namespace, scenario: Scenario, place: tuple[str, int] | None) -> int:
@@ -126,9 +129,6 @@ async def _demo(args: argparse.Namespace, scenario: Scenario, place: tuple[str, 
                 except TimeoutError:
                     outcome = None
                 stopped = ending_signal() is not None
-                if ending_signal() == signal.SIGTERM:  # no time for a report; after Ctrl-C there is
-                    print_line(f"stopped by SIGTERM after {seconds_between(began, clock.now()):.0f} s: there is no report")
-                    check()
                 ended = clock.now()
                 await asyncio.sleep(_SETTLE_S)
                 await drone.aclose()
@@ -140,6 +140,8 @@ async def _demo(args: argparse.Namespace, scenario: Scenario, place: tuple[str, 
         ending = structs.replace(ending, without_outcome="stopped by a person")
     report = kept.write_report(ending, ending.duration_s, "real time")
     print_result(args, ending.as_json(), f"{ending.in_words()}\n{report}")
+    if ending_signal() == signal.SIGTERM:
+        check()
     return 0 if ending.on_pad else 1
 
 
@@ -147,8 +149,9 @@ class _Child(Struct):
     """The report of the simulated drone's process."""
 
     ports: dict[str, int]
+    frames_due: int = 0
+    """Numbers of frames that it had to send and sent; known after it has ended, like the next field."""
     frames_sent: int = 0
-    """Number of frames that it sent; known after it has ended, like the next field."""
     stood_still_s: float = 0.0
 
     def ended(self, said: bytes) -> None:
@@ -157,7 +160,8 @@ class _Child(Struct):
             with suppress(ValueError):
                 words = json.loads(line)
                 if words.get("event") == "ended":
-                    self.frames_sent, self.stood_still_s = words["counters"].get("video_sent", 0), words["stood_still_s"]
+                    self.frames_due, self.frames_sent = (words["counters"].get(f"video_{what}", 0) for what in ("due", "sent"))
+                    self.stood_still_s = words["stood_still_s"]
 
 
 @asynccontextmanager
@@ -215,8 +219,13 @@ def _ending(
     started = MonoNs(truth[0]["at_ns"]) if truth else MonoNs(0)
     delays = health.delays.get("guidance_late")
     late_s = None if delays is None else delays.quantiles(0.5)[0]
-    load = Load(duration_s, drone.frames_sent, drone.stood_still_s, health.frames, late_s)
-    return Ending(args.scenario, args.seed, outcome, contacts, duration_s, health.frames, started, load=load)
+    load = Load(drone.frames_due, drone.frames_sent, drone.stood_still_s, health.frames, late_s)
+    troubles = [] if health.frames else ["no frame ever came"]
+    for connection, (times, why) in health.failures.items():
+        troubles.append(f"{connection} failed {'once' if times == 1 else f'{times} times'}: {why}")
+    return Ending(
+        args.scenario, args.seed, outcome, contacts, duration_s, health.frames, started, load=load, troubles=tuple(troubles)
+    )
 
 
 def _add_servers(parser: argparse.ArgumentParser) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from companion.cli.options import named_wait, option
+from companion.cli.options import named_wait, option, tell_damage
 from companion.cli.outputs import Kind, check_output, output
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.load import SHIPPED, find_file, mount_assumed, pad_of_file, read_camera
@@ -29,9 +29,10 @@ from companion.settings.referenced_files import second_opinion
 from companion.tools.calibrate.guide import files_of
 from companion.tools.report.overlay import Overlay, annotate
 from drivers.camera import images
-from drivers.camera.videos import open_video, predicts_frames, video_of
+from drivers.camera.videos import frames_of, open_video, predicts_frames, video_of
+from drivers.files import Largest, bytes_of, refuse_special
 from drivers.pyav import require_pyav
-from estimator.contracts.errors import BadInput, file_errors
+from estimator.contracts.errors import BadInput, DecklanderError, file_errors
 from estimator.contracts.estimates import CENTRE, Method, Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
@@ -258,14 +259,14 @@ def _images(file: Path, model: _Model) -> Iterator[_Image]:
         return
     if file.suffix.lower() not in VIDEOS:
         try:
-            data = images.load(file)
+            data = bytes_of(file, Largest.PICTURE)
             claimed = images.claimed_size(data)
             if claimed is not None and claimed != size:
                 raise _wrong_size(str(file), claimed, model)
             yield _Image(str(file), 0, images.decode(data, size))
             return
-        except OSError as why:
-            raise _NoImageError(f"{file}: {why.strerror or why}") from why
+        except DecklanderError as why:
+            raise _NoImageError(str(why)) from why
         except images.ImageRefused as why:
             if file.suffix.lower() in images.PICTURES:
                 raise _NoImageError(f"{file}: not an image that can be read ({why})") from why
@@ -274,17 +275,17 @@ def _images(file: Path, model: _Model) -> Iterator[_Image]:
     from av.error import FFmpegError
 
     try:
+        refuse_special(file, Largest.RECORDING)
         with open_video(str(file), size) as container:
             stream = video_of(container, size)
-            for frame in container.decode(stream):
+            for number, frame, px in frames_of(container, stream):
                 if (frame.width, frame.height) != size:
                     raise _wrong_size(str(file), (frame.width, frame.height), model)
-                if not frame.is_corrupt:  # the hidden part is image, not measurement
-                    px = np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
-                    yield _Image(str(file), index, px, coded=predicts_frames(stream))
-                index += 1
+                index = number + 1
+                if px is not None:
+                    yield _Image(str(file), number, px, coded=predicts_frames(stream))
     except images.ImageRefused as why:
-        raise BadInput(f"{file}: {why} ({model.camera_source})") from why
+        raise _NoImageError(f"{file}: {why} ({model.camera_source})") from why
     except (FFmpegError, OSError, IndexError) as why:
         raise _NoImageError(f"{file}: neither an image nor a video that can be read (stopped at frame {index})") from why
     if index == 0:
@@ -303,6 +304,7 @@ def _recorded(file: Path, model: _Model) -> Iterator[_Image]:
             kept += 1
             yield _Image(str(file), index, frame.px, event.attitude, frame.coded)
         index += 1
+    tell_damage(recording, "searched")
     if not kept:
         raise _NoImageError(f"{file}: the recording holds {index} frames, but none of their images")
 
@@ -318,7 +320,7 @@ def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, Rotation]:
     """Return roll and pitch of an attitude file, by source."""
     try:
         with file_errors(str(path)):
-            rows = list(csv.reader(text_of(path.read_bytes(), str(path)).splitlines()))
+            rows = list(csv.reader(text_of(bytes_of(path, Largest.TABLE), str(path)).splitlines()))
     except csv.Error as why:
         raise BadInput(f"{path}: not a CSV file of text; its first line must be source,roll_deg,pitch_deg") from why
     header = [cell.strip() for cell in rows[0]] if rows else []

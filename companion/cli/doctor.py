@@ -36,6 +36,7 @@ from companion.tools.doctor.undo import (
     write_parameters,
 )
 from drivers.clock import SystemClock
+from drivers.files import Largest, bytes_of
 from drivers.imports.log_history import LogHistory
 from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.links import LinkOptions
@@ -125,8 +126,8 @@ def fix(args: argparse.Namespace, snapshot: Snapshot, found: Sequence[Finding]) 
 
 def undo(args: argparse.Namespace) -> int:
     """Set back what an undo file holds, the last first, and return the exit code: 0 if all is as it was."""
-    with file_errors(f"--undo {args.undo}"):
-        kept = decode(Path(args.undo).read_bytes(), args.undo, UndoFile, "undo file of doctor --fix")
+    data = bytes_of(Path(args.undo), Largest.TABLE, f"--undo {args.undo}")
+    kept = decode(data, args.undo, UndoFile, "undo file of doctor --fix")
     backwards = [one.back for one in reversed(kept.written)]
     agreed = [one for one in backwards if args.yes or _agreed(one, f"--fix set {one.parameter} from {one.to:g} to {one.was:g}")]
     if not agreed:
@@ -332,8 +333,7 @@ def _snapshot(args: argparse.Namespace) -> Snapshot:
 
 
 def _saved(where: str) -> Snapshot:
-    with file_errors(f"--snapshot {where}"):
-        data = sys.stdin.buffer.read() if where == "-" else Path(where).read_bytes()
+    data = sys.stdin.buffer.read() if where == "-" else bytes_of(Path(where), Largest.TABLE, f"--snapshot {where}")
     return decode(data, where, Snapshot, "snapshot of a set-up")
 
 

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(
         parser,
         "--perception-model FILE",
-        "error model of --perception model or truth, from decklander perception fit (default: the shipped one of vision.method)",
+        "error model of --perception model or truth, from python -m study.perception (default: the shipped one of vision.method)",
     )
     meaning = "give a key of scenario or settings another value, as in wind.speed_m_s=4; may be repeated"
     option(parser, "--set KEY=VALUE", meaning, default=[], action="append")

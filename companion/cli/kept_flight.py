@@ -19,6 +19,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, get_args
 
 from companion.base.health import Health
+from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame, Relay
 from companion.base.version import version
 from companion.cli.options import ERASED, option, print_line, writing, written
@@ -232,6 +233,8 @@ def _contact(t: Touchdown) -> ContactRecord:
     return ContactRecord(int(t.at), t.surface, t.on_pad, *(x if math.isfinite(x) else None for x in numbers))
 
 
+_DOWN = frozenset((State.LANDED.value, State.LANDED_BY_OTHERS.value))
+"""Phases on the deck: the estimate is no longer corrected there, and its height drifts."""
 _WIDE = 100
 """Columns that the whole line takes; below it has time, phase and place alone."""
 
@@ -288,6 +291,8 @@ class ProgressObserver(NullObserver):
     def _short_line(self, decision: Decision) -> str:
         assert self._began is not None
         belief, time_s = decision.belief, seconds_between(self._began, decision.at)
+        if decision.phase in _DOWN:
+            return f"{time_s:5.1f} s {decision.phase}"
         where = (
             "no pad yet" if belief is None or not belief.placed else f"{belief.height_m:4.1f} up {belief.lateral_m:4.1f} m off"
         )
@@ -302,6 +307,8 @@ class ProgressObserver(NullObserver):
             place = f"height {belief.height_m:5.2f} m   sideways {belief.lateral_m:5.2f} m" if belief.placed else "place unknown"
             where = f"{place}   seen {seen_s:4.1f} s ago"
         time_s = seconds_between(self._began, decision.at)
+        if decision.phase in _DOWN:
+            return f"{time_s:5.1f} s  {decision.phase:<22}  {decision.reason}".rstrip()
         if decision.reason:
             return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {decision.reason}"
         rate = "--"

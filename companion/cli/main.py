@@ -51,10 +51,9 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     },
     "study": {
         "simulate": ("companion.cli.simulate", "simulate one flight in virtual time"),
-        "campaign": ("companion.cli.campaign", "fly many simulated landings and summarize them, or watch them for leaks"),
+        "campaign": ("companion.cli.campaign", "fly many simulated landings and summarize them"),
         "train": ("companion.cli.train", "train a controller in the simulated sea"),
         "experiments": ("companion.cli.experiments", "fly the thesis' experiments again"),
-        "perception": ("companion.cli.perception", "fit the error models of simulated perception"),
     },
     "maintain": {
         "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys; make the operator page's token"),
@@ -63,6 +62,8 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
 }
 """Commands by a person's need: module and one line of help for each."""
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
+_READS_FILES_OF_OTHERS = frozenset({"calibrate", "config", "detect", "doctor", "pad", "record", "replay", "report"})
+"""Commands that leave a part of the machine's memory to others, whatever a file holds."""
 _EXAMPLES = (
     ("decklander demo --page", "a landing over a simulated ship, in your browser"),
     ("decklander start", "settings for your own drone"),
@@ -135,6 +136,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     _lend_streams()
     try:
         try:
+            if sys.argv[1:2] and sys.argv[1] in _READS_FILES_OF_OTHERS:
+                from drivers.files import confine
+
+                confine()
             signals.install()
             code = _run(sys.argv[1:], _load_for_good)
         except (SystemExit, signals.Stopped):
@@ -169,6 +174,8 @@ def _run(argv: list[str], load: Load) -> int:
         return INTERRUPTED
     except DecklanderError as why:
         return _refuse(why)
+    except MemoryError:
+        return _refuse(BadInput("it takes more memory than a command may take on this machine (three quarters of all)"))
     except BaseExceptionGroup as group:
         causes = list(_leaves(group))
         for cause in causes:
@@ -278,14 +285,16 @@ def pointed(message: str) -> str:
     Args:
         message: "FILE: KEY ..." as settings are refused.
     """
-    from companion.settings.files import LARGEST_BYTES
+    from drivers.files import Largest, bytes_of
     from estimator.contracts.text import utf8_of
 
     found = re.match(r"(?P<file>[^:]+\.toml): (?P<what>.*)", message)
-    path = Path(found["file"]) if found else None
-    if found is None or path is None or not path.is_file() or path.stat().st_size > LARGEST_BYTES:
+    if found is None:
         return ""
-    lines = utf8_of(path.read_bytes()).decode("utf-8", "replace").splitlines()
+    try:
+        lines = utf8_of(bytes_of(Path(found["file"]), Largest.SETTINGS)).decode("utf-8", "replace").splitlines()
+    except DecklanderError:
+        return ""
     if syntax := _SYNTAX.search(found["what"]):
         row, column, width = int(syntax[1]), int(syntax[2]), 1
     else:
@@ -298,7 +307,7 @@ def pointed(message: str) -> str:
         return ""
     margin = len(str(row))
     return (
-        f"  --> {path}:{row}:{column}\n"
+        f"  --> {found['file']}:{row}:{column}\n"
         f"  {row} | {masked(lines[row - 1])}\n"
         f"  {'':{margin}} | {' ' * (column - 1)}{'^' * width}\n"
         f"  {'':{margin}} = page: {_PAGE}\n"

@@ -12,10 +12,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from companion.settings.links import HttpSettings, is_address
 from estimator.contracts.errors import BadInput
+
+if TYPE_CHECKING:
+    from companion.recording.reading import Recording
 
 
 def option(parser: argparse._ActionsContainer, spec: str, meaning: str, **more: Any) -> None:
@@ -67,6 +70,12 @@ def listening(text: str, what: str) -> tuple[str, int]:
     if not (is_address(host) and port.isdecimal() and 1 <= int(port) <= 65535):
         raise BadInput(f"{what} {text}: write a port, an address of this computer, or both as in {usual.host}:{usual.port}")
     return host, int(port)
+
+
+def tell_damage(recording: "Recording", done: str) -> None:
+    """Write to standard error what of a recording that was read is missing, and what was done without that."""
+    for path, why in recording.cut.items():
+        sys.stderr.write(f"decklander: {path} is cut short or damaged ({why}): {done} without that\n")
 
 
 def check_seed(args: argparse.Namespace) -> None:

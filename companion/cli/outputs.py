@@ -36,11 +36,10 @@ class Kind(NamedTuple):
 RECORDING = Kind("recording", (".mcap",))
 SETTINGS = Kind("settings file", (".toml",))
 CAMERA_FILE, PAD_FILE = Kind("camera file", (".toml",)), Kind("pad file", (".toml",))
-RESPONSE_FILE, ERROR_MODEL = Kind("response file", (".toml",)), Kind("error model", (".toml",))
+RESPONSE_FILE = Kind("response file", (".toml",))
 SNAPSHOT, POLICY = Kind("snapshot", (".json",)), Kind("policy", (".npz",))
 PARAMETERS = Kind("file of parameters", (".param", ".params", ".parm"))
 SECRET, UNDO_FILE = Kind("secret", lasting=True), Kind("undo file", lasting=True)
-READINGS = Kind("file of readings")
 REPORT = Kind("report", (".html", ".htm"), (b'<meta name="generator" content="decklander">',))
 REPORT_FOLDER = Kind("report", (), REPORT.marks, ("index.html", "against/index.html"))
 SHEETS = Kind("drawing", (".pdf", ".svg"))
@@ -49,7 +48,12 @@ ANIMATION = Kind("animation", (".gif",))
 PLOT = Kind("plot", (".png", ".svg", ".pdf"), (MARK["Title"].encode(),))
 EXPORTED = Kind("camera file of another program", (".yaml",))
 FIGURES = Kind("figures", (), PLOT.marks, ("coverage.png", "residuals.png"))
-EXPERIMENTS = Kind("page", (), (*PLOT.marks, b"\n\nMade by `decklander experiments"), ("experiments.md", "experiments_*.png"))
+EXPERIMENTS = Kind(
+    "page",
+    (),
+    (*PLOT.marks, b"\n\nMade by `decklander experiments", b"flight,t_s,name,x_m,"),
+    ("experiments.md", "experiments_*"),
+)
 CAMPAIGN = Kind("campaign", (), (), ())
 LOGS = Kind("logs", (), (), ("*",), lasting=True)
 

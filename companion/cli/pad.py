@@ -31,7 +31,9 @@ from companion.tools.pads.pictures import check_pictures, lines
 from companion.tools.pads.price import MOUNT, VIEWS, Price, price
 from companion.tools.pads.trace import Picture, drawn, fault_of, file_text, photographed, read_svg, traced
 from companion.tools.print_pad.sheets import PAPERS, board_drawing, pad_drawing, pdf, sheets, svg
-from estimator.contracts.errors import BadInput, file_errors
+from drivers.camera import images
+from drivers.files import Largest, bytes_of
+from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.contracts.geometry import F64
 from estimator.contracts.text import text_of
 from estimator.vision.camera import Camera
@@ -78,13 +80,12 @@ def _import(args: argparse.Namespace) -> int:
     check_output(shown, PREVIEW, "--out", [path], force=args.force)
     if path.suffix.lower() in BOARD_FILES:
         chosen = _size_m(args.size_mm, of_rectangle=True), args.family, args.target
-        found = board(read_text(path), args.name or path.stem, str(path), *chosen, turned=args.tags_turned)
+        text = text_of(bytes_of(path, Largest.BOARD), str(path))
+        found = board(text, args.name or path.stem, str(path), *chosen, turned=args.tags_turned)
         keys, remarks = found.keys, found.remarks
     else:
         size_m = _size_m(args.size_mm, args.corners is not None)
-        with file_errors(str(path)):
-            data = path.read_bytes()
-        keys, remarks = traced(_picture(path, data, size_m, args), args.name or path.stem, str(path))
+        keys, remarks = traced(_picture(path, size_m, args), args.name or path.stem, str(path))
     text = file_text(keys, f"Made of {path.name} by decklander pad import.")
     try:
         pad = Pad.from_mapping(tomllib.loads(text), str(path))
@@ -112,23 +113,25 @@ def _import(args: argparse.Namespace) -> int:
     return 0
 
 
-def _picture(path: Path, data: bytes, size_m: tuple[float, float] | None, args: argparse.Namespace) -> Picture:
+def _picture(path: Path, size_m: tuple[float, float] | None, args: argparse.Namespace) -> Picture:
     if path.suffix.lower() == ".svg":
         if args.corners is not None:
             raise BadInput("--corners is for photographs: a drawing is seen from straight above")
-        drawing = read_svg(text_of(data, str(path)), str(path))
+        drawing = read_svg(text_of(bytes_of(path, Largest.DRAWING), str(path)), str(path))
         with named_wait(f"drawing {path}"):
             return drawn(drawing, None if size_m is None else max(size_m), str(path), args.extent)
-    px = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    if px is None:
-        raise BadInput(f"{path}: neither an SVG drawing nor a picture that can be read")
+    data = bytes_of(path, Largest.PICTURE)
+    with refused(f"{path}: neither an SVG drawing nor a picture that can be read", images.ImageRefused, cv2.error):
+        px, see_through = images.as_shown(data)
+    if see_through:
+        sys.stderr.write(f"decklander: {path}: what is transparent in it is taken as white\n")
     if size_m is None:
         raise BadInput("--size-mm is needed with a photograph: the pad's largest extent, or that of the rectangle of --corners")
     if args.sheet and args.corners is None:
         raise BadInput("--sheet is a property of the rectangle of --corners: give them, too")
     corners = _clicked(path, data) if args.corners == "click" else _corners(args.corners)
     with named_wait(f"separating the paints of {path}"):
-        return photographed(np.asarray(px, np.uint8), corners, size_m, args.paints, str(path), sheet=args.sheet)
+        return photographed(px, corners, size_m, args.paints, str(path), sheet=args.sheet)
 
 
 def _size_m(text: str | None, of_rectangle: bool) -> tuple[float, float] | None:

@@ -9,6 +9,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -17,7 +18,7 @@ from msgspec import Struct, structs
 
 from companion.base import signals
 from companion.base.observer import ProcessedFrame
-from companion.cli.options import WorkProgress, named_wait, option, print_result, reading
+from companion.cli.options import WorkProgress, named_wait, option, print_result, reading, tell_damage
 from companion.cli.outputs import RECORDING, Kind, output
 from companion.parts.recorder.recorder import digest_file, recordings
 from companion.parts.recorder.setup import about, recorder_to_file
@@ -31,7 +32,7 @@ from drivers.imports import ardrone_capture, dataflash, network, pictures, px4_u
 from drivers.imports.kinds import DECRYPT, FileKind, kind_of
 from drivers.imports.stamps import Tell
 from estimator.contracts.address import guarded
-from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.errors import BadInput, Recoverable, in_words, refused
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
@@ -137,12 +138,15 @@ def _described(recording: Recording, seconds: float, images: int, verdicts: Coun
 
 
 def _export(args: argparse.Namespace) -> int:
+    recording = _opened(args)
     if args.format == "ros2":
-        counts = bags.export(_opened(args), args.output)
+        counts = bags.export(recording, args.output)
+        tell_damage(recording, "exported")
         sys.stdout.writelines(f"{n:8d}  {topic}\n" for topic, n in sorted(counts.items()))
         sys.stdout.write(f"{args.output}: {sum(counts.values())} messages; ros2 bag play {args.output}\n")
         return 0
-    written = export(_opened(args), args.output)
+    written = export(recording, args.output)
+    tell_damage(recording, "exported")
     sys.stdout.writelines(f"{args.output / name}: {n} rows\n" for name, n in sorted(written.items()))
     return 0
 
@@ -150,10 +154,10 @@ def _export(args: argparse.Namespace) -> int:
 def _upload(args: argparse.Namespace) -> int:
     if args.each is not None and not 1.0 <= args.each <= 86_400.0:
         raise BadInput("--each must be 1 to 86400 seconds")
-    to = storage(args.to)
+    sent = set[Path]()
     while True:
         missing = 0
-        for done in upload(args.folder, to):
+        for done in upload(args.folder, storage(args.to), sent):  # access is read each time: keys are renewed
             missing += done.why is not None
             what = f"uploaded, {done.size / 1e6:.1f} MB" if done.why is None else f"not uploaded: {done.why}"
             print(f"{done.path.name}: {what}", file=sys.stdout if done.why is None else sys.stderr, flush=True)
@@ -170,6 +174,7 @@ def _cut(args: argparse.Namespace) -> int:
     recording = _opened(args)
     what = Cut(args.from_s, args.to_s, args.inputs, args.samples_each, args.frames_each, not args.no_frames)
     n = _written(args.output, lambda part: rewrite(recording, part, what))
+    tell_damage(recording, "written")
     sys.stdout.write(f"{args.output}: {n} events, {args.output.stat().st_size / 1e6:.2f} MB\n")
     return 0
 
@@ -339,7 +344,7 @@ def storage(url: str) -> Storage:
     import fsspec
 
     with refused(f"--to {guarded(url)}", ImportError, ValueError):
-        system, root = fsspec.core.url_to_fs(url, use_listings_cache=False)
+        system, root = fsspec.core.url_to_fs(url, use_listings_cache=False, skip_instance_cache=True)
     return Storage(system, root)
 
 
@@ -351,10 +356,14 @@ class Uploaded(NamedTuple):
     size: int
 
 
-def upload(folder: Path, to: Storage) -> Iterator[Uploaded]:
+def upload(folder: Path, to: Storage, sent: set[Path] | None = None) -> Iterator[Uploaded]:
     """Upload the finished recordings of a folder, the oldest first, and yield each result.
 
-    What the storage has is left out. A broken link costs one file, and the next call sends that file again.
+    What the storage has is left out. A broken link costs one file, and the next call sends that file again. A right that is
+    refused ends the call: it would be refused for each file, after that one was sent.
+
+    Args:
+        sent: the recordings that went out whole and could not be read back, over several calls; they go out once.
 
     Raises:
         BadInput: the folder cannot be read.
@@ -367,8 +376,11 @@ def upload(folder: Path, to: Storage) -> Iterator[Uploaded]:
                 continue
             size = path.stat().st_size
             with named_wait(f"uploading {path.name}"):
-                refusal = _sent(path, to)
+                refusal = _sent(path, to, set() if sent is None else sent)
             yield Uploaded(path, refusal, size)
+        except Recoverable as why:
+            yield Uploaded(path, in_words(why), 0)
+            return
         except Exception as why:  # each file system of fsspec has errors of its own
             yield Uploaded(path, f"{type(why).__name__}: {why}", 0)
 
@@ -384,20 +396,50 @@ def finished(path: Path) -> bool:
     return time.time() - path.stat().st_mtime > _ABANDONED_S
 
 
-def _sent(path: Path, to: Storage) -> str | None:
-    """Send a recording and compare what arrived; return why it is not there, else None."""
+def _sent(path: Path, to: Storage, sent: set[Path]) -> str | None:
+    """Send a recording and compare what arrived; return why it is not there, else None.
+
+    Raises:
+        Recoverable: writing or reading back is refused; it names the right.
+    """
     there = to.at(path.name)
-    if not to.system.exists(there) or to.system.size(there) != path.stat().st_size:
-        to.system.makedirs(to.root, exist_ok=True)
-        to.system.put_file(str(path), there)
+    if path not in sent and not _has(to, there, path.stat().st_size):
+        with _right("write (s3:PutObject)"):
+            try:
+                to.system.put_file(str(path), there)
+            except FileNotFoundError:  # no such folder or bucket: only then the right to make one is needed
+                to.system.makedirs(to.root, exist_ok=True)
+                to.system.put_file(str(path), there)
+    sent.add(path)
     digest = _digest(path.open("rb"))
-    if _digest(to.system.open(there, "rb")) != digest:
-        to.system.rm_file(there)
+    with _right("read back (s3:GetObject), so that nobody knows whether it arrived whole"):
+        arrived = _digest(to.system.open(there, "rb"))
+    sent.discard(path)
+    if arrived != digest:
+        with suppress(PermissionError):  # the next one takes its place
+            to.system.rm_file(there)
         return "what the storage gives back differs; it is sent again"
     line = f"{digest}  {path.name}\n"
-    to.system.pipe_file(to.at(digest_file(path).name), line.encode())
+    with _right("write (s3:PutObject)"):
+        to.system.pipe_file(to.at(digest_file(path).name), line.encode())
     digest_file(path).write_text(line)
     return None
+
+
+def _has(to: Storage, there: str, size: int) -> bool:
+    """Return whether the storage has a file of this size; False if it may not be known: a missing one without s3:ListBucket."""
+    try:
+        return bool(to.system.exists(there) and to.system.size(there) == size)
+    except PermissionError:
+        return False
+
+
+@contextmanager
+def _right(what: str) -> Iterator[None]:
+    try:
+        yield
+    except PermissionError as why:
+        raise Recoverable(f"this user or key may not {what}: {why}") from why
 
 
 def _digest(stream: IO[bytes]) -> str:

@@ -54,7 +54,7 @@ _LEAD_S = 0.05
 class _Deaf:
     """An operator that refuses every command."""
 
-    def order(self, order: OperatorOrder) -> str | None:
+    def order(self, order: OperatorOrder, given_at: MonoNs | None = None) -> str | None:
         return f"{_REFUSAL}, not even {order.value}"
 
     def steer_by(self, path: PathName) -> str | None:

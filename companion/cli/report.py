@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from companion.cli.options import named_wait, option, reading, writing, written
+from companion.cli.options import named_wait, option, reading, tell_damage, writing, written
 from companion.cli.outputs import ANIMATION, REPORT, check_output, output
 from companion.recording.reading import open_recording
 from companion.tools.replay.recorded_log import log_of
@@ -38,8 +38,7 @@ def run(args: argparse.Namespace) -> int:
         recording.watch = reading(recording.name)
     logs = [log_of(recording, path.stem, images=not args.no_video) for recording, path in zip(recordings, paths, strict=True)]
     for recording in recordings:
-        for path, why in recording.cut.items():
-            sys.stderr.write(f"{path} is cut short or damaged ({why}): reported without that\n")
+        tell_damage(recording, "reported")
     if args.animation is not None:
         with named_wait("drawing the animation"):
             size = write_animation(logs[0], args.animation)

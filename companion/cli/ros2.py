@@ -102,10 +102,10 @@ async def _obey(orders: RosOrders, settings: Settings | None) -> None:
     from companion.tools.ros2.node import ORDERS
 
     while True:
-        for name, request in orders.come():
+        for name, request, age_s in orders.come():
             try:
                 async with connected(running(settings)) as client:
-                    answer = await client.order(ORDERS[name])
+                    answer = await client.order(ORDERS[name], age_s)
                 accepted, text = answer.accepted, answer.text
             except (BadInput, Recoverable, ExceptionGroup) as why:
                 accepted, text = False, f"refused: {in_words(why)}"

@@ -3,6 +3,7 @@
 import argparse
 import logging
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import msgspec
@@ -13,6 +14,7 @@ from companion.base.service_log import logging_to_stderr
 from companion.cli.options import WorkProgress, option
 from companion.guidance.pilot import make_pilot
 from companion.service.assemble import Proven, live, make_daemon
+from companion.service.sole_service import sole_service
 from companion.settings.links import BridgeOptions
 from companion.settings.load import Settings, calibration_file, find_file, load, pad_of_file, shipped, with_known_calibration
 from companion.settings.referenced_files import check_files, check_installed
@@ -53,20 +55,20 @@ def run(args: argparse.Namespace) -> int:
     """Run the service until it is stopped, or until the first flight has ended with `--once`.
 
     Raises:
-        BadInput: the settings, or a file that they name, cannot be read or have a fault.
+        BadInput: the settings, or a file that they name, cannot be read or have a fault; or another service has the vehicle.
     """
     settings = load(args.config)
+    file = find_file(args.config, "", Path(), "settings")
     proven = Proven(settings)
-    with proven.excusing():
-        return _run(args, settings, proven)
+    with nullcontext() if args.check else sole_service(settings, file), proven.excusing():
+        return _run(args, settings, file, proven)
 
 
-def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
+def _run(args: argparse.Namespace, settings: Settings, file: Path, proven: Proven) -> int:
     check_installed(settings)
     if not args.check:
         _calibrate_pad(settings)
     pilot = make_pilot(settings)
-    file = find_file(args.config, "", Path(), "settings")
     if args.check:
         c, camera, vision = pilot.camera, settings.camera, settings.vision
         frames = "frames come from the vehicle" if camera.source == "vehicle" else f"frames from {camera.source} {camera.device}"
@@ -104,12 +106,14 @@ def _calibrate_pad(settings: Settings) -> None:
     pad = with_known_calibration(pad_of_file(find_file(settings.pad.file, "pads", Path(), "pad.file")))
     if pad.is_calibrated or pad.lamps or pad.has_known_parts:
         return
+    if (file := calibration_file(pad)) is None:
+        sys.stderr.write(f"pad {pad.name} has no calibration, and this user no home to keep one in: set HOME\n")
+        return
     # Few starts need it.
     from companion.tools.pads.price import price
 
     sys.stderr.write(f"pad {pad.name} has no calibration: searching clutter for it, once\n")
     progress = WorkProgress("searching views without and with the pad", "views").take
-    file = calibration_file(pad)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(msgspec.json.encode(price(pad, {}, VIEWS_AT_START, progress).calibration))

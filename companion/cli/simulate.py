@@ -10,7 +10,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
@@ -24,17 +23,14 @@ from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 from sitl.campaign.plan import Overridable
-from sitl.faults.kinds import STREAMS
+from sitl.faults.carried import refuse_others
 from sitl.flight.ending import Ending
 from sitl.flight.one_flight import FlyOptions, fly, perception_level, settings_for
 from sitl.perception.levels import perceive
 from sitl.perception.port import Level
-from sitl.scenario.scenario import FAULTS, Scenario
+from sitl.scenario.scenario import FAULTS
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.with_fault import with_random_faults
-
-if TYPE_CHECKING:
-    from sitl.emulators.autopilots.flight import FlightEnd
 
 DESCRIPTION = (
     "Simulate one flight in virtual time, without sockets. The same scenario, seed and settings give the same "
@@ -81,7 +77,8 @@ def run(args: argparse.Namespace) -> int:
         (args.set and follows, "--set does not go with --follow"),
         (args.pad is not None and follows, "--pad does not go with --follow"),
         (args.pad is not None and any("pad.file=" in one for one in args.set), "--pad sets pad.file: give one of them"),
-        (args.faults and (follows or beside), "--faults does not go with --autopilot or --follow"),
+        (args.faults and follows, "--faults does not go with --follow"),
+        (args.faults and beside and args.binary != STAND_IN, "--faults goes with --binary stand-in"),
         (follows and (beside or with_program), f"--follow does not go with --autopilot, {program} or --keep"),
         (with_program and not beside, f"{program} and --keep go with --autopilot"),
     )
@@ -112,10 +109,6 @@ def run(args: argparse.Namespace) -> int:
     return 0 if ending.good else 1
 
 
-CARRIED = frozenset({*STREAMS, "link_lost", "light_falls", "operator", "service_killed", "vessel_reports"})
-"""Kinds of faults that act on a flight with an autopilot program: those of its streams, of the light on its camera, of the
-service itself, and of people."""
-
 COMPANION_PORT = 14540
 """The companion's port in the settings that a recording keeps."""
 STAND_IN = "stand-in"
@@ -130,7 +123,9 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
 
     binary = None if args.binary == STAND_IN else executable(args.binary, args.autopilot)
     scenario = load_scenario(args.scenario, args.base)
-    refuse_faults(args.scenario, scenario, CARRIED)
+    if args.faults is not None:
+        scenario = with_random_faults(scenario, args.seed, perception, autopilot=True)
+    refuse_others(args.scenario, scenario.faults, stand_in=binary is None)
     settings = settings_for(scenario, args.config, by_autopilot=True)
     given = Overridable(scenario, settings, by_autopilot=True)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
@@ -147,42 +142,14 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
             end = event_loop.run(flight.fly())
         texts = (f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
         (folder / "texts.txt").write_text("".join(texts))
-    ending = end.graded or Ending("", args.seed, end.outcome, end.contacts, end.duration_s, end.health.frames)
-    judged = ending.judged and replace(ending.judged, cpu_s=time.process_time())
-    ending = replace(ending, scenario=args.scenario, judged=judged, started=flight.graded.started)
-    ending = replace(ending, without_outcome=end.without_outcome, standing=end.standing)
+    ending = replace(end.ending, scenario=args.scenario)
+    as_flown = replace(end, ending=ending)
     wall_s = time.monotonic() - began
     report = kept.write_report(ending, wall_s, f"in lock step with {facts['binary']}")
     lines = [*(silence.in_words() for silence in end.silences), end.failure or ending.in_words()]
     lines.append(f"{ending.duration_s:.1f} s from the order to land; {wall_s:.0f} s on the wall clock\n{report}")
-    print_result(args, {**ending.as_json(), **_of_autopilot(args.autopilot, end), "physics": args.physics}, "\n".join(lines))
+    print_result(args, {**as_flown.as_json(), "autopilot": args.autopilot, "physics": args.physics}, "\n".join(lines))
     return 0 if ending.good else 1
-
-
-def _of_autopilot(name: str, end: FlightEnd) -> dict[str, object]:
-    """Return the further lines about an autopilot's flight."""
-    armed_s = None if end.armed_after_contact_s is None else round(end.armed_after_contact_s, 2)
-    return {
-        "autopilot": name, "failure": end.failure or None, "armed_after_contact_s": armed_s, "failsafes": list(end.failsafes),
-        "tracking_m": None if end.tracking_m is None else round(end.tracking_m, 3),
-        "elsewhere_m": None if end.elsewhere_m is None else round(end.elsewhere_m, 2),
-        "silences": [silence.as_json() for silence in end.silences],
-    }  # fmt: skip
-
-
-def refuse_faults(name: str, scenario: Scenario, carried: frozenset[str] = frozenset()) -> None:
-    """Refuse a scenario with faults that only the simulated AR.Drone can have.
-
-    Args:
-        carried: kinds of faults that this flight can have.
-
-    Raises:
-        BadInput: the scenario has some others.
-    """
-    others = [f.kind for f in scenario.faults if f.kind not in carried]
-    if others:
-        can = f"; here only {', '.join(sorted(carried))} act" if carried else ""
-        raise BadInput(f"{name}: its faults ({', '.join(dict.fromkeys(others))}) are for the simulated AR.Drone alone{can}")
 
 
 def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:
@@ -219,7 +186,9 @@ def run_follow(args: argparse.Namespace) -> int:
         raise BadInput("--report and --record do not go with --follow")
     parse_endpoint(args.follow)
     scenario = load_scenario(args.scenario)
-    refuse_faults(args.scenario, scenario)
+    if scenario.faults:
+        kinds = ", ".join(dict.fromkeys(fault.kind for fault in scenario.faults))
+        raise BadInput(f"{args.scenario}: its faults ({kinds}) cannot act with --follow")
     settings = settings_for(scenario, args.config, by_autopilot=True)
     with shown(quiet=args.json) as observers:
         end = event_loop.run(follow(scenario, args.seed, settings, args.follow, observers))

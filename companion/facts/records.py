@@ -448,7 +448,7 @@ class HealthRecord(Struct, frozen=True):
     all_up: bool = True
     """True if every part of the service is up."""
     flight_up: bool = True
-    """True if the parts that the flight needs are up; older recordings do not have it."""
+    """True if the parts that the flight needs are up."""
     too_slow: str = ""
     """Sign that this computer does not keep up, with the cure; empty while it does."""
 

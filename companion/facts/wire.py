@@ -21,7 +21,9 @@ class OrderRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="ord
     number: Annotated[int, Meta(ge=0, le=1 << 53)]
     order: OperatorOrder
     seen_at_s: float | None = None
-    """`at_s` of the newest state that the sender saw; null if it names none."""
+    """`at_s` of the newest state that the sender's screen showed; null if it shows none."""
+    age_s: float = 0.0
+    """Time since it was given, where a program of this computer passes it on."""
 
 
 class SticksRequest(Struct, frozen=True, kw_only=True, tag_field="kind", tag="sticks", forbid_unknown_fields=True):

@@ -48,12 +48,14 @@ class Impact(Struct, frozen=True):
     by: str
     """Source of the contact.
 
-    It is `accelerometer` (a step that no flight makes) or `velocity` (held up against all commands).
+    It is `accelerometer` (a step that no flight makes), `velocity` (held up against all commands) or `gyro` (a foot is held).
     """
     size_m_s2: float = math.nan
     """The step of the acceleration; nan if the contact came from another source."""
     held_m_s: float = math.nan
     """Excess of the upward speed over the command; nan if the contact came from another source."""
+    turned_rad_s: float = math.nan
+    """The step of the turn rate; nan if the contact came from another source."""
     doubtful: bool = False
     """True if it may be a spike of the sensor: harder than any landing, or one of several in a row."""
 

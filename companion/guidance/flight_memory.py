@@ -1,9 +1,10 @@
 """Keep the state of a flight for the service that takes over in the air if this one dies.
 
 A new process finds a vehicle that flies and knows neither who ordered what nor how high the deck is. Before it decides it reads
-the range sensor and the vehicle's reports as always, and this: a landing that was under way goes on, from the search; a hold or
-an abort of a person stays one; and a height that was large enough spares a climb. A vehicle that a person had, or that is in
-another mode than it was left in, is a person's until he orders to begin: he may have chosen that mode while nobody watched.
+the range sensor and the vehicle's reports as always, and this: a landing that was under way goes on, from the search; one where
+it is goes on down, to the place that was meant; a hold or an abort of a person stays one; and a height that was large enough
+spares a climb. A vehicle that a person had, or that is in another mode than it was left in, is a person's until he orders to
+begin: he may have chosen that mode while nobody watched.
 """
 
 from collections.abc import Mapping
@@ -23,6 +24,7 @@ _RESUMES: Mapping[State, Event] = dict.fromkeys(FLOWN, Event.BEGIN) | {
     State.PAUSED: Event.PAUSE,
     State.ABORTED: Event.ABORT,
     State.TAKEN: Event.TAKEN,
+    State.LAND_HERE: Event.LAND,
 }
 """Events that lead a flight that is found in the air to where it was; states that are not named begin as the settings say."""
 
@@ -42,11 +44,14 @@ class FlightMemory(Struct, frozen=True):
     """Modes of a vehicle that nobody has taken since; empty where modes do not say who has it."""
     stays: bool = False
     """The order was to stay over the pad, not to land."""
+    here: tuple[float, float] | None = None
+    """Place that it comes down to where it lands where it is, as `Here.at_pad`."""
 
 
 def memory_of(p: Progress, s: GuidanceCycle) -> FlightMemory:
     """Return what to keep of a guidance cycle."""
-    return FlightMemory(s.at, p.state.name, p.begun, height_m(p, s), stays=p.stays)
+    state = State.LAND_HERE if p.lands_here else p.state
+    return FlightMemory(s.at, state.name, p.begun, height_m(p, s), stays=p.stays, here=None if p.here is None else p.here.at_pad)
 
 
 def resumed_by(memory: FlightMemory | None, now: MonoNs, mode: str) -> Event | None:
@@ -70,6 +75,8 @@ def carried_on(p: Progress, memory: FlightMemory, now: MonoNs, *, taken: bool) -
         taken: whether a person has the vehicle, so that nothing is requested any more.
     """
     p = structs.replace(p, begun=memory.begun and not taken, stays=memory.stays)
+    if p.here is not None:
+        p = structs.replace(p, here=structs.replace(p.here, at_pad=memory.here))
     if memory.height_m is None:
         return p
     return structs.replace(p, seen_height_m=max(0.0, memory.height_m - _NEARER_M_S * seconds_between(memory.at, now)))

@@ -16,7 +16,7 @@ from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.flight_memory import FlightMemory, carried_on, memory_of, resumed_by
 from companion.guidance.law.margins import expected_error_m
 from companion.guidance.law.response_watch import ResponseIdentifier, reported_lean
-from companion.guidance.mission import limits
+from companion.guidance.mission import land_here, limits
 from companion.guidance.mission.clearance import SwellWatch, watched_swell
 from companion.guidance.mission.contact import ContactWatch, HeldUp, watched
 from companion.guidance.mission.gate import gate_of
@@ -25,9 +25,18 @@ from companion.guidance.mission.hold_blind import keep_up
 from companion.guidance.mission.limits import ChargeWatch, battery_ends
 from companion.guidance.mission.machine import allowed, mission_step, take, take_order, take_status
 from companion.guidance.mission.out_of_reach import flown_by_others
-from companion.guidance.mission.progress import GuidanceCycle, InputQuality, Progress, VehicleHold, VesselPosition, unfit
+from companion.guidance.mission.progress import (
+    HELD_BY_PERSON,
+    GuidanceCycle,
+    InputQuality,
+    Progress,
+    VehicleHold,
+    VesselPosition,
+    fit_to_steer,
+)
+from companion.guidance.mission.tipped import tipped
 from companion.guidance.mission.vessel_track import VesselTrack
-from companion.guidance.mission.waiting import ends_here
+from companion.guidance.mission.waiting import end_of, ends_here
 from companion.guidance.mission.wind import ReportedWind, WindOverDrone, WindWatch, trim_level, wind_by_ship, wind_over_drone
 from companion.guidance.mission.wind import reported as reported_wind
 from companion.guidance.mission.wind import watched as watched_wind
@@ -37,7 +46,7 @@ from companion.settings.load import shipped_response
 from companion.settings.operator import LimitOptions, ManualOptions
 from companion.settings.vessel import ReportLimits
 from drivers.mavlink.options import VELOCITY_MODES
-from estimator.contracts.commands import Command, Lean
+from estimator.contracts.commands import Command, Lean, Velocity
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.samples import (
     Attitude,
@@ -80,7 +89,7 @@ _IGNORED_S = 60.0
 _SAME = {ReasonCause.ON_PAD: 0.2, ReasonCause.NEAR_PAD: 0.5, ReasonCause.GLARE: 0.1}
 """Distance and growth up to which what is seen is the thing that was there, m; growth of the share in glare."""
 _PLAIN = frozenset(State) - _FAULTED - ENDED - {State.RENDEZVOUS, State.GATE, State.HOLD_BLIND} | {State.LANDED}
-_BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
+_BY_REPORTS = (State.SEARCH, State.RENDEZVOUS, State.LAND_HERE)
 """States in which the drone flies by the reports of ship and vehicle, where it may."""
 _NEAR = (State.GATE, State.COMMIT)
 """States in which the contact to come is predicted."""
@@ -90,8 +99,10 @@ _UNPICTURED_S = 0.5
 """Time since the newest sighting by the camera from which a baseline's delay and agreement are those of the sight, s."""
 _LATE_VIDEO_S = 0.15
 """Delay of the camera from which the operator sees its cost, s."""
-_SAYS_CHARGE = 0.15
-"""Charge over the last one from which on the operator reads what becomes of a drone that refused."""
+_SAYS_CHARGE, _SAYS_S = 0.15, 240.0
+"""Charge over the last one, and time until none is left, from which on the operator reads what becomes of the drone."""
+_WAITS = HELD_BY_PERSON | {State.STAY, State.TAKEN}
+"""States that last for as long as a person likes."""
 
 
 class PilotOptions(Struct, frozen=True):
@@ -169,11 +180,15 @@ class LandingGuidance:
         self._make_law = options.law
         self._law = options.law(guidance)
         self._flight = _Flight(self._law.start())
-        self._hold, self._resumes = VehicleHold(options.over_ground), options.resumes
+        self.hold = VehicleHold(options.over_ground)
+        """The hold that the vehicle has by itself."""
+        self._resumes = options.resumes
         self._response = ResponseIdentifier(options.tilt, guidance)
         self._changes: list[StateChange] = []
         self._left = False
         """True if a service that came back left the vehicle to the person who took it meanwhile, until an order to begin."""
+        self._cycle: GuidanceCycle | None = None
+        """The newest guidance cycle; None before the first."""
         self.before: FlightMemory | None = None
         """The flight's state as the service before this one left it, until a vehicle is found in the air."""
         self.memory: FlightMemory | None = None
@@ -181,6 +196,8 @@ class LandingGuidance:
         self.vehicle: VehicleStatus | None = None
         """The vehicle's latest status; None before the first."""
         self._charge = ChargeWatch()
+        self.by_hand = False
+        """True while a person flies the vehicle by our sticks."""
         self._now = MonoNs(0)
         self._attitude: Attitude | None = None
         self._heard: MonoNs | None = None
@@ -191,6 +208,8 @@ class LandingGuidance:
         self._impossible: MonoNs | None = None
         """Time when the deck's estimated motion was last impossible."""
         self._trusts_velocity = True
+        self._tipped: Reason | None = None
+        """Evidence in the newest guidance cycle that the vehicle lies on the deck."""
         self._unfelt_since: MonoNs | None = None
         """Instant since which the estimate does without the accelerometer."""
         self._deck_down_m_s: float | None = None
@@ -220,8 +239,36 @@ class LandingGuidance:
         return self.mission.state
 
     @property
+    def charge(self) -> str:
+        """The end of the charge for a drone that a person left in the air or flies, in words, once it is near; empty before."""
+        battery, left_s, o, p = self._charge.fraction, self._charge.left_s(self._now), self._guidance, self.mission
+        if battery is None or p.state not in _WAITS:
+            return ""
+        if battery >= o.last_charge + _SAYS_CHARGE and (left_s is None or left_s > _SAYS_S):
+            return ""
+        here, last = f"at {100.0 * o.limits.battery:.0f} % it lands on a pad in sight", f"at {100.0 * o.last_charge:.0f} %"
+        ends = {
+            "": "whoever flies it has to land it before",
+            "hold": "it holds on until it falls: land it",
+            "land": f"{here}, {last} where it is",
+            "return": f"{last} it flies back by the autopilot's own return",
+        }
+        staying = p.state is State.STAY
+        end = here if staying else ends[end_of(p, o, over_ground=self.hold.over_ground, by_hand=self.by_hand)]
+        left = (
+            "" if left_s is None else f", about {left_s / 60.0:.0f} min left" if left_s > 90.0 else f", about {left_s:.0f} s left"
+        )
+        return Reason(ReasonCause.CHARGE, 100.0 * battery, detail=f"{left}: {end}").text
+
+    @property
     def reason(self) -> str:
-        """Reason why the vehicle does not simply descend, as text for the operator; empty while it does."""
+        """Reason why the vehicle does not simply descend, and how its charge ends, as text for the operator; else empty."""
+        return "; ".join(filter(None, (self._reason, self.charge)))
+
+    @property
+    def _reason(self) -> str:
+        if self.mission.state is State.LAND_HERE:
+            return "; ".join(filter(None, (self.touch().text, self.barred()[0])))
         if self.mission.state is State.GATE:
             waits_for = gate_of(self.mission).waits_for
             return "" if waits_for is None else waits_for.text
@@ -239,10 +286,15 @@ class LandingGuidance:
         why = self.mission.fault if self.mission.state in _FAULTED else self.mission.reason
         return "; ".join(each.text for each in (why, self._lands_here()) if each is not None)
 
+    def touch(self) -> land_here.Touch:
+        """Return where a landing touches that is made where the vehicle is, or is ordered now."""
+        here = self.mission.here if self.mission.lands_here else None
+        return land_here.Touch() if self._cycle is None else land_here.touch(self._cycle, self._guidance, here)
+
     def _lands_here(self) -> Reason | None:
         """Return that a drone that refused will land where it is, once its charge comes near to that."""
         battery, last = self._charge.fraction, self._guidance.last_charge
-        if battery is None or battery >= last + _SAYS_CHARGE or not ends_here(self.mission, self._guidance, self._hold):
+        if battery is None or battery >= last + _SAYS_CHARGE or not ends_here(self.mission, self._guidance, self.hold):
             return None
         return Reason(ReasonCause.LANDS_HERE, 100.0 * battery, 100.0 * last)
 
@@ -310,7 +362,7 @@ class LandingGuidance:
             elif type(sample) is Baro:
                 self._baro = sample
             elif type(sample) is BodyVelocity:
-                if self._hold.over_ground and self._trusts_velocity and self.state not in GROUND:
+                if self.hold.over_ground and self._trusts_velocity and self.state not in GROUND:
                     self._feel_held(sample.stamp.measured_at, float(sample.v_level[2]))
             elif type(sample) is GeoFix or type(sample) is VesselReport:
                 self.vessel_track = self.vessel_track.on_sample(sample)
@@ -383,6 +435,8 @@ class LandingGuidance:
         """
         (body, deck), guard = estimator.motion(now), estimator.guard
         self._trusts_velocity = guard.trusts_velocity
+        felt = self._flight.impact, self._flight.touch
+        self._tipped = tipped(guard.inertial.parity.bins, felt, math.radians(self._tilt.max_deg))
         if not guard.inertial.accel_lost:
             self._unfelt_since = None
         elif self._unfelt_since is None:
@@ -434,8 +488,17 @@ class LandingGuidance:
         gust_most_m_s = math.inf if battery_ends(self._charge.fraction, self._guidance) else air.begins_most_m_s
         return AtContact(*ahead, math.hypot(limits.sigma_m(estimate), gusts_m), air.begins_m_s, gust_most_m_s)
 
-    def command(self, knowledge: Knowledge) -> Command | None:
-        """Run one guidance cycle; return its command, None while guidance leaves the vehicle alone."""
+    def in_sight(self, knowledge: Knowledge) -> RelativeState | None:
+        """Return the steering estimate while it is fit to steer by; None out of sight."""
+        estimate = knowledge.relative
+        return estimate if fit_to_steer(estimate, knowledge.at, self._guidance.stale_after_s) else None
+
+    def command(self, knowledge: Knowledge, unconfirmed: Reason | None = None) -> Command | None:
+        """Run one guidance cycle; return its command, None while guidance leaves the vehicle alone.
+
+        Args:
+            unconfirmed: why nothing is flown by the velocity out of sight, once the monitor has waited long enough.
+        """
         now = knowledge.at
         self._now = max(self._now, now)
         self._flight.wind = watched_wind(self._flight.wind, knowledge)
@@ -458,13 +521,13 @@ class LandingGuidance:
         s = GuidanceCycle(
             now, knowledge, self._charge.fraction, self._air, self._quality, self._frames, place, silent_s,
             self._flight.contact.feels and not knowledge.unfelt,
-            self._response.late_s, self._flight.touch, range_m, self._hold, self._thing, unseen, self._off_orders(knowledge),
+            self._response.late_s, self._flight.touch, range_m, self.hold, self._thing, unseen, self._off_orders(knowledge),
             0.0 if self._measured is None else max(0.0, seconds_between(self._measured, now)),
-            "" if self.vehicle is None else self.vehicle.mode,
+            "" if self.vehicle is None else self.vehicle.mode, self._tipped, unconfirmed, self.by_hand,
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance)
         self._changes += changes
-        self.memory = memory_of(self.mission, s)
+        self.memory, self._cycle = memory_of(self.mission, s), s
         target = aim if isinstance(aim, Target) else None
         self._flight.law, command = self._law.step(self._flight.law, now, knowledge, target)
         if isinstance(aim, Target):
@@ -472,15 +535,21 @@ class LandingGuidance:
         self._ordered = keep_up(aim, self.mission, s, self._guidance)
         return self._ordered
 
-    def without_velocity(self, command: Command, knowledge: Knowledge, *, guided: bool) -> Command:
-        """Return what is flown in place of a velocity while the measured one is refused, as `command_limits` has it."""
+    def without_velocity(self, command: Command, knowledge: Knowledge, *, guided: bool, unconfirmed: bool = False) -> Command:
+        """Return what is flown in place of a velocity while the measured one is refused, as `command_limits` has it.
+
+        Args:
+            guided: guidance requests the command, and no person.
+            unconfirmed: the monitor refuses it: the estimate out of sight has followed it, so no tilt is flown by that either.
+        """
         if knowledge.body is not None:
             trim = trim_level(self._flight.wind, knowledge.body.heading_rad)
         else:
             trim = np.zeros(2) if self._attitude is None else trim_level(self._flight.wind, self._attitude.R_ned_body.rpy_rad[2])
-        seen = knowledge.relative
-        v_seen = None if seen is None or unfit(seen, knowledge.at, self._guidance.stale_after_s) else -seen.v_pad_level
-        flown = without_velocity(command, Unmeasured(trim, self._tilt.drag_1_s, v_seen, self._hold.over_ground), guided=guided)
+        seen = self.in_sight(knowledge)
+        by = Unmeasured(trim, self._tilt.drag_1_s, None if seen is None else -seen.v_pad_level, self.hold.over_ground)
+        wanted = Velocity(command.v_level, command.yaw_rate_rad_s) if unconfirmed and isinstance(command, Lean) else command
+        flown = without_velocity(wanted, by, guided=guided)
         if command is self._ordered:
             # It climbs as ordered, and so it counts.
             self._ordered = flown
@@ -490,11 +559,13 @@ class LandingGuidance:
         """Take the command that is sent; return the vehicle's response when it is another one than last reported, else None."""
         if command is not self._ordered:
             self.mission = flown_by_others(self.mission)
-        by_mode = not self._hold.over_ground or (self.vehicle is not None and self.vehicle.mode in VELOCITY_MODES)
+        by_mode = not self.hold.over_ground or (self.vehicle is not None and self.vehicle.mode in VELOCITY_MODES)
         response = self._response.on_command(now, command, self.state, flown=by_mode)
-        down_m_s = float(command.v_level[2]) if isinstance(command, Lean) else None
+        # Without sight a way down is a velocity, of which the driver adds the deck's own along the deck alone.
+        moving = (Lean, Velocity) if self.mission.lands_here else Lean
+        down_m_s = float(command.v_level[2]) if isinstance(command, moving) else None
         self._climbs_m_s = None if down_m_s is None else -down_m_s
-        if self._hold.over_ground:
+        if self.hold.over_ground:
             self._flight.held = self._flight.held.commanded(now, down_m_s)
             to_deck_m_s = self._flight.held.to_deck(now, self._deck_down_m_s)
             self._flight.held_by_deck = self._flight.held_by_deck.commanded(now, to_deck_m_s)
@@ -505,11 +576,10 @@ class LandingGuidance:
         if self._climb is None or self.state in GROUND or self.state in CONTACT_INTENDED:
             return None
         since_last_s = 0.0 if self.mission.last is None else max(0.0, seconds_between(self.mission.last, knowledge.at))
-        estimate = knowledge.relative
-        baro = self._baro
+        seen, baro = self.in_sight(knowledge), self._baro
         if baro is not None and seconds_between(baro.stamp.measured_at, knowledge.at) > _BARO_S:
             baro = None
-        seen_m = None if unfit(estimate, knowledge.at, self._guidance.stale_after_s) or estimate is None else estimate.height_m
+        seen_m = None if seen is None else seen.height_m
         self._flight.climb_watch = self._flight.climb_watch.flown(self._climbs_m_s, baro, seen_m, self._climb, since_last_s)
         if (off_m := self._flight.climb_watch.off_m) is None:
             return None

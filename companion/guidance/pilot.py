@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from msgspec import Struct, structs
 
-from companion.base.mission import FLOWN, GROUND, ORDERED, Event, FlightOutcome, Reason, State
+from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, ORDERED, Event, FlightOutcome, Reason, ReasonCause, State
 from companion.base.observer import Decision, DeckOutlook
-from companion.guidance.controller import Controller, FieldOfView
+from companion.guidance import monitor
+from companion.guidance.controller import Controller, FieldOfView, Knowledge
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.landing import LandingGuidance, PilotOptions, alerted
+from companion.guidance.monitor import Monitor, Witnesses
 from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.settings.guidance import GuidanceOptions, Response, TiltResponse
 from companion.settings.load import body_camera, camera_model, pad_model, response_model
@@ -24,10 +26,12 @@ from companion.settings.model import Settings
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import DOWN, HeldCamera
-from estimator.contracts.errors import BadInput
+from estimator.contracts.commands import Lean
+from estimator.contracts.errors import BadInput, in_words
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.samples import Attitude, Baseline, Frame, GeoFix, Sample, VehicleStatus
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.integrity.parity import leaps
 from estimator.options import EstimatorOptions
 from estimator.pipeline import RelativeEstimator
 from estimator.vision.camera import Camera
@@ -38,6 +42,8 @@ if TYPE_CHECKING:
     from estimator.vision.learned.second_opinion import SecondOpinion
     from estimator.vision.tracker import TrackerMemory
 
+_SECOND_PAD_S = 1.0
+"""Time between two searches for a second pad beside the tracked one, s: each takes some times as long as a look."""
 _DOWNWARD = 0.5
 """Cosine of the largest angle between the axis of a camera on a gimbal and the vertical: beyond it no pad is looked for."""
 
@@ -54,7 +60,7 @@ class Look(Struct, frozen=True):
     reads_deck: bool = True
     """Read the deck in the frame, too; else `PadSearch.read_deck` is for that, after the sighting was reported."""
     asks_alone: Callable[[Sighting], bool] | None = None
-    """Tells whether to search for a second pad, for a frame without an attitude of its own."""
+    """Tells whether to search for a second pad beside a sighting."""
 
 
 class PadSearch:
@@ -67,6 +73,8 @@ class PadSearch:
     def __init__(self, tracker: TrackerConfig, gimballed: bool) -> None:
         self._tracker = tracker
         self._memory: TrackerMemory | None = None
+        self._looked: MonoNs | None = None
+        """Instant of the newest search for a second pad."""
         self.gimballed = gimballed
         self.pad = tracker.pad
         self.camera = tracker.camera.held(DOWN) if gimballed else tracker.camera
@@ -114,7 +122,9 @@ class PadSearch:
             attitude = structs.replace(attitude, cov_body=attitude.cov_body + held.cov_body)
         if tracker.camera.readout_s and estimated is not None:
             tracker = replace(tracker, motion=known.camera_motion(frame.stamp, tracker.camera, estimated, held))
-        return Look(frame, attitude, tracker, estimated)
+        at = frame.stamp.measured_at
+        looks = self._looked is None or seconds_between(self._looked, at) >= _SECOND_PAD_S
+        return Look(frame, attitude, tracker, estimated, asks_alone=known.asks_clear(attitude) if looks else None)
 
     def begin_following(self, known: RelativeEstimator, frame: Frame, assumed: Attitude, *, watches: bool = True) -> Look:
         """Return what the search of a frame that no attitude covers begins with: the place where the pad was."""
@@ -132,7 +142,8 @@ class PadSearch:
         sighting = seen.selected or seen.elsewhere
         if look.asks_alone is None or sighting is None or not look.asks_alone(sighting):
             return seen
-        return structs.replace(seen, alone_in=alone_in(self._tracker, self._memory, look.frame, look.attitude, sighting))
+        self._looked = look.frame.stamp.measured_at
+        return structs.replace(seen, alone_in=alone_in(look.tracker, self._memory, look.frame, look.attitude, sighting))
 
     @property
     def has_unread(self) -> bool:
@@ -169,7 +180,12 @@ class Pilot:
         self.engage: Callable[[], None] = lambda: None
         """Called when a person orders to begin or to land: the driver may take back a vehicle that a person had taken over."""
         self.operator = OperatorArbiter(self, given.manual, given.limits)
-        """The arbiter of people's orders, which has the last word."""
+        """The arbiter of people's orders, which has the first word and the last."""
+        self.failure: Exception | None = None
+        """Fault of guidance in the newest cycle, in which a person's order was obeyed without it; None without a fault."""
+        self.monitor = Monitor()
+        self._leaps_until = 0
+        """Instant of the newest velocity that was searched for leaps, ns."""
 
     @property
     def vehicle(self) -> VehicleStatus | None:
@@ -184,8 +200,9 @@ class Pilot:
     @property
     def outcome(self) -> FlightOutcome | None:
         """The outcome of the flight, which a pilot's hand does not change once it has ended; None while it goes on."""
-        state, before = self.landing.state, self.landing.mission.taken_from
-        return _OUTCOMES.get(before or state) or _OUTCOMES.get(state)
+        mission = self.landing.mission
+        refused = mission.here.after if mission.here is not None and mission.state is State.LANDED else None
+        return _OUTCOMES.get(refused or mission.taken_from or mission.state) or _OUTCOMES.get(mission.state)
 
     @property
     def paused(self) -> bool:
@@ -200,6 +217,16 @@ class Pilot:
     def begin(self, at: MonoNs | None = None) -> None:
         """Start the approach by an order of this time, or resume it; after another pad was seen, approach that one."""
         self.landing.order(Event.BEGIN, at)
+        self.engage()
+
+    @property
+    def lands_here(self) -> bool:
+        """True while the vehicle lands where it is, which nothing of ours calls off."""
+        return self.landing.mission.lands_here
+
+    def land(self, at: MonoNs | None = None) -> None:
+        """Land where the vehicle is, by an order of this time."""
+        self.landing.order(Event.LAND, at)
         self.engage()
 
     def stay(self, at: MonoNs | None = None) -> None:
@@ -319,7 +346,7 @@ class Pilot:
             The frame's verdict, which is the steering path's, and the fusion results, path by path.
         """
         self.landing.on_pad(seen.on_pad)
-        results = self.estimator.put_seen(seen.selected, seen.elsewhere)
+        results = self.estimator.put_seen(seen.selected, seen.elsewhere, seen.alone_in)
         sighting = seen.selected or seen.elsewhere
         if sighting is None:
             return Verdict.NO_PAD, ()
@@ -327,31 +354,91 @@ class Pilot:
         return results[0].verdict, results
 
     def decide(self, now: MonoNs) -> Decision:
-        """Run one guidance cycle. The command is None while guidance and people leave the vehicle alone."""
+        """Run one guidance cycle. The command is None while guidance and people leave the vehicle alone.
+
+        A person's order comes before estimator and law: a cut asks neither, and where one of them raises while an order decides,
+        the order is obeyed without it, and `failure` has the exception.
+
+        Raises:
+            Whatever estimator or law raise while guidance flies alone.
+        """
+        self.failure = None
         self.operator.tick(now)
+        if self.operator.cuts:
+            return self._ordered(now)
+        try:
+            return self._guided(now)
+        except Exception as why:
+            if not self.operator.commands:
+                raise
+            self.failure = why
+            return self._ordered(now)
+
+    def _ordered(self, now: MonoNs) -> Decision:
+        """Return a person's command alone."""
+        chosen = self.operator.without_guidance(now)
+        failed = "" if self.failure is None else f"guidance failed, and the order is obeyed without it: {in_words(self.failure)}"
+        why, changes = "; ".join(filter(None, (chosen.reason, failed))), self.landing.changed()
+        return Decision(now, chosen.phase or self.state.value, chosen.command, None, reason=why, transitions=changes)
+
+    def _guided(self, now: MonoNs) -> Decision:
         believed = self.estimator.all_at(now)
         steering = self.estimator.path
         knowledge = self.landing.knowledge(now, next((b for b in believed if b.path == steering), None), self.estimator)
         belief = knowledge.relative
-        guided, trusts = self.landing.command(knowledge), knowledge.trusts_velocity
-        chosen = self.operator.choose(now, guided, belief, trusts_velocity=trusts)
+        # What stands may be set up anew, and the next flight earns its own trust.
+        stands = self.vehicle is not None and self.vehicle.flying is False
+        self.monitor = Monitor() if stands else monitor.watched(self.monitor, self._witnesses(knowledge))
+        by_hand = self.landing.by_hand = self.operator.hand is not None
+        refusal = None if self.state in CONTACT_INTENDED else self.monitor.refusal(by_hand=by_hand)
+        guided, trusts = self.landing.command(knowledge, self.monitor.refuses), knowledge.trusts_velocity and refusal is None
+        watch = self.monitor
+        chosen = self.operator.choose(
+            now, guided, belief, trusts_velocity=trusts, error_m_s=watch.place_m_s, unseen_m=watch.way_m
+        )
+        if refusal is not None and refusal.cause is ReasonCause.UNCHECKED and isinstance(chosen.command, Lean):
+            # A hold by the estimate is worth the whole way: see `monitor`.
+            refusal, trusts = None, knowledge.trusts_velocity
+        unconfirmed = refusal is not None and not by_hand
         if chosen.command is not None and not trusts:
-            by_us = self.operator.hand is None
-            chosen = structs.replace(chosen, command=self.landing.without_velocity(chosen.command, knowledge, guided=by_us))
+            by_us = not by_hand and not self.lands_here
+            replaced = self.landing.without_velocity(chosen.command, knowledge, guided=by_us, unconfirmed=unconfirmed)
+            chosen = structs.replace(chosen, command=replaced)
+        self.monitor = monitor.commanded(self.monitor, chosen.command, by_hand=by_hand, trusted=trusts)
         response = self.landing.on_command(now, chosen.command)
         shadows = tuple(b for b in believed if b.path != steering)
         changes = self.landing.changed()
         phase, why = chosen.phase or self.state.value, chosen.limit or chosen.reason or self._why(belief)
+        if refusal is not None and self.state not in GROUND and refusal.text not in why:
+            why = "; ".join(filter(None, (why, refusal.text)))
+        charge = self.landing.charge
+        if charge and charge not in why:
+            why = "; ".join(filter(None, (why, charge)))
         limit, why = ("; ".join(filter(None, (text, self.landing.ignoring))) for text in (chosen.limit, why))
         made = self.landing.forecast_made(now)
         ahead = None if made is None else DeckOutlook.of(made)
-        return Decision(now, phase, chosen.command, belief, shadows, why, limit, changes, response, ahead)
+        return Decision(now, phase, chosen.command, belief, shadows, why, limit, changes, response, ahead, charge)
+
+    def _witnesses(self, known: Knowledge) -> Witnesses:
+        """Return what the monitor knows in this cycle."""
+        place, now, since = self.operator.place(), known.at, self._leaps_until
+        v, seen, own = place.velocity_at(now), self.landing.in_sight(known), self.estimator.guard.inertial.parity
+        # A velocity enters the parity with its bin, later than it was measured.
+        self._leaps_until = own.flow[-1][0] if own.flow else since
+        return Witnesses(
+            now,
+            None if v is None else v.v_level[:2],
+            None if seen is None else seen.v_pad_level[:2],
+            leaps(own, since),
+            place.fix_at(now),
+            self.landing.hold.over_ground,
+        )
 
     def _why(self, belief: RelativeState | None) -> str:
         """Return the machine's reason, the estimate's alerts and the sensors that it does without, as text."""
         said = () if belief is None else (*(alert.value for alert in belief.alerts), *belief.lost)
         alerts = (*said, *self.estimator.lost)
-        return "; ".join(dict.fromkeys((self.landing.reason, *alerts) if self.landing.reason else alerts))
+        return "; ".join(dict.fromkeys(filter(None, (self.landing.reason, *alerts))))
 
 
 _MOUNT_LEAST_RAD = math.radians(0.1)

@@ -1,6 +1,5 @@
 """The operations of one sender of orders on the pilot, each through the arbiter, and the state of the flight that it sees."""
 
-import math
 from collections.abc import Callable
 from typing import Protocol
 
@@ -9,6 +8,7 @@ from companion.base.observer import Decision, NullObserver
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender
 from companion.facts.wire import FlightState, OrderAnswer, OrderRequest
 from companion.guidance.operator.arbiter import NEVER_OLD
+from companion.guidance.operator.order_time import given_at
 from companion.guidance.operator.precedence import ControlSituation
 from companion.guidance.pilot import Pilot
 from estimator.contracts.estimates import PathName, RelativeState
@@ -20,13 +20,13 @@ _OLD_S = 3.0
 _RANGE_S = 1.0
 """Age up to which a range stands for a height that is not seen, s."""
 _SURE_S, _LOWER_M = 1.0, 0.5
-"""Age of the newest sight up to which the pad is surely below, s, and depth under the pad of what is no deck of hers, m."""
+"""Age of the newest sight up to which a vehicle that stands knows its place, s, and depth of what is no deck of hers, m."""
 
 
 class Operated(Protocol):
     """The operations that MQTT and MAVLink offer; each returns None if it was carried out, else the reason why it cannot be."""
 
-    def order(self, order: OperatorOrder) -> str | None: ...
+    def order(self, order: OperatorOrder, given_at: MonoNs | None = None) -> str | None: ...
 
     def steer_by(self, path: PathName) -> str | None: ...
 
@@ -48,13 +48,18 @@ class PilotOperator:
         self._clock = clock
         self._recording = recording
 
-    def order(self, order: OperatorOrder) -> str | None:
-        """Give an order to the arbiter."""
-        return self._pilot.operator.take(order, self._sender, self._clock.now()).refusal
+    def order(self, order: OperatorOrder, given_at: MonoNs | None = None) -> str | None:
+        """Give an order to the arbiter; `given_at` as its `take` has it."""
+        return self._pilot.operator.take(order, self._sender, self._clock.now(), given_at=given_at).refusal
 
-    def answer(self, request: OrderRequest, at_s: float = 0.0) -> OrderAnswer:
-        """Give a screen's order to the arbiter at `at_s` of the screen's states, and return the answer."""
-        seen_s = 0.0 if request.seen_at_s is None else at_s - request.seen_at_s
+    def answer(self, request: OrderRequest, at_s: float | None = None) -> OrderAnswer:
+        """Give an order of a screen or terminal to the arbiter, and return the answer.
+
+        Args:
+            at_s: present time of the states that a screen saw, s; None for a terminal of this computer.
+        """
+        age_s = request.age_s if at_s is None else None if request.seen_at_s is None else at_s - request.seen_at_s
+        seen_s = age_s or 0.0
         refusal: str | None = f"it comes {seen_s:.1f} s after what you saw when you gave it: give it again"
         # Who cuts the motors sees the drone itself, whatever its screen still shows.
         if seen_s > _OLD_S and request.order not in (*NEVER_OLD, OperatorOrder.EMERGENCY):
@@ -62,7 +67,7 @@ class PilotOperator:
         elif request.order in (OperatorOrder.PATH, OperatorOrder.RECORD):
             refusal = f"{request.order.value} is an order of MQTT and MAVLink"
         else:
-            refusal = self.order(request.order)
+            refusal = self.order(request.order, given_at(self._clock.now(), age_s))
         accepted = "sent until the vehicle reports it" if request.order is OperatorOrder.EMERGENCY else "accepted"
         text = accepted if refusal is None else f"refused: {self._sender.reads(refusal)}"
         return OrderAnswer(number=request.number, accepted=refusal is None, text=text)
@@ -105,9 +110,10 @@ class FlightWatch(NullObserver):
         height_m = self._range_m(now) if belief is None else belief.height_m
         hand, (below, over_pad) = self._pilot.operator.hand, self.below(now)
         taken_from, why = self._pilot.operator.hand_taken or (None, "")
-        mission, by = self._pilot.landing.mission, self._pilot.operator.called_off_by
+        mission, by = self._pilot.landing.mission, self._pilot.operator.ordered_by
         goal = "" if mission.state not in FLOWN else "to stay over the pad" if mission.stays else "to land"
-        goal = f"ordered by {by}" if by is not None and mission.state in (State.PAUSED, State.ABORTED) else goal
+        if by is not None and (mission.lands_here or mission.state in (State.PAUSED, State.ABORTED)):
+            goal = f"ordered by {by}"
         situation = self._pilot.operator.situation(now)
         # With the motors cut nothing flies, and the sensors of a drone that lies there say nothing of interest.
         silent = decision is None or decision.reason == ORDERED.text or situation is ControlSituation.EMERGENCY
@@ -136,20 +142,16 @@ class FlightWatch(NullObserver):
         return belief if belief is not None and belief.placed and not (stands and belief.age_s(now) > _SURE_S) else None
 
     def below(self, now: MonoNs) -> tuple[str, bool]:
-        """Return what lies below in words, and whether it is surely the pad: nothing else knows where a deck ends."""
-        belief = self.belief(now)
-        if belief is None:
-            return "where no pad is known: this may be deck, rail or water", False
-        sigma_m = math.sqrt(max(float(belief.cov[0, 0]), float(belief.cov[1, 1])))
-        why = "" if belief.age_s(now) < _SURE_S else f"last seen {belief.age_s(now):.0f} s ago"
-        why = why if belief.consistent else "the sightings contradict it"
-        unsure = f"; the pad's place is not sure: {why}" if why else ""
-        if belief.lateral_m + 2.0 * sigma_m <= self._pilot.pad.disc_radius_m:
-            return f"over the pad, {100 * belief.lateral_m:.0f} cm from its centre{unsure}", not why
-        range_m = self._range_m(now)
-        lower_m = 0.0 if range_m is None or not belief.consistent else range_m - belief.height_m
-        what = "over deck or water" if lower_m < _LOWER_M else f"over water, or a deck that is {lower_m:.1f} m lower"
-        return f"{belief.lateral_m:.1f} m beside the pad, {what}{unsure}", False
+        """Return where a landing that is ordered now touches, in words, and whether that is surely the pad, and it is clear."""
+        touch, belief, bars = self._pilot.landing.touch(), self.belief(now), self._pilot.barred()[0]
+        text, range_m = touch.text, self._range_m(now)
+        if belief is not None and not touch.on_pad:
+            # Nothing else knows where a deck ends.
+            lower_m = 0.0 if range_m is None or not belief.consistent else range_m - belief.height_m
+            what = "over deck or water" if lower_m < _LOWER_M else f"over water, or a deck that is {lower_m:.1f} m lower"
+            text = f"{text}; now {what}"
+        sure = touch.on_pad and not touch.unsure and touch.spread_m <= self._pilot.pad.disc_radius_m and not bars
+        return "; ".join(filter(None, (text, bars))), sure
 
     def _range_m(self, now: MonoNs) -> float | None:
         fresh = self._range is not None and seconds_between(self._range.stamp.received_at, now) < _RANGE_S

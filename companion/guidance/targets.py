@@ -4,7 +4,8 @@ No velocity comes from here: an aim is the vehicle's own landing, or a hover. SE
 targets are sent, DOWN is the autopilot's own landing, GO_AROUND its own hold. The way from GATE to DOWN is the pilot's choice of
 the landing mode, or, where `guidance.mode_changes` lets us, our request. What the pilot chose we never call off: the reason is
 shown, and the targets go on. What we requested is called off only as high over the deck as a hold over the ground is safe.
-All other states are those of the other missions, with a hover for an aim.
+LAND_HERE is its own landing too, but the plain one where it is. All other states are those of the other missions, with a hover
+for an aim.
 """
 
 from collections.abc import Iterator, Mapping
@@ -68,7 +69,9 @@ ROWS: Mapping[State, Row] = {
 def ways(cone: Mapping[State, Row]) -> Mapping[State, Row]:
     """Return the rows of this mission, by those of the one in the cone."""
     search = {event: to for event, to in cone[State.SEARCH].items() if to is not State.RENDEZVOUS}
-    return {**cone, State.SEARCH: {**search, Event.SIGHT: State.GATE}, **ROWS}
+    rows = {**cone, State.SEARCH: {**search, Event.SIGHT: State.GATE}, **ROWS}
+    # The motors are the autopilot's own to stop, after its own landing.
+    return {state: {event: to for event, to in row.items() if event is not Event.TIPPED} for state, row in rows.items()}
 
 
 def phases(cone: Mapping[State, Phase]) -> Mapping[State, Phase]:
@@ -79,7 +82,12 @@ def phases(cone: Mapping[State, Phase]) -> Mapping[State, Phase]:
         State.GATE: held[State.GATE]._replace(events=_offers, note=_note),
         State.DOWN: held[State.DOWN]._replace(events=_lands, aim=_land),
         State.GO_AROUND: held[State.GO_AROUND]._replace(events=_goes_around),
+        State.LAND_HERE: held[State.LAND_HERE]._replace(events=_nothing, aim=lambda p, s, o: (p, Land(here=True))),
     }
+
+
+def _nothing(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    yield from ()
 
 
 def _hover(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:

@@ -23,7 +23,7 @@ import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 from msgspec import Struct, field
 
@@ -33,8 +33,9 @@ from companion.facts import records as rec
 from companion.recording import channels, decode
 from companion.recording import foxglove as fox
 from companion.recording.frame_encoder import FrameSequence, VideoImage
-from companion.settings.load import Settings, from_mapping
+from companion.settings.load import Settings, from_file
 from drivers.camera import images
+from drivers.files import Largest, opened
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import Rotation
@@ -116,7 +117,7 @@ def _next_chunk(stream: IO[bytes], start: int) -> int | None:
 
 def _summary(path: Path) -> tuple[dict[int, str], int]:
     """Return the topics by the numbers of their channels and the last message's time, ns, as the end of a whole file has them."""
-    with suppress(Exception), path.open("rb") as stream:  # of the library: any of a damaged file
+    with suppress(Exception), opened(path, Largest.RECORDING) as stream:  # of the library: any of a damaged file
         if (found := make_reader(stream).get_summary()) is not None:
             topics = {number: channel.topic for number, channel in found.channels.items()}
             return topics, 0 if found.statistics is None else found.statistics.message_end_time
@@ -287,7 +288,7 @@ class Recording(Struct, eq=False):
         self.counts, self.skipped, self.cut = Counter(), Counter(), {}
         read, size = 0, sum(path.stat().st_size for path in self.paths)
         for path in self.paths:
-            with _opened(path) as stream:
+            with opened(path, Largest.RECORDING) as stream:
                 for event in self._events(path, stream):
                     self.watch((read + stream.tell()) // 1000 + 1, size // 1000 + 2)
                     yield event
@@ -334,7 +335,7 @@ class Recording(Struct, eq=False):
             BadInput: this version does not understand them.
         """
         data = self._toml(channels.SETTINGS)
-        return None if data is None else from_mapping(data, f"{self.name}: {channels.SETTINGS}", recorded=True)
+        return None if data is None else from_file(data, f"{self.name}: {channels.SETTINGS}")
 
     def camera(self) -> Camera | None:
         """Return the camera that the recording was made with, or None; raises as `settings`."""
@@ -357,8 +358,7 @@ def open_recording(paths: Sequence[Path]) -> Recording:
     """Open the recording in these files, in the order of their times, and read the head of each.
 
     Raises:
-        BadInput: a file cannot be read, is no MCAP file, holds nothing of ours, or was recorded with the names from before 1.0.0;
-            or the files are not of one recording.
+        BadInput: a file cannot be read, is no MCAP file, or holds nothing of ours; or the files are not of one recording.
     """
     if not paths:
         raise BadInput("no recording named")
@@ -378,17 +378,13 @@ def open_recording(paths: Sequence[Path]) -> Recording:
 def _head(path: Path) -> tuple[int, int, Recording]:
     """Return the times of a file's first and last message as far as they are known, ns, and its head; see `open_recording`."""
     part, begins_ns, ours, topics = Recording((path,), {}, {}), 0, False, dict[int, str]()
-    with _opened(path) as stream:
+    with opened(path, Largest.RECORDING) as stream:
         for record in records(stream, path, {}):
             if isinstance(record, Metadata):
                 part.metadata.setdefault(record.name, dict(record.metadata))
             elif isinstance(record, Attachment):
                 part.attachments.setdefault(record.name, record.data)
-            elif isinstance(record, Schema) and any(key.encode() in record.data for key in _OLD_KEYS):
-                raise _too_old(path)
             elif isinstance(record, Channel):
-                if record.topic == _OLD_TOPIC:
-                    raise _too_old(path)
                 ours = ours or record.topic in channels.TOPICS
                 topics[record.id] = record.topic
             elif isinstance(record, Message) and topics.get(record.channel_id) not in channels.FOR_VIEWERS:
@@ -398,13 +394,6 @@ def _head(path: Path) -> tuple[int, int, Recording]:
     if not ours and channels.TOPICS.keys().isdisjoint(at_the_end.values()):
         raise BadInput(f"{path}: holds no recording of decklander, or is cut before its first message")
     return begins_ns, ends_ns, part
-
-
-def _too_old(path: Path) -> BadInput:
-    return BadInput(
-        f"{path}: recorded before topics and keys were renamed ({_OLD_TOPIC} is now {channels.DETECTION}, taken_ns is now "
-        "measured_at_ns, doubts is now alerts); this version cannot read it, replay it with the version that recorded it"
-    )
 
 
 class EventAssembly:
@@ -471,12 +460,3 @@ class EventAssembly:
             response=decode.response(message.response),
             ahead=decode.deck(message.deck, MonoNs(message.at_ns)),
         )
-
-
-_OLD_TOPIC, _OLD_KEYS = "/look", ('"taken_ns"', '"doubts"')
-"""The topic and key names before 1.0.0, which distinguish an old recording from a damaged one."""
-
-
-def _opened(path: Path) -> IO[bytes]:
-    with refused(str(path), OSError):
-        return path.open("rb")

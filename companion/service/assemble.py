@@ -6,7 +6,6 @@ import hashlib
 import logging
 import os
 import signal
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -25,6 +24,7 @@ from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.base.signals import PROCESS, threads
+from companion.base.worker import Worker
 from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
@@ -128,7 +128,8 @@ class FlightRecord(Struct, frozen=True, forbid_unknown_fields=True):
 class FlightKeeper(NullObserver):
     """Writes the flight's memory, and gives the pilot that of the service before.
 
-    The file is replaced as a whole. A thread writes it, so a disk that hangs costs records and no guidance cycle.
+    The file is replaced as a whole. A thread writes it, so a disk that hangs costs records and no guidance cycle. It is one
+    thread for all records: on a loaded computer the start of a thread holds the event loop for a second.
 
     Args:
         vehicle: the vehicle's name; the memory of another one is not used.
@@ -139,8 +140,7 @@ class FlightKeeper(NullObserver):
     def __init__(self, path: Path, pilot: Pilot, vehicle: str, boot: str, modes: ModesLeft) -> None:
         self._path, self._pilot, self._vehicle, self._boot, self._modes = path, pilot, vehicle, boot, modes
         self._written: MonoNs | None = None
-        self._writer: threading.Thread | None = None
-        self._failed = False
+        self._writer, self._failed = Worker("flight-memory"), False
         if (before := self._read()) is not None:
             pilot.landing.before = before
 
@@ -159,14 +159,13 @@ class FlightKeeper(NullObserver):
         """Write the memory where it is due and the write before has ended."""
         due = self._written is None or seconds_between(self._written, decision.at) >= _EACH_S or decision.transitions
         memory = self._pilot.landing.memory
-        if not due or memory is None or (self._writer is not None and self._writer.is_alive()):
+        if not due or memory is None or self._writer.busy:
             return
         self._written = decision.at
         if (status := self._pilot.landing.vehicle) is not None:
             memory = structs.replace(memory, modes=self._modes(status.mode))
         text = msgspec.json.encode(FlightRecord(self._boot, self._vehicle, memory))
-        self._writer = threading.Thread(target=self._write, args=(text,), name="flight-memory", daemon=True)
-        self._writer.start()
+        self._writer.run(self._write, text)
 
     def _write(self, text: bytes) -> None:
         try:
@@ -269,7 +268,7 @@ def make_daemon(
             watching.append(keeper)
     extras |= vehicle.extras
     reports: Line[Sample] | None = None
-    vessel, choice = settings.vessel, SourceChoice()
+    vessel, choice = settings.vessel, SourceChoice(log.info)
     streams = [key for key in ("source", "heading") if getattr(settings.rtk, key)]
     if vessel.nmea or vessel.bus or vessel.mqtt or streams:
         from companion.parts.ship.part import BusPart, RtkPart, SentencesPart

@@ -17,7 +17,7 @@ from typing import Protocol
 
 from msgspec.structs import replace
 
-from companion.base.containment import Audience, Body, run, uncancelled
+from companion.base.containment import Audience, Body, report, run, uncancelled
 from companion.base.health import SHIP_PLACE, Health, missing_inputs
 from companion.base.memory import GroundedCollector, no_full_collections
 from companion.base.mission import FAULTS, FlightOutcome
@@ -261,7 +261,11 @@ class Daemon:
             self._take(samples)
 
     def _take(self, samples: Sequence[Sample]) -> None:
-        results, now = self._pilot.on_samples(samples), self._clock.now()
+        try:
+            results, now = self._pilot.on_samples(samples), self._clock.now()
+        except Exception as why:
+            self._contain("estimator", why)
+            return
         arrived: dict[str, int] = {}
         for sample in samples:
             place_of_ship = type(sample) is GeoFix and sample.whose == "vessel"
@@ -297,6 +301,10 @@ class Daemon:
             except asyncio.CancelledError:
                 self._judged(Verdict.FAILED)
                 raise
+            except Exception as why:
+                self._judged(Verdict.FAILED)
+                self._contain("vision", why)
+                continue
             self._judged(processed.verdict)
             self._audience.on_frame(processed)
             reported = self._clock.now()
@@ -413,6 +421,17 @@ class Daemon:
             )  # fmt: skip
         return False
 
+    def _contain(self, what: str, why: Exception) -> None:
+        """Go on after a fault of ours while a person's order decides, as it must not hold that back; else let it end the service.
+
+        Raises:
+            The exception itself: guidance flies alone, or it is one after which the part is started again.
+        """
+        if isinstance(why, Recoverable) or not self._pilot.operator.commands:
+            raise why
+        if self.health.contain(what) == 1:
+            report("%s failed; a person's order is obeyed without it, further failures are only counted", what, why=why)
+
     async def _guide(self) -> None:
         while True:
             self._take_waiting()
@@ -431,6 +450,8 @@ class Daemon:
                 except Recoverable as why:
                     self._pilot.operator.undelivered(decision.command, began, str(why))
                     log.debug("command not sent: %s", why)
+            if self._pilot.failure is not None:
+                self._contain("guidance", self._pilot.failure)
             self._tell(decision)
             self.health.decision(decision, self._pilot.vehicle)
             self._audience.on_decision(decision)

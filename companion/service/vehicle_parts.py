@@ -11,6 +11,7 @@ import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -248,9 +249,10 @@ def _ardrone(
     if settings.camera.gimbal.given:
         found = settings.camera.gimbal.device_id
         raise BadInput(f"camera.gimbal.device_id must be 0, found {found}: only an autopilot's link tells of a gimbal")
-    options, queue_items, decoder = ardrone_options(settings), settings.service.sample_queue_items, UvlcDecoder()
+    options, items = ardrone_options(settings), settings.service.sample_queue_items
+    open_link = partial(open_ardrone, options, clock, items, UvlcDecoder(), health.failed)
     if not settings.bridge.links:
-        return VehicleParts(lambda: open_ardrone(options, clock, queue_items, decoder))
+        return VehicleParts(open_link)
     from companion.parts.mavlink.bridge import BridgePart
     from companion.parts.mavlink.commands import tunables
     from companion.parts.mavlink.signed_links import signed_links
@@ -267,5 +269,4 @@ def _ardrone(
         store=tunables(settings, pilot),
     )
     health.counters("bridge", bridge.counted)
-
-    return VehicleParts(lambda: open_ardrone(options, clock, queue_items, decoder), (bridge, flight), {"bridge": bridge.run})
+    return VehicleParts(open_link, (bridge, flight), {"bridge": bridge.run})

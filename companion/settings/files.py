@@ -1,4 +1,4 @@
-"""Read the plain files and secrets that settings name: no device, pipe or folder, and no larger than what they are for."""
+"""Read the secrets that settings name, and archives whose files unpack to no more than what they are for."""
 
 import hmac
 import logging
@@ -8,32 +8,11 @@ import zipfile
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Generic, TypeVar
 
-from estimator.contracts.errors import BadInput, file_errors, refused
+from drivers.files import Largest, opened
+from estimator.contracts.errors import BadInput, DecklanderError, file_errors
 from estimator.contracts.text import text_of, utf8_of
-
-LARGEST_BYTES = 1_000_000
-"""Largest file of text: a hundred times the longest settings."""
-
-
-def refuse_special(path: Path, where: str, largest: int = LARGEST_BYTES) -> None:
-    """Refuse what is no plain file, before it is opened: a device may have no end, and a pipe no beginning.
-
-    Args:
-        where: the path, or the setting that names it, for errors.
-
-    Raises:
-        BadInput: it does not exist, is no plain file, or is larger than `largest` bytes.
-    """
-    with file_errors(where), refused(where, ValueError):  # a path with a NUL character
-        found = path.stat()
-    if stat.S_ISDIR(found.st_mode):
-        raise BadInput(f"{where}: Is a directory")
-    if not stat.S_ISREG(found.st_mode):
-        raise BadInput(f"{where}: not a file, but a device or a pipe")
-    if found.st_size > largest:
-        raise BadInput(f"{where}: {found.st_size} bytes; such a file has at most {largest}")
-
 
 _PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """The packings that unpack in bounded steps. Four kilobytes of bzip2 may hold gigabytes, and zipfile unpacks them at once."""
@@ -64,6 +43,52 @@ def unzipped(path: Path, largest: int, wanted: Callable[[str], bool] = lambda _:
 
 
 log = logging.getLogger(__name__)
+
+T_co = TypeVar("T_co", covariant=True)
+
+
+class Renewed(Generic[T_co]):
+    """The contents of files that settings name, read again at each call after one of them changed.
+
+    Certificates, passwords and tokens are replaced under a service that runs for months. Where the new ones cannot be read or
+    used, what they held before is kept, and the log names the file once for each change.
+
+    Args:
+        read: returns what they hold.
+        references: values of the settings that name them; empty ones name none.
+
+    Raises:
+        BadInput: they cannot be read or used at the start.
+    """
+
+    def __init__(self, read: Callable[[], T_co], part: str, *references: str) -> None:
+        self._read = read
+        self._paths = [path for path in (find(reference, part) for reference in references) if path is not None]
+        self._state = self._found()
+        self._held = read()
+
+    def __call__(self) -> T_co:
+        if (state := self._found()) != self._state:
+            self._state = state
+            try:
+                self._held = self._read()
+            except DecklanderError as why:
+                log.warning("%s; what it held before is kept", why)
+            else:
+                log.info("read again: %s", ", ".join(map(str, self._paths)))
+        return self._held
+
+    def _found(self) -> list[tuple[int, ...]]:
+        found: list[tuple[int, ...]] = []
+        for path in self._paths:
+            try:
+                status = path.stat()
+            except OSError:
+                found.append(())
+            else:
+                found.append((status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns))
+        return found
+
 
 CREDENTIAL = "credential:"
 """Prefix that marks the name of a systemd credential in place of a path."""
@@ -155,9 +180,8 @@ def token(reference: str, part: str, name: str, environment: Mapping[str, str] =
 
 
 def _content(path: Path) -> bytes:
-    """Return at most as many bytes as a secret can have: a setting may name any file, also one without an end."""
-    refuse_special(path, str(path))
-    with path.open("rb") as file:
+    """Return at most as many bytes as a secret can have."""
+    with opened(path, Largest.SETTINGS) as file:
         return file.read(_LONGEST)
 
 

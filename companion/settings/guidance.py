@@ -22,7 +22,7 @@ from companion.settings.vessel import RendezvousOptions
 from estimator.contracts.commands import LandingPlace
 from estimator.contracts.errors import refused
 from estimator.contracts.geometry import F64, GeoPoint
-from estimator.contracts.keys import CheckedOptions, choice, name, number, text
+from estimator.contracts.keys import CheckedOptions, choice, name, number, text, tuning
 from estimator.contracts.motion import G_M_S2
 
 _AGREE = 0.02
@@ -203,22 +203,26 @@ class FollowDeckOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
             "whether the response is identified in flight: softer gains until the delay is known, which replaces the file's if "
             "they contradict",
             public=True,
+            page=True,
         ),
     ] = True
     delay_known_s: Annotated[
-        float, number("standard deviation up to which the delay of the tilt counts as known", "s", 0.005, 0.2)
+        float, tuning("standard deviation up to which the delay of the tilt counts as known", "s", 0.005, 0.2)
     ] = 0.04
     accelerometer: Annotated[
-        bool, choice("whether gusts are felt by the accelerometer; without it they show a second later in place and speed")
+        bool,
+        choice("whether gusts are felt by the accelerometer; without it they show a second later in place and speed", page=True),
     ] = True
-    delay_line: Annotated[bool, choice("whether commands under way are taken into account")] = True
-    forecast: Annotated[bool, choice("whether the deck's motion is followed ahead of time")] = True
-    keep_in_view: Annotated[bool, choice("whether the lean is cut so that the pad stays in the picture", public=True)] = True
+    delay_line: Annotated[bool, choice("whether commands under way are taken into account", page=True)] = True
+    forecast: Annotated[bool, choice("whether the deck's motion is followed ahead of time", page=True)] = True
+    keep_in_view: Annotated[
+        bool, choice("whether the lean is cut so that the pad stays in the picture", public=True, page=True)
+    ] = True
     tilt_max_deg: Annotated[
-        float, number("largest tilt; the response's own limit where that is smaller", "deg", 2.0, 45.0, public=True)
+        float, tuning("largest tilt; the response's own limit where that is smaller", "deg", 2.0, 45.0, public=True)
     ] = 45.0
     climb_max_m_s: Annotated[
-        float, number("largest vertical speed; the response's own limit where that is smaller", "m/s", 0.1, 5.0, public=True)
+        float, tuning("largest vertical speed; the response's own limit where that is smaller", "m/s", 0.1, 5.0, public=True)
     ] = 5.0
 
     @property
@@ -228,9 +232,9 @@ class FollowDeckOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
 
 
 _TUNED = "tuned in simulation"
-_Kp = Annotated[float, number("proportional gain", "1/s", 0.0, 20.0, _TUNED)]
-_Ki = Annotated[float, number("integral gain", "1/s^2", 0.0, 10.0, _TUNED)]
-_Kd = Annotated[float, number("derivative gain", "1", 0.0, 10.0, _TUNED)]
+_Kp = Annotated[float, tuning("proportional gain", "1/s", 0.0, 20.0, _TUNED)]
+_Ki = Annotated[float, tuning("integral gain", "1/s^2", 0.0, 10.0, _TUNED)]
+_Kd = Annotated[float, tuning("derivative gain", "1", 0.0, 10.0, _TUNED)]
 
 
 class HorizontalGains(CheckedOptions, frozen=True, forbid_unknown_fields=True):
@@ -267,27 +271,27 @@ class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
     vertical: VerticalGains = VerticalGains()
     heading: HeadingGains = HeadingGains()
     speed_max_m_s: Annotated[
-        float, number("largest horizontal velocity; its direction is kept", "m/s", 0.05, 10.0, "1 in the thesis' code")
+        float, tuning("largest horizontal velocity; its direction is kept", "m/s", 0.05, 10.0, "1 in the thesis' code")
     ] = 1.0
-    climb_max_m_s: Annotated[float, number("largest velocity upward", "m/s", 0.05, 5.0)] = 0.5
-    descent_rate_max_m_s: Annotated[float, number("largest velocity downward", "m/s", 0.05, 5.0)] = 0.5
-    turn_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 1.0, 360.0)] = 34.4
+    climb_max_m_s: Annotated[float, tuning("largest velocity upward", "m/s", 0.05, 5.0)] = 0.5
+    descent_rate_max_m_s: Annotated[float, tuning("largest velocity downward", "m/s", 0.05, 5.0)] = 0.5
+    turn_max_deg_s: Annotated[float, tuning("largest turn rate", "deg/s", 1.0, 360.0)] = 34.4
     integral_max_m_s: Annotated[
         float,
-        number("largest velocity that the integral commands on one axis: the pad's own speed and the wind", "m/s", 0.0, 10.0),
+        tuning("largest velocity that the integral commands on one axis: the pad's own speed and the wind", "m/s", 0.0, 10.0),
     ] = 0.5
     soft_above_m: Annotated[
         float,
-        number(
+        tuning(
             "set points higher than this soften the horizontal gains in proportion", "m", 0.1, 100.0, "2.5 in the thesis' code"
         ),
     ] = 2.5
     soft_least: Annotated[
         float,
-        number("least fraction of the horizontal gains that remains at any height", "1", 0.01, 1.0, "0.1 in the thesis' code"),
+        tuning("least fraction of the horizontal gains that remains at any height", "1", 0.01, 1.0, "0.1 in the thesis' code"),
     ] = 0.1
     forget_after_s: Annotated[
-        float, number("silence of the estimator after which the integrals start again from zero", "s", 0.1, 60.0)
+        float, tuning("silence of the estimator after which the integrals start again from zero", "s", 0.1, 60.0)
     ] = 2.0
 
 
@@ -299,7 +303,11 @@ class ElsewhereOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     height_m: Annotated[
         float,
         number(
-            "height over the sea to which it climbs on the way, above all that stands there; it keeps a larger one", "m", 0, 5e3
+            "height over the sea to which it climbs on the way, above the ship's masts and all that stands there; it keeps a "
+            "larger one; must be given",
+            "m",
+            0.0,
+            5000.0,
         ),
     ] = 0.0
     range_max_m: Annotated[float, number("distance beyond which it does not fly there, and holds", "m", 10.0, 50_000.0)] = 1000.0
@@ -319,6 +327,7 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             "the way down: in a cone to a gate over the deck and on to the contact; the way points of the thesis, then the "
             "vehicle's own landing; or the autopilot's precision landing, led by LANDING_TARGETs alone",
             public=True,
+            page=True,
         ),
     ] = "cone"
     mode_changes: Annotated[
@@ -331,14 +340,14 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         Literal["automatic", "signal"],
         choice("approach once an AR.Drone flies and the pad is seen, or after an order to begin", public=True),
     ] = "signal"
-    rate_hz: Annotated[float, number("rate of guidance cycles", "Hz", 5.0, 200.0, "controller of the thesis: 100 Hz")] = 50.0
-    stale_after_s: Annotated[float, number("age of the newest sighting above which the drone hovers", "s", 0.05, 10.0)] = 0.5
+    rate_hz: Annotated[float, tuning("rate of guidance cycles", "Hz", 5.0, 200.0, "controller of the thesis: 100 Hz")] = 50.0
+    stale_after_s: Annotated[float, tuning("age of the newest sighting above which the drone hovers", "s", 0.05, 10.0)] = 0.5
     stay_height_m: Annotated[
-        float, number("height over the pad at which it waits by the order stay", "m", 0.5, 30.0, public=True)
+        float, tuning("height over the pad at which it waits by the order stay", "m", 0.5, 30.0, public=True)
     ] = 3.0
-    stay_s: Annotated[float, number("longest wait there; after it the drone holds where it is", "s", 1.0, 36000.0)] = 600.0
+    stay_s: Annotated[float, tuning("longest wait there; after it the drone holds where it is", "s", 1.0, 36000.0)] = 600.0
     land_timeout_s: Annotated[
-        float, number("longest time from the land command to the landing; after it the drone goes around", "s", 1.0, 120.0)
+        float, tuning("longest time from the land command to the landing; after it the drone goes around", "s", 1.0, 120.0)
     ] = 6.0
     refused: Annotated[
         Literal["hold", "return", "land elsewhere"],
@@ -351,7 +360,7 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     elsewhere: ElsewhereOptions = ElsewhereOptions()
     last_charge: Annotated[
         float,
-        number(
+        tuning(
             "charge at which a drone that refused or gave up and flies nowhere else lands where it is, by its own landing: a "
             "hover ends in a fall; 0 to hover on",
             "1",
@@ -359,6 +368,15 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             0.5,
         ),
     ] = 0.05
+    held_ends: Annotated[
+        Literal["hold", "land", "return"],
+        choice(
+            "the end of a drone that a person holds, has aborted or has not sent to the pad yet: land, from limits.battery on "
+            "upon a pad in sight, and at last_charge where it is; hold on as ordered, and fall; or return, at last_charge by the "
+            "autopilot's own. It is shown in time, and any order calls it off for the flight",
+            public=True,
+        ),
+    ] = "land"
     controller: Annotated[
         str,
         name(
@@ -366,6 +384,7 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             "or the name of one in an installed package",
             64,
             public=True,
+            page=True,
         ),
     ] = "follow_deck"
     policy_file: Annotated[
@@ -384,7 +403,8 @@ class GuidanceOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         super().__post_init__()
         if self.mission == "targets" and (self.refused == "land elsewhere" or self.rendezvous.enabled):
             raise ValueError('mission = "targets" flies nowhere: refused = "land elsewhere" and rendezvous need another mission')
-        if self.refused == "land elsewhere" and self.elsewhere == ElsewhereOptions():
+        there = self.elsewhere
+        if self.refused == "land elsewhere" and not ((there.latitude_deg or there.longitude_deg) and there.height_m):
             raise ValueError(
                 'refused = "land elsewhere" needs a place: set latitude_deg, longitude_deg and height_m of elsewhere'
             )

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from msgspec import Struct
 
 from drivers.mavlink.options import MavlinkOptions
-from estimator.contracts.keys import CheckedOptions, check_order, choice, name, number, text
+from estimator.contracts.keys import CheckedOptions, check_order, choice, name, number, text, tuning
 
 
 def is_address(host: str) -> bool:
@@ -204,11 +204,11 @@ class VideoStreamOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True
             public=True,
         ),
     ] = ""
-    rate_hz: Annotated[float, number("largest rate of the pictures", "Hz", 1.0, 60.0, public=True)] = 15.0
-    bitrate_kbit_s: Annotated[int, number("largest bit rate", "kbit/s", 50, 20_000, public=True)] = 1000
-    drawn: Annotated[bool, choice("whether the pad and the features that were found are drawn over the picture", public=True)] = (
-        True
-    )
+    rate_hz: Annotated[float, tuning("largest rate of the pictures", "Hz", 1.0, 60.0, public=True)] = 15.0
+    bitrate_kbit_s: Annotated[int, tuning("largest bit rate", "kbit/s", 50, 20_000, public=True)] = 1000
+    drawn: Annotated[
+        bool, choice("whether the pad and the features that were found are drawn over the picture", public=True, page=True)
+    ] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -227,24 +227,24 @@ class OutputOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The pad in messages to an autopilot: LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR (docs/mavlink.md)."""
 
     rate_hz: Annotated[
-        float, number("LANDING_TARGET messages a second, at least", "Hz", 1.0, 50.0, "10 to 50 suit ArduPilot", public=True)
+        float, tuning("LANDING_TARGET messages a second, at least", "Hz", 1.0, 50.0, "10 to 50 suit ArduPilot", public=True)
     ] = 25.0
     receiver_s: Annotated[
         float,
-        number("time from a message's arrival until the autopilot uses it", "s", 0.0, 0.2, "half a period of ArduPilot's 400 Hz"),
+        tuning("time from a message's arrival until the autopilot uses it", "s", 0.0, 0.2, "half a period of ArduPilot's 400 Hz"),
     ] = 0.00125
     vision_target_estimator: Annotated[
-        bool, choice("whether PX4 runs its vision target estimator, which needs TARGET_RELATIVE too", public=True)
+        bool, choice("whether PX4 runs its vision target estimator, which needs TARGET_RELATIVE too", public=True, page=True)
     ] = False
     ranges: Annotated[
         Literal["auto", "on", "off"],
-        choice("whether to send DISTANCE_SENSOR; auto: if ArduPilot's rangefinder is a MAVLink one", public=True),
+        choice("whether to send DISTANCE_SENSOR; auto: if ArduPilot's rangefinder is a MAVLink one", public=True, page=True),
     ] = "auto"
-    range_rate_hz: Annotated[float, number("DISTANCE_SENSOR messages a second", "Hz", 1.0, 50.0)] = 20.0
+    range_rate_hz: Annotated[float, tuning("DISTANCE_SENSOR messages a second", "Hz", 1.0, 50.0)] = 20.0
     range_id: Annotated[int, number("id of the sensor in DISTANCE_SENSOR", "id", 0, 255)] = 0
     ground_clearance_m: Annotated[
         float,
-        number("reading of a rangefinder while the vehicle is on the ground; ArduPilot does not arm without it", "m", 0.02, 2.0),
+        tuning("reading of a rangefinder while the vehicle is on the ground; ArduPilot does not arm without it", "m", 0.02, 2.0),
     ] = 0.1
 
 

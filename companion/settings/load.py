@@ -7,6 +7,7 @@
 """
 
 import difflib
+import errno
 import math
 import os
 import re
@@ -22,10 +23,10 @@ from typing import Any, TypeVar
 import msgspec
 
 import configs
-from companion.settings.files import CREDENTIAL, LARGEST_BYTES, refuse_special
+from companion.settings.files import CREDENTIAL
 from companion.settings.guidance import Response, response_from_mapping
-from companion.settings.links import HttpSettings
 from companion.settings.model import PadSettings, Settings, in_file, joined
+from drivers.files import Largest, bytes_of
 from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import DOWN
 from estimator.contracts.address import guarded
@@ -57,10 +58,6 @@ KINDS = {
     "title": "a scenario: give it to decklander simulate or campaign",
 }
 """Our kinds of TOML files by a key that only such a file has, or one that is none of those before it."""
-_INTO_HTTP = {"page": 8480, "metrics": 9464, "foxglove": 8765}
-"""Tables of 1.0 that are one table [http] now, with the ports that were their defaults. A recording is read without them."""
-_IN_HTTP = {"frames": "foxglove_frames", "frame_rate_hz": "picture_rate_hz"}
-"""Names in [http] of keys that had another name in 1.0."""
 _FILES = {
     "vehicle": ("signing_key_file", "signing_time_file"),
     "bridge": ("signing_key_file", "signing_time_file"),
@@ -148,22 +145,18 @@ def from_file(data: Mapping[str, Any], where: str, *, by_autopilot: bool = False
         raise BadInput(f"{where}: {in_file(key)}{output[len(key) :]}") from why
 
 
-def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False, by_autopilot: bool = False) -> Settings:
+def from_mapping(data: Mapping[str, Any], where: str, *, by_autopilot: bool = False) -> Settings:
     """Return the settings that whole tables describe, those of experts among them.
 
     Args:
         data: the tables.
         where: name of their source, for errors.
-        recorded: they are of a recording, which nobody can edit, so tables of 1.0 and a table `expert` are accepted.
         by_autopilot: as for `load`.
 
     Raises:
         BadInput: as for `load`, except that camera and pad files are not read.
     """
     try:
-        if recorded:
-            data = {name: table for name, table in joined(data, recorded=True).items() if name not in _INTO_HTTP}
-        data = with_http(data)
         return _guard(msgspec.convert(_with_defaults_of_autopilot(data, by_autopilot), Settings, strict=True))
     except BadInput as why:
         raise BadInput(f"{where}: {_shown(str(why), data)}") from None
@@ -171,28 +164,6 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False,
         from companion.settings.schema import explain  # it describes the whole model
 
         raise BadInput(f"{where}: {_shown(explain(Settings, data, str(why)), data)}") from why
-
-
-def with_http(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return tables whose [page], [metrics] and [foxglove] of 1.0 are carried into [http].
-
-    Raises:
-        BadInput: they contradict each other, [http] is there too, or a key has no successor.
-    """
-    old = {name: table for name, table in data.items() if name in _INTO_HTTP and isinstance(table, Mapping)}
-    on = {name: table for name, table in old.items() if table.get("endpoint", "off") != "off"}
-    if old and "http" in data:
-        raise BadInput(f"{', '.join(old)}: the table [http] took its place, and is there too: keep that alone (docs/page.md)")
-    http: dict[str, Any] = {**({} if "page" in on else {"page": False}), **({"foxglove": True} if "foxglove" in on else {})}
-    for name, table in on.items():
-        for key, given in {"port": _INTO_HTTP[name], **table}.items():
-            new, value = _IN_HTTP.get(key, key), "http" if given == "websocket" else given
-            if new not in HttpSettings.__struct_fields__ or new in _INTO_HTTP:
-                raise BadInput(f"{name}.{key} has no successor in the table [http] (docs/page.md)")
-            if http.setdefault(new, value) != value:
-                raise BadInput(f"{name}.{key} is {value!r}, not {http[new]!r}: {', '.join(on)} are [http] now (docs/page.md)")
-    kept = {name: table for name, table in data.items() if name not in old}
-    return {**kept, "http": http} if on else kept
 
 
 def _shown(text: str, data: Mapping[str, Any]) -> str:
@@ -260,6 +231,20 @@ def mount_assumed(path: Path) -> tuple[str, ...]:
     )
 
 
+NOMINAL_SIGMA = 0.02
+"""Share of the focal length from which nobody has measured a lens: a calibration reaches 0.005."""
+
+
+def lens_assumed(camera: Camera) -> tuple[str, ...]:
+    """Return a line for a camera whose focal length is hardly known; none for one that was measured."""
+    if camera.focal_sigma < NOMINAL_SIGMA:
+        return ()
+    return (
+        f"the lens is a nominal one, not measured (focal_sigma {camera.focal_sigma:g}): distances may be "
+        f"{100.0 * camera.focal_sigma:.0f} % off: decklander calibrate camera",
+    )
+
+
 def body_camera(settings: Settings) -> Camera:
     """Return the camera on the body; one on a gimbal as it is while that points straight down.
 
@@ -305,18 +290,23 @@ def with_known_calibration(pad: Pad) -> Pad:
     """Return a pad with the calibration that was kept for its drawing, if its file has none."""
     if pad.is_calibrated:
         return pad
+    if (file := calibration_file(pad)) is None:
+        return pad
     try:
-        kept = msgspec.json.decode(calibration_file(pad).read_bytes(), type=Calibration)
+        kept = msgspec.json.decode(file.read_bytes(), type=Calibration)
     except (OSError, msgspec.DecodeError):
         return pad
     return replace(pad, calibration=kept) if kept.drawing == pad.fingerprint else pad
 
 
-def calibration_file(pad: Pad) -> Path:
-    """Return where the calibration of a drawing is kept: in the service's state, else in the user's cache."""
-    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    state = os.environ.get("STATE_DIRECTORY")
-    return (Path(state.split(":")[0]) if state else Path(home) / "decklander") / "pads" / f"{pad.fingerprint}.json"
+def calibration_file(pad: Pad) -> Path | None:
+    """Return where a drawing's calibration is kept: in the service's state, else in the user's cache; None without a home."""
+    state, cache = os.environ.get("STATE_DIRECTORY", "").split(":")[0], os.environ.get("XDG_CACHE_HOME")
+    try:
+        kept = Path(state) if state else (Path(cache) if cache else Path.home() / ".cache") / "decklander"
+    except RuntimeError:  # a number that has no name, in a container, and no HOME
+        return None
+    return kept / "pads" / f"{pad.fingerprint}.json"
 
 
 def response_model(settings: Settings) -> Response:
@@ -372,9 +362,22 @@ def whole(path: Path, like: Path | None = None) -> Iterator[Path]:
         yield beside
         with beside.open("rb") as file:
             os.fsync(file.fileno())
-        beside.replace(path)
+        try:
+            beside.replace(path)
+        except OSError as why:
+            if why.errno != errno.EBUSY:
+                raise
+            _write_in_place(path, beside.read_bytes())  # a mount of this one file, as containers have them, is never replaced
     finally:
         beside.unlink(missing_ok=True)
+
+
+def _write_in_place(path: Path, content: bytes) -> None:
+    with path.open("r+b") as file:
+        file.write(content)
+        file.truncate()
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def write_whole(path: Path, content: str | bytes, like: Path | None = None) -> None:
@@ -389,12 +392,7 @@ def read_text(path: Path) -> str:
     Raises:
         BadInput: the file cannot be read, is a device or a pipe, or is larger than any settings.
     """
-    refuse_special(path, str(path))
-    with file_errors(str(path)), path.open("rb") as file:  # files of the kernel say that they are empty, and are not
-        content = file.read(LARGEST_BYTES + 1)
-    if len(content) > LARGEST_BYTES:
-        raise BadInput(f"{path}: more than {LARGEST_BYTES} bytes")
-    return text_of(content, str(path))
+    return text_of(bytes_of(path, Largest.SETTINGS), str(path))
 
 
 def toml_of(text: str, path: Path, kind: str = "") -> dict[str, Any]:

@@ -26,35 +26,36 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.options import DRIVEN_SOURCES, SOURCES, CameraOptions
 from drivers.mavlink.options import AutopilotOptions, GimbalOptions
 from estimator.contracts.errors import BadInput
-from estimator.contracts.keys import PUBLIC, choice, number, text
+from estimator.contracts.keys import PUBLIC, choice, number, text, tuning
 from estimator.contracts.samples import SAMPLE_QUEUE_ITEMS
 from estimator.options import EstimatorOptions
 from estimator.vision.options import TrackerOptions
 
-_TUNED = "tuned in simulation"
+_MASTS_M = 15.0
+"""Height over the sea of the masts of the smallest ship with a pad: a patrol boat of 20 m."""
 _SHIPPED_OR_PATH = "the name of a shipped one, or a path"
 
 
 class CameraSettings(CameraOptions, frozen=True, forbid_unknown_fields=True):
     """The camera that looks down and the source of its frames; intrinsics, distortion and mount are in a file of their own."""
 
-    file: Annotated[str, text(f"camera file: {_SHIPPED_OR_PATH}", 4096, public=True)]
+    file: Annotated[str, text(f"camera file: {_SHIPPED_OR_PATH}", 4096, public=True, page=True)]
     gimbal: GimbalOptions = GimbalOptions()
 
 
 class PadSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """The pad on the deck; its drawing is in a file of its own."""
 
-    file: Annotated[str, text(f"pad file: {_SHIPPED_OR_PATH}", 4096, public=True)]
+    file: Annotated[str, text(f"pad file: {_SHIPPED_OR_PATH}", 4096, public=True, page=True)]
 
 
 class VisionSettings(TrackerOptions, frozen=True, forbid_unknown_fields=True):
     """The processing of frames."""
 
-    threads: Annotated[int, number("threads OpenCV may use for one frame", "threads", 1, 64, public=True)] = 1
+    threads: Annotated[int, tuning("threads OpenCV may use for one frame", "threads", 1, 64, public=True)] = 1
     core_fraction: Annotated[
         float,
-        number("largest fraction of a core for frames; beyond it frames are skipped; 1 skips none", "1", 0.1, 1.0, public=True),
+        tuning("largest fraction of a core for frames; beyond it frames are skipped; 1 skips none", "1", 0.1, 1.0, public=True),
     ] = 0.7
 
 
@@ -62,12 +63,12 @@ class ServiceSettings(RestartOptions, frozen=True, forbid_unknown_fields=True):
     """The process: logging, queues, restarts, health."""
 
     log_level: Annotated[
-        Literal["debug", "info", "warning", "error"], choice("least important messages that are logged", public=True)
+        Literal["debug", "info", "warning", "error"], choice("least important messages that are logged", public=True, page=True)
     ] = "info"
     sample_queue_items: Annotated[
         int, number("inertial samples that may wait; the oldest is dropped and counted", "samples", 16, 100_000)
     ] = SAMPLE_QUEUE_ITEMS
-    health_period_s: Annotated[float, number("how often health is written to the log; 0 for never", "s", 0.0, 3600.0)] = 10.0
+    health_period_s: Annotated[float, tuning("how often health is written to the log; 0 for never", "s", 0.0, 3600.0)] = 10.0
 
 
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -104,12 +105,21 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
                 return "bridge.links must be empty: an autopilot speaks MAVLink itself"
             if self.guidance.start == "automatic":
                 return 'guidance.start must be "signal": an autopilot that was lifted off by hand is left to its pilot'
+        elif self.guidance.held_ends == "return" and not by_autopilot:
+            return 'guidance.held_ends must be "hold" or "land": an AR.Drone has no return'
         elif self.guidance.mission == "targets" and not by_autopilot:
             return 'guidance.mission "targets" needs an autopilot that lands on LANDING_TARGETs, and an AR.Drone has none'
         if self.camera.exposure.driven and self.camera.source not in DRIVEN_SOURCES:
             return (
                 f'camera.exposure.mode must be "camera" with camera.source "{self.camera.source}": '
                 f"only that of a camera with one of {', '.join(DRIVEN_SOURCES)} can be driven"
+            )
+        g = self.guidance
+        least_m = max(_MASTS_M, self.vessel.pad_up_m + max(g.tries.safe_height_m, g.rendezvous.height_m))
+        if g.refused == "land elsewhere" and g.elsewhere.height_m < least_m:
+            return (
+                f"expert.guidance.elsewhere.height_m must be over the ship's masts, {least_m:g} m over the sea or more: "
+                f"vessel.pad_up_m and guidance.rendezvous.height_m over it, and at least {_MASTS_M:g} m"
             )
         if self.vessel.mqtt and (self.mqtt.transport == "off" or self.mqtt.commands == "off"):
             return "vessel.mqtt needs mqtt.transport and mqtt.commands: reports come from whom commands may come"
@@ -131,12 +141,11 @@ def ardrone_options(settings: Settings) -> ArDroneOptions:
 EXPERT = "expert"
 
 
-def joined(data: Mapping[str, Any], *, recorded: bool = False) -> dict[str, Any]:
+def joined(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables of a settings file with the keys below `[expert]` in the tables that they belong to.
 
     Args:
         data: the mapping of the file.
-        recorded: the file belongs to a recording, which nobody can edit, so a key may stand on either side.
 
     Raises:
         BadInput: keys stand on the wrong side; the text names each with the table where it belongs.
@@ -147,7 +156,7 @@ def joined(data: Mapping[str, Any], *, recorded: bool = False) -> dict[str, Any]
     outside = {name: value for name, value in data.items() if name != EXPERT}
     misplaced = [f"{path} belongs in [{EXPERT}.{path.rpartition('.')[0]}]" for path, public in _known(outside) if not public]
     misplaced += [f"{EXPERT}.{path} belongs in [{path.rpartition('.')[0]}]" for path, public in _known(inside) if public]
-    if misplaced and not recorded:
+    if misplaced:
         raise BadInput("; ".join(misplaced))
     return _merged(outside, inside)
 

@@ -2,15 +2,15 @@
 
 from typing import Annotated, Literal
 
-from estimator.contracts.keys import CheckedOptions, choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, number, text, tuning
 
 
 class ManualOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Manual flight: the velocities that full sticks command."""
 
-    speed_max_m_s: Annotated[float, number("horizontal velocity at full stick", "m/s", 0.05, 10.0)] = 1.0
-    climb_max_m_s: Annotated[float, number("climb and descent rate at full stick", "m/s", 0.05, 3.0)] = 0.5
-    turn_max_deg_s: Annotated[float, number("turn rate at full stick", "deg/s", 5.0, 200.0)] = 45.0
+    speed_max_m_s: Annotated[float, tuning("horizontal velocity at full stick", "m/s", 0.05, 10.0)] = 1.0
+    climb_max_m_s: Annotated[float, tuning("climb and descent rate at full stick", "m/s", 0.05, 3.0)] = 0.5
+    turn_max_deg_s: Annotated[float, tuning("turn rate at full stick", "deg/s", 5.0, 200.0)] = 45.0
     silence_s: Annotated[
         float, number("silence of the sender that has the hand after which the vehicle holds", "s", 0.1, 0.5)
     ] = 0.5
@@ -104,7 +104,8 @@ class LimitOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     fence: Annotated[
         Literal["off", "start", "ship"],
         choice(
-            "centre of the geofence: the place where the vehicle began to fly, which drifts with its velocity sensor; "
+            "centre of the geofence: the place where the vehicle began to fly, by its positions or else by its velocity, less "
+            "what that may be off; "
             "or the pad, while its position is known to 5 m",
             public=True,
         ),

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from companion.settings import files
-from companion.settings.files import CREDENTIAL, refuse_special
+from companion.settings.files import CREDENTIAL
 from companion.settings.links import HttpSettings, MqttSettings
 from companion.settings.load import SHIPPED, find_file, read_toml
 from companion.settings.model import Settings
 from companion.settings.schema import explain
 from drivers.ardrone.options import ArDroneOptions
 from drivers.endpoint import NMEA2000, RELPOS, parse_bus, require_ship
+from drivers.files import Largest, bytes_of, refuse_special
 from drivers.gamepad.mapping import GamepadMapping
 from drivers.mavlink.options import AutopilotOptions
 from drivers.pyav import require_pyav
@@ -41,10 +42,12 @@ def tls_context(settings: MqttSettings) -> ssl.SSLContext | None:
         return None
     ca = files.find(settings.ca_file, "mqtt")
     if ca is not None:
-        refuse_special(ca, f"mqtt.ca_file: {ca}")
+        refuse_special(ca, Largest.CERTIFICATE, f"mqtt.ca_file: {ca}")
     try:
         context = ssl.create_default_context(cafile=None if ca is None else str(ca))
         context.minimum_version = ssl.TLSVersion.TLSv1_2
+        if ca is not None:  # one's own may lack extensions that Python demands from 3.13 on
+            context.verify_flags &= ~ssl.VERIFY_X509_STRICT
     except (OSError, ValueError) as why:
         raise BadInput(f"mqtt.ca_file: {ca}: {_reason(why)}") from why
     _add_certificate(context, settings, "mqtt")
@@ -74,8 +77,8 @@ def _add_certificate(context: ssl.SSLContext, settings: HttpSettings | MqttSetti
     certificate, key = files.find(settings.certificate_file, section), files.find(settings.key_file, section)
     if certificate is None or key is None:
         return
-    refuse_special(certificate, f"{section}.certificate_file: {certificate}")
-    refuse_special(key, f"{section}.key_file: {key}")
+    refuse_special(certificate, Largest.CERTIFICATE, f"{section}.certificate_file: {certificate}")
+    refuse_special(key, Largest.CERTIFICATE, f"{section}.key_file: {key}")
     try:
         context.load_cert_chain(certificate, key, password=_no_passphrase)
     except (OSError, ValueError) as why:
@@ -93,7 +96,6 @@ def _reason(why: Exception) -> str:
 
 
 SHIPPED_NETWORK = SHIPPED / "learned" / "second_opinion.onnx"
-_LARGEST_BYTES = 2_000_000
 
 
 def second_opinion(file: str, what: str) -> SecondOpinion:
@@ -114,13 +116,10 @@ def second_opinion(file: str, what: str) -> SecondOpinion:
         else (f"name a file that is there, or leave {what} empty for the shipped network")
     )
     try:
-        found = path.stat()
-        if found.st_size > _LARGEST_BYTES:
-            raise BadInput(f"{what}: {path} has {found.st_size} bytes, a network for a second opinion at most {_LARGEST_BYTES}")
-        refuse_special(path, f"{what}: {path}", _LARGEST_BYTES)
-        return SecondOpinion(path.read_bytes(), f"{what}: {path}")
+        path.stat()
     except OSError as why:
         raise BadInput(f"{what}: {path}: {why.strerror or why}: {cure}") from why
+    return SecondOpinion(bytes_of(path, Largest.NETWORK, f"{what}: {path}"), f"{what}: {path}")
 
 
 def mapping_of(name_or_path: str) -> GamepadMapping:

@@ -1,16 +1,19 @@
 """Say of settings that are good what their author may want to know, such as keys that another key leaves without effect."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import msgspec
 from msgspec import NODEFAULT, Struct
 
-from companion.settings.load import find_file, mount_assumed, read_toml, with_http
-from companion.settings.model import Settings, in_file, joined
-from companion.settings.schema import value_text
+from companion.settings.load import camera_model, find_file, lens_assumed, mount_assumed
+from companion.settings.mission import ConeOptions
+from companion.settings.model import Settings, in_file
+from companion.settings.sound import beyond_sound
 from drivers.camera.options import DRIVEN_SOURCES
 from drivers.mavlink.options import AutopilotOptions
 
@@ -155,15 +158,8 @@ def remarks(settings: Settings, path: Path) -> tuple[str, ...]:
     found = contradiction(settings)
     contradicting = () if found is None else (f"{found.what}: {found.fix}",)
     mount = mount_assumed(find_file(settings.camera.file, "cameras", Path(), "camera.file"))
-    return (*_of_1_0(joined(read_toml(path))), *without_effect(settings), *contradicting, *_empty_battery(settings), *mount)
-
-
-def _of_1_0(tables: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return what to write in place of tables that became one."""
-    now = with_http(tables)
-    keys = ", ".join(f"{in_file(f'http.{key}')} = {value_text(value)}" for key, value in now.get("http", {}).items())
-    old = ", ".join(f"[{name}]" for name in tables if name not in now)
-    return (f"{old} of version 1.0: write {keys or 'nothing'} in its place (docs/page.md)",) if old else ()
+    said = *_empty_battery(settings), *_feet(settings), *_numbered_ports(settings), *lens_assumed(camera_model(settings))
+    return (*without_effect(settings), *contradicting, *beyond_sound(settings), *said, *mount)
 
 
 def _empty_battery(settings: Settings) -> tuple[str, ...]:
@@ -173,6 +169,22 @@ def _empty_battery(settings: Settings) -> tuple[str, ...]:
     return (
         () if leaves or o.last_charge > 0.0 else ("expert.guidance.last_charge is 0: a drone that refused hovers until it falls",)
     )
+
+
+def _feet(settings: Settings) -> tuple[str, ...]:
+    """Return that an autopilot's vehicle is said to stand on an AR.Drone's feet."""
+    its_m = ConeOptions().feet_below_m
+    if not isinstance(settings.vehicle, AutopilotOptions) or settings.guidance.cone.feet_below_m != its_m:
+        return ()
+    return (f"guidance.cone.feet_below_m is {its_m:g} m, an AR.Drone's: taller feet touch before the deck is expected",)
+
+
+def _numbered_ports(settings: Settings) -> tuple[str, ...]:
+    """Return a warning about two serial ports that are named by their numbers."""
+    ports = sorted(set(re.findall(r"/dev/tty(?:USB|ACM)\d+", msgspec.json.encode(settings, enc_hook=str).decode())))
+    if len(ports) < 2:
+        return ()
+    return (f"{' and '.join(ports)} may change places at the next start: name them by /dev/serial/by-id/... or by-path/...",)
 
 
 def not_checked(keys: Sequence[str]) -> str:

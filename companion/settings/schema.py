@@ -16,7 +16,7 @@ from msgspec import Struct, inspect
 from companion.settings.model import EXPERT, Settings, in_file, split
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, one_line
-from estimator.contracts.keys import PUBLIC
+from estimator.contracts.keys import PAGE, PUBLIC
 
 
 def explain(model: type[Struct], data: Mapping[str, Any], message: str) -> str:
@@ -80,6 +80,11 @@ def walk(model: type[Struct], kind: str | None = None) -> Iterator[tuple[str, in
         kind: for tables whose keys depend on their `kind`, yield the keys of this one; None yields those of each.
     """
     yield from _walk(described(model), "", kind)
+
+
+def on_page(kind: str | None = None) -> frozenset[str]:
+    """Return the paths of the keys that may be changed from a browser, for one kind of vehicle as in `walk`."""
+    return frozenset(path for path, field in walk(Settings, kind) if _noted(field, PAGE))
 
 
 @cache
@@ -236,12 +241,14 @@ def reference(*, expert: bool = False) -> str:
         "",
         "A key that is unknown, of the wrong type or out of range is refused. A path is absolute, or relative to the settings",
         'file unless its key says otherwise; "credential:NAME" is a systemd credential.',
+        "",
+        '"page": the key may be changed from the operator page (docs/page.md), and no other may.',
     ]
     first: dict[tuple[str, str], str] = {}
     for heading, meaning, public, _ in _sections():
         for row in public:
-            if (where := first.setdefault((row[0], row[4]), heading)).split()[0] != heading.split()[0]:
-                row[4] = f"as in {where}"
+            if (where := first.setdefault((row[0], row[_MEANING]), heading)).split()[0] != heading.split()[0]:
+                row[_MEANING] = f"as in {where}"
         lines += ["", f"## {heading}", "", meaning, "", *_table(public)] if public else []
     lines += ["", "## Expert keys", "", *_EXPERT_WORDS, "`decklander config reference --expert` prints all of them."]
     return "\n".join(lines) + "\n"
@@ -286,7 +293,9 @@ def _sections() -> Iterator[tuple[str, str, list[list[str]], list[list[str]]]]:
         )
 
 
-_COLUMNS = ["key", "default", "range", "unit", "meaning", "source of the default"]
+_COLUMNS = ["key", "default", "range", "unit", "page", "meaning", "source of the default"]
+
+_MEANING = _COLUMNS.index("meaning")
 
 
 def _table(rows: list[list[str]]) -> list[str]:
@@ -296,8 +305,12 @@ def _table(rows: list[list[str]]) -> list[str]:
 
 
 def _is_public(field: inspect.Field, struct: inspect.StructType) -> bool:
+    return field.encode_name == struct.tag_field or _noted(field, PUBLIC)
+
+
+def _noted(field: inspect.Field, note: str) -> bool:
     assert isinstance(field.type, inspect.Metadata)
-    return field.encode_name == struct.tag_field or PUBLIC in (field.type.extra_json_schema or {})
+    return note in (field.type.extra_json_schema or {})
 
 
 def _row(name: str, field: inspect.Field) -> list[str]:
@@ -305,7 +318,8 @@ def _row(name: str, field: inspect.Field) -> list[str]:
     notes, unit = field.type.extra_json_schema or {}, unit_of(field.type)
     default = "**required**" if field.required else f"`{value_text(field.default)}`"
     range_ = "" if isinstance(field.type.type, inspect.BoolType) else _range(field.type.type)
-    return [f"`{name}`", default, range_, "" if unit in ("1", "id") else unit, notes["description"], notes.get("x-source", "")]
+    shown, page = "" if unit in ("1", "id") else unit, "yes" if PAGE in notes else ""
+    return [f"`{name}`", default, range_, shown, page, notes["description"], notes.get("x-source", "")]
 
 
 def _range(node: inspect.Type) -> str:

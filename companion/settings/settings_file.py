@@ -34,6 +34,8 @@ class SettingsFile(Struct, frozen=True):
             return f"{self.path.name} belongs to the installation, and an update would overwrite it"
         if not os.access(target.parent, os.W_OK):
             return f"the service may not write into {target.parent}"
+        if target.exists() and os.statvfs(target).f_flag & os.ST_RDONLY:
+            return f"{target} is mounted read-only: mount its folder, writable, in place of the file"
         return ""
 
     def save(self, text: str, revision: str) -> str:

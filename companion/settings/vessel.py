@@ -9,7 +9,7 @@ from msgspec import Struct
 from drivers.endpoint import Endpoint, parse_bus, parse_endpoint
 from drivers.relpos import RelposOptions
 from estimator.contracts.errors import BadInput
-from estimator.contracts.keys import CheckedOptions, choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, number, text, tuning
 from estimator.ship_motion import ShipMotionOptions
 
 _WHERE = "ADDRESS:PORT of this computer for UDP, tcp://HOST:PORT or serial:///dev/NAME:BAUD"
@@ -28,22 +28,28 @@ class RtkOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         str, text(f"where the drone's receiver sends UBX NAV-RELPOSNED: {_WHERE}; empty for none", 256, shortest=0, public=True)
     ] = ""
     antenna_m: Annotated[
-        str, text(f"the drone's antenna from the body's origin, forward, right, down, m: {_VECTOR}", 64, public=True)
+        str, text(f"the drone's antenna from the body's origin, forward, right, down, m: {_VECTOR}", 64, public=True, page=True)
     ] = "0, 0, 0"
     ship_antenna_m: Annotated[
-        str, text(f"the ship's antenna from the pad's centre, towards the bow, to starboard, down, m: {_VECTOR}", 64, public=True)
+        str,
+        text(
+            f"the ship's antenna from the pad's centre, towards the bow, to starboard, down, m: {_VECTOR}",
+            64,
+            public=True,
+            page=True,
+        ),
     ] = "0, 0, 0"
     alone: Annotated[
         bool, choice("whether a landing may begin without sight of the pad; otherwise the camera has to have seen it once")
     ] = False
-    reverse: Annotated[bool, choice("whether the base is the drone's receiver and the rover the ship's")] = False
-    delay_s: Annotated[float, number("least time from the instant of a solution to its arrival", "s", 0.0, 0.5)] = 0.15
-    length_max_m: Annotated[float, number("length of a baseline beyond which it is refused", "m", 1.0, 10_000.0)] = 300.0
+    reverse: Annotated[bool, choice("whether the base is the drone's receiver and the rover the ship's", page=True)] = False
+    delay_s: Annotated[float, tuning("least time from the instant of a solution to its arrival", "s", 0.0, 0.5)] = 0.15
+    length_max_m: Annotated[float, tuning("length of a baseline beyond which it is refused", "m", 1.0, 10_000.0)] = 300.0
     heading: Annotated[
         str, text("where NAV-RELPOSNED of two antennas on the ship comes from, for her heading: as source", 256, shortest=0)
     ] = ""
     heading_mount_deg: Annotated[
-        float, number("direction from that base antenna to the rover antenna, clockwise from the bow", "deg", -180.0, 180.0)
+        float, tuning("direction from that base antenna to the rover antenna, clockwise from the bow", "deg", -180.0, 180.0)
     ] = 0.0
 
     def __post_init__(self) -> None:
@@ -106,14 +112,14 @@ class ReportLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
 
     age_max_s: Annotated[
         float,
-        number("age beyond which a report is refused, and beyond which the newest one tells no place any more", "s", 0.2, 60.0),
+        tuning("age beyond which a report is refused, and beyond which the newest one tells no place any more", "s", 0.2, 60.0),
     ] = 5.0
-    speed_max_m_s: Annotated[float, number("speed that no ship of yours reaches; a faster one is refused", "m/s", 1.0, 50.0)] = (
+    speed_max_m_s: Annotated[float, tuning("speed that no ship of yours reaches; a faster one is refused", "m/s", 1.0, 50.0)] = (
         20.0
     )
     jump_m: Annotated[
         float,
-        number(
+        tuning(
             "how far a report may lie from the place that was carried on to its time, beyond three of the sigmas; a farther one "
             "is refused",
             "m",
@@ -122,21 +128,21 @@ class ReportLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 10.0
     forget_s: Annotated[
-        float, number("time without a report that fits after which the next one is believed alone", "s", 1.0, 600.0)
+        float, tuning("time without a report that fits after which the next one is believed alone", "s", 1.0, 600.0)
     ] = 30.0
     acceleration_m_s2: Annotated[
-        float, number("acceleration by which the ship may leave the course that carries her place on", "m/s^2", 0.01, 5.0)
+        float, tuning("acceleration by which the ship may leave the course that carries her place on", "m/s^2", 0.01, 5.0)
     ] = 0.2
     sigma_max_m: Annotated[
-        float, number("horizontal standard deviation of the place beyond which nobody flies to it", "m", 0.5, 200.0)
+        float, tuning("horizontal standard deviation of the place beyond which nobody flies to it", "m", 0.5, 200.0)
     ] = 15.0
     pad_forward_m: Annotated[
-        float, number("the pad from the point that the ship reports, towards her bow", "m", -400.0, 400.0, public=True)
+        float, tuning("the pad from the point that the ship reports, towards her bow", "m", -400.0, 400.0, public=True)
     ] = 0.0
-    pad_right_m: Annotated[float, number("the same to starboard", "m", -100.0, 100.0, public=True)] = 0.0
+    pad_right_m: Annotated[float, tuning("the same to starboard", "m", -100.0, 100.0, public=True)] = 0.0
     pad_up_m: Annotated[
         float,
-        number("the same upward; without a reported height (AIS) the pad's height over the sea", "m", -50.0, 50.0, public=True),
+        tuning("the same upward; without a reported height (AIS) the pad's height over the sea", "m", -50.0, 50.0, public=True),
     ] = 0.0
 
     def __post_init__(self) -> None:
@@ -160,11 +166,14 @@ class RendezvousOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
     """
 
     enabled: Annotated[
-        bool, choice("whether the drone flies to the ship's reported place when a landing is ordered without sight", public=True)
+        bool,
+        choice(
+            "whether the drone flies to the ship's reported place when a landing is ordered without sight", public=True, page=True
+        ),
     ] = False
     bearing_deg: Annotated[
         float,
-        number(
+        tuning(
             "direction of the hold-off point from the pad, clockwise from the bow: 180 is behind",
             "deg",
             -180.0,
@@ -172,27 +181,27 @@ class RendezvousOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
             public=True,
         ),
     ] = 180.0
-    range_m: Annotated[float, number("horizontal distance of the hold-off point from the pad", "m", 1.0, 200.0, public=True)] = (
+    range_m: Annotated[float, tuning("horizontal distance of the hold-off point from the pad", "m", 1.0, 200.0, public=True)] = (
         8.0
     )
     height_m: Annotated[
-        float, number("height over the pad to which it climbs, and never descends, above masts", "m", 1.0, 100.0, public=True)
+        float, tuning("height over the pad to which it climbs, and never descends, above masts", "m", 1.0, 100.0, public=True)
     ] = 6.0
-    reached_m: Annotated[float, number("distance at which it counts as there", "m", 0.5, 50.0)] = 2.0
-    speed_m_s: Annotated[float, number("largest speed against the ship on the way", "m/s", 0.2, 15.0, public=True)] = 3.0
-    time_s: Annotated[float, number("longest time on the way; after it the drone gives up", "s", 5.0, 3600.0)] = 180.0
+    reached_m: Annotated[float, tuning("distance at which it counts as there", "m", 0.5, 50.0)] = 2.0
+    speed_m_s: Annotated[float, tuning("largest speed against the ship on the way", "m/s", 0.2, 15.0, public=True)] = 3.0
+    time_s: Annotated[float, tuning("longest time on the way; after it the drone gives up", "s", 5.0, 3600.0)] = 180.0
     lost_s: Annotated[
-        float, number("time without sight and without a usable place of ship or drone after which it refuses", "s", 1.0, 600.0)
+        float, tuning("time without sight and without a usable place of ship or drone after which it refuses", "s", 1.0, 600.0)
     ] = 10.0
-    search_speed_m_s: Annotated[float, number("speed against the ship along the search pattern", "m/s", 0.1, 5.0)] = 1.0
+    search_speed_m_s: Annotated[float, tuning("speed against the ship along the search pattern", "m/s", 0.1, 5.0)] = 1.0
     spacing_m: Annotated[
         float,
-        number(
+        tuning(
             "distance of the tracks of the expanding square", "m", 0.3, 100.0, "half the width that the camera sees from height_m"
         ),
     ] = 2.5
     extent_m: Annotated[
-        float, number("distance from the pad's reported place at which the square begins again", "m", 1.0, 500.0)
+        float, tuning("distance from the pad's reported place at which the square begins again", "m", 1.0, 500.0)
     ] = 10.0
 
     ORDER = ("reached_m < range_m", "spacing_m <= extent_m")

@@ -7,9 +7,9 @@ cd /var/lib/mosquitto
 if [ ! -f certs/server.crt ]; then
     rm -rf certs.new && mkdir certs.new && cd certs.new
     key="-newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes"
-    openssl req -x509 $key -days 3650 -subj /CN=decklander-ca -keyout ca.key -out ca.crt
+    openssl req -x509 $key -days 3650 -subj /CN=decklander-ca -addext keyUsage=critical,keyCertSign,cRLSign -keyout ca.key -out ca.crt
     openssl req -new $key -subj /CN=broker -keyout server.key -out server.csr
-    echo "subjectAltName=DNS:broker,DNS:localhost,IP:127.0.0.1" > names
+    printf '%s\n' subjectAltName=DNS:broker,DNS:localhost,IP:127.0.0.1 authorityKeyIdentifier=keyid > names
     openssl x509 -req -in server.csr -CA ca.crt -CAkey ca.key -CAcreateserial -days 825 -extfile names -out server.crt
     cd .. && mv certs.new certs
     rm -f decklander.passwords

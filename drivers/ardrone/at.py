@@ -10,7 +10,7 @@ import struct
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from drivers.ardrone.counters import Refusal
 
@@ -66,15 +66,10 @@ class Pcmd(Struct, frozen=True):
     yaw: Float
 
 
-class PcmdMag(Struct, frozen=True):
+class PcmdMag(Pcmd, frozen=True):
     """`Pcmd` with the pilot's own heading (-1..1 is -180..180 degrees) and its accuracy."""
 
     NAME: ClassVar[str] = "PCMD_MAG"
-    flags: Int
-    roll: Float
-    pitch: Float
-    gaz: Float
-    yaw: Float
     psi: Float
     psi_accuracy: Float
 
@@ -161,7 +156,7 @@ AtCommand = Ref | Pcmd | PcmdMag | Ftrim | Calib | Config | ConfigIds | Ctrl | C
 
 _CLASSES: dict[str, type[Any]] = {cls.NAME: cls for cls in AtCommand.__args__}
 _KINDS: dict[type[Any], tuple[tuple[str, str], ...]] = {
-    cls: tuple((name, cls.__annotations__[name].__metadata__[0]) for name in cls.__struct_fields__) for cls in _CLASSES.values()
+    cls: tuple((field.name, field.type.__metadata__[0]) for field in structs.fields(cls)) for cls in _CLASSES.values()
 }
 _NAMED: dict[bytes, tuple[type[Any], list[str]]] = {
     name.encode(): (cls, [kind for _, kind in _KINDS[cls]]) for name, cls in _CLASSES.items()

@@ -1,6 +1,7 @@
 """The counters of everything that crossed an AR.Drone link."""
 
 from collections import Counter
+from collections.abc import Mapping
 from enum import Enum
 
 from msgspec import Struct, field
@@ -19,6 +20,22 @@ class Refusal(Enum):
     UNKNOWN_COMMAND = "unknown_command"
     BAD_ARGUMENTS = "bad_arguments"
     """A known command has too few, too many or unreadable arguments."""
+
+
+_IN_WORDS = {
+    Refusal.TOO_SHORT: "they are cut short", Refusal.BAD_MAGIC: "they are of another protocol",
+    Refusal.TORN: "their options do not fit their length", Refusal.BAD_CHECKSUM: "their checksum is wrong",
+}  # fmt: skip
+
+
+def in_words(refused: Mapping[str, int]) -> str:
+    """Return how many datagrams are refused for what, the most frequent reason first; empty if none is.
+
+    Args:
+        refused: their numbers by the value of their `Refusal`.
+    """
+    ordered = Counter(refused).most_common()
+    return ", ".join(f"{n} datagrams are refused: {_IN_WORDS.get(Refusal(why), why)}" for why, n in ordered if n > 0)
 
 
 class Counters(Struct):

@@ -7,7 +7,7 @@ event changes the state by the table or not at all. Three rules follow from the 
 
 - After EMERGENCY nothing takes off: no state behind `CUT` sends the take-off bit before the drone has left the emergency state.
   EMERGENCY is sent until the drone reports it; a toggle waits for a report that can show what the one before did.
-- A landing is called off only by whoever ordered it, or where the firmware began it because it received no commands
+- A landing is called off only by us, or where the firmware began it because it received no commands
   (`LandingWatch`), and not close to the ground: the bit would start the motors of a drone that has touched down meanwhile.
 - Silence of the drone ends no order, but a take-off that does not happen ends by its time.
 
@@ -37,8 +37,7 @@ class Custody(Enum):
     STANDS = "stands"
     TAKING_OFF = "takes off"
     OURS = "ours"
-    LANDING = "guidance lands"
-    ORDERED = "a person lands"
+    LANDING = "lands for us"
     CALLED_OFF = "called off"
     SILENCED = "lands for silence"
     OTHERS = "others land"
@@ -59,8 +58,7 @@ class CustodyEvent(Enum):
     UNDONE = "emergency undone"
     SILENT = "silence"
     TAKE_OFF = "take-off"
-    LAND = "guidance's order"
-    LAND_FOR_PERSON = "landing order"
+    LAND = "landing order"
     STEER = "other command"
     CALL_OFF = "person's hold"
     CUT = "EMERGENCY"
@@ -75,8 +73,7 @@ _CUT: _Row = {_E.CUT: _C.CUT}
 _DOWN: _Row = {**_CUT, _E.STANDS: _C.STANDS, _E.DEAD: _C.DEAD}
 _LANDS: _Row = {_E.LANDS_AS_ORDERED: _C.CALLED_OFF, _E.LANDS_FOR_SILENCE: _C.SILENCED, _E.LANDS_FOR_OTHERS: _C.OTHERS}
 _UP: _Row = {_E.FLIES: _C.OURS, **_LANDS}
-_LAND: _Row = {_E.LAND: _C.LANDING, _E.LAND_FOR_PERSON: _C.ORDERED}
-_PERSON_ENDS: _Row = {_E.CALL_OFF: _C.CALLED_OFF, _E.TAKE_OFF: _C.CALLED_OFF}
+_LAND: _Row = {_E.LAND: _C.LANDING}
 
 TABLE: Mapping[Custody, _Row] = total(
     {
@@ -87,9 +84,8 @@ TABLE: Mapping[Custody, _Row] = total(
         },
         _C.OURS: {**_DOWN, **_LANDS, **_LAND, _E.SILENT: _C.UNHEARD},
         _C.LANDING: {
-            **_DOWN, **_PERSON_ENDS, _E.LAND_FOR_PERSON: _C.ORDERED, _E.STEER: _C.CALLED_OFF, _E.UNRENEWED: _C.CALLED_OFF,
+            **_DOWN, _E.CALL_OFF: _C.CALLED_OFF, _E.TAKE_OFF: _C.CALLED_OFF, _E.STEER: _C.CALLED_OFF, _E.UNRENEWED: _C.CALLED_OFF,
         },
-        _C.ORDERED: {**_DOWN, **_PERSON_ENDS},
         _C.CALLED_OFF: {**_DOWN, **_LAND, _E.FLIES: _C.OURS, _E.LANDS_FOR_OTHERS: _C.OTHERS, _E.LANDS_FOR_SILENCE: _C.SILENCED},
         _C.SILENCED: {**_DOWN, **_LAND, _E.FLIES: _C.OURS, _E.LANDS_FOR_OTHERS: _C.OTHERS},
         _C.OTHERS: {**_DOWN, _E.FLIES: _C.OURS},
@@ -102,7 +98,7 @@ TABLE: Mapping[Custody, _Row] = total(
 """The state that follows, for each state and event."""
 
 _REF: Mapping[Custody, int | None] = MappingProxyType({
-    _C.UNHEARD: None, _C.STANDS: REF_BASE, _C.TAKING_OFF: STAY_UP, _C.OURS: STAY_UP, _C.LANDING: REF_BASE, _C.ORDERED: REF_BASE,
+    _C.UNHEARD: None, _C.STANDS: REF_BASE, _C.TAKING_OFF: STAY_UP, _C.OURS: STAY_UP, _C.LANDING: REF_BASE,
     _C.CALLED_OFF: STAY_UP, _C.SILENCED: STAY_UP, _C.OTHERS: None, _C.CUT: REF_BASE, _C.DEAD: REF_BASE, _C.LEAVING: REF_BASE,
 })  # fmt: skip
 """The bits of REF that are sent, None for no REF.
@@ -122,9 +118,9 @@ _ORDER_LATE_S = 0.5
 """Time after our order to land in which a landing is our own: order and report are under way."""
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, None)
 _NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LANDED)
-_LANDINGS = (Custody.LANDING, Custody.ORDERED)
 DEAD_OR_CUT = (Custody.CUT, Custody.DEAD, Custody.LEAVING)
 """States behind an emergency, in which nothing takes off."""
+_OF_OTHERS = (CustodyEvent.LANDS_FOR_OTHERS, CustodyEvent.LANDS_FOR_SILENCE, CustodyEvent.DEAD)
 _TOGGLES = (Custody.CUT, Custody.LEAVING)
 
 
@@ -138,7 +134,7 @@ def event_of(command: Command) -> CustodyEvent:
         case TakeOff():
             return CustodyEvent.TAKE_OFF
         case Land():
-            return CustodyEvent.LAND_FOR_PERSON if command.persistent else CustodyEvent.LAND
+            return CustodyEvent.LAND
         case Hover() if command.calls_off:
             return CustodyEvent.CALL_OFF
         case _:
@@ -167,6 +163,8 @@ class CustodyKeeper:
         self._toggled: tuple[MonoNs, Custody] | None = None
         """The newest toggle, and the state for which it was sent."""
         self._toggle_periods = 0
+        self.others_at: MonoNs | None = None
+        """Newest report in which the drone began to land, or cut its motors, by no order of ours; None before one."""
 
     @property
     def steerable(self) -> bool:
@@ -187,14 +185,17 @@ class CustodyKeeper:
     def on_report(self, report: Navdata, now: MonoNs) -> None:
         """Take the drone's report, in order."""
         self._report, self._heard = report, now
-        if self.state in _LANDINGS:
+        if self.state is Custody.LANDING:
             self._landed_by_us = now
         if report.control_state is not None:
             self.control = report.control_state
         ordered = self._landed_by_us is not None and seconds_between(self._landed_by_us, now) <= _ORDER_LATE_S
         self._watch.on_report(report, now, ordered=ordered)
         if (event := self._reported(report, now)) is not None:
+            before = self.state
             self._happens(event, now)
+            if event in _OF_OTHERS and before not in (Custody.CUT, self.state):
+                self.others_at = now
 
     def _reported(self, report: Navdata, now: MonoNs) -> CustodyEvent | None:
         """Return the event that a report is; None if it contradicts itself."""
@@ -232,7 +233,7 @@ class CustodyKeeper:
     def ref(self, now: MonoNs) -> int | None:
         """Return the bits of this period's REF; None to send none. Call it once in each period."""
         self._passes(now)
-        if self.state in _LANDINGS:
+        if self.state is Custody.LANDING:
             self._landed_by_us = now
         if self.state in _TOGGLES:
             return REF_BASE | REF_EMERGENCY if self._toggles(now) else REF_BASE
@@ -301,6 +302,11 @@ class CommandStreamer:
         """Take the newest command."""
         self._custody.order(command, now)
         self._motion = _Motion(command, now) if isinstance(command, Velocity | Lean) else None
+
+    @property
+    def others_at(self) -> MonoNs | None:
+        """Newest report of what nobody ordered: a pilot's landing, or one for a low battery or silence, or an emergency."""
+        return self._custody.others_at
 
     def on_navdata(self, navdata: Navdata, now: MonoNs) -> None:
         """Take the next navdata datagram, in order."""

@@ -11,6 +11,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 
+from msgspec.structs import replace
+
 from drivers.ardrone.command_channel import CommandChannel
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.custody import CommandStreamer
@@ -26,7 +28,7 @@ from drivers.reconnect import BackOff, reconnect, running_beside
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.pictures import CodedPicture, PictureDecoder, PictureRefusal
-from estimator.contracts.samples import SAMPLE_QUEUE_ITEMS, Frame, Sample
+from estimator.contracts.samples import SAMPLE_QUEUE_ITEMS, Frame, Sample, VehicleStatus
 from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
 
 _READ = 1 << 16
@@ -223,8 +225,10 @@ class ArDrone:
         clock: Clock,
         sample_queue_items: int = SAMPLE_QUEUE_ITEMS,
         decoder: PictureDecoder | None = None,
+        failed: Callable[[str, BaseException], None] = lambda name, why: None,
     ) -> None:
         self._clock = clock
+        self._failed = failed
         self._open = True
         self._released = False
         self.counters = Counters()
@@ -279,6 +283,8 @@ class ArDrone:
     def _received_at(self, navdata: Navdata, samples: list[Sample], received_at: MonoNs) -> None:
         self._streamer.on_navdata(navdata, received_at)
         self._setup.on_state(navdata.state)
+        others_at = self._streamer.others_at
+        samples = [replace(s, others_at=others_at) if type(s) is VehicleStatus else s for s in samples]
         for sample in samples:
             self._streamer.on_sample(sample)
         self.samples.offer_all(samples)
@@ -301,6 +307,7 @@ class ArDrone:
         def on_failure(why: BaseException) -> None:
             self.counters.restarts[name] += 1
             self.down[name] = in_words(why)
+            self._failed(f"AR.Drone {name}", why)
 
         await reconnect(f"AR.Drone {name}", attempt, back_off, self._clock, on_failure)
 
@@ -314,7 +321,11 @@ class ArDrone:
 
 @asynccontextmanager
 async def open_ardrone(
-    options: ArDroneOptions, clock: Clock, sample_queue_items: int = SAMPLE_QUEUE_ITEMS, decoder: PictureDecoder | None = None
+    options: ArDroneOptions,
+    clock: Clock,
+    sample_queue_items: int = SAMPLE_QUEUE_ITEMS,
+    decoder: PictureDecoder | None = None,
+    failed: Callable[[str, BaseException], None] = lambda name, why: None,
 ) -> AsyncIterator[ArDrone]:
     """Open the link and keep it open; it does not wait for the drone (see `ArDrone.ready`).
 
@@ -326,11 +337,12 @@ async def open_ardrone(
     Args:
         sample_queue_items: samples that may wait for a slow reader; the oldest are dropped.
         decoder: of a 1.0's UVLC pictures (`estimator.uvlc.UvlcDecoder`); a 2.0 needs none.
+        failed: called with each failure of a channel, and the channel's name.
 
     Raises:
         ValueError: a 1.0 without a decoder.
     """
-    drone = ArDrone(options, clock, sample_queue_items, decoder)
+    drone = ArDrone(options, clock, sample_queue_items, decoder, failed)
     back_off = BackOff(options.restart_first_s, options.restart_most_s, healthy_after_s=options.restart_most_s)
     # Without commands a flying drone lands by itself, so that socket is never left closed for long.
     fast_most_s = min(options.restart_most_s, 8 * options.command_period_s)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Any
 
-from drivers.ardrone.counters import Counters, Refusal
+from drivers.ardrone.counters import Counters, Refusal, in_words
 from drivers.ardrone.navdata import Navdata, NavdataState, decode
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock_map import ClockMap, ClockMapOptions
@@ -168,12 +168,12 @@ def _fix(r: Navdata, stamp: Stamp, options: ArDroneOptions) -> GeoFix | None:
     if not r.gps_plugged or not r.data_available or (r.nb_satellites or 0) < _SATELLITES_LEAST:
         return None
     latitude, longitude, height, hdop = r.lat_deg, r.lon_deg, r.elevation_m, r.hdop
-    if latitude is None or longitude is None or height is None or hdop is None:
+    if latitude is None or longitude is None or hdop is None or latitude == longitude == 0.0:
         return None
-    if not _finite((latitude, longitude, height, hdop)) or hdop <= 0.0:
+    if not _finite((latitude, longitude, hdop)) or hdop <= 0.0:
         return None
     try:
-        place = GeoPoint.of_degrees(latitude, longitude, height)
+        place = GeoPoint.reported(latitude, longitude, height)
     except ValueError:
         return None
     return GeoFix(stamp, "vehicle", place, max(1.0, hdop) * options.sigma_fix_m)
@@ -303,7 +303,8 @@ class NavdataChannel:
 
     async def _watch(self, socket: WaitingDatagrams) -> None:
         """Take what nobody requested, and request the stream again when it is silent; as `run`."""
-        opened = asked = self._clock.now()
+        opened = asked = good_at = self._clock.now()
+        before = self._counters.navdata_refused.copy()
         socket.send(OPENING)
         while True:
             await self._clock.sleep(min(_LOOK_S, self._o.navdata_silence_s / 4))
@@ -312,8 +313,11 @@ class NavdataChannel:
                 socket.take()
             socket.check()
             received_at = max(opened, self.received_at or opened)
+            if received_at > good_at:
+                good_at, before = received_at, self._counters.navdata_refused.copy()
             if seconds_between(received_at, now) > self._o.reopen_after_s:
-                raise Recoverable(f"no navdata for {self._o.reopen_after_s} s")
+                refused = in_words(self._counters.navdata_refused - before)
+                raise Recoverable(f"no navdata for {self._o.reopen_after_s} s" + (f": {refused}" if refused else ""))
             if seconds_between(max(received_at, asked), now) > self._o.navdata_silence_s:
                 self._counters.navdata_silences += 1
                 self._order.silence()

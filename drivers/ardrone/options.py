@@ -4,7 +4,7 @@ import math
 from typing import Annotated, Literal
 
 from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl
-from estimator.contracts.keys import CheckedOptions, choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, number, text, tuning
 
 CODECS = {"1.0": "32", "2.0": "129"}
 """The video codec that is requested, by the drone's generation: UVLC, and H.264 of 640x360 px."""
@@ -24,7 +24,7 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     control_port: Annotated[int, number("TCP port of the configuration", "port", 1, 65535)] = 5559
     model: Annotated[
         Literal["1.0", "2.0"],
-        choice("generation of the drone: a 1.0 sends UVLC pictures of 176x144 px, a 2.0 H.264", public=True),
+        choice("generation of the drone: a 1.0 sends UVLC pictures of 176x144 px, a 2.0 H.264", public=True, page=True),
     ] = "2.0"
     command_period_s: Annotated[
         float, number("interval between commands; the drone counts 50 ms of silence as a miss", "s", 0.01, 0.05, "customary")
@@ -59,15 +59,15 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     )
     video_delay_s: Annotated[
         float,
-        number("least time from mid-exposure to the first byte of the frame", "s", 0.0, 0.5, "assumed until it is calibrated"),
+        tuning("least time from mid-exposure to the first byte of the frame", "s", 0.0, 0.5, "assumed until it is calibrated"),
     ] = 0.04
-    exposure_s: Annotated[float, number("exposure time; 0 if unknown", "s", 0.0, 0.1)] = 0.0
+    exposure_s: Annotated[float, tuning("exposure time; 0 if unknown", "s", 0.0, 0.1)] = 0.0
     altitude_max_m: Annotated[
         float, number("height over the take-off point that the drone never exceeds", "m", 1.0, 100.0, public=True)
     ] = 20.0
     euler_angle_max_deg: Annotated[
         float,
-        number(
+        tuning(
             "largest tilt of the drone, commanded by full stick",
             "deg",
             1.0,
@@ -78,7 +78,7 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     ] = 29.5
     vz_max_m_s: Annotated[
         float,
-        number(
+        tuning(
             "largest climb and descent rate",
             "m/s",
             0.2,
@@ -87,12 +87,12 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
             public=True,
         ),
     ] = 2.0
-    yaw_rate_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 40.0, 350.0, "firmware default", public=True)] = (
+    yaw_rate_max_deg_s: Annotated[float, tuning("largest turn rate", "deg/s", 40.0, 350.0, "firmware default", public=True)] = (
         100.0
     )
     velocity_gain_1_s: Annotated[
         float,
-        number(
+        tuning(
             "acceleration commanded for each m/s of velocity error",
             "1/s",
             0.0,
@@ -102,7 +102,7 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     ] = 1.4
     velocity_integral_1_s2: Annotated[
         float,
-        number(
+        tuning(
             "the same for each metre of the integrated velocity error, which compensates wind",
             "1/s^2",
             0.0,
@@ -112,7 +112,7 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     ] = 0.4
     velocity_lead: Annotated[
         float,
-        number(
+        tuning(
             "factor on the missing tilt that is commanded in addition, because the tilt lags behind",
             "1",
             0.0,
@@ -122,7 +122,7 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     ] = 0.7
     velocity_scale: Annotated[
         float,
-        number(
+        tuning(
             "the speed that navdata reports over the true one; readings are divided by it",
             "1",
             0.3,
@@ -132,7 +132,7 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     ] = 0.83
     velocity_drag_1_s: Annotated[
         float,
-        number(
+        tuning(
             "deceleration for each m/s of speed through the air",
             "1/s",
             0.0,
@@ -140,19 +140,19 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
             "a recorded AR.Drone 2.0 flight under motion capture",
         ),
     ] = 0.43
-    sigma_velocity_m_s: Annotated[float, number("standard deviation of a measured velocity at rest", "m/s", 0.001, 10.0)] = 0.03
+    sigma_velocity_m_s: Annotated[float, tuning("standard deviation of a measured velocity at rest", "m/s", 0.001, 10.0)] = 0.03
     sigma_velocity_fraction: Annotated[
-        float, number("the same as a fraction of the speed, in addition: the remaining scale error", "1", 0.001, 10.0)
+        float, tuning("the same as a fraction of the speed, in addition: the remaining scale error", "1", 0.001, 10.0)
     ] = 0.2 / 3.0
-    sigma_tilt_rad: Annotated[float, number("standard deviation of measured roll and pitch", "rad", 1e-4, 1.0)] = math.radians(
+    sigma_tilt_rad: Annotated[float, tuning("standard deviation of measured roll and pitch", "rad", 1e-4, 1.0)] = math.radians(
         0.5
     )
-    sigma_yaw_rad: Annotated[float, number("standard deviation of the measured heading", "rad", 1e-4, 3.2)] = math.radians(3.0)
-    sigma_range_m: Annotated[float, number("standard deviation of the ultrasound at the ground", "m", 0.001, 10.0)] = 0.02
-    sigma_range_fraction: Annotated[float, number("the same as a fraction of the distance, in addition", "1", 0.0001, 1.0)] = 0.02
-    sigma_baro_m: Annotated[float, number("standard deviation of the barometer", "m", 0.001, 100.0)] = 0.7
+    sigma_yaw_rad: Annotated[float, tuning("standard deviation of the measured heading", "rad", 1e-4, 3.2)] = math.radians(3.0)
+    sigma_range_m: Annotated[float, tuning("standard deviation of the ultrasound at the ground", "m", 0.001, 10.0)] = 0.02
+    sigma_range_fraction: Annotated[float, tuning("the same as a fraction of the distance, in addition", "1", 0.0001, 1.0)] = 0.02
+    sigma_baro_m: Annotated[float, tuning("standard deviation of the barometer", "m", 0.001, 100.0)] = 0.7
     sigma_fix_m: Annotated[
-        float, number("standard deviation of the flight recorder's place, at a dilution of precision of 1", "m", 0.1, 100.0)
+        float, tuning("standard deviation of the flight recorder's place, at a dilution of precision of 1", "m", 0.1, 100.0)
     ] = 2.5
     landing_timeout_s: Annotated[
         float,
@@ -175,17 +175,17 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     ] = 2.0
     restart_first_s: Annotated[float, number("first back-off of a channel that failed", "s", 0.001, 60.0)] = 0.1
     restart_most_s: Annotated[float, number("longest back-off; each is twice the one before", "s", 0.001, 600.0)] = 5.0
-    navdata_delay_s: Annotated[float, number("least time from a measurement to the arrival of its navdata", "s", 0.0, 0.5)] = (
+    navdata_delay_s: Annotated[float, tuning("least time from a measurement to the arrival of its navdata", "s", 0.0, 0.5)] = (
         0.002
     )
-    navdata_delay_sigma_s: Annotated[float, number("one standard deviation of it", "s", 0.0, 0.5)] = 0.001
-    video_delay_sigma_s: Annotated[float, number("standard deviation of video_delay_s", "s", 0.0, 0.5)] = 0.01
+    navdata_delay_sigma_s: Annotated[float, tuning("one standard deviation of it", "s", 0.0, 0.5)] = 0.001
+    video_delay_sigma_s: Annotated[float, tuning("standard deviation of video_delay_s", "s", 0.0, 0.5)] = 0.01
     arrival_sigma_s: Annotated[
-        float, number("standard deviation of times in demo mode, which has no clock", "s", 0.0001, 1.0)
+        float, tuning("standard deviation of times in demo mode, which has no clock", "s", 0.0001, 1.0)
     ] = 0.02
     video_settle_s: Annotated[
         float,
-        number(
+        tuning(
             "frames up to this long after the bottom camera was selected may be of the other one, and are dropped", "s", 0.0, 10.0
         ),
     ] = 0.3

@@ -112,12 +112,22 @@ def _play(gst: Any, out: int, description: str, width: int, height: int) -> int:
     while True:
         sample = sink.emit("try-pull-sample", _POLL_NS)
         if sample is not None:
+            if (fields := sample.get_caps().get_structure(0).get_string("interlace-mode")) not in (None, "progressive"):
+                _send(out, FAULT, f"{_OF_FIELDS} (interlace-mode={fields})".encode())
+                pipeline.set_state(gst.State.NULL)
+                return 0
             _send_frame(gst, out, sample.get_buffer(), pipeline.get_base_time(), size)
         message = bus.pop_filtered(gst.MessageType.ERROR | gst.MessageType.EOS)
         if message is not None:
             _send(out, FAULT, _words(gst, message, width, height).encode()[:MOST_TEXT])
             pipeline.set_state(gst.State.NULL)
             return 0
+
+
+_OF_FIELDS = (
+    "its pictures are interlaced, and the lines of each are of two instants: set the source to progressive, or put "
+    "`deinterlace fields=top` into the pipeline"
+)
 
 
 def _send_frame(gst: Any, out: int, buffer: Any, base_ns: int, size: int) -> None:

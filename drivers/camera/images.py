@@ -7,7 +7,6 @@ the camera's size, or with an upper bound, before the decoder sees the first byt
 import struct
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,8 +17,6 @@ U8 = NDArray[np.uint8]
 
 MOST_PIXELS = 8192 * 8192
 """Largest number of pixels of an image: that of the largest camera that a camera file can describe."""
-MOST_BYTES = 256 << 20
-"""Largest size of an encoded image."""
 PICTURES = frozenset({
     ".jpg", ".jpeg", ".jpe", ".png", ".bmp", ".dib",
     ".tif", ".tiff", ".webp", ".ppm", ".pgm", ".pbm", ".pnm", ".jp2", ".ras", ".sr",
@@ -69,6 +66,44 @@ def decode(data: bytes | memoryview, size: tuple[int, int] | None = None) -> U8:
     Raises:
         ImageRefused: the data are not an image, or one of another size, too large, or damaged.
     """
+    check_size(data, size)
+    begin = _jpeg_begin(data)
+    px = _decoded_jpeg(data[begin:]) if begin is not None else _decoded(data)
+    if size is not None and px.shape[1::-1] != size:
+        raise ImageRefused(f"{px.shape[1]}x{px.shape[0]} px, expected {size[0]}x{size[1]} px")
+    return px
+
+
+def as_shown(data: bytes) -> tuple[U8, bool]:
+    """Decode one image as a browser shows it: on white, turned as its tag says; return whether a part of it is transparent.
+
+    Returns:
+        (H, W, 3) uint8, BGR.
+
+    Raises:
+        ImageRefused: the data are not an image, too large, damaged, or of a transparency that is not read.
+        cv2.error: the decoder failed.
+    """
+    check_size(data)
+    encoded = np.frombuffer(data, np.uint8)
+    px, raw = cv2.imdecode(encoded, cv2.IMREAD_COLOR), cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
+    if px is None or raw is None:
+        raise ImageRefused("damaged")
+    if raw.ndim == 2 and data.startswith(b"\x89PNG") and 0 < data.find(b"tRNS") < data.find(b"IDAT"):
+        raise ImageRefused("one of its greys is transparent: save it with an alpha channel")
+    white = {1: 255.0, 2: 65535.0}.get(raw.dtype.itemsize, 1.0)
+    # A file with an alpha of nothing but zeros does not use it.
+    if raw.ndim < 3 or raw.shape[2] < 4 or not raw[..., 3].any() or raw[..., 3].min() >= white:
+        return np.asarray(px, np.uint8), False
+    upright = cv2.imdecode(encoded, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if upright is None or not np.array_equal(upright, px):
+        raise ImageRefused("a part of it is transparent, and a tag turns it: save it upright")
+    share = raw[..., 3:] / white
+    return np.rint(_WHITE * (1.0 - share + share * (raw[..., :3] / white))).astype(np.uint8), True
+
+
+def check_size(data: bytes | memoryview, size: tuple[int, int] | None = None) -> None:
+    """Refuse an image by the size that its header claims, before a decoder sees it. Raises ImageRefused."""
     claimed = claimed_size(data)
     if claimed is None:
         raise ImageRefused("no size of an image in it")
@@ -76,11 +111,6 @@ def decode(data: bytes | memoryview, size: tuple[int, int] | None = None) -> U8:
     if size not in (None, claimed) or width * height > MOST_PIXELS or not width or not height:
         expected = f"at most {MOST_PIXELS / 1e6:.0f} million pixels" if size is None else f"{size[0]}x{size[1]} px"
         raise ImageRefused(f"{width}x{height} px, expected {expected}")
-    begin = _jpeg_begin(data)
-    px = _decoded_jpeg(data[begin:]) if begin is not None else _decoded(data)
-    if size is not None and px.shape[1::-1] != size:
-        raise ImageRefused(f"{px.shape[1]}x{px.shape[0]} px, expected {size[0]}x{size[1]} px")
-    return px
 
 
 def _decoded_jpeg(data: bytes | memoryview) -> U8:
@@ -214,20 +244,6 @@ def _largest_value(data: bytes | memoryview, px: NDArray[np.generic]) -> float:
     if not np.issubdtype(px.dtype, np.unsignedinteger) and not most > _FLOAT_MOST:
         return 1.0
     return float(next((1 << bits) - 1 for bits in (8, 10, 12, 14, 16) if most < 1 << bits or bits == 16))
-
-
-def load(path: Path) -> bytes:
-    """Return the bytes of an image file.
-
-    Raises:
-        OSError: the file cannot be read.
-        ImageRefused: it is larger than any image that is decoded.
-    """
-    with path.open("rb") as file:
-        data = file.read(MOST_BYTES + 1)
-    if len(data) > MOST_BYTES:
-        raise ImageRefused(f"more than {MOST_BYTES >> 20} MiB")
-    return data
 
 
 def claimed_size(data: bytes | memoryview) -> tuple[int, int] | None:

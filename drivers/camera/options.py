@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
-from estimator.contracts.keys import CheckedOptions, choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, text, tuning
 
 DRIVEN_SOURCES = ("v4l2", "libcamera")
 """Sources of frames whose exposure can be driven from here."""
@@ -22,17 +22,18 @@ class ExposureOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, k
             "camera: the camera's own automatics, or what camera.controls fixes; pad: the service sets exposure time and gain by "
             "the light on the pad, and fixes the white balance (v4l2 and libcamera)",
             public=True,
+            page=True,
         ),
     ] = "camera"
     blur_px: Annotated[
-        float, number("largest smear of the picture during the exposure, by turn rate and motion over the pad", "px", 0.2, 20)
+        float, tuning("largest smear of the picture during the exposure, by turn rate and motion over the pad", "px", 0.2, 20)
     ] = 1.5
     longest_s: Annotated[
-        float, number("longest exposure time, however still the vehicle is; at most 0.8 of a frame's time", "s", 1e-4, 0.1)
+        float, tuning("longest exposure time, however still the vehicle is; at most 0.8 of a frame's time", "s", 1e-4, 0.1)
     ] = 0.02
     gain_ratio: Annotated[
         float,
-        number(
+        tuning(
             "v4l2: amplification at the upper end of the camera's gain control against the lower end, between which it is taken "
             "as linear; 1 leaves the gain alone",
             "1",
@@ -42,10 +43,10 @@ class ExposureOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, k
         ),
     ] = 8.0
     settle_frames: Annotated[
-        int, number("frames after a change that may still show the exposure before it", "frames", 1, 10, "UVC cameras: 2 to 4")
+        int, tuning("frames after a change that may still show the exposure before it", "frames", 1, 10, "UVC cameras: 2 to 4")
     ] = 4
     white_balance_k: Annotated[
-        int, number("colour temperature that is taken for white, as near as the camera can", "K", 2000, 10000, "daylight")
+        int, tuning("colour temperature that is taken for white, as near as the camera can", "K", 2000, 10000, "daylight")
     ] = 6500
 
     @property
@@ -101,11 +102,13 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
     ] = ""
     format: Annotated[
         Literal["auto", Format],
-        choice("pixel format of v4l2; auto: the first of these that the camera offers in this size and rate", public=True),
+        choice(
+            "pixel format of v4l2; auto: the first of these that the camera offers in this size and rate", public=True, page=True
+        ),
     ] = "auto"
     rate_hz: Annotated[
         float,
-        number(
+        tuning(
             "frame rate requested from v4l2 and libcamera; of gstreamer, what its pipeline gives", "Hz", 0.1, 1000.0, public=True
         ),
     ] = 30.0
@@ -117,13 +120,14 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
             4096,
             shortest=0,
             public=True,
+            page=True,
         ),
     ] = ""
-    buffers: Annotated[int, number("frames of v4l2 that the kernel may hold", "buffers", 2, 32)] = 4
-    repeat: Annotated[bool, choice("whether a video file starts again at its end", public=True)] = False
+    buffers: Annotated[int, tuning("frames of v4l2 that the kernel may hold", "buffers", 2, 32)] = 4
+    repeat: Annotated[bool, choice("whether a video file starts again at its end", public=True, page=True)] = False
     latency_s: Annotated[
         float,
-        number(
+        tuning(
             "v4l2 and libcamera: delay of the kernel's stamp after the end of the exposure (after its start, "
             "where the driver stamps that); gstreamer: from mid-exposure to the buffer's stamp, below zero where that is "
             "the start of the exposure; stream: from mid-exposure to arrival",
@@ -133,22 +137,22 @@ class CameraOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_
             public=True,
         ),
     ] = 0.0
-    latency_sigma_s: Annotated[float, number("one standard deviation of it", "s", 0.0, 0.2, public=True)] = 0.005
+    latency_sigma_s: Annotated[float, tuning("one standard deviation of it", "s", 0.0, 0.2, public=True)] = 0.005
     arrival_sigma_s: Annotated[
         float,
-        number(
+        tuning(
             "the same for frames of v4l2 and gstreamer that come without a stamp, whose time of arrival is used", "s", 0.0, 0.5
         ),
     ] = 0.02
     exposure_s: Annotated[
         float,
-        number(
+        tuning(
             "exposure time, 0 if unknown; a time reported by v4l2 takes precedence, libcamera sets it", "s", 0.0, 0.5, public=True
         ),
     ] = 0.0
-    silence_s: Annotated[float, number("time without a frame after which the camera is opened again", "s", 0.02, 30.0)] = 2.0
-    reconnect_first_s: Annotated[float, number("first back-off before a lost camera is opened again", "s", 0.01, 60.0)] = 0.2
-    reconnect_most_s: Annotated[float, number("longest back-off; each is twice the one before", "s", 0.01, 60.0)] = 2.0
+    silence_s: Annotated[float, tuning("time without a frame after which the camera is opened again", "s", 0.02, 30.0)] = 2.0
+    reconnect_first_s: Annotated[float, tuning("first back-off before a lost camera is opened again", "s", 0.01, 60.0)] = 0.2
+    reconnect_most_s: Annotated[float, tuning("longest back-off; each is twice the one before", "s", 0.01, 60.0)] = 2.0
 
     exposure: ExposureOptions = ExposureOptions()
 

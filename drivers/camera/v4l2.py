@@ -23,6 +23,7 @@ from drivers.camera.images import claimed_size
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource, stamp_of
 from drivers.camera.v4l2_device import Buffer, FrameLayout, H264Decoder, KernelDevice, to_bgr
+from drivers.device_errors import device_fault
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import Clock, MonoNs, Stamp
@@ -216,7 +217,7 @@ class V4l2Channel:
             return self._open(str(path), self._o, self._size)
         except OSError as why:
             gone = why.errno in (errno.ENODEV, errno.ENOENT, errno.ENXIO)
-            raise CameraLost("absent" if gone else "failed", f"{name}: {why.strerror or why}") from why
+            raise CameraLost("absent" if gone else "failed", f"{name}: {device_fault(why, 'camera')}") from why
 
     async def _watch(self, device: KernelDevice, pool: ThreadPoolExecutor, control: ExposureSetter) -> None:
         loop = asyncio.get_running_loop()
@@ -275,7 +276,7 @@ class V4l2Channel:
             while len(batch) < self._o.buffers and (buffer := device.dequeue()) is not None:
                 batch.append(buffer)
         except OSError as why:
-            raise CameraLost("unplugged", f"{self._o.device}: {why.strerror or why}") from why
+            raise CameraLost("unplugged", f"{self._o.device}: {device_fault(why, 'camera')}") from why
         return batch
 
     def _newest(self, device: KernelDevice, batch: Sequence[Buffer], gap: bool) -> tuple[Buffer, NDArray[np.uint8]] | None:

@@ -34,10 +34,19 @@ from numpy.typing import NDArray
 from drivers.camera.images import ImageRefused, claimed_size, decode
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraCounters, CameraLost, VideoSource
-from drivers.camera.videos import MOST_PACKET_BYTES, has_times, most_pixels, open_video, packets_held, predicts_frames, video_of
+from drivers.camera.videos import (
+    MOST_PACKET_BYTES,
+    WholeFrames,
+    has_times,
+    most_pixels,
+    open_video,
+    packets_held,
+    predicts_frames,
+    video_of,
+)  # fmt: skip
 from drivers.clock_map import ClockMap, ClockMapOptions
 from estimator.contracts.address import raw
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
 
@@ -324,6 +333,7 @@ class _Reader:
         self._held_most = 0
         self._arrivals = ArrivalClock(clock)
         self._backlog = 0
+        self._frames = WholeFrames()
         self.rate_hz = 30.0
         self.coded = False
 
@@ -342,9 +352,7 @@ class _Reader:
                 timeout=(o.silence_s, o.silence_s) if self._live else None,
             )
         except ImageRefused as why:
-            if self._live:
-                raise CameraLost("failed", f"{o.device}: {why}") from why
-            raise BadInput(f"{o.device}: {why}") from why
+            raise self._refused(why) from why
         except (FFmpegError, OSError) as why:
             if self._live:
                 raise CameraLost("absent", f"{o.device}: {why.strerror}") from why
@@ -362,6 +370,10 @@ class _Reader:
         if not math.isfinite(self.rate_hz) or self.rate_hz <= 0:
             self.rate_hz = 30.0
         self._begin()
+
+    def _refused(self, why: ImageRefused) -> DecklanderError:
+        text = f"{self._o.device}: {why}"
+        return CameraLost("failed", text) if self._live else BadInput(text)
 
     def _open_bytes(self) -> bool:
         """Open a stream that may be of JPEGs, and return whether it is; FFmpeg reads what else is in it."""
@@ -395,9 +407,13 @@ class _Reader:
             asked = self._clock.now()
             try:
                 more = self._next_packet(asked) if self._jpegs is None else self._next_bytes(self._jpegs, asked)
+                if not more:
+                    self._frames.end()
             except FFmpegError as why:
                 reason = "silent" if isinstance(why, av.error.ExitError | av.error.TimeoutError) else "failed"
                 raise CameraLost(reason, f"{self._o.device}: {why.strerror}") from why
+            except ImageRefused as why:
+                raise self._refused(why) from why
             if not more:
                 return None
         return self._ready.pop(0)
@@ -455,11 +471,11 @@ class _Reader:
             self._waiting = True
             return
         for image in frame_images:
-            if image.is_corrupt:
+            if (px := self._frames.px(image)) is None:
                 self._counters.frames_damaged += 1
-                self._waiting = True
+                self._waiting |= image.is_corrupt
                 continue
-            self._give(np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8), image.time if self._timed else None, began)
+            self._give(px, image.time if self._timed else None, began)
 
     def close(self) -> None:
         for opened in (self._container, self._bytes):

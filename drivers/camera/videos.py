@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from drivers.camera.images import MOST_PIXELS, ImageRefused
+import numpy as np
+
+from drivers.camera.images import MOST_PIXELS, U8, ImageRefused
 from drivers.pyav import require_pyav
 
 if TYPE_CHECKING:
+    from av import VideoFrame
     from av.container import Container, InputContainer
     from av.video.stream import VideoStream
 
@@ -22,6 +25,10 @@ _PID_LEAST = 16
 """A stream within a transport stream has its PID as number, and that is no lower."""
 _MARGIN = 4
 """Frames may have this many times the expected pixels: one of a wrong size is better named by whoever knows the camera."""
+
+_INTERLACED_LEAST, _INTERLACED_SHARE = 5, 0.2
+"""A video with this many interlaced frames, and this share of them, is interlaced: of film on television two of five are. A torn
+header claims it of one."""
 
 
 def most_pixels(size: tuple[int, int] | None) -> int:
@@ -64,6 +71,50 @@ def packets_held(stream: VideoStream) -> int:
 def predicts_frames(stream: VideoStream) -> bool:
     """Return whether the video's codec predicts frames from one another."""
     return not stream.codec_context.codec.intra_only
+
+
+class WholeFrames:
+    """Tells the frames that are measured from those that are not: damaged ones, and interlaced ones, of two instants each."""
+
+    def __init__(self) -> None:
+        self._interlaced = self._seen = 0
+
+    def px(self, frame: VideoFrame) -> U8 | None:
+        """Return a decoded frame's pixels, (H, W, 3) BGR; None where it is damaged or interlaced.
+
+        Raises:
+            ImageRefused: so many frames are interlaced that the video is.
+        """
+        self._seen += 1
+        if frame.interlaced_frame:
+            self._interlaced += 1
+            if self._interlaced >= _INTERLACED_LEAST:
+                self.end()
+            return None
+        if frame.is_corrupt:  # the hidden part is image, not measurement
+            return None
+        return np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
+
+    def end(self) -> None:
+        """Refuse a video that had many interlaced frames. Raises ImageRefused."""
+        if self._interlaced and self._interlaced >= _INTERLACED_SHARE * self._seen:
+            raise ImageRefused(
+                "its frames are interlaced, and the lines of each are of two instants: set the camera, or what encodes it, to "
+                "progressive"
+            )
+
+
+def frames_of(container: InputContainer, stream: VideoStream) -> Iterator[tuple[int, VideoFrame, U8 | None]]:
+    """Yield the number of each frame of a file, the frame and its pixels, which are None where it is damaged or interlaced.
+
+    Raises:
+        FFmpegError: the file is damaged.
+        ImageRefused: it is interlaced.
+    """
+    frames = WholeFrames()
+    for number, frame in enumerate(container.decode(stream)):
+        yield number, frame, frames.px(frame)
+    frames.end()
 
 
 def open_video(

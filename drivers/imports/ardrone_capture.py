@@ -5,19 +5,19 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from drivers.ardrone.counters import Refusal
+from drivers.ardrone.counters import in_words
 from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.navdata_channel import AS_REPORTED, NavdataSampler
 from drivers.ardrone.pave import PaveParser, VideoDecoder
+from drivers.files import Largest, bytes_of
 from drivers.imports.stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline
-from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame, Sample
 
 NAVDATA_MAGIC = b"\x88\x77\x66\x55"
 _NAVDATA_WRAP_US = 2048 * 1_000_000
 _NAVDATA_PERIOD_S = 0.005
 """The period assumed for datagrams without a time: full navdata are sent 200 times a second."""
-_IN_WORDS = {Refusal.BAD_CHECKSUM: "their checksum is wrong", Refusal.TOO_SHORT: "they are cut short"}
 _PAUSE_MS, _FRAME_MS = 600_000, 33
 _CHECKSUM_TAG = 0xFFFF
 _OPTION = struct.Struct("<HH")
@@ -32,7 +32,7 @@ def frames(path: Path) -> Iterator[Frame]:
     parser, decoder = PaveParser(), VideoDecoder()
     last_ms: int | None = None
     at_ms = given = 0
-    for unit in parser.feed(_bytes(path)):
+    for unit in parser.feed(bytes_of(path, Largest.LOG)):
         image = decoder.newest([unit])
         if image is None:
             continue
@@ -53,14 +53,14 @@ def samples(path: Path, tell: Tell = quiet) -> list[Sample]:
         BadInput: the file cannot be read, or no datagram in it is whole.
     """
     whole: list[Navdata] = []
-    refused: Counter[Refusal] = Counter()
-    for datagram in datagrams(_bytes(path)):
+    refused: Counter[str] = Counter()
+    for datagram in datagrams(bytes_of(path, Largest.LOG)):
         navdata = decode(datagram)
         if isinstance(navdata, Navdata):
             whole.append(navdata)
         else:
-            refused[navdata] += 1
-    output = ", ".join(f"{n} datagrams are refused: {_IN_WORDS.get(why, why.name.lower())}" for why, n in refused.most_common())
+            refused[navdata.value] += 1
+    output = in_words(refused)
     if not whole:
         raise BadInput(f"{path}: no whole navdata datagram in it{f'; {output}' if output else ''}")
     if refused:
@@ -112,8 +112,3 @@ def _end(data: bytes, begin: int) -> int | None:
         if tag == _CHECKSUM_TAG:
             return at
     return None
-
-
-def _bytes(path: Path) -> bytes:
-    with refused(str(path), OSError):
-        return path.read_bytes()

@@ -15,7 +15,7 @@ import struct
 import tempfile
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,11 @@ os.environ.setdefault("MAVLINK_DIALECT", "common")
 os.environ.setdefault("MAVLINK20", "1")
 from pymavlink import DFReader
 
+from drivers.files import Largest, opened
+from drivers.imports.columns import DATAFLASH, cell, unknown
 from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment
 from drivers.imports.stamps import Tell, attitude, in_level, quiet, stamp, timeline
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
 
@@ -39,7 +41,11 @@ TEXT_HEAD = 4096
 _DOWN = 25
 """The orientation of a rangefinder that looks down (MAV_SENSOR_ROTATION_PITCH_270)."""
 _VELOCITIES = ("XKF1", "NKF1", "EKF1")
-"""The velocity messages, the newest generation of the filter first; the first core of the first one in the log is used."""
+"""The velocity messages, the newest generation of the filter first: the one that flies, else the first in the log."""
+_PRIMARIES = {"XKF4": "XKF1", "NKF4": "NKF1"}
+"""The messages that name the core that flies, for those of its velocity."""
+_ACTIVE = {2: "NKF1", 3: "XKF1"}
+"""The velocity message by the estimator that flies (AHRS_EKF_TYPE)."""
 _LANDED, _NOT_LANDED = (17, 18), 28
 """The values of LogEvent for "land complete maybe" and "land complete", and for "not landed"."""
 
@@ -69,13 +75,13 @@ def open_log(path: Path, tell: Tell = quiet) -> PartedLog:
         BadInput: the file cannot be read or is no dataflash log.
     """
     try:
-        with path.open("rb") as file:
+        with opened(path, Largest.LOG) as file:
             head = file.read(TEXT_HEAD)
         log = None
         if head[:2] == MAGIC or is_text(head):
             log = PartedLog(path, tell, is_text=head[:2] != MAGIC)
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
+    except DecklanderError:
+        raise
     except Exception as why:  # pymavlink lets any error of its parser through
         raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
     if log is None:
@@ -139,7 +145,7 @@ class PartedLog:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         paths, parts = [path], list[bytes]()
         if not is_text:
-            with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+            with opened(path, Largest.LOG) as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
                 parts = parts_of(data)
         if parts:
             self._folder = tempfile.TemporaryDirectory(prefix="decklander-")
@@ -210,85 +216,141 @@ class _Reader:
         self._log = log
         self._yaw_rad: float | None = None
         self._velocity_of: str | None = None
-        self._readings = Counter[int]()
+        self._active: str | None = None
+        self._cores: dict[str, int] = {}
         self._makers: dict[str, Callable[[Any, int], Sample | None]] = {
             "IMU": self._imu,
             "ATT": self._attitude,
             "BARO": self._baro,
             "RFND": self._range,
             "EV": self._event,
+            **dict.fromkeys(_PRIMARIES, self._primary),
             **dict.fromkeys(_VELOCITIES, self._velocity),
         }
 
     def samples(self, tell: Tell) -> list[Sample]:
         stamps_us: list[int] = []
         made: list[tuple[int, str, Sample]] = []
+        met: dict[str, list[str]] = {}
+        self._tell = tell
         while (message := self._log.recv_match(type=list(self._makers))) is not None:
+            kind = message.get_type()
+            if kind not in met:
+                met[kind] = [f"{kind}.{name}" for name in unknown(DATAFLASH[kind], message.get_fieldnames())]
             at_us = time_us(message)
             if at_us is not None:
                 stamps_us.append(at_us)
             elif not stamps_us:
                 continue
-            try:
-                sample = self._makers[message.get_type()](message, 0)
-            except (AttributeError, TypeError, ValueError):  # a field is missing, is text, or has a value that no sensor gives
-                continue
-            if sample is not None:
-                made.append((len(stamps_us) - 1, str(getattr(message, "Instance", getattr(message, "I", 0))), sample))
+            for one in _sensors(message):
+                try:
+                    sample = self._makers[kind](one, 0)
+                except (AttributeError, TypeError, ValueError):  # a field is missing, text, or has a value that no sensor gives
+                    continue
+                if sample is not None:
+                    made.append((len(stamps_us) - 1, str(getattr(one, "Instance", getattr(one, "I", 0))), sample))
         times = timeline(stamps_us, tell)
+        if strange := [name for names in met.values() for name in names]:
+            tell(f"columns that are not known here are not read: {', '.join(strange)}")
         counts = Counter(sensor for _, sensor, sample in made if type(sample) is Range)
         lower = None if not counts else max(counts, key=lambda sensor: counts[sensor])
         if len(counts) > 1:
             tell(f"{len(counts)} rangefinders look down: the height is that of number {lower}, which gave most")
-        # The first IMU is the one that flies; where it gave little, it failed or is switched off.
-        most = max(self._readings.values(), default=0)
-        imu = min((number for number, n in self._readings.items() if 2 * n > most), default=0)
-        if imu:
-            tell(f"the IMU is that of number {imu}: of number 0 it holds {self._readings[0]} readings, of that {most}")
-        read = {Range: lower, Imu: str(imu)}
+        read = {Range: lower, Imu: _first(made, Imu, "IMU", tell), Baro: _first(made, Baro, "barometer", tell)}
         kept = ((times[i], s) for i, sensor, s in made if read.get(type(s), sensor) == sensor)
         return [structs.replace(s, stamp=stamp(at)) for at, s in kept if at is not None]
 
     def _imu(self, m: Any, at: int) -> Sample | None:
-        w, f = np.array([m.GyrX, m.GyrY, m.GyrZ], float), np.array([m.AccX, m.AccY, m.AccZ], float)
-        if not (np.all(np.isfinite(w)) and np.all(np.isfinite(f))):
-            return None
-        self._readings[getattr(m, "I", 0)] += 1
-        return Imu(stamp(at), w, f)
+        values = np.array([_cell(m, name) for name in ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")], float)
+        healthy = None not in (_cell(m, "GH", 1), _cell(m, "AH", 1))
+        # Six zeros are those of a sensor that is not there.
+        return Imu(stamp(at), values[:3], values[3:]) if healthy and np.all(np.isfinite(values)) and np.any(values) else None
 
     def _attitude(self, m: Any, at: int) -> Sample | None:
-        angles = [math.radians(a) for a in (m.Roll, m.Pitch, m.Yaw)]
+        self._active = _ACTIVE.get(_cell(m, "AEKF", 0), self._active)
+        angles = [math.radians(_cell(m, name)) for name in ("Roll", "Pitch", "Yaw")]
         if not all(map(math.isfinite, angles)):
             return None
         self._yaw_rad = angles[2]
         return attitude(at, Rotation.from_rpy(*angles))
 
+    def _primary(self, m: Any, at: int) -> Sample | None:
+        core, kind = _cell(m, "PI", -1), _PRIMARIES[m.get_type()]
+        if core is not None and core != self._cores.get(kind, 0):
+            self._tell(
+                f"estimator core {core} flies from {1e-6 * (time_us(m) or 0):.1f} s after boot on: the velocity is that of it"
+            )
+            self._cores[kind] = core
+        return None
+
     def _velocity(self, m: Any, at: int) -> Sample | None:
         kind = m.get_type()
         if self._velocity_of is None or _VELOCITIES.index(kind) < _VELOCITIES.index(self._velocity_of):
             self._velocity_of = kind
-        v = np.array([m.VN, m.VE, m.VD], float)
+        v = np.array([_cell(m, name) for name in ("VN", "VE", "VD")], float)
         known = self._yaw_rad is not None and np.all(np.isfinite(v))
-        if kind != self._velocity_of or getattr(m, "C", 0) != 0 or not known or self._yaw_rad is None:
+        core = _cell(m, "C", 0)
+        if kind != (self._active or self._velocity_of) or core != self._cores.get(kind, 0) or not known or self._yaw_rad is None:
             return None
         return BodyVelocity(stamp(at), in_level(v, self._yaw_rad), np.diag([0.09, 0.09, 0.09]))
 
     def _baro(self, m: Any, at: int) -> Sample | None:
-        usable = getattr(m, "I", 0) == 0 and math.isfinite(m.Alt)
-        return Baro(stamp(at), float(m.Alt), 0.5) if usable else None
+        known = None not in (_cell(m, "H", 1), _cell(m, "Health", 1), _cell(m, "Press", 1))
+        height_m = float(_cell(m, "Alt"))
+        return Baro(stamp(at), height_m, 0.5) if known and math.isfinite(height_m) else None
 
     def _range(self, m: Any, at: int) -> Sample | None:
-        distance = float(getattr(m, "Dist", getattr(m, "Dist1", math.nan)))
+        distance = float(_cell(m, "Dist"))
         # Logs from before there were several hold no orientation: the first sensor looked down.
-        down = getattr(m, "Orient", _DOWN if getattr(m, "Instance", 0) == 0 else None) == _DOWN
-        good = getattr(m, "Stat", 4) == 4 and down
+        down = _cell(m, "Orient", _DOWN if _cell(m, "Instance", 0) == 0 else None) == _DOWN
+        good = _cell(m, "Stat", 4) == 4 and down and _cell(m, "Quality", 100) is not None
         return Range(stamp(at), distance, 0.05) if good and math.isfinite(distance) and distance > 0 else None
 
     def _event(self, m: Any, at: int) -> Sample | None:
-        if m.Id not in (*_LANDED, _NOT_LANDED):
+        event = _cell(m, "Id")
+        if event not in (*_LANDED, _NOT_LANDED):
             return None
-        flying = m.Id == _NOT_LANDED
+        flying = event == _NOT_LANDED
         return VehicleStatus(stamp(at), flying, "flying" if flying else "landed", None, False, True)
+
+
+_REQUIRED = object()
+
+
+def _cell(m: Any, name: str, default: Any = _REQUIRED) -> Any:
+    """Return a column; None where it means "not measured", the default where the log has no such column."""
+    value = getattr(m, name) if default is _REQUIRED else getattr(m, name, default)
+    return cell(DATAFLASH[m.get_type()], name, value)
+
+
+class _Numbered:
+    """One of the sensors in a message that has a column of each, as RFND had until Copter 4.0: Dist1, Orient1, Dist2, Orient2."""
+
+    def __init__(self, of: Any, number: int) -> None:
+        self._of, self._number, self.Instance = of, number, number - 1
+
+    def get_type(self) -> str:
+        return str(self._of.get_type())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._of, f"{name}{self._number}")
+
+
+def _sensors(m: Any) -> list[Any]:
+    """Return a message by the sensors that it is of."""
+    return [_Numbered(m, number) for number in (1, 2)] if hasattr(m, "Dist1") else [m]
+
+
+def _first(made: Sequence[tuple[int, str, Sample]], kind: type, name: str, tell: Tell) -> str:
+    """Return the number of the sensor that flies: the first one; where it gave little, it failed or is switched off."""
+    readings = Counter(sensor for _, sensor, sample in made if type(sample) is kind)
+    most = max(readings.values(), default=0)
+    number = min(
+        (sensor for sensor, n in readings.items() if 2 * n > most), default="0", key=lambda sensor: (len(sensor), sensor)
+    )
+    if number != "0":
+        tell(f"the {name} is that of number {number}: of number 0 it holds {readings['0']} readings, of that {most}")
+    return number
 
 
 def time_us(m: Any) -> int | None:

@@ -4,6 +4,7 @@ import re
 from enum import Enum
 from pathlib import Path
 
+from drivers.files import Largest, opened, seen_in
 from drivers.imports import ardrone_capture, dataflash, px4_ulog
 from drivers.imports.network import LINE
 from drivers.imports.sentences import SENTENCE
@@ -21,7 +22,7 @@ _MCAP = b"\x89MCAP"
 _TEXT = frozenset(range(32, 127)) | frozenset(b"\t\r\n\f\b\x1b\x02\x03") | frozenset(range(128, 256))
 """Bytes of a text; STX and ETX stand about the lines of some instruments."""
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_PARAMETER = re.compile(rb"(?:\d+\t\d+\t)?([A-Z][A-Z0-9_]{0,15})[\s,=]+" + _NUMBER + rb"(?:\s+\d+|\s*[,#].*)?\s*")
+_PARAMETER = re.compile(rb"(?:\d+\t\d+\t)?([A-Z][A-Z0-9_]{0,15})[\s,;=]+\"?" + _NUMBER + rb"(?:\s+\d+|\s*[,;#].*)?\s*")
 _LOGGED = re.compile(rb"[-\d:/.,;TZ\[\]()+\s]{0,48}")
 """Text that a logger writes before or after a sentence: a time."""
 
@@ -59,9 +60,11 @@ def kind_of(path: Path) -> FileKind:
         BadInput: it cannot be read.
     """
     if path.is_dir():
-        bag = (path / "metadata.yaml").is_file() or any(path.glob("*.db3")) or any(path.glob("*.mcap")) or any(path.glob("*.bag"))
+        with refused(str(path), OSError):
+            inside = seen_in(path)
+        bag = any(file.name == "metadata.yaml" or file.suffix in (".db3", ".mcap", ".bag") for file in inside)
         return FileKind.ROS_BAG if bag else FileKind.IMAGES
-    with refused(str(path), OSError), path.open("rb") as file:
+    with opened(path, Largest.RECORDING) as file, refused(str(path), OSError):
         head = utf8_of(file.read(_HEAD))
     if _is_ros2(head):
         return FileKind.ROS_BAG

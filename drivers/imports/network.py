@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from drivers.endpoint import NMEA2000, require_ship
+from drivers.files import Largest, bytes_of
 from drivers.imports.sentences import filled, logger_s
 from drivers.imports.stamps import Tell, timeline
 from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import ShipSensors
-from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from estimator.contracts.text import utf8_of
 from estimator.contracts.time import MonoNs
@@ -51,8 +52,7 @@ def began_s(path: Path) -> float:
 
 
 def _timed(path: Path) -> tuple[list[bytes], list[float]]:
-    with refused(str(path), OSError):
-        lines = [line for line in utf8_of(path.read_bytes()).splitlines() if line.strip() and not line.startswith(b"#")]
+    lines = [line for line in utf8_of(bytes_of(path, Largest.LOG)).splitlines() if line.strip() and not line.startswith(b"#")]
     times = [logger_s(line[:64], b"") for line in lines]
     if not any(map(math.isfinite, times)):
         raise BadInput(f"{path}: no time in it")

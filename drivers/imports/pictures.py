@@ -19,13 +19,12 @@ from decimal import ROUND_HALF_EVEN, Decimal, InvalidOperation
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
-
-from drivers.camera.images import PICTURES, ImageRefused, decode, load
-from drivers.camera.videos import has_times, open_video, predicts_frames, video_of
+from drivers.camera.images import PICTURES, ImageRefused, decode
+from drivers.camera.videos import frames_of, has_times, open_video, predicts_frames, video_of
+from drivers.files import Largest, bytes_of, refuse_special, seen_in
 from drivers.imports.stamps import FRAME_DELAY_S, Tell, attitude, quiet, stamp, timeline
 from drivers.pyav import require_pyav
-from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.errors import BadInput, DecklanderError, refused
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.text import text_of
@@ -35,7 +34,6 @@ _BY_DIGITS = {10: "s", 13: "ms", 16: "us", 19: "ns"}
 _UNIT = re.compile(r"(?:^|[\[(_ ])(m|u|n)?s(?:ec|ecs|econds)?[\])]?$")
 _TIME = re.compile(r"time|stamp|^t\b|^(?:[mun]?s|[mun]?secs?|seconds)$")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
-_TABLE_MOST = 64 << 20
 _UNIX_DIGITS = 10
 _DATE = re.compile(
     r"(?<!\d)(?:19|20)\d\d[-_.]?\d\d[-_.]?\d\d[-_.T ]?\d\d[-_.:h]?\d\d[-_.:m]?\d\d(?:[.,]\d+|\d{3}|\d{6,9})?(?!\d)"
@@ -52,9 +50,10 @@ def folder_frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell 
         BadInput: the folder cannot be read or holds no image, nothing gives their times, or not one of them can be used.
     """
     with refused(str(folder), OSError):
-        paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES and path.is_file())
-        tables = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".csv", ".txt") and path.is_file())
-        below = [path.parent for path in folder.glob("*/*") if path.suffix.lower() in PICTURES]
+        inside = seen_in(folder)
+        paths = [path for path in inside if path.suffix.lower() in PICTURES]
+        tables = [path for path in inside if path.suffix.lower() in (".csv", ".txt")]
+        below = [each for each in folder.iterdir() if each.is_dir() and any(p.suffix.lower() in PICTURES for p in seen_in(each))]
     if not paths:
         raise BadInput(f"{folder}: holds no image" + (f", {min(below)} does: give that folder" if below else ""))
     times = next((found for table in tables if (found := _of_table(table, paths, tell))), None) or _of_names(paths)
@@ -80,9 +79,9 @@ def _decode(
         if at_ns is None or at_us == before:
             continue
         try:
-            px = decode(load(path), size)
-        except (ImageRefused, OSError) as why:
-            refused.append(f"{path.name}: {why}")
+            px = decode(bytes_of(path, Largest.PICTURE, path.name), size)
+        except (ImageRefused, DecklanderError) as why:
+            refused.append(f"{path.name}: {why}" if isinstance(why, ImageRefused) else str(why))
             continue
         given, before = given + 1, at_us
         yield Frame(stamp(at_ns, FRAME_DELAY_S), number, px)
@@ -99,10 +98,8 @@ def _of_table(table: Path, paths: Sequence[Path], tell: Tell) -> dict[str, int]:
         BadInput: it names the images, and which of its columns is the time is not clear.
     """
     try:
-        if table.stat().st_size > _TABLE_MOST:
-            return {}
-        lines = text_of(table.read_bytes(), str(table)).splitlines()
-    except (OSError, BadInput):
+        lines = text_of(bytes_of(table, Largest.TABLE), str(table)).splitlines()
+    except DecklanderError:
         return {}
     names = {path.name for path in paths}
     head, rows, absent, twice = list[str](), dict[str, list[str]](), list[str](), list[str]()
@@ -204,8 +201,7 @@ def attitudes(path: Path, tell: Tell = quiet) -> list[Sample]:
     Raises:
         BadInput: the file cannot be read, a column is missing, or a cell is no number or angle; the text names the line.
     """
-    with refused(str(path), OSError):
-        lines = text_of(path.read_bytes(), str(path)).splitlines()
+    lines = text_of(bytes_of(path, Largest.TABLE), str(path)).splitlines()
     rows = csv.DictReader(lines, skipinitialspace=True, delimiter=";" if lines and ";" in lines[0] else ",")
     if missing := [name for name in HEADER if name not in (rows.fieldnames or [])]:
         raise BadInput(f"{path}: column {missing[0]!r} is missing; the header must be {','.join(HEADER)} and may have yaw_deg")
@@ -244,26 +240,29 @@ def video_frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Fr
     from av.error import FFmpegError
 
     with refused(f"{path}: not a readable video", FFmpegError, OSError, ImageRefused):
+        refuse_special(path, Largest.RECORDING)
         container = open_video(str(path), size)
     with container:
         if len(container.streams.video) == 0:
             raise BadInput(f"{path}: holds no video")
         last_s: float | None = None
         stream = video_of(container, size)
-        elapsed_s, number, coded, timed = 0.0, 0, predicts_frames(stream), has_times(container)
+        elapsed_s, coded, timed = 0.0, predicts_frames(stream), has_times(container)
+        number = 0
         rate_hz = float(stream.average_rate or 0.0) or 25.0
         try:
-            for image in container.decode(stream):
-                number += 1
-                if image.is_corrupt:
+            for before, image, px in frames_of(container, stream):
+                number = before + 1
+                if px is None:
                     continue
                 time_s = float(image.time) if timed and image.time is not None else number / rate_hz
                 step_s = 0.0 if last_s is None else time_s - last_s
                 # The times of cut and joined videos begin again or leap: the next frame comes a frame later.
                 elapsed_s += step_s if 0.0 <= step_s <= _PAUSE_S else 1.0 / rate_hz
                 last_s = time_s
-                px = np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8)
                 yield Frame(stamp(round(elapsed_s * 1e9), FRAME_DELAY_S), number, px, coded=coded)
+        except ImageRefused as why:
+            raise BadInput(f"{path}: {why}") from why
         except FFmpegError as why:
             if number == 0:
                 raise BadInput(f"{path}: no frame of it decodes: {why}") from why

@@ -15,9 +15,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from pyulog import ULog
 
+from drivers.files import Largest, bytes_of
+from drivers.imports.columns import ULOG, cell, unknown
 from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment, LogHistory
 from drivers.imports.stamps import Tell, attitude, in_level, quiet, stamp, timeline
-from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.errors import BadInput, DecklanderError, refused
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
 
@@ -45,7 +47,12 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
         lost_s = sum(gap.duration for gap in gaps) / 1000
         after_s = max(0, min(gap.timestamp for gap in gaps) - log.start_timestamp) * 1e-6
         tell(f"the card did not keep up: {lost_s:.2f} s are lost, the first after {after_s:.1f} s")
-    topics = {data.name: data.data for data in reversed(log.data_list) if data.name != "distance_sensor"}
+    instances = sorted(log.data_list, key=lambda data: -data.multi_id)
+    topics = {
+        data.name: data.data for data in instances if data.name != "distance_sensor" and len(data.data.get("timestamp", ()))
+    }
+    if strange := sorted({f"{data.name}.{name}" for data in log.data_list for name in unknown(ULOG[data.name], data.data)}):
+        tell(f"fields that are not known here are not read: {', '.join(strange)}")
     if not topics.keys() & {"sensor_combined", "vehicle_attitude"}:
         raise BadInput(f"{path}: holds neither sensor_combined nor vehicle_attitude")
     with refused(f"{path}: not the topics of a PX4 log", *_OF_OTHERS):
@@ -61,13 +68,13 @@ def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
         BadInput: the file cannot be read or is no ULog.
     """
     try:
-        data = path.read_bytes()
+        data = bytes_of(path, Largest.LOG)
         whole = without_damage(data, tell) if data.startswith(MAGIC) else data
         # pyulog prints its remarks to standard output, which is for results.
         with contextlib.redirect_stdout(io.StringIO()):
             return ULog(_Bounded(io.BytesIO(whole), len(whole)), message_name_filter_list=list(topics))
-    except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
+    except DecklanderError:
+        raise
     except Exception as why:  # pyulog lets any error of its parser through
         raise BadInput(f"{path}: not a readable PX4 log: {why}") from why
 
@@ -137,7 +144,7 @@ def _next_message(data: bytes, at: int, sizes: Mapping[int, int | None]) -> int:
 
 def _looking_down(sensors: Sequence[dict[str, Any]], tell: Tell) -> dict[str, Any] | None:
     """Return the rangefinder that looks down; of several the one with most usable readings, None without one."""
-    down = [d for d in sensors if len(d["timestamp"]) and ("orientation" not in d or int(d["orientation"][0]) == _DOWN)]
+    down = [d for d in sensors if len(d["timestamp"]) and int(_cell("distance_sensor", d, 0, "orientation", _DOWN)) == _DOWN]
     if len(down) > 1:
         tell(f"{len(down)} rangefinders look down: the height is that of the one which gave most")
     return max(down, key=lambda d: sum(_range(d, i, 0) is not None for i in range(len(d["timestamp"]))), default=None)
@@ -200,9 +207,16 @@ def _row(data: dict[str, Any], name: str, i: int, n: int) -> F64:
     return np.array([data[f"{name}[{k}]"][i] for k in range(n)], dtype=float)
 
 
+def _cell(topic: str, data: dict[str, Any], i: int, name: str, default: float) -> Any:
+    """Return a field of a row; None where it means "not measured", the default where the log has no such field."""
+    return cell(ULOG[topic], name, data[name][i] if name in data else default)
+
+
 def _imu(data: dict[str, Any], i: int, at: int) -> Sample | None:
-    w, f = _row(data, "gyro_rad", i, 3), _row(data, "accelerometer_m_s2", i, 3)
-    return Imu(stamp(at), w, f) if np.all(np.isfinite(w)) and np.all(np.isfinite(f)) else None
+    values = np.concatenate([_row(data, "gyro_rad", i, 3), _row(data, "accelerometer_m_s2", i, 3)])
+    both = _cell("sensor_combined", data, i, "accelerometer_timestamp_relative", 0) is not None
+    # Six zeros are those of a sensor that is not there.
+    return Imu(stamp(at), values[:3], values[3:]) if both and np.all(np.isfinite(values)) and np.any(values) else None
 
 
 def _attitude(data: dict[str, Any], i: int, at: int) -> Sample | None:
@@ -227,7 +241,7 @@ def _yaw(data: dict[str, Any] | None) -> Callable[[int], float | None]:
 def _velocity(data: dict[str, Any], i: int, at: int, yaw: Callable[[int], float | None]) -> Sample | None:
     v = np.array([data[name][i] for name in ("vx", "vy", "vz")], dtype=float)
     yaw_rad = yaw(int(data["timestamp"][i]))
-    valid = all(bool(data[name][i]) for name in ("v_xy_valid", "v_z_valid") if name in data)
+    valid = None not in [_cell("vehicle_local_position", data, i, name, 1) for name in ("v_xy_valid", "v_z_valid")]
     if yaw_rad is None or not valid or not np.all(np.isfinite(v)):
         return None
     sigmas = [float(data[name][i]) if name in data else _SIGMA_V_M_S for name in ("evh", "evv")]
@@ -236,15 +250,18 @@ def _velocity(data: dict[str, Any], i: int, at: int, yaw: Callable[[int], float 
 
 
 def _range(data: dict[str, Any], i: int, at: int) -> Sample | None:
-    distance, variance = float(data["current_distance"][i]), float(data["variance"][i]) if "variance" in data else 0.0
+    of = partial(_cell, "distance_sensor", data, i)
+    distance, variance = float(data["current_distance"][i]), float(of("variance", 0.0) or 0.0)
     within = float(data["min_distance"][i]) <= distance <= float(data["max_distance"][i])
-    usable = math.isfinite(distance) and distance >= 0.0 and within
+    measures = None not in (of("signal_quality", -1), of("mode", 0))
+    usable = math.isfinite(distance) and distance > 0.0 and within and measures
     return Range(stamp(at), distance, math.sqrt(max(variance, 1e-4))) if usable else None
 
 
 def _baro(data: dict[str, Any], i: int, at: int) -> Sample | None:
     height = float(data["baro_alt_meter"][i])
-    return Baro(stamp(at), height, 0.5) if math.isfinite(height) else None
+    measured = _cell("vehicle_air_data", data, i, "baro_pressure_pa", 1.0) is not None
+    return Baro(stamp(at), height, 0.5) if math.isfinite(height) and measured else None
 
 
 def _status(data: dict[str, Any], i: int, at: int) -> Sample | None:

@@ -15,10 +15,11 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from drivers.files import Largest, bytes_of
 from drivers.imports.stamps import Tell, timeline
 from drivers.nmea.sentences import NmeaReader
 from drivers.one_source import SourceChoice
-from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from estimator.contracts.text import utf8_of
 from estimator.contracts.time import NS_PER_S, MonoNs
@@ -76,8 +77,7 @@ def read(logs: Sequence[SentenceLog], tell: Tell, mmsi: int = 0, simulated: bool
 
 def _rows(log: SentenceLog, tell: Tell) -> tuple[list[tuple[int, bytes]], float]:
     """Return the arrivals, ns since the first, and sentences of a log in order, and when it began by its own clock, s."""
-    with refused(str(log.path), OSError):
-        lines = utf8_of(log.path.read_bytes()).splitlines()
+    lines = utf8_of(bytes_of(log.path, Largest.LOG)).splitlines()
     found = [(line[: match.start()] + b" " + line[match.end() :], match[0]) for line in lines if (match := SENTENCE.search(line))]
     times = [logger_s(before, sentence) for before, sentence in found]
     if 2 * sum(math.isfinite(t) for t in times) < len(times) or not times:

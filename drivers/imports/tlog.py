@@ -9,6 +9,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
+from drivers.files import Largest, bytes_of
 from drivers.imports.log_history import AutopilotLog, LogHistory
 from drivers.imports.stamps import Tell, quiet, timeline
 from drivers.mavlink.codec import Codec
@@ -17,7 +18,7 @@ from drivers.mavlink.requests import parameter_value
 from drivers.mavlink.samples import MavlinkSampler
 from drivers.mavlink.timesync import BootClock, TimeSync
 from drivers.mavlink.vehicle import is_autopilot, stack_of
-from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
 
@@ -39,7 +40,7 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
         BadInput: the file cannot be read, or no autopilot is in it.
     """
     received, heartbeat = _of_autopilot(path, tell)
-    sampler, out = MavlinkSampler(stack_of(heartbeat), BootClock(TimeSync())), list[Sample]()
+    sampler, out = MavlinkSampler(stack_of(heartbeat), BootClock(TimeSync()), tell=tell), list[Sample]()
     for one, at_ns in zip(received, timeline([h.at_us for h in received], tell), strict=True):
         if at_ns is not None:
             out += sampler.samples(one.message, MonoNs(at_ns))
@@ -73,9 +74,7 @@ def read_history(path: Path, tell: Tell = quiet) -> AutopilotLog:
 
 def _of_autopilot(path: Path, tell: Tell) -> tuple[list[_Received], Message]:
     """Return the messages of the first autopilot, and its first heartbeat."""
-    with refused(str(path), OSError):
-        data = path.read_bytes()
-    received = list(_messages(data, tell))
+    received = list(_messages(bytes_of(path, Largest.LOG), tell))
     beats = [m for m in (h.message for h in received) if m.get_type() == "HEARTBEAT" and is_autopilot(m, m.get_srcComponent())]
     if not beats:
         raise BadInput(f"{path}: a telemetry log without an autopilot's heartbeat: give the autopilot's own log (.bin or .ulg)")

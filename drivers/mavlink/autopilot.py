@@ -12,6 +12,7 @@ from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
 from drivers.mavlink.custody import LEFT_ALONE, Authority, Hand, HandEvent
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
+from drivers.mavlink.failsafe import UNNAMED
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ, Parameters, RateLimit, Streams, VersionRequest, is_for
@@ -67,6 +68,7 @@ _MOVED_S, _OVERTAKEN_S = 0.1, 0.05
 The second is the time by which a message of the old port may be late.
 """
 _HOLDER = {Hand.NOBODY: "nobody", Hand.PERSON: "a person", Hand.CUT: "nobody, its motors are cut,"}
+_BY_ITSELF = (HandEvent.FAILSAFE, HandEvent.RESTS)
 _BEAT_S = 5.0
 """Age of the newest HEARTBEAT beyond which nothing is commanded: mode and motors may be others by then."""
 _BESIDE_S = 5.0
@@ -369,7 +371,7 @@ class Autopilot:
         elif name == "STATUSTEXT":
             for severity, text in self._joined.on_message(message, sender):
                 self.texts.append((received_at, severity, text))
-            self._tell_hand(known, received_at)
+                known.sampler.on_text(text, received_at)
         elif name == "COMMAND_ACK" and not is_for(message, self.links.identity):
             return
         elif name == "COMMAND_ACK" and message.result != mav.MAV_RESULT_IN_PROGRESS:
@@ -390,7 +392,7 @@ class Autopilot:
             if type(sample) is GeoFix:
                 known.streamer.on_place(sample.place, received_at)
         self.samples.offer_all(samples)
-        known.streamer.on_condition(known.sampler.condition, beat=name == "HEARTBEAT")
+        known.streamer.on_condition(known.sampler.condition, received_at, beat=name == "HEARTBEAT")
         self._tell_hand(known, received_at)
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:
             position = known.sampler.positions[-1]
@@ -405,11 +407,12 @@ class Autopilot:
         if streamer.hand is not known.hand and streamer.cause is not None:
             level = logging.WARNING if streamer.hand is Hand.PERSON else logging.INFO
             mode, cause = sampler.condition.mode, streamer.cause.value
-            _log.log(level, "autopilot: %s has the vehicle, mode %s: %s", _HOLDER.get(streamer.hand, "this program"), mode, cause)
+            holder = "the autopilot" if streamer.cause in _BY_ITSELF else _HOLDER.get(streamer.hand, "this program")
+            _log.log(level, "autopilot: %s has the vehicle, mode %s: %s", holder, mode, cause)
             known.hand = streamer.hand
         taken = self._taken(known, now)
-        if (taken, streamer.motors_cut) != (sampler.taken, sampler.motors_cut):
-            sampler.taken, sampler.motors_cut = taken, streamer.motors_cut
+        if (taken, streamer.motors_cut, streamer.others_at) != (sampler.taken, sampler.motors_cut, sampler.others_at):
+            sampler.taken, sampler.motors_cut, sampler.others_at = taken, streamer.motors_cut, streamer.others_at
             self.samples.offer(sampler.status(now, link_ok=self.connected))
 
     def _taken(self, known: _Known, now: MonoNs) -> str | None:
@@ -418,20 +421,29 @@ class Autopilot:
             known.released_at = None
             return None
         known.released_at = known.released_at or now
-        about = [
-            (severity, at, text)
-            for at, severity, text in self.texts
-            if severity <= _WARNING and -_BEFORE_S <= seconds_between(known.released_at, at) <= _AFTER_S
-        ]
-        stack, mode = known.identity.stack.value, known.sampler.condition.mode
+        words, stack, mode = self._words(known, known.released_at), known.identity.stack.value, known.sampler.condition.mode
         if known.streamer.cause is HandEvent.REFUSED:
             why = f"{stack} refused the mode {VELOCITY_MODE.get(known.identity.stack, '')}"
         elif known.streamer.cause is HandEvent.RESET:
             why = "nobody commands it since the reset"
+        elif known.streamer.cause is HandEvent.RESTS:
+            why = f"guidance was silent, and {stack} holds by itself"
         else:
-            why = f"{stack} took the vehicle" if about else "the vehicle was taken over"
-        words = min(about, key=lambda one: (one[0], -one[1]))[2] if about else ""
+            by_itself = words or known.streamer.cause is HandEvent.FAILSAFE
+            why = f"{stack} took the vehicle" if by_itself else "the vehicle was taken over"
         return f"{why}: {words} (mode {mode})" if words else f"{why}: mode {mode}"
+
+    def _words(self, known: _Known, taken_at: MonoNs) -> str:
+        """Return the autopilot's words about that: the name of a failsafe, else its gravest text; empty without any."""
+
+        def about(at: MonoNs) -> bool:
+            return -_BEFORE_S <= seconds_between(taken_at, at) <= _AFTER_S
+
+        failsafe = known.sampler.failsafes.newest
+        if failsafe is not None and failsafe.words != UNNAMED and about(failsafe.since):
+            return failsafe.words
+        texts = [(severity, -at, text) for at, severity, text in self.texts if severity <= _WARNING and about(at)]
+        return min(texts)[2] if texts else ""
 
     def _on_version(self, known: _Known, message: Message) -> None:
         before, known.version = known.version, version_of(message)
@@ -504,7 +516,7 @@ class Autopilot:
         identity = Identity(received.system, received.component, stack, int(received.message.type))
         sync = TimeSync(self._o.timesync)
         clock = BootClock(sync)
-        sampler = MavlinkSampler(stack, clock, self._o.samples)
+        sampler = MavlinkSampler(stack, clock, self._o.samples, tell=lambda text: _log.warning("autopilot: %s", text))
         parameters = Parameters(stack, self._wanted_of(stack))
         streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o, self._authority)
         at = received.received_at

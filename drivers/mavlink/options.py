@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.access import Named, parse_operators
 from estimator.contracts.errors import BadInput
-from estimator.contracts.keys import CheckedOptions, choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, number, text, tuning
 
 LINKS = "MAVLink links, with commas between: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD"
 VELOCITY_MODES = ("guided", "offboard")
@@ -100,39 +100,39 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
 class SampleOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The uncertainty of an autopilot's readings."""
 
-    sigma_tilt_rad: Annotated[float, number("standard deviation of roll and pitch", "rad", 1e-4, 1.0)] = math.radians(0.5)
-    sigma_yaw_rad: Annotated[float, number("standard deviation of the heading", "rad", 1e-4, 3.2)] = math.radians(3.0)
-    sigma_velocity_m_s: Annotated[float, number("standard deviation of each axis of the velocity", "m/s", 0.001, 10.0)] = 0.1
+    sigma_tilt_rad: Annotated[float, tuning("standard deviation of roll and pitch", "rad", 1e-4, 1.0)] = math.radians(0.5)
+    sigma_yaw_rad: Annotated[float, tuning("standard deviation of the heading", "rad", 1e-4, 3.2)] = math.radians(3.0)
+    sigma_velocity_m_s: Annotated[float, tuning("standard deviation of each axis of the velocity", "m/s", 0.001, 10.0)] = 0.1
     sigma_range_m: Annotated[
-        float, number("standard deviation of the rangefinder if its messages do not give it", "m", 0.001, 10.0)
+        float, tuning("standard deviation of the rangefinder if its messages do not give it", "m", 0.001, 10.0)
     ] = 0.03
-    sigma_baro_m: Annotated[float, number("standard deviation of the barometer", "m", 0.001, 100.0)] = 0.5
+    sigma_baro_m: Annotated[float, tuning("standard deviation of the barometer", "m", 0.001, 100.0)] = 0.5
     sigma_fix_m: Annotated[
-        float, number("standard deviation of the autopilot's place on the Earth, on each horizontal axis", "m", 0.01, 100.0)
+        float, tuning("standard deviation of the autopilot's place on the Earth, on each horizontal axis", "m", 0.01, 100.0)
     ] = 2.0
     sigma_vessel_fix_m: Annotated[
-        float, number("the same of the place that the ship reports, where she does not claim a larger one", "m", 0.01, 100.0)
+        float, tuning("the same of the place that the ship reports, where she does not claim a larger one", "m", 0.01, 100.0)
     ] = 2.5
     sigma_vessel_velocity_m_s: Annotated[
-        float, number("standard deviation of each axis of the velocity that the ship reports", "m/s", 0.001, 10.0)
+        float, tuning("standard deviation of each axis of the velocity that the ship reports", "m/s", 0.001, 10.0)
     ] = 0.2
     sigma_vessel_heading_rad: Annotated[
-        float, number("standard deviation of the heading that the ship reports", "rad", 1e-4, 3.2)
+        float, tuning("standard deviation of the heading that the ship reports", "rad", 1e-4, 3.2)
     ] = math.radians(3.0)
-    status_period_s: Annotated[float, number("interval at which an unchanged status is repeated", "s", 0.01, 60.0)] = 0.5
+    status_period_s: Annotated[float, tuning("interval at which an unchanged status is repeated", "s", 0.01, 60.0)] = 0.5
     attitude_gap_s: Annotated[
-        float, number("largest time between a velocity and the newest attitude; other velocities are not used", "s", 0.01, 10.0)
+        float, tuning("largest time between a velocity and the newest attitude; other velocities are not used", "s", 0.01, 10.0)
     ] = 0.2
 
 
 class TimeSyncOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The rate of time requests to the autopilot, and the answers that are accepted."""
 
-    period_s: Annotated[float, number("interval between time requests", "s", 0.01, 60.0)] = 1.0
-    first_period_s: Annotated[float, number("the same until the offset of the clocks is known", "s", 0.01, 60.0)] = 0.1
-    window_s: Annotated[float, number("time for which an answer is used", "s", 0.1, 600.0)] = 10.0
-    round_trip_max_s: Annotated[float, number("longest round trip of an answer that is used", "s", 0.001, 5.0)] = 0.25
-    drift_ppm: Annotated[float, number("largest drift between the two clocks", "ppm", 0.1, 10_000.0)] = 50.0
+    period_s: Annotated[float, tuning("interval between time requests", "s", 0.01, 60.0)] = 1.0
+    first_period_s: Annotated[float, tuning("the same until the offset of the clocks is known", "s", 0.01, 60.0)] = 0.1
+    window_s: Annotated[float, tuning("time for which an answer is used", "s", 0.1, 600.0)] = 10.0
+    round_trip_max_s: Annotated[float, tuning("longest round trip of an answer that is used", "s", 0.001, 5.0)] = 0.25
+    drift_ppm: Annotated[float, tuning("largest drift between the two clocks", "ppm", 0.1, 10_000.0)] = 50.0
 
 
 class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="mavlink"):
@@ -183,7 +183,7 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
             public=True,
         ),
     ] = "by stack"
-    descent_rate_m_s: Annotated[float, number("descent rate of a landing by velocity", "m/s", 0.05, 2.0, public=True)] = 0.4
+    descent_rate_m_s: Annotated[float, tuning("descent rate of a landing by velocity", "m/s", 0.05, 2.0, public=True)] = 0.4
     landing_timeout_s: Annotated[
         float, number("time without renewal by guidance after which a landing is called off", "s", 0.05, 10.0)
     ] = 0.5
@@ -223,7 +223,7 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
     hold_mode_after_s: Annotated[
         float, number("time without guidance after which the autopilot is put into its own hold mode", "s", 0.5, 120.0)
     ] = 6.0
-    take_off_height_m: Annotated[float, number("height of a take-off on command", "m", 0.5, 50.0, public=True)] = 3.0
+    take_off_height_m: Annotated[float, tuning("height of a take-off on command", "m", 0.5, 50.0, public=True)] = 3.0
     take_off_timeout_s: Annotated[
         float, number("time after which a take-off that has not happened is given up", "s", 0.5, 120.0)
     ] = 15.0
@@ -263,16 +263,17 @@ class GimbalOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         GimbalReport,
         choice(
             "its attitude: auto is GIMBAL_DEVICE_ATTITUDE_STATUS, or MOUNT_ORIENTATION while that does not come; mount_status is "
-            "MOUNT_STATUS, whose angles are relative to the vehicle (servo gimbals of ArduPilot before 4.3)"
+            "MOUNT_STATUS, whose angles are relative to the vehicle (servo gimbals of ArduPilot before 4.3)",
+            page=True,
         ),
     ] = "auto"
-    rate_hz: Annotated[float, number("reports to ask it for", "Hz", 5.0, 200.0)] = 50.0
+    rate_hz: Annotated[float, tuning("reports to ask it for", "Hz", 5.0, 200.0)] = 50.0
     latency_s: Annotated[
-        float, number("from the instant at which the attitude was true to its stamp, or its arrival if it has none", "s", 0, 0.2)
+        float, tuning("from the instant at which the attitude was true to its stamp, or its arrival if it has none", "s", 0, 0.2)
     ] = 0.0
-    latency_sigma_s: Annotated[float, number("one standard deviation of it", "s", 0.0, 0.1)] = 0.01
+    latency_sigma_s: Annotated[float, tuning("one standard deviation of it", "s", 0.0, 0.1)] = 0.01
     sigma_rad: Annotated[
-        float, number("standard deviation of the reported attitude about each axis", "rad", 1e-4, 0.2, "assumed")
+        float, tuning("standard deviation of the reported attitude about each axis", "rad", 1e-4, 0.2, "assumed")
     ] = math.radians(0.5)
     point_down: Annotated[
         bool,

@@ -1,6 +1,7 @@
 """Autopilot messages to samples in SI units and aerospace axes. No I/O; nothing on the wire raises.
 
-An autopilot's own frames are ours: body forward-right-down, local north-east-down. What a message does not measure is left out.
+An autopilot's own frames are ours: body forward-right-down, local north-east-down. What a message does not measure is left out
+(`drivers.mavlink.fields`), its parts are judged apart, and of several sensors that measure the same, one is used all the time.
 
 Gyro and accelerometer are older than their stamps: ArduPilot's RAW_IMU has passed a low-pass filter, a Butterworth one of the
 second order, and is stamped as it is sent; PX4's HIGHRES_IMU is the mean over an interval, stamped at its end. Attitude and
@@ -14,15 +15,19 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
 
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.failsafe import FailsafeWatch
+from drivers.mavlink.fields import measured
 from drivers.mavlink.options import SampleOptions
 from drivers.mavlink.timesync import MS_WRAP_NS, BootClock, boot_ms, boot_us
 from drivers.mavlink.vehicle import ARMED, Condition, Stack, flying_of, mode_name
+from drivers.one_source import SILENT_S, SourceChoice
 from estimator.contracts import samples as contract
 from estimator.contracts.geometry import F64, GeoPoint, Rotation, fixed_matrix, fixed_vector, height_of_pressure_m
 from estimator.contracts.motion import G_M_S2
@@ -32,8 +37,9 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 DOWN = 25
 """MAV_SENSOR_ROTATION_PITCH_270: looking down."""
 _ACC_AND_GYRO, _PRESSURE = 0b111111, 1 << 9
-_NO_HEADING, _HEADING_MAX_CDEG = 65535, 36_000
-_ANGLE_MAX_RAD = 4.0 * math.pi
+_HEADING_MAX_CDEG = 36_000
+_ANGLE_MAX_RAD, _YAW_MAX_RAD = 4.0 * math.pi, 1000.0 * math.pi
+"""Limits of angles; a yaw may count turns."""
 _TURN_MAX_RAD_S, _FORCE_MAX_M_S2 = 100.0, 400.0
 """Values beyond what a multicopter's inertial sensors can measure: 4,000 degrees/s and 32 g are the widest there are."""
 _RESTART_NS = NS_PER_S
@@ -110,9 +116,18 @@ class MavlinkSampler:
 
     Args:
         ranges: hand on DISTANCE_SENSOR; off where the autopilot only echoes what we sent it.
+        tell: takes a line about a sensor that is used or not used beside another.
     """
 
-    def __init__(self, stack: Stack, clock: BootClock, options: SampleOptions | None = None, *, ranges: bool = True) -> None:
+    def __init__(
+        self,
+        stack: Stack,
+        clock: BootClock,
+        options: SampleOptions | None = None,
+        *,
+        ranges: bool = True,
+        tell: Callable[[str], None] = lambda text: None,
+    ) -> None:
         self._stack = stack
         self._clock = clock
         self._o = options or SampleOptions()
@@ -122,6 +137,10 @@ class MavlinkSampler:
         self._cov_attitude = fixed_matrix(tilt_var, 0.0, 0.0, 0.0, tilt_var, 0.0, 0.0, 0.0, yaw_var)
         self._cov_velocity = fixed_matrix(velocity_var, 0.0, 0.0, 0.0, velocity_var, 0.0, 0.0, 0.0, velocity_var)
         self.ranges = ranges
+        self._tell, self._choice = tell, SourceChoice()
+        self._used: dict[str, str] = {}
+        """The chosen sensor by quantity."""
+        self._unused: set[tuple[str, str]] = set()
         self.inertial_delay_s = 0.0
         """The time by which gyro and accelerometer are older than the stamps of their messages."""
         self.jerk_max_m_s3: float | None = None
@@ -131,6 +150,9 @@ class MavlinkSampler:
         self.condition = Condition()
         self.taken: str | None = None
         """Holder of the vehicle if it was taken from this program, for the vehicle's status; None otherwise."""
+        self.others_at: MonoNs | None = None
+        """Newest report in which somebody else chose for the vehicle, likewise."""
+        self.failsafes = FailsafeWatch()
         self.motors_cut = False
         """True if a person cut the motors by this program and it has reported that, likewise."""
         self.attitude: Attitude | None = None
@@ -138,7 +160,7 @@ class MavlinkSampler:
         self.positions: deque[LocalPosition] = deque(maxlen=64)
         """The newest local positions, oldest first."""
         self.refused: Counter[str] = Counter()
-        """Messages that made no sense, by name."""
+        """Messages that made no sense, whole or in part, by name."""
         self.out_of_order: Counter[str] = Counter()
         """Messages that a newer one overtook on the way, or that came twice, by name."""
         self._newest: dict[tuple[str, int], tuple[int, bytes]] = {}
@@ -148,7 +170,7 @@ class MavlinkSampler:
         self._ages: dict[str, MonoNs] = {}
         """Arrival of the newest message by name, of those that the condition comes from."""
         self._first_heartbeat: MonoNs | None = None
-        self._quaternions = False
+        self._quaternion_at: MonoNs | None = None
         self._status_at: MonoNs | None = None
         self._vessel_clock = ClockMap(replace(_SHIP_CLOCK, wrap_ns=MS_WRAP_NS))
         self._follow_clock = ClockMap(_SHIP_CLOCK)
@@ -162,6 +184,8 @@ class MavlinkSampler:
             "GLOBAL_POSITION_INT": self._global,
             "RAW_IMU": self._raw_imu,
             "HIGHRES_IMU": self._highres_imu,
+            "FENCE_STATUS": self._fence,
+            "EVENT": self._event,
             "DISTANCE_SENSOR": self._distance,
             "SCALED_PRESSURE": self._pressure,
         }
@@ -198,36 +222,77 @@ class MavlinkSampler:
             return []
 
     def _vessel_position(self, message: Message, received_at: MonoNs) -> list[Sample]:
-        if message.hdg > _HEADING_MAX_CDEG and message.hdg != _NO_HEADING:
-            self.refused[message.get_type()] += 1
+        place, v_ned, heading_rad = self._parts(
+            message, lambda: _place(message, 1e-3 * message.alt), lambda: _cm_s(message), lambda: _heading(message)
+        )
+        source = _of_component(message)
+        if heading_rad is not None and not self._takes("ship's heading", source, received_at):
+            heading_rad = None
+        if not self._takes_way(place, v_ned, source, received_at):
+            place = v_ned = None
+        if place is None and v_ned is None and heading_rad is None:
             return []
-        place = _place(message.lat, message.lon, 1e-3 * message.alt)
-        v_ned = _within(_SPEED_MAX_M_S, *(0.01 * v for v in (message.vx, message.vy, message.vz)))
         stamp = self._vessel_clock.stamp(boot_ms(message.time_boot_ms), received_at)
-        known = message.hdg != _NO_HEADING
-        return [
-            *([] if place is None else [GeoFix(stamp, "vessel", place, self._o.sigma_vessel_fix_m, v_ned)]),
-            VesselReport(
-                stamp,
-                v_ned,
-                np.eye(3) * self._o.sigma_vessel_velocity_m_s**2,
-                math.radians(message.hdg * 0.01) if known else None,
-                self._o.sigma_vessel_heading_rad if known else None,
-            ),
-        ]
+        return self._of_vessel(stamp, place, self._o.sigma_vessel_fix_m, v_ned, heading_rad)
 
     def _follow_target(self, m: Message, received_at: MonoNs) -> list[Sample]:
         """Take the ship's place from a ground station or a beacon on board; its covariances count if they are larger."""
-        place = _place(m.lat, m.lon, _within(_PLACE_MAX_M, m.alt)[0]) if m.est_capabilities & _HAS_PLACE else None
-        v_ned = _within(_SPEED_MAX_M_S, *m.vel) if m.est_capabilities & _HAS_VELOCITY else None
+        place, v_ned = self._parts(
+            m,
+            lambda: _place(m, m.alt) if m.est_capabilities & _HAS_PLACE else None,
+            lambda: _within(_SPEED_MAX_M_S, *m.vel) if m.est_capabilities & _HAS_VELOCITY else None,
+        )
+        if not self._takes_way(place, v_ned, _of_component(m), received_at):
+            return []
         claimed_m = m.position_cov[0] if math.isfinite(m.position_cov[0]) else 0.0
         stamp = self._follow_clock.stamp(m.timestamp * 1_000_000, received_at)
-        out: list[Sample] = []
-        if place is not None:
-            out.append(GeoFix(stamp, "vessel", place, max(claimed_m, self._o.sigma_vessel_fix_m), v_ned))
-        if v_ned is not None:
-            out.append(VesselReport(stamp, v_ned, np.eye(3) * self._o.sigma_vessel_velocity_m_s**2, None, None))
+        return self._of_vessel(stamp, place, max(claimed_m, self._o.sigma_vessel_fix_m), v_ned, None)
+
+    def _of_vessel(
+        self, stamp: Stamp, place: GeoPoint | None, sigma_m: float, v_ned: F64 | None, heading_rad: float | None
+    ) -> list[Sample]:
+        out: list[Sample] = [] if place is None else [GeoFix(stamp, "vessel", place, sigma_m, v_ned)]
+        if v_ned is not None or heading_rad is not None:
+            cov = None if v_ned is None else np.eye(3) * self._o.sigma_vessel_velocity_m_s**2
+            sigma_rad = None if heading_rad is None else self._o.sigma_vessel_heading_rad
+            out.append(VesselReport(stamp, v_ned, cov, heading_rad, sigma_rad))
         return out
+
+    def _parts(self, m: Message, *makes: Callable[[], Any]) -> list[Any]:
+        """Return what each part of a message says, None for a part that cannot be; one bad field costs its own part alone.
+
+        Raises:
+            ValueError: no part can be.
+        """
+        made, wrong = list[Any](), 0
+        for make in makes:
+            try:
+                made.append(make())
+            except ValueError:
+                made.append(None)
+                wrong += 1
+        if wrong == len(makes):
+            raise ValueError("no part of it can be")
+        if wrong:
+            self.refused[m.get_type()] += 1
+        return made
+
+    def _takes_way(self, place: GeoPoint | None, v_ned: F64 | None, source: str, received_at: MonoNs) -> bool:
+        """Return whether a component's report of the ship's way is used: of several, one that knows the place."""
+        reports = place is not None or v_ned is not None
+        return reports and self._takes("ship's way", source, received_at, 2.0 if place is None else 1.0)
+
+    def _takes(self, quantity: str, source: str, received_at: MonoNs, sigma: float = 1.0) -> bool:
+        """Return whether a sensor, or another source, is the one that is used; report a change, and each other one."""
+        used, takes = self._used.get(quantity), self._choice.takes(quantity, source, sigma, received_at)
+        if takes and used != source:
+            self._used[quantity] = source
+            if used is not None:
+                self._tell(f"the {quantity} is that of {source} from now on, not of {used}")
+        elif not takes and (quantity, source) not in self._unused:
+            self._unused.add((quantity, source))
+            self._tell(f"the {quantity} is that of {used}; that of {source} is not used beside it")
+        return takes
 
     def status(self, now: MonoNs, *, link_ok: bool) -> VehicleStatus:
         """Return the newest condition as a sample."""
@@ -240,7 +305,7 @@ class MavlinkSampler:
         stamp = Stamp(now, now, 0.0, "arrival")
         return VehicleStatus(
             stamp, c.flying, c.mode, c.battery_fraction, c.terminated or self.motors_cut, link_ok, self.taken,
-            self.jerk_max_m_s3, self.tilt_max_deg,
+            self.jerk_max_m_s3, self.tilt_max_deg, self.others_at,
         )  # fmt: skip
 
     def _fresh(self, name: str, now: MonoNs) -> bool:
@@ -255,6 +320,7 @@ class MavlinkSampler:
 
     def _heartbeat(self, m: Message, received_at: MonoNs) -> list[Sample]:
         armed = bool(m.base_mode & ARMED)
+        self.failsafes.on_heartbeat(m, received_at)
         if not self._fresh("EXTENDED_SYS_STATE", received_at):
             self._landed_state = 0
         if self._first_heartbeat is None:
@@ -270,6 +336,7 @@ class MavlinkSampler:
             armed=armed,
             flying=flying,
             terminated=m.system_status == mav.MAV_STATE_FLIGHT_TERMINATION,
+            failsafe=self.failsafes.now,
         )
         return self._status_samples(condition, received_at)
 
@@ -291,19 +358,38 @@ class MavlinkSampler:
         lasts = seconds_between(self._landed_since, at) >= _LANDED_S
         return bool(armed and self.condition.flying and not lasts)
 
+    def on_text(self, text: str, received_at: MonoNs) -> None:
+        """Take a whole STATUSTEXT of the autopilot, which may name a failsafe."""
+        self.failsafes.on_text(text, received_at)
+        self.condition = replace(self.condition, failsafe=self.failsafes.now)
+
+    def _fence(self, m: Message, received_at: MonoNs) -> list[Sample]:
+        self.failsafes.on_fence(m, received_at)
+        return self._status_samples(replace(self.condition, failsafe=self.failsafes.now), received_at)
+
+    def _event(self, m: Message, received_at: MonoNs) -> list[Sample]:
+        self.failsafes.on_event(m, received_at)
+        return self._status_samples(replace(self.condition, failsafe=self.failsafes.now), received_at)
+
     def _sys_status(self, m: Message, received_at: MonoNs) -> list[Sample]:
-        share = None if m.battery_remaining < 0 else min(1.0, m.battery_remaining / 100.0)
+        percent, volts = measured(m, "battery_remaining"), measured(m, "voltage_battery")
+        # 0 % of a battery without a voltage comes from an autopilot that measures none.
+        known = percent is not None and percent >= 0 and (percent > 0 or volts is not None)
+        share = min(1.0, percent / 100.0) if known and percent is not None else None
         self.condition = replace(self.condition, battery_fraction=share)
         return []
 
     def _attitude(self, m: Message, received_at: MonoNs) -> list[Sample]:
-        self._quaternions = True
-        return self._to_level(m, Rotation.from_quat([m.q1, m.q2, m.q3, m.q4]), received_at)
+        rotation = Rotation.from_quat([m.q1, m.q2, m.q3, m.q4])
+        self._quaternion_at = received_at
+        return self._to_level(m, rotation, received_at)
 
     def _attitude_angles(self, m: Message, received_at: MonoNs) -> list[Sample]:
-        if self._quaternions:
+        if self._quaternion_at is not None and seconds_between(self._quaternion_at, received_at) <= SILENT_S:
             return []  # the same once more
-        return self._to_level(m, Rotation.from_rpy(*_within(_ANGLE_MAX_RAD, m.roll, m.pitch, m.yaw)), received_at)
+        return self._to_level(
+            m, Rotation.from_rpy(*_within(_ANGLE_MAX_RAD, m.roll, m.pitch), *_within(_YAW_MAX_RAD, m.yaw)), received_at
+        )
 
     def _to_level(self, m: Message, rotation: Rotation, received_at: MonoNs) -> list[Sample]:
         stamp = self._clock.stamp(boot_ms(m.time_boot_ms), received_at)
@@ -311,10 +397,14 @@ class MavlinkSampler:
         return [self.attitude]
 
     def _position(self, m: Message, received_at: MonoNs) -> list[Sample]:
-        p_body_ned = _within(_PLACE_MAX_M, m.x, m.y, m.z)
-        v_body_ned = _within(_SPEED_MAX_M_S, m.vx, m.vy, m.vz)
+        p_body_ned, v_body_ned = self._parts(
+            m, lambda: _within(_PLACE_MAX_M, m.x, m.y, m.z), lambda: _within(_SPEED_MAX_M_S, m.vx, m.vy, m.vz)
+        )
+        if v_body_ned is None:
+            return []
         stamp = self._clock.stamp(boot_ms(m.time_boot_ms), received_at)
-        self.positions.append(LocalPosition(stamp, p_body_ned, v_body_ned))
+        if p_body_ned is not None:
+            self.positions.append(LocalPosition(stamp, p_body_ned, v_body_ned))
         attitude = self.attitude
         if attitude is None or abs(seconds_between(attitude.stamp.measured_at, stamp.measured_at)) > self._o.attitude_gap_s:
             return []
@@ -324,8 +414,7 @@ class MavlinkSampler:
         return [contract.known(BodyVelocity, stamp, v_level, self._cov_velocity)]
 
     def _global(self, m: Message, received_at: MonoNs) -> list[Sample]:
-        place = _place(m.lat, m.lon, 1e-3 * m.alt)
-        v_ned = _within(_SPEED_MAX_M_S, *(0.01 * v for v in (m.vx, m.vy, m.vz)))
+        place, v_ned = self._parts(m, lambda: _place(m, 1e-3 * m.alt), lambda: _cm_s(m))
         if place is None:
             return []
         return [GeoFix(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), "vehicle", place, self._o.sigma_fix_m, v_ned)]
@@ -333,6 +422,8 @@ class MavlinkSampler:
     def _raw_imu(self, m: Message, received_at: MonoNs) -> list[Sample]:
         if not self._stack.is_ardupilot:
             # Only there is "raw" known to mean milli-g and mrad/s in body axes.
+            return []
+        if not _inertial_measured(m) or not self._takes("IMU", _sensor(m), received_at):
             return []
         f_body = fixed_vector(m.xacc * _M_S2_PER_MG, m.yacc * _M_S2_PER_MG, m.zacc * _M_S2_PER_MG)
         w_body = fixed_vector(m.xgyro * 1e-3, m.ygyro * 1e-3, m.zgyro * 1e-3)
@@ -345,31 +436,44 @@ class MavlinkSampler:
         return Stamp(earlier, stamp.received_at, stamp.sigma_s, stamp.source)
 
     def _highres_imu(self, m: Message, received_at: MonoNs) -> list[Sample]:
-        moved = m.fields_updated & _ACC_AND_GYRO == _ACC_AND_GYRO
+        moved = m.fields_updated & _ACC_AND_GYRO == _ACC_AND_GYRO and _inertial_measured(m)
+        pressed = bool(m.fields_updated & _PRESSURE) and measured(m, "abs_pressure") is not None
+        makes: list[Callable[[], Any]] = []
         if moved:
-            w_body = _within(_TURN_MAX_RAD_S, m.xgyro, m.ygyro, m.zgyro)
-            f_body = _within(_FORCE_MAX_M_S2, m.xacc, m.yacc, m.zacc)
+            makes.append(
+                lambda: (_within(_TURN_MAX_RAD_S, m.xgyro, m.ygyro, m.zgyro), _within(_FORCE_MAX_M_S2, m.xacc, m.yacc, m.zacc))
+            )
+        if pressed:
+            makes.append(lambda: _height_m(m.abs_pressure))
+        if not makes:
+            return []
+        made = self._parts(m, *makes)
         stamp = self._clock.stamp(boot_us(m.time_usec), received_at)
         out: list[Sample] = []
-        if moved:
-            out.append(contract.known(Imu, self._inertial(stamp), w_body, f_body))
-        if m.fields_updated & _PRESSURE and _PRESSURE_HPA[0] <= m.abs_pressure <= _PRESSURE_HPA[1]:
-            out.append(Baro(stamp, height_of_pressure_m(100.0 * m.abs_pressure), self._o.sigma_baro_m))
+        # ArduPilot is asked for RAW_IMU, which comes faster.
+        if moved and made[0] is not None and self._takes("IMU", _sensor(m), received_at, 2.0):
+            out.append(contract.known(Imu, self._inertial(stamp), *made[0]))
+        if pressed and made[-1] is not None and self._takes("pressure", _sensor(m), received_at):
+            out.append(Baro(stamp, made[-1], self._o.sigma_baro_m))
         return out
 
     def _distance(self, m: Message, received_at: MonoNs) -> list[Sample]:
         # At its own limits a sensor reports that it sees nothing, or something nearer or farther than it can measure.
-        usable = m.min_distance < m.current_distance < m.max_distance and m.signal_quality != 1
-        if not self.ranges or m.orientation != DOWN or not usable:
+        cm = measured(m, "current_distance")
+        usable = cm is not None and m.min_distance < cm < m.max_distance and measured(m, "signal_quality") is not None
+        if not self.ranges or m.orientation != DOWN or not usable or not self._takes("range", _sensor(m), received_at):
             return []
-        sigma_m = 0.01 * math.sqrt(m.covariance) if 0 < m.covariance < 255 else self._o.sigma_range_m
+        covariance = measured(m, "covariance")
+        sigma_m = self._o.sigma_range_m if covariance is None else 0.01 * math.sqrt(covariance)
         return [Range(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), 0.01 * m.current_distance, max(sigma_m, 0.005))]
 
     def _pressure(self, m: Message, received_at: MonoNs) -> list[Sample]:
-        if not _PRESSURE_HPA[0] <= m.press_abs <= _PRESSURE_HPA[1]:
-            raise ValueError("pressure")
-        stamp = self._clock.stamp(boot_ms(m.time_boot_ms), received_at)
-        return [Baro(stamp, height_of_pressure_m(100.0 * m.press_abs), self._o.sigma_baro_m)]
+        if measured(m, "press_abs") is None:
+            return []
+        height_m = _height_m(m.press_abs)
+        if not self._takes("pressure", _sensor(m), received_at):
+            return []
+        return [Baro(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), height_m, self._o.sigma_baro_m)]
 
 
 def _place_in_order(m: Message) -> tuple[int, bytes]:
@@ -385,15 +489,66 @@ def _overtaken(place: tuple[int, bytes], newest: tuple[int, bytes] | None) -> bo
     return newest[0] - _RESTART_NS < place[0] < newest[0] or (place == newest and place[1] != b"")
 
 
-def _place(lat_1e7: int, lon_1e7: int, height_m: float) -> GeoPoint | None:
-    """Return a place of MAVLink's integers; None for the one where autopilots without a fix are.
+def _place(m: Message, height_m: float) -> GeoPoint | None:
+    """Return the place in a message; None where it has none.
 
     Raises:
         ValueError: there is no such place.
     """
-    if lat_1e7 == 0 and lon_1e7 == 0:
+    lat, lon = measured(m, "lat"), measured(m, "lon")
+    if lat is None or lon is None or (lat == 0 and lon == 0):  # autopilots without a fix are at 0 N 0 E
         return None
-    return GeoPoint.of_degrees(1e-7 * lat_1e7, 1e-7 * lon_1e7, height_m)
+    return GeoPoint.reported(1e-7 * lat, 1e-7 * lon, height_m)
+
+
+def _sensor(m: Message) -> str:
+    """Return the name of the sensor that a message is of."""
+    return f"{m.get_type()} {m.id}" if "id" in m.fieldnames else str(m.get_type())
+
+
+def _of_component(m: Message) -> str:
+    return f"{m.get_type()} of component {m.get_srcComponent()}"
+
+
+def _cm_s(m: Message) -> F64 | None:
+    """Return the velocity in a GLOBAL_POSITION_INT, (3,) m/s in ned; None where it has none, as at 0 N 0 E at rest.
+
+    Raises:
+        ValueError: nothing moves like that.
+    """
+    v = [measured(m, name) for name in ("vx", "vy", "vz")]
+    known = [0.01 * one for one in v if one is not None]
+    nowhere = not any((m.lat, m.lon, *known))
+    return None if nowhere or len(known) < len(v) else _within(_SPEED_MAX_M_S, *known)
+
+
+def _heading(m: Message) -> float | None:
+    """Return the bow's heading in a GLOBAL_POSITION_INT, rad; None where it has none.
+
+    Raises:
+        ValueError: there is no such heading.
+    """
+    hdg = measured(m, "hdg")
+    if hdg is not None and hdg > _HEADING_MAX_CDEG:
+        raise ValueError("no heading")
+    return None if hdg is None else math.radians(0.01 * hdg)
+
+
+def _inertial_measured(m: Message) -> bool:
+    """Return whether a message has all of gyro and accelerometer. Six zeros are those of a sensor that is not there."""
+    values = [measured(m, name) for name in ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")]
+    return None not in values and any(values)
+
+
+def _height_m(pressure_hpa: float) -> float:
+    """Return the height by a pressure, m.
+
+    Raises:
+        ValueError: no air has such a pressure.
+    """
+    if not _PRESSURE_HPA[0] <= pressure_hpa <= _PRESSURE_HPA[1]:
+        raise ValueError("pressure")
+    return height_of_pressure_m(100.0 * pressure_hpa)
 
 
 def _within(limit: float, *values: float) -> F64:

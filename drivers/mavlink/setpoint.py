@@ -57,6 +57,34 @@ def velocity_setpoint(time_boot_ms: int, target: tuple[int, int], command: Veloc
     )  # fmt: skip
 
 
+_LEVEL_THRUST = 0.12
+"""Thrust with which ArduCopter comes to stand on a deck, of the largest. It reads this as a descent by three quarters of
+WPNAV_SPEED_DN, 1.1 m/s by default, and as a thrust where GUID_OPTIONS has 8."""
+_OPPOSITE, _OPPOSITE_MOST_RAD = 3.0, math.radians(8.0)
+"""Lean to the other side for each radian that it still leans, and the most of it, rad: it is level the sooner."""
+
+
+def level_setpoint(
+    time_boot_ms: int, target: tuple[int, int], rpy_rad: tuple[float, float, float], turn_rad: float, yaw_rate_rad_s: float
+) -> Message:
+    """Return the setpoint with which ArduCopter comes to stand level on a deck, its weight on all feet.
+
+    Its way to level by a velocity is limited in jerk, and meanwhile it turns about the foot that touched first.
+
+    Args:
+        time_boot_ms: time of this program's own clock, ms; it wraps at 32 bits.
+        target: system and component of the autopilot.
+        rpy_rad: attitude of the body in the autopilot's own frame.
+        turn_rad: turn that is left to the wanted heading.
+        yaw_rate_rad_s: rate of that turn, for which the autopilot's gain of a heading alone is too weak.
+    """
+    roll, pitch, yaw = rpy_rad
+    opposite = -min(_OPPOSITE, _OPPOSITE_MOST_RAD / max(math.hypot(roll, pitch), 1e-9))
+    q = Rotation.from_rpy(opposite * roll, opposite * pitch, yaw + turn_rad).quat_wxyz.tolist()
+    ms = time_boot_ms & 0xFFFFFFFF
+    return mav.MAVLink_set_attitude_target_message(ms, *target, 0, q, 0.0, 0.0, yaw_rate_rad_s, _LEVEL_THRUST)
+
+
 CLIMB_M_S = 1.0
 REST_S = 8.0
 """Time over which the velocity on deck is averaged, s: it keeps the ship's way and removes the waves."""

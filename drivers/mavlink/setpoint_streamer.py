@@ -5,8 +5,7 @@ A person's order to begin in flight, or the first velocity, takes the vehicle in
 OFFBOARD, whose setpoints must stream for a while first). From then on every period carries a setpoint.
 A command of guidance is flown only for a short time unless guidance renews it. A velocity or a landing that is not renewed
 becomes a hold at the deck's own velocity, then one over the ground, then the autopilot's hold mode, and our stream ends.
-A landing by velocity is bounded by time and by height as well, renewed or not. A landing that a person ordered needs no renewal
-and may begin at any height; when its time is used up our stream ends too, and the autopilot's own landing mode continues it.
+A landing by velocity is bounded by time and by height as well, renewed or not.
 A landing whose deck was felt stops the motors at once, by force, and its stream outlives them (`MotorStop`); a vehicle that
 reports itself on the ground after a landing, still armed, is commanded to disarm. None is left armed on a deck.
 When the process itself falls silent the autopilot's own failsafe acts: ArduPilot flies on for 3 s and brakes, PX4 brakes after
@@ -22,7 +21,7 @@ import numpy as np
 from drivers.mavlink.custody import LEFT_ALONE, TABLE, Authority, Hand, HandEvent, ModeRequests
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.setpoint import SHOWN_S, Rested, RestVelocity, TakingOff, velocity_setpoint
+from drivers.mavlink.setpoint import SHOWN_S, Rested, RestVelocity, TakingOff, level_setpoint, velocity_setpoint
 from drivers.mavlink.vehicle import (
     HOLD_MODE,
     LAND_MODE,
@@ -97,6 +96,8 @@ _MEAN_S = 1.0
 """The time over which the velocity that a landing continues with is averaged."""
 _GAP_S = 0.5
 """Gap between two setpoints with which PX4 takes the stream to have ended, s."""
+_OF_OTHERS = (HandEvent.OTHER_MODE, HandEvent.MODE_SINCE, HandEvent.ARMED, HandEvent.DISARMED)
+"""Events that others cause."""
 _ARMS_S = 1.2
 """Time after a request to arm for which the motors may turn though no report says so, s: some autopilots report each second."""
 
@@ -184,6 +185,10 @@ class SetpointStreamer:
         """Time of the newest request for a heading; None before one."""
         self._engaged = False
         """True from a person's order to begin in flight until a mode is chosen, where targets alone lead."""
+        self._ordered_since: MonoNs | None = None
+        """Beginning of the failsafe in force when a person last ordered to take the vehicle; None if there was none then."""
+        self.others_at: MonoNs | None = None
+        """Newest report in which somebody else chose for the vehicle: a mode, an arming, a disarm, or a failsafe that came."""
         self.hand = Hand.NOBODY
         self.cause: HandEvent | None = None
         """The event that led to the present state; None at the start."""
@@ -198,8 +203,8 @@ class SetpointStreamer:
 
     @property
     def _land_mode(self) -> str | None:
-        """The autopilot's own landing: on targets where guidance has nothing else, for a person's order the plain one."""
-        led = self._authority is Authority.MODES and not self._landing.order.persistent
+        """The autopilot's own landing: on targets where guidance has nothing else, where it is the plain one."""
+        led = self._authority is Authority.MODES and not self._landing.order.here
         return (TARGET_MODE if led else LAND_MODE).get(self._id.stack)
 
     @property
@@ -210,7 +215,7 @@ class SetpointStreamer:
     def _on(self, event: HandEvent) -> bool:
         """Take an event; return whether another one has the vehicle now, or it does another thing."""
         target = TABLE[self.hand][event]
-        if target is self.hand:
+        if target is self.hand or (target is Hand.TAKING and self.hand is not Hand.PERSON and self._modes.unsure):
             return False
         self.hand, self.cause, self._tries = target, event, Tries(self._o)
         self.motors_cut = self._engaged = False
@@ -224,6 +229,17 @@ class SetpointStreamer:
             self._climb = None
         self._stop = MotorStop(self._now)
         return True
+
+    @property
+    def _failsafe_acts(self) -> bool:
+        """True while a failsafe is in force that came after every person's order: no mode is requested against it."""
+        failsafe = self._condition.failsafe
+        return failsafe is not None and failsafe.since != self._ordered_since
+
+    def _order(self) -> None:
+        """Note that a person orders to take the vehicle, knowing of the failsafe in force."""
+        failsafe = self._condition.failsafe
+        self._ordered_since = None if failsafe is None else failsafe.since
 
     def take(self, command: Command, now: MonoNs, v_deck_level: F64 | None = None) -> None:
         """Take the newest command.
@@ -244,6 +260,7 @@ class SetpointStreamer:
                 # A QuadPlane's GUIDED winds up on a deck under way, and leaps astern as it leaves: its pilot takes off.
                 by_us = self._id.stack is not Stack.PLANE
                 if by_us and not self._condition.flying and self._on(HandEvent.TAKE_OFF):
+                    self._order()
                     self._climb = TakingOff(now, self._id, self._down_m, self._o.take_off_height_m)
             case Land():
                 self._motion_at = now
@@ -263,16 +280,13 @@ class SetpointStreamer:
         landing = self._landing
         self._felt_at = now if command.on_deck and self.hand not in LEFT_ALONE else None
         if self.hand is Hand.LANDING and not command.on_deck:
-            if command.persistent and not landing.order.persistent:
-                landing.order, landing.at, landing.began, landing.spent = command, now, now, False
-            elif not landing.spent:
-                landing.at = now
-                if not landing.order.persistent:
-                    landing.order = command
+            if not landing.spent:
+                landing.order, landing.at = command, now
         elif (command.on_deck or not landing.spent) and (self.hand is not Hand.NOBODY or self._condition.armed is not False):
             self._on(HandEvent.CONTACT if command.on_deck else HandEvent.LAND)
             if self.hand is Hand.LANDING:
-                by_velocity = self._lands_by_velocity and self._condition.mode == self._mode
+                steers = self._authority is Authority.SETPOINTS and self._condition.mode == self._mode
+                by_velocity = steers and (self._lands_by_velocity or self._failsafe_acts)
                 self._landing = _Landing(command, now, now, self._down_m, by_velocity)
 
     def _take_hover(self, command: Hover, now: MonoNs, v_deck_level: F64 | None) -> None:
@@ -319,7 +333,9 @@ class SetpointStreamer:
 
     def engage(self) -> None:
         """Take the vehicle in flight, or allow one that a person took over to be taken: a person orders to begin or to land."""
-        flies, steers = self._condition.flying is True, self._authority is Authority.SETPOINTS and self._mode is not None
+        self._order()
+        flies = self._condition.flying is True and self._condition.armed is not False
+        steers = self._authority is Authority.SETPOINTS and self._mode is not None
         self._on(HandEvent.ENGAGE_ALOFT if flies and steers else HandEvent.ENGAGE)
         self._engaged = flies and self._authority is Authority.MODES and self.hand is Hand.NOBODY
 
@@ -330,24 +346,41 @@ class SetpointStreamer:
         elif command == mav.MAV_CMD_COMPONENT_ARM_DISARM and accepted and self._climb is not None:
             self._climb.on_armed(self._now)
 
-    def on_condition(self, condition: Condition, *, beat: bool = True) -> None:
+    def on_condition(self, condition: Condition, now: MonoNs | None = None, *, beat: bool = True) -> None:
         """Take the condition that the autopilot reports.
 
         Args:
+            now: time of the report; None for that of the newest period.
             beat: whether it comes in a HEARTBEAT, which alone reports mode and motors; otherwise these are old.
         """
         if condition is self._condition and not beat and self._settled == (self.hand, self._climb is None):
             return
+        self._now = self._now if now is None else now
         before, self._condition = self._condition, condition
-        taken = [self._on(event) for event in self._reported(before, condition, beat=beat)]
+        taken = []
+        for event in self._reported(before, condition, beat=beat):
+            if event in _OF_OTHERS and not (event is HandEvent.DISARMED and not before.armed):
+                self.others_at = self._now
+            taken.append(self._on(event))
         self._settled = None if any(taken) else (self.hand, self._climb is None)
         if self.hand is Hand.CUT and condition.armed is False and beat:
             self.motors_cut |= seconds_between(self._stop.began, self._now) >= SHOWN_S
 
     def _reported(self, before: Condition, now: Condition, *, beat: bool) -> Iterator[HandEvent]:
         """Yield the events in a report; each is taken before the next is looked for."""
-        ours, in_mode = self._modes.on_mode(now.mode, self._now) if beat else None, now.mode == self._mode
-        if ours is False and not (self.hand is Hand.TAKING and in_mode and self._tries.begun):
+        in_mode, own = now.mode == self._mode, now.mode != VELOCITY_MODE.get(self._id.stack)
+        came = now.failsafe is not None and (before.failsafe is None or before.failsafe.since != now.failsafe.since)
+        # A failsafe in the first report took nothing from us: PX4 has one where the service before this one died.
+        if came and (before.mode != Condition().mode or self.hand is not Hand.NOBODY):
+            self.others_at = self._now
+            if own:
+                yield HandEvent.FAILSAFE
+        ours = self._modes.on_mode(now.mode, self._now, ambiguous=own) if beat else None
+        if ours and own and self._failsafe_acts:
+            ours = False
+        # PX4 goes back into OFFBOARD by itself once the setpoints come again whose end was its failure.
+        given_back = self._tries.begun or before.failsafe is not None
+        if ours is False and not (self.hand is Hand.TAKING and in_mode and given_back):
             if not self._engaged:
                 yield HandEvent.OTHER_MODE
             elif now.mode != TARGET_MODE.get(self._id.stack):
@@ -357,6 +390,8 @@ class SetpointStreamer:
         elif ours and not in_mode:
             yield HandEvent.LATE
         climb = self._climb
+        if self.motors_cut and now.armed and now.flying:
+            yield HandEvent.FLOWN_AGAIN
         if now.armed is False and (climb is None or before.armed or (beat and climb.was_armed(self._now))):
             yield HandEvent.DISARMED
         elif now.armed and before.armed is False and (climb is None or not climb.arms):
@@ -410,27 +445,30 @@ class SetpointStreamer:
             case _:
                 return []
 
+    @property
+    def _lands_by_itself(self) -> bool:
+        """True while the autopilot lands where it is by its own mode, which a person's order goes on with after us."""
+        return self.hand is Hand.LANDING and self._landing.order.here and not self._landing.by_velocity
+
     def leave(self, now: MonoNs) -> list[Message]:
-        """Return the final messages, a hold in place. A landing of guidance is called off; one that a person ordered goes on."""
+        """Return the final messages, a hold in place. A landing is called off, but for the autopilot's own where it is."""
         self._now = now
         if self.hand is Hand.TAKING_OFF:
             self._end_take_off(now)
-        landing = self._landing
-        if self.hand is Hand.LANDING and landing.order.persistent:
-            descends, landing.by_velocity = landing.by_velocity, False
-            return self._ask(self._land_mode, now) if descends else []
+        if self._lands_by_itself:
+            return []
         if self.hand is Hand.STANDING:
             return [disarm(self._id.address, forced=self._forced(now))] if self._armed(now) is not False else []
         if self.hand not in (Hand.TAKING, Hand.OURS, Hand.LANDING, Hand.HOLDING):
             return []
-        by_mode = self._id.stack is Stack.PX4 or (self.hand is Hand.LANDING and not landing.by_velocity)
+        by_mode = self._id.stack is Stack.PX4 or (self.hand is Hand.LANDING and not self._landing.by_velocity)
         begun = self.hand is not Hand.TAKING or self._modes.pending
         return self._setpoint(now, STILL) + (self._ask(HOLD_MODE.get(self._id.stack), now) if by_mode and begun else [])
 
     def suspend(self, now: MonoNs) -> list[Message]:
         """Return the hold that is sent once when nothing may be commanded any more, so that no old velocity is flown on."""
         out = self.leave(now)
-        if self.hand is not Hand.LANDING or not self._landing.order.persistent:
+        if not self._lands_by_itself:
             self._on(HandEvent.UNCLEAR)
         return out
 
@@ -439,8 +477,8 @@ class SetpointStreamer:
         return not self._modes.accepted and self._tries.due(now)
 
     def _ask(self, mode: str | None, now: MonoNs) -> list[Message]:
-        """Return the request for a mode, and remember it; none for a mode that the stack does not have."""
-        if mode is None:
+        """Return the request for a mode, and remember it; none for a mode that the stack does not have, or against a failsafe."""
+        if mode is None or self._failsafe_acts:
             return []
         self._modes.ask(mode, now)
         return [set_mode(self._id.stack, self._id.address, mode)]
@@ -480,7 +518,7 @@ class SetpointStreamer:
             self._there, self._tries = True, Tries(self._o)
         # To PX4 the end of the setpoints is a failure until it has left OFFBOARD; to ArduCopter one more is another goal.
         out = self._setpoint(now, self._held(now)) if self._condition.mode == "offboard" else []
-        if not self._due(now):
+        if self._failsafe_acts or not self._due(now):
             return out
         if self._there:
             return out + self._ask(mode, now)
@@ -498,15 +536,12 @@ class SetpointStreamer:
         landing = self._landing
         if not self._wanted(now):
             if not landing.by_velocity:
-                self._on(HandEvent.NOT_RENEWED)
-                return self._steer(now)
+                return self._steer(now) if self._on(HandEvent.NOT_RENEWED) else []
             silent_s = seconds_between(landing.at, now)
             if silent_s > self._o.hold_mode_after_s and self._on(HandEvent.SILENT):
                 return self._hold(now)
             velocity = self._mean_velocity * (1.0, 1.0, 0.0) if silent_s <= self._o.deck_hold_s else np.zeros(3)
             return self._setpoint(now, Velocity(velocity, 0.0))
-        if landing.order.persistent and seconds_between(landing.began, now) > self._o.landing_most_s:
-            landing.by_velocity = False
         if landing.by_velocity:
             v = np.array([self._mean_velocity[0], self._mean_velocity[1], self._o.descent_rate_m_s])
             return self._setpoint(now, Velocity(v, 0.0))
@@ -531,8 +566,6 @@ class SetpointStreamer:
     def _wanted(self, now: MonoNs) -> bool:
         """Return whether the landing continues, by velocity or by mode."""
         landing = self._landing
-        if landing.order.persistent:
-            return True
         if landing.spent or seconds_between(landing.at, now) > self._o.landing_timeout_s:
             return False
         if not landing.by_velocity:
@@ -545,6 +578,8 @@ class SetpointStreamer:
         """Request the autopilot's own hold mode, hold until it is active, and then send nothing."""
         name = HOLD_MODE.get(self._id.stack)
         if name is None or self._condition.mode == name:
+            if name != self._mode and not self._modes.unsure:
+                self._on(HandEvent.RESTS)
             return []
         ask = self._ask(name, now) if self._due(now) else []
         return self._setpoint(now, STILL) + ask if ask or not self._tries.spent(now) else []
@@ -553,7 +588,8 @@ class SetpointStreamer:
         """Return whether the motors are stopped by force: guidance reports in every cycle that it feels the deck, in our mode."""
         fresh = self._felt_at is not None and seconds_between(self._felt_at, now) <= self._o.command_timeout_s
         lands = self._modes.own in (self._mode, self._land_mode)
-        return self._o.disarm_on_contact and fresh and lands and self._condition.mode == self._modes.own
+        clear = self._condition.mode == self._modes.own and not self._modes.unsure
+        return self._o.disarm_on_contact and fresh and lands and clear
 
     def _armed(self, now: MonoNs) -> bool | None:
         """Return whether the motors turn; None while a request of ours to arm may still be obeyed."""
@@ -584,7 +620,8 @@ class SetpointStreamer:
         """Arm and climb with the deck's velocity."""
         o, climb = self._o, self._climb
         over = climb is None or self._mode is None or seconds_between(climb.began, now) > o.take_off_timeout_s
-        if climb is None or over or climb.done(self._down_m, self._condition):
+        barred = climb is not None and not climb.flew and self._failsafe_acts
+        if climb is None or over or barred or climb.done(self._down_m, self._condition):
             self._end_take_off(now)
             return []
         out: list[Message] = []
@@ -617,4 +654,8 @@ class SetpointStreamer:
             # was given by that old heading and turns back with it.
             up = np.array([0.0, 0.0, min(0.0, float(velocity.v_level[2]))])
             velocity = Velocity(self._held(now).v_level + up, 0.0)
-        return [velocity_setpoint(now // 1_000_000, self._id.address, velocity, attitude.R_ned_body.rpy_rad[2])]
+        ms, rpy_rad = now // 1_000_000, attitude.R_ned_body.rpy_rad
+        turn_rad = velocity.on_deck_turn_rad if isinstance(velocity, Lean) else None
+        if turn_rad is not None and self._id.stack is Stack.ARDUPILOT:
+            return [level_setpoint(ms, self._id.address, rpy_rad, turn_rad, velocity.yaw_rate_rad_s)]
+        return [velocity_setpoint(ms, self._id.address, velocity, rpy_rad[2])]

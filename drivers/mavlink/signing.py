@@ -18,7 +18,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from estimator.contracts.errors import BadInput, refused, unusable
+from drivers.files import Largest, opened
+from estimator.contracts.errors import BadInput, unusable
 from estimator.contracts.text import utf8_of
 
 _log = logging.getLogger(__name__)
@@ -212,10 +213,8 @@ def load_key(where: str, environment: Mapping[str, str] | None = None) -> Signin
         path = Path(folder) / name
     else:
         path = Path(where)
-    # open() raises a plain ValueError for a path with a NUL character
-    with refused(f"signing key {str(path)!r}", OSError, ValueError), path.open("rb") as file:
-        mode = path.stat().st_mode
-        content = file.read(_LONGEST)  # a setting may name any file, also one without an end, such as a device
+    with opened(path, Largest.SETTINGS, f"signing key {str(path)!r}") as file:
+        mode, content = os.fstat(file.fileno()).st_mode, file.read(_LONGEST)
     # systemd protects credentials by an access list, which looks like a group that may read.
     if not where.startswith(_CREDENTIAL) and stat.S_IMODE(mode) & 0o077:
         raise BadInput(f"signing key {path}: others may read it; chmod 600 {path}")

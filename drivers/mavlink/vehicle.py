@@ -5,11 +5,13 @@ in all chunks of a text and 0 in a text of one message; `chunk_seq` counts from 
 """
 
 import math
+import re
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.failsafe import Failsafe
 from drivers.mavlink.options import TARGET_MODES, VELOCITY_MODES
 from estimator.contracts.geometry import GeoPoint
 
@@ -183,6 +185,8 @@ class Condition:
     battery_fraction: float | None = None
     taking_off: bool = False
     """True if it reports the climb after a take-off."""
+    failsafe: Failsafe | None = None
+    """The failsafe that is in force; None without one. Its `since` changes with each one that comes."""
 
 
 _FLYING = {1: False, 2: True, 3: True, 4: True}
@@ -216,6 +220,10 @@ class _Begun(NamedTuple):
 
     def whole(self, last: int) -> str:
         return "".join(self.chunks.get(k, LOST) for k in range(last + 1))
+
+
+ARMING_REFUSAL = re.compile(r"^(?:\[[^\]]*\]\s*)?(?:PreArm|Arm|Preflight Fail|Arming denied)[:!]\s*(.+)$", re.IGNORECASE)
+"""A STATUSTEXT of either stack that says why it does not arm."""
 
 
 class JoinedTexts:

@@ -114,8 +114,10 @@ def place(m: Any, height_m: float | None = None) -> tuple[GeoPoint, float]:
             raise Refused("impossible")  # minutes of arc
     if m.lat_dir not in ("N", "S") or m.lon_dir not in ("E", "W") or not m.lat or not m.lon:
         raise Refused("malformed")
+    if number(m.lat) == number(m.lon) == 0.0:
+        raise Refused("no_fix")  # what a receiver that has none sends in its place
     try:
-        found = GeoPoint.of_degrees(float(m.latitude), float(m.longitude), height_m)
+        found = GeoPoint.reported(float(m.latitude), float(m.longitude), height_m)
     except ValueError:
         raise Refused("impossible") from None
     return found, max(rounding(m.lat, _MINUTE_M), rounding(m.lon, _MINUTE_M * math.cos(found.latitude_rad)))

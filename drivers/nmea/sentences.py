@@ -23,6 +23,7 @@ from msgspec.structs import replace
 
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.nmea import motion as say
+from drivers.nmea.definitions import SENTENCE_KINDS
 from drivers.nmea.fields import (
     KNOT_M_S,
     SPEED_MAX_KN,
@@ -74,6 +75,12 @@ _OF_QUALITY: Mapping[int, float | str] = {
     0: "no_fix", 7: "typed_in", 8: "simulated",
 }  # fmt: skip
 """Standard deviation of a position by the quality of GGA, at a dilution of 1, m, or the reason why it is refused."""
+_GNS_MODES = "NADPRFEMS"
+"""Letters of GNS, one for each system of satellites, at the index that is the same quality in GGA."""
+_REPEATS: Mapping[str, tuple[str, ...]] = {"GNS": ("GGA",), "GLL": ("GGA", "GNS", "RMC")}
+"""Sentences of the same receiver that say a place with more about it."""
+_UNSAFE = "U"
+"""Navigational status of version 4.11 that is none to sail by; V says only that the receiver does not judge it."""
 _AIS_SIGMA_M = {True: 5.0, False: 10.0}
 """Standard deviation of a position by the flag of AIS, m: the flag shows only whether it is better than 10 m."""
 HEADING_SIGMA_RAD = math.radians(2.0)
@@ -110,6 +117,7 @@ REFUSED_FOR = {
     "not_over_ground": "a wind over the water, whose current is not known",
     "bad_quality": "the sensor says that its data are not good",
     "other_receiver": "another of her receivers is used",
+    "repeated": "the same receiver says it in a sentence that has more about it",
     "no_way": "an apparent wind without her heading and velocity",
     "too_many": f"more than {_RATE_MAX:.0f} sentences a second, or {_SOURCE_MAX * _RATE_MAX:.0f} of one source",
 }
@@ -176,6 +184,8 @@ class _Receiver:
         """Arrival of the newest motion of this talker's device."""
         self._places: dict[str, tuple[int, GeoPoint]] = {}
         """The time of day and the place of the newest sentence of each kind."""
+        self.placed_at: dict[str, MonoNs] = {}
+        """Arrival of the newest place of each kind of sentence."""
         self._apart = MonoNs(0), 0.0
         """Arrival of the place that contradicted the one of its kind before it most, and by how much, m."""
         self._time_ns = -1
@@ -253,9 +263,9 @@ class NmeaReader:
         self.sources: dict[str, SourceCount] = {}
         """The same by talker and kind, as `INGGA`; sentences without a right checksum have neither."""
         self._table: dict[str, Callable[[Any, _Receiver, MonoNs], Samples]] = {
-            "RMC": self._rmc, "GGA": self._gga, "VTG": self._vtg, "HDT": self._hdt, "THS": self._ths, "VHW": self._vhw,
-            "ROT": self._rot, "XDR": self._xdr, "MWV": self._wind, "MWD": self._wind, "PSXN": self._psxn, "PASHR": self._pashr,
-            "PRDID": self._prdid,
+            "RMC": self._rmc, "GGA": self._gga, "GNS": self._gns, "GLL": self._gll, "VTG": self._vtg, "HDT": self._hdt,
+            "THS": self._ths, "VHW": self._vhw, "ROT": self._rot, "XDR": self._xdr, "MWV": self._wind, "MWD": self._wind,
+            "PSXN": self._psxn, "PASHR": self._pashr, "PRDID": self._prdid,
         }  # fmt: skip
 
     def samples(self, datagram: bytes, received_at: MonoNs) -> Samples:
@@ -299,7 +309,7 @@ class NmeaReader:
         return self._counted(begin, kind, lambda: self._sentence(kind, talker, line, received_at), received_at)
 
     def _sentence(self, kind: str, talker: str, line: str, received_at: MonoNs) -> Samples:
-        if kind not in self._table:  # a vendor's own, as Garmin's PGRMC, is none of these
+        if kind not in SENTENCE_KINDS:  # a vendor's own, as Garmin's PGRMC, is none of these
             raise Refused("other_sentence")
         body = line.rpartition("*")[0]
         m = _Ths(talker, kind, body.split(",")[1:]) if kind == "THS" else pynmea2.parse(body)
@@ -360,6 +370,8 @@ class NmeaReader:
     def _rmc(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
         if m.status != "A":
             raise Refused("no_fix")
+        if text(m, 12) == _UNSAFE:
+            raise Refused("not_valid")
         sigma_m = self._worth(_OF_MODE, text(m, 11))
         where, rounded_m = place(m)
         v = None if m.spd_over_grnd is None else velocity(m.spd_over_grnd, m.true_course)
@@ -374,12 +386,38 @@ class NmeaReader:
         fix = self._fix(m, of, where, sigma_m * max(1.0, dilution), rounded_m, None, received_at)
         return self._chosen(of.name, [fix], received_at)
 
+    def _gns(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        modes = text(m, "mode_indicator").replace("N", "") or "N"
+        if any(mode not in _GNS_MODES for mode in modes):
+            raise Refused("impossible")
+        if text(m, 12) == _UNSAFE:
+            raise Refused("not_valid")
+        # The place is made of all systems in use: it is as good as the worst of them.
+        sigma_m = max(self._worth(_OF_QUALITY, _GNS_MODES.index(mode)) for mode in modes)
+        dilution, height = text(m, "hdop"), text(m, "altitude")
+        where, rounded_m = place(m, number(height) if height else None)
+        sigma_m *= max(1.0, number(dilution) if dilution else _DILUTION)
+        return self._chosen(of.name, [self._fix(m, of, where, sigma_m, rounded_m, None, received_at)], received_at)
+
+    def _gll(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
+        if m.status != "A":
+            raise Refused("no_fix")
+        where, rounded_m = place(m)
+        sigma_m = self._worth(_OF_MODE, text(m, "faa_mode"))
+        return self._chosen(of.name, [self._fix(m, of, where, sigma_m, rounded_m, None, received_at)], received_at)
+
     def _fix(
         self, m: Any, of: _Receiver, where: GeoPoint, sigma_m: float, rounded_m: float, v: F64 | None, now: MonoNs
     ) -> GeoFix:
+        kind = m.sentence_type
+        if any(seconds_between(of.placed_at[more], now) <= _WAY_S for more in _REPEATS.get(kind, ()) if more in of.placed_at):
+            raise Refused("repeated")
+        of.placed_at[kind] = now
+        if kind == "GLL" and not text(m, "timestamp"):  # the first versions of the standard have none in it
+            return GeoFix(of.untimed(kind, now), "vessel", where, math.hypot(sigma_m, rounded_m), v)
         time_of_day_ns, known = time_ns(m.timestamp), _recent(self._velocity, now)
         way = known.v_vessel_ned if v is None and known is not None else v
-        apart_m = of.apart_m(m.sentence_type, time_of_day_ns, replace(where, height_m=None), way, rounded_m, now)
+        apart_m = of.apart_m(kind, time_of_day_ns, replace(where, height_m=None), way, rounded_m, now)
         return GeoFix(of.timed(time_of_day_ns, now), "vessel", where, math.hypot(sigma_m, apart_m, rounded_m), v)
 
     def _vtg(self, m: Any, of: _Receiver, received_at: MonoNs) -> Samples:
@@ -556,10 +594,9 @@ class NmeaReader:
             raise Refused("other_sentence")
         if self._mmsi == 0 or int(m.mmsi) != self._mmsi:
             raise Refused("other_ship")
-        try:
-            where = GeoPoint.of_degrees(number(m.lat), number(m.lon))
-        except ValueError:  # 91 and 181 say that there is no fix
-            raise Refused("no_fix") from None
+        if abs(number(m.lat)) > 90.0 or abs(number(m.lon)) > 180.0:  # 91 and 181 say that there is no fix
+            raise Refused("no_fix")
+        where = GeoPoint.of_degrees(number(m.lat), number(m.lon))
         v = velocity(m.speed, m.course if number(m.course) < 360.0 else None) if number(m.speed) <= SPEED_MAX_KN else None
         second, sigma_m = int(number(m.second)), _AIS_SIGMA_M[bool(m.accuracy)]
         if second in _AIS_NO_PLACE:

@@ -4,9 +4,13 @@ The package `nmea2000`, which carries canboat's database and decoder, takes fram
 it. Lines of a gateway are recognized by themselves: Actisense's N2K ASCII, Yacht Devices' RAW, canboat's plain lines and JSON,
 can-utils' candump, SeaSmart and iKonvert; so are Actisense's binary messages (NGT-1) and Signal K's deltas.
 
-Source: canboat's PGN database and formats; Signal K specification 1.7, delta format and the paths of vessels.
+A device keeps its NAME (PGN 60928) and changes its address when others come or power returns: what it reports bears the NAME.
+
+Source: canboat's PGN database and formats; ISO 11783-5 for addresses and NAMEs; Signal K specification 1.7, delta format and
+the paths of vessels.
 """
 
+import logging
 import math
 import re
 from collections import Counter
@@ -18,19 +22,16 @@ from typing import Any
 import msgspec
 
 from drivers.clock_map import ClockMap, ClockMapOptions
+from drivers.nmea.definitions import MESSAGES, Read
 from drivers.nmea.ship_sensors import Samples, ShipSensors, Values
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 
+log = logging.getLogger(__name__)
+
+CLAIM = 60928
+"""The message by which a device says its NAME."""
 KINDS: Mapping[int, tuple[str, tuple[str, ...]]] = {
-    127250: ("heading", ("heading", "reference")),
-    127251: ("turn", ("rate",)),
-    127252: ("heave", ("heave",)),
-    127257: ("attitude", ("pitch", "roll")),
-    127258: ("variation", ("variation",)),
-    129025: ("position", ("latitude", "longitude")),
-    129026: ("course", ("cog", "sog")),
-    129029: ("gnss", ("latitude", "longitude", "altitude", "method", "hdop")),
-    130306: ("wind", ("windSpeed", "windAngle", "reference")),
+    pgn: (kind, tuple(name for name, row in fields.items() if isinstance(row, Read))) for pgn, (kind, fields) in MESSAGES.items()
 }
 """Messages that are used, with the fields that a payload must hold: the decoder reads one that is cut as small numbers."""
 _TEXTS = {
@@ -54,6 +55,10 @@ _ANGLES = (*_DIRECTIONS, "roll", "pitch", "rate", "deviation", "variation")
 _SURE = 5
 """Directions with more digits than a degree has in canboat's JSON, after which its angles count as radians."""
 _PAIR_S = 1.0
+_ADDRESS_MAX, _NAMES_MAX = 251, 252
+"""The highest address of a device, and the number of NAMEs that are kept."""
+_NEW_S = 10.0
+"""Age up to which a device without a NAME may still get another name here: nothing is learnt of it yet."""
 _PATHS: tuple[tuple[str, Mapping[str, str], Mapping[str, str]], ...] = (
     ("attitude", {"": "navigation.attitude"}, {}),
     ("heave", {"heave": "environment.heave"}, {}),
@@ -86,6 +91,11 @@ def _backend() -> Any:
     return backend, backend.canboat, input_formats.detect_format
 
 
+def question() -> tuple[int, bytes]:
+    """Return the CAN identifier and data of the request for the NAMEs of all devices, from one that has no address."""
+    return int(_backend()[1].can_id_compose(6, 59904, 254, 255)), CLAIM.to_bytes(3, "little")
+
+
 @cache
 def _bytes_needed(pgn: int) -> int:
     fields = {field.id: field for field in _backend()[0].DATABASE.pgn_variants(pgn)[0].fields}
@@ -97,6 +107,44 @@ def greeting() -> bytes:
     return bytes(_backend()[1].GatewayCodec("ngt1").open())
 
 
+class Devices:
+    """The devices of a network and their addresses.
+
+    A device has its NAME here. If it sent for long before it said that, it keeps the name of its first address.
+    """
+
+    def __init__(self) -> None:
+        self._heard: dict[int, MonoNs] = {}
+        """Arrival of the first message from each address."""
+        self._names: dict[str, str] = {}
+        """The name of each device here, by its NAME."""
+        self._now: dict[int, str] = {}
+        """The name of the device at each address."""
+
+    def name(self, address: int, now: MonoNs) -> str:
+        """Return what the device is called that sends from an address."""
+        self._heard.setdefault(address, now)
+        bare = f"src {address}"
+        return self._now.get(address) or (f"{bare} anew" if bare in self._names.values() else bare)
+
+    def claimed(self, name: str, address: int, now: MonoNs) -> None:
+        """Note that the device with a NAME has an address, and log it if it had another one."""
+        known = self._names.get(name)
+        if not 0 <= address <= _ADDRESS_MAX or (known is None and len(self._names) >= _NAMES_MAX):
+            return
+        if known is None:
+            long = seconds_between(self._heard.get(address, now), now) > _NEW_S
+            known = self._names[name] = self.name(address, now) if long and address not in self._now else name
+            log.info("the ship's network: the device at address %d is %s, called %s here", address, name, known)
+        if self._now.get(address) == known:
+            return
+        before = [other for other, called in self._now.items() if called == known]
+        for other in before:
+            del self._now[other]
+            log.warning("the ship's network: %s moved from address %d to %d and keeps its name here", known, other, address)
+        self._now[address] = known
+
+
 class BusReader:
     """Reads what one wire carries, in whatever format it is.
 
@@ -106,6 +154,7 @@ class BusReader:
 
     def __init__(self, sensors: ShipSensors) -> None:
         self._sensors = sensors
+        self._devices = Devices()
         self._refused: Counter[str] = Counter()
         self._rest = b""
         self._binary: Any = None
@@ -198,6 +247,9 @@ class BusReader:
 
     def message(self, pgn: int, source: int, payload: bytes, stamp: Stamp) -> Samples:
         """Return the samples of a whole message."""
+        if pgn == CLAIM and len(payload) == 8:
+            self._devices.claimed(f"{int.from_bytes(payload, 'little'):016x}", source, stamp.received_at)
+            return []
         if pgn not in KINDS:
             self._refused["other_message"] += 1
             return []
@@ -209,7 +261,7 @@ class BusReader:
             self._refused["malformed"] += 1
             return []
         values = {field.id.lower(): field.value for field in decoded.fields}
-        return self._sensors.samples(KINDS[pgn][0], f"src {source}", values, stamp)
+        return self._sensors.samples(KINDS[pgn][0], self._devices.name(source, stamp.received_at), values, stamp)
 
     def _actisense(self, data: bytes, received_at: MonoNs) -> Samples:
         out: Samples = []
@@ -234,14 +286,17 @@ class BusReader:
         return []
 
     def _canboat(self, found: dict[str, Any], received_at: MonoNs) -> Samples:
-        if found["pgn"] not in KINDS:
+        if found["pgn"] not in (*KINDS, CLAIM):
             self._refused["other_message"] += 1
             return []
-        kind = KINDS[found["pgn"]][0]
         values: dict[str, Any] = {
             name.replace(" ", "").lower(): value.get("name", value.get("value")) if isinstance(value, dict) else value
             for name, value in found["fields"].items()
         }
+        source = int(found["src"])
+        if found["pgn"] == CLAIM:
+            self._devices.claimed(f"{values['manufacturercode']} {values['uniquenumber']}"[:64], source, received_at)
+            return []
         self._learn_units(values)
         if self._json_units is None and any(name in values for name in _ANGLES):
             self._refused["no_units"] += 1
@@ -249,7 +304,7 @@ class BusReader:
         if self._json_units == "deg":
             values |= {name: math.radians(values[name]) for name in _ANGLES if values.get(name) is not None}
         stamp = self._stamp(str(found.get("timestamp", ""))[-16:], received_at)
-        return self._sensors.samples(kind, f"src {int(found['src'])}", values, stamp)
+        return self._sensors.samples(KINDS[found["pgn"]][0], self._devices.name(source, received_at), values, stamp)
 
     def _learn_units(self, values: Values) -> None:
         """Note whether angles are degrees or radians, which only the first line of a stream says.
@@ -270,7 +325,8 @@ class BusReader:
         out: Samples = []
         for update in found["updates"]:
             named = update.get("source", {})
-            source = str(update.get("$source") or f"{named.get('label', '')}.{named.get('src', '')}")
+            label = update.get("$source") or f"{named.get('label', '')}.{named.get('src', '')}"
+            source = str(named.get("canName") or label)
             stamp = self._stamp(str(update.get("timestamp", ""))[-16:], received_at, source)
             out += [sample for message in self._messages(update, source, stamp) for sample in message]
         return out

@@ -24,14 +24,17 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 Samples = list[GeoFix | VesselReport | VesselMotion | VesselWind]
 Values = Mapping[str, Any]
 
-_SOURCES_MAX = 256
-"""Kinds times sources that are kept apart; an NMEA 2000 network has fewer."""
+_SOURCES_MAX, _FORGET_S = 256, 0.05
+"""Kinds times sources that are kept apart, an NMEA 2000 network has fewer; and least time between two that are forgotten for new
+ones, so that invented names push none out that reports each ten seconds."""
 _STEP_TILT_RAD, _STEP_HEAVE_M = 1e-4 / math.sqrt(12.0), 0.01 / math.sqrt(12.0)
 """Standard deviations that the resolution of PGN 127257 and 127252 leaves."""
 _SIGMA_TURN_RAD_S = 0.005
 """Standard deviation of a rate of turn; the noise of two sets on a small boat was 0.0003 and 0.004 rad/s."""
 _SIGMA_PLACE_M = 5.0
 """Standard deviation of a place whose receiver does not say how it has it."""
+_NOWHERE_DEG = 1e-6
+"""A place so near to 0 N 0 E is all zeros or all ones, which a receiver without a fix sends."""
 _TILT_MAX_RAD, _TURN_MAX_RAD_S = math.radians(TILT_MAX_DEG), math.radians(TURN_MAX_DEG_S)
 _WAY_S, _QUALITY_S = 2.0, 5.0
 """Age beyond which her heading and way do not make a wind true, and beyond which the quality of a fix says nothing."""
@@ -70,7 +73,8 @@ class ShipSensors:
         self.refused: Counter[str] = Counter()
         """The number of messages that were not, by reason."""
         self.sources: dict[str, SourceCount] = {}
-        """The same by source and kind, as `src 27 heave`."""
+        """Both numbers by source and kind, as `src 27 heave`; the source that was received last stands last."""
+        self._forgot_at = MonoNs(-_NEVER_NS)
         self._table: dict[str, Callable[[str, Values, Stamp], Samples]] = {
             "attitude": self._attitude, "heave": self._heave, "turn": self._turn, "heading": self._heading,
             "variation": self._keep_variation, "position": self._position, "gnss": self._gnss, "course": self._course,
@@ -86,11 +90,10 @@ class ShipSensors:
             values: its fields in SI units, degrees for places, by canboat's ids in lower case; None for one without a value.
         """
         now = stamp.received_at
-        name = f"{source} {kind}"
-        if name not in self.sources and len(self.sources) >= _SOURCES_MAX:
+        count = self._counted(f"{source} {kind}", now)
+        if count is None:
             self.refused["too_many_sources"] += 1
             return []
-        count = self.sources.setdefault(name, SourceCount())
         in_time = count.on_sentence(now)
         try:
             if not in_time:
@@ -105,6 +108,17 @@ class ShipSensors:
         self.taken[kind] += 1
         count.used += 1
         return made
+
+    def _counted(self, name: str, now: MonoNs) -> SourceCount | None:
+        """Return the count of a source, now the last in their order; None for a new one while there are too many."""
+        count = self.sources.pop(name, None)
+        if count is None and len(self.sources) >= _SOURCES_MAX:
+            if seconds_between(self._forgot_at, now) < _FORGET_S:
+                return None
+            self._forgot_at = now
+            del self.sources[next(iter(self.sources))]  # the one that was silent for longest
+        self.sources[name] = count = count or SourceCount()
+        return count
 
     def _chosen(self, quantity: str, source: str, sigma: float, stamp: Stamp) -> None:
         if not self._choice.takes(quantity, source, sigma, stamp.received_at):
@@ -160,7 +174,9 @@ class ShipSensors:
             sigma_m = _SIGMA_PLACE_M
         if isinstance(sigma_m, str):
             raise Refused(sigma_m)
-        lat, lon = _needed(values, "latitude", 90.0), _needed(values, "longitude", 180.0)
+        lat, lon = _needed(values, "latitude", 90.0), _needed(values, "longitude", 360.0)
+        if max(abs(lat), abs(lon)) < _NOWHERE_DEG:
+            raise Refused("no_fix")
         height_m = _number(values, "altitude", 10_000.0)
         self._chosen("place", source, sigma_m, stamp)
         return [GeoFix(stamp, "vessel", GeoPoint.of_degrees(lat, lon, height_m), sigma_m)]
@@ -172,7 +188,10 @@ class ShipSensors:
             worth = 2.5
         if not isinstance(worth, str):
             worth *= max(1.0, _number(values, "hdop", 1000.0) or 1.0)
+        self._quality.pop(source, None)
         self._quality[source] = stamp.received_at, worth
+        if len(self._quality) > _SOURCES_MAX:
+            del self._quality[next(iter(self._quality))]
         return [] if values.get("latitude") is None and not isinstance(worth, str) else self._position(source, values, stamp)
 
     def _course(self, source: str, values: Values, stamp: Stamp) -> Samples:

@@ -3,13 +3,14 @@
 import asyncio
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import aiohttp
 
 from drivers.endpoint import BusAddress, Endpoint
-from drivers.nmea.ship_bus import KINDS, BusReader, greeting
+from drivers.nmea.ship_bus import CLAIM, KINDS, BusReader, greeting, question
 from drivers.nmea.ship_sensors import Samples
 from drivers.wires import open_wire
 from estimator.contracts.errors import Recoverable, refused
@@ -58,11 +59,14 @@ async def _read_can(
 
     logging.getLogger("can").setLevel(logging.CRITICAL)  # an interface that is not there is logged once, by the service
     # Only broadcast messages are used: the kernel drops the others.
-    filters = [{"can_id": pgn << 8, "can_mask": 0x3FFFF00, "extended": True} for pgn in KINDS]
+    filters = [{"can_id": pgn << 8, "can_mask": 0x3FFFF00, "extended": True} for pgn in (*KINDS, CLAIM | 0xFF)]
     more: dict[str, Any] = {} if channel[0] == "socketcan" else {"bitrate": _BITRATE}
     try:
         with await asyncio.to_thread(partial(can.Bus, channel[1], channel[0], can_filters=filters, **more)) as bus:
             opened()
+            with suppress(can.CanError, OSError):  # an interface that only listens
+                can_id, data = question()
+                await asyncio.to_thread(bus.send, can.Message(arbitration_id=can_id, data=data, is_extended_id=True), 0.1)
             while True:
                 for message, at in await asyncio.to_thread(_received, bus, clock):
                     if message.is_extended_id and not message.is_error_frame and not message.is_remote_frame:

@@ -42,11 +42,14 @@ class Lean(Struct, frozen=True, eq=False):
     """Velocity over the ground, (3,) m/s: forward and right as they go with the acceleration, down as it is to be flown."""
     yaw_rate_rad_s: float
     """Clockwise from above positive."""
+    on_deck_turn_rad: float | None = None
+    """On a deck that is felt, the turn that is left to the wanted heading, clockwise from above positive; None in flight. By it a
+    vehicle that takes attitudes stands level."""
 
     def __post_init__(self) -> None:
         a, trim, v = own_array(self.a_level), own_array(self.trim_level), own_array(self.v_level)
-        whole = a.shape == trim.shape == (2,) and v.shape == (3,)
-        if not whole or not all(map(math.isfinite, [*a.tolist(), *trim.tolist(), *v.tolist(), self.yaw_rate_rad_s])):
+        whole, turns = a.shape == trim.shape == (2,) and v.shape == (3,), (self.yaw_rate_rad_s, self.on_deck_turn_rad or 0.0)
+        if not whole or not all(map(math.isfinite, [*a.tolist(), *trim.tolist(), *v.tolist(), *turns])):
             raise ValueError(
                 "a lean command needs finite numbers of shapes (2,), (2,), (3,), (), "
                 f"got {self.a_level!r}, {self.trim_level!r}, {self.v_level!r}, {self.yaw_rate_rad_s!r}"
@@ -69,7 +72,7 @@ class Hover(Struct, frozen=True):
     """Hold the position with the vehicle's own means; never descend."""
 
     calls_off: bool = False
-    """A person's order: it also ends a landing that a person ordered."""
+    """A person's order: it also ends a take-off."""
     returns: bool = False
     """True if a vehicle that knows the way flies back by itself, by its own rules; one that does not hovers."""
     elsewhere: LandingPlace | None = None
@@ -86,8 +89,8 @@ class Land(Struct, frozen=True):
     Guidance repeats it in every cycle for as long as it wants to land; a driver treats its absence as the end of the landing.
     """
 
-    persistent: bool = False
-    """A person's order: it needs no repeating and holds until the vehicle is on the ground or commanded to take off."""
+    here: bool = False
+    """True for a landing where the vehicle is, and not on the target that leads an autopilot's own landing."""
     on_deck: bool = False
     """True if contact with the deck was felt: the vehicle is down, and its motors are to be stopped at once."""
     turn_rad: float = 0.0

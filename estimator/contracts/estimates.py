@@ -13,8 +13,10 @@ from copy import copy
 from enum import Enum
 from typing import Literal, overload
 
+import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import force_setattr
+from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import (
@@ -41,6 +43,8 @@ PathName = Literal["median_mean", "dead_reckoning", "ekf", "constant_velocity"]
 
 UNKNOWN_YAW_VAR = math.pi**2 / 3.0
 """rad^2, variance of a heading that could be anything: uniform over the circle."""
+UNSURE = 0.2
+"""Confidence from which a sighting is taken for the pad by default; one below is hardly it."""
 
 
 class Verdict(Enum):
@@ -130,6 +134,11 @@ class Pose6(Struct, frozen=True, eq=False):
         force_setattr(self, "cov", checked_covariance("Pose6.cov", self.cov, 6))
 
 
+_DRAWN_BGR = (255, 0, 255)
+_FAR_PX = 1e4
+_AXES = ("forward", "right", "down")
+
+
 class Sighting(Struct, frozen=True, eq=False):
     """One measurement of the pad: the vector from the body's origin to the pad's centre, written in `level`, and the heading."""
 
@@ -156,6 +165,41 @@ class Sighting(Struct, frozen=True, eq=False):
             raise ValueError(f"Sighting.yaw_rad must lie in (-pi, pi], got {self.yaw_rad}")
         if not 0.0 <= self.confidence <= 1.0:
             raise ValueError(f"Sighting.confidence must lie in [0, 1], got {self.confidence}")
+
+    def draw(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return a copy of the image, (height, width, 3) BGR, in which the features of the sighting are drawn in magenta.
+
+        Args:
+            image: what the pad was found in, (height, width) or (height, width, 1 or 3), uint8.
+        """
+        height, width = image.shape[:2]
+        out = np.broadcast_to(image.reshape(height, width, -1), (height, width, 3)).copy()
+        for feature in self.features:
+            uv = np.clip(feature.uv_px[np.isfinite(feature.uv_px).all(axis=1)], -_FAR_PX, _FAR_PX)
+            if feature.kind != "point" and len(uv) > 1:
+                after = np.roll(uv, -1, axis=0) if feature.kind != "line" else np.vstack([uv[1:], uv[-1:]])
+                steps = np.linspace(0.0, 1.0, 2 + int(np.abs(after - uv).max()))[:, None, None]
+                uv = (uv + steps * (after - uv)).reshape(-1, 2)
+            reach = 3 if feature.kind == "point" else 1
+            for across in range(-reach, reach):
+                for down in range(-reach, reach):
+                    u, v = np.rint(uv + np.array([across, down])).astype(int).T
+                    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+                    out[v[inside], u[inside]] = _DRAWN_BGR
+        return out
+
+    def _repr_html_(self) -> str:
+        """Return the sighting as a notebook shows it."""
+        x, y, z = self.d_body_pad_level.tolist()
+        sigmas = [math.sqrt(v) for v in self.cov.diagonal().tolist()]
+        yaw = "not seen" if self.yaw_rad is None else f"{math.degrees(self.yaw_rad):.1f} &pm; {math.degrees(sigmas[3]):.1f} deg"
+        rows = [(name, f"{value:.3f} &pm; {s:.3f} m") for name, value, s in zip(_AXES, (x, y, z), sigmas, strict=False)]
+        rows += [
+            ("heading", yaw + (" or half a turn off" if self.yaw_ambiguous else "")),
+            ("confidence", f"{self.confidence:.2f}"),
+        ]
+        cells = "".join(f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in rows)
+        return f"<table><caption>pad by {self.method}</caption>{cells}</table>"
 
 
 class Details(Sequence[tuple[str, float]]):
@@ -222,6 +266,9 @@ class RelativeState(Struct, frozen=True, eq=False):
     """The reasons not to descend by this belief; `consistent` is False while there are any."""
     lost: tuple[str, ...] = field(default=())
     """Sensors that this belief does without because they lie, and what each does, in words."""
+    lens_off_m: tuple[float, float] | None = None
+    """Place of the lens less the one in the camera's file, forward and right in `body`, by which the pad's place is off; None
+    unless it is surely too far for a landing."""
     adrift: bool = False
     """True if the pad went out of sight while its ship turned hard: `cov` says where it may have been swung."""
     steers: bool = False

@@ -36,6 +36,21 @@ def wrap_pi(angle_rad: float) -> float:
     return math.pi if wrapped == -math.pi else wrapped
 
 
+def rotated(v: F64, angle_rad: float) -> F64:
+    """Return a vector of the level plane, (2,), turned clockwise seen from above.
+
+    By a body's heading, forward and right of it become north and east.
+    """
+    return np.array(rotated_xy(v, angle_rad))
+
+
+def rotated_xy(v: F64, angle_rad: float) -> tuple[float, float]:
+    """Return the two numbers of `rotated`, for what comes hundreds of times a second."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    x, y = v.tolist()[:2]
+    return c * x - s * y, s * x + c * y
+
+
 def skew(v: ArrayLike) -> F64:
     """(3, 3) matrix of the cross product: `skew(a) @ b == np.cross(a, b)`."""
     x, y, z = np.asarray(v, dtype=float)
@@ -321,12 +336,26 @@ class GeoPoint(Struct, frozen=True):
 
     @staticmethod
     def of_degrees(latitude_deg: float, longitude_deg: float, height_m: float | None = None) -> GeoPoint:
-        """Return the place of coordinates in degrees.
+        """Return the place of coordinates in degrees. A longitude may count on beyond 180, up to a whole turn.
+
+        A sender whose 181 means "unknown", as that of AIS does, has to be understood before.
 
         Raises:
             ValueError: as for the class.
         """
-        return GeoPoint(math.radians(latitude_deg), math.radians(longitude_deg), height_m)
+        beyond = 180.0 < abs(longitude_deg) <= 360.0
+        longitude_rad = math.radians(longitude_deg)
+        return GeoPoint(math.radians(latitude_deg), wrap_pi(longitude_rad) if beyond else longitude_rad, height_m)
+
+    @staticmethod
+    def reported(latitude_deg: float, longitude_deg: float, height_m: float | None) -> GeoPoint:
+        """Return the place that a sensor reports, without its height where that cannot be.
+
+        Raises:
+            ValueError: there is no such place.
+        """
+        usable = height_m is not None and _HEIGHT_M[0] <= height_m <= _HEIGHT_M[1]
+        return GeoPoint.of_degrees(latitude_deg, longitude_deg, height_m if usable else None)
 
 
 def ned_between(origin: GeoPoint, there: GeoPoint) -> F64:

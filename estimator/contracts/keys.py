@@ -4,7 +4,8 @@
         forget_s: Annotated[float, number("silence after which the filter starts again", "s", 1.0, 600.0)] = 30.0
 
 A key with `public=True` describes the user's vehicle, links, camera, pad, sea or wishes. Every other key of a settings file
-stands under `[expert]`.
+stands under `[expert]`. A number that is declared by `tuning`, and a key with `page=True`, may be changed from a browser, and no
+other may: none of them names an address, a device, a path, a secret or an id, or gives anybody a right.
 
 The class is at once what the part takes and what the settings file may hold: the reader, `config check`, the reference page
 and the JSON Schema use the same declaration.
@@ -21,6 +22,8 @@ from msgspec import Meta, Struct, structs
 
 PUBLIC = "x-public"
 """Note of a key that stands outside of `[expert]` in a settings file."""
+PAGE = "x-page"
+"""Note of a key that may be changed from a browser."""
 _Range = tuple[str, float, float]
 _Choice = tuple[str, tuple[object, ...]]
 _Options = TypeVar("_Options", bound=Struct)
@@ -31,25 +34,32 @@ def number(meaning: str, unit: str, low: float, high: float, source: str = "", *
     return Meta(ge=low, le=high, description=meaning, extra_json_schema=_notes(unit, source, public))
 
 
-def text(meaning: str, longest: int, source: str = "", shortest: int = 1, *, public: bool = False) -> Meta:
+def tuning(meaning: str, unit: str, low: float, high: float, source: str = "", *, public: bool = False) -> Meta:
+    """Declare a number that may be changed from a browser too."""
+    return Meta(ge=low, le=high, description=meaning, extra_json_schema=_notes(unit, source, public, page=True))
+
+
+def text(meaning: str, longest: int, source: str = "", shortest: int = 1, *, public: bool = False, page: bool = False) -> Meta:
     """Declare a key that holds text of `shortest` to `longest` characters."""
-    return Meta(min_length=shortest, max_length=longest, description=meaning, extra_json_schema=_notes("", source, public))
+    return Meta(
+        min_length=shortest, max_length=longest, description=meaning, extra_json_schema=_notes("", source, public, page=page)
+    )
 
 
-def name(meaning: str, longest: int, source: str = "", *, public: bool = False) -> Meta:
+def name(meaning: str, longest: int, source: str = "", *, public: bool = False, page: bool = False) -> Meta:
     """Declare a key that holds one word of letters, digits, - and _."""
     return Meta(
         pattern=rf"^[A-Za-z0-9_-]{{1,{longest}}}(?!\n)$",
         min_length=1,
         max_length=longest,
         description=meaning,
-        extra_json_schema=_notes("", source, public),
+        extra_json_schema=_notes("", source, public, page=page),
     )
 
 
-def choice(meaning: str, source: str = "", *, public: bool = False) -> Meta:
+def choice(meaning: str, source: str = "", *, public: bool = False, page: bool = False) -> Meta:
     """Declare a key that holds one of the words of its Literal, or true or false."""
-    return Meta(description=meaning, extra_json_schema=_notes("", source, public))
+    return Meta(description=meaning, extra_json_schema=_notes("", source, public, page=page))
 
 
 def check_ranges(options: Struct) -> None:
@@ -114,6 +124,6 @@ def _limits(kind: type[Struct]) -> tuple[tuple[_Range, ...], tuple[_Choice, ...]
     return tuple(ranges), tuple(choices)
 
 
-def _notes(unit: str, source: str, public: bool) -> dict[str, object] | None:
-    given: tuple[tuple[str, object], ...] = (("x-unit", unit), ("x-source", source), (PUBLIC, public))
+def _notes(unit: str, source: str, public: bool, *, page: bool = False) -> dict[str, object] | None:
+    given: tuple[tuple[str, object], ...] = (("x-unit", unit), ("x-source", source), (PUBLIC, public), (PAGE, page))
     return {name: note for name, note in given if note} or None

@@ -263,6 +263,8 @@ class VehicleStatus(Struct, frozen=True):
     """Largest rate at which it changes its acceleration along the ground, by its own settings; None if it does not say."""
     tilt_max_deg: float | None = None
     """Largest tilt that it flies, by its own settings; None if it does not say."""
+    others_at: MonoNs | None = None
+    """Newest time at which somebody else chose for it: a mode, an arming or a disarm that was not ordered here, or a failsafe."""
 
 
 class VesselMotion(Struct, frozen=True):

@@ -39,6 +39,7 @@ from estimator.ekf.params import (
     ACCEL_BIAS,
     BARO_OFFSET,
     CAMERA_DELAY,
+    CAMERA_LEVER,
     CAMERA_MOUNT,
     GYRO_BIAS,
     RANGE_OFFSET,
@@ -328,6 +329,14 @@ class FilterAnswer:
             Rotation(self._matrix("levelled_by", 3)),
             self._matrix("cov_levelled_by", 3),
         )
+
+    @property
+    def lens(self) -> tuple[F64, F64]:
+        """The error of the lens' place in the camera's file, true minus the file's, and its standard deviations, (3,) m each.
+
+        Axes are those of `body`; the place is taken as exact unless `EkfOptions.sigma_lever_m` is positive.
+        """
+        return self._answer["x"][CAMERA_LEVER], np.sqrt(np.maximum(self._answer["var"][CAMERA_LEVER], 0.0))
 
     @property
     def carried_down_m(self) -> float:

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from estimator.contracts.keys import check_ranges, choice, number
+from estimator.contracts.keys import check_ranges, choice, tuning
 
 _MOTION_CAPTURE = "a recorded AR.Drone 2.0 flight under motion capture"
 
@@ -21,7 +21,7 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
     asd_gyro_rad_s: Annotated[
         float,
-        number(
+        tuning(
             "noise density of the gyro: the error of an attitude integrated from the gyro alone after 1 s",
             "rad/s/sqrt(Hz)",
             1e-7,
@@ -30,22 +30,22 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.003
     asd_accel_m_s2: Annotated[
         float,
-        number(
+        tuning(
             "noise density of the accelerometer with vibration: the error, m/s, of a velocity integrated from it after 1 s",
             "m/s^2/sqrt(Hz)",
             1e-6,
             10.0,
         ),
     ] = 0.03
-    sigma_gyro_bias_rad_s: Annotated[float, number("standard deviation of the gyro's bias at the start", "rad/s", 1e-6, 1.0)] = (
+    sigma_gyro_bias_rad_s: Annotated[float, tuning("standard deviation of the gyro's bias at the start", "rad/s", 1e-6, 1.0)] = (
         0.02
     )
     asd_gyro_bias_rad_s2: Annotated[
-        float, number("random walk of the gyro's bias: its change within 1 s", "rad/s^2/sqrt(Hz)", 1e-9, 0.1)
+        float, tuning("random walk of the gyro's bias: its change within 1 s", "rad/s^2/sqrt(Hz)", 1e-9, 0.1)
     ] = 1e-4
     sigma_accel_bias_m_s2: Annotated[
         float,
-        number(
+        tuning(
             "standard deviation of the accelerometer's bias at the start, across the body's down axis",
             "m/s^2",
             1e-4,
@@ -55,7 +55,7 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.4
     sigma_accel_bias_down_m_s2: Annotated[
         float,
-        number(
+        tuning(
             "the same along the down axis, where a scale error adds to it because the axis measures the weight",
             "m/s^2",
             1e-4,
@@ -64,7 +64,7 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.6
     asd_accel_bias_m_s3: Annotated[
         float,
-        number(
+        tuning(
             "random walk of the accelerometer's bias: its change within 1 s; 0.02 for an autopilot if nothing is set, which may "
             "take its own, changing estimate of the bias off what it sends",
             "m/s^3/sqrt(Hz)",
@@ -74,27 +74,27 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 2e-3
     accel_step_m_s2: Annotated[
         float,
-        number(
+        tuning(
             "largest plausible change of specific force between two samples; the rest is cut off and counts as uncertainty",
             "m/s^2",
             0.1,
             1000.0,
         ),
     ] = 15.0
-    gyro_step_rad_s: Annotated[float, number("the same for the angular velocity", "rad/s", 0.01, 1000.0)] = 4.0
+    gyro_step_rad_s: Annotated[float, tuning("the same for the angular velocity", "rad/s", 0.01, 1000.0)] = 4.0
     sigma_initial_tilt_rad: Annotated[
-        float, number("standard deviation of roll and pitch at the start if the vehicle sends no attitude", "rad", 1e-4, math.pi)
+        float, tuning("standard deviation of roll and pitch at the start if the vehicle sends no attitude", "rad", 1e-4, math.pi)
     ] = math.radians(3.0)
     sigma_initial_heading_rad: Annotated[
-        float, number("standard deviation of the heading at the start if the vehicle sends no attitude", "rad", 1e-4, math.pi)
+        float, tuning("standard deviation of the heading at the start if the vehicle sends no attitude", "rad", 1e-4, math.pi)
     ] = math.radians(10.0)
     sigma_initial_velocity_m_s: Annotated[
-        float, number("standard deviation of the vehicle's velocity at the start", "m/s", 1e-3, 100.0)
+        float, tuning("standard deviation of the vehicle's velocity at the start", "m/s", 1e-3, 100.0)
     ] = 2.0
 
     sigma_attitude_bias_rad: Annotated[
         float,
-        number(
+        tuning(
             "standard deviation of the constant error of the vehicle's own roll and pitch at the start; half a degree for an "
             "autopilot if nothing is set",
             "rad",
@@ -105,7 +105,7 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = math.radians(1.5)
     asd_attitude_bias_rad_s: Annotated[
         float,
-        number(
+        tuning(
             "random walk of that error: its change within 1 s; an AR.Drone in a steady side wind loses its level by much more",
             "rad/s/sqrt(Hz)",
             1e-7,
@@ -114,72 +114,73 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 2e-3
     attitude_correlation_s: Annotated[
         float,
-        number(
+        tuning(
             "time over which errors of the vehicle's own attitude are correlated; samples closer together count as parts of one",
             "s",
             1e-4,
             60.0,
         ),
     ] = 1.0
-    velocity_correlation_s: Annotated[float, number("the same for its velocity", "s", 1e-4, 60.0)] = 0.25
-    range_correlation_s: Annotated[float, number("the same for its range sensor", "s", 1e-4, 60.0)] = 0.05
-    baro_correlation_s: Annotated[float, number("the same for its barometer", "s", 1e-4, 60.0)] = 0.5
+    velocity_correlation_s: Annotated[float, tuning("the same for its velocity", "s", 1e-4, 60.0)] = 0.25
+    range_correlation_s: Annotated[float, tuning("the same for its range sensor", "s", 1e-4, 60.0)] = 0.05
+    baro_correlation_s: Annotated[float, tuning("the same for its barometer", "s", 1e-4, 60.0)] = 0.5
     aiding_period_s: Annotated[
         float,
-        number(
+        tuning(
             "time over which samples of attitude, velocity, range and height are averaged before they are fused", "s", 1e-3, 5.0
         ),
     ] = 0.05
 
-    velocity_scale: Annotated[float, number("initial scale factor: measured over true horizontal velocity", "1", 0.1, 10.0)] = 1.0
+    velocity_scale: Annotated[float, tuning("initial scale factor: measured over true horizontal velocity", "1", 0.1, 10.0)] = 1.0
     sigma_velocity_scale: Annotated[
-        float, number("standard deviation of the scale factor at the start", "1", 1e-4, 10.0, _MOTION_CAPTURE)
+        float, tuning("standard deviation of the scale factor at the start", "1", 1e-4, 10.0, _MOTION_CAPTURE)
     ] = 0.2
     asd_velocity_scale: Annotated[
-        float, number("random walk of the scale factor: its change within 1 s", "1/sqrt(s)", 1e-7, 1.0)
+        float, tuning("random walk of the scale factor: its change within 1 s", "1/sqrt(s)", 1e-7, 1.0)
     ] = 1e-3
     velocity_is_over: Annotated[
         Literal["auto", "ground", "pad", "either"],
         choice(
             "reference of the velocity sensor: the ground (GNSS), the pad's deck, or either, whichever fits better at the time "
-            "(optical flow measures the deck when over it); auto is ground for an autopilot, either for an AR.Drone"
+            "(optical flow measures the deck when over it); auto is ground for an autopilot, either for an AR.Drone",
+            page=True,
         ),
     ] = "auto"
 
     sigma_vessel_velocity_m_s: Annotated[
-        float, number("standard deviation of the vessel's velocity before the first sighting", "m/s", 1e-3, 100.0)
+        float, tuning("standard deviation of the vessel's velocity before the first sighting", "m/s", 1e-3, 100.0)
     ] = 2.0
     asd_vessel_velocity_m_s2: Annotated[
         float,
-        number(
+        tuning(
             "random walk of the vessel's steady velocity, without the waves: its change within 1 s", "m/s^2/sqrt(Hz)", 1e-6, 10.0
         ),
     ] = 0.03
     sigma_turn_rate_rad_s: Annotated[
-        float, number("standard deviation of the vessel's steady rate of turn before the first sighting", "rad/s", 1e-5, 1.0)
+        float, tuning("standard deviation of the vessel's steady rate of turn before the first sighting", "rad/s", 1e-5, 1.0)
     ] = math.radians(3.0)
     asd_turn_rate_rad_s2: Annotated[
-        float, number("random walk of the steady rate of turn: its change within 1 s", "rad/s^2/sqrt(Hz)", 1e-7, 1.0)
+        float, tuning("random walk of the steady rate of turn: its change within 1 s", "rad/s^2/sqrt(Hz)", 1e-7, 1.0)
     ] = 0.006
     sigma_wave_yaw_rate_rad_s: Annotated[
         float,
-        number("standard deviation of the rate at which waves make the vessel yaw about its course", "rad/s", 1e-5, 1.0),
+        tuning("standard deviation of the rate at which waves make the vessel yaw about its course", "rad/s", 1e-5, 1.0),
     ] = math.radians(2.5)
-    wave_yaw_period_s: Annotated[float, number("period of the yaw motion in waves", "s", 0.5, 60.0)] = 6.0
-    sigma_list_rad: Annotated[float, number("standard deviation of the deck's constant list and trim", "rad", 1e-5, 0.5)] = (
+    wave_yaw_period_s: Annotated[float, tuning("period of the yaw motion in waves", "s", 0.5, 60.0)] = 6.0
+    sigma_list_rad: Annotated[float, tuning("standard deviation of the deck's constant list and trim", "rad", 1e-5, 0.5)] = (
         math.radians(1.0)
     )
     pad_yaw_in_vessel_rad: Annotated[
-        float, number("direction of the pad's arrow from the bow, clockwise from above", "rad", 0.0, 2.0 * math.pi, public=True)
+        float, tuning("direction of the pad's arrow from the bow, clockwise from above", "rad", 0.0, 2.0 * math.pi, public=True)
     ] = 0.0
     pad_forward_m: Annotated[
         float,
-        number("the pad from the point whose velocity the ship reports, towards the bow, as `vessel` says", "m", -400.0, 400.0),
+        tuning("the pad from the point whose velocity the ship reports, towards the bow, as `vessel` says", "m", -400.0, 400.0),
     ] = 0.0
-    pad_right_m: Annotated[float, number("the same to starboard", "m", -100.0, 100.0)] = 0.0
+    pad_right_m: Annotated[float, tuning("the same to starboard", "m", -100.0, 100.0)] = 0.0
     deck_radius_m: Annotated[
         float,
-        number(
+        tuning(
             "distance from the pad's centre within which a range sensor is used",
             "m",
             0.05,
@@ -189,54 +190,64 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.6
     sigma_range_offset_m: Annotated[
         float,
-        number("standard deviation of the range sensor's constant error, with that of its mounting height", "m", 1e-4, 10.0),
+        tuning("standard deviation of the range sensor's constant error, with that of its mounting height", "m", 1e-4, 10.0),
     ] = 0.05
-    asd_range_offset_m: Annotated[float, number("random walk of that error: its change within 1 s", "m/sqrt(s)", 1e-7, 1.0)] = (
+    asd_range_offset_m: Annotated[float, tuning("random walk of that error: its change within 1 s", "m/sqrt(s)", 1e-7, 1.0)] = (
         2e-3
     )
-    sigma_baro_offset_m: Annotated[float, number("standard deviation of the barometer's constant error", "m", 1e-3, 10_000.0)] = (
+    sigma_baro_offset_m: Annotated[float, tuning("standard deviation of the barometer's constant error", "m", 1e-3, 10_000.0)] = (
         100.0
     )
-    asd_baro_offset_m: Annotated[float, number("random walk of that error: its change within 1 s", "m/sqrt(s)", 1e-6, 10.0)] = (
+    asd_baro_offset_m: Annotated[float, tuning("random walk of that error: its change within 1 s", "m/sqrt(s)", 1e-6, 10.0)] = (
         0.02
     )
 
     sigma_delay_s: Annotated[
-        float, number("standard deviation of the common error of the sightings' time stamps", "s", 1e-6, 1.0)
+        float, tuning("standard deviation of the common error of the sightings' time stamps", "s", 1e-6, 1.0)
     ] = 0.03
-    delay_drift_s_sqrt_s: Annotated[float, number("random walk of that error: its change within 1 s", "s/sqrt(s)", 0.0, 0.1)] = (
+    delay_drift_s_sqrt_s: Annotated[float, tuning("random walk of that error: its change within 1 s", "s/sqrt(s)", 0.0, 0.1)] = (
         1e-4
     )
     sigma_mount_rad: Annotated[
-        float, number("standard deviation of the camera's orientation on the body, about each axis", "rad", 1e-6, 0.5)
+        float, tuning("standard deviation of the camera's orientation on the body, about each axis", "rad", 1e-6, 0.5)
     ] = math.radians(1.0)
+    sigma_lever_m: Annotated[
+        float,
+        tuning(
+            "standard deviation of the lens' place in the camera's file, along each axis of the body; 0: it is exact",
+            "m",
+            0.0,
+            1.0,
+        ),
+    ] = 0.0
     mount_drift_rad_sqrt_s: Annotated[
-        float, number("random walk of that orientation: its change within 1 s", "rad/sqrt(s)", 0.0, 0.1)
+        float, tuning("random walk of that orientation: its change within 1 s", "rad/sqrt(s)", 0.0, 0.1)
     ] = 1e-5
     sighting_has_attitude_error: Annotated[
         bool,
         choice(
-            "whether the covariance of a sighting includes that of the attitude that levelled it; the filter then subtracts it"
+            "whether the covariance of a sighting includes that of the attitude that levelled it; the filter then subtracts it",
+            page=True,
         ),
     ] = True
 
     gate_probability: Annotated[
-        float, number("probability that the gate refuses a correct measurement: 0.01, 0.001 or 0.0001", "1", 1e-4, 0.01)
+        float, tuning("probability that the gate refuses a correct measurement: 0.01, 0.001 or 0.0001", "1", 1e-4, 0.01)
     ] = 1e-4
     min_confidence: Annotated[
         float,
-        number("least confidence of a sighting; estimator.min_confidence applies earlier", "1", 0.0, 1.0),
+        tuning("least confidence of a sighting; estimator.min_confidence applies earlier", "1", 0.0, 1.0),
     ] = 0.05
     reopen_count: Annotated[
         int,
-        number(
+        tuning(
             "number of consecutive refused sightings, in agreement with one another, that reset the filter to them", "1", 1, 1000
         ),
     ] = 5
-    reopen_s: Annotated[float, number("least time that these sightings must span", "s", 1e-3, 60.0)] = 0.6
+    reopen_s: Annotated[float, tuning("least time that these sightings must span", "s", 1e-3, 60.0)] = 0.6
     heading_memory_s: Annotated[
         float,
-        number(
+        tuning(
             "longest time for which the gyro holds a heading that sightings contradict, if they agreed for as long before",
             "s",
             0.01,
@@ -245,38 +256,38 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 10.0
     confirm_s: Annotated[
         float,
-        number("time after the newest fused sighting or velocity for which the estimate can be consistent", "s", 0.01, 60.0),
+        tuning("time after the newest fused sighting or velocity for which the estimate can be consistent", "s", 0.01, 60.0),
     ] = 1.0
     consistent_sigma_m: Annotated[
         float,
-        number("largest standard deviation of the pad's position at which the estimate can be consistent", "m", 1e-4, 100.0),
+        tuning("largest standard deviation of the pad's position at which the estimate can be consistent", "m", 1e-4, 100.0),
     ] = 1.0
-    forget_s: Annotated[float, number("time without a sighting after which there is no estimate", "s", 0.1, 600.0)] = 30.0
+    forget_s: Annotated[float, tuning("time without a sighting after which there is no estimate", "s", 0.1, 600.0)] = 30.0
 
-    history_s: Annotated[float, number("largest delay of a measurement", "s", 0.05, 30.0)] = 1.0
+    history_s: Annotated[float, tuning("largest delay of a measurement", "s", 0.05, 30.0)] = 1.0
     max_ahead_s: Annotated[
-        float, number("largest time by which a measurement may be ahead of the latest time of reception", "s", 0.0, 5.0)
+        float, tuning("largest time by which a measurement may be ahead of the latest time of reception", "s", 0.0, 5.0)
     ] = 0.05
     leap_s: Annotated[
         float,
-        number("jump of the time of reception beyond which a sample is refused until others agree with it", "s", 0.05, 60.0),
+        tuning("jump of the time of reception beyond which a sample is refused until others agree with it", "s", 0.05, 60.0),
     ] = 2.0
-    leap_count: Annotated[int, number("number of consecutive samples that must agree for that", "1", 1, 1000)] = 5
+    leap_count: Annotated[int, tuning("number of consecutive samples that must agree for that", "1", 1, 1000)] = 5
     tick_s: Annotated[
         float,
-        number(
+        tuning(
             "longest time between two propagations of the covariance; the state is propagated at every IMU sample", "s", 1e-3, 1.0
         ),
     ] = 0.1
     hold_s: Annotated[
         float,
-        number("time for which an IMU sample is valid; after that the body is assumed to keep its velocity", "s", 1e-3, 5.0),
+        tuning("time for which an IMU sample is valid; after that the body is assumed to keep its velocity", "s", 1e-3, 5.0),
     ] = 0.06
     asd_coast_m_s2: Annotated[
-        float, number("density of the unknown acceleration while the IMU is silent", "m/s^2/sqrt(Hz)", 1e-4, 100.0)
+        float, tuning("density of the unknown acceleration while the IMU is silent", "m/s^2/sqrt(Hz)", 1e-4, 100.0)
     ] = 1.5
     asd_coast_rad_s: Annotated[
-        float, number("density of the unknown rotation while the IMU is silent", "rad/s/sqrt(Hz)", 1e-5, 10.0)
+        float, tuning("density of the unknown rotation while the IMU is silent", "rad/s/sqrt(Hz)", 1e-5, 10.0)
     ] = 0.3
 
     def __post_init__(self) -> None:

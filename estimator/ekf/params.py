@@ -133,6 +133,8 @@ DECK_TRIM = np.arange(N)[_part("DECK_TRIM")]
 """Constant list and trim of the deck, rad."""
 CAMERA_DELAY = abi.DL_CAMERA_DELAY
 """Camera delay, s: sightings show the world this much later than their stamps say."""
+CAMERA_LEVER = _part("CAMERA_LEVER")
+"""Error of the lens' place in the camera's file, m, in `body`: true minus the file's."""
 CAMERA_MOUNT = _part("CAMERA_MOUNT")
 """Rotation vector, rad, in `body`: the camera is rotated by `exp(x[CAMERA_MOUNT])` from the mounting in its file."""
 BARO_OFFSET = abi.DL_BARO_OFFSET
@@ -202,6 +204,7 @@ def _initial_var(o: EkfOptions) -> F64:
     var[DECK_TRIM] = o.sigma_list_rad**2
     var[CAMERA_DELAY] = o.sigma_delay_s**2
     var[CAMERA_MOUNT] = o.sigma_mount_rad**2
+    var[CAMERA_LEVER] = o.sigma_lever_m**2
     var[BARO_OFFSET] = o.sigma_baro_offset_m**2
     var[ATT_BIAS] = o.sigma_attitude_bias_rad**2
     var[RANGE_OFFSET] = o.sigma_range_offset_m**2

@@ -215,9 +215,22 @@ def follow(guard: IntegrityGuard, sighting: Sighting, assumed: Attitude, alone_i
         assumed: the attitude that levelled the sighting.
         alone_in: corners, (4, 2) m in `level`, of the deck that the frame shows with no second pad, as `tracks.follow`.
     """
-    if alone_in is not None:
-        alone_in = np.array([_fixed(np.array([x, y, 0.0]), assumed)[:2] for x, y in alone_in.tolist()]).reshape(-1, 2)
-    return _following(guard, _place(sighting, assumed), assumed, alone_in)
+    corners = None if alone_in is None else _corners(alone_in, assumed)
+    return _following(guard, _place(sighting, assumed), assumed, corners)
+
+
+def asks_clear(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude) -> bool:
+    """Return whether `cleared` has to know if a second pad is in the frame."""
+    return tracks.asks_clear(guard.tracks, _place(sighting, attitude))
+
+
+def cleared(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude, alone_in: F64) -> IntegrityGuard:
+    """Take note of whether a frame shows a second pad beside the tracked one, which was fused; arguments as of `follow`."""
+    return structs.replace(guard, tracks=tracks.cleared(guard.tracks, _place(sighting, attitude), _corners(alone_in, attitude)))
+
+
+def _corners(alone_in: F64, attitude: Attitude) -> F64:
+    return np.array([_fixed(np.array([x, y, 0.0]), attitude)[:2] for x, y in alone_in.tolist()]).reshape(-1, 2)
 
 
 def asks_alone(guard: IntegrityGuard, sighting: Sighting, assumed: Attitude) -> bool:

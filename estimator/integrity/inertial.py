@@ -16,7 +16,7 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Imu
 from estimator.integrity import parity
 from estimator.integrity.options import IntegrityOptions
-from estimator.integrity.parity import Bin, Half, Parity, Slope, Steady, TurnByAttitude
+from estimator.integrity.parity import Bin, Half, Parity, Slope, Steady, TurnByAttitude, Vec3
 
 _PERSISTS, _PERSISTS_ALONE = 3, 12
 """Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
@@ -50,6 +50,8 @@ _PICTURES_OLD_S, _PICTURES_LATE = 0.5, 3
 """Age of the newest picture beyond which there are none, s, and number of bins by which pictures are late."""
 _TURNED_RAD_S = math.radians(8.0)
 """Least turn, a root mean square, at which a wrong sense is detected."""
+_SHOWN_LEAST_RAD_S, _UNIT_TIMES, _ALIKE = math.radians(1.0), 15.0, 0.85
+"""Least turn that shows a unit or an axis, a root mean square; how many times as much is another unit; and least correlation."""
 _THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 8.0
 """Limits of a multirotor's specific force in the air: least thrust along its own vertical axis, most across it.
 
@@ -321,7 +323,8 @@ def _agree(bins: tuple[Bin, ...]) -> bool | None:
 
 def _steadily_apart(p: Parity) -> LyingHalf | None:
     for n, by in _GYRO_WINDOWS:
-        what = _gyro_lies(p, p.bins[-n:], by) if len(p.bins) >= n else ""
+        bins = p.bins[-n:]
+        what = _unit_or_axes(bins) or _gyro_lies(p, bins, by) if len(p.bins) >= n else ""
         if what:
             return LyingHalf("gyro", what)
     return None
@@ -352,6 +355,28 @@ def _swings_apart(p: Parity) -> LyingHalf | None:
                 return LyingHalf(sensor, f"turns otherwise than {other} and camera in {axis}")
     reversed_in = "" if in_sight else _reversed_axis(bins[-_REVERSED_BINS:])
     return LyingHalf("gyro", f"turns the wrong way in {reversed_in}") if reversed_in else None
+
+
+def _unit_or_axes(bins: tuple[Bin, ...]) -> str:
+    """Return that a gyro turns as the attitude does, but in another unit or about exchanged axes; empty if it does not."""
+    rates = [([b.w[i] for b in bins], [b.w[i] - b.off[i] for b in bins]) for i in range(3)]
+    squares = [(_dot(w, w), _dot(a, a)) for w, a in rates]
+    shown = [min(both) > len(bins) * _SHOWN_LEAST_RAD_S**2 for both in squares]
+
+    def alike(i: int, j: int) -> float:
+        return _dot(rates[i][0], rates[j][1]) / math.sqrt(squares[i][0] * squares[j][1])
+
+    for i in range(3):
+        times = math.sqrt(squares[i][0] / squares[i][1]) if shown[i] else 1.0
+        if times > _UNIT_TIMES and abs(alike(i, i)) > _ALIKE:
+            return f"turns {times:.0f} times as much as the attitude: it may be in degrees"
+    if shown[0] and shown[1] and min(abs(alike(0, 1)), abs(alike(1, 0))) > _ALIKE > 2.0 * max(abs(alike(0, 0)), abs(alike(1, 1))):
+        return "turns about forward as the attitude does about right: its axes have to be forward, right, down"
+    return ""
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    return math.fsum(x * y for x, y in zip(a, b, strict=True))
 
 
 def _reversed_axis(bins: tuple[Bin, ...]) -> str:
@@ -414,13 +439,23 @@ def _judged_accel(state: Inertial) -> Inertial:
     x, y, z = p.bins[-1].f
     what, needed = _accel_lies(off, usual, p.bins[-1])
     if z > -_THRUST_MIN_M_S2 or math.hypot(x, y) > _SIDE_MAX_M_S2:
-        what, needed = "feels no thrust where it has to", _PERSISTS_GROSS
+        what, needed = _misread((x, y, z)), _PERSISTS_GROSS
     if not what:
         return replace(state, accel_against=0, usual=usual.after(off))
     against = state.accel_against + 1
     if against < needed:
         return replace(state, accel_against=against)
     return replace(state, accel_against=0, accel_fault=LyingHalf("accelerometer", what), named=state.named + 1)
+
+
+def _misread(f: Vec3) -> str:
+    """Return what a specific force is that no multirotor in the air feels: one of other units or axes, or none at all."""
+    whole, least = math.hypot(*f), 0.5 * G_M_S2
+    if 0.7 < whole < 1.4:
+        return f"reads {whole:.1f} in all where 9.8 m/s^2 are felt: it may be in g"
+    if f[2] > least:
+        return "reads the thrust downward: its axes have to be forward, right, down"
+    return "feels no thrust where it has to" + (", but aside: its axes may be exchanged" if whole > least else "")
 
 
 def _judged_velocity(state: Inertial) -> Inertial:
@@ -433,12 +468,13 @@ def _judged_velocity(state: Inertial) -> Inertial:
     if fault is not None or not found.contradicts:
         steady = state.velocity_steady.after(found.rate, state.parity.bins[-1].heading)
         state = replace(state, velocity_steady=steady)
+    in_sight = bool(state.parity.sight) and state.parity.bins[-1].t - state.parity.sight[-1][0] < _PICTURES_OLD_S * 1e9
     if fault is not None:
-        well = fault.well + 1 if found.agrees else 0 if found.contradicts else fault.well
+        # Out of sight a velocity that is wrong by a constant changes as a right one does.
+        well = fault.well + 1 if found.agrees and in_sight else 0 if found.contradicts else fault.well
         return replace(state, velocity_fault=None if well >= _WELL else replace(fault, well=well))
     if not found.contradicts:
         return replace(state, velocity_against=0) if against else state
-    in_sight = bool(state.parity.sight) and state.parity.bins[-1].t - state.parity.sight[-1][0] < _PICTURES_OLD_S * 1e9
     now, since = state.parity.bins[-1].t, state.velocity_right
     still = since is not None and now - since < _STILL_RIGHT_S * 1e9
     right = parity.seen_right(state.parity) if in_sight else still and not found.far

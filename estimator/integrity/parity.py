@@ -19,6 +19,7 @@ beyond what an attitude that errs makes. Later nobody decides, and the velocity 
 """
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -524,6 +525,15 @@ def seen_right(p: Parity) -> bool | None:
     if square < least:
         return True if float((flown * flown).sum()) < least < 0.5 * float((way_of(felt) ** 2).sum()) else None
     return float((way * flown).sum()) > _SEEN_SHARE * square
+
+
+def leaps(p: Parity, since: int) -> tuple[float, float]:
+    """Return the sum of the velocity's leaps after an instant, ns, that the accelerometer did not feel, m/s north and east."""
+    north = east = 0.0
+    for (_, before), (t, now) in pairwise(p.flow):
+        if t > since and math.hypot(x := now[0] - before[0], y := now[1] - before[1]) > _LEAP_M_S:
+            north, east = north + x, east + y
+    return north, east
 
 
 def _window(p: Parity) -> tuple[F64, F64, F64]:

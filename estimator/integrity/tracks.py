@@ -6,7 +6,9 @@ the estimator refuses it: the estimate is wrong then, and has its own way back. 
 history. The track never moves to a candidate. After `adopt_s` with one candidate alone in view the track ends, and a new one with
 a higher number begins; the consumers of the estimate see the number change. Where the pad was out of sight, a candidate that was
 first seen so near to the expected position that no other pad can lie there is the tracked pad: the estimate was wrong, and the
-track goes on. A pad that was in sight cannot have come there at once, however near it is: what did is not the tracked pad.
+track goes on. No other pad lies where frames have shown the deck around the tracked one without a second (`clear_m`): it could
+only have come from beyond, by a drift of the estimate that is some times as large. A pad that was in sight cannot have come there
+at once, however near it is: what did is not the tracked pad.
 
 Without an attitude nothing is estimated, but the frames go on to show whether the pad has left the picture (`follow`).
 
@@ -41,6 +43,10 @@ _SUDDEN_S = 0.5
 """Time since the tracked pad was last seen within which no estimate has drifted off: a picture that shows it elsewhere leapt."""
 _SURELY = 0.9
 """Share of the distance to another pad that is left for the errors of two looks."""
+_FARTHER = 2.0
+"""Factor by which the estimate would have drifted farther if what came back were another pad than the only one ever seen."""
+_CLEAR_SLOPE = 0.35
+"""Distance about the tracked pad over the height that a frame may show clear of a second one."""
 _SWING_RAD_S, _SWING_RAD = 4.0, 0.35
 """Largest rate and angle of the body's turns while its own hover begins."""
 _ALONE_S = 0.2
@@ -101,6 +107,8 @@ class Tracks(NamedTuple):
     """The attitude that was assumed for the newest sighting, whose frame had none; None if it had one."""
     alone: tuple[Place, F64] | None = None
     """The pad's place when it was last whole and alone in the frame, and the corners, (4, 2) m, of what the frame showed."""
+    clear_m: float = 0.0
+    """Distance from the tracked pad within which frames have shown no second one, m; -inf once they have shown one."""
 
     @property
     def leapt(self) -> bool:
@@ -146,9 +154,37 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
     elif tracks.n < _CHOSEN and chosen.n_alone > tracks.n and _alone(chosen, candidates):
         return Tracks(tracks.number, chosen.n, seen), True
     elif _adopted(chosen, candidates, o):
-        another = chosen.sudden or chosen.apart_m >= 0.5 * o.pads_apart_m
-        return Tracks(tracks.number + another, chosen.n, seen), True
+        if chosen.sudden or chosen.apart_m >= max(0.5 * o.pads_apart_m, _surely_clear_m(tracks, chosen)):
+            return Tracks(tracks.number + 1, chosen.n, seen), True
+        return Tracks(tracks.number, chosen.n, seen, clear_m=tracks.clear_m), True
     return tracks._replace(candidates=candidates), False
+
+
+def _surely_clear_m(tracks: Tracks, chosen: TrackCandidate) -> float:
+    """Return the distance from its expected place up to which the only pad is known again, as far as the belief explains it."""
+    return min(tracks.clear_m / (1.0 + _FARTHER), _BELIEF_SIGMAS * chosen.sigmas_m[0])
+
+
+def asks_clear(tracks: Tracks, seen: Place) -> bool:
+    """Return whether a look for a second pad beside the tracked one may show a larger part of the deck clear of any."""
+    return tracks.n >= _ESTABLISHED and 0.0 <= tracks.clear_m < _CLEAR_SLOPE * seen.d[2]
+
+
+def cleared(tracks: Tracks, seen: Place, alone_in: F64) -> Tracks:
+    """Take what a look for a second pad has shown.
+
+    Args:
+        seen: the tracked pad in that frame.
+        alone_in: as in `follow`, without a doubt.
+    """
+    if len(alone_in) == 0:
+        return tracks._replace(clear_m=-math.inf)
+    if not _inside(np.array([seen.d[:2]]), alone_in)[0]:
+        return tracks
+    along = np.roll(alone_in, -1, axis=0) - alone_in
+    rel = np.array(seen.d[:2]) - alone_in
+    edge_m = np.abs(along[:, 0] * rel[:, 1] - along[:, 1] * rel[:, 0]) / np.hypot(*along.T)
+    return tracks._replace(clear_m=max(tracks.clear_m, float(edge_m.min())))
 
 
 def follow(tracks: Tracks, seen: Place, assumed: Attitude, o: IntegrityOptions, alone_in: F64 | None = None) -> Tracks | None:
@@ -216,7 +252,7 @@ def add_fused(tracks: Tracks, seen: Place) -> Tracks:
     alive = tuple(c for c in tracks.candidates if seen.t - c.last.t <= 2.0 * _ALIVE_S * 1e9)
     if tracks.last is not None and tracks.last.t > seen.t:
         return tracks._replace(n=tracks.n + 1, candidates=alive)
-    return Tracks(tracks.number, tracks.n + 1, seen, alive)
+    return Tracks(tracks.number, tracks.n + 1, seen, alive, clear_m=tracks.clear_m)
 
 
 def _adopted(chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...], o: IntegrityOptions) -> bool:

@@ -110,6 +110,11 @@ _OWN, _OWN_M, _OWN_SIGMA_M = 1.0, 0.4, 0.3
 the standard deviation that is assumed of that."""
 _AGREE, _CLUSTER_M, _LOST_S = 3, 0.5, 1.5
 """Least number of corners that agree, within this distance. Third: time for which one that was lost agrees with others."""
+_SURE, _FADES = 6, 12
+"""Number of readings that show a standing thing from which on it counts for `STANDING_LASTS_S`. Second: number of readings of
+its place without it after which one that was shown less often is nothing. Corners that were followed wrongly agree once."""
+_LEVEL_M, _LEVEL_PART = 0.05, 0.5
+"""Largest difference in height of corners that agree, m, and in parts of it: a thing's top, a person's head and shoulders."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,6 +164,10 @@ class AroundMemory(_Found):
     """Number of corners when the picture was taken."""
     stood: F64
     """Corners that were lost and stood out of the deck, (N, 4): place (2) m, height m, and time of the loss, s."""
+    shown: int = 0
+    """Number of readings that showed the thing that was found."""
+    missed: int = 0
+    """Number of those since that showed its place without it."""
 
 
 def _shows_ring(view: FrameView, pose: PadPose) -> bool:
@@ -179,6 +188,7 @@ def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at
     height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
     above, shown = from_above(view, pose, view.pad.disc_radius_m + _MOVES_REACH_M, _STEP_M, _MESH, 1)
     found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
+    times, missed = (0, 0) if memory is None else (memory.shown, memory.missed)
     uv, sums, stood = np.empty((0, 2)), np.empty((0, 16)), np.empty((0, 4)) if memory is None else memory.stood
     key_s, grown = (0.0, 0.0) if memory is None else (seconds_between(memory.key_at, at), height_m / memory.key_height_m)
     if memory is not None and len(memory.uv) and 0.0 <= since_s <= _GAP_S and key_s < 2.0 * _KEY_S and _LOWER < grown < 1.5:
@@ -192,17 +202,30 @@ def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at
         of = _heights(sums, view.pad.disc_radius_m)
         new, known = _nearest_of(of, q, stood, view.pad.disc_radius_m), memory.near(at)
         if new is not None and (known is None or new.height_m > 0.0 or known.height_m == 0.0):
-            found, found_at = new, at
+            again = known is not None and (known.height_m > 0.0) == (new.height_m > 0.0)
+            found, found_at, times, missed = new, at, 1 + (times if again else 0), 0
+        elif known is not None and known.height_m > 0.0 and times < _SURE and _is_shown(known, shown):
+            missed += 1
+            found, found_at = (None, None) if missed >= _FADES else (found, found_at)
         if len(uv) > _LEFT * memory.began and key_s <= _KEY_S and 0.65 < grown < 1.3:
             corners = memory.corners[kept]
-            return replace(memory, at=at, corners=corners, uv=uv, sums=sums, of=of, stood=stood, found=found, found_at=found_at)
+            return replace(
+                memory, at=at, corners=corners, uv=uv, sums=sums, of=of, stood=stood,
+                found=found, found_at=found_at, shown=times, missed=missed,
+            )  # fmt: skip
         # Corners that stay go on in the new picture: a longer way down shows a lower thing. What moves is seen without.
         uv, sums = uv[of.stays], sums[of.stays]
     more = _corners(above, shown, view.pad.disc_radius_m, uv)
     q, uv = (more - (len(above) - 1) / 2) * _STEP_M, np.concatenate([uv, more])
     sums = np.concatenate([sums, np.zeros((len(q), 16)) + _reading(q, centre[:2], height_m, px_m)])
     of = _heights(sums, view.pad.disc_radius_m)
-    return AroundMemory(at, at, above, height_m, uv, uv, sums, of, len(uv), stood, found=found, found_at=found_at)
+    return AroundMemory(at, at, above, height_m, uv, uv, sums, of, len(uv), stood, times, missed, found=found, found_at=found_at)
+
+
+def _is_shown(thing: NearThing, shown: U8) -> bool:
+    """Return whether a picture from above shows the place on the deck where a thing was found."""
+    x, y = (round(of_m / _STEP_M) + (len(shown) - 1) // 2 for of_m in (thing.forward_m, thing.right_m))
+    return 0 <= x < len(shown) and 0 <= y < len(shown) and bool(shown[y, x])
 
 
 def _follow(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[np.intp]]:
@@ -296,14 +319,15 @@ def _nearest_of(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearT
     for (those, up), reach_m in ((standing, disc_radius_m + _STANDS_REACH_M), (moving, math.inf)):
         if len(those) < _AGREE:
             continue
-        apart = np.hypot(*(those[:, None] - those[None]).transpose(2, 0, 1))
-        agree = (apart < _CLUSTER_M).sum(axis=1)
+        # One thing has one height: corners that were followed wrongly may stand near each other, and each has its own.
+        near = np.hypot(*(those[:, None] - those[None]).transpose(2, 0, 1)) < _CLUSTER_M
+        near &= np.abs(up[:, None] - up[None]) <= np.maximum(_LEVEL_M, _LEVEL_PART * up)[:, None]
+        agree = near.sum(axis=1)
         # What was lost confirms what is followed, and nothing alone.
         followed = np.arange(len(those)) < len(those) - (len(stood) if reach_m < math.inf else 0)
         for k in np.flatnonzero(followed & (agree >= _AGREE) & (np.hypot(*those.T) < reach_m)):
-            one = apart[k] < _CLUSTER_M
-            x, y = np.median(those[one], axis=0).tolist()
-            seen = NearThing(x, y, float(np.median(up[one])))
+            x, y = np.median(those[near[k]], axis=0).tolist()
+            seen = NearThing(x, y, float(np.median(up[near[k]])))
             if best is None or seen.from_centre_m < best.from_centre_m:
                 best = seen
     return best

@@ -35,7 +35,7 @@ from estimator.vision.detect.guesses import Plane, heading, pose_about
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.template import FRESH, LEARNED_AT, PaintMemory, fade
 from estimator.vision.detect.verification import calibrate
-from estimator.vision.detection import Detection, Opinions, PadCheck, agree, fuse
+from estimator.vision.detection import Detection, Opinions, PadCheck, agree, covered, fuse
 from estimator.vision.learned.second_opinion import WORTH_ASKING
 from estimator.vision.pad import Pad
 from estimator.vision.pad_information import alike_headings
@@ -275,7 +275,8 @@ def by_paint(
     if thesis is not None:
         selected = fuse(cue for cue in methods.values() if cue is not None and not place.excludes(cue))
         chosen = None if selected is None else selected.method
-    seen = Detection(selected, chosen, MappingProxyType(methods), opinions, elsewhere, check, unfinished=left is not FRESH_SEARCH)
+    selected, elsewhere, unfinished = covered(selected), covered(elsewhere), left is not FRESH_SEARCH
+    seen = Detection(selected, chosen, MappingProxyType(methods), opinions, elsewhere, check, unfinished=unfinished)
     alike = best is not None and is_sure and best.sighting.yaw_ambiguous and alike_headings(tracker.pad) > 1
     yaw_rad = best.sighting.yaw_rad if best is not None and alike else None
     paint = fade(memory.paint) if best is None else best.paint

@@ -37,8 +37,9 @@ def shown(value: object) -> str:
 
 
 LensModel = Literal["brown", "fisheye"]
-_OPTIONAL = {"lens", "distortion", "p_body_cam_m", "rpy_body_cam_deg", "mount_cov_deg2", "readout_s", "focal_sigma"}
-_KEYS = {"width", "height", "fx", "fy", "cx", "cy"} | _OPTIONAL
+_OPTIONAL = {"lens", "distortion", "p_body_cam_m", "mount_cov_deg2", "readout_s", "focal_sigma"}
+_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "rpy_body_cam_deg"} | _OPTIONAL
+_DOWN = "; [0.0, 0.0, 90.0] looks straight down, the picture's top to the nose"
 _LARGEST_PX = 16_384
 """Largest width and height of an image; a square image of that size is the largest that fits in memory."""
 _FOCAL_PX = 1.0, 1e6
@@ -150,7 +151,7 @@ class Camera:
         if unknown := sorted(set(data) - _KEYS):
             raise BadInput(f"{where}: unknown key {unknown[0]!r}; known are {', '.join(sorted(_KEYS))}")
         if missing := sorted(_KEYS - _OPTIONAL - set(data)):
-            raise BadInput(f"{where}: key {missing[0]!r} is missing")
+            raise BadInput(f"{where}: key {missing[0]!r} is missing{_DOWN if missing[0] == 'rpy_body_cam_deg' else ''}")
 
         def number(key: str) -> float:
             found = finite(data[key])

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from msgspec import Struct, structs
 
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Method, Sighting
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, UNSURE, Method, Sighting
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs
 
@@ -31,6 +31,22 @@ _COARSE = 0.003
 
 Their own covariance does not contain it. A disagreement of a few of these is no reason to reject a cue.
 """
+
+_FAR_M = 10.0
+"""Distance that a pad may at least have which something else is taken for."""
+
+
+def covered(seen: Sighting | None) -> Sighting | None:
+    """Return a sighting as it is, or one that is hardly the pad with a covariance that covers the pad elsewhere in view.
+
+    It then stands for a mixture: the pad where it seems to be by its confidence, else as far from there as the sighting is away,
+    or as a pad is usually seen from. Its full pose, whose covariance says nothing of this, is left out.
+    """
+    if seen is None or seen.confidence >= UNSURE:
+        return seen
+    away = max(_FAR_M, float(np.linalg.norm(seen.d_body_pad_level))) ** 2
+    cov = seen.cov + (1.0 - seen.confidence) * np.diag([away, away, away, 0.0 if seen.yaw_rad is None else UNKNOWN_YAW_VAR])
+    return structs.replace(seen, cov=cov, pose6=None)
 
 
 def fuse(cues: Iterable[Sighting]) -> Sighting | None:
@@ -206,3 +222,9 @@ class Detection(Struct, frozen=True, eq=False):
     """
     unfinished: bool = False
     """True if the frame's budget of work ended its search, which goes on with the next frame."""
+
+    def _repr_html_(self) -> str:
+        """Return the detection as a notebook shows it: its sighting, and what each method saw."""
+        seen = "no pad" if self.selected is None else self.selected._repr_html_()
+        tried = ", ".join(f"{name} {'-' if one is None else f'{one.confidence:.2f}'}" for name, one in self.methods.items())
+        return f"{seen}<p>confidence by method: {tried}</p>"

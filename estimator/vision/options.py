@@ -3,7 +3,7 @@
 import math
 from typing import Annotated, Literal
 
-from estimator.contracts.keys import CheckedOptions, choice, number, text
+from estimator.contracts.keys import CheckedOptions, choice, text, tuning
 
 TrackerMethod = Literal["fused", "registration", "thesis"]
 """The methods that form the sighting: registration alone, all fused, or the thesis' three with its selection by priority."""
@@ -21,14 +21,18 @@ class TrackerOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
 
     method: Annotated[
         TrackerMethod,
-        choice("methods of detection: registration alone; all four, fused; the thesis' three, chosen by priority", public=True),
+        choice(
+            "methods of detection: registration alone; all four, fused; the thesis' three, chosen by priority",
+            public=True,
+            page=True,
+        ),
     ] = "registration"
     colours: Annotated[
         ColourSetName,
-        choice("set of colour limits by which the thesis' methods segment the pad", "thesis table 4.1", public=True),
+        choice("set of colour limits by which the thesis' methods segment the pad", "thesis table 4.1", public=True, page=True),
     ] = "indoor"
     deck_tilt_sigma_deg: Annotated[
-        float, number("standard deviation of the deck's roll and pitch", "deg", 0.0, 30.0, "supply vessel in a slight sea")
+        float, tuning("standard deviation of the deck's roll and pitch", "deg", 0.0, 30.0, "supply vessel in a slight sea")
     ] = 2.0
     learned: Annotated[
         Learned,
@@ -36,6 +40,7 @@ class TrackerOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             "whether a trained network, which can only lower a confidence, checks what a search finds",
             "docs/vision.md",
             public=True,
+            page=True,
         ),
     ] = "off"
     learned_file: Annotated[

@@ -24,7 +24,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from estimator.contracts.estimates import CENTRE, Feature, Method, RelativeState, Sighting
+from estimator.contracts.estimates import CENTRE, UNSURE, Feature, Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
@@ -36,7 +36,7 @@ from estimator.vision.by_paint import TrackerMemory as TrackerMemory
 from estimator.vision.camera import Camera
 from estimator.vision.detect.acquire import FRESH_SEARCH
 from estimator.vision.detect.template import paints_at
-from estimator.vision.detection import Detection
+from estimator.vision.detection import Detection, covered
 from estimator.vision.native import checked, image_of, native_prior, tracker_of, work_done
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad import Lamp, Pad, places_of
@@ -235,8 +235,8 @@ def sight(
         return seen, dataclasses.replace(left, lit=False)
     methods = MappingProxyType[Method, Sighting | None]({**seen.methods, "lamps": lit})
     if ExpectedPlace.of(belief, frame, tracker, memory.alike_yaw_rad).excludes(lit):
-        return replace(seen, methods=methods, elsewhere=lit), dataclasses.replace(left, lit=memory.lit)
-    return Detection(lit, "lamps", methods, seen.opinions, seen.elsewhere), dataclasses.replace(left, lit=_is_sure(lit))
+        return replace(seen, methods=methods, elsewhere=covered(lit)), dataclasses.replace(left, lit=memory.lit)
+    return Detection(covered(lit), "lamps", methods, seen.opinions, seen.elsewhere), dataclasses.replace(left, lit=_is_sure(lit))
 
 
 def _painted(
@@ -355,7 +355,7 @@ class PadTracker:
         *,
         method: TrackerMethod = "registration",
         colours: ColourSetName = "indoor",
-        min_confidence: float = 0.2,
+        min_confidence: float = UNSURE,
         sigma_deck_rad: float = SIGMA_DECK_RAD,
     ) -> None:
         for given, kind in ((camera, Camera), (pad, Pad)):

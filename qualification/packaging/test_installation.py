@@ -70,7 +70,7 @@ def test_a_checkout_installs_a_small_service_that_runs(tmp_path: Path, monkeypat
     assert run(f"{decklander} config check raspberry_px4", tmp_path).returncode == 0
     refused = run(f"{decklander} config check sim", tmp_path)
     assert (refused.returncode, "decklander[video]" in refused.stderr) == (2, True)
-    refused = run(f"{decklander} campaign demo --soak --plot soak.svg --hours 1", tmp_path)
+    refused = run(f"{decklander} campaign demo --report --runs 1", tmp_path)
     assert (refused.returncode, "matplotlib" in refused.stderr) == (2, True)
     flown = run(f"{decklander} simulate demo --seed 1 --json", tmp_path)
     assert '"landed_on_pad": true' in flown.stdout, flown.stderr

@@ -267,7 +267,7 @@ class DroneState:
         match command:
             case at.Ref():
                 yield from self._refer(command, phase)
-            case at.Pcmd() | at.PcmdMag():
+            case at.Pcmd():
                 if phase in _STEERABLE:
                     yield stick_of(command)
             case at.ConfigIds():
@@ -338,7 +338,7 @@ class DroneState:
             yield RefAction.SEND_CUSTOM_IDS
 
 
-def stick_of(command: at.Pcmd | at.PcmdMag) -> Stick:
+def stick_of(command: at.Pcmd) -> Stick:
     """Return the stick of a PCMD, each axis limited to -1..1."""
     roll, pitch, gaz, yaw = at.unit(command.roll), at.unit(command.pitch), at.unit(command.gaz), at.unit(command.yaw)
     return Stick(roll=roll, pitch=pitch, gaz=gaz, yaw=yaw, progressive=bool(command.flags & at.PCMD_PROGRESSIVE))

@@ -24,7 +24,7 @@ from sitl.camera.projection import F32, SHIFT, fixed_point, lens_of
 from sitl.camera.render.deck import DeckPainter, Part, bounds, draw, drone_shadow, hull_side, on_water
 from sitl.camera.render.pad import PadPainter, Pose, Stroke, moved, moved_scene, row_map, smear, vignette
 from sitl.camera.render.sea import Lamps, SeaPainter, glint, mast_shadow, through_haze
-from sitl.camera.settings import DropSettings, LampSettings
+from sitl.camera.settings import CLEAR_M, DropSettings, LampSettings
 from sitl.camera.surroundings import Surroundings
 from sitl.core.abi import DL_GAIN_ONE, DL_PAD_EDGE, DL_PAD_NONE
 
@@ -193,8 +193,7 @@ class Renderer:
         self._decals = [
             (decal.on, [(points, scene_of(rgb[::-1])) for points, rgb in decal.polygons()]) for decal in self.surroundings.decals
         ]
-        e, a = self.light.sun_elevation_rad, self.light.sun_azimuth_rad
-        self._to_sun = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)])
+        self._to_sun = self.light.to_sun_ned
 
     def development(self, light: Light, sensor: Sensor) -> Development:
         """Return the sensor model with another exposure, amplification or white balance than this renderer's own."""
@@ -354,7 +353,7 @@ class Renderer:
                 added = self._add_glare(added, R_cam_pad, t_cam_pad, plane)
         if self.light.glint > 0:
             added = self._add_glint(added, shot, R_cam_pad, plane if deck is not None else None, mask)
-        if math.isfinite(self.light.visibility_m):
+        if self.light.visibility_m < CLEAR_M:
             gain, added = self._haze(gain, added, shot, R_cam_pad, normal_distance if deck is not None else None)
         return scene, gain, added
 
@@ -379,8 +378,8 @@ class Renderer:
 
     def _cast_shadow(self, gain: I16, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64, plane: F64, mask: U8 | None) -> I16:
         R_pad_ned = shot.R_ned_pad.matrix.T
-        if self.light.mast is not None:
-            fallen = mast_shadow(self._lens, self.light.mast, R_cam_pad, t_cam_pad, R_pad_ned @ self._to_sun)
+        if (mast := self.light.mast) is not None:
+            fallen = mast_shadow(self._lens, mast, R_cam_pad, t_cam_pad, R_pad_ned @ self._to_sun)
             gain = gain if fallen is None else self._shaded(gain, fallen, mask)
         if self.light.drone_shadow == 0:
             return gain

@@ -16,8 +16,10 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from estimator.contracts.geometry import F64
 from estimator.vision.srgb import linear_light
 from sitl.camera.projection import F32
+from sitl.camera.settings import LightSettings
 from sitl.core.abi import (
     DL_CELL_PX,
     DL_COUNTS_BY_EIGHT,
@@ -45,39 +47,30 @@ class Mast(Struct, frozen=True):
     """Position of its foot in `pad`, m."""
 
 
-class Light(Struct, frozen=True):
+class Light(LightSettings, frozen=True):
     """The light on the scene, and the optics between it and the sensor."""
 
-    colour_temperature_k: float = 6500.0
-    """Colour temperature of the light, 1700 to 25000 K."""
     balanced_for_k: float = 6500.0
     """Colour temperature that the camera takes for white."""
     white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Gains on red, green and blue beyond that: an error of 20 % is (1.2, 1, 1) or the like."""
-    exposure_ev: float = 0.0
-    """Stops against the exposure that puts white paint at 80 % of full scale."""
     vignetting: float = 0.20
     """Share of light lost in the corners of the frame."""
-    sun_elevation_rad: float = math.radians(55.0)
-    sun_azimuth_rad: float = math.radians(140.0)
-    """Azimuth of the sun, clockwise from north."""
-    drone_shadow: float = 0.45
-    """Share of light that the drone's own shadow takes away; 0 under a cloudy sky."""
-    glare: float = 0.0
-    """Mirrored sun on the pad: light added at the spot's centre, in units of white paint."""
     glare_centre_m: tuple[float, float] = (0.12, 0.08)
     """Centre of the glare spot in `pad`."""
-    wetness: float = 0.0
-    """0 dry to 1 soaked: darker paint, and puddles that mirror the sky."""
     wear: float = 0.06
     """Standard deviation of the paint's brightness over deck and pad; 0 for perfect paint."""
-    daylight_ev: float = 0.0
-    """Stops of light on the scene against full daylight. Lamps add to it."""
-    visibility_m: float = math.inf
-    """Distance at which haze leaves a fiftieth of the contrast."""
-    glint: float = 0.0
-    """Light of the mirrored sun on the sea and, times the wetness, on the deck, in units of white paint in daylight."""
-    mast: Mast | None = None
+
+    @property
+    def mast(self) -> Mast | None:
+        """The mast whose shadow may fall on deck."""
+        return Mast(self.mast_height_m, (self.mast_forward_m, self.mast_right_m)) if self.mast_height_m > 0 else None
+
+    @property
+    def to_sun_ned(self) -> F64:
+        """Direction (3,) to the sun."""
+        e, a = math.radians(self.sun_elevation_deg), math.radians(self.sun_azimuth_deg)
+        return np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)])
 
     def gains_bgr(self) -> F32:
         """Factors (3,) from paint to the sensor's full scale in blue, green, red."""

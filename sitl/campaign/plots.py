@@ -1,9 +1,8 @@
-"""The plots of a campaign's report, each narrow, so that its letters can be read on a phone, and the plot of a soak."""
+"""The plots of a campaign's report, each narrow, so that its letters can be read on a phone."""
 
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -15,15 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import PercentFormatter
 
-from companion.base.version import MARK
-from companion.settings.load import whole
-from estimator.contracts.errors import refused
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
 from estimator.vision.regions import outlines_of, part_of
 from sitl.campaign.figures import SuccessMap, unmoved, wilson
-from sitl.campaign.soak import Flown, Reading, fault_of
-from sitl.flight.ending import Grade
 
 INK, FAINT = "#010203", "#040506"
 """Stand-ins for the page's own colours."""
@@ -87,9 +81,6 @@ _DOTS_MAX = 3000
 _STEPS_MAX = 300
 _SUCCESS = LinearSegmentedColormap.from_list("success", ["#b3441e", "#e69f00", "#f0e442", "#56b4e9", "#0a9d76"])
 """Colours from failure to success; its ends differ in lightness too."""
-_CLASSES = {Grade.ON_PAD: "#2a9d3a", Grade.REFUSED_RIGHTLY: "#3a6fb0", Grade.FAILED: "#c0392b", Grade.STARVED: "#8a8a8a"}
-_FAULT_ROW_IN = 0.16
-"""Height of one fault's row, which its name needs, in."""
 
 
 def outcomes(counts: Sequence[tuple[str, int, str]], runs: int) -> str:
@@ -203,41 +194,3 @@ def success_map(of: SuccessMap) -> str:
 
 def _id(key: str) -> str:
     return key.replace(".", "-")
-
-
-def soak(path: Path, readings: Sequence[Reading], flights: Sequence[Flown]) -> None:
-    """Write the plot of a soak: the resources of its process over time, and the outcome of each flight.
-
-    The suffix of the path selects the format (png, svg, pdf).
-
-    Raises:
-        BadInput: the file cannot be written.
-    """
-    names = sorted({fault_of(flight.title) for flight in flights}, reverse=True)
-    rows_in = max(4.0, _FAULT_ROW_IN * len(names))
-    figure = Figure(figsize=(11, 5.0 + rows_in), layout="constrained")
-    memory, counts, outcomes = figure.subplots(3, 1, height_ratios=[3.0, 2.0, rows_in])
-    minutes = [reading.at_s / 60 for reading in readings]
-    before = [reading.memory_mib if reading.before_mib is None else reading.before_mib for reading in readings]
-    memory.plot(minutes, before, color="#bbbbbb", label="with the free pages that the allocator keeps")
-    memory.plot(minutes, [reading.memory_mib for reading in readings], color="#333333", label="judged")
-    memory.legend(loc="lower right", fontsize="small")
-    memory.set_ylabel("memory, MiB")
-    for name in ("descriptors", "threads", "tasks"):
-        values = [getattr(reading, name) for reading in readings]
-        if all(value is not None for value in values):
-            counts.plot(minutes, values, label=name)
-    counts.set_ylabel("count")
-    counts.legend(loc="upper left", fontsize="small")
-    rows = {name: n for n, name in enumerate(names)}
-    for worth, colour in _CLASSES.items():
-        its = [flight for flight in flights if flight.worth is worth]
-        places = [rows[fault_of(flight.title)] for flight in its]
-        outcomes.scatter([f.at_s / 60 for f in its], places, s=22, color=colour, label=f"{len(its)} {worth.value}")
-    outcomes.set_yticks(range(len(names)), [name[:44] for name in names], fontsize="x-small")
-    outcomes.set_xlabel("minutes since the start")
-    outcomes.legend(loc="upper center", bbox_to_anchor=(0.4, -0.5 / rows_in), ncols=4, fontsize="small", frameon=False)
-    for axes in (memory, counts, outcomes):
-        axes.grid(alpha=0.25)
-    with refused(f"--plot {path}", OSError, ValueError), whole(path) as beside:
-        figure.savefig(beside, dpi=110, metadata=MARK)

@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from companion.settings.model import Settings
 from sitl.campaign.figures import WORST, name_of
-from sitl.campaign.workers import ERROR, Flight, fly_flight
+from sitl.campaign.workers import ERROR, Flight, Flyer, fly_flight
 from sitl.faults.drawn import simpler
 from sitl.faults.kinds import AnyFault
 from sitl.flight.one_flight import Perception
@@ -104,6 +104,7 @@ class Cases(Struct, frozen=True):
         scenario: the same, without random faults.
         settings: those that are flown.
         options: further arguments of `decklander simulate` that fly a flight of the campaign.
+        flyer: flies one without random faults.
     """
 
     name: str
@@ -112,6 +113,9 @@ class Cases(Struct, frozen=True):
     perception: Perception
     perception_model: str | None
     options: Sequence[str]
+    flyer: Flyer = fly_flight
+    autopilot: bool = False
+    """Flown by the stand-in of an autopilot."""
 
     def of(self, failing: Iterable[Flight]) -> Iterator[tuple[str, bytes]]:
         """Return the name and the content of a file for each of the first failing flights, unsafe ones first."""
@@ -127,13 +131,15 @@ class Cases(Struct, frozen=True):
         def fails(faults: Sequence[AnyFault]) -> bool:
             nonlocal newest
             scenario = with_faults(self.scenario, faults)
-            again = fly_flight(self.name, scenario, seed, self.settings, self.perception, self.perception_model)
+            again = self.flyer(self.name, scenario, seed, self.settings, self.perception, self.perception_model)
             if verdict_of(again) != verdict:
                 return False
             newest = again
             return True
 
-        drawn = with_random_faults(self.scenario, seed, self.perception).faults[len(self.scenario.faults) :]
+        drawn = with_random_faults(self.scenario, seed, self.perception, autopilot=self.autopilot).faults[
+            len(self.scenario.faults) :
+        ]
         faults = shrunk(drawn, fails)
         options = " ".join(option for option in self.options if option not in ("--faults", "random"))
         if self.perception != "pixels" and "--perception" not in self.options:

@@ -26,7 +26,7 @@ from multiprocessing.connection import wait as wait_for_connections
 from typing import Any, NamedTuple
 
 from companion.settings.model import Settings
-from estimator.contracts.errors import BadInput, Recoverable, in_words
+from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible, in_words, refused
 from sitl.campaign.plan import AnyPlan, Job, canonical, code_version, differences, unpacked
 from sitl.flight.one_flight import FlyOptions, Perception, fly
 from sitl.scenario.scenario import Scenario
@@ -219,7 +219,10 @@ class LocalWorkers:
                 context = multiprocessing.get_context("forkserver")
                 context.set_forkserver_preload(["sitl.campaign.unborn", "sitl.campaign.workers"])
                 _start_server()
-                self._pool = ProcessPoolExecutor(self._workers, mp_context=context, initializer=_begin)
+                with refused(
+                    "the processes of a campaign need shared memory: is /dev/shm there and writable?", OSError, by=SetupImpossible
+                ):
+                    self._pool = ProcessPoolExecutor(self._workers, mp_context=context, initializer=_begin)
             return self._pool.submit(fly_order, order), False
         except BrokenProcessPool as why:
             future: Future[Flight] = Future()

@@ -4,7 +4,7 @@ Whatever is drawn can be written into a scenario file, and made simpler step by 
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -14,6 +14,7 @@ from sitl.faults.fault import FACTS, LATE_MAX_S, UNSIZED, Corrupted, Fault, Sign
 from sitl.faults.kinds import (
     AnyFault,
     CommandStream,
+    Failsafe,
     FocalLength,
     Gust,
     LensCovered,
@@ -42,6 +43,14 @@ _FACTOR_LEAST = 0.03
 _COMMAND_S = 0.5
 """Longest time in which commands do something else than they say. Nothing on board can fly a vehicle that turns right for left;
 the requirement is that it gets over it."""
+_COMMAND_LATE_S = 0.4
+"""Largest delay of commands that lasts longer: one axis that is late by more than a second cannot be flown either."""
+
+
+_KNOWN_S = 1.0
+"""Time until an error of the sightings is a leap: before that nothing knows the pad's place."""
+_CHARGE_LEAST = 0.04
+"""Least charge that is left: the way down from the start, a person's time to read of it and a few seconds more take it."""
 
 
 class Sizes(NamedTuple):
@@ -88,11 +97,21 @@ class Drawable(NamedTuple):
     pad: str = "thesis"
     rendered: bool = False
     """Frames are rendered, so that another pad can be painted over the right one."""
+    kinds: frozenset[str] | None = None
+    """The kinds of `SHARES` that can act; None for all but an autopilot's."""
+    errors: Callable[[Signal, SignalError], bool] = lambda signal, error: True
+    """Returns whether a signal can be wrong in this way."""
+    autopilot: bool = False
+    """An autopilot flies it: a person may have a remote control, and it has failsafes."""
 
 
 SHARES: Mapping[str, int] = {
     "corrupted": 8,
+    "level": 4,
     "operator": 4,
+    "landing": 3,
+    "late_order": 2,
+    "failsafe": 3,
     "commands": 3,
     "service_killed": 3,
     "weak_rotor": 2,
@@ -103,7 +122,11 @@ SHARES: Mapping[str, int] = {
     "gust": 1,
 }
 """Weight of each kind in the draw."""
-_BAG = tuple(kind for kind, share in SHARES.items() for _ in range(share))
+_LEVELS = frozenset(signal for signal in SIZES if not signal.endswith("_stamps") and signal != "commands")
+"""Sensors whose level can be wrong."""
+_LEVEL_MOST: Mapping[Signal, float] = {"sighting": 0.05}
+"""Largest error of a level that nothing on board shows: a camera that sits elsewhere than its file says, by a ruler's error.
+docs/limits.md says what more does."""
 NEUTRAL: Mapping[type[Fault], Mapping[str, float]] = {
     CommandStream: {"dropped_fraction": 0.0, "delay_s": 0.0},
     WeakRotor: {"thrust_fraction": 1.0},
@@ -111,24 +134,26 @@ NEUTRAL: Mapping[type[Fault], Mapping[str, float]] = {
     OtherPad: {"size": 1.0},
     LowBattery: {"fraction": 0.2},
     Gust: {"speed_m_s": 0.0},
-    OperatorActs: {"forward": 0.0, "right": 0.0, "climb": 0.0, "turn": 0.0},
+    OperatorActs: {"forward": 0.0, "right": 0.0, "climb": 0.0, "turn": 0.0, "late_s": 0.0},
 }
 """The value of each key at which a fault does nothing."""
 
 
 def draw(seed: int, there: Drawable) -> tuple[AnyFault, ...]:
-    """Return the faults of a seed: one, or two of different kinds. Half of the pairs begin together."""
+    """Return the faults of a seed: of one kind, or of two different ones. Half of the pairs begin together."""
     rng = np.random.default_rng([seed, _STREAM])
-    kinds = [_pick(rng, _BAG)]
+    possible = SHARES.keys() - {"failsafe"} if there.kinds is None else there.kinds
+    bag = tuple(kind for kind, share in SHARES.items() if kind in possible for _ in range(share))
+    kinds = [_pick(rng, bag)]
     while len(kinds) == 1 and rng.random() < _PAIRS:
-        kinds.append(_pick(rng, _BAG))
+        kinds.append(_pick(rng, bag))
     if kinds[0] == kinds[-1] != "corrupted":
         kinds[1:] = ["corrupted"] * (len(kinds) - 1)
     begins = _begins(rng, there)
-    first = _one(rng, kinds[0], there, begins)
+    first = _of_kind(rng, kinds[0], there, begins)
     if len(kinds) == 1:
-        return (first,)
-    return first, _one(rng, kinds[1], there, begins if rng.random() < _PAIRS else _begins(rng, there))
+        return first
+    return *first, *_of_kind(rng, kinds[1], there, begins if rng.random() < _PAIRS else _begins(rng, there))
 
 
 def _begins(rng: Rng, there: Drawable) -> dict[str, Any]:
@@ -141,17 +166,34 @@ def _begins(rng: Rng, there: Drawable) -> dict[str, Any]:
     return {"in_phase": _pick(rng, _PHASES)}
 
 
+def _of_kind(rng: Rng, kind: str, there: Drawable, begins: dict[str, Any]) -> tuple[AnyFault, ...]:
+    """Return the faults of a kind with this beginning: one, or what people order one after the other."""
+    match kind:
+        case "landing":
+            return _lands(rng, begins)
+        case "late_order":
+            return _ordered_late(rng, begins)
+    return (_one(rng, kind, there, begins),)
+
+
 def _one(rng: Rng, kind: str, there: Drawable, begins: dict[str, Any]) -> AnyFault:
     """Return a fault of a kind with this beginning."""
     match kind:
         case "operator":
-            return _act(rng, begins)
+            return _act(rng, begins, there)
+        case "level":
+            signals = [s for s in there.signals if s in _LEVELS and there.errors(s, "biased")]
+            since = {"at_s": 0.0} if rng.random() < 0.5 else begins
+            return _biased(rng, _pick(rng, signals), since)
+        case "failsafe":
+            takes: Any = _pick(rng, ("land", "hold"))
+            return Failsafe(takes=takes, **begins)
         case "commands":
-            if rng.random() < 1.0 / 3.0:
+            if rng.random() < 1.0 / 3.0 and there.errors("commands", "scaled"):
                 return Corrupted(signal="commands", error="scaled", size=0.5, for_s=_for(rng, 1.0, 20.0), **begins)
             if rng.random() < 0.5:
                 return CommandStream(dropped_fraction=_short(rng.uniform(0.1, 0.7)), for_s=_for(rng, 1.0, 30.0), **begins)
-            return CommandStream(delay_s=_short(_between(rng, 0.03, 0.4)), for_s=_for(rng, 1.0, 30.0), **begins)
+            return CommandStream(delay_s=_short(_between(rng, 0.03, _COMMAND_LATE_S)), for_s=_for(rng, 1.0, 30.0), **begins)
         case "service_killed":
             return ServiceKilled(for_s=_for(rng, 0.3, 8.0), **begins)
         case "weak_rotor":
@@ -168,38 +210,83 @@ def _one(rng: Rng, kind: str, there: Drawable, begins: dict[str, Any]) -> AnyFau
             # Drawn detections of a larger pad are nearer by its factor, in all directions.
             return Corrupted(signal="sighting", error="scaled", size=_short(1.0 / size), **begins)
         case "low_battery":
-            return LowBattery(fraction=_short(rng.uniform(0.02, 0.15)), **begins)
+            return LowBattery(fraction=max(_CHARGE_LEAST, _short(rng.uniform(0.02, 0.15))), **begins)
         case "gust":
             blows: dict[str, Any] = {"speed_m_s": _short(rng.uniform(3.0, 9.0)), "from_deg": float(rng.integers(360))}
             return Gust(for_s=_for(rng, 1.0, 5.0), **blows, **begins)
-    return _corrupted(rng, there.signals, begins)
+    return _corrupted(rng, there, begins)
 
 
-def _act(rng: Rng, begins: dict[str, Any]) -> OperatorActs:
+def _act(rng: Rng, begins: dict[str, Any], there: Drawable) -> OperatorActs:
     """Return what a person does: he gives the vehicle back after a time, or it stays his."""
-    order: Any = _pick(rng, ("hold", "hold", "manual", "manual", "abort", "land", "emergency", "begin"))
-    if order in ("hold", "manual"):
-        for_s = None if rng.random() < _FOR_GOOD else _for(rng, 0.3, 10.0)
-        sticks: dict[str, Any] = {}
-        if order == "manual":
-            sticks = {name: _short(rng.uniform(-0.3, 0.3)) for name in ("forward", "right", "turn")}
-            sticks["climb"] = _short(rng.uniform(-0.1, 0.4))
-        return OperatorActs(order=order, for_s=for_s, **sticks, **begins)
+    by_remote = ("mode", "mode", "disarm") if there.autopilot else ()
+    order: Any = _pick(rng, ("hold", "hold", "manual", "manual", "abort", "emergency", "begin", "stay", *by_remote))
+    if order in ("hold", "manual", "mode"):
+        for_good = rng.random() < _FOR_GOOD and order != "manual"  # nobody keeps his sticks where they are
+        for_s = None if for_good else _for(rng, 0.3, 10.0)
+        return OperatorActs(order=order, for_s=for_s, **_sticks(rng, order), **begins)
     return OperatorActs(order=order, **begins)
 
 
-def _corrupted(rng: Rng, signals: Sequence[Signal], begins: dict[str, Any]) -> Corrupted:
-    signal = _pick(rng, signals)
-    error = _pick(rng, errors_of(signal))
+def _sticks(rng: Rng, order: str) -> dict[str, Any]:
+    if order != "manual":
+        return {}
+    sticks = {name: _short(rng.uniform(-0.3, 0.3)) for name in ("forward", "right", "turn")}
+    return {**sticks, "climb": _short(rng.uniform(-0.1, 0.4))}
+
+
+def _lands(rng: Rng, begins: dict[str, Any]) -> tuple[OperatorActs, ...]:
+    """Return a landing that a person orders, at once or where he has held or flown the vehicle before."""
+    before: Any = _pick(rng, (None, "hold", "manual"))
+    if before is None:
+        return (OperatorActs(order="land", **begins),)
+    later_s = _for(rng, 0.5, 8.0)
+    first = OperatorActs(order=before, **_sticks(rng, before), **begins)
+    return first, OperatorActs(order="land", drawn_within_s=later_s, **begins)
+
+
+def _ordered_late(rng: Rng, begins: dict[str, Any]) -> tuple[OperatorActs, ...]:
+    """Return what a person ends or takes, and an order that was given before that and arrives after it."""
+    ends: Any = _pick(rng, ("hold", "abort", "manual"))
+    late: Any = _pick(rng, ("begin", "stay", "land"))
+    within_s = _for(rng, 0.3, 5.0)
+    late_s = _short(within_s + _between(rng, 0.1, 20.0))
+    return (
+        OperatorActs(order=ends, **_sticks(rng, ends), **begins),
+        OperatorActs(order=late, late_s=late_s, drawn_within_s=within_s, **begins),
+    )
+
+
+def _biased(rng: Rng, signal: Signal, begins: dict[str, Any]) -> Corrupted:
+    """Return an error of a sensor's level that stays: it never leaps, so that no change of it can be noticed."""
+    axes = FACTS[signal].axes
+    more: dict[str, Any] = {"axis": "xyz"[int(rng.integers(axes))]} if axes > 1 and rng.random() < 0.7 else {}
+    return Corrupted(signal=signal, error="biased", size=_as_level(signal, _size(rng, signal, "biased")), **more, **begins)
+
+
+def _as_level(signal: Signal, size: float) -> float:
+    most = _LEVEL_MOST.get(signal, math.inf)
+    return max(-most, min(most, size))
+
+
+def _corrupted(rng: Rng, there: Drawable, begins: dict[str, Any]) -> Corrupted:
+    signal = _pick(rng, [s for s in there.signals if any(there.errors(s, error) for error in errors_of(s))])
+    error = _pick(rng, [error for error in errors_of(signal) if there.errors(signal, error)])
     more: dict[str, Any] = {}
     axes = FACTS[signal].axes
     if axes > 1 and rng.random() < 0.7:
         more["axis"] = "xyz"[int(rng.integers(axes))]
     if error not in UNSIZED:
         more["size"] = _size(rng, signal, error)
+    if error == "biased" and (begins.get("in_phase") == _PHASES[0] or begins.get("at_s", math.inf) < _KNOWN_S):
+        more["size"] = _as_level(signal, more["size"])
     length_s = None if rng.random() < _FOR_GOOD else _for(rng, *_LENGTHS_S)
-    if signal == "commands" and error in ("frozen", "swapped", "sign"):
+    late = error == "late" and more["size"] > _COMMAND_LATE_S
+    if signal == "commands" and (late or error in ("frozen", "swapped", "sign")):
         length_s = min(_COMMAND_S, length_s or _COMMAND_S)
+    if signal == "commands" and error == "drifting":
+        # A full stick is flown by nothing on board: the drift ends as the largest level that a command may be off by.
+        length_s = min(length_s or math.inf, _short(SIZES[signal].biased[1] / abs(more["size"])))
     return Corrupted(signal=signal, error=error, for_s=length_s, **more, **begins)
 
 

@@ -1,6 +1,7 @@
 """The faults of a simulated flight as data: every kind that a scenario file may list under `[[faults]]`."""
 
 import math
+from collections.abc import Iterable
 from typing import Annotated, Literal, get_args
 
 from companion.base.orders import StickPositions
@@ -247,6 +248,7 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
     right: Annotated[float, number("stick to the right, with manual", "1", -1.0, 1.0)] = 0.0
     climb: Annotated[float, number("stick up, with manual", "1", -1.0, 1.0)] = 0.0
     turn: Annotated[float, number("stick clockwise, with manual", "1", -1.0, 1.0)] = 0.0
+    late_s: Annotated[float, number("how long before it arrives the order was given", "s", 0.0, 60.0)] = 0.0
 
     def check(self) -> None:
         if self.order != "manual" and any((self.forward, self.right, self.climb, self.turn)):
@@ -264,7 +266,17 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
     @property
     def words(self) -> str:
         """The fault in words."""
-        return f"a person orders {self.order}"
+        return f"a person orders {self.order}" + (f", {self.late_s:g} s late" if self.late_s else "")
+
+
+class Failsafe(Fault, frozen=True, tag="failsafe"):
+    """An autopilot's own failsafe acts: it takes a mode, reports that its state is critical, and says why."""
+
+    takes: Annotated[Literal["land", "hold"], choice("the mode that it takes: it lands here, or holds")] = "land"
+
+    def check(self) -> None:
+        if self.for_s is not None:
+            raise ValueError("for_s does not go with a failsafe: the mode stays until somebody takes another")
 
 
 class LensCovered(Fault, frozen=True, tag="lens_covered"):
@@ -304,9 +316,20 @@ class FlowBlind(Fault, frozen=True, tag="flow_blind"):
 
 
 class LowBattery(Fault, frozen=True, tag="low_battery"):
-    """The battery's charge falls at once to a fraction."""
+    """The battery's charge falls at once to a fraction, and from there on as before."""
 
     fraction: Annotated[float, number("remaining fraction of a full battery", "1", 0.0, 1.0)] = 0.1
+
+
+def charge_left(charge: float, low: Iterable[tuple[LowBattery, float]], life_s: float) -> float:
+    """Return the charge of a battery, 0 to 1, less what faults have taken.
+
+    Args:
+        charge: what is left without them.
+        low: the faults that are active, each with the seconds since it began.
+        life_s: time in which a full battery is used up.
+    """
+    return max(0.0, min(charge, *(fault.fraction - since_s / life_s for fault, since_s in low), 1.0))
 
 
 class Gust(Fault, frozen=True, tag="gust"):
@@ -382,6 +405,7 @@ AnyFault = (
     | LinkLost
     | ServiceKilled
     | OperatorActs
+    | Failsafe
     | RtkSolution
     | Corrupted
 )

@@ -1,9 +1,6 @@
 """The ending of a simulated flight, as text, as JSON and for its report, its grade, and the load of a machine too slow to fly it.
 
 A flight is graded by what its scenario expects, and what the referee found.
-
-The contact is not the end: feet slide, and a deck that rolls carries a vehicle off. A refused vehicle is in the air, in the wind
-that it was refused for, over a ship that goes on.
 """
 
 import math
@@ -12,24 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-import numpy as np
 from msgspec import Struct, field, structs
 
 from companion.base.mission import CONTACT_INTENDED, REFUSALS, FlightOutcome
-from companion.guidance.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
+from companion.guidance.operator.arbiter import BY_HAND
 from companion.tools.report.flight_log import FlightLog, LoggedContact
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.flight.referee import Referee
-from sitl.vehicle.airframe import Feet
-from sitl.vehicle.vehicle import VehiclePhase
-from sitl.world.truth import Touchdown, Truth
-
-STANDS_AFTER_S = 5.0
-"""Time after the contact at which the place of a vehicle on the deck is measured."""
-WATCHED_S = 60.0
-"""Time for which a vehicle is watched that is still in the air."""
-_ON_DECK = (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.world.truth import Touchdown
 
 
 class Standing(Struct, frozen=True):
@@ -86,10 +73,6 @@ class Aftermath(Struct, frozen=True):
     in_water: bool
     unsafe: tuple[str, ...]
     """Unsafe events after the outcome, one line each."""
-    at_most_m: float = -math.inf
-    """Highest height over the pad of the whole flight, as the referee measures it."""
-    counts: dict[str, list[float]] = field(default_factory=dict)
-    """Counts of the referee over the whole flight."""
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values: m and s."""
@@ -113,95 +96,21 @@ class Aftermath(Struct, frozen=True):
         )
 
 
-def standing_of(truth: Truth, disc_radius_m: float, feet: Feet) -> Standing | None:
-    """Return where a vehicle stands; None where it does not stand on the deck.
-
-    Args:
-        truth: the true state, `STANDS_AFTER_S` after the newest contact or later.
-        disc_radius_m: radius of the pad.
-        feet: the vehicle's.
-    """
-    touch = truth.touchdown
-    if touch is None or touch.surface == "water" or truth.phase not in _ON_DECK:
-        return None
-    R = truth.R_ned_pad.matrix
-    d = R.T @ (truth.p_body_ned - truth.p_pad_ned)
-    if float(np.linalg.norm(d - touch.p_body_pad)) > 1e2 or d[2] > 1.0:
-        return None
-    forward, starboard = float(d[0]), float(d[1])
-    lateral_m = math.hypot(forward, starboard)
-    slid_m = math.hypot(forward - touch.p_body_pad[0], starboard - touch.p_body_pad[1])
-    since_s = seconds_between(touch.at, truth.at)
-    at_m = d + feet.corners_m @ (R.T @ truth.R_ned_body.matrix).T
-    on_pad = bool(np.hypot(at_m[:, 0], at_m[:, 1]).max() <= disc_radius_m)
-    return Standing(since_s, on_pad, lateral_m <= disc_radius_m, lateral_m, (forward, starboard), truth.yaw_rad, slid_m)
-
-
-class AftermathWatch:
-    """Watches a vehicle that is in the air at the outcome.
-
-    Args:
-        truth: its state then.
-        outcome: in words.
-        referee: goes on counting, stepped by its owner.
-    """
-
-    def __init__(self, truth: Truth, outcome: str, referee: Referee) -> None:
-        self._began, self._known, self._outcome = truth.at, len(truth.contacts), outcome
-        self._referee = referee
-        self._before = {name for name, count in referee.counts.items() if count.over}
-        self._lowest_m, self._highest_m, self._farthest_m = math.inf, -math.inf, 0.0
-        self.step(truth)
-
-    @property
-    def ends(self) -> MonoNs:
-        """Instant at which the watch ends."""
-        return after(self._began, WATCHED_S)
-
-    def step(self, truth: Truth) -> None:
-        """Note the true state at an instant; call it in order of time."""
-        d = truth.d_body_pad_level
-        self._lowest_m, self._highest_m = min(self._lowest_m, float(d[2])), max(self._highest_m, float(d[2]))
-        self._farthest_m = max(self._farthest_m, float(np.hypot(d[0], d[1])))
-
-    def result(self, truth: Truth, phase: str | None) -> Aftermath:
-        """Return what became of it; `phase` is that of guidance, None without a service."""
-        self.step(truth)
-        new = truth.contacts[self._known :]
-        water = any(contact.surface == "water" for contact in new)
-        over = {name: count for name, count in self._referee.counts.items() if count.over and name not in self._before}
-        d = truth.d_body_pad_level
-        return Aftermath(
-            seconds_between(self._began, truth.at),
-            phase,
-            truth.phase.name.lower(),
-            self._lowest_m,
-            self._highest_m,
-            self._farthest_m,
-            float(np.hypot(d[0], d[1])),
-            len(new),
-            water,
-            tuple(f"{self._outcome}, and then {count.in_words()}" for count in over.values()),
-            self._referee.highest_m,
-            self._referee.as_json(),
-        )
-
-
 STOOD_STILL_MAX_S = 1.0
 FILMED_MIN, REPLACED_MAX, SKIPPED_MAX, NO_ATTITUDE_MAX = 0.5, 0.4, 0.7, 0.15
 """Limits on shares of a flight's frames: rendered in time, replaced before vision processed them, left out by vision to keep its
 share of a core, without an attitude since the samples came late."""
 GUIDANCE_LATE_MAX_S = 0.02
 """Limit on the median delay of guidance cycles: one period of the shipped settings, at which guidance runs at half its rate."""
-_FRAMES_HZ = 30.0
 
 
 class Load(Struct, frozen=True):
     """The load of the machine during a flight in real time."""
 
-    duration_s: float
+    frames_due: int
+    """Number of frames that the simulated drone had to render, as somebody took its video."""
     frames_sent: int
-    """Number of frames that the simulated drone rendered and sent."""
+    """Number of frames that it rendered and sent."""
     stood_still_s: float
     """Time in which the simulator did not advance, seconds."""
     frames: Counter[Verdict]
@@ -214,8 +123,7 @@ class Load(Struct, frozen=True):
         output = []
         if self.stood_still_s > STOOD_STILL_MAX_S:
             output.append(f"the simulated drone stood still for {self.stood_still_s:.1f} s")
-        filmed = self.frames_sent / max(1.0, _FRAMES_HZ * self.duration_s)
-        if filmed < FILMED_MIN:
+        if (filmed := self.frames_sent / max(1, self.frames_due)) < FILMED_MIN and self.frames_due:
             output.append(f"{filmed:.0%} of the frames were rendered in time")
         every = max(1, self.frames.total())
         if (share := self.frames[Verdict.REPLACED] / every) > REPLACED_MAX:
@@ -229,7 +137,7 @@ class Load(Struct, frozen=True):
         return "; ".join(output) or None
 
 
-_INTENDED = frozenset({*(state.value for state in CONTACT_INTENDED), BY_HAND, LANDING_FOR_PERSON})
+_INTENDED = frozenset({*(state.value for state in CONTACT_INTENDED), BY_HAND})
 
 
 def outside_commit(contacts: Sequence[Touchdown]) -> int:
@@ -258,7 +166,7 @@ class AtEnd(NamedTuple):
     left_alone: bool = False
     """There was no service or no link, so that nothing could be decided."""
     asks: bool = False
-    """It hovered and waited for the operator's decision about another pad, which nobody makes in a simulation."""
+    """It hovered and waited for a person's decision about another pad, or to begin, which nobody makes in a simulation."""
     held: bool = False
     """A person held it, flew it, or had ended the landing."""
     theirs: str = ""
@@ -286,8 +194,9 @@ def grade(
     end = at_end or AtEnd()
     if unsafe:
         return Grade.FAILED, "; ".join(unsafe)
-    if expect == "either" and end.theirs:
-        return Grade.REFUSED_RIGHTLY, f"left to the person who ordered {end.theirs}"
+    # A service that was killed since knows of no act any more, but its outcome stands.
+    if expect == "either" and (theirs := end.theirs or ("abort" if outcome is FlightOutcome.ABORTED else "")):
+        return Grade.REFUSED_RIGHTLY, f"left to the person who ordered {theirs}"
     if expect == "hold":
         if end.held:
             return Grade.REFUSED_RIGHTLY, "held for the operator"
@@ -339,6 +248,31 @@ class FlightGrade(Struct, frozen=True):
     counts: Mapping[str, list[float]] = field(default_factory=dict)
     """Counts of the referee, each beside its limit."""
 
+    def as_json(self) -> tuple[object, ...]:
+        """Return plain values in the order of `_JUDGED`."""
+        return (
+            self.grade.value,
+            self.because,
+            self.expect,
+            self.refused,
+            list(self.unsafe),
+            self.lowest_blind_m,
+            self.highest_m,
+            self.contacts_outside_commit,
+            self.go_arounds,
+            [{"kind": kind, "at_s": round(at_s, 3)} for kind, at_s in self.faults],
+            [{"text": said, "at_s": round(at_s, 3)} for said, at_s in self.named],
+            dict(self.counts),
+            round(self.cpu_s, 2),
+        )
+
+
+_JUDGED = (
+    "grade", "because", "expect", "refused", "unsafe", "lowest_blind_m", "highest_m", "contacts_outside_commit", "go_arounds",
+    "faults", "named", "referee", "cpu_s",
+)  # fmt: skip
+"""Keys that are null where nobody judged the flight."""
+
 
 class Ending(Struct, frozen=True):
     """The ending of a flight."""
@@ -354,6 +288,8 @@ class Ending(Struct, frozen=True):
     judged: FlightGrade | None = None
     load: Load | None = None
     """The load of the machine; None for a flight in virtual time."""
+    troubles: tuple[str, ...] = ()
+    """Failures between the service and its vehicle, one line each; empty for a flight without sockets."""
     without_outcome: str = "time ran out"
     wrong_model: Mapping[str, float] = field(default_factory=dict)
     """Differences of the vehicle from its model."""
@@ -377,21 +313,12 @@ class Ending(Struct, frozen=True):
         """True if it landed on the pad safely, or refused as its scenario expects."""
         return self.on_pad if self.judged is None else self.judged.grade is not Grade.FAILED
 
-    def followed(self, standing: Standing | None, aftermath: Aftermath | None, cpu_s: float) -> "Ending":
-        """Return the ending with what came after the outcome, and the CPU time of both; a graded flight may fail by it."""
-        judged = None if self.judged is None else structs.replace(self.judged, cpu_s=cpu_s)
-        unsafe = () if aftermath is None else aftermath.unsafe
-        if judged is not None and aftermath is not None and math.isfinite(aftermath.at_most_m):
-            judged = structs.replace(judged, highest_m=round(aftermath.at_most_m, 3), counts=aftermath.counts)
-        if judged is not None and unsafe:
-            judged = structs.replace(
-                judged, grade=Grade.FAILED, because="; ".join((*judged.unsafe, *unsafe)), unsafe=(*judged.unsafe, *unsafe)
-            )
-        elif judged is not None and standing is not None and not standing.on_pad and judged.grade is Grade.ON_PAD:
-            judged = structs.replace(judged, grade=Grade.FAILED, because=standing.in_words())
-        elif judged is not None and standing is None and judged.grade is Grade.ON_PAD:
+    def followed(self, standing: Standing | None, aftermath: Aftermath | None, judged: FlightGrade | None) -> "Ending":
+        """Return the ending with what came after the outcome, and the grade of both; one on the pad fails where it left it."""
+        if judged is not None and judged.grade is Grade.ON_PAD and (standing is None or not standing.on_pad):
             why = "it left the deck" if aftermath is None else f"it does not stand: {aftermath.in_words()}"
-            judged = structs.replace(judged, grade=Grade.FAILED, because=why)
+            because = why if standing is None else standing.in_words()
+            judged = structs.replace(judged, grade=Grade.FAILED, because=because)
         return structs.replace(self, standing=standing, aftermath=aftermath, judged=judged)
 
     @property
@@ -406,40 +333,23 @@ class Ending(Struct, frozen=True):
             "seed": self.seed,
             "landed_on_pad": self.on_pad,
             "outcome": self.word,
-            "refused": None,
             "duration_s": round(self.duration_s, 3),
             "touchdown": None if self.contact is None else _plain(self.contact),
             "standing": None if self.standing is None else self.standing.as_json(),
             "afterwards": None if self.aftermath is None else self.aftermath.as_json(),
             "contacts": [self._whole(contact) for contact in self.contacts],
-            "contacts_outside_commit": None,
             "in_water": any(contact.surface == "water" for contact in self.contacts),
-            **({} if self.load is None else {"machine_too_slow": self.load.starved()}),
+            **({} if self.load is None else {"machine_too_slow": self.load.starved(), "troubles": list(self.troubles)}),
             "frames": {verdict.value: n for verdict, n in sorted(self.frames.items(), key=lambda item: item[0].value)},
-            "cpu_s": None,
-            **({"wrong_model": dict(self.wrong_model)} if self.wrong_model else {}),
+            "wrong_model": dict(self.wrong_model),
+            **dict.fromkeys(_JUDGED),
         }
         if self.judged is not None:
-            j = self.judged
-            out |= {
-                "grade": j.grade.value,
-                "because": j.because,
-                "expect": j.expect,
-                "refused": j.refused,
-                "unsafe": list(j.unsafe),
-                "lowest_blind_m": j.lowest_blind_m,
-                "highest_m": j.highest_m,
-                "contacts_outside_commit": j.contacts_outside_commit,
-                "go_arounds": j.go_arounds,
-                "faults": [{"kind": kind, "at_s": round(at_s, 3)} for kind, at_s in j.faults],
-                "named": [{"text": said, "at_s": round(at_s, 3)} for said, at_s in j.named],
-                "referee": dict(j.counts),
-                "cpu_s": round(j.cpu_s, 2),
-            }
+            out |= zip(_JUDGED, self.judged.as_json(), strict=True)
         return out
 
     def in_words(self) -> str:
-        """Return lines that say how it ended, name each further contact and unsafe act, and say if the machine was too slow."""
+        """Return lines that say how it ended, name each further contact and unsafe act, and say what kept it from flying."""
         lines = [f"{self.word} after {self.duration_s:.1f} s, without touching anything"]
         if self.contact is not None:
             # The vehicle reports its landing some time after the contact, from which the report's time counts too.
@@ -460,7 +370,11 @@ class Ending(Struct, frozen=True):
             lines += [f"UNSAFE: {line}" for line in j.unsafe]
             if j.grade is Grade.FAILED and not j.unsafe:
                 lines.append(f"failed: {j.because}")
-        return "\n".join([*lines, *self._too_slow()])
+        return "\n".join([*lines, *self._too_slow(), *self._troubles()])
+
+    def _troubles(self) -> tuple[str, ...]:
+        """Return what kept the service from its vehicle; nothing if it landed all the same."""
+        return () if self.good else self.troubles
 
     def _too_slow(self) -> Iterator[str]:
         """Yield that the machine was too slow, and what the flight is worth; nothing if it kept up."""
@@ -470,7 +384,7 @@ class Ending(Struct, frozen=True):
 
     def facts(self) -> list[tuple[str, str]]:
         """Return the simulator's facts for the report, what they are worth first."""
-        out = [("warning", text) for text in self._too_slow()]
+        out = [("warning", text) for text in (*self._troubles(), *self._too_slow())]
         out += [(f"contact at {seconds_between(self.started, c.at):.1f} s", _in_words(c)) for c in self.contacts]
         later = (("standing", self.standing), ("afterwards", self.aftermath))
         out += [(name, part.in_words()) for name, part in later if part is not None]

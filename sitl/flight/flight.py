@@ -37,10 +37,11 @@ from sitl.ardrone.state import GENERATIONS, refusal
 from sitl.ardrone.uvlc import ArrivingFrames, synced
 from sitl.camera.render_worker import RenderWorker
 from sitl.faults.faulty_streams import InTransit
-from sitl.faults.kinds import OperatorActs, ServiceKilled
-from sitl.flight.ending import STANDS_AFTER_S, Aftermath, AftermathWatch, Ending, Standing, standing_of
+from sitl.faults.kinds import Failsafe, OperatorActs, ServiceKilled
+from sitl.flight.afterwards import Afterwards
+from sitl.flight.ending import Ending
 from sitl.flight.grader import FlightGrader
-from sitl.flight.hands import BY_REMOTE, MOTORS_TURN
+from sitl.flight.hands import BY_REMOTE
 from sitl.flight.person import SimulatedPerson
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception
@@ -121,6 +122,8 @@ class Flight:
             raise BadInput("service_killed comes back after for_s, and this flight cannot make the service again")
         if any(isinstance(f, OperatorActs) and f.order in BY_REMOTE for f in scenario.faults):
             raise BadInput("operator: an AR.Drone has no remote control; order mode and disarm go with --autopilot")
+        if any(isinstance(f, Failsafe) for f in scenario.faults):
+            raise BadInput("failsafe: an AR.Drone takes no mode; it goes with --autopilot and the stand-in")
         self._renew = renew or (lambda: pilot)
         self.contained = False
         """True if a bug of the service ends the flight and is part of the result, instead of being raised."""
@@ -179,24 +182,23 @@ class Flight:
         left_s = self._limit_s - seconds_between(self.world.started, now)
         return left_s > 0.0 or (left_s > -self._timing.overtime_s and self._tries(now))
 
-    def afterwards(self) -> tuple[Standing | None, Aftermath | None]:
-        """Go on after the outcome; return where the vehicle stands on the deck, and what became of it where it was in the air.
+    def afterwards(self) -> Afterwards:
+        """Go on after the outcome, and return what came of it.
 
-        The service of a vehicle in the air goes on as a daemon does. A vehicle on the deck is left to feet and friction. The
-        result of the flight and what observers received are those of the outcome.
+        The service of a vehicle in the air goes on as a daemon does. A vehicle on the deck is left to feet and friction. What
+        observers received is that of the outcome.
         """
-        world, flown, outcome = self.world, None, self._pilot.outcome
+        world, later, going = self.world, Afterwards(self._grader, self.result()), True
         self._observers, self._on_fusion = (), []
-        if outcome is not None and world.phase in MOTORS_TURN and not self._gone:
-            watch, going = AftermathWatch(world.truth(), outcome.value, self._grader.referee), True
-            while going and world.at < watch.ends:
+        while going and seconds_between(world.at, later.ends) >= TICK_S:
+            if later.flies:
                 going = self._tick() is not None
-                if self._ticks % _WATCH_EACH == 0:
-                    watch.step(world.truth())
-            flown = watch.result(world.truth(), world.guidance_phase)
-        elif (touch := world.truth().touchdown) is not None:
-            world.advance(after(touch.at, STANDS_AFTER_S))
-        return standing_of(world.truth(), world.pad.disc_radius_m, self._grader.feet), flown
+            else:
+                world.advance(min(after(world.at, _WATCH_EACH * TICK_S), later.ends))
+                self._grader.step()
+            if not later.flies or self._ticks % _WATCH_EACH == 0:
+                later.step()
+        return later
 
     def _tick(self) -> MonoNs | None:
         """Run one tick; return its instant, None where the service died in it."""
@@ -226,7 +228,8 @@ class Flight:
 
     def _tries(self, now: MonoNs) -> bool:
         """Return whether guidance commands and is trying to land, so that an outcome will come."""
-        return self._pilot.state in FLOWN and self._pilot.operator.situation(now) is ControlSituation.GUIDED
+        situation = self._pilot.operator.situation(now)
+        return self._pilot.state in FLOWN and situation in (ControlSituation.GUIDED, ControlSituation.LANDING)
 
     def _serve(self, now: MonoNs) -> None:
         """Run the service for one tick."""
@@ -256,6 +259,9 @@ class Flight:
         if self.world.faults.active("service_killed"):
             self._catch_up()
             if not self._gone:
+                # What the sender sends from here on is no answer of the service to an order.
+                self.world.guidance_phase = None
+                self._grader.step()
                 self._arbiter.lost(self._clock.t)
                 self._send(self._options.timeouts(self._options.hold_com_watchdog_s))
             self._gone = True

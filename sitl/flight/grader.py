@@ -5,6 +5,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol
 
+from msgspec.structs import replace
+
 from companion.base.health import Health
 from companion.base.mission import REFUSALS, FlightOutcome, State
 from companion.base.observer import Decision
@@ -17,14 +19,18 @@ from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.picture_effects import Solid
 from sitl.faults.fault import Corruptions, FaultTimer
 from sitl.faults.kinds import Bystander, ObjectOnPad
-from sitl.flight.ending import AtEnd, Ending, FlightGrade, grade, on_pad_m, outside_commit
-from sitl.flight.hands import of_at
-from sitl.flight.referee import Errand, Referee
-from sitl.scenario.scenario import Scenario, pad_model, vehicle_model
+from sitl.flight.ending import AtEnd, Ending, FlightGrade, Grade, grade, on_pad_m, outside_commit
+from sitl.flight.hands import Decides, of_at
+from sitl.flight.limits import Errand
+from sitl.flight.referee import Referee
+from sitl.scenario.scenario import Scenario, pad_model, ship_model, vehicle_model
+from sitl.world.stage import deck_shape
 from sitl.world.truth import RenderedFrame, Truth
 
 GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
 """The phases of guidance that end an attempt by climbing."""
+_ASKS = frozenset({State.ANOTHER_PAD.value, State.STAY.value})
+"""The phases of guidance that wait for a person's decision, which nobody makes in a simulation."""
 RECEIVERS_M = 10.0
 """Error of a place over the ship by two receivers of 2.5 m each, three standard deviations: the way to her is flown by it."""
 UNREACHED_STOP_M = 0.3
@@ -70,6 +76,10 @@ class GradedWorld(Protocol):
     def truth(self) -> Truth: ...
 
 
+_ROUNDED = 0.005
+"""Charge by which a report in whole percent is less than what is left, at most."""
+
+
 def errand_of(scenario: Scenario, settings: Settings, com_watchdog_s: float) -> Errand:
     """Return what a flight calls for.
 
@@ -101,6 +111,10 @@ def errand_of(scenario: Scenario, settings: Settings, com_watchdog_s: float) -> 
         takes_off=not in_air,
         unreached_contacts=scenario.unreached_contacts,
         battery_life_s=scenario.sensors.battery_life_s,
+        safe_m=g.tries.safe_height_m,
+        by_hand_m_s=settings.operator.manual.speed_max_m_s,
+        held_to=0.0 if g.held_ends == "hold" else g.limits.battery + _ROUNDED,
+        last_charge=g.last_charge and g.last_charge + _ROUNDED,
     )
 
 
@@ -114,16 +128,19 @@ class FlightGrader:
     """
 
     def __init__(self, world: GradedWorld, settings: Settings, com_watchdog_s: float) -> None:
-        self._world, scenario = world, world.scenario
+        self.world, scenario = world, world.scenario
         vehicle = vehicle_model(scenario)
         self.feet = vehicle.airframe().feet
         """The vehicle's."""
+        self.disc_radius_m = pad_model(scenario).disc_radius_m
+        """Radius of the pad."""
         self.referee = Referee(
             world.now,
             errand_of(scenario, settings, com_watchdog_s),
             vehicle.contact,
             vehicle.airframe(),
-            pad_model(scenario).disc_radius_m,
+            self.disc_radius_m,
+            deck_shape(ship_model(scenario).hull, math.radians(scenario.vessel.pad_yaw_deg)),
         )
         """Counts, also after the outcome."""
         self._reason = ""
@@ -135,17 +152,17 @@ class FlightGrader:
 
     def step(self) -> None:
         """Note the true state; call it in order of time."""
-        truth = self._world.truth()
-        served = self._world.guidance_phase is not None
-        self.referee.step(truth, reached=self._world.reached, served=served)
+        truth = self.world.truth()
+        served = self.world.guidance_phase is not None
+        self.referee.step(truth, reached=self.world.reached, served=served)
         self._meet(truth)
 
     def _meet(self, truth: Truth) -> None:
         """Note the new contacts where something lies, and the drone's first way into something that stands or flies there."""
-        if not self._met and (bodies := self._world.faults.on(Bystander)):
+        if not self._met and (bodies := self.world.faults.on(Bystander)):
             x, y, z = (truth.R_ned_pad.matrix.T @ (truth.p_body_ned - truth.p_pad_ned)).tolist()
             for fault, _ in bodies:
-                at = Solid.of(fault).place_m(seconds_between(self._world.started, truth.at))
+                at = Solid.of(fault).place_m(seconds_between(self.world.started, truth.at))
                 off_m = math.hypot(x - float(at[0]), y - float(at[1]))
                 over = -z < fault.height_m + _FEET_M and (fault.thing in ("box", "person") or -z > fault.height_m - _FEET_M)
                 if over and off_m < 0.5 * fault.width_m + _FEET_M:
@@ -154,7 +171,7 @@ class FlightGrader:
         new, self._contacts = truth.contacts[self._contacts :], len(truth.contacts)
         for contact in new:
             x, y, _ = contact.p_body_pad.tolist()
-            for thing, _ in self._world.faults.on(ObjectOnPad):
+            for thing, _ in self.world.faults.on(ObjectOnPad):
                 off_m = math.hypot(x - thing.forward_m, y - thing.right_m)
                 if thing.thing != "wet patch" and off_m < 0.5 * thing.size_m + _FEET_M:
                     self.referee.hit(f"touched a {thing.thing} on the {contact.surface}, {off_m:.2f} m from its middle")
@@ -164,10 +181,10 @@ class FlightGrader:
         if (wire := of_at(commands, now)) is not None:
             self.referee.hands.sent(wire)
 
-    def on_act(self, handled: HandledOrder, sticks: StickPositions) -> None:
+    def on_act(self, handled: HandledOrder, sticks: StickPositions, late_s: float = 0.0) -> None:
         """Note an order of a person and its answer; one that was refused with a reason commands nothing, but EMERGENCY does."""
         if handled.accepted or handled.order is OperatorOrder.EMERGENCY:
-            self.referee.hands.acts(handled.order.value, handled.at, sticks)
+            self.referee.hands.acts(handled.order.value, handled.at, sticks, late_s)
 
     def on_verdict(self, view: RenderedFrame, verdict: Verdict) -> None:
         """Note the service's verdict on a frame."""
@@ -175,12 +192,12 @@ class FlightGrader:
 
     def on_decision(self, decision: Decision) -> None:
         """Note a guidance cycle's decision, before the world learns its phase."""
-        goes_around, went_around = (phase in GO_AROUND_PHASES for phase in (decision.phase, self._world.guidance_phase))
+        goes_around, went_around = (phase in GO_AROUND_PHASES for phase in (decision.phase, self.world.guidance_phase))
         self._go_arounds += goes_around and not went_around
         self._reason = decision.reason or self._reason
         if (belief := decision.belief) is not None:
             for output in (*belief.lost, *(alert.value for alert in belief.alerts if alert in _BLAMES)):
-                self._named.setdefault(output, seconds_between(self._world.started, self._world.at))
+                self._named.setdefault(output, seconds_between(self.world.started, self.world.at))
 
     def result(self, outcome: FlightOutcome | None, situation: ControlSituation, health: Health) -> Ending:
         """Return how the flight ended, or the result so far; the scenario is named by its title.
@@ -191,7 +208,7 @@ class FlightGrader:
             health: of the service.
         """
         self.step()
-        world, truth, referee = self._world, self._world.truth(), self.referee
+        world, truth, referee = self.world, self.world.truth(), self.referee
         scenario, refused = world.scenario, self._refused(outcome)
         unreached = referee.unreached.at if scenario.unreached_contacts else ()
         unsafe, unreached_m = referee.unsafe, referee.sight.unreached_m
@@ -202,7 +219,7 @@ class FlightGrader:
             scenario.expect,
             AtEnd(
                 left_alone=world.faults.active("service_killed") or world.faults.active("link_lost"),
-                asks=world.guidance_phase == State.ANOTHER_PAD.value,
+                asks=world.guidance_phase in _ASKS,
                 held=outcome is FlightOutcome.ABORTED or situation in (ControlSituation.HELD, ControlSituation.MANUAL),
                 theirs=referee.hands.act or "",
                 go_arounds=self._go_arounds,
@@ -210,7 +227,7 @@ class FlightGrader:
                 put_down=bool(truth.contacts) and truth.contacts[-1].at in unreached,
             ),
         )
-        if unreached_m > referee.counts["blind_m"].limit.most and not unsafe:
+        if unreached_m > referee.counts["blind_m"].limit.most[Decides.GUIDANCE] and not unsafe:
             because += f"; came down {unreached_m:.2f} m while nothing reached it"
         if unreached and not unsafe:
             because += (
@@ -247,6 +264,20 @@ class FlightGrader:
             without_outcome="the service died" if referee.counts["died"].over else "time ran out",
             wrong_model=scenario.wrong_model.as_json(),
         )
+
+    def regraded(self, judged: FlightGrade | None, unsafe: tuple[str, ...], spent_s: float) -> FlightGrade | None:
+        """Return a grade with what was counted since; `unsafe` are the lines of counts that went over their limits since."""
+        if judged is None:
+            return None
+        highest_m = self.referee.highest_m
+        judged = replace(
+            judged,
+            cpu_s=spent_s,
+            counts=self.referee.as_json(),
+            highest_m=round(highest_m, 3) if math.isfinite(highest_m) else None,
+        )
+        lines = (*judged.unsafe, *unsafe)
+        return replace(judged, grade=Grade.FAILED, because="; ".join(lines), unsafe=lines) if unsafe else judged
 
     def _refused(self, outcome: FlightOutcome | None) -> str | None:
         """Return why the pilot gave up; None if it did not."""

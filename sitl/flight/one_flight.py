@@ -4,7 +4,6 @@
 """
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -23,6 +22,7 @@ from drivers.mavlink.options import GimbalOptions
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import PathName
 from sitl.camera.render_worker import render_worker
+from sitl.flight.afterwards import cpu_s
 from sitl.flight.ending import Ending
 from sitl.flight.flight import Flight, Timing
 from sitl.perception.levels import perceive
@@ -164,7 +164,7 @@ def fly(
     seen_by = perceive(perception, options.perception_model)
     renew = partial(seen_by.pilot, settings, options.shadows)
     timing = Timing(overtime_s=options.overtime_s)
-    began_s, pilot = _cpu_s(), renew()
+    began_s, pilot = cpu_s(), renew()
     flight = Flight(scenario, seed, settings, pilot, observers=observers, timing=timing, renew=renew, perception=seen_by)
     flight.contained, flight.watched = True, options.on_start is not None
     if options.on_start is not None:
@@ -183,12 +183,5 @@ def fly(
                 on_truth(flight.world.truth())
         if on_truth is not None:
             on_truth(flight.world.truth())
-        ending = structs.replace(flight.result(), scenario=name)
-        standing, flown = flight.afterwards()
-    return ending.followed(standing, flown, _cpu_s() - began_s)
-
-
-def _cpu_s() -> float:
-    """Return the CPU time of this process and of its ended children, s."""
-    spent = os.times()
-    return spent.user + spent.system + spent.children_user + spent.children_system
+        ending = flight.afterwards().ending(cpu_s() - began_s)
+    return structs.replace(ending, scenario=name)

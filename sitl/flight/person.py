@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from companion.base.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.operator.arbiter import OperatorArbiter
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import MonoNs, after
 from sitl.faults.fault import FaultTimer
 from sitl.faults.kinds import OperatorActs
 from sitl.flight.hands import BY_REMOTE
@@ -17,14 +17,14 @@ class SimulatedPerson:
 
     Args:
         faults: which faults are active.
-        on_act: receives each order with its answer, and the sticks.
+        on_act: receives each order with its answer, the sticks, and how long before it arrived it was given.
         by_remote: carries out an act of a remote control.
     """
 
     def __init__(
         self,
         faults: FaultTimer,
-        on_act: Callable[[HandledOrder, StickPositions], None] = lambda handled, sticks: None,
+        on_act: Callable[[HandledOrder, StickPositions, float], None] = lambda handled, sticks, late_s: None,
         by_remote: Callable[[str], None] = lambda act: None,
     ) -> None:
         self._faults, self._on_act, self._by_remote = faults, on_act, by_remote
@@ -48,8 +48,9 @@ class SimulatedPerson:
                 if order in BY_REMOTE:
                     self._by_remote(order)
                 else:
-                    sticks = CENTRED if wanted is None else wanted.sticks
-                    self._on_act(arbiter.take(OperatorOrder(order), _SENDER, now), sticks)
+                    sticks, late_s = (CENTRED, 0.0) if wanted is None else (wanted.sticks, wanted.late_s)
+                    given_at = after(now, -late_s) if late_s else None
+                    self._on_act(arbiter.take(OperatorOrder(order), _SENDER, now, given_at=given_at), sticks, late_s)
             self._doing = wanted
         if wanted is not None and wanted.order == "manual":
             arbiter.move(_SENDER, wanted.sticks, now)

@@ -5,18 +5,30 @@ their instants. It knows no state, phase or setting of guidance; what a flight c
 """
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from msgspec import Struct, field
 
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, after, seconds_between
-from sitl.flight.hands import MOTORS_TURN, OBEYED_S, STAYS_UP, STOPS, HandsWatch, descent_m
+from sitl.flight.hands import Decides, HandsWatch, descent_m, heights_m
+from sitl.flight.limits import (
+    AWAY_M,
+    ENDING,
+    KNEE_M,
+    LOW_M,
+    ON_DECK_M,
+    OURS,
+    STOPS_S,
+    CountLimit,
+    Errand,
+    limits_of,
+)
 from sitl.vehicle.airframe import Airframe, ContactSettings, Feet
-from sitl.vehicle.vehicle import VehiclePhase
+from sitl.vehicle.vehicle import MOTORS_TURN, VehiclePhase
+from sitl.vessel.contact import DeckShape
 from sitl.world.truth import Touchdown, Truth
 
 BLIND_AFTER_S = 1.0
@@ -57,6 +69,10 @@ class SightWatch:
         self._unreached_at_m: tuple[float, float] | None = None
         self._unreached_since = start
 
+    def seen_s(self, at: MonoNs) -> float:
+        """Return the time from the newest true sight of the pad to an instant; negative where the sight came later."""
+        return seconds_between(self._seen_at, at)
+
     def frame(self, exposed_at: MonoNs, verdict: Verdict, *, true_view: bool, stamp_error_s: float) -> None:
         """Note a frame and the service's verdict on it."""
         if verdict is Verdict.FUSED and true_view and abs(stamp_error_s) <= STAMP_ERROR_MAX_S:
@@ -76,7 +92,7 @@ class SightWatch:
             reached: whether the service's commands reach the vehicle.
             ours: whether the service flies; a person who lands it where it is needs no sight of the pad.
         """
-        at_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
+        at_m = heights_m(truth)
         if not reached:
             if self._unreached_at_m is None:
                 self._unreached_at_m, self._unreached_since = at_m, truth.at
@@ -101,118 +117,22 @@ class SightWatch:
             self.worst = BlindDescent(came_down_m, at_m[0], blind_s)
 
 
-ON_DECK_M = 0.03
-"""Height of the lowest foot over the deck up to which the vehicle stands on it: uneven feet, and springs that give."""
-LOW_M = 1.0
-"""Height of the lowest foot under which a rotor reaches a person who kneels or an object that stands there."""
-LOW_WITHIN_M = 10.0
-"""Distance from the pad within which there is deck under a low vehicle; beyond it is water, and `away` counts."""
-ENDING = 0.1
-"""Charge of a battery that ends."""
 _HOP_M = 0.05
 """Height of the lowest foot from which on the vehicle has left the deck."""
 _BOUNCE_MAX_M = 0.5
 """Height beyond which leaving the deck is a go-around and no bounce."""
 _CLIMB_OUT_S = 1.0
-"""Time that a vehicle needs to climb out of a deck's reach when it is reached again."""
-
-
-class Errand(NamedTuple):
-    """Figures that a flight calls for, by its scenario and the ordered way; the margins are those of the limits."""
-
-    highest_m: float
-    """Highest height over the pad at its highest."""
-    farthest_m: float
-    """Largest horizontal distance from the pad."""
-    fastest_m_s: float
-    """Largest horizontal speed against the ship."""
-    unreached_m: tuple[float, float] = (0.3, 2.0)
-    """Way down while nothing reaches the vehicle, and for how long a deck that falls at its beginning adds to it, s."""
-    takes_off: bool = False
-    unreached_contacts: bool = False
-    """Contacts are excused that no order could prevent, because nothing reached the vehicle."""
-    battery_life_s: float = 1200.0
-    """Flight time of a full battery."""
-
-
-class CountLimit(NamedTuple):
-    """The most that a count may be."""
-
-    most: float
-    words: str
-    """The line for people: {value}, {most}, and what the count notes beside its value."""
-    source: str
-
-
-def limits_of(errand: Errand, contact: ContactSettings, frame: Airframe) -> dict[str, CountLimit]:
-    """Return the limit of each count."""
-    c = contact
-    tilt_deg = frame.contact_tilt_deg(c.into_deck_max_m_s) if c.tilt_max_deg is None else c.tilt_max_deg
-    drop_m = c.into_deck_max_m_s**2 / (2.0 * G_M_S2)
-    return {
-        "died": CountLimit(0, "the service died in flight: {why}", "nobody flies then"),
-        "blind_m": CountLimit(
-            0.5, "came down {value:.2f} m, to {lowest:.2f} m over the deck, without true sight of the pad for {blind:.1f} s",
-            "what wind and the vehicle's own landing cause",
-        ),
-        "unreached_m": CountLimit(
-            errand.unreached_m[0], "came down {value:.2f} m while nothing reached it",
-            "the fastest way down until the vehicle's own timeout, and 0.3 m to stop",
-        ),
-        "in_water": CountLimit(0, "in the water, {lateral:.2f} m from the pad's centre", "it is lost"),
-        "off_pad": CountLimit(
-            0, "touched the deck {lateral:.2f} m from the pad's centre, a foot {over:.2f} m over the rim, {value:.0f} times so",
-            "people and things stand beside a pad",
-        ),
-        "into_deck_m_s": CountLimit(
-            c.into_deck_max_m_s, "a foot struck the {surface} at {value:.2f} m/s, where {most:g} m/s is the most",
-            "the vehicle's file",
-        ),
-        "along_deck_m_s": CountLimit(
-            c.along_deck_max_m_s, "touched the {surface} at {value:.2f} m/s along it", "the vehicle's file"
-        ),
-        "contact_tilt_deg": CountLimit(
-            tilt_deg, "touched the {surface} tilted by {value:.0f} degrees, where {most:.0f} are the most",
-            "the vehicle's file: beyond it a rotor touches while the feet give, or it falls over",
-        ),
-        "tipped_deg": CountLimit(
-            frame.falls_deg, "tipped over on the deck: {value:.0f} degrees", "static, from feet, height and rotors"
-        ),
-        "bounces": CountLimit(2, "bounced {value:.0f} times", "FAA-H-8083-3C, chapter 9: one who bounces twice goes around"),
-        "motors_off_m": CountLimit(
-            drop_m, "the motors stopped {value:.2f} m over the deck, where {most:.2f} m are the most",
-            "the drop to the most speed into the deck",
-        ),
-        "on_deck_s": CountLimit(
-            3.0, "stood on the deck for {value:.1f} s with turning motors", "several times what pressing on and a landing take"
-        ),
-        "low_outside_s": CountLimit(
-            5.0, "flew lower than 1 m beside the pad for {value:.1f} s", "twice a climb of 1 m at 0.5 m/s, and as much to decide"
-        ),
-        "away_m": CountLimit(
-            errand.farthest_m + 20.0, "flew {value:.0f} m away from the pad, where {most:.0f} m are the most",
-            "the length of a small ship, within which a person sees and reaches it",
-        ),
-        "fast_m_s": CountLimit(
-            errand.fastest_m_s + 3.0, "flew at {value:.1f} m/s, where {most:.1f} m/s are the most",
-            "a gust of three standard deviations of a Beaufort 6",
-        ),
-        "high_m": CountLimit(
-            errand.highest_m + 3.0, "flew {value:.1f} m high, where {called:.1f} m are the most that is called for",
-            "gusts do not carry a vehicle there",
-        ),
-        "ending_battery": CountLimit(
-            0.5, "flew for {flown:.0f} s with a battery that gives {gives:.0f} s", "half of what is left, as a reserve"
-        ),
-        "disobeyed_s": CountLimit(
-            OBEYED_S, "a person ordered {what}, still {value:.1f} s later", "a person's own time of reaction"
-        ),
-        "held_sank_m": CountLimit(
-            0.5, "a person kept it up, and it came down {value:.2f} m", "twice the way to a stop from 0.7 m/s"
-        ),
-        "unordered": CountLimit(0, "nobody ordered it: {what}", "the person's hand wins"),
-        "flew_into": CountLimit(0, "{what}", "the thing is hit"),
-    }  # fmt: skip
+"""Time that a vehicle needs to climb out of a deck's reach when it is reached again, or given back."""
+_STOPPED_M_S = 0.5
+"""Speed against the deck or over the ground below which a vehicle has stopped."""
+_CARRIED_OUT_S, _LANDS_M_S = 20.0, 0.2
+"""Time to carry out a person's order to land, and the slowest way down."""
+_SEEN_S = 3.0
+"""Time after the newest true sight of the pad for which a landing that a person ordered can still be flown by it."""
+_GONE_S = 10.0
+"""Time without true sight from which on nobody can count on it with the last charge."""
+_PLACE_M, _LOST_M_S = 0.5, 0.1
+"""Distance from the pad's centre that is on it, and how fast a velocity loses an unseen pad."""
 
 
 class Count(Struct):
@@ -220,20 +140,23 @@ class Count(Struct):
 
     limit: CountLimit
     value: float = 0.0
+    most: float = math.inf
+    """The limit under the one who decided when it had this value."""
     facts: dict[str, object] = field(default_factory=dict)
 
-    def note(self, value: float, **facts: object) -> None:
-        """Keep a value where it is the worst so far."""
-        if value > self.value:
-            self.value, self.facts = value, facts
+    def note(self, value: float, whose: Decides, **facts: object) -> None:
+        """Keep a value where it is the worst so far against its limit; nothing where it is not counted under who decides."""
+        most = self.limit.most.get(whose) if value > 0.0 else None
+        if most is not None and value - most > self.value - self.most:
+            self.value, self.most, self.facts = value, most, facts
 
     @property
     def over(self) -> bool:
-        return self.value > self.limit.most
+        return self.value > self.most
 
     def in_words(self) -> str:
         """Return the line for people."""
-        return self.limit.words.format(value=self.value, most=self.limit.most, **self.facts)
+        return self.limit.words.format(value=self.value, most=self.most, **self.facts)
 
 
 class Moment(NamedTuple):
@@ -243,22 +166,52 @@ class Moment(NamedTuple):
     """Height of the lowest foot over the deck's plane."""
     lowest_m: float
     """Height of the lowest part, feet or hull."""
-    aside_m: float
-    """Distance of the body's origin from the pad's centre along the deck."""
+    at_m: tuple[float, float]
+    """The body's origin from the pad's centre along the deck: forward along the arrow, and to starboard of it."""
     tilt_deg: float
     """Tilt against the deck."""
+    leaned_deg: float
+    """Tilt against the horizon."""
     motors: bool
+    over_deck: bool = True
+    """False beside the ship, where nothing is at the height of the deck's plane."""
+
+    @property
+    def aside_m(self) -> float:
+        """Distance of the body's origin from the pad's centre along the deck."""
+        return math.hypot(*self.at_m)
+
+    @property
+    def stands(self) -> bool:
+        """True if the lowest foot is on the deck."""
+        return self.over_deck and abs(self.clearance_m) < ON_DECK_M
 
 
 def moment_of(truth: Truth, feet: Feet) -> Moment:
     """Return the moment of a true state."""
-    R_ned_pad = truth.R_ned_pad.matrix
-    R = R_ned_pad.T @ truth.R_ned_body.matrix
+    R_ned_pad, R_ned_body = truth.R_ned_pad.matrix, truth.R_ned_body.matrix
+    R = R_ned_pad.T @ R_ned_body
     d = R_ned_pad.T @ (truth.p_body_ned - truth.p_pad_ned)
-    clearance_m = -float((d + feet.corners_m @ R.T)[:, 2].max())
+    clearance_m = -float((d[2] + feet.corners_m @ R[2]).max())
     top_m = -float(d[2] - feet.top_m * R[2, 2])
-    tilt_deg = math.degrees(math.atan2(math.hypot(R[0, 2], R[1, 2]), R[2, 2]))
-    return Moment(clearance_m, min(clearance_m, top_m), math.hypot(d[0], d[1]), tilt_deg, truth.phase in MOTORS_TURN)
+    tilt_deg, leaned_deg = (math.degrees(math.atan2(math.hypot(M[0, 2], M[1, 2]), M[2, 2])) for M in (R, R_ned_body))
+    motors = truth.phase in MOTORS_TURN
+    return Moment(clearance_m, min(clearance_m, top_m), (float(d[0]), float(d[1])), tilt_deg, leaned_deg, motors)
+
+
+class Ordered(NamedTuple):
+    """The true state when a person took over: what came of his order is measured from there."""
+
+    at: MonoNs
+    place_m: tuple[float, float]
+    """On the deck, as `Moment.at_m`."""
+    over_ned_m: tuple[float, float]
+    """Place over the ground, m north and east."""
+    height_m: tuple[float, float]
+    """Height over the pad, and over the still water."""
+    over_deck: bool
+    stopped: bool = False
+    """True once it has stopped; until then the places are the newest ones."""
 
 
 class UnreachedContacts:
@@ -298,26 +251,43 @@ class Referee:
         contact: what the vehicle bears.
         frame: the vehicle.
         disc_radius_m: of the pad.
+        deck: the ship's deck about the pad; without one there is deck below every place near the pad.
     """
 
-    def __init__(self, start: MonoNs, errand: Errand, contact: ContactSettings, frame: Airframe, disc_radius_m: float) -> None:
+    def __init__(
+        self,
+        start: MonoNs,
+        errand: Errand,
+        contact: ContactSettings,
+        frame: Airframe,
+        disc_radius_m: float,
+        deck: DeckShape | None = None,
+    ) -> None:
         self.counts = {name: Count(limit) for name, limit in limits_of(errand, contact, frame).items()}
         self.sight = SightWatch(start)
-        self.hands = HandsWatch(takes_off=errand.takes_off)
+        self.hands = HandsWatch(takes_off=errand.takes_off, held_to=errand.held_to)
         self.unreached = UnreachedContacts()
         self.highest_m = -math.inf
-        """Highest height over the highest level of the pad so far, while the flight was ours."""
-        self._errand, self._feet, self._disc_radius_m = errand, frame.feet, disc_radius_m
-        self._contacts = self._bounced = 0
+        """Highest height over the highest level of the pad so far, while the service flew."""
+        self._errand, self._feet, self._disc_radius_m, self._deck = errand, frame.feet, disc_radius_m, deck
+        self._contacts = self._bounced = self._touched = 0
         self._crest_m = -math.inf
         self._left_ned: tuple[float, float] | None = None
         """Place in which it was last as near to the pad as the flight calls for, m north and east."""
-        self._at, self._before = start, Moment(math.inf, math.inf, 0.0, 0.0, motors=False)
-        self._was_standing = self._was_low = self._was_ending = False
-        self._stood_s = self._low_s = self._flown_s = 0.0
+        self._farthest_m, self._called_m = errand.farthest_m, errand.highest_m
+        """Farthest and highest place that the flight calls for, or to which a person has flown it by hand."""
+        self._at, self._before = start, Moment(math.inf, math.inf, (0.0, 0.0), 0.0, 0.0, motors=False)
+        self._was: tuple[Decides, tuple[str, ...]] = Decides.GUIDANCE, ()
+        """The decider at the step before, and the conditions that held then."""
+        self._lasted_s: dict[str, dict[Decides, float]] = defaultdict(lambda: defaultdict(float))
         self._charge: float | None = None
         self._hop_m: float | None = None
-        """Height that it has reached since it left the deck; None before it touches it, and while a person flies it."""
+        """Height that it has reached since it left the deck; None before it touches it, and while that is not counted."""
+        self._stood_m: tuple[float, float] | None = None
+        """Place on the deck where it came to stand, as `Moment.at_m`."""
+        self._ordered: Ordered | None = None
+        self._given_back: MonoNs | None = None
+        """Instant at which a person last gave it back within a deck's reach."""
 
     @property
     def unsafe(self) -> tuple[str, ...]:
@@ -326,17 +296,17 @@ class Referee:
 
     def as_json(self) -> dict[str, list[float]]:
         """Return each count that is not zero, beside its limit."""
-        return {n: [round(c.value, 3), round(c.limit.most, 3)] for n, c in self.counts.items() if c.value != 0.0}
+        return {n: [round(c.value, 3), round(c.most, 3)] for n, c in self.counts.items() if c.value != 0.0}
 
     def died(self, why: str) -> None:
         """Note that the service died."""
-        self.counts["died"].note(1, why=why)
+        self.counts["died"].note(1, Decides.GUIDANCE, why=why)
 
     def hit(self, what: str) -> None:
         """Note that the vehicle met a thing that stood, lay or flew there."""
         count = self.counts["flew_into"]
         before = f"{count.facts['what']}; " if count.facts else ""
-        count.note(count.value + 1, what=before + what)
+        count.note(count.value + 1, Decides.GUIDANCE, what=before + what)
 
     def frame(self, exposed_at: MonoNs, verdict: Verdict, *, true_view: bool, stamp_error_s: float) -> None:
         """Note a frame and whether it was used."""
@@ -349,106 +319,200 @@ class Referee:
             reached: whether commands reach the vehicle.
             served: whether a service runs; without one nobody decides, and the vehicle hovers by itself.
         """
-        moment, dt_s = moment_of(truth, self._feet), max(0.0, seconds_between(self._at, truth.at))
-        self.hands.step(truth, reached=reached, served=served)
-        self.sight.step(truth, reached=reached, ours=not self.hands.hands_on)
+        m, dt_s = moment_of(truth, self._feet), max(0.0, seconds_between(self._at, truth.at))
+        m = m._replace(over_deck=self._over_deck(m.at_m))
+        self.hands.step(truth, reached=reached, served=served, on_deck=m.over_deck and m.clearance_m < 2 * ON_DECK_M)
         self.unreached.step(truth, reached=reached and served)
+        whose = self._decides(truth, reached=reached and served)
+        self.sight.step(truth, reached=reached, ours=whose is not Decides.CHARGE and not self.hands.hands_on)
+        self._order(truth, m, whose)
+        if self._was[0] is Decides.HAND and whose is Decides.GUIDANCE and m.clearance_m < KNEE_M:
+            self._given_back = truth.at
         for contact in truth.contacts[self._contacts :]:
-            self._touch(contact)
+            self._touch(contact, self._touches_by(contact, whose))
         self._contacts = len(truth.contacts)
-        # What held at the step before held until now.
-        self._deck(moment, dt_s)
-        self._low_s += dt_s if self._was_low else 0.0
-        self.counts["low_outside_s"].note(self._low_s)
-        ours = reached and served and not self.hands.hands_on and moment.motors
-        if ours:
-            self._way(truth, dt_s)
-        self._battery(truth, dt_s, hovers=ours and self.hands.act not in STAYS_UP and moment.clearance_m > ON_DECK_M)
-        self._wires()
-        self._was_standing = ours and abs(moment.clearance_m) < ON_DECK_M
-        self._stood_s = self._stood_s if self._was_standing else 0.0
-        self._was_low = ours and moment.clearance_m < LOW_M and self._disc_radius_m < moment.aside_m < LOW_WITHIN_M
-        self._at, self._before = truth.at, moment
+        self._time(truth, m, dt_s, whose)
+        self._on_deck(m, whose)
+        if m.motors:
+            self._note("turned_deg_s", abs(math.degrees(truth.w_body[2])), whose)
+            if not m.stands:
+                self._note("leaned_deg", m.leaned_deg, whose)
+            if reached and served:
+                self._way(truth, m, dt_s, whose)
+            if self._ordered is not None:
+                self._late(truth, self._ordered, whose)
+        self._wires(whose)
+        self._at, self._before = truth.at, m
 
-    def _touch(self, t: Touchdown) -> None:
-        """Judge a contact."""
-        if self.hands.hands_on:
+    def _decides(self, truth: Truth, *, reached: bool) -> Decides:
+        """Return who decides; with its last charge and long without sight, a vehicle of guidance can only come down."""
+        whose = self.hands.decides(reached=reached)
+        ends = truth.battery <= self._errand.last_charge and self.sight.seen_s(truth.at) > _GONE_S
+        return Decides.CHARGE if whose is Decides.GUIDANCE and ends else whose
+
+    def _note(self, name: str, value: float, whose: Decides, **facts: object) -> None:
+        self.counts[name].note(value, whose, **facts)
+
+    def _over_deck(self, at_m: tuple[float, float]) -> bool:
+        """Return whether people may be below a place, as `Moment.at_m`."""
+        if self._deck is not None:
+            return self._deck.holds(*at_m)
+        return math.hypot(*at_m) < self._errand.farthest_m + AWAY_M
+
+    def _order(self, truth: Truth, m: Moment, whose: Decides) -> None:
+        """Note where the vehicle was when a person took over; one that is to hold stops first."""
+        if whose not in (Decides.HOLD, Decides.LANDING):
+            self._ordered = None
             return
+        since, was = self.hands.since, self._ordered
+        if was is not None and was.at == since and was.stopped:
+            return
+        north, east, _ = truth.p_body_ned.tolist()
+        v, w = truth.v_body_ned, truth.v_body_ned - truth.v_pad_ned
+        stops = whose is Decides.HOLD and min(math.hypot(v[0], v[1]), math.hypot(w[0], w[1])) > _STOPPED_M_S
+        stopped = not stops or seconds_between(since, truth.at) >= STOPS_S
+        heights = was.height_m if was is not None and was.at == since else heights_m(truth)
+        self._ordered = Ordered(since, m.at_m, (north, east), heights, m.over_deck, stopped)
+
+    def _touches_by(self, t: Touchdown, whose: Decides) -> Decides:
+        """Return who brought it to a contact: who flew it by hand within a deck's reach, until it can have climbed from there."""
+        given_at = self._given_back
+        his = given_at is not None and seconds_between(given_at, t.at) <= _CLIMB_OUT_S
+        return Decides.HAND if his and whose is Decides.GUIDANCE else whose
+
+    def _touch(self, t: Touchdown, whose: Decides) -> None:
+        """Judge a contact."""
+        ordered = self._ordered if whose is Decides.LANDING else None
         if t.surface == "water":
-            self.counts["in_water"].note(1, lateral=t.lateral_m)
+            if ordered is None or ordered.over_deck:  # else he ordered it over the water
+                self._note("in_water", 1, whose, lateral=t.lateral_m)
             return
         if self._errand.unreached_contacts and t.at in self.unreached.at:
             return
-        if t.surface == "deck":
-            self.counts["off_pad"].note(self.counts["off_pad"].value + 1, lateral=t.lateral_m, over=t.over_rim_m)
-        self.counts["into_deck_m_s"].note(max(t.foot_speed_m_s, t.vertical_speed_m_s), surface=t.surface)
-        self.counts["along_deck_m_s"].note(t.lateral_speed_m_s if t.motors else 0.0, surface=t.surface)
-        self.counts["contact_tilt_deg"].note(math.degrees(t.tilt_rad), surface=t.surface)
+        if t.surface == "deck" and whose in self.counts["off_pad"].limit.most:
+            self._note("off_pad", self.counts["off_pad"].value + 1, whose, lateral=t.lateral_m, over=t.over_rim_m)
+        if ordered is not None and self.sight.seen_s(ordered.at) <= BLIND_AFTER_S and self.sight.seen_s(t.at) <= _SEEN_S:
+            from_there_m = math.hypot(t.p_body_pad[0] - ordered.place_m[0], t.p_body_pad[1] - ordered.place_m[1])
+            self._note("landed_aside_m", min(from_there_m, t.lateral_m), whose)
+        unseen_s = self.sight.seen_s(t.at)
+        within_m = _PLACE_M + _LOST_M_S * unseen_s
+        self._note("landed_unseen", t.lateral_m / within_m, whose, lateral=t.lateral_m, unseen=unseen_s, within=within_m)
+        if t.motors:
+            self._touched += 1
+            self._note("touches", self._touched, whose)
+        self._note("into_deck_m_s", max(t.foot_speed_m_s, t.vertical_speed_m_s), whose, surface=t.surface)
+        self._note("along_deck_m_s", t.lateral_speed_m_s if t.motors else 0.0, whose, surface=t.surface)
+        self._note("contact_tilt_deg", math.degrees(t.tilt_rad), whose, surface=t.surface)
 
-    def _deck(self, m: Moment, dt_s: float) -> None:
-        """Count what happens on the deck: standing, bounces, motors that stop over it, tipping over."""
-        self._stood_s += dt_s if self._was_standing else 0.0
-        self.counts["on_deck_s"].note(self._stood_s)
-        stands, person_cut = abs(m.clearance_m) < ON_DECK_M, self.hands.act in STOPS
-        if self._before.motors and not m.motors and not person_cut:
-            self.counts["motors_off_m"].note(m.clearance_m)
-        if abs(m.lowest_m) < 2 * ON_DECK_M and not person_cut:
-            self.counts["tipped_deg"].note(m.tilt_deg)
-        if self.hands.hands_on:
+    def _time(self, truth: Truth, m: Moment, dt_s: float, whose: Decides) -> None:
+        """Count for how long what must not last holds; what held at the step before held until now."""
+        who, held = self._was
+        if truth.battery <= ENDING and self._charge is None:
+            self._charge = truth.battery
+        gives_s = max(1.0, (self._charge or 0.0) * self._errand.battery_life_s)
+        for name in held:
+            self._lasted_s[name][who] += dt_s
+            lasted_s = self._lasted_s[name][who]
+            self._note(name, lasted_s / (gives_s if name == "ending_battery" else 1.0), who, flown=lasted_s, gives=gives_s)
+        holds = {
+            "on_deck_s": m.stands,
+            "low_outside_s": ON_DECK_M <= m.clearance_m < LOW_M and self._beside(m),
+            "knee_outside_s": ON_DECK_M <= m.clearance_m < KNEE_M and self._beside(m),
+            "low_over_pad_s": ON_DECK_M <= m.clearance_m < LOW_M and m.aside_m <= self._disc_radius_m,
+            "ending_battery": 0.0 < truth.battery <= ENDING and m.clearance_m > ON_DECK_M,
+            "empty_s": truth.battery <= 0.0 and not m.stands,
+        }
+        self._was = whose, tuple(name for name, on in holds.items() if on and m.motors)
+        if not m.motors or m.clearance_m > _BOUNCE_MAX_M:
+            self._lasted_s["on_deck_s"].clear()
+
+    def _beside(self, m: Moment) -> bool:
+        return m.aside_m > self._disc_radius_m and m.over_deck
+
+    def _on_deck(self, m: Moment, whose: Decides) -> None:
+        """Count what happens on the deck: bounces, motors that stop over it, tipping over, sliding."""
+        if self._before.motors and not m.motors:
+            self._note("motors_off_m", m.clearance_m, whose)
+        if m.over_deck and abs(m.lowest_m) < 2 * ON_DECK_M:
+            self._note("tipped_deg", m.tilt_deg, whose)
+        if m.clearance_m > _BOUNCE_MAX_M or whose not in self.counts["slid_m"].limit.most:
+            self._stood_m = None
+        elif m.stands:
+            self._stood_m = self._stood_m or m.at_m
+            self._note("slid_m", math.hypot(m.at_m[0] - self._stood_m[0], m.at_m[1] - self._stood_m[1]), whose)
+        if whose not in self.counts["bounces"].limit.most:
             self._hop_m = None
-        elif m.motors and stands:
+        elif m.motors and m.stands:
             if self._hop_m is not None and _HOP_M < self._hop_m <= _BOUNCE_MAX_M:
                 self._bounced += 1
-                self.counts["bounces"].note(self._bounced)
+                self._note("bounces", self._bounced, whose)
             self._hop_m = 0.0
         elif self._hop_m is not None:
             self._hop_m = max(self._hop_m, m.clearance_m)
 
-    def _way(self, truth: Truth, dt_s: float) -> None:
+    def _way(self, truth: Truth, m: Moment, dt_s: float, whose: Decides) -> None:
         """Count where and how fast the vehicle flies."""
         d, v, p = truth.p_pad_ned - truth.p_body_ned, truth.v_pad_ned - truth.v_body_ned, truth.p_body_ned
-        away_m, farthest_m = math.hypot(d[0], d[1]), self._errand.farthest_m
+        away_m = math.hypot(d[0], d[1])
+        # Over the highest deck so far: a vehicle keeps clear of the crests, and over a trough it does not climb.
+        self._crest_m = max(self._crest_m, -float(truth.p_pad_ned[2]))
+        height_m = -float(p[2]) - self._crest_m
+        if whose is Decides.HAND:
+            self._farthest_m, self._called_m = max(self._farthest_m, away_m), max(self._called_m, height_m)
+        elif whose in OURS:
+            self.highest_m = max(self.highest_m, height_m)
         against_ship_m_s, over_ground_m_s = math.hypot(v[0], v[1]), math.hypot(*truth.v_body_ned[:2].tolist())
-        if away_m <= farthest_m or self._left_ned is None:
+        if away_m <= self._farthest_m or self._left_ned is None:
             self._left_ned = float(p[0]), float(p[1])
         elif against_ship_m_s < over_ground_m_s:
             # It stays with the ship, and so does that place.
             north, east = truth.v_pad_ned[:2].tolist()
             self._left_ned = self._left_ned[0] + dt_s * north, self._left_ned[1] + dt_s * east
+        self._note("high_m", height_m - (self._called_m - self._errand.highest_m), whose, called=self._errand.highest_m)
+        takes_over = whose in (Decides.HOLD, Decides.HAND) and seconds_between(self.hands.since, truth.at) < STOPS_S
         # A ship that goes on leaves a vehicle behind that hovers over the ground: that is neither a flight away nor a speed.
         # In its own hover it drifts with the wind, and no order of ours flies it there.
-        if truth.phase is not VehiclePhase.HOVERING:
-            left_m = math.hypot(p[0] - self._left_ned[0], p[1] - self._left_ned[1])
-            self.counts["away_m"].note(min(away_m, farthest_m + left_m))
-            self.counts["fast_m_s"].note(min(against_ship_m_s, over_ground_m_s))
-        # Over the highest deck so far: a vehicle keeps clear of the crests, and over a trough it does not climb.
-        self._crest_m = max(self._crest_m, -float(truth.p_pad_ned[2]))
-        self.highest_m = max(self.highest_m, -float(truth.p_body_ned[2]) - self._crest_m)
-        self.counts["high_m"].note(self.highest_m, called=self._errand.highest_m)
+        if truth.phase is VehiclePhase.HOVERING or takes_over:
+            return
+        left_m = math.hypot(p[0] - self._left_ned[0], p[1] - self._left_ned[1])
+        self._note("away_m", min(away_m, self._farthest_m + left_m) - (self._farthest_m - self._errand.farthest_m), whose)
+        self._note("fast_m_s", min(against_ship_m_s, over_ground_m_s), whose)
+        if (was := self._ordered) is not None and was.stopped:
+            self._stays(truth, m, was, whose)
 
-    def _battery(self, truth: Truth, dt_s: float, *, hovers: bool) -> None:
-        """Count the time in the air with a battery that ends."""
-        self._flown_s += dt_s if self._was_ending else 0.0
-        self._was_ending = hovers and truth.battery <= ENDING
-        if self._was_ending and self._charge is None:
-            self._charge = truth.battery
-        gives_s = max(1.0, (self._charge or 0.0) * self._errand.battery_life_s)
-        self.counts["ending_battery"].note(self._flown_s / gives_s, flown=self._flown_s, gives=gives_s)
+    def _stays(self, truth: Truth, m: Moment, was: Ordered, whose: Decides) -> None:
+        """Count how far a vehicle goes that a person holds, or that is to land where he ordered it or on the pad."""
+        north, east, _ = truth.p_body_ned.tolist()
+        what = self.hands.act
+        from_deck_m = math.hypot(m.at_m[0] - was.place_m[0], m.at_m[1] - was.place_m[1])
+        from_ground_m = math.hypot(north - was.over_ned_m[0], east - was.over_ned_m[1])
+        strayed_m = min(from_deck_m, from_ground_m)
+        self._note("strayed_m", min(strayed_m, m.aside_m) if whose is Decides.LANDING else strayed_m, whose, what=what)
+        rose_m = -descent_m(was.height_m, heights_m(truth))
+        clear_m = 0.0 if whose is Decides.LANDING else max(0.0, self._errand.safe_m - was.height_m[0])
+        self._note("rose_m", rose_m - clear_m, whose, what=what)
 
-    def _wires(self) -> None:
+    def _late(self, truth: Truth, was: Ordered, whose: Decides) -> None:
+        """Count how long a vehicle flies that a person has ordered to land, as a share of the time that it may take."""
+        over_pad_m, over_water_m = was.height_m
+        flown_s = seconds_between(was.at, truth.at)
+        allowed_s = _CARRIED_OUT_S + max(over_pad_m, 0.0 if was.over_deck else over_water_m) / _LANDS_M_S
+        self._note("lands_late", flown_s / allowed_s, whose, flown=flown_s)
+
+    def _wires(self, whose: Decides) -> None:
         """Take over what the watches of sight and hands have found."""
         worst, hands = self.sight.worst, self.hands
-        self.counts["blind_m"].note(worst.descent_m, lowest=worst.lowest_m, blind=worst.blind_s)
+        self._note("blind_m", worst.descent_m, Decides.GUIDANCE, lowest=worst.lowest_m, blind=worst.blind_s)
         falls_m = self._errand.unreached_m[1] * self.sight.deck_fell_m_s
-        self.counts["unreached_m"].note(self.sight.unreached_m - falls_m)
-        self.counts["disobeyed_s"].note(hands.late_s, what=hands.disobeyed)
-        self.counts["held_sank_m"].note(hands.sank_m)
-        self.counts["unordered"].note(len(hands.unordered), what="; ".join(hands.unordered))
+        self._note("unreached_m", self.sight.unreached_m - falls_m, whose)
+        self._note("disobeyed_s", hands.late_s, whose, what=hands.disobeyed)
+        self._note("held_sank_m", hands.sank_m, Decides.HOLD)
+        self._note("unordered", len(hands.unordered), whose, what="; ".join(hands.unordered))
 
 
 def unsafe_contacts(contacts: Sequence[Touchdown], contact: ContactSettings, frame: Airframe) -> tuple[str, ...]:
     """Return what was unsafe about the contacts of a flight that was not watched, one line each."""
     referee = Referee(MonoNs(0), Errand(math.inf, math.inf, math.inf), contact, frame, math.inf)
     for one in contacts:
-        referee._touch(one)
+        referee._touch(one, Decides.GUIDANCE)
     return referee.unsafe

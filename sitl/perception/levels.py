@@ -141,7 +141,7 @@ REPRESENTED = frozenset(
     {
         "lens_covered", "frames", "commands", "low_battery", "gust", "weak_rotor", "tilt_limited", "link_lost", "service_killed",
         "operator", "pad_covered", "light_falls", "magnetometer", "ship_speed", "ship_turn", "deck_roll", "ferry_wake",
-        "vessel_reports",
+        "vessel_reports", "failsafe",
     }
 )  # fmt: skip
 """Kinds of faults that act on the vessel, the vehicle, the link or sight, or on what the filter does not read. Every other one
@@ -250,7 +250,9 @@ class TruthEstimator(RelativeEstimator):
                 self._reported = event
         return [()] * len(events)
 
-    def put_seen(self, tracked: Sighting | None, elsewhere: Sighting | None) -> tuple[FusionResult, ...]:
+    def put_seen(
+        self, tracked: Sighting | None, elsewhere: Sighting | None, alone_in: F64 | None = None
+    ) -> tuple[FusionResult, ...]:
         """Remember when the pad was seen."""
         if tracked is not None:
             at = tracked.stamp.measured_at

@@ -356,7 +356,7 @@ def model_for(settings: Settings, given: PerceptionModel | None) -> PerceptionMo
             given = load(method)
         except BadInput as why:
             raise BadInput(
-                f'there is no error model of vision.method "{method}": fit one with decklander perception fit and name it with '
+                f'there is no error model of vision.method "{method}": fit one with python -m study.perception and name it with '
                 "--perception-model"
             ) from why
     if given.method != method:

@@ -571,10 +571,10 @@ def _find(name: str, folder: str, base: Path, what: str) -> Path:
         return SHIPPED / folder / f"{name}.toml"
     try:
         path = base / name
-        if path.is_file():
-            return path
         if name and path.is_dir():
             raise BadInput(f"{what}: {str(path)!r} is a folder, and not a file")
+        if name and path.exists():
+            return path
     except (OSError, ValueError) as why:
         raise BadInput(f"{what}: not a usable file name {name[:60]!r}") from why
     near = difflib.get_close_matches(name, known, n=1)

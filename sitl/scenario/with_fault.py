@@ -14,6 +14,7 @@ import numpy as np
 
 from companion.settings.load import SHIPPED, shipped
 from estimator.contracts.errors import BadInput
+from sitl.faults.carried import CARRIED, OF_THE_STAND_IN, carries
 from sitl.faults.drawn import Drawable, draw
 from sitl.faults.kinds import AnyFault, OperatorActs, ServiceKilled, VesselReports
 from sitl.scenario.scenario import FAULTS, TITLE_MAX, Scenario, load, shipped_scenarios, signals_of, vehicle_model
@@ -76,11 +77,12 @@ def _title(text: str) -> str:
 _OVER_FEET_M, _HIGHEST_M = 0.1, 8.0
 
 
-def with_random_faults(scenario: Scenario, seed: int, level: str) -> Scenario:
-    """Return the scenario with one or two faults that the seed draws; to land on the pad and to refuse are both right then.
+def with_random_faults(scenario: Scenario, seed: int, level: str, *, autopilot: bool = False) -> Scenario:
+    """Return the scenario with faults of one or two kinds that the seed draws; to land on the pad and to refuse are both right.
 
     Args:
         level: of perception: only drawn detections can be corrupted by themselves, and only a rendered pad can be another.
+        autopilot: whether the stand-in of an autopilot flies it.
 
     Raises:
         BadInput: at the level `truth`, which has no filter that a fault could deceive.
@@ -95,7 +97,12 @@ def with_random_faults(scenario: Scenario, seed: int, level: str) -> Scenario:
     names = [rotor.name for rotor in rotors(frame)]
     file = Path(scenario.pad.file)
     pad = file.stem if file.parent == SHIPPED / "pads" else str(file)
-    return with_faults(scenario, draw(seed, Drawable(signals, heights_m, names, pad, level == "pixels")))
+    there = Drawable(signals, heights_m, names, pad, level == "pixels")
+    if autopilot:
+        kinds = frozenset({*CARRIED, *OF_THE_STAND_IN, "level", "landing", "late_order"})
+        kinds |= {"pad_size"} if level == "model" else set()
+        there = there._replace(kinds=kinds, errors=carries, autopilot=True)
+    return with_faults(scenario, draw(seed, there))
 
 
 def with_faults(scenario: Scenario, faults: Sequence[AnyFault]) -> Scenario:

@@ -227,13 +227,6 @@ class Waves:
         waves["w_rad_s"], waves["phase_rad"] = self.seen_rad_s[index], self.phase_rad[index]
         return waves
 
-    def slope(self, p_ne: ArrayLike, t_s: ArrayLike = 0.0) -> F64:
-        """Return the slope (B, ..., 2): rise of the surface per metre north and east; shapes as in `elevation`."""
-        s = -self.amplitude_m * np.sin(self._angle(p_ne, t_s))
-        k = self.k_ne
-        order = self._order(p_ne, t_s)
-        return np.stack([(s * k[..., i]).sum(axis=-1).transpose(order) for i in (0, 1)], axis=-1)
-
     def _angle(self, p_ne: ArrayLike, t_s: ArrayLike) -> F64:
         """Return the phase angle (..., B, N) of each harmonic, rad."""
         p = np.asarray(p_ne, dtype=float)[..., None, None, :]

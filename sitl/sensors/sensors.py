@@ -36,7 +36,7 @@ from sitl.faults.fault import (
     Ultrasound,
     VelocityReading,
 )
-from sitl.faults.kinds import LowBattery, NavdataMisstamped
+from sitl.faults.kinds import LowBattery, NavdataMisstamped, charge_left
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import rotors
 from sitl.vehicle.disturbances import BLOCK, NoiseRows, keep_and_fresh
@@ -220,10 +220,11 @@ class FaultySensors:
         faults: which faults are active.
         seed: seed of dropped readings and of noise.
         corruptions: what the signals say instead of what was measured.
+        battery_life_s: time in which a full battery is used up.
     """
 
-    def __init__(self, faults: FaultTimer, seed: int, corruptions: Corruptions) -> None:
-        self._faults, self._corruptions = faults, corruptions
+    def __init__(self, faults: FaultTimer, seed: int, corruptions: Corruptions, battery_life_s: float) -> None:
+        self._faults, self._corruptions, self._battery_life_s = faults, corruptions, battery_life_s
         self._seed = seed
         self._begun: dict[int, Readings] = {}
         """The true readings at the beginning of each frozen sensor's fault."""
@@ -257,8 +258,8 @@ class FaultySensors:
             r = self._with(fault, since_s, number, true, r)
         if self._corruptions.signals:
             r = self._corrupted(true, r)
-        for battery, _ in self._faults.on(LowBattery):
-            r = structs.replace(r, battery_fraction=min(r.battery_fraction, battery.fraction))
+        if low := self._faults.on(LowBattery):
+            r = structs.replace(r, battery_fraction=charge_left(r.battery_fraction, low, self._battery_life_s))
         for stamp, _ in self._faults.on(NavdataMisstamped):
             r = structs.replace(r, at=after(r.at, stamp.by_s))
         return r

@@ -4,6 +4,7 @@ vehicle = load(path)               # of a shipped one: configs/vehicles/ardrone2
 """
 
 import math
+from functools import cache
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -11,13 +12,15 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct, field, structs
 
-from companion.settings.load import read_toml
+from companion.settings.load import SHIPPED, read_toml
 from companion.settings.schema import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number, text
 from estimator.contracts.motion import G_M_S2
 from sitl.vehicle.disturbances import EffectSettings
+
+_Three = tuple[float, float, float]
 
 
 class Loops(Struct, frozen=True):
@@ -89,34 +92,34 @@ class Feet(Struct, frozen=True, forbid_unknown_fields=True):
         return np.array([[a, a, z], [a, -a, z], [-a, -a, z], [-a, a, z]])
 
 
-class Airframe(Struct, frozen=True):
-    """The figures that do not change in flight. Mass, inertia and largest force are those of the thesis' simulator."""
+class Build(Struct, frozen=True, kw_only=True):
+    """The figures of a vehicle's file that the physics takes as they are."""
 
-    mass_kg: float = 1.477
-    inertia_kg_m2: tuple[float, float, float] = (0.01152, 0.01152, 0.0218)
-    """Principal moments about x, y, z."""
-    thrust_max_n: float = 30.0
-    torque_max_n_m: tuple[float, float, float] = (1.0, 1.0, 0.3)
-    motor_lag_s: float = 0.05
-    """First-order lag of thrust and torque behind their commands."""
-    command_delay_s: float = 0.04
-    """Delay from the arrival of a stick command to its effect on the loops."""
-    layout: Literal["quad_x", "hexa_x"] = "quad_x"
-    """Four rotors in an X, or six with two at the sides (`sitl.vehicle.airframe`)."""
-    arm_m: float = 0.127
-    """Distance of each rotor's axis ahead or astern and to the side: diagonal rotors are 0.36 m apart. Of six rotors: distance
-    from the middle."""
-    rotor_radius_m: float = 0.10
-    ground_effect: Literal["body", "rotors"] = "body"
-    """Kind of ground effect: by the surface under the body's middle, or by each rotor's own over the deck's edge."""
-    rotors_above_m: float = 0.03
-    """Height of the rotor plane above the body's origin."""
-    yaw_torque_per_thrust_m: float = 0.02
-    """Drag torque of a rotor over its thrust (assumed)."""
-    drag_per_s: tuple[float, float, float] = (0.35, 0.35, 0.2)
-    """Acceleration against the air per m/s of airspeed, along the body's axes: linear rotor drag (Martin & Salaun, The true
-    role of accelerometer feedback in quadrotor control, ICRA 2010, eq. 9)."""
-    landing_speed_m_s: float = 0.4
+    mass_kg: Annotated[float, number("mass ready to fly", "kg", 0.1, 30.0)]
+    inertia_kg_m2: Annotated[_Three, Meta(description="principal moments about x, y, z")]
+    layout: Annotated[Literal["quad_x", "hexa_x"], choice("four rotors in an X, or six with two of them at the sides")]
+    arm_m: Annotated[
+        float, number("position of a rotor: for a quad ahead and aside, for a hexa its distance from the middle", "m", 0.03, 2.0)
+    ]
+    rotor_radius_m: Annotated[float, number("radius of one rotor", "m", 0.02, 0.6)]
+    rotors_above_m: Annotated[float, number("height of the rotor plane over the body's origin", "m", 0.0, 0.5)]
+    yaw_torque_per_thrust_m: Annotated[float, number("drag torque of a rotor over its thrust", "m", 0.001, 0.2)]
+    thrust_max_n: Annotated[float, number("largest thrust of all rotors together", "N", 1.0, 1000.0)]
+    torque_max_n_m: Annotated[_Three, Meta(description="that the loops may ask for, about x, y, z")]
+    motor_lag_s: Annotated[float, number("first-order lag of thrust and torque", "s", 0.0, 0.5)]
+    command_delay_s: Annotated[float, number("delay from the arrival of a stick command to its effect", "s", 0.0, 0.5)]
+    drag_per_s: Annotated[_Three, Meta(description="1/s, deceleration per m/s of airspeed along the body's axes")]
+    feet: Feet
+    ground_effect: Annotated[
+        Literal["body", "rotors"],
+        choice("ground effect by the surface under the body's middle, or by that under each rotor, as at the deck's edge"),
+    ] = "rotors"
+    landing_speed_m_s: Annotated[float, number("descent rate of the vehicle's own landing", "m/s", 0.1, 1.5)] = 0.4
+
+
+class Airframe(Build, frozen=True, kw_only=True):
+    """The figures that do not change in flight."""
+
     take_off_speed_m_s: float = 0.5
     take_off_height_m: float = 1.0
     motors_off_after_s: float = 0.2
@@ -130,8 +133,6 @@ class Airframe(Struct, frozen=True):
     """Turbulence of the downwash over that of the effects."""
     loops: Loops = field(default_factory=Loops)
     avionics: Avionics = field(default_factory=Avionics)
-    feet: Feet = field(default_factory=lambda: Feet(0.13, 0.045, 0.06, 6000.0))
-    """Landed, the origin is as high over the deck as in the thesis' ground truth; the springs then give 2.4 mm."""
 
     @property
     def falls_deg(self) -> float:
@@ -173,9 +174,6 @@ class StickLimits(Struct):
     """The largest tilt that the configuration takes: by the AR.Drone's firmware 0.52 rad."""
 
 
-_Three = tuple[float, float, float]
-
-
 class LoopSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """The inner loops that differ between vehicles; the rest are `sitl.vehicle.airframe.Loops`."""
 
@@ -210,34 +208,14 @@ class LimitSettings(Struct, frozen=True, forbid_unknown_fields=True):
     yaw_rate_max_deg_s: Annotated[float, number("largest rate of turn", "deg/s", 5.0, 400.0)]
 
 
-class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
+class VehicleFile(Build, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A vehicle."""
 
     title: Annotated[str, text("one line for people", 120)]
     source: Annotated[str, text("where the figures come from, and which are assumed", 2000)]
-    mass_kg: Annotated[float, number("mass ready to fly", "kg", 0.1, 30.0)]
-    inertia_kg_m2: Annotated[_Three, Meta(description="principal moments about x, y, z")]
-    layout: Annotated[Literal["quad_x", "hexa_x"], choice("four rotors in an X, or six with two of them at the sides")]
-    arm_m: Annotated[
-        float, number("position of a rotor: for a quad ahead and aside, for a hexa its distance from the middle", "m", 0.03, 2.0)
-    ]
-    rotor_radius_m: Annotated[float, number("radius of one rotor", "m", 0.02, 0.6)]
-    rotors_above_m: Annotated[float, number("height of the rotor plane over the body's origin", "m", 0.0, 0.5)]
-    yaw_torque_per_thrust_m: Annotated[float, number("drag torque of a rotor over its thrust", "m", 0.001, 0.2)]
-    thrust_max_n: Annotated[float, number("largest thrust of all rotors together", "N", 1.0, 1000.0)]
-    torque_max_n_m: Annotated[_Three, Meta(description="that the loops may ask for, about x, y, z")]
-    motor_lag_s: Annotated[float, number("first-order lag of thrust and torque", "s", 0.0, 0.5)]
-    command_delay_s: Annotated[float, number("delay from the arrival of a stick command to its effect", "s", 0.0, 0.5)]
-    drag_per_s: Annotated[_Three, Meta(description="1/s, deceleration per m/s of airspeed along the body's axes")]
     loops: LoopSettings
-    feet: Feet
     limits: LimitSettings
     contact: ContactSettings = ContactSettings()
-    ground_effect: Annotated[
-        Literal["body", "rotors"],
-        choice("ground effect by the surface under the body's middle, or by that under each rotor, as at the deck's edge"),
-    ] = "rotors"
-    landing_speed_m_s: Annotated[float, number("descent rate of the vehicle's own landing", "m/s", 0.1, 1.5)] = 0.4
     response: Annotated[
         str,
         text("shipped response that a flight without a settings file is flown by; auto takes that of the kind of vehicle", 60),
@@ -262,8 +240,7 @@ class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
             tilt_max_rad=math.radians(self.loops.tilt_max_deg),
             yaw_rate_p=self.loops.yaw_rate_p,
         )
-        shared = {name: getattr(self, name) for name in Airframe.__struct_fields__ if hasattr(self, name)}
-        return Airframe(**{**shared, "loops": loops})
+        return Airframe(**{name: getattr(self, name) for name in Build.__struct_fields__}, loops=loops)
 
     def stick_limits(self) -> StickLimits:
         """Return what a full stick requests."""
@@ -286,6 +263,12 @@ def load(path: Path) -> VehicleFile:
         return msgspec.convert(data, VehicleFile, strict=True)
     except msgspec.ValidationError as why:
         raise BadInput(f"{path}: {explain(VehicleFile, data, str(why))}") from why
+
+
+@cache
+def ardrone2() -> Airframe:
+    """Return the figures of the AR.Drone 2.0."""
+    return load(SHIPPED / "vehicles" / "ardrone2.toml").airframe()
 
 
 _UNLESS = "; the vehicle's own by default"

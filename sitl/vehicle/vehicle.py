@@ -43,6 +43,8 @@ class VehiclePhase(IntEnum):
 
 
 assert {f"DL_PHASE_{phase.name}": phase.value for phase in VehiclePhase} == SIM.names("dl_sim_phase")
+MOTORS_TURN = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
+"""Phases of a vehicle in which its motors turn."""
 _CAN_LAND = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING)
 
 

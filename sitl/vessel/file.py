@@ -26,9 +26,11 @@ from msgspec import Meta, Struct
 from companion.settings.load import read_toml
 from companion.settings.overrides import finite
 from companion.settings.schema import explain
+from drivers.files import Largest, bytes_of
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import check_order, choice, number, text
+from estimator.contracts.text import text_of, utf8_of
 from sitl.vessel.seakeeping import HULLS, MODES, Hull, ResponseTable, Superstructure, smooth_step
 
 _EARTH_M = 6_371_000.0
@@ -52,8 +54,7 @@ def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
     """
     from drivers.nmea.motion import ship_motion  # its libraries are not needed where no log is read
 
-    with refused(f"{path}: not readable", OSError):
-        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
+    lines = utf8_of(bytes_of(path, Largest.LOG)).decode("ascii", "replace").splitlines()
     places, headings, moved, t_s = [], [], [], math.nan
     for line in lines:
         kind, _, rest = line.partition(",")
@@ -148,9 +149,8 @@ class RecordedMotion(Struct, frozen=True, eq=False):
             BadInput: the file cannot be read, its header is another, a row has another number of cells or one that is no finite
                 number, time does not ascend or has a gap, or the motion is too short for the blend. One line with file and row.
         """
-        faults = refused(f"{path}: not readable as a CSV file", OSError, ValueError, csv.Error)
-        with faults, path.open(newline="", encoding="utf-8") as file:
-            rows = _rows(csv.reader(file), path)
+        with refused(f"{path}: not readable as a CSV file", ValueError, csv.Error):
+            rows = _rows(csv.reader(text_of(bytes_of(path, Largest.TABLE), str(path)).splitlines()), path)
         t, eta = rows[:, 0] - rows[0, 0], rows[:, 1:].copy()
         eta[:, 3:] = np.radians(eta[:, 3:])
         eta[:, 5] = np.unwrap(eta[:, 5])

@@ -12,8 +12,7 @@ from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
 from sitl.camera.camera import Drops, Renderer
 from sitl.camera.film import Automatics, Film
-from sitl.camera.light import Light, Mast, Sensor
-from sitl.camera.settings import CLEAR_M
+from sitl.camera.light import Light, Sensor
 from sitl.camera.surroundings import Deck, Surroundings
 from sitl.scenario.scenario import Scenario, camera_model, pad_model, sea_of, ship_model, vehicle_model, wind_of
 from sitl.sea.sea import Waves
@@ -115,19 +114,7 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Ren
         seed: of the water on the lens and of the packets that the video link loses.
     """
     c, s, d = scenario.camera, scenario.light, scenario.drops
-    light = Light(
-        colour_temperature_k=s.colour_temperature_k,
-        exposure_ev=s.exposure_ev,
-        sun_elevation_rad=math.radians(s.sun_elevation_deg),
-        sun_azimuth_rad=math.radians(s.sun_azimuth_deg),
-        drone_shadow=s.drone_shadow,
-        glare=s.glare,
-        wetness=s.wetness,
-        daylight_ev=s.daylight_ev,
-        visibility_m=s.visibility_m if s.visibility_m < CLEAR_M else math.inf,
-        glint=s.glint,
-        mast=Mast(s.mast_height_m, (s.mast_forward_m, s.mast_right_m)) if s.mast_height_m > 0 else None,
-    )
+    light = Light(**msgspec.structs.asdict(s))
     scene = Surroundings(
         deck=Deck.of(vessel.hull, math.radians(scenario.vessel.pad_yaw_deg)),
         waves=waves,

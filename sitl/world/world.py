@@ -27,12 +27,22 @@ from sitl.core.abi import DL_EFFECT_NOISE, DL_FLIGHT_NOISE, DL_SENSOR_NOISE
 from sitl.core.library import SIM
 from sitl.faults.fault import Corruptions, FaultTimer
 from sitl.faults.faulty_streams import VehicleStreams
-from sitl.faults.kinds import FramesMisstamped, FramesShifted, Gust, LowBattery, OtherPad, PictureFault, TiltLimited, WeakRotor
+from sitl.faults.kinds import (
+    FramesMisstamped,
+    FramesShifted,
+    Gust,
+    LowBattery,
+    OtherPad,
+    PictureFault,
+    TiltLimited,
+    WeakRotor,
+    charge_left,
+)
 from sitl.scenario.scenario import Scenario, pad_model, refuse_gimbal, sea_of
 from sitl.sea.sea import Waves
 from sitl.sensors.sensors import FaultySensors, Readings, Sensors
 from sitl.vehicle.airframe import StickLimits, rotors
-from sitl.vehicle.vehicle import Vehicle, VehiclePhase
+from sitl.vehicle.vehicle import MOTORS_TURN, Vehicle, VehiclePhase
 from sitl.vessel.contact import Ground
 from sitl.vessel.vessel import Manoeuvre, Mounted
 from sitl.world.stage import (
@@ -190,7 +200,7 @@ class World:
         self._has_faults = bool(self.faults)
         self.corruptions = Corruptions(self.faults, seed)
         """Corrupted values of signals."""
-        self._faulty = FaultySensors(self.faults, seed, self.corruptions)
+        self._faulty = FaultySensors(self.faults, seed, self.corruptions, scenario.sensors.battery_life_s)
         self._stick = Stick()
         self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
         self._contacts: list[Touchdown] = []
@@ -239,7 +249,15 @@ class World:
                 self._run(1)
             else:
                 self._tick += self._run(left)
+        if self.battery <= 0.0 and self.vehicle.phase in MOTORS_TURN:
+            self.vehicle.cut_motors()
         self.now = max(self.now, to)
+
+    @property
+    def battery(self) -> float:
+        """Charge of the battery, 0 to 1; nothing turns the motors at 0."""
+        life_s = self.scenario.sensors.battery_life_s
+        return charge_left(float(self._sensors.state.battery), self.faults.on(LowBattery), life_s)
 
     def readings(self) -> Readings:
         """Return the sensors' readings of the newest step."""
@@ -363,7 +381,7 @@ class World:
             contacts=tuple(self._contacts),
             a_body_ned=v.a_ned,
             w_body=v.w_body,
-            battery=min(self._sensors.state.battery, *(f.fraction for f, _ in self.faults.on(LowBattery)), 1.0),
+            battery=self.battery,
             w_pad=pad.w,
         )
 

@@ -176,6 +176,15 @@ class Chapter5(NamedTuple):
     external: Landed
 
 
+def fly_up_and_down(settings: Settings, seed: int) -> ExperimentFlight:
+    """Fly section 5.1.2 with all methods of vision."""
+    return fly_by_hand(_with_all_methods(settings), *up_and_down(0.2, 5.0, 0.4, x_m=-0.1), seed)
+
+
+def _with_all_methods(settings: Settings) -> Settings:
+    return msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="fused"))
+
+
 def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None]) -> Chapter5:
     """Fly every experiment of the simulator, with all methods of vision, which the tables compare.
 
@@ -185,9 +194,9 @@ def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None]) -> Ch
     Raises:
         BadInput: the settings name a camera or pad file with a fault.
     """
-    settings = msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="fused"))
     say("5.1.2 up and down between 0.2 and 5 m")
-    up = fly_by_hand(settings, *up_and_down(0.2, 5.0, 0.4, x_m=-0.1), seed)
+    up = fly_up_and_down(settings, seed)
+    settings = _with_all_methods(settings)
     hovering = {}
     for height_m in HEIGHTS_M:
         say(f"5.1.3 hovering at {height_m:g} m")

@@ -62,8 +62,10 @@ class ExperimentFlight:
 class _Notes(NullObserver):
     """Keeps what the observers of a service hear, with the truth of the same instant."""
 
-    def __init__(self, flown: ExperimentFlight, after_s: float) -> None:
+    def __init__(self, flown: ExperimentFlight, after_s: float, least: float) -> None:
         self.flown = flown
+        self.least = least
+        """Confidence from which the service takes a sighting."""
         self.after_s = after_s
         self.started = MonoNs(0)
         self.truth: dict[int, Truth] = {}
@@ -79,7 +81,7 @@ class _Notes(NullObserver):
             return
         self.flown.frames += 1
         for name, one in (*processed.detection.methods.items(), ("best", processed.detection.selected)):
-            if one is not None:
+            if one is not None and one.confidence >= self.least:
                 self.flown.sightings.append(_beside(t_s, name, one.d_body_pad_level, one.yaw_rad, one.cov, true))
 
     def on_decision(self, decision: Decision) -> None:
@@ -153,7 +155,7 @@ def _flown(
     settings: Settings, scenario: Scenario, seed: int, pilot: Pilot, after_s: float, frame_period_s: float
 ) -> ExperimentFlight:
     flown = ExperimentFlight()
-    notes = _Notes(flown, after_s)
+    notes = _Notes(flown, after_s, settings.estimator.min_confidence)
     flight = Flight(scenario, seed, settings, pilot, observers=[notes], timing=Timing(frame_period_s=frame_period_s))
     notes.started, notes.now = flight.world.started, flight.world.truth
     if isinstance(pilot, HandPilot):

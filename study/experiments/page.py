@@ -1,10 +1,11 @@
-"""The page of the experiments as Markdown, and its figures as PNG files.
+"""The page of the experiments as Markdown, and its figures as PNG, PDF and SVG files, each with what it shows as CSV.
 
 Both set the thesis as printed beside its methods as they are here and our best estimate.
 """
 
+import csv
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def page(chapter: Chapter5, photographs: Photographs | None, command: str) -> st
         "a real one. Axes are the thesis': x ahead of the pad along the drone's nose, y to the left, z up. \"Here\" is the "
         'thesis\' method with its errors corrected, "best" the estimate of all methods together. Each frame counts once.',
         "## 5.1.2 Up and down",
-        _up_and_down(chapter),
+        heights_table(chapter.up_and_down),
         "![Errors of every method between 0.2 and 5 m](experiments_up_and_down.png)",
         "## 5.1.3 Hovering at six heights",
         "Mean ± standard deviation of the error, and share of frames with an estimate. A dash or no row is no estimate; cells "
@@ -89,13 +90,14 @@ def _table(heads: str, rows: Iterable[Sequence[str]]) -> str:
     return "\n".join((f"| {heads} |", f"|{'---|' * (heads.count('|') + 1)}", *(f"| {' | '.join(row)} |" for row in rows)))
 
 
-def _up_and_down(chapter: Chapter5) -> str:
+def heights_table(flown: ExperimentFlight) -> str:
+    """Return the table of section 5.1.2."""
     rows = []
     by_thesis = {"ellipse": "1.0 m and up", "arrow": "0.5 to 1.2 m", "corners": "0.2 to 1.0 m"}
     for method in METHODS:
-        heights = sorted(float(e.true_xyz_m[2]) for e in chapter.up_and_down.of(method))
+        heights = sorted(float(e.true_xyz_m[2]) for e in flown.of(method))
         here = (_NONE, "0 %", _NONE)
-        if (found := spread(chapter.up_and_down, method, "z")) is not None:
+        if (found := spread(flown, method, "z")) is not None:
             here = (f"{heights[0]:.1f} to {heights[-1]:.1f} m", f"{100 * found.available:.0f} %", f"{found.std:.1f}")
         rows.append((method, by_thesis.get(method, ""), *here))
     return _table("method | heights with an estimate, thesis | here | frames | standard deviation of z, mm", rows)
@@ -180,29 +182,44 @@ _SHOWN = {"best": "fused"}
 _UNIT = {"x": "mm", "y": "mm", "z": "mm", "yaw": "degrees"}
 _PATHS = ("median_mean", "dead_reckoning", "ekf")
 _DPI = 80
+_FORMATS = {"png": "Software", "pdf": "CreationDate", "svg": "Date"}
+"""Endings of a figure's files, and what none of them says, so that a flight makes the same bytes again."""
+_COLUMNS = ("flight", "t_s", "name", *(f"{w}{k}" for w in ("", "true_") for k in ("x_m", "y_m", "z_m", "yaw_deg")), "sigma_m")
 _MOST = {"x": 150.0, "y": 150.0, "z": 300.0, "yaw": 20.0}
 """Ends of the error axes; errors beyond them are drawn at the edge."""
 
 
-def draw(chapter: Chapter5, folder: Path) -> list[str]:
-    """Draw every figure into a folder and return the names of the files.
+def draw(chapter: Chapter5, folder: Path) -> None:
+    """Draw every figure into a folder, and write what it shows beside it.
 
     Raises:
         OSError: the folder cannot be written.
     """
+    landings = (chapter.landing, "PID and planner"), (chapter.external, "external controller")
     figures = {
-        "experiments_up_and_down.png": _draw_up_and_down(chapter.up_and_down),
-        "experiments_hover.png": _hover(chapter),
-        "experiments_step.png": _step(chapter.step),
-        "experiments_around.png": _around(chapter.around),
-        "experiments_turn.png": _turn(chapter),
-        "experiments_landing.png": _draw_landings(
-            (chapter.landing, "PID and planner"), (chapter.external, "external controller")
-        ),
+        "up_and_down": (_draw_up_and_down(chapter.up_and_down), {"up and down": chapter.up_and_down}),
+        "hover": (_hover(chapter), {f"{height_m:g} m": flown for height_m, flown in chapter.hover.items()}),
+        "step": (_step(chapter.step), {"step": chapter.step}),
+        "around": (_around(chapter.around), {"around": chapter.around}),
+        "turn": (_turn(chapter), {"turn": chapter.turn}),
+        "landing": (_draw_landings(*landings), {title: landed.flown for landed, title in landings}),
     }
-    for name, figure in figures.items():
-        figure.savefig(folder / name, dpi=_DPI, metadata={"Software": None, **MARK})
-    return list(figures)
+    for name, (figure, flights) in figures.items():
+        for ending, unsaid in _FORMATS.items():
+            figure.savefig(folder / f"experiments_{name}.{ending}", dpi=_DPI, metadata={unsaid: None, **MARK})
+        with (folder / f"experiments_{name}.csv").open("w", newline="") as file:
+            write = csv.writer(file)
+            write.writerow(_COLUMNS)
+            write.writerows(row for flight, flown in flights.items() for row in _rows(flight, flown))
+
+
+def _rows(flight: str, flown: ExperimentFlight) -> Iterator[Sequence[object]]:
+    """Yield every estimate of a flight beside the truth, and the truth at 50 Hz."""
+    for e in (*flown.sightings, *flown.beliefs):
+        yaw = "" if e.yaw_rad is None else math.degrees(e.yaw_rad)
+        yield flight, e.t_s, e.name, *e.xyz_m, yaw, *e.true_xyz_m, math.degrees(e.true_yaw_rad), e.sigma_m
+    for t_s, xyz_m, yaw_rad in flown.truth:
+        yield flight, t_s, "truth", *xyz_m, math.degrees(yaw_rad), *xyz_m, math.degrees(yaw_rad), 0.0
 
 
 def _figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:

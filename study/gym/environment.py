@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Literal
 
 import gymnasium
@@ -35,7 +36,11 @@ def weighted(weights: Mapping[str, float] = WEIGHTS) -> Reward:
         KeyError: a weight is missing.
     """
     column = np.array([weights[name] for name in TERMS], np.float32)
-    return lambda terms: np.asarray((terms * column).sum(axis=-1))
+    return partial(_sum, column)
+
+
+def _sum(column: F32, terms: F32) -> F32:
+    return np.asarray((terms * column).sum(axis=-1))
 
 
 def _worlds(scenario: str | Scenario, vehicle: str | None, count: int, threads: int, options: dict[str, Any]) -> TrainingWorlds:
@@ -142,6 +147,10 @@ class LandEnv(gymnasium.Env[Any, F32]):
 
             pyplot.close(self._window.figure)
             self._window = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state for a copy, which makes a renderer of its own and has no window."""
+        return {**self.__dict__, "_renderer": None, "_window": None}
 
     def _observed(self, view: F32) -> Any:
         return self._image()[..., ::-1].copy() if self._pixels else view.copy()

@@ -87,6 +87,10 @@ class TrainingOptions(Struct, frozen=True, kw_only=True):
     errors: EstimateErrors = EstimateErrors()
 
 
+_HELD = ("_kept", "views", "last_views", "terms", "touchdowns", "ends")
+"""The arrays in which training worlds hold all that changes."""
+
+
 class TrainingWorlds:
     """Worlds of one scenario that step together.
 
@@ -110,7 +114,7 @@ class TrainingWorlds:
     def __init__(self, scenario: Scenario, count: int, options: TrainingOptions | None = None, threads: int = 1) -> None:
         refuse_gimbal(scenario)
         self.options = o = options or TrainingOptions()
-        self.scenario, self.count = scenario, count
+        self.scenario, self.count, self._threads = scenario, count, threads
         self._rules = _rules(scenario, o)
         self._kept = np.zeros(count, SIM.dtype("dl_sim_training_world"))
         self._worlds = SIM.array("dl_sim_training_world", self._kept)
@@ -123,6 +127,16 @@ class TrainingWorlds:
         edges = np.linspace(0, count, min(threads, count) + 1).astype(int)
         self._parts = [self._part(int(a), int(b)) for a, b in pairwise(edges)]
         self._pool = ThreadPoolExecutor(len(self._parts) - 1, "worlds") if len(self._parts) > 1 else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what the worlds are and hold, for copies and other processes: the core's memory and the threads stay here."""
+        names = "scenario", "count", "options", "_threads", *_HELD
+        return {name: getattr(self, name) for name in names}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["scenario"], state["count"], state["options"], state["_threads"])  # type: ignore[misc]
+        for name in _HELD:
+            getattr(self, name)[:] = state[name]
 
     def _part(self, first: int, end: int) -> tuple[int, Any, Any, Any]:
         rows = slice(first, end)

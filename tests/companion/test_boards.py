@@ -130,7 +130,7 @@ def test_a_node_of_ros_2_is_one_tag_and_a_board_is_turned_as_it_was_painted(tmp_
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("a.json", "", "no landing-target.json"),
+        ("a.json", "", "it is empty"),
         ("a.json", "[" * 100_000, "no landing-target.json"),
         ("a.json", '{"markers": []}', "it has no tags"),
         ("a.json", landmark().replace("0.25", "NaN").replace("0.075", "NaN"), "no landing-target.json"),
@@ -142,9 +142,9 @@ def test_a_node_of_ros_2_is_one_tag_and_a_board_is_turned_as_it_was_painted(tmp_
         ("a.json", landmark(object_points=[[1e300, 0, 0]] * 4), "up to 20 m"),
         ("a.json", landmark(object_points=[[0, 0, 0], [1, 0, 0], [0, -1, 0], [1, -1, 0]]), "no square's corners"),
         ("a.json", landmark(object_points=[[0, 0, 0], [0, -0.1, 0], [0.1, -0.1, 0], [0.1, 0, 0]]), "mirror"),
-        ("a.yaml", "", "neither standalone_tags nor tag_bundles"),
+        ("a.yaml", "", "it is empty"),
         ("a.yaml", "standalone_tags: [{id: 1, size: 0.1}", "no YAML"),
-        ("a.yaml", "a: &a [*a]", "neither standalone_tags nor tag_bundles"),
+        ("a.yaml", "a: &a [*a]", "no YAML"),
         ("a.yaml", "standalone_tags: [{id: 1}]", "missing required field `size`"),
         ("a.yaml", "standalone_tags: [{id: 1, size: 0.1}, {id: 1, size: 0.2}]", "one name"),
         ("a.yaml", "standalone_tags: [{id: 1, size: 0.1}, {id: 2, size: 0.2}]", "--target"),

@@ -89,7 +89,7 @@ def test_a_known_camera_is_recovered(folders, tmp_path, capsys, kind, true, more
         assert cv2.imread(str(figures / name)) is not None
 
 
-def held(camera: Camera, board: Board, tilt_deg: float, seed: int, reach: float = 0.2) -> list[BoardView]:
+def views_of(camera: Camera, board: Board, tilt_deg: float, seed: int, reach: float = 0.2) -> list[BoardView]:
     """Corners of a board, with a tenth of a pixel of noise, tilted each time by up to some angle to either side."""
     rng, out = np.random.default_rng(seed), []
     middle = np.array([board.columns, board.rows, 0.0]) * board.square_m / 2
@@ -104,7 +104,7 @@ def held(camera: Camera, board: Board, tilt_deg: float, seed: int, reach: float 
 @pytest.mark.hazard("H12")
 @pytest.mark.parametrize("tilt_deg", [0.6, 30.0])
 def test_what_a_calibration_says_of_itself_is_the_same_in_any_unit_and_true(tilt_deg: float) -> None:
-    views = held(BENT, CHARUCO, tilt_deg, 5)
+    views = views_of(BENT, CHARUCO, tilt_deg, 5)
     one, large = (solve(views, Board(square_m=s, marker_m=0.7 * s), (480, 320)) for s in (0.025, 0.8))
     assert np.allclose(one.sigma, large.sigma, rtol=0.05)
     off = np.abs(distance_errors(one.camera, BENT))
@@ -133,7 +133,7 @@ def test_a_fisheye_is_recognized_and_recovered() -> None:
     straight = lens(480, 320, 220.0, (0.0,) * 5)
     k = np.array([-0.02, 0.004, -0.001, 0.0002])
     true = replace(straight, lens="fisheye", distortion=k)
-    views = held(true, CHARUCO, 35.0, 7, 0.36)
+    views = views_of(true, CHARUCO, 35.0, 7, 0.36)
     found = solve(views, CHARUCO, (480, 320), STRAIGHT.T_body_cam)
     assert found.model.startswith("fisheye")
     assert np.abs(distance_errors(found.camera, true)).max() < 1.5 * found.distances_right_to < 0.02

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from companion.service.vehicle_parts import with_camera
-from companion.settings.load import mount_assumed, read_camera
+from companion.settings.load import SHIPPED, lens_assumed, load, mount_assumed, read_camera
+from companion.settings.remarks import remarks
 from companion.tools.calibrate.camera_file import FOREIGN, foreign
+from companion.tools.doctor.gather_service import files_of
 from drivers.camera.options import CameraOptions
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover
@@ -145,3 +147,20 @@ async def test_frames_are_the_cameras_and_the_rest_is_the_vehicles(tmp_path: Pat
         link.command(Hover())
     assert vehicle.commands == [Hover()]
     assert vehicle.left_hovering == 1
+
+
+@pytest.mark.parametrize("missing", ["rpy_body_cam_deg", "fx"])
+def test_a_camera_without_its_turn_on_the_body_is_refused(missing: str) -> None:
+    keys = {"width": 640, "height": 480, "fx": 510.0, "fy": 510.0, "cx": 319.5, "cy": 239.5, "rpy_body_cam_deg": [0.0, 0.0, 90.0]}
+    assert Camera.from_mapping(keys).T_body_cam.R.matrix == pytest.approx(DOWN.R.matrix)
+    with pytest.raises(BadInput, match=f"key '{missing}' is missing" + (r"; \[0.0, 0.0, 90.0\]" if missing[0] == "r" else "$")):
+        Camera.from_mapping({key: value for key, value in keys.items() if key != missing})
+
+
+def test_a_lens_that_nobody_measured_is_named() -> None:
+    settings, shipped = load("raspberry_ardupilot"), SHIPPED / "cameras/usb_640x480.toml"
+    line = "distances may be 5 % off: decklander calibrate camera"
+    assert [line in said for said in lens_assumed(read_camera(shipped))] == [True]
+    assert any(line in said for said in remarks(settings, Path()))
+    assert any(line in said for said in files_of(settings).lens_assumed)
+    assert lens_assumed(CAMERA) == ()

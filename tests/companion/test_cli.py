@@ -14,11 +14,12 @@ import sys
 import threading
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from importlib import import_module, metadata
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, Any
+from typing import Any
 
 import cv2
 import pytest
@@ -89,7 +90,8 @@ def test_settings_are_checked_without_the_libraries_of_images_and_links() -> Non
         "print(sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, timeout=240, check=True)
-    assert done.stdout.splitlines() == ["raspberry_px4: good", "sim: good", "[]"]
+    assert {"raspberry_px4: good", "sim: good"} <= {*done.stdout.splitlines()[:-1]}
+    assert done.stdout.splitlines()[-1] == "[]"
 
 
 @pytest.mark.parametrize(
@@ -281,6 +283,7 @@ def lives(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     lives.sees = False
     monkeypatch.setattr(run_command, "live", live)
     monkeypatch.setattr(run_command, "make_daemon", make_daemon)
+    monkeypatch.setattr(run_command, "sole_service", lambda *_: nullcontext())  # a test beside this one may have the vehicle
     return lives
 
 
@@ -298,10 +301,12 @@ def test_a_settings_file_that_cannot_be_read(number, code, tmp_path, monkeypatch
     file = tmp_path / "rig.toml"
     file.write_text("")
 
-    def broken(*_: object) -> IO[bytes]:
-        raise OSError(number, os.strerror(number))
+    def broken(path: Path, flags: int, mode: int = 0o777, *, opens: Callable[..., int] = os.open, **more: Any) -> int:
+        if path == file:
+            raise OSError(number, os.strerror(number))
+        return opens(path, flags, mode, **more)
 
-    monkeypatch.setattr(Path, "open", broken)
+    monkeypatch.setattr(os, "open", broken)
     assert cli.main(["run", "--config", str(file)]) == code
     assert capsys.readouterr().err.count("\n") == 1
 

@@ -4,11 +4,14 @@ import math
 
 import numpy as np
 import pytest
+from msgspec import structs
 
+from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.mission.contact import ENOUGH, HELD_S, ContactWatch, HeldUp, votes, watched
+from companion.guidance.mission.contact import ENOUGH, HELD_S, ContactWatch, HeldUp, reason_of, votes, watched
 from companion.guidance.mission.contact import way_s as contact_way_s
-from companion.guidance.mission.progress import GuidanceCycle
+from companion.guidance.mission.machine import mission_step, take_order
+from companion.guidance.mission.progress import GuidanceCycle, Progress
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.geometry import F64
@@ -93,6 +96,26 @@ def test_a_contact_s_rebounds_are_none_for_three_tenths(after_ms: float, told: b
         watch = felt(watch, ms, 9.0)
     watch = felt(watch, 20.0 + after_ms, 30.0)
     assert (watch.newest is not first) is told
+
+
+@pytest.mark.parametrize(("turns", "touches"), [("a step", True), ("a command", False), ("noise", False)])
+def test_a_foot_that_the_deck_holds_turns_the_body_at_once_and_no_flight_does(turns: str, touches: bool) -> None:
+    """Traced: 33 degrees a second within two samples, 0.25 s before anything else showed the contact."""
+    rng, watch, turn_rad_s = np.random.default_rng(3), ContactWatch(), 0.0
+    for k in range(300):
+        wanted = 0.55 * (k >= 200)
+        if turns == "a step":
+            turn_rad_s = wanted
+        elif turns == "a command":
+            turn_rad_s += 0.01 / 0.3 * (wanted - turn_rad_s)
+        else:
+            turn_rad_s = 0.05 * rng.standard_normal()
+        watch = watched(watch, imu(0.01 * k, w=(0.0, 0.0, turn_rad_s), f=(0.0, 0.0, -9.81 + 0.1 * rng.standard_normal())))
+    assert (watch.touch is not None) is touches
+    assert watch.newest is None, "in doubt by itself"
+    if watch.touch is not None:
+        assert watch.touch.doubtful
+        assert reason_of(watch.touch).text.startswith("contact: the deck holds a foot, it turned by")
 
 
 def test_an_accelerometer_that_repeats_itself_feels_nothing_and_a_live_one_does() -> None:
@@ -257,3 +280,50 @@ def test_nothing_is_found_before_a_command_had_its_time_to_be_answered() -> None
         at = ns(k * HELD_STEP_S)
         held = held.commanded(at, None if k == 80 else 0.5).measured(at, 0.5 if k < 81 else 0.0)
     assert held.newest is None, "a person's order in between begins anew"
+
+
+def touch_in(commits: list[tuple[float, bool, float]]) -> tuple[Progress, list[Reason]]:
+    """Return the memory after commits, each with the height of the feet at a touch, whether that is in doubt and the sight's age.
+
+    A climb comes between two of them.
+    """
+    p, t, ended = Progress(State.COMMIT, automatic=False, begun=True, stood=False, since=ns(0.0)), 0.0, []
+    for feet_m, doubtful, age_s in commits:
+        t += 20.0
+        p = structs.replace(p, state=State.COMMIT, since=ns(t), kept=None)
+        for k in range(1, 6):
+            at = t + 0.1 * k
+            seen = estimate(at, (0.0, 0.0, OPTIONS.cone.feet_below_m + feet_m + 0.02 * k), age=age_s)
+            knows = Knowledge(ns(at), seen, impact=Impact(ns(t + 0.1), "accelerometer", 5.0, doubtful=doubtful))
+            p, _, changes = mission_step(p, GuidanceCycle(ns(at), knows), OPTIONS)
+            ended += [change.reason for change in changes if change.target is State.GO_AROUND]
+    return p, ended
+
+
+@pytest.mark.hazard("H4")
+@pytest.mark.parametrize(
+    ("commits", "names"),
+    [
+        ([(0.2, False, 0.1), (0.23, False, 0.1)], True),
+        ([(0.2, False, 0.1)], False),
+        ([(0.2, False, 0.1), (0.4, False, 0.1)], False),
+        ([(0.2, True, 0.1), (0.2, True, 0.1)], False),
+        ([(0.2, False, 3.0), (0.2, False, 3.0)], False),
+        ([(0.4, False, 0.1), (0.2, False, 0.1), (0.2, False, 0.1)], True),
+    ],
+    ids=["the same height twice", "once", "two heights", "in doubt", "unseen", "the newest two"],
+)
+def test_feet_that_touch_at_the_same_wrong_height_in_two_commits_are_named_and_end_the_tries(
+    commits: list[tuple[float, bool, float]], names: bool
+) -> None:
+    p, ended = touch_in(commits)
+    causes = [reason.cause for reason in ended]
+    assert (ReasonCause.FEET in causes) is names
+    if not names:
+        return
+    assert ended[-1].text.startswith("the feet touch 2")
+    high = structs.replace(p, state=State.GO_AROUND, since=ns(90.0), in_sight=True, entered_height_m=0.3)
+    seen = estimate(95.0, (0.0, 0.0, OPTIONS.tries.safe_height_m + 0.5), age=0.1)
+    refused, _, _ = mission_step(high, GuidanceCycle(ns(95.0), Knowledge(ns(95.0), seen)), OPTIONS)
+    assert refused.state is State.REFUSED
+    assert take_order(refused, Event.BEGIN, ns(96.0), OPTIONS)[0].touches == (), "who begins again has looked"

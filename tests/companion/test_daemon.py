@@ -1,6 +1,7 @@
 """The service over a fake vehicle: every frame counted once, a lost link back alone, a bug loud, and always a hover left."""
 
 import asyncio
+import itertools
 import logging
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
@@ -14,6 +15,7 @@ from msgspec import structs
 from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver
+from companion.base.orders import OperatorOrder
 from companion.facts import encode
 from companion.guidance.pilot import Look, Pilot, make_pilot
 from companion.recording.decode import frame_times
@@ -27,7 +29,7 @@ from drivers.camera.exposure import TARGET, ExposureDrive, ExposureRange, Exposu
 from drivers.camera.options import ExposureOptions
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
-from estimator.contracts.commands import Command, Hover
+from estimator.contracts.commands import Command, CutMotors, Hover
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import FusionResult, RelativeState, Verdict
 from estimator.contracts.samples import Frame, Sample
@@ -41,6 +43,7 @@ from estimator.vision.tracker import TrackerConfig
 from tests.fly import ObservedCalls
 from tests.make import attitude, estimate, imu, processed_frame, stamp_at, status
 from tests.support.clocks import PatientClock
+from tests.support.toy_autopilot import PAGE
 from tests.support.waiting import until
 
 SIM = load("sim")
@@ -107,6 +110,46 @@ async def running(daemon: Daemon, vehicle: FakeVehicle) -> AsyncIterator[None]:
         await until(lambda: vehicle.opened == 1)
         yield
         daemon.stop()
+
+
+@pytest.mark.hazard("H5", "H11")
+@pytest.mark.parametrize(("part", "counted"), [
+    ("estimator.all_at", "guidance"), ("landing.command", "guidance"), ("estimator.put", "estimator"),
+    ("estimator.admit", "vision"),
+])  # fmt: skip
+async def test_a_fault_of_ours_never_holds_back_a_cut_a_hold_or_an_abort(part: str, counted: str) -> None:
+    vehicle, diary = FakeVehicle(), ObservedCalls()
+    daemon = daemon_of(vehicle.open, diary)
+    pilot, (owner, name) = daemon._pilot, part.split(".")
+    sequence = itertools.cycle(range(1, 250))
+
+    async def obeyed(order: OperatorOrder, wanted: type[Command], *, fails: bool = True) -> None:
+        """Give an order, and wait until nothing but the command for it is sent, and the fault was met."""
+        assert pilot.operator.take(order, PAGE, CLOCK.now()).accepted
+        began = len(vehicle.commands)
+
+        def goes_on() -> bool:
+            vehicle.say(flying=True)
+            vehicle.film(next(sequence))
+            return len(vehicle.commands) > began + 10 and (not fails or daemon.health.contained[counted] > 0)
+
+        await until(goes_on)
+        assert all(isinstance(command, wanted) for command in vehicle.commands[began + 1 :])
+
+    async with running(daemon, vehicle):
+        vehicle.say(flying=True)
+        vehicle.film(0)
+        await until(lambda: len(vehicle.commands) > 5)
+        await obeyed(OperatorOrder.HOLD, Hover, fails=False)
+        setattr(getattr(pilot, owner), name, fail)
+        await obeyed(OperatorOrder.ABORT, Hover)
+        if counted == "guidance":
+            assert "guidance failed, and the order is obeyed without it: broken" in diary.decisions[-1].reason
+        await obeyed(OperatorOrder.EMERGENCY, CutMotors)
+
+
+def fail(*_: object, **__: object) -> Any:
+    raise ZeroDivisionError("broken")
 
 
 async def test_every_frame_offered_ends_in_exactly_one_verdict() -> None:

@@ -181,6 +181,16 @@ def test_the_place_of_a_fault_has_a_caret(text: str, message: str, row: int, mar
     assert "docs/configuration.md" in page
 
 
+def test_a_file_that_is_refused_as_a_whole_is_refused_in_one_line_on_a_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """WHY: the place of the fault was looked for in the file that is too large to be read."""
+    (tmp_path / "rig.toml").write_text("#" * 1_000_001)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    assert main(["config", "check", str(tmp_path / "rig.toml")]) == 2
+    assert capsys.readouterr().err.endswith("rig.toml: 1000001 bytes; such a file has at most 1000000\n")
+
+
 def test_shells_complete_every_command_and_its_options(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", "bash"]) == 0
     asked = """
@@ -200,6 +210,20 @@ def test_progress_stays_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, ca
     progress.on_decision(decision(MonoNs(10**9)))
     shown = capsys.readouterr().err.split("\x1b[2K")[1]
     assert 10 < len(shown) < 40
+
+
+@pytest.mark.parametrize("columns", [40, 140])
+def test_progress_shows_no_height_on_the_deck(
+    columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing corrects the estimate there, and it drifts."""
+    monkeypatch.setattr(kept_flight.ProgressObserver, "_columns", lambda self: columns)
+    progress = kept_flight.ProgressObserver()
+    for k, phase in enumerate(("commit", "landed", "landed by others")):
+        progress.on_decision(decision(MonoNs(10**9 * (1 + k)), phase))
+    above, *down = capsys.readouterr().err.splitlines()
+    assert " m" in above
+    assert [each.split() for each in down] == [["1.0", "s", "landed"], ["2.0", "s", "landed", "by", "others"]]
 
 
 def test_what_is_logged_takes_the_place_of_progress(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ from companion.service.assemble import FlightKeeper, keeper_of, no_modes
 from estimator.contracts.commands import Hover, Velocity
 from tests.companion.test_safety import Loop
 from tests.make import ns
+from tests.support.waiting import until
 
 
 def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = True, hold: bool = False) -> Loop:
@@ -89,14 +90,14 @@ def test_a_height_that_was_known_spares_a_climb_as_far_as_a_deck_cannot_have_tak
         assert found.height_m == (None if known_m is None else pytest.approx(known_m, abs=0.1))
 
 
-def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_the_next_service(tmp_path: Path) -> None:
+async def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_the_next_service(tmp_path: Path) -> None:
     path, first, first_one = tmp_path / "flight", Loop(), "AR.Drone at 1.2.3.4"
     keeper = FlightKeeper(path, first.pilot, first_one, "boot", lambda mode: (mode, "brake"))
     texts = set()
     for _ in range(100):
         first.tick()
         keeper.on_decision(first.pilot.decide(first.now))
-        keeper._writer.join()
+        await until(lambda: not keeper._writer.busy)
         texts.add(path.read_bytes())
     assert 2 <= len(texts) < 20
     for vehicle, boot, used in ((first_one, "boot", True), ("another", "boot", False), (first_one, "b", False)):
@@ -121,13 +122,13 @@ def test_a_file_with_a_fault_is_named_and_not_used(text: bytes, tmp_path: Path, 
     assert str(tmp_path / "flight") in caplog.text
 
 
-def test_a_folder_that_cannot_be_written_is_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_folder_that_cannot_be_written_is_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     loop = Loop()
     keeper = keeper_of(loop.pilot, "v", {"STATE_DIRECTORY": str(tmp_path / "absent")}, no_modes)
     assert keeper is not None
     for _ in range(60):
         loop.tick()
         keeper.on_decision(loop.pilot.decide(loop.now))
-        keeper._writer.join()
+        await until(lambda: not keeper._writer.busy)
     assert caplog.text.count("cannot be written") == 1
     assert keeper_of(loop.pilot, "v", {}, no_modes) is None

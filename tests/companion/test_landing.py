@@ -26,11 +26,12 @@ from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import ClimbResponse, GuidanceOptions
 from companion.settings.service import RestartOptions
-from estimator.contracts.commands import Command, Hover, Land, Lean, Velocity
+from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, Verdict
 from estimator.contracts.geometry import GeoPoint, Rotation, moved
 from estimator.contracts.motion import G_M_S2, DeckMotion
 from estimator.contracts.samples import GeoFix
+from estimator.integrity.parity import Parity
 from estimator.options import EstimatorOptions
 from estimator.vision.detection import NearThing, PadCheck, PadThing
 from estimator.vision.tracker import drawn
@@ -64,7 +65,7 @@ def knowing(
     of_body: Any = None, trusts: bool = True, unfelt: bool = False, ahead: Any = lambda now, horizons_s: None,
 ) -> Any:  # fmt: skip
     """Return what the landing knows by an estimator with these answers."""
-    guard = SimpleNamespace(trusts_velocity=trusts, inertial=SimpleNamespace(accel_lost=unfelt))
+    guard = SimpleNamespace(trusts_velocity=trusts, inertial=SimpleNamespace(accel_lost=unfelt, parity=Parity()))
     estimator: Any = SimpleNamespace(motion=lambda now: (of_body, moves), guard=guard, forecast=ahead, ship_motion=NO_SENSOR)
     return landing.knowledge(ns(t), seen, estimator)
 
@@ -367,8 +368,8 @@ def test_a_dip_of_the_battery_lands_no_refused_drone_where_it_is() -> None:
     for n in range(600):
         charge = 0.04 if 5.0 <= 0.02 * n < 7.5 or 0.02 * n >= 8.0 else 0.3
         landing.on_samples([status(0.02 * n, battery_fraction=charge)])
-        lands = landing.command(Knowledge(ns(0.02 * n), None)) == Land()
-        assert lands is (0.02 * n >= 8.0 + DWELL_S), 0.02 * n
+        landing.command(Knowledge(ns(0.02 * n), None))
+        assert (landing.state is State.LAND_HERE) is (0.02 * n >= 8.0 + DWELL_S), 0.02 * n
 
 
 @pytest.mark.parametrize(

@@ -173,9 +173,12 @@ def test_a_refused_drone_whose_battery_ends_lands_on_the_pad_or_where_it_is_and_
     assert flight.run(5.0).progress.state is State.REFUSED
     flight.battery = battery
     flight.run(60.0)
-    assert flight.progress.state is (State.LANDED if battery > 0.05 else State.REFUSED)
+    assert flight.progress.state is State.LANDED
+    here = flight.progress.here
+    assert (here is not None and here.at_pad == (0.0, 0.0) and here.after is State.REFUSED) is (battery <= 0.05)
     assert flight.d[2] == 0.0
-    assert battery > 0.05 or (flight.progress.stood and flight.rows[-1][2] == Hover()), "and does not take off again"
+    assert flight.progress.stood
+    assert flight.rows[-1][2] == Land(on_deck=True), "and does not take off again"
 
 
 @pytest.mark.parametrize(
@@ -189,14 +192,14 @@ def test_what_flies_nowhere_else_lands_where_it_is_with_its_last_charge(refused,
 
     def ordered_in(state: State, o: GuidanceOptions = o, **memory: Any) -> Any:
         p = Progress(state, automatic=True, begun=True, **{"stood": False, "since": ns(0.0), **memory})
-        return mission_step(p, holding(s, over_ground), o)[1]
+        return mission_step(p, holding(s, over_ground), o)[0].lands_here
 
     for state in (State.REFUSED, State.GAVE_UP):
-        assert (ordered_in(state) == Land()) is lands
-        assert ordered_in(state, replace(o, last_charge=0.0)) != Land()
-        assert ordered_in(state, stood=True) != Land()
-    assert ordered_in(State.PAUSED) != Land()
-    assert ordered_in(State.ABORTED) != Land()
+        assert ordered_in(state) is lands
+        assert not ordered_in(state, replace(o, last_charge=0.0))
+        assert not ordered_in(state, stood=True)
+    assert not ordered_in(State.PAUSED)
+    assert not ordered_in(State.ABORTED)
 
 
 @given(st.lists(st.tuples(st.floats(0.02, 1.5), st.sampled_from([0.04, 0.06, 0.5])), max_size=40))

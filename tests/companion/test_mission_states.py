@@ -163,7 +163,6 @@ def test_a_contact_of_this_commit_counts_and_says_by_what(by: str, cause: Reason
         found = first(memory(State.COMMIT, 0.2), cycle(low, impact=Impact(ns(NOW - ago_s), by, 4.0, 0.6)))
         assert (found is not None and found[1].cause is cause) is counts, "one from before the commit is another"
     struck = cycle(low, impact=Impact(ns(NOW), by, 4.0, 0.6))
-    assert of(Event.CONTACT, memory(State.DESCEND), struck) is None
     assert of(Event.CONTACT, memory(State.COMMIT, since=None), struck) is None
 
 
@@ -264,6 +263,19 @@ def test_late_answers_and_a_late_imu_end_every_try_whatever_the_battery() -> Non
             assert of(Event.NO_CONDITIONS, memory(state), s) is not None
     for state in (State.COMMIT, State.PRESS, State.DOWN):
         assert of(Event.NO_CONDITIONS, memory(state), cycle(late, late_s=0.45)) is None, "the nearest way is down"
+
+
+@pytest.mark.hazard("H12")
+def test_a_lens_elsewhere_ends_every_try_unless_the_pad_is_the_nearest_way_down() -> None:
+    off = replace(sees(), lens_off_m=(0.3, -0.1))
+    for state in (*WAY, State.SEARCH, State.RENDEZVOUS):
+        ended = of(Event.NO_CONDITIONS, memory(state), cycle(off))
+        assert ended is not None
+        assert "the lens is 32 cm from where the camera's file has it: +0.30 m forward, -0.10 m right" in ended.text
+    for state in WAY:
+        assert of(Event.NO_CONDITIONS, memory(state), cycle(off, battery=0.05)) is None
+    high = replace(off, d_body_pad_level=np.array([0.0, 0.0, 1.0]))
+    assert of(Event.LIMIT, memory(State.COMMIT), cycle(high)) is not None
 
 
 @pytest.mark.parametrize(

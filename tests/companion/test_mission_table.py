@@ -31,6 +31,8 @@ REPORTS = {Event.CUT: State.EMERGENCY, Event.GROUNDED: State.LANDED, Event.GROUN
 AIRBORNE = set(State) - GROUND - ENDED
 AGAIN = {State.GAVE_UP, State.REFUSED, State.TAKEN, State.ABORTED}
 """Ends after which the operator may begin again in the air."""
+BY_ITSELF = {State.GAVE_UP, State.REFUSED}
+"""Ends that guidance chose: it may fly back or elsewhere there until a person ends that."""
 
 
 def breach(name: str, state: State, event: Event) -> str:
@@ -38,30 +40,38 @@ def breach(name: str, state: State, event: Event) -> str:
     target = TABLES[name][state][event]
     if target is state:
         return ""
+    if event is Event.TIPPED:
+        ours = state in AIRBORNE - {State.READY} or state in (State.PAUSED, State.REFUSED, State.GAVE_UP, State.ABORTED)
+        return "" if target is State.DOWN and ours else "what lies on a deck has its motors stopped, if it is ours"
     pressed = (state, event) == ((State.PRESS, Event.PRESSED) if name == "cone" else (State.GATE, Event.GATE_OPEN))
     laws = {
         "no fault leads nearer to the deck": event not in FAULTS or target not in DESCENDS,
         "a report of the vehicle is believed": event not in REPORTS or (target is REPORTS[event] and state in AIRBORNE),
         "the last way begins at the gate": target is not State.COMMIT or (state, event) == (State.GATE, Event.GATE_OPEN),
         "pressed is what touched": target is not State.PRESS
-        or (event is Event.CONTACT and state in (State.COMMIT, State.GO_AROUND, State.GATE, State.HOLD_BLIND)),
+        or (event is Event.CONTACT and (state in DESCENDS or state in (State.GO_AROUND, State.HOLD_BLIND))),
         "down is what was pressed": target is not State.DOWN or pressed or (name != "cone" and state is State.PRESS),
         "every way down begins over the pad at height": target not in DESCENDS
         or state in DESCENDS
-        or event is Event.CONTACT
+        or event in (Event.CONTACT, Event.LAND)
         or (target is State.INTERCEPT and event in (Event.SIGHT, Event.CLEAR))
         or (name == "targets" and (state, event, target) == (State.SEARCH, Event.SIGHT, State.GATE)),
         "an order to stay leads up, over the pad, or to a search": event is not Event.STAY
         or target in (State.SEARCH, State.INTERCEPT, State.GO_AROUND),
         "what stays goes down by no way of its own": state is not State.STAY
         or target not in DESCENDS
+        or event is Event.LAND
         or (event, target) == (Event.OUT_OF_CONE, State.INTERCEPT),
+        "only a person's order, the last charge and a bounce of such a landing lead down without a gate": (event is Event.LAND)
+        == (target is State.LAND_HERE),
         "an end is left by a take-off, the operator, a pilot or a battery that ends": state not in ENDED
         or event in (Event.TAKEN_OFF, Event.TAKEN)
-        or (event in (Event.BEGIN, Event.STAY) and state in AGAIN)
-        or (event is Event.BATTERY_ENDS and state in (State.REFUSED, State.GAVE_UP)),
+        or (event in (Event.BEGIN, Event.STAY, Event.LAND) and state in AGAIN)
+        or (event in (Event.PAUSE, Event.ABORT) and state in BY_ITSELF)
+        or (event is Event.BATTERY_ENDS and state in BY_ITSELF | {State.ABORTED}),
         "the ground is left by a take-off": state not in GROUND or target in GROUND | ENDED or event is Event.TAKEN_OFF,
-        "no order to fly to the pad is kept on the ground": state not in GROUND or event not in (Event.BEGIN, Event.STAY),
+        "no order to fly to the pad is kept on the ground": state not in GROUND
+        or event not in (Event.BEGIN, Event.STAY, Event.LAND),
     }
     return ", ".join(law for law, kept in laws.items() if not kept)
 
@@ -74,19 +84,22 @@ def test_every_pair_is_defined_and_keeps_the_laws_of_the_air() -> None:
 @pytest.mark.parametrize("name", MISSIONS)
 def test_the_operators_hand_wins_in_every_state_of_the_flight(name: str) -> None:
     table = TABLES[name]
+    for state in AIRBORNE | AGAIN:
+        assert table[state][Event.LAND] is State.LAND_HERE
     for state in AIRBORNE:
         assert table[state][Event.ABORT] is State.ABORTED
         assert table[state][Event.PAUSE] is State.PAUSED
-    for state in (State.READY, State.PAUSED, State.ANOTHER_PAD, *AGAIN):
+    for state in (State.READY, State.PAUSED, State.ANOTHER_PAD, State.LAND_HERE, *AGAIN):
         assert table[state][Event.BEGIN] is table[state][Event.STAY] is State.SEARCH
     assert table[State.STAY][Event.BEGIN] is State.SEARCH
     for state in ENDED:
-        assert table[state][Event.ABORT] is state
+        ends = (State.PAUSED, State.ABORTED) if state in BY_ITSELF else (state, state)
+        assert (table[state][Event.PAUSE], table[state][Event.ABORT]) == ends
 
 
 @pytest.mark.parametrize("name", MISSIONS)
 def test_every_state_that_waits_for_no_person_has_a_time_and_goes_up_when_it_is_over(name: str) -> None:
-    for state in FLOWN:
+    for state in FLOWN - {State.LAND_HERE}:
         target = TABLES[name][state][Event.TIMEOUT]
         assert target is not state
         assert target not in DESCENDS
@@ -98,7 +111,7 @@ def test_every_state_can_be_reached_and_every_flight_can_end(name: str) -> None:
     while more := {target for state in found for target in table[state].values()} - found:
         found |= more
     over_pad = {State.RENDEZVOUS, State.INTERCEPT, State.STAY, State.DESCEND, State.HOLD_BLIND}
-    unused = set() if name == "cone" else {State.COMMIT, State.PRESS} | (over_pad if name == "targets" else set())
+    unused = {"cone": set[State](), "thesis": {State.COMMIT}, "targets": {State.COMMIT} | over_pad}[name]
     assert set(State) - found == unused
     for state in FLOWN - unused:
         ends = {state}
@@ -148,9 +161,6 @@ def test_a_vehicle_that_stands_landed_by_our_order_or_by_others(we_land: bool, e
     p, changes = take_status(in_state(State.DOWN, we_land=we_land), status(3.0, flying=False), OPTIONS)
     assert events_of(changes) == [(ns(3), State.DOWN, event, p.state, ReasonCause.VEHICLE_STANDS)]
     assert p.state is REPORTS[event]
-    why = Reason(ReasonCause.LANDING if we_land else ReasonCause.OPERATOR)
-    paused, _ = take_order(in_state(State.PAUSED), Event.PAUSE, ns(1), OPTIONS, why)
-    assert take_status(paused, status(3.0, flying=False), OPTIONS)[0].state is p.state
 
 
 @pytest.mark.parametrize("state", STAYS_UP)
@@ -206,6 +216,8 @@ def test_whoever_takes_the_vehicle_is_the_outcome_until_it_is_given_back() -> No
     still, aim, _ = mission_step(p, holding(cycle, True), OPTIONS)
     assert (still.state, aim) == (State.TAKEN, Hover())
     assert take_status(p, taken, OPTIONS) == (p, ())
+    why, changes = take_status(p, replace(taken, taken=f"{words}, later"), OPTIONS)
+    assert (why.state, why.taken_from, [c.reason.text for c in changes]) == (State.TAKEN, p.taken_from, [f"{words}, later"])
     assert take_status(p, status(4.0, flying=True), OPTIONS) == (p, ()), "a ground station may choose that mode for its own ends"
     back, changes = take_status(p, status(4.0, flying=True), OPTIONS, resumes=True)
     assert (back.state, changes[0].reason.cause) == (State.SEARCH, ReasonCause.GIVEN_BACK)
@@ -222,7 +234,7 @@ NO_FAULT = {
     ReasonCause.OUT_OF_CONE, ReasonCause.LOW_ENOUGH, ReasonCause.ALL_LIMITS_HOLD, ReasonCause.FELT, ReasonCause.STAYED,
     ReasonCause.HELD_UP, ReasonCause.PRESSED, ReasonCause.HIGH_ENOUGH, ReasonCause.VESSEL_FAR, ReasonCause.VESSEL_AWAY,
     ReasonCause.VESSEL_NEAR, ReasonCause.REACHED, ReasonCause.GIVEN_BACK, ReasonCause.RESTARTED,
-    ReasonCause.PILOT_LANDS, ReasonCause.LANDING, ReasonCause.SERVICE,
+    ReasonCause.PILOT_LANDS, ReasonCause.SERVICE, ReasonCause.TURNED_ABOUT,
 }  # fmt: skip
 BY_DETAIL = {ReasonCause.ALERT, ReasonCause.FRAMES}
 

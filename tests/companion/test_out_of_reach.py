@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.base.mission import ENDED, FLOWN, GROUND, Reason, ReasonCause, State, StateChange
-from companion.guidance.controller import Knowledge
+from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, Reason, ReasonCause, State, StateChange
+from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.mission import search
 from companion.guidance.mission.machine import mission_step, take_status
 from companion.guidance.mission.progress import GuidanceCycle, Progress, VehicleHold, VesselPosition
@@ -30,7 +30,7 @@ NOW, DT = 100.0, 0.05
 OPTIONS = GuidanceOptions()
 SAFE_M = OPTIONS.tries.safe_height_m
 WINDY = WindOverDrone(9.0, 1.0, 12.0, (0.6, 0.8), 0.3, False, 0.4)
-BY_ITSELF = sorted(FLOWN - {State.COMMIT, State.PRESS, State.DOWN} | {State.REFUSED, State.GAVE_UP}, key=str)
+BY_ITSELF = sorted(FLOWN - CONTACT_INTENDED | {State.REFUSED, State.GAVE_UP}, key=str)
 HELD = [State.PAUSED, State.ABORTED]
 
 heights = st.one_of(st.just(math.inf), st.floats(0.0, 6.0))
@@ -148,6 +148,29 @@ def test_where_an_ultrasound_would_find_the_deck_its_silence_begins_the_search(o
     s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None), wind=WINDY, hold=VehicleHold(over_ground))
     found = mission_step(waiting(State.SEARCH), s, OPTIONS)[1]
     assert (isinstance(found, Velocity) and bool(found.v_level[:2].any())) is not over_ground
+
+
+@pytest.mark.parametrize(("ago_s", "doubtful", "climbs"), [(3.0, False, True), (3.0, True, False), (40.0, False, False)])
+@pytest.mark.parametrize("state", [State.SEARCH, State.HOLD_BLIND])
+def test_a_drone_that_is_given_back_where_it_has_felt_the_deck_climbs_at_once(state, ago_s, doubtful, climbs) -> None:
+    """WHY: given back on the deck it hovered there for 3 s first, was dragged and leaned by 24 degrees (sea_state_4, 894501)."""
+    felt = Impact(ns(NOW - ago_s), "accelerometer", 5.0, doubtful=doubtful)
+    s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None, impact=felt, climb_max_m_s=1.0), hold=VehicleHold(True))
+    found = mission_step(waiting(state), s, OPTIONS)[1]
+    assert isinstance(found, Velocity)
+    assert found.v_level.tolist() == [0.0, 0.0, -1.0 if climbs else 0.0 if state is State.SEARCH else -OPTIONS.tries.climb_m_s]
+
+
+@pytest.mark.parametrize("state", [State.SEARCH, State.REFUSED, State.PAUSED])
+def test_a_drone_that_is_given_back_low_climbs_by_the_height_that_is_reckoned(state: State) -> None:
+    """WHY: given back on the deck without a range it stayed there for 4.5 s with turning motors (weather_3, 894245)."""
+    for height_m, alerts, climbs in ((0.2, (), True), (0.2, (IntegrityAlert.UNFELT,), False), (SAFE_M * 2.1, (), False)):
+        reckoned = replace(estimate(NOW, (0.0, 3.0, height_m), age=3.0), alerts=alerts)
+        s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), reckoned, climb_max_m_s=1.0))
+        found = mission_step(waiting(state), s, OPTIONS)[1]
+        rate = found.descent_rate_m_s if isinstance(found, Target) else None
+        up_m_s = -found.v_level.item(2) if isinstance(found, Velocity) else -(rate or 0.0)
+        assert (up_m_s == 1.0) is (climbs and state is not State.PAUSED), "whom a person holds moves by a witness alone"
 
 
 def test_a_nearer_range_is_believed_while_the_unseen_deck_is_thought_to_fall() -> None:

@@ -4,6 +4,7 @@ import argparse
 import importlib
 import os
 import resource
+import sys
 from pathlib import Path
 
 import pytest
@@ -128,6 +129,7 @@ def test_what_only_we_write_is_replaced_and_all_else_by_force_alone(tmp_path: Pa
 @pytest.mark.parametrize("words", ["pad print --out x.pdf", "pad print --paper full --out x.svg", "doctor --write copter.param"])
 def test_a_file_that_a_full_disk_cuts_short_does_not_bear_its_name(words: str, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # Python would keep a module's that is cut short
     limits, path = resource.getrlimit(resource.RLIMIT_FSIZE), Path(words.split()[-1])
     for before in ([], [path]):
         resource.setrlimit(resource.RLIMIT_FSIZE, (512, limits[1]))

@@ -1,7 +1,8 @@
-"""Pads of one's own: read from drawings and photographs, found where they are planted, and not in clutter."""
+"""Pads of one's own, read from drawings and photographs."""
 
 import json
-import math
+import struct
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -17,24 +18,19 @@ import pytest
 from companion.cli.main import main
 from companion.cli.pad import clicked
 from companion.settings.load import read_toml
-from companion.tools.pads.price import CAMERA, VIEWS, kind_of, planted, price, view
+from companion.tools.pads.price import CAMERA, planted, price, view
 from companion.tools.pads.trace import drawn, photographed, read_svg, traced
 from companion.tools.print_pad.sheets import pad_drawing, sheets, svg
+from drivers.camera.images import ImageRefused, as_shown
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import Frame
-from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera
 from estimator.vision.drawing import edges_of
 from estimator.vision.pad import RARE, Pad
 from estimator.vision.pose import PadPose
 from estimator.vision.regions import PaintedArrowhead, PaintedPolygon, PaintedRing, convex_pieces_of, covers, depth_in
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from tests.support.shipped import shipped_pad
+from tests.support.users_pads import trust, user_s
 
-ODD_VIEWS = [("octagon", 0.6, 0.3, 60.0, -1.6), ("octagon", 0.1, 0.0, 80.0, 0.2), ("ring_and_panels", 1.1, 0.0, 60.0, -1.6)]
-USERS = sorted((Path(__file__).parents[1] / "pads_of_users").glob("*.toml"))
-STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
 SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="400mm" height="500mm" viewBox="0 0 400 500">
   <style>.panel {fill: #101010; stroke: none}</style>
   <g transform="translate(20,-30)">
@@ -67,18 +63,6 @@ def test_a_pad_that_is_printed_and_imported_is_the_same_pad(name: str, beyond_m:
     assert own.arrow_tip_m == pytest.approx(other.arrow_tip_m + beyond_m, abs=5e-4)
     assert own.lettering_m == pytest.approx(other.lettering_m, abs=2e-3)
     assert bool(remarks) == bool(pad.lamps)
-
-
-def user_s(name: str) -> Pad:
-    """Return a pad of a user."""
-    return Pad.from_mapping(read_toml(next(p for p in USERS if p.stem == name)))
-
-
-def trust(pad: Pad, px: np.ndarray, at: PadPose | None = None, camera: Camera = CAMERA) -> float:
-    """Return the confidence in a pad without an attitude; where its pose is given, its range is found to 3 %."""
-    found = track(TrackerConfig(camera, pad), TrackerMemory(), Frame(STAMP, 0, px), None)[0].selected
-    assert found is None or at is None or math.hypot(*found.d_body_pad_level) == pytest.approx(at.range_m, rel=0.03)
-    return 0.0 if found is None else found.confidence
 
 
 def test_a_drawing_becomes_rings_and_polygons_with_holes_to_a_tenth_of_a_millimetre() -> None:
@@ -244,23 +228,6 @@ def test_an_arrowhead_of_a_picture_has_its_size_and_its_gap_to_the_ring(gap: int
         imported(text.replace("l-40 ", "h-40v").replace("h80", f"h80v-{60 - gap}"), 0.69)
 
 
-@pytest.mark.parametrize(("name", "roll_rad", "pitch_rad", "radius_px", "beyond"), ODD_VIEWS, ids=["aslant", "cut", "ring"])
-def test_a_pad_aslant_or_cut_by_the_frame_is_found_without_an_attitude(name, roll_rad, pitch_rad, radius_px, beyond):
-    pad = user_s(name)
-    depth_m = CAMERA.fx * pad.disc_radius_m / radius_px
-    at = np.array([0.5 * CAMERA.width / radius_px - (1.0 - beyond), 0.0, CAMERA.fx / radius_px])
-    pose = PadPose(Rotation.from_rpy(roll_rad, pitch_rad, 0.3), at * depth_m / at[2])
-    px = planted(view(6), CAMERA, pad, pose, np.random.default_rng(1))
-    assert trust(pad, px, pose) >= 0.5
-
-
-def test_the_dot_of_a_drawing_whose_rest_would_be_out_of_view_is_not_the_drawing() -> None:
-    pad = user_s("triangle_and_dot")
-    px = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
-    cv2.circle(px, (CAMERA.width // 2, CAMERA.height // 2), CAMERA.height // 3, (0, 120, 255), -1, cv2.LINE_AA)
-    assert trust(pad, px) < 0.5
-
-
 def test_corners_are_clicked_on_a_page_that_only_its_address_opens() -> None:
     at, pages = [[10.0, 5.0], [90.5, 6.0], [95.0, 70.0], [8.0, 72.5]], Queue[str]()
     with ThreadPoolExecutor(1) as pool:
@@ -275,44 +242,6 @@ def test_corners_are_clicked_on_a_page_that_only_its_address_opens() -> None:
         np.testing.assert_array_equal(taken.result(10.0), at)
 
 
-def test_a_pad_that_clutter_is_taken_for_too_often_has_to_tell_more_unless_that_is_accepted() -> None:
-    pad = user_s("house")
-    pose = PadPose(Rotation.from_rpy(0.0, 0.0, 0.4), np.array([0.0, 0.0, CAMERA.fx * pad.disc_radius_m / 18.0]))
-    px = planted(view(6), CAMERA, pad, pose, np.random.default_rng(1))
-    assert pad.calibration is not None
-    often = replace(pad, calibration=msgspec.structs.replace(pad.calibration, chance=RARE * math.exp(6.0)))
-    found = trust(pad, px), trust(often, px), trust(replace(often, accept_false_pads=True), px)
-    odds = [math.log(p / (1.0 - p)) for p in found]
-    assert odds[1] == pytest.approx(odds[0] - 6.0, abs=0.01)
-    assert odds[2] == pytest.approx(odds[0])
-
-
-def test_a_pad_of_any_polarity_is_found_and_followed_in_reversed_light_and_costs_twice_the_clutter(monkeypatch) -> None:
-    monkeypatch.setattr("companion.tools.pads.price._EACH", 2)
-    keys = read_toml(next(p for p in USERS if p.stem == "house"))
-    pad, drawn_alone = Pad.from_mapping({**keys, "polarity": "any"}), Pad.from_mapping(keys)
-    pose = PadPose(Rotation.from_rpy(0.1, 0.0, 0.4), np.array([0.0, 0.0, CAMERA.fx * pad.disc_radius_m / 40.0]))
-    px = planted(view(6), CAMERA, pad, pose, np.random.default_rng(1))
-    memory = TrackerMemory()
-    for number, shown in enumerate((cv2.bitwise_not(px), cv2.bitwise_not(px), px)):
-        found, memory = track(TrackerConfig(CAMERA, pad), memory, Frame(STAMP, number, np.asarray(shown, np.uint8)), None)
-        assert found.selected.confidence >= 0.5
-        assert math.hypot(*found.selected.d_body_pad_level) == pytest.approx(pose.range_m, rel=0.03)
-        assert memory.reversed == (number < 2)
-    assert trust(drawn_alone, np.asarray(cv2.bitwise_not(px), np.uint8)) < 0.5
-    cost, cost_alone = (price(of, {}, 7).calibration for of in (pad, drawn_alone))
-    assert (cost.chance, cost.least_support) > (cost_alone.chance, cost_alone.least_support)
-
-
-def test_pads_of_users_can_be_named_and_are_not_seen_in_clutter() -> None:
-    assert len(USERS) == 20
-    assert len({kind_of(k) for k in range(VIEWS)}) == 7
-    views = [view(k) for k in (1, 5, 6)]
-    for number, file in enumerate(USERS):
-        pad = Pad.from_mapping(read_toml(file), file.name)
-        assert trust(pad, views[number % 3]) < 0.5, file.name
-
-
 def test_a_pad_with_more_to_tell_is_cheaper_and_its_calibration_belongs_to_its_drawing() -> None:
     pad = imported(SVG)
     found = price(pad, {}, 28)
@@ -322,3 +251,31 @@ def test_a_pad_with_more_to_tell_is_cheaper_and_its_calibration_belongs_to_its_d
     assert found.found[5.0] <= 0.5
     assert replace(pad, calibration=known).is_calibrated
     assert not replace(pad, calibration=known, regions=pad.regions[:2]).is_calibrated
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("hidden", [(0, 0, 0), (255, 255, 255), (0, 200, 0)])
+def test_a_logo_on_glass_is_the_logo_on_white_whatever_colour_is_hidden(hidden, bits, tmp_path, capsys) -> None:
+    paint, rows = np.zeros((600, 600), np.uint8), {}
+    cv2.circle(paint, (300, 300), 260, 255, 40, cv2.LINE_AA)
+    cv2.rectangle(paint, (260, 180), (340, 420), 255, -1)
+    white = np.dstack([255 - paint] * 3)
+    glass = np.dstack([np.where(paint[..., None] > 0, 0, np.array(hidden)).astype(np.uint8), paint])
+    for name, px in (("white", white), ("glass", glass)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), px.astype(np.uint16) * 257 if bits == 16 else px)
+        out = tmp_path / f"{name}.toml"
+        assert main(["pad", "import", str(tmp_path / f"{name}.png"), "--size-mm", "900", "--out", str(out)]) == 0
+        assert ("transparent" in capsys.readouterr().err) == (name == "glass")
+        made = read_toml(out)
+        rows[name] = made["ground"], [(region["shape"], region["paint"]) for region in made["regions"]]
+    assert rows["glass"] == rows["white"]
+
+
+def test_a_transparency_that_is_not_read_is_refused_and_an_unused_one_is_none() -> None:
+    px = np.full((40, 60, 4), 90, np.uint8)
+    px[..., 3] = 0
+    assert not as_shown(cv2.imencode(".png", px)[1].tobytes())[1], "a file of 32 bits whose fourth byte means nothing"
+    grey = cv2.imencode(".png", px[..., 0])[1].tobytes()
+    chunk = b"tRNS\0\x5a"
+    with pytest.raises(ImageRefused, match="alpha"):
+        as_shown(grey[:33] + struct.pack(">I", 2) + chunk + struct.pack(">I", zlib.crc32(chunk)) + grey[33:])

@@ -184,7 +184,7 @@ def test_a_pad_that_clutter_is_taken_for_is_not_detected(command, tmp_path, monk
     "words",
     [
         ["calibrate", "camera", "{}", "--out", "{}/camera.toml", "--figures", "{}"],
-        ["campaign", "demo", "--soak", "--plot", "{}/soak.svg", "--hours", "1"],
+        ["campaign", "demo", "--report", "{}/report", "--out", "{}/flown", "--runs", "1"],
     ],
     ids=lambda words: words[0],
 )

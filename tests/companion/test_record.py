@@ -251,6 +251,48 @@ def test_what_comes_back_changed_does_not_count(tmp_path: Path) -> None:
     assert (tmp_path / "there" / FIRST).read_bytes() == content
 
 
+class Rights:
+    """A file system that grants some operations alone, and counts what was sent."""
+
+    def __init__(self, whole: Storage, *granted: str) -> None:
+        self._whole, self.granted, self.sent = whole, set(granted), 0
+
+    def __getattr__(self, name: str) -> object:
+        if name not in self.granted:
+            raise PermissionError("Access Denied")
+        self.sent += name == "put_file"
+        return getattr(self._whole.system, name)
+
+
+WRITES = "put_file", "pipe_file"
+
+
+@pytest.mark.parametrize("granted", [{*WRITES, "open"}, {*WRITES, "open", "exists", "size"}, {*WRITES, "open", "rm_file"}])
+def test_an_upload_needs_to_write_and_to_read_back_and_nothing_else(tmp_path: Path, granted: set[str]) -> None:
+    content = written(tmp_path, FIRST)
+    (tmp_path / "there").mkdir()
+    (done,) = upload(tmp_path, Storage(Rights(storage("/"), *granted), str(tmp_path / "there")))
+    assert done.why is None
+    assert (tmp_path / "there" / FIRST).read_bytes() == content
+
+
+def test_a_right_that_is_refused_is_named_and_nothing_goes_out_twice(tmp_path: Path) -> None:
+    for name in (FIRST, SECOND):
+        written(tmp_path, name)
+    (tmp_path / "there").mkdir()
+    rights, sent = Rights(storage("/")), set[Path]()
+    to = Storage(rights, str(tmp_path / "there"))
+    for granted, said in (((), "s3:PutObject"), (WRITES, "s3:GetObject"), (WRITES, "s3:GetObject")):
+        rights.granted = set(granted)
+        (done,) = upload(tmp_path, to, sent)
+        assert said in (done.why or "")
+        assert not digest_file(done.path).exists()
+    assert rights.sent == 1
+    rights.granted.add("open")
+    assert [done.why for done in upload(tmp_path, to, sent)] == [None, None]
+    assert rights.sent == 2
+
+
 def test_a_storage_that_does_not_answer_costs_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     content = written(tmp_path, FIRST)
     (tmp_path / "there").write_text("a file where the folder should be")

@@ -173,7 +173,7 @@ def test_a_file_cut_anywhere_reads_up_to_the_cut(png_flight: tuple[Path, Observe
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(b"", "not an MCAP file"), (b"RIFF....AVI ", "not an MCAP file"), (b"\x89MCAP0\r\n", "holds no recording")],
+    [(b"", "it is empty"), (b"RIFF....AVI ", "not an MCAP file"), (b"\x89MCAP0\r\n", "holds no recording")],
 )
 def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path, content: bytes, said: str) -> None:
     path = tmp_path / "x.mcap"

@@ -19,10 +19,22 @@ from companion.cli import main as cli
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings import schema
 from companion.settings.links import BridgeOptions
-from companion.settings.load import SHIPPED, camera_model, from_file, from_mapping, load, pad_model, pad_of_file, shipped, toml_of
-from companion.settings.model import Settings
+from companion.settings.load import (
+    SHIPPED,
+    camera_model,
+    complete,
+    from_file,
+    from_mapping,
+    load,
+    pad_model,
+    pad_of_file,
+    shipped,
+    toml_of,
+)
+from companion.settings.model import Settings, in_file
 from companion.settings.remarks import remarks, without_effect
 from companion.settings.schema import unit_of, walk
+from companion.settings.sound import SOUND, Sound, beyond_sound
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.address import masked, raw
 from estimator.contracts.errors import BadInput
@@ -78,16 +90,6 @@ def test_a_refusal_names_file_key_unit_range_and_what_was_found(changes: dict[st
     output = refusal(minimal(**changes))
     assert output.startswith("rig.toml: ")
     assert text in output
-
-
-@pytest.mark.parametrize(("tables", "now"), CASES["of_1_0"].items())
-def test_tables_of_1_0_are_read_as_http_and_what_to_write_is_printed(tmp_path: Path, tables: str, now: str) -> None:
-    (file := tmp_path / "rig.toml").write_text(MINIMAL + tables)
-    (line,) = remarks(load(file), file)
-    assert f" of version 1.0: write {now} in its place" in line
-    file.write_text(f"{'' if now == 'nothing' else now.replace(', ', chr(10))}\n{MINIMAL}")
-    assert load(file) == from_file(tomllib.loads(MINIMAL + tables), "old")
-    assert not remarks(load(file), file)
 
 
 def test_a_missing_table_says_what_it_needs() -> None:
@@ -297,11 +299,6 @@ def test_keys_on_the_wrong_side_of_expert_are_each_named_with_their_place(text: 
     assert said in str(caught.value)
 
 
-def test_a_recording_may_have_a_key_on_either_side_of_expert() -> None:
-    for guidance in ({"guidance": {"rate_hz": 25.0}}, {"expert": {"guidance": {"rate_hz": 25.0}}}):
-        assert from_mapping({**minimal(), **guidance}, "a recording", recorded=True).guidance.rate_hz == 25.0
-
-
 def test_the_schema_and_the_reference_page_are_what_the_model_says() -> None:
     whole = json.loads(schema.schema())
     assert whole["$defs"]["ConeOptions"]["properties"]["descent_rate_m_s"]["x-unit"] == "m/s"
@@ -385,6 +382,73 @@ def test_long_rows_of_numbers_and_texts_with_dots_are_no_deep_keys() -> None:
 )
 def test_a_key_without_effect_is_reported_with_the_cause(data: dict[str, Any], said: tuple[str, ...]) -> None:
     assert without_effect(from_mapping(data, "x")) == said
+
+
+def widened(key: str, value: float) -> Settings:
+    """Return the smallest settings with one key; keys that contradict it are as wide."""
+    *tables, last = key.split(".")
+    inner: dict[str, Any] = {last: value}
+    if key == "guidance.tries.climb_after_s":
+        inner["give_up_after_s"] = 600.0
+    if key in ("guidance.cone.gate_height_m", "guidance.cone.commit_rate_m_s"):
+        inner["commit_s"] = 30.0
+    for table in reversed(tables):
+        inner = {table: inner}
+    return from_mapping(minimal() | inner, "x")
+
+
+@pytest.mark.parametrize("sound", SOUND, ids=lambda sound: sound.key)
+def test_a_limit_that_is_wider_than_its_meaning_is_named_with_the_reason(sound: Sound) -> None:
+    field = dict(schema.walk(Settings, "ardrone"))[sound.key]
+    assert isinstance(field.type, msgspec.inspect.Metadata)
+    kind = field.type.type
+    assert isinstance(kind, msgspec.inspect.FloatType | msgspec.inspect.IntType)
+    assert kind.le is not None
+    settings = widened(sound.key, int(kind.le) if isinstance(kind, msgspec.inspect.IntType) else float(kind.le))
+    (line,) = [line for line in remarks(settings, Path("x")) if sound.key in line]
+    assert line.startswith(f"{in_file(sound.key)} is {kind.le:g}, beyond ")
+    assert sound.beyond in line
+    assert f"{in_file(sound.key)} is" not in "".join(beyond_sound(widened(sound.key, field.default))), "the default is sound"
+
+
+@pytest.mark.parametrize(
+    ("link", "bus", "named"),
+    [
+        ("ttyUSB0", "ttyUSB1", True),
+        ("ttyACM0", "ttyUSB0", True),
+        ("ttyAMA0", "ttyUSB0", False),
+        ("serial/by-id/a", "ttyUSB0", False),
+    ],
+)
+def test_two_serial_adapters_named_by_numbers_may_change_places(link: str, bus: str, named: bool) -> None:
+    rig = minimal("mavlink", vehicle__links=f"serial:///dev/{link}:57600", vessel__bus=f"serial:///dev/{bus}:115200")
+    assert any("may change places" in line for line in remarks(from_mapping(rig, "x"), Path("x"))) == named
+
+
+def test_an_autopilots_vehicle_on_an_ardrones_feet_is_named() -> None:
+    def said(profile: Any, feet_m: float) -> str:
+        guidance = {"guidance": {"cone": {"feet_below_m": feet_m}}}
+        return "".join(remarks(from_mapping(minimal(profile) | guidance, "x"), Path("x")))
+
+    assert "guidance.cone.feet_below_m is 0.045 m, an AR.Drone's" in said("mavlink", 0.045)
+    assert "feet_below_m" not in said("mavlink", 0.1) + said("ardrone", 0.045)
+
+
+@pytest.mark.parametrize(
+    ("height_m", "pad_up_m", "said"),
+    [
+        (0.0, 0.0, "set latitude_deg, longitude_deg and height_m"), (7.0, 0.0, "15 m over the sea"),
+        (18.0, 14.0, "20 m over the sea"), (20.0, 14.0, ""), (15.0, 0.0, ""),
+    ],
+)  # fmt: skip
+def test_a_drone_that_flies_elsewhere_flies_over_the_masts(height_m: float, pad_up_m: float, said: str) -> None:
+    there = {"latitude_deg": 54.1, "longitude_deg": 10.2, "height_m": height_m}
+    data = minimal("mavlink") | {"guidance": {"refused": "land elsewhere", "elsewhere": there}, "vessel": {"pad_up_m": pad_up_m}}
+    if said:
+        with pytest.raises(BadInput, match=said):
+            complete(from_mapping(data, "x"), Path("rig.toml"))
+    else:
+        assert complete(from_mapping(data, "x"), Path("rig.toml")).guidance.elsewhere.height_m == height_m
 
 
 @pytest.mark.parametrize(

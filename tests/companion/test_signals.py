@@ -105,6 +105,27 @@ program(work)
 }
 
 
+def test_a_program_that_asked_for_more_time_writes_what_would_be_lost() -> None:
+    writing = """
+async def main():
+    try:
+        say("ready")
+        await asyncio.sleep(3600)
+    except asyncio.CancelledError:
+        time.sleep(signals.LAST_S + 0.5)
+        await asyncio.sleep(0.1)
+        say("written")
+def work():
+    with signals.more_time(600.0):
+        run(main())
+    signals.check()
+program(work)
+"""
+    with python(HEAD + writing, stderr=subprocess.PIPE) as process:
+        assert line(process) == "ready"
+        assert ended(process, signal.SIGTERM) == (128 + signal.SIGTERM, ["written"])
+
+
 def test_a_task_that_does_not_end_is_named_and_abandoned() -> None:
     with python(HEAD + STUBBORN, stderr=subprocess.PIPE) as process:
         assert line(process) == "ready"

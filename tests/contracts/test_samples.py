@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from estimator.contracts.commands import Velocity
@@ -182,6 +182,14 @@ def test_a_place_that_was_moved_lies_where_it_was_moved_to(here: GeoPoint, north
     assert ned_between(here, moved(here, way)) == pytest.approx(way, abs=2e-3)
 
 
+@given(st.floats(-90, 90), st.floats(-180, 180), st.sampled_from((-360, 360)))
+def test_a_longitude_that_counts_on_beyond_180_is_the_same_place(lat: float, lon: float, turn: float) -> None:
+    assume(abs(lon + turn) <= 360)
+    there, on = GeoPoint.of_degrees(lat, lon), GeoPoint.of_degrees(lat, lon + turn)
+    assert abs(on.longitude_rad) <= math.pi
+    assert np.linalg.norm(ned_between(there, on)) < 1e-5
+
+
 def test_the_date_line_and_unknown_heights() -> None:
     west, east = GeoPoint.of_degrees(0.0, 179.9995), GeoPoint.of_degrees(0.0, -179.9995)
     assert ned_between(west, east) == pytest.approx([0.0, 111.32, 0.0], abs=0.01)
@@ -190,7 +198,7 @@ def test_the_date_line_and_unknown_heights() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lat", "lon", "height"), [(91, 0, 0), (0, 181, 0), (math.nan, 0, 0), (0, math.inf, 0), (0, 0, math.nan)]
+    ("lat", "lon", "height"), [(91, 0, 0), (0, 361, 0), (math.nan, 0, 0), (0, math.inf, 0), (0, 0, math.nan)]
 )
 def test_no_such_place(lat: float, lon: float, height: float) -> None:
     with pytest.raises(ValueError, match=r"no such place|no height"):

@@ -12,12 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.companion.page.test_browser import LAPTOP, WAIT_MS, chromium
-from tests.companion.page.test_browser import pytestmark as of_a_browser
+from tests.support.browser import LAPTOP, MARKS, WAIT_MS, chromium, playwright
 
-expect = pytest.importorskip("playwright.async_api").expect
+expect = playwright.expect
 SITE = Path(__file__).parents[2] / "site"
-pytestmark = [*of_a_browser, pytest.mark.skipif(not (SITE / "index.html").is_file(), reason="there is no site: make docs")]
+pytestmark = [*MARKS, pytest.mark.skipif(not (SITE / "index.html").is_file(), reason="there is no site: make docs")]
 QUESTIONS: dict[str, list[str]] = tomllib.loads(Path(__file__).with_name("questions.toml").read_text())
 """Questions of users, and the pages that answer each."""
 

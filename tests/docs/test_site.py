@@ -7,13 +7,14 @@ import tomllib
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from msgspec import NODEFAULT, inspect
 
 from companion.cli.fly import KEYS, MOTIONS, ORDERS, TWICE
 from companion.cli.main import COMMANDS
-from companion.guidance.operator.precedence import markdown
+from companion.guidance.operator import order_time, precedence
 from companion.parts.mqtt.messages import PUBLISHED
 from companion.settings.model import EXPERT, Settings, in_file
 from companion.settings.schema import variants, walk
@@ -74,9 +75,10 @@ def test_the_changelog_and_the_pages_name_the_version() -> None:
 PAGE = (DOCS / "operator.md").read_text()
 
 
-def test_the_page_holds_the_table_of_precedence() -> None:
-    shown = PAGE.partition("<!-- precedence -->\n")[2].partition("<!-- /precedence -->")[0]
-    assert shown == markdown(), "copy what python -m companion.guidance.operator.precedence prints"
+@pytest.mark.parametrize(("name", "module"), [("precedence", precedence), ("order time", order_time)])
+def test_the_page_holds_the_tables_of_orders(name: str, module: Any) -> None:
+    shown = PAGE.partition(f"<!-- {name} -->\n")[2].partition(f"<!-- /{name} -->")[0]
+    assert shown == module.markdown(), f"copy what python -m {module.__name__} prints"
 
 
 def test_the_page_names_every_order_and_key() -> None:
@@ -103,8 +105,9 @@ def test_every_line_of_the_threat_model_has_a_test_that_is_there() -> None:
     assert wrong == []
 
 
-def test_every_hazard_has_a_test_and_every_mark_a_hazard() -> None:
-    assert sorted(safety.marked_tests()) == sorted(safety.SAID["hazards"])
+def test_every_hazard_and_action_has_a_test_and_every_mark_is_one_of_them() -> None:
+    assert sorted(safety.marked_tests()) == sorted((*safety.SAID["hazards"], *safety.SAID["actions"]))
+    assert {h for row in safety.SAID["actions"].values() for h in row["hazards"].split()} <= set(safety.SAID["hazards"])
     assert {loss for hazard in safety.SAID["hazards"].values() for loss in hazard["losses"].split()} == set(safety.SAID["losses"])
 
 

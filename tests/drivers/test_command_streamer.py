@@ -96,12 +96,12 @@ def test_a_climb_is_flown_without_a_fresh_measurement_by_the_tilt_that_holds_aga
 
 @pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
 def test_whoever_ordered_a_landing_calls_it_off_unless_it_is_about_to_end(cockpit, altitude_m, sent):
-    for t, (landing, ends) in ((0, (Land(persistent=True), Hover(calls_off=True))), (1000, (Land(), FORWARD))):
+    for t, ends in ((0, Hover(calls_off=True)), (1000, FORWARD)):
         cockpit.hears(t, nd.ControlState.FLYING)
-        cockpit.streamer.take(landing, ms(t + 1))
+        cockpit.streamer.take(Land(), ms(t + 1))
         landing_at(cockpit, t + 50, altitude_m)
-        cockpit.streamer.take(Hover() if landing.persistent else Land(), ms(t + 51))
-        assert cockpit.sends(t + 52) == [GROUND, HOVER], "guidance's hover is no order of a person"
+        cockpit.streamer.take(Land(), ms(t + 51))
+        assert cockpit.sends(t + 52) == [GROUND, HOVER]
         cockpit.streamer.take(ends, ms(t + 53))
         assert cockpit.sends(t + 54) == sent
 
@@ -222,5 +222,3 @@ def test_a_landing_that_guidance_renews_no_more_is_called_off_high_up_and_finish
         assert cockpit.streamer.command(ms(t + 300)).landing
         landing_at(cockpit, t + 600, altitude_m)
         assert (cockpit.sends(t + 600)[0] == FLY) is ends
-    cockpit.streamer.take(Land(persistent=True), ms(2700))
-    assert not cockpit.streamer.command(ms(2700)).landing

@@ -1,6 +1,7 @@
 """The link against a drone in miniature, over real sockets on loopback."""
 
 import asyncio
+import re
 import socket
 import time
 from collections.abc import AsyncIterator, Iterator
@@ -183,6 +184,19 @@ async def test_silent_navdata_is_requested_again_and_commands_go_on() -> None:
         assert drone.counters.samples == received, "the keep-alive does not wait for navdata"
         fake.silent = False
         await until(lambda: drone.counters.samples > received)
+
+
+async def test_navdata_of_which_none_is_whole_are_named_with_their_reason_and_number() -> None:
+    fake = FakeArDrone()
+    whole = fake.datagram
+    fake.datagram = lambda: whole()[:-1] + bytes([whole()[-1] ^ 1])  # type: ignore[method-assign]
+    async with linked(fake) as drone:
+        await until(lambda: "navdata" in drone.down)
+        said = re.fullmatch(r"no navdata for .* s: (\d+) datagrams are refused: their checksum is wrong", drone.down["navdata"])
+        assert said is not None, drone.down
+        assert 0 < int(said[1]) <= drone.counters.navdata_refused["bad_checksum"]
+        fake.datagram = whole  # type: ignore[method-assign]
+        await until(lambda: drone.counters.samples > 0)
 
 
 async def test_a_drone_that_begins_again_is_configured_again() -> None:

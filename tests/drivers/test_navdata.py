@@ -215,12 +215,16 @@ GPS: dict[str, Any] = {
         (GeoFix, GPS, {"lat_deg": math.nan}, 0),
         (GeoFix, GPS, {"lat_deg": 95.0}, 0),
         (GeoFix, GPS, {"hdop": 0.0}, 0),
-        (GeoFix, GPS, {"elevation_m": math.inf}, 0),
+        (GeoFix, GPS, {"lat_deg": 0.0, "lon_deg": 0.0}, 0),
     ],
 )
 def test_what_is_not_known_is_left_out(kind: type[Any], known: dict[str, Any], wrong: dict[str, Any], state: int) -> None:
     assert [s for s in samples_of(**known) if isinstance(s, kind)]
     assert not [s for s in samples_of(state, **known | wrong) if isinstance(s, kind)]
+
+
+def test_a_place_whose_height_cannot_be_is_one_without_a_height() -> None:
+    assert the(GeoFix, samples_of(**GPS | {"elevation_m": math.inf})).place.height_m is None
 
 
 def test_repeats_of_slow_sensors_are_left_out() -> None:

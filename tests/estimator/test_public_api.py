@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from msgspec import structs
 from numpy.typing import NDArray
 
 import estimator
@@ -19,6 +20,7 @@ from estimator import (
     Baro,
     BodyVelocity,
     Camera,
+    Detection,
     Imu,
     MonoNs,
     Pad,
@@ -32,10 +34,12 @@ from estimator import (
     Verdict,
     VesselReport,
 )
+from estimator.contracts.estimates import Feature
 from estimator.contracts.samples import Frame
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pose import SIGMA_DECK_RAD
 from estimator.vision.tracker import TrackerConfig
+from tests.make import sighting
 
 ROOT = Path(__file__).parents[2]
 
@@ -223,3 +227,18 @@ def test_arguments_that_were_mixed_up_are_named() -> None:
             PadTracker(camera, pad)
     with pytest.raises(TypeError, match="must be a Stamp"):
         PadTracker(CAMERA, PAD).track(shipped_image(), stamp=1.0)
+
+
+def test_a_notebook_shows_what_was_found() -> None:
+    uv = np.array([[10.0, 5.0], [10.0, 25.0], [np.nan, 3.0], [400.0, 25.0]])
+    features = (Feature("outline", "disc", uv), Feature("point", "centre", np.array([[-4.0, 2.0]])))
+    seen = structs.replace(sighting(0.0, (0.5, -0.25, 2.0), None), features=features)
+    grey = np.full((40, 60), 90, np.uint8)
+    drawn = seen.draw(grey)
+    assert drawn.shape == (40, 60, 3)
+    assert drawn[15, 10].tolist() == drawn[25, 59].tolist() == [255, 0, 255]
+    assert drawn[35, 50].tolist() == [90, 90, 90]
+    assert grey.min() == grey.max() == 90
+    table = Detection(seen, "registration", {"registration": seen, "arrow": None})._repr_html_()
+    assert all(text in table for text in ("0.500", "-0.250", "not seen", "registration 0.90, arrow -"))
+    assert "no pad" in Detection(None, None, {})._repr_html_()

@@ -10,7 +10,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from sitl.core.library import SIM
 from sitl.scenario.scenario import load
-from sitl.vehicle.airframe import Airframe
+from sitl.vehicle.airframe import ardrone2
 from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.air import AirModel, GustOnce, WakingHull
 from sitl.vessel.contact import DeckShape, Ground, Vec
@@ -27,7 +27,7 @@ def held(model: AirModel, p: Vec, v: Vec, seconds: float, batch: int, step_s: fl
     shape = DeckShape(30.0, 30.0, 10.0, 10.0)
     rows = np.empty((round(seconds / step_s), batch, 3))
     for i in range(batch):
-        vehicle = Vehicle(Airframe(), shape, step_s, np.random.SeedSequence([7, i]), air=model)
+        vehicle = Vehicle(ardrone2(), shape, step_s, np.random.SeedSequence([7, i]), air=model)
         vehicle.place(np.array(p), np.array(v), 0.0)
         before = [x - step_s * u for x, u in zip(p, v, strict=True)]
         for row in rows[:, i]:

@@ -20,7 +20,7 @@ from sitl.core.library import SIM
 from sitl.sea.sea import SeaState, Waves
 from sitl.sensors.sensors import Sensors
 from sitl.sensors.settings import SensorSettings
-from sitl.vehicle.airframe import Airframe, Avionics, load, rotors
+from sitl.vehicle.airframe import Airframe, Avionics, ardrone2, load, rotors
 from sitl.vehicle.disturbances import Wind
 from sitl.vehicle.vehicle import Vehicle, VehiclePhase
 from sitl.vessel.air import AirModel, GustOnce
@@ -34,10 +34,10 @@ DT = 0.004
 SHAPES = (DeckShape(3.0, 2.0, 1.4, 1.4), DeckShape(3.0, 2.0, 1.0, 1.5, taper_m=1.0, pad_yaw_rad=0.6))
 HEXA = load(SHIPPED / "vehicles/hexa_7kg.toml").airframe()
 FRAMES = (
-    Airframe(),
+    ardrone2(),
     HEXA,
-    replace(Airframe(), ground_effect="rotors", avionics=Avionics(flow_sees_deck=False)),
-    replace(Airframe(), command_delay_s=0.0, motor_lag_s=0.0),
+    replace(ardrone2(), ground_effect="rotors", avionics=Avionics(flow_sees_deck=False)),
+    replace(ardrone2(), command_delay_s=0.0, motor_lag_s=0.0),
 )
 GUST = GustOnce(0.5, 0.4, 0.6, (3.0, -2.0))
 AIRS = (
@@ -149,7 +149,7 @@ def test_a_flight_is_the_same_from_another_place_and_in_another_direction(
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("frame", [Airframe(), HEXA])
+@pytest.mark.parametrize("frame", [ardrone2(), HEXA])
 def test_the_number_of_steps_of_a_call_changes_nothing(frame: Airframe) -> None:
     """Calls of random length against single steps: no noise is lost where a block ends, and the water is looked at as often."""
     rng, steps, done = np.random.default_rng(5), 900, 0

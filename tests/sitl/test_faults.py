@@ -88,7 +88,6 @@ GIVEN: list[tuple[Fault, str, float | None]] = [
     (Accelerometer(at_s=0.5, limit_m_s2=1.0), "f_body", -1.0),
     (Ultrasound(at_s=0.5, dropped_fraction=1.0), "ultrasound_m", None),
     (Magnetometer(at_s=0.5, dropped_fraction=1.0), "magnetometer", None),
-    (kinds.LowBattery(at_s=0.5, fraction=0.05), "battery_fraction", 0.05),
 ]
 """Numbers that a faulty sensor adds to its reading, and those that it gives as the last of its values."""
 
@@ -103,6 +102,14 @@ def test_a_faulty_sensor_changes_its_own_reading_by_so_much_and_no_other() -> No
         else:
             assert (value if value is None else np.atleast_1d(value)[-1]) == expected, fault
         assert changed_readings(*both(fault, 0.49)) == set()
+
+
+def test_a_low_battery_goes_on_falling_as_it_is_flown_and_its_report_with_it() -> None:
+    """WHY: it stood still at its fraction, so that no last charge ever came (weather_3, 894201)."""
+    low = world(kinds.LowBattery(at_s=0.5, fraction=0.05))
+    for seconds in (0.8, 12.5):
+        at(low, seconds)
+        assert low.battery == low.readings().battery_fraction == pytest.approx(0.05 - (seconds - 0.5) / 1200.0, abs=1e-5)
 
 
 def test_a_heading_offset_turns_the_compass_and_its_field_alike() -> None:

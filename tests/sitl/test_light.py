@@ -20,7 +20,7 @@ from estimator.vision.rolling import CameraMotion, at_one_instant
 from estimator.vision.srgb import linear_light
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from sitl.camera.camera import Drop, Drops, Exposure, Renderer, wet_lens
-from sitl.camera.light import FULL_SCALE, Development, Light, Mast, Sensor, counts, planck_rgb
+from sitl.camera.light import FULL_SCALE, Development, Light, Sensor, counts, planck_rgb
 from sitl.camera.settings import DropSettings, LampSettings
 from sitl.camera.surroundings import Deck, Surroundings
 from tests import make
@@ -51,11 +51,6 @@ def at(image: F64, p_pad_m: tuple[float, float] = (0.0, 0.0)) -> F64:
 
 def middle(where: F64) -> F64:
     return np.array([axis.mean() for axis in np.nonzero(where)[::-1]])
-
-
-def sun_of(light: Light) -> F64:
-    e, a = light.sun_elevation_rad, light.sun_azimuth_rad
-    return np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)])
 
 
 @pytest.mark.parametrize(
@@ -99,18 +94,18 @@ def test_glare_covers_a_third_of_the_disc() -> None:
 
 
 def test_shadows_of_drone_and_mast_fall_away_from_the_sun() -> None:
-    high = replace(FLAT, drone_shadow=0.5, sun_elevation_rad=math.radians(75.0), sun_azimuth_rad=1.0)
+    high = replace(FLAT, drone_shadow=0.5, sun_elevation_deg=75.0, sun_azimuth_deg=57.3)
     dark = 1.0 - (light_of(high) / light_of(replace(high, drone_shadow=0.0)))[..., 1]
     assert dark.max() == pytest.approx(0.5, abs=0.02)
     assert np.all(dark > -1e-3)
     # Along the sun's rays from the body to the pad's plane, by hand.
-    n, sun = OVER.R_ned_pad.matrix[:, 2], sun_of(high)
+    n, sun = OVER.R_ned_pad.matrix[:, 2], high.to_sun_ned
     s = n @ (OVER.p_body_ned - OVER.p_pad_ned) / (n @ sun)
     where = OVER.R_ned_pad.matrix.T @ (OVER.p_body_ned - s * sun - OVER.p_pad_ned)
     assert np.linalg.norm(middle(dark > 0.25) - px_of([tuple(where[:2])])[0]) < 4.0
     # The pad's arrow points to 0.7 rad: the sun stands to its right, and the shadow of a mast at (0, 1) crosses the pad.
-    low = replace(FLAT, sun_elevation_rad=math.radians(45.0), sun_azimuth_rad=0.7 + math.pi / 2)
-    dark = 1.0 - light_of(replace(low, mast=Mast(3.0, (0.0, 1.0)))) / light_of(low)
+    low = replace(FLAT, sun_elevation_deg=45.0, sun_azimuth_deg=math.degrees(0.7) + 90.0)
+    dark = 1.0 - light_of(replace(low, mast_height_m=3.0, mast_forward_m=0.0, mast_right_m=1.0)) / light_of(low)
     assert at(dark, (0.0, -0.1)) == pytest.approx([0.6] * 3, abs=0.02)
     assert abs(at(dark, (0.5, -0.1))).max() < 0.01
 
@@ -119,10 +114,10 @@ def test_wet_paint_is_darker_has_puddles_that_mirror_the_sky_and_the_sun_where_i
     near = light_of(replace(FLAT, wetness=0.8), s=shot(1.0), black=True)[120:240, 260:380, 1]
     assert near.min() < 0.01 < 0.03 < near.max()
     assert at(light_of(replace(FLAT, wetness=1.0)))[1] < 0.72
-    light = replace(FLAT, sun_elevation_rad=math.radians(75.0), sun_azimuth_rad=0.7)
+    light = replace(FLAT, sun_elevation_deg=75.0, sun_azimuth_deg=math.degrees(0.7))
     wet = replace(light, wetness=0.5)
     spot = (light_of(replace(wet, glint=2.0)) - light_of(wet))[..., 1]
-    to_sun = OVER.R_ned_pad.matrix.T @ sun_of(light)
+    to_sun = OVER.R_ned_pad.matrix.T @ light.to_sun_ned
     p_cam = OVER.R_ned_pad.matrix.T @ (OVER.p_body_ned + OVER.R_ned_body @ PLAIN.T_body_cam.t - OVER.p_pad_ned)
     # The ray that comes from the sun and is mirrored in z = 0 reaches the camera from this point.
     mirrored = p_cam + np.array([to_sun[0], to_sun[1], -to_sun[2]]) * (-p_cam[2] / -to_sun[2])

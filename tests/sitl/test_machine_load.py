@@ -15,18 +15,20 @@ from companion.cli import demo
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.service import RestartOptions
 from drivers.clock import SystemClock
+from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from sitl.flight.ending import Ending, Load
 from sitl.world.truth import Touchdown
 from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock, fly
 
-SAID: dict[str, Any] = {"event": "ended", "phase": "hovering", "stood_still_s": 0.25, "counters": {"video_sent": 880}}
+SAID: dict[str, Any] = {"event": "ended", "stood_still_s": 0.25, "counters": {"video_due": 900, "video_sent": 880}}
 
 
-def ended(outcome: FlightOutcome | None, late_s: float = 0.0, said: bytes | None = None) -> Ending:
+def ended(outcome: FlightOutcome | None, late_s: float = 0.0, said: bytes | None = None, health: Health | None = None) -> Ending:
     """Return a demo of 30 s in which guidance cycles came that much late."""
-    health = Health(SystemClock())
-    health.frames = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 30})
+    if health is None:
+        health = Health(SystemClock())
+        health.frames = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 30})
     for _ in range(9):
         health.delay("guidance_late", late_s)
     drone = demo._Child({})
@@ -48,8 +50,8 @@ def test_a_demo_that_gave_up_on_a_machine_too_slow_reports_it_with_the_figure() 
     ("changed", "figure"),
     [
         ({"stood_still_s": 4.0}, "the simulated drone stood still for 4.0 s"),
-        ({"counters": {"video_sent": 200}}, "22% of the frames were rendered in time"),
-        ({"counters": {}}, "0% of the frames were rendered in time"),
+        ({"counters": {"video_due": 900, "video_sent": 200}}, "22% of the frames were rendered in time"),
+        ({"counters": {"video_due": 900}}, "0% of the frames were rendered in time"),
     ],
 )
 def test_the_simulated_drone_s_own_time_is_reported(changed: dict[str, Any], figure: str) -> None:
@@ -58,13 +60,25 @@ def test_the_simulated_drone_s_own_time_is_reported(changed: dict[str, Any], fig
 
 
 def test_a_landing_on_the_pad_says_what_may_come_of_a_slow_machine() -> None:
-    load = Load(30.0, 200, 4.0, Counter(), 0.085)
+    load = Load(900, 200, 4.0, Counter(), 0.085)
     landed = Ending("demo", 1, FlightOutcome.LANDED, (), 30.0, Counter(), load=load)
     assert "means nothing" in landed.in_words(), "it touched nothing"
     on_pad = Touchdown(landed.started, "pad", np.zeros(3), 0.05, 0.0, 0.4, 0.1)
     good = Ending("demo", 1, FlightOutcome.LANDED, (on_pad,), 30.0, Counter(), load=load)
     assert "too slow" in good.in_words()
     assert "means nothing" not in good.in_words()
+
+
+def test_a_flight_without_a_frame_names_the_connection_that_failed_and_accuses_no_machine() -> None:
+    health = Health(SystemClock())
+    for _ in range(3):
+        health.failed("AR.Drone video", Recoverable("the drone closed the video"))
+    without = ended(None, said=json.dumps(SAID | {"counters": {}}).encode(), health=health)
+    why = ["no frame ever came", "AR.Drone video failed 3 times: the drone closed the video"]
+    assert without.in_words().splitlines()[1:] == why
+    assert without.as_json()["troubles"] == why
+    assert without.as_json()["machine_too_slow"] is None
+    assert [text for kind, text in without.facts() if kind == "warning"] == why
 
 
 class LateClock(VirtualClock):

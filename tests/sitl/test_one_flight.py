@@ -51,6 +51,13 @@ def test_a_hold_in_fast_flight_stops_there_and_does_not_fly_back_to_where_it_was
     assert 0.8 < max(far) < far[-1] + 0.3
 
 
+def test_an_order_that_arrives_after_a_stop_and_was_given_before_it_is_refused() -> None:
+    held, late = {"order": "hold", "at_s": 1.0}, {"order": "begin", "late_s": 2.0, "at_s": 2.0}
+    faults = [{"kind": "operator"} | order for order in (held, late)]
+    ending = land(near(duration_limit_s=4.0, faults=faults, expect="hold", because="a person holds it"), 3)
+    assert (ending.judged.unsafe, ending.judged.grade) == ((), "refused rightly")
+
+
 def test_what_is_flown_on_without_a_link_is_reported_and_is_no_blind_descent() -> None:
     """The drone holds its last command for two seconds, in a descent that no order could end."""
     lost = {"kind": "link_lost", "below_height_m": 1.7, "for_s": 2.5}
@@ -217,7 +224,7 @@ def test_from_60_m_away_it_finds_the_ship_and_lands(seed, level, capsys):
     ],
 )
 def test_places_that_are_wrong_or_missing_are_refused_with_their_reason(capsys, monkeypatch, words, code, reason):
-    monkeypatch.setattr("sitl.flight.ending.WATCHED_S", 2.0)
+    monkeypatch.setattr("sitl.flight.afterwards.WATCHED_S", 2.0)
     ended, ending = simulate(capsys, *words)
     assert (ended, ending["outcome"], ending["contacts"]) == (code, "refused", [])
     assert reason in str(ending["refused"])

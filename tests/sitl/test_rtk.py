@@ -59,7 +59,7 @@ def test_with_the_lens_covered_it_lands_by_the_receivers_alone(seed):
 
 def test_a_wrong_solution_after_a_float_brings_no_drone_down(monkeypatch):
     """The first solution of this seed after a float of 9 s is wrong by 0.55 m, and the lens is covered."""
-    monkeypatch.setattr("sitl.flight.ending.WATCHED_S", 10.0)
+    monkeypatch.setattr("sitl.flight.afterwards.WATCHED_S", 10.0)
     scenario = load("faults/rtk_camera_covered")
     assert not fly("x", scenario, 411, settings_for(scenario, None), "model").judged.unsafe
 

@@ -31,16 +31,6 @@ def test_a_seed_gives_the_same_sea_alone_and_in_a_batch_and_seeds_differ() -> No
     assert not np.allclose(batch.elevation(p, 7.0)[0], batch.elevation(p, 7.0)[2])
 
 
-def test_slope_is_the_derivative_of_height() -> None:
-    waves = Waves.draw(SEA_STATES[4], [1, 2], towards_rad=0.7)
-    p = np.random.default_rng(0).uniform(-50, 50, (30, 2))
-    h = 1e-4
-    for axis in (0, 1):
-        d = np.eye(2)[axis] * h
-        numeric = (waves.elevation(p + d, 3.0) - waves.elevation(p - d, 3.0)) / (2 * h)
-        np.testing.assert_allclose(waves.slope(p, 3.0)[..., axis], numeric, atol=1e-7)
-
-
 def test_crests_run_where_reported_at_the_speed_of_deep_water() -> None:
     # One harmonic: its shape moves with w / k = g / w along its direction, and stays level across it.
     w, towards = 1.3, 0.9

@@ -16,7 +16,7 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs
 from sitl.flight.one_flight import fly, settings_for
 from sitl.scenario.scenario import load as load_scenario
-from sitl.vehicle.airframe import Airframe, Avionics, StickLimits, VehicleFile, load, rotors
+from sitl.vehicle.airframe import Airframe, Avionics, Loops, StickLimits, VehicleFile, ardrone2, load, rotors
 from sitl.vehicle.disturbances import Wind
 from sitl.vehicle.vehicle import DECK, SEA, Vehicle, VehiclePhase
 from sitl.vessel.contact import DeckShape, Ground
@@ -27,7 +27,7 @@ SHAPE = DeckShape(fore_m=3.0, aft_m=2.0, port_m=1.4, starboard_m=1.4)
 EXACT = Avionics(
     tilt_bias_sigma_rad=0.0, tilt_drift_sigma_rad=0.0, flow_scale=1.0, flow_noise_sigma_m_s=0.0, flow_lag_s=0.001
 )  # fmt: skip
-STILL = replace(Airframe(), avionics=EXACT)
+STILL = replace(ardrone2(), avionics=EXACT)
 NOWHERE = Ground.nowhere()
 
 
@@ -223,7 +223,7 @@ LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 def test_the_file_of_the_ardrone_holds_the_vehicle_of_all_flights_so_far() -> None:
     vehicle = shipped_vehicle("ardrone2")
-    assert vehicle.airframe() == Airframe()
+    assert vehicle.airframe().loops == Loops()
     assert vehicle.stick_limits() == StickLimits(math.radians(12.0), 0.7, math.radians(100.0))
     assert load_scenario("demo").vehicle.file.endswith("ardrone2")
 
@@ -245,7 +245,7 @@ def test_every_shipped_vehicle_says_what_is_assumed_and_hovers(name: str) -> Non
 def test_a_tilt_step_has_the_frequency_and_damping_of_the_file(name: str) -> None:
     """The tilt's overshoot against that of a second-order loop behind delay and motor lag, integrated by itself."""
     vehicle = shipped_vehicle(name)
-    f = replace(vehicle.airframe(), avionics=replace(Airframe().avionics, tilt_bias_sigma_rad=0.0, tilt_drift_sigma_rad=0.0))
+    f = replace(vehicle.airframe(), avionics=replace(ardrone2().avionics, tilt_bias_sigma_rad=0.0, tilt_drift_sigma_rad=0.0))
     v = Vehicle(f, DeckShape(2.0, 2.0, 2.0, 2.0), STEP_S, np.random.SeedSequence(1))
     v.limits = vehicle.stick_limits()
     v.place(np.array([0.0, 0.0, -50.0]), np.zeros(3), 0.0)

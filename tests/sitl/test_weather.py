@@ -11,16 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
-from estimator.contracts.time import MonoNs, after
-from sitl.flight.ending import STANDS_AFTER_S, AftermathWatch
+from estimator.contracts.time import MonoNs
+from sitl.flight.afterwards import STANDS_AFTER_S
 from sitl.flight.one_flight import FlyOptions, settings_for
-from sitl.flight.referee import Errand, Referee
 from sitl.scenario.scenario import WeatherSettings, load, raised_sea, raising_wind_m_s, sea_of, wind_of
-from sitl.vehicle.airframe import Airframe, ContactSettings
 from sitl.vehicle.disturbances import SPREADS, EffectSettings, WrongModel
 from sitl.vessel.file import read_log
 from sitl.world.stage import airframe, true_camera
-from sitl.world.truth import Touchdown, Truth
+from sitl.world.truth import Truth
 from sitl.world.world import Stick, World
 from tests.drivers.nmea.test_sentences import line
 from tests.fly import land, near
@@ -152,7 +150,7 @@ def test_a_landing_says_where_the_vehicle_stands_and_in_what_it_differs() -> Non
 
 
 def test_a_refused_vehicle_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sitl.flight.ending.WATCHED_S", 2.0)
+    monkeypatch.setattr("sitl.flight.afterwards.WATCHED_S", 2.0)
     scenario = near(weather={"wind_m_s": 20.0}, expect="refuse")
     flown: list[Truth] = []
     options = FlyOptions(on_truth=flown.append)
@@ -168,50 +166,6 @@ def test_a_refused_vehicle_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
     before_m = float(np.max([-truth.p_body_ned[2] for truth in flown] - crests_m))
     assert ending["highest_m"] > before_m + 0.1, "the height is watched to the end"
     assert ending["duration_s"] < 40.0
-
-
-FEET = Airframe().feet
-
-
-def referee_of(highest_m: float) -> Referee:
-    return Referee(MonoNs(0), Errand(highest_m, 10.0, 2.0), ContactSettings(), Airframe(), 0.39)
-
-
-def test_a_vehicle_that_calls_itself_landed_in_the_air_has_not_landed() -> None:
-    scenario = near()
-    ending = land(scenario, 1)
-    assert (ending.judged.grade, ending.aftermath) == ("on pad", None)
-    world = World(CALM, seed=1)
-    flies = AftermathWatch(world.truth(), "landed", referee_of(7.0)).result(world.truth(), "landed")
-    assert flies.unsafe == ()
-    for flown, why in ((flies, "it does not stan"), (None, "it left the deck")):
-        again = ending.followed(None, flown, 0.0)
-        assert (again.judged.grade, again.judged.because[:16]) == ("failed", why)
-
-
-def test_a_refused_vehicle_that_falls_climbs_or_stands_with_turning_motors_is_unsafe() -> None:
-    start = World(CALM, seed=1).truth()
-    referee = referee_of(highest_m=1.0)
-
-    def step(at_s: float, height_m: float, *contacts: Touchdown) -> Truth:
-        at, still = np.array([0.0, 0.0, -height_m]), np.zeros(3)
-        now = msgspec.structs.replace(
-            start, at=after(start.at, at_s), p_body_ned=at, p_pad_ned=still, v_body_ned=still, contacts=contacts
-        )
-        referee.step(now, reached=True, served=True)
-        return now
-
-    watch = AftermathWatch(step(0.0, 4.5), "gave_up", referee)
-    assert watch.result(step(1.0, 4.6), "gave_up").unsafe == (), "it was too high before"
-    stray = Touchdown(after(start.at, 2.0), "deck", np.zeros(3), 0.9, 0.0, 0.2, 0.1, over_rim_m=0.6)
-    for n in range(8):
-        last = step(2.0 + 0.5 * n, FEET.below_m, stray)
-    reported = watch.result(last, "gave_up")
-    assert (reported.contacts, reported.at_most_m) == (1, pytest.approx(4.6))
-    assert reported.unsafe == (
-        "gave_up, and then touched the deck 0.90 m from the pad's centre, a foot 0.60 m over the rim, 1 times so",
-        "gave_up, and then stood on the deck for 3.5 s with turning motors",
-    )
 
 
 def log_line(t_s: float, north_m: float, height_m: float, quality: int = 4) -> str:

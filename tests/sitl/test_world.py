@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.base.mission import State
 from estimator.contracts.geometry import F64, Rotation
@@ -20,7 +21,7 @@ from sitl.scenario.scenario import Scenario, Start, load
 from sitl.sea.sea import SEA_STATES, Sea, Waves
 from sitl.sensors.sensors import Readings, Sensors
 from sitl.sensors.settings import SensorSettings
-from sitl.vehicle.vehicle import Vehicle, VehiclePhase
+from sitl.vehicle.vehicle import MOTORS_TURN, Vehicle, VehiclePhase
 from sitl.vessel.contact import DeckShape
 from sitl.vessel.file import VesselSettings
 from sitl.vessel.vessel import Mounted
@@ -284,3 +285,16 @@ def test_noise_in_flight_is_that_of_the_real_drone() -> None:
 def _recorded(name: str, columns: list[str]) -> F64:
     with (RECORDED / name).open() as file:
         return np.array([[float(row[c]) for c in columns] for row in csv.DictReader(file)])
+
+
+def test_an_empty_battery_ends_a_flight_as_in_reality() -> None:
+    """WHY: the simulated vehicle hovered on at 0 % of charge, and nobody saw what a person's hold came to."""
+    sensors = replace(CALM.sensors, battery_start=0.01, battery_life_s=100.0)
+    world = World(replace(CALM, sensors=sensors), seed=1)
+    run_world(world, 0.9)
+    assert phase_of(world) in MOTORS_TURN
+    before_m = world.truth().p_body_ned[2]
+    for _ in range(60):
+        run_world(world, 0.01)
+    assert (phase_of(world), world.battery) == (VehiclePhase.EMERGENCY, 0.0)
+    assert world.truth().p_body_ned[2] - before_m > 0.5, "it falls"

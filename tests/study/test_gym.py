@@ -1,6 +1,8 @@
 """The training worlds: the same by seed however many step together, a deck as the vessel's, and every end of an episode."""
 
+import copy
 import math
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -131,6 +133,22 @@ def test_a_reward_of_one_s_own_replaces_the_shipped_one() -> None:
     env = LandEnv("calm", reward=weighted(dict.fromkeys(TERMS, 0.0) | {"time": 1.0}))
     env.reset(seed=1)
     assert env.step(np.zeros(4, np.float32))[1] == pytest.approx(-STEP_S)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("more", [{}, {"observation": "pixels"}, {"num_envs": 3, "threads": 2}])
+def test_a_copy_flies_on_as_the_world_does_and_apart_from_it(copied, more) -> None:
+    env = (LandVectorEnv if "num_envs" in more else LandEnv)(scenario="calm", **more)
+    env.reset(seed=4)
+    actions = np.full((40, *env.action_space.shape), 0.2, np.float32)
+    for action in actions[:5]:
+        env.step(action)
+    env.action_space.seed(1)
+    twin = copied(env)
+    flown = [env.step(action)[:4] for action in actions] + [env.reset()[:1]]
+    again = [twin.step(action)[:4] for action in actions] + [twin.reset()[:1]]
+    assert all(np.array_equal(a, b) for one, other in zip(flown, again, strict=True) for a, b in zip(one, other, strict=True))
+    assert np.array_equal(env.action_space.sample(), twin.action_space.sample())
 
 
 def test_a_vessel_that_turns_is_refused() -> None:

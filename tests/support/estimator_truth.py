@@ -44,6 +44,8 @@ class Setting:
     hidden_delay_s: float = 0.0
     """Sightings show the world this much later than their stamps say."""
     mount_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lens_off_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Place of the lens in the body less the one that sightings are made with."""
     outliers: float = 0.0
     """Share of sightings that show something else."""
     blind: tuple[tuple[float, float], ...] = ()
@@ -242,7 +244,7 @@ def events(flight: TruthFlight) -> list[Event]:
         at = np.array([measured_at + s.hidden_delay_s])
         Rb, pb = flight.attitude(at)[0], flight.body(at)[0][0]
         pp, _, Rp = (x[0] for x in flight.pad(at))
-        d_measured = mount.T @ Rb.T @ (pp - pb)
+        d_measured = mount.T @ Rb.T @ (pp - pb) - s.lens_off_m
         level = Rotation(measured(measured_at)).without_heading().matrix
         size = float(np.linalg.norm(d_measured))
         sigma = size * np.array([s.sigma_lateral_per_m, s.sigma_lateral_per_m, s.sigma_range_per_m]) + 0.001

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from companion.base.orders import OperatorOrder
 from companion.parts.mavlink.commands import LandingProgress
 from estimator.contracts.estimates import PathName
+from estimator.contracts.time import MonoNs
 
 
 @dataclass
@@ -20,7 +21,7 @@ class FakeOperator:
             self.done.append(what)
         return self.cannot
 
-    def order(self, order: OperatorOrder) -> str | None:
+    def order(self, order: OperatorOrder, given_at: MonoNs | None = None) -> str | None:
         return self._do({OperatorOrder.BEGIN: "start", OperatorOrder.HOLD: "pause"}.get(order, order.value))
 
     def steer_by(self, path: PathName) -> str | None:

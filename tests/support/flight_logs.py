@@ -22,6 +22,9 @@ KINDS = {
     "VIBE": (136, "QBfffI", "TimeUS,IMU,VibeX,VibeY,VibeZ,Clip"),
     "XKF4": (137, "QBccccB", "TimeUS,C,SV,SP,SH,SM,PI"),
     "PL": (138, "QBB", "TimeUS,Heal,TAcq"),
+    "BARO": (139, "QBfB", "TimeUS,I,Alt,H"),
+    "XKF1": (140, "QBfff", "TimeUS,C,VN,VE,VD"),
+    "NKF1": (141, "QBfff", "TimeUS,C,VN,VE,VD"),
 }
 DEFAULTS = {"PARM": (132, "QNff", "TimeUS,Name,Value,Default")}
 """The parameters of a log that has their defaults beside them."""

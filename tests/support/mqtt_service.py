@@ -12,7 +12,7 @@ import numpy as np
 from companion.base.containment import run
 from companion.base.health import Health
 from companion.base.observer import Decision
-from companion.parts.mqtt.connection import BrokerEndpoint
+from companion.parts.mqtt.connection import renewed_endpoint
 from companion.parts.mqtt.encode import PendingEvent
 from companion.parts.mqtt.messages import Topics
 from companion.parts.mqtt.part import CommandHandler, MqttPart
@@ -75,7 +75,7 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
     command_handler = CommandHandler(
         topics, session, operator, RUN, files.key(settings.command_key_file, "mqtt", "command_key_file")
     )
-    part = MqttPart(settings, BrokerEndpoint.of(settings), outbox, command_handler, health, clock, version="1.2.3")
+    part = MqttPart(settings, renewed_endpoint(settings), outbox, command_handler, health, clock, version="1.2.3")
     ended = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(run({"mqtt": part.run}, RestartOptions(), health, clock, until=ended))

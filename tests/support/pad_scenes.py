@@ -72,11 +72,11 @@ def random_light(rng: np.random.Generator, condition: str) -> Light:
     kelvin = kelvin if condition == "light" else float(rng.uniform(4500, 7500))
     return Light(
         kelvin,
-        6500.0 if rng.uniform() < 0.7 else kelvin,
-        (gains[0], gains[1], gains[2]),
-        float(rng.uniform(-2, 2)) if condition == "light" else float(rng.uniform(-1, 1)),
-        sun_elevation_rad=float(rng.uniform(0.5, 1.5)),
-        sun_azimuth_rad=float(rng.uniform(0, math.tau)),
+        balanced_for_k=6500.0 if rng.uniform() < 0.7 else kelvin,
+        white_balance=(gains[0], gains[1], gains[2]),
+        exposure_ev=float(rng.uniform(-2, 2)) if condition == "light" else float(rng.uniform(-1, 1)),
+        sun_elevation_deg=math.degrees(rng.uniform(0.5, 1.5)),
+        sun_azimuth_deg=math.degrees(rng.uniform(0, math.tau)),
         drone_shadow=0.7 if condition == "shadow" else float(rng.choice([0.0, 0.45])),
         glare=float(rng.uniform(0.3, 1.2)) if condition == "glare" else 0.0,
         glare_centre_m=(out * math.cos(angle), out * math.sin(angle)),

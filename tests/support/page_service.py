@@ -72,7 +72,7 @@ class PageService:
         """Image that the camera takes."""
         self.believed: RelativeState | None = None
         self.found: Detection | None = None
-        """Estimate of the cycles, and detection in the frames."""
+        """Estimate that guidance has in place of the estimator's, and detection in the frames."""
         self.cycles = 0
         self._frames = 0
 
@@ -82,12 +82,18 @@ class PageService:
 
     async def live(self) -> None:
         """Run guidance cycles, each with a status of the vehicle and every third with a frame."""
+        all_at = self.pilot.estimator.all_at
+
+        def believed(instant: MonoNs) -> tuple[RelativeState, ...]:
+            return all_at(instant) if self.believed is None else (self.believed,)
+
+        self.pilot.estimator.all_at = believed  # type: ignore[method-assign]
         while True:
             now = self.clock.now()
             self.health.beat("Decision")
             self.pilot.on_sample(VehicleStatus(Stamp(now, now, 0.001, "arrival"), self.flying, "hovering", 0.5, False, True))
             decision = self.pilot.decide(now)
-            self.page.on_decision(decision if self.believed is None else structs.replace(decision, belief=self.believed))
+            self.page.on_decision(decision)
             self.command = decision.command
             self.commanded.add(type(decision.command))
             self.cycles += 1
@@ -158,7 +164,8 @@ class Browser:
 
     async def order(self, order: str) -> dict[str, Any]:
         self._number += 1
-        await self.send(kind="order", number=self._number, order=order)
+        seen = next((m["at_s"] for m in reversed(self.messages) if m["kind"] == "state"), None)
+        await self.send(kind="order", number=self._number, order=order, seen_at_s=seen)
         answer = await self.read("answer")
         assert answer["number"] == self._number
         return answer

@@ -8,7 +8,7 @@ request for a HEARTBEAT. What our messages ask for is logged.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from random import Random
 from typing import Any
@@ -20,10 +20,11 @@ from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, Orde
 from companion.guidance.operator.arbiter import OperatorArbiter
 from drivers.mavlink.custody import Hand
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.failsafe import FailsafeWatch
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ, Streams
 from drivers.mavlink.setpoint_streamer import FORCE, SetpointStreamer
-from drivers.mavlink.vehicle import LAND_MODE, VELOCITY_MODE, Condition, Identity, Stack, custom_mode, mode_name
+from drivers.mavlink.vehicle import ARMED, LAND_MODE, VELOCITY_MODE, Condition, Identity, Stack, custom_mode, mode_name
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, VehicleStatus
@@ -36,6 +37,7 @@ SPOOL_S = 1.0
 PERSONS_MODE = {Stack.ARDUPILOT: "loiter", Stack.PX4: "posctl"}
 MANUAL_MODE = {Stack.ARDUPILOT: "stabilize", Stack.PX4: "stabilized"}
 STILL = Velocity(np.zeros(3), 0.0)
+SINKS = Velocity(np.array([0.0, 0.0, 0.4]), 0.0)
 _STREAM_LOST_S, _PX4_WANTS_S = 1.0, 1.0
 
 
@@ -52,6 +54,8 @@ class Toy:
         self.setpoints: list[tuple[float, float]] = []
         """Times of the setpoints, and their velocities down in flight, m/s."""
         self.answers: list[tuple[int, bool]] = []
+        self.failing: str | None = None
+        """The words of the failsafe in force, which HEARTBEAT calls CRITICAL; None without one."""
         self.each_s, self.beats = BEAT_S, False
         """The interval of its HEARTBEATs, s; True once one was requested."""
         self.now_s = 0.0
@@ -63,6 +67,11 @@ class Toy:
         """Enter a mode."""
         if mode != self.mode:
             self.mode, self._lifts_to_m, self._down_m_s = mode, None, 0.0
+
+    def fail(self, mode: str | None, words: str = "Battery Failsafe") -> None:
+        """Let a failsafe act by a mode, be it the one that it is in; None for one that leaves the mode."""
+        self.failing = words
+        self.switch(mode or self.mode)
 
     def disarm(self) -> None:
         """Stop the motors; in the air it falls."""
@@ -163,6 +172,7 @@ class Guidance:
     vehicle: VehicleStatus | None = None
     outcome: Enum | None = None
     paused: bool = False
+    lands_here: bool = False
     engage: Callable[[], None] = lambda: None
     resumed: Command | None = None
     """The command after an order to begin."""
@@ -173,17 +183,21 @@ class Guidance:
         return self.vehicle is not None and self.vehicle.flying is not False
 
     def begin(self, at: MonoNs) -> None:
-        self.outcome, self.paused, self.command = None, False, self.resumed
+        self.outcome, self.paused, self.lands_here, self.command = None, False, False, self.resumed
         self.engage()
 
     def stay(self, at: MonoNs) -> None:
         self.begin(at)
 
+    def land(self, at: MonoNs) -> None:
+        self.begin(at)
+        self.lands_here, self.command = True, SINKS
+
     def pause(self, why: object = None) -> None:
-        self.paused, self.command = True, Hover()
+        self.paused, self.lands_here, self.command = True, False, Hover()
 
     def abort(self) -> None:
-        self.outcome, self.command = FlightOutcome.ABORTED, Hover()
+        self.outcome, self.lands_here, self.command = FlightOutcome.ABORTED, False, Hover()
 
     def barred(self) -> tuple[str, bool]:
         return "a crate", True
@@ -204,6 +218,12 @@ class OrderedFlight(ABC):
     """The autopilot."""
     guidance: Guidance
     arbiter: OperatorArbiter
+    answers: list[HandledOrder]
+    """Answers of the arbiter, oldest first."""
+    chosen = ""
+    """The mode that a person or a failsafe chose last."""
+    requested = ""
+    """The mode that we are requesting in this moment."""
 
     @property
     @abstractmethod
@@ -293,7 +313,10 @@ class Flown(OrderedFlight):
         self._beat_s = self.now_s + BEAT_S * self.rng.random()
         self.reported: Condition | None = None
         """The newest condition that the driver has been given."""
-        self._under_way: list[tuple[float, Condition]] = []
+        self.failsafes = FailsafeWatch()
+        self._failing: str | None = None
+        self._under_way: list[tuple[float, Condition, bool]] = []
+        """Reports, each with the time at which it arrives, and whether it is a HEARTBEAT."""
 
     @property
     def hand(self) -> Hand:
@@ -310,19 +333,22 @@ class Flown(OrderedFlight):
         toy, now, streamer = self.toy, self.now, self.streamer
         if self.now_s >= self._beat_s or toy.beats:
             self._beat_s, toy.beats = self._beat_s if toy.beats else self._beat_s + toy.each_s, False
-            self._under_way.append((self.now_s + self.late_s, Condition(toy.mode, toy.armed, toy.flying)))
+            self._report()
+        if toy.failing != self._failing:
+            self._words()
         level, stamp = Rotation.identity(), Stamp(now, now, 0.001, "synced")
         streamer.on_attitude(Attitude(stamp, level, 1e-4 * np.eye(3)))
         streamer.on_position(-toy.height_m)
         while self._under_way and self._under_way[0][0] <= self.now_s and not self.silent:
-            _, condition = self._under_way.pop(0)
-            streamer.on_condition(condition)
+            _, condition, beat = self._under_way.pop(0)
+            streamer.on_condition(condition, now, beat=beat)
             self.streams.on_message(_BEAT, now)
             self.reported = condition
             taken = condition.mode if streamer.hand is Hand.PERSON and condition.armed else None
             self.guidance.vehicle = VehicleStatus(
-                stamp, condition.flying, condition.mode, 0.9, streamer.motors_cut, link_ok=True, taken=taken
-            )
+                stamp, condition.flying, condition.mode, 0.9, streamer.motors_cut, link_ok=True, taken=taken,
+                others_at=streamer.others_at,
+            )  # fmt: skip
         self.arbiter.tick(now)
         command = self.arbiter.choose(now, self.guidance.command).command
         if command is not None:
@@ -335,6 +361,30 @@ class Flown(OrderedFlight):
             self.streams.on_message(mav.MAVLink_command_ack_message(number, 0 if accepted else _FAILED), now)
         toy.answers.clear()
         toy.step(self.now_s)
+
+    def _report(self) -> None:
+        """Send a HEARTBEAT."""
+        toy = self.toy
+        state = mav.MAV_STATE_ACTIVE if toy.failing is None else mav.MAV_STATE_CRITICAL
+        self.failsafes.on_heartbeat(mav.MAVLink_heartbeat_message(2, 3, ARMED if toy.armed else 0, 0, state, 3), self.now)
+        condition = Condition(toy.mode, toy.armed, toy.flying, failsafe=self.failsafes.now)
+        self._under_way.append((self.now_s + self.late_s, condition, True))
+
+    def _words(self) -> None:
+        """Name a failsafe that came: ArduCopter reports its state and mode before, and PX4 behind the text."""
+        self._failing, toy = self.toy.failing, self.toy
+        if toy.failing is None:
+            return
+        if toy.stack is Stack.ARDUPILOT:
+            self._report()
+        self.say(toy.failing if toy.stack is Stack.ARDUPILOT else "Failsafe activated")
+
+    def say(self, text: str) -> None:
+        """Let the autopilot send a text."""
+        self.failsafes.on_text(text, self.now)
+        known = self._under_way[-1][1] if self._under_way else self.reported
+        if known is not None:
+            self._under_way.append((self.now_s + self.late_s, replace(known, failsafe=self.failsafes.now), False))
 
     def sent(self, since_s: float) -> list[str]:
         """Return what our messages have asked for since then."""

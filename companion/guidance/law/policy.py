@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from companion.guidance.controller import FieldOfView, Knowledge, Target
 from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory
-from companion.settings.files import refuse_special, unzipped
+from companion.settings.files import unzipped
 from companion.settings.load import SHIPPED, whole
+from drivers.files import Largest, refuse_special
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.errors import BadInput, file_errors, unusable
 from estimator.contracts.estimates import RelativeState
@@ -41,7 +42,7 @@ STEP_S = 0.02
 _FAR = 10.0
 """A network sees no number farther from its mean than so many standard deviations."""
 _FULL = ("acceleration_m_s2", "place_m")
-_BYTES_MAX, _UNPACKED_MAX = 1_000_000, 4_000_000
+_UNPACKED_MAX = 4_000_000
 
 
 class Policy:
@@ -129,7 +130,7 @@ def read_policy(file: str | Path, what: str) -> Policy:
     """
     path = Path(file)
     try:
-        refuse_special(path, f"{what}: {path}", _BYTES_MAX)
+        refuse_special(path, Largest.NETWORK, f"{what}: {path}")
         arrays = {name.removesuffix(".npy"): _array(data) for name, data in unzipped(path, _UNPACKED_MAX).items()}
         record = json.loads(arrays.pop("record").tobytes())
         return Policy({name: np.asarray(array, np.float32) for name, array in arrays.items()}, record)

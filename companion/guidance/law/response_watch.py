@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import Struct, structs
 
-from companion.base.mission import GROUND, State
+from companion.base.mission import CONTACT_INTENDED, GROUND, State
 from companion.base.observer import AS_FILED, ResponseInUse, ResponseState, TiltShape
 from companion.guidance.law.margins import keeps_margins
 from companion.guidance.law.response_fit import STEP_S, FlightCourse, TiltFit, fit_tilt
@@ -357,7 +357,7 @@ def _appended(before: Track | None, rows: tuple[tuple[float, float, float], ...]
     return Track(t, values)
 
 
-_ON_DECK = (*GROUND, State.COMMIT, State.PRESS, State.DOWN)
+_ON_DECK = (*GROUND, *CONTACT_INTENDED)
 
 
 class ResponseIdentifier:

@@ -16,14 +16,12 @@ from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import contact, limits, rules
 from companion.guidance.mission.phase import AROUND, CALLED_OFF, LANDING, Aimed, Phase, not_lower, still, turn_rad
-from companion.guidance.mission.progress import BOUNCES_MOST, GuidanceCycle, Progress, unfit
+from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command
-from estimator.contracts.time import MonoNs, after, seconds_between
+from estimator.contracts.time import MonoNs, after
 
-_TOUCH_S = 0.3
-"""Time for which the push of one foot counts, s."""
 _AT_DECK_M = 0.1
 """Height of the feet up to which it is better to press on than to climb, once the commit's sight is too old, m."""
 
@@ -36,6 +34,7 @@ class Commit(Struct, frozen=True):
 
 
 def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
+    p = contact.touched(p, s, o)
     if not p.in_sight or s.estimate is None:
         return p
     low = s.estimate.height_m <= limits.no_return_m(s.knowledge, o.cone)
@@ -45,10 +44,7 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
 def _meets_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     if p.since is None:
         return
-    felt, feet_m = contact.felt(p, s, o), contact.feet_m(s, o.cone)
-    if felt is None and s.touch is not None and p.since <= s.touch.at and seconds_between(s.touch.at, s.at) <= _TOUCH_S:
-        felt = s.touch
-    votes = contact.votes(s, felt, o, p.in_state_s(s.at)) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0)
+    (votes, felt), feet_m = contact.meets_deck(p, s, o, p.in_state_s(s.at)), contact.feet_m(s, o.cone)
     if votes >= contact.ENOUGH or (felt is None and _over_blind(s, o, feet_m)):
         yield Event.CONTACT, Reason(ReasonCause.REACHED, feet_m) if felt is None else contact.reason_of(felt)
 
@@ -68,7 +64,9 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
         return rules.against_order(p, s)
     ends = limits.commit(s.at, estimate, s.knowledge, limits.of_try(o.limits, p.go_arounds), o.cone)
     turns = estimate.height_m > limits.no_return_m(s.knowledge, o.cone)
-    return ends or (s.thing if turns else None) or rules.against_order(p, s)
+    return (
+        contact.feet_elsewhere(p) or ends or (s.thing or rules.lens_elsewhere(s) if turns else None) or rules.against_order(p, s)
+    )
 
 
 def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:

@@ -28,9 +28,10 @@ from msgspec import Struct, structs
 from companion.base.mission import Event, Reason, ReasonCause
 from companion.guidance.controller import Impact
 from companion.guidance.mission import limits
-from companion.guidance.mission.progress import GuidanceCycle, Progress
+from companion.guidance.mission.progress import BOUNCES_MOST, EarlyTouch, GuidanceCycle, Progress
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -42,6 +43,8 @@ LEAST_M_S = 0.1
 """Velocity that the push must have taken away, m/s."""
 TOUCH_M_S, TOUCH_M_S2 = 0.035, 4.5
 """The same and the peak of the push of one foot that touches before the others: the vehicle pivots about it, m/s and m/s^2."""
+TURNED_RAD_S = 0.3
+"""Change of the turn rate beyond its mean, rad/s: it turns about a foot that the deck holds. Gusts make a third of it."""
 WITHIN_S = 0.08
 """Longest time over which one push is summed, s."""
 QUIET_S = 0.3
@@ -71,8 +74,12 @@ _ORDERED_S, _AFTER_S = 0.3, 0.1
 """Time in the commit, and after a push, before standing still differs from not having begun to move, s."""
 _HELD_UP_BELOW = 0.75
 """Share of the gate's height below which being held up is a contact."""
+_TOUCH_S = 0.3
+"""Time for which the push of one foot counts, s."""
 _TOUCHES_MOST = 4
 """Number of bounces after which a contact in a state that none belongs to no longer makes it press on."""
+_TOUCHES_SAME, _SAME_M = 2, 0.06
+"""Number of commits whose touches at the same height are no jolts, and how far their heights may differ, m."""
 _RANGE_NEAR_M, _RANGE_FAR_M = 0.08, 0.3
 """Range beyond the feet's own up to which the deck is there, and from which it is not, m."""
 
@@ -90,7 +97,9 @@ class ContactWatch(Struct, frozen=True):
     peak_m_s2: float = 0.0
     newest: Impact | None = None
     touch: Impact | None = None
-    """The newest push that one foot may have made; in doubt by itself."""
+    """The newest push, or turn, that one foot may have made; in doubt by itself."""
+    turn_rad_s: float = 0.0
+    """Mean of the turn rate, rad/s."""
     up_m_s2: float = math.nan
     """The newest upward specific force."""
     same_since: MonoNs | None = None
@@ -109,9 +118,14 @@ def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
     now, up, before = imu.stamp.measured_at, -imu.f_body.item(2), watch.at
     dt = 0.0 if before is None else seconds_between(before, now)
     same = (watch.same_since or before) if up == watch.up_m_s2 else None
-    fresh = ContactWatch(now, up, newest=watch.newest, touch=watch.touch, up_m_s2=up, same_since=same)
+    turn_rad_s = imu.w_body.item(2)
+    fresh = ContactWatch(now, up, newest=watch.newest, touch=watch.touch, turn_rad_s=turn_rad_s, up_m_s2=up, same_since=same)
     if not 0.0 < dt <= MEAN_S:
         return fresh
+    turned_rad_s = abs(turn_rad_s - watch.turn_rad_s)
+    turn_rad_s = watch.turn_rad_s + (1.0 - math.exp(-dt / MEAN_S)) * (turn_rad_s - watch.turn_rad_s)
+    touch = watch.touch if turned_rad_s < TURNED_RAD_S else Impact(now, "gyro", turned_rad_s=turned_rad_s, doubtful=True)
+    fresh = structs.replace(fresh, turn_rad_s=turn_rad_s, touch=touch)
     push = up - watch.mean_m_s2
     last_s = math.inf if watch.newest is None else seconds_between(watch.newest.at, now)
     if push <= LEAST_M_S2:
@@ -125,7 +139,7 @@ def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
         # A push that lasts is no contact: the weight or the sensor changed.
         return fresh
     taken, peak = watch.taken_m_s + push * dt, max(watch.peak_m_s2, push)
-    watch = structs.replace(watch, at=now, since=since, taken_m_s=taken, peak_m_s2=peak, up_m_s2=up, same_since=same)
+    watch = structs.replace(fresh, mean_m_s2=watch.mean_m_s2, since=since, taken_m_s=taken, peak_m_s2=peak)
     if taken >= TOUCH_M_S and peak >= TOUCH_M_S2:
         watch = structs.replace(watch, touch=Impact(now, "accelerometer", peak, doubtful=True))
     alone = since == now and dt <= _QUICK_S
@@ -211,8 +225,50 @@ def felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Impact | None:
         return None
     if impact.by != "velocity":
         return impact
-    low = s.estimate is None or s.estimate.height_m < o.cone.feet_below_m + _HELD_UP_BELOW * o.cone.gate_height_m
+    least_m = 0.0 if s.estimate is None else sure_m(s, o, s.estimate)[0]
+    low = least_m < o.cone.feet_below_m + _HELD_UP_BELOW * o.cone.gate_height_m
     return impact if low and seconds_between(impact.at, s.at) <= HELD_S else None
+
+
+def touched(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
+    """Return the memory of a commit with the first touch that was felt in it, higher than the deck is, in sight of the pad."""
+    impact, height_m = felt(p, s, o), feet_m(s, o.cone)
+    if impact is None or impact.doubtful or p.since is None or height_m is None or s.estimate is None:
+        return p
+    over_m = height_m - limits.lower_foot_m(s.knowledge, o.cone)
+    seen = s.estimate.age_s(s.at) <= o.limits.commit_sighting_age_s
+    if not seen or over_m <= NEAR_M or (p.touches and p.touches[-1].commit == p.since):
+        return p
+    return structs.replace(p, touches=(*p.touches[1 - _TOUCHES_SAME :], EarlyTouch(p.since, over_m)))
+
+
+def feet_elsewhere(p: Progress) -> Reason | None:
+    """Return that the feet touch the deck at another height than the settings say, by touches of several commits; else None."""
+    heights_m = [touch.feet_m for touch in p.touches]
+    if len(heights_m) < _TOUCHES_SAME or max(heights_m) - min(heights_m) > _SAME_M:
+        return None
+    return Reason(ReasonCause.FEET, 100.0 * sum(heights_m) / len(heights_m), len(heights_m))
+
+
+def sure_m(s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> tuple[float, float]:
+    """Return the least and the greatest height that the body surely has, m; a height that is seen counts as it is."""
+    seen = estimate.age_s(s.at) <= o.limits.commit_sighting_age_s
+    sigmas_m = 0.0 if seen else 3.0 * math.sqrt(max(0.0, estimate.cov.item(2, 2)))
+    return estimate.height_m - sigmas_m, estimate.height_m + sigmas_m
+
+
+def meets_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions, ordered_s: float) -> tuple[float, Impact | None]:
+    """Return the votes for a contact on a way down to the deck, and what was felt on it.
+
+    Args:
+        ordered_s: time for which the descent to the deck has been ordered.
+    """
+    if p.since is None:
+        return 0.0, None
+    impact = felt(p, s, o)
+    if impact is None and s.touch is not None and p.since <= s.touch.at and seconds_between(s.touch.at, s.at) <= _TOUCH_S:
+        impact = s.touch
+    return votes(s, impact, o, ordered_s) + (0.5 if p.bounces >= BOUNCES_MOST else 0.0), impact
 
 
 def stands_on_pad(s: GuidanceCycle, o: GuidanceOptions) -> bool:
@@ -242,6 +298,8 @@ def reason_of(impact: Impact) -> Reason:
     """Return a contact as a reason."""
     if impact.by == "accelerometer":
         return Reason(ReasonCause.FELT, impact.size_m_s2)
+    if impact.by == "gyro":
+        return Reason(ReasonCause.TURNED_ABOUT, math.degrees(impact.turned_rad_s))
     return Reason(ReasonCause.HELD_UP, impact.held_m_s)
 
 
@@ -249,7 +307,7 @@ def _of_impact(felt: Impact | None, *, feels: bool) -> float:
     """Return the votes of what was felt; a healthy accelerometer that feels nothing votes against a contact."""
     if felt is None:
         return -0.5 if feels else 0.0
-    in_doubt = felt.by == "accelerometer" and (felt.doubtful or not feels)
+    in_doubt = felt.doubtful or (felt.by == "accelerometer" and not feels)
     return 0.5 if in_doubt else 1.0
 
 

@@ -2,7 +2,8 @@
 
 The nearer to the cone's axis, the faster the descent. Outside it by more than a gust the drone comes back over the pad
 (INTERCEPT) before it descends further; at its lower end it is at the gate (GATE). Both share the time of one attempt over all
-their visits. Without sight they hold still (HOLD_BLIND); a limit, or the time, ends the attempt with a go-around.
+their visits. Without sight they hold still (HOLD_BLIND); a limit, or the time, ends the attempt with a go-around. A contact near
+the pad's centre is the landing (PRESS), as at the gate, which a gust opens and shuts several times a second.
 """
 
 import math
@@ -12,7 +13,7 @@ import numpy as np
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
-from companion.guidance.mission import limits, rules, thesis
+from companion.guidance.mission import contact, limits, rules, thesis
 from companion.guidance.mission.phase import STAYS, TRY, Phase, not_lower, over_pad, waits_m
 from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason
@@ -50,6 +51,7 @@ def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions, ends
 
 def _over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     yield from rules.other_pad(p, s, o)
+    yield from contact.stays(p, s, o)
     yield from rules.try_ends(p, s, o)
     if (limit := rules.try_over(p, s, o) or rules.sank(p, s, o)) is not None:
         yield Event.LIMIT, limit
@@ -70,6 +72,7 @@ def _over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWi
 
 def _down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     yield from rules.other_pad(p, s, o)
+    yield from contact.stays(p, s, o)
     yield from rules.try_ends(p, s, o)
     if (limit := rules.try_over(p, s, o) or rules.bars_descent(p, s, o) or s.thing) is not None:
         yield Event.LIMIT, limit
@@ -113,7 +116,7 @@ def _allows(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions)
 PHASES = {
     State.INTERCEPT: Phase(
         "Flying over the pad at height.",
-        {**TRY, Event.IN_CONE: State.DESCEND, Event.ARRIVED: State.STAY},
+        {**TRY, Event.CONTACT: State.PRESS, Event.IN_CONE: State.DESCEND, Event.ARRIVED: State.STAY},
         _over,
         over_pad(_target_over, lambda s, o: o.thesis.approach_height_m),
         rules.spend,
@@ -121,7 +124,7 @@ PHASES = {
     ),
     State.DESCEND: Phase(
         "Descending in the cone over the pad.",
-        {**TRY, **STAYS, Event.OUT_OF_CONE: State.INTERCEPT, Event.AT_GATE: State.GATE},
+        {**TRY, **STAYS, Event.CONTACT: State.PRESS, Event.OUT_OF_CONE: State.INTERCEPT, Event.AT_GATE: State.GATE},
         _down,
         over_pad(_target_down, lambda s, o: o.thesis.final_height_m),
         rules.spend,

@@ -69,9 +69,11 @@ def _touches(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Even
 def _tries_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     """Yield what leaves no other attempt, once it is high enough for one."""
     yield from rules.too_windy(p, s, o)
-    yield from rules.late(p, s, o)
+    yield from rules.unlandable(p, s, o)
     if s.off_orders is not None:
         yield Event.NO_CONDITIONS, s.off_orders
+    if (feet := contact.feet_elsewhere(p)) is not None:
+        yield Event.NO_CONDITIONS, feet
     if p.fault is None:
         return
     used_up = p.go_arounds > o.tries.go_arounds_max or rules.landing_over(p, s, o) is not None

@@ -45,13 +45,13 @@ def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Event
     yield from rules.other_pad(p, s, o)
     yield from contact.stays(p, s, o)
     yield from rules.too_windy(p, s, o)
-    yield from rules.late(p, s, o)
+    yield from rules.unlandable(p, s, o)
     if (limit := rules.try_over(p, s, o) or _lost_low(p, s, o)) is not None:
         yield Event.LIMIT, limit
     spent_s, limit_s = p.attempt.without_sight_s, o.tries.give_up_after_s
     if spent_s > limit_s:
         why = p.reason if p.reason is not None and p.reason.cause in _TELLING else None
-        yield Event.TIMEOUT, of_frames(s.frames) or why or Reason(ReasonCause.NOT_FOUND_AGAIN, spent_s, limit_s)
+        yield Event.TIMEOUT, s.unconfirmed or of_frames(s.frames) or why or Reason(ReasonCause.NOT_FOUND_AGAIN, spent_s, limit_s)
     yield from rules.pad_seen(p, s, o)
 
 

@@ -24,6 +24,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 DWELL_S = 3.0
 """Time for which every report has to be low, s: a climb against a gust or a wave loads a battery for less."""
+_STEP, _STEPS, _STEPS_LEAST, _CHANGED = 0.01, 5, 3, 0.05
+"""Fall of the charge that counts as a step, steps that are kept and that the least rate is of, and rise of another battery."""
 _LOOSER = 1.5
 """Growth of the limits of place, speed and tilt and of the way down for a battery that ends: what feet bear at the contact."""
 _TRIES, _TIME_S = 100, 36000.0
@@ -38,12 +40,27 @@ class ChargeWatch(Struct, frozen=True):
     highest: tuple[tuple[MonoNs, float], ...] = ()
     """Times and charges, 0 to 1, of the newest report and of those before that no later one reached, within the dwell."""
 
+    falls: tuple[tuple[MonoNs, float], ...] = ()
+    """Times and charges of the last reports that were lower than all before, each by a step."""
+
     def reported(self, at: MonoNs, charge: float | None) -> "ChargeWatch":
         """Return the memory after a report; None forgets all."""
         if charge is None:
             return ChargeWatch()
         kept = [(t, c) for t, c in self.highest if c > charge and seconds_between(t, at) <= DWELL_S]
-        return ChargeWatch(at if self.since is None else self.since, (*kept, (at, charge)))
+        falls = self.falls if self.falls and charge < self.falls[-1][1] + _CHANGED else ()
+        if not falls or charge <= falls[-1][1] - _STEP:
+            # The first report lies somewhere within its step.
+            inside = len(falls) == 1 and falls[0][0] == self.since
+            falls = ((at, charge),) if inside else (*falls[-_STEPS:], (at, charge))
+        return ChargeWatch(at if self.since is None else self.since, (*kept, (at, charge)), falls)
+
+    def left_s(self, now: MonoNs) -> float | None:
+        """Return the time until the charge is used up at the rate of the last steps, s; None until there are some."""
+        if len(self.falls) < _STEPS_LEAST:
+            return None
+        (first, most), (last, least) = self.falls[0], self.falls[-1]
+        return max(0.0, least * seconds_between(first, last) / (most - least) - seconds_between(last, now))
 
     @property
     def fraction(self) -> float | None:

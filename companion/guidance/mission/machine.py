@@ -4,7 +4,8 @@
 over it and DESCEND down the cone (`descend`), or STAY waits there by a person's order (`stay`). GATE follows the deck until every
 limit holds (`gate`). COMMIT goes down to the deck (`commit`), PRESS and DOWN keep it there and stop the motors (`press`).
 HOLD_BLIND waits for a lost sight (`hold_blind`), GO_AROUND climbs to begin again (`go_around`), ANOTHER_PAD asks
-(`another_pad`). In all others no landing is flown (`waiting`). `thesis` and `targets` have what differs in their missions.
+(`another_pad`). LAND_HERE lands where the drone is (`land_here`). In all others no landing is flown (`waiting`). `thesis` and
+`targets` have what differs in their missions.
 
 **A file is a state.** It says what the state watches and where each event leads, what it aims at, its time budget, its
 constants, and the memory that only it needs (`Progress.kept`, empty on entry). What several states watch or fly is in `rules`
@@ -15,8 +16,9 @@ changes of state.
 - Of the events of a cycle the first one that leads elsewhere is taken. The vehicle's own reports and a person's orders come
   before all of them, as soon as they arrive. At most `_MOST` changes happen in a cycle.
 - The table is total and checked where it is made: an event that a state does not name changes nothing.
-- Nothing descends without a fresh, consistent estimate of the pad. `allows` of each state cuts the controller's command to
-  that, whatever the target was. Low without sight the drone only climbs (`out_of_reach`).
+- Nothing descends without a fresh, consistent estimate of the pad, but by a person's order to land here, or with the last
+  charge. `allows` of each state cuts the controller's command to that, whatever the target was. Else, low without sight, the
+  drone only climbs (`out_of_reach`).
 - A state that waits has a time, and when that is over the drone goes up or stays: to a go-around, a hold or a refusal.
 - Motors stop only in DOWN, which is entered by a contact and a press (in the other missions by the vehicle's own landing).
 - On the ground, before the first order, and while somebody else has the vehicle, guidance sends nothing but a hover.
@@ -45,6 +47,7 @@ from companion.guidance.mission import (
     gate,
     go_around,
     hold_blind,
+    land_here,
     out_of_reach,
     press,
     search,
@@ -56,7 +59,7 @@ from companion.guidance.mission.held_course import HeldCourse
 from companion.guidance.mission.limits import battery_ends, last_landing
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
 from companion.guidance.mission.phase import Aim, Aimed, Phase
-from companion.guidance.mission.progress import GuidanceCycle, Progress, arrow_turned, entered, unfit
+from companion.guidance.mission.progress import GuidanceCycle, Here, Progress, arrow_turned, entered, unfit
 from companion.guidance.mission.rules import Row
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover
@@ -65,7 +68,7 @@ from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.contracts.total_table import total
 
-_STATES = (waiting, search, descend, stay, gate, commit, press, hold_blind, go_around, another_pad)
+_STATES = (waiting, search, descend, stay, gate, commit, press, hold_blind, go_around, another_pad, land_here)
 PHASES: Mapping[State, Phase] = {state: phase for file in _STATES for state, phase in file.PHASES.items()}
 _LED = targets.phases(PHASES)
 _CONE: Mapping[State, Row] = {state: phase.ways for state, phase in PHASES.items()}
@@ -97,6 +100,9 @@ def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Pro
     o = last_landing(o) if battery_ends(s.battery, o) else o
     p = account(p, s, o)
     changes: list[StateChange] = []
+    if s.tipped is not None:
+        p, over = take(p, Event.TIPPED, s.tipped, s.at, o)
+        changes += over
     while len(changes) < _MOST:
         moved, change = _first(p, s, o)
         if change is None:
@@ -113,7 +119,7 @@ def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Pro
 def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
     """Return the memory and the aim of this guidance cycle."""
     if p.state in GROUND:
-        return p, None
+        return p, waiting.on_ground(p, s)
     if not p.begun or p.state is State.TAKEN or (p.stood and p.state in ENDED):
         # A velocity would take an autopilot from whoever flies it; a hover takes nothing.
         return p, Hover()
@@ -135,7 +141,18 @@ def take(p: Progress, event: Event, reason: Reason, at: MonoNs, o: GuidanceOptio
 
 
 def take_order(p: Progress, event: Event, at: MonoNs, o: GuidanceOptions, why: Reason = ORDERED) -> tuple[Progress, Transitions]:
-    """Take an order: BEGIN, STAY, PAUSE or ABORT; the newest one gives a pause its reason."""
+    """Take an order: LAND, BEGIN, STAY, PAUSE or ABORT; the newest one gives a pause its reason."""
+    touched = p.state in (State.PRESS, State.DOWN) and o.mission == "cone"
+    if event is Event.LAND and (touched or p.state is State.LAND_HERE):
+        # On the deck the order decides what follows a bounce.
+        return replace(p, here=replace(p.here or Here(), after=None)), ()
+    if event is Event.BEGIN and touched:
+        return replace(p, here=None), ()
+    if event in (Event.PAUSE, Event.ABORT) and p.stood and p.state in ENDED:
+        # What stands is held by nothing, and its flight ended as it did.
+        return p, ()
+    if event in (Event.PAUSE, Event.ABORT) and isinstance(p.kept, waiting.Returning):
+        p = replace(p, kept=None, end_begun=True)
     if event in (Event.BEGIN, Event.STAY) and p.stays != (event is Event.STAY):
         # On the way to the pad the order alone decides what follows there.
         p = replace(p, stays=event is Event.STAY)
@@ -155,8 +172,6 @@ def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resum
     if status.flying is False:
         if p.state in ENDED:
             return replace(p, stood=True), ()
-        if p.state is State.PAUSED and p.reason is not None and p.reason.cause is ReasonCause.LANDING:
-            return take(p, Event.GROUNDED, ORDERED, at, o)
         by_us = Event.GROUNDED if p.ordered else Event.GROUNDED_BY_OTHERS
         return take(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
     # A report from before the order to begin belongs to the flight before.
@@ -165,7 +180,11 @@ def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resum
         p, changes = take(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
         if changes:
             return p, changes
-    if resumes and status.taken is None and p.taken_from in FLOWN and not p.stood:
+        reason = Reason(ReasonCause.TAKEN_OVER, detail=status.taken)
+        if p.state is State.TAKEN and p.reason is not None and p.reason.cause is ReasonCause.TAKEN_OVER and p.reason != reason:
+            # ArduCopter reports its mode before its words for it.
+            return replace(p, reason=reason), (StateChange(at, State.TAKEN, Event.TAKEN, State.TAKEN, reason),)
+    if resumes and status.taken is None and p.taken_from in FLOWN and p.here is None and not p.stood:
         return take(p, Event.BEGIN, Reason(ReasonCause.GIVEN_BACK), at, o)
     if status.flying is None or (p.state in ENDED and not p.stood):
         return p, ()

@@ -3,8 +3,9 @@
 A deck in waves comes up to a drone that stays where it is, and feet that move along a deck catch and turn the vehicle over. So a
 drone that is low, or does not know how high it is, climbs first and flies nowhere else meanwhile. One rule serves every state
 (`low`); the states differ in the height that they want (`_WANTED`). The witnesses in order: the range sensor, not believed beyond
-twice the safe height; the height that was last known, with what it has climbed and the deck has risen since; the time for which
-it has climbed, where the range sensor's silence says nothing. A silent vehicle may not have climbed: its time counts by itself.
+twice the safe height; the height that was last known, with what it has climbed and the deck has risen since; the one that is
+reckoned out of sight, where a person flew it meanwhile; the time for which it has climbed, where the range sensor's silence says
+nothing. A silent vehicle may not have climbed: its time counts by itself.
 """
 
 import math
@@ -15,6 +16,7 @@ from msgspec.structs import replace
 from companion.base.mission import FLOWN, State
 from companion.guidance.mission.progress import STARVED_S, GuidanceCycle, Progress, fit_to_steer
 from companion.settings.guidance import GuidanceOptions
+from estimator.contracts.time import seconds_between
 
 NEAR_SAFE_M = 0.25
 """A height at most this far below the safe height counts as the safe height, metres."""
@@ -31,6 +33,8 @@ _BY_TIME = FLOWN | {State.REFUSED, State.GAVE_UP}
 """States that climb where nothing says how high the drone is. Where a person ordered it to hold, only a witness moves it."""
 _WAITS_S = 3.0
 """Time for which a search that knows nothing of its height hovers first, s: the pad is about to be seen, wind moves a climb."""
+_FELT_S = 20.0
+"""Time after a contact for which a drone may still stand there while nothing says how high it is, s."""
 _MOST = 2.0
 """Height beyond which no range sensor is believed against the climb so far, and the most that is climbed, in safe heights."""
 
@@ -63,7 +67,15 @@ def height_m(p: Progress, s: GuidanceCycle) -> float | None:
     """Return the least height over the deck by what was last known of it, m; None if nothing is."""
     if math.isfinite(p.seen_height_m) and p.silent_m is None:
         return p.seen_height_m + p.climbed_m - max(0.0, p.deck_rise_m)
-    return None if s.place is None else s.place.height_m
+    return _reckoned_m(p, s) if s.place is None else s.place.height_m
+
+
+def _reckoned_m(p: Progress, s: GuidanceCycle) -> float | None:
+    """Return the height that is reckoned out of sight, m; None where nothing is, or where a person ordered it to hold."""
+    estimate = s.estimate
+    if estimate is None or estimate.alerts or p.silent_m is not None or p.state not in _BY_TIME:
+        return None
+    return max(0.0, estimate.height_m)
 
 
 def near(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
@@ -96,9 +108,13 @@ def climb_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     if not low(p, s, o):
         return 0.0
     known_m = height_m(p, s)
-    if known_m is None and s.range_m is None and p.state is State.SEARCH and p.in_state_s(s.at) < _WAITS_S:
+    felt = s.knowledge.impact
+    # A person gives it back where it has touched: standing, its turning motors drag it over the deck.
+    stands = known_m is None and felt is not None and not felt.doubtful and seconds_between(felt.at, s.at) <= _FELT_S
+    waits = known_m is None and not stands and s.range_m is None
+    if waits and p.state is State.SEARCH and p.in_state_s(s.at) < _WAITS_S:
         return 0.0
-    hurries = near(p, s, o) or (known_m is not None and (s.estimate is None or known_m - o.cone.feet_below_m < _LIFT_M))
+    hurries = stands or near(p, s, o) or (known_m is not None and (s.estimate is None or known_m - o.cone.feet_below_m < _LIFT_M))
     return fastest_climb_m_s(s, o) if hurries else o.tries.climb_m_s
 
 

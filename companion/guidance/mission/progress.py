@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from typing import TypeGuard
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from msgspec import Struct, field, structs
 
-from companion.base.mission import DESCENDS, FLOWN, Event, Reason, ReasonCause, State, StateChange
+from companion.base.mission import CONTACT_INTENDED, DESCENDS, FLOWN, Event, Reason, ReasonCause, State, StateChange
 from companion.guidance.controller import Impact, Knowledge
 from companion.guidance.mission.held_course import HeldCourse
 from companion.guidance.mission.wind import WindOverDrone
@@ -134,6 +134,13 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
 
     mode: str = ""
     """The vehicle's own name for its mode; empty before it reports one."""
+    tipped: Reason | None = None
+    """Evidence that it lies on the deck; None while it does not."""
+    unconfirmed: Reason | None = None
+    """The monitor's reason to fly nothing by the velocity out of sight; None while the sight or a check may help."""
+
+    by_hand: bool = False
+    """True while a person flies it by our sticks."""
 
     @property
     def unflown(self) -> bool:
@@ -287,6 +294,27 @@ def arrow_turned(last_rad: float | None, estimate: RelativeState) -> Reason | No
     return Reason(ReasonCause.HEADING_TURNED, math.degrees(jump), math.degrees(JUMP_RAD)) if jump > JUMP_RAD else None
 
 
+class Here(Struct, frozen=True):
+    """A landing where the vehicle is: by a person's order, or with the last charge."""
+
+    at_pad: tuple[float, float] | None = None
+    """Place on the deck that it comes down to, from the pad's centre, m along the arrow and to starboard of it; (0, 0) is the
+    pad. None while no pad is known."""
+    felt: frozenset[str] = frozenset()
+    """The sources of the contacts that were felt since the way down began."""
+    after: State | None = None
+    """The refusal after which the last charge was reached; None by a person's order."""
+
+
+class EarlyTouch(NamedTuple):
+    """A touch that was felt in a commit, higher than the deck is."""
+
+    commit: MonoNs
+    """The time at which that commit began."""
+    feet_m: float
+    """Height of the lowest foot over the deck, by what the settings say of the feet."""
+
+
 class Progress(Struct, frozen=True, eq=False):
     """The memory of one service; a flight and an attempt renew their parts of it."""
 
@@ -315,6 +343,12 @@ class Progress(Struct, frozen=True, eq=False):
     ordered: bool = False
     """This flight has gone for the deck by our order."""
 
+    end_begun: bool = False
+    """The end that the settings have for a held drone was begun in this flight: an order that called it off stands."""
+
+    here: Here | None = None
+    """The landing where it is, until another way is flown; None of any other landing."""
+
     attempt: Attempt = field(default_factory=Attempt)
     asked_at: MonoNs | None = None
     """Time of the order to land; None before it. What the machine does by itself requests no other landing."""
@@ -325,6 +359,8 @@ class Progress(Struct, frozen=True, eq=False):
     """Number of times that it left the deck again after a contact, or touched it in a go-around."""
     reckoned: MonoNs | None = None
     """Time of a contact that nothing felt; None of one that was felt."""
+    touches: tuple[EarlyTouch, ...] = ()
+    """The newest touches that were felt in commits, one of each, and were no contact by the height."""
     course: HeldCourse = HeldCourse()
     """Height against the ordered descent."""
     questions: int = 0
@@ -365,9 +401,19 @@ class Progress(Struct, frozen=True, eq=False):
         """Return the memory of a service that knows of no vehicle yet."""
         return Progress(State.WAIT if automatic else State.STANDBY, automatic)
 
+    @property
+    def lands_here(self) -> bool:
+        """True while the vehicle lands where it is: nothing but a person, a pilot or a failsafe ends that."""
+        return self.here is not None and self.state in CONTACT_INTENDED
+
     def in_state_s(self, now: MonoNs) -> float:
         """Return the time since the state was entered, s; 0 before the first guidance cycle in it."""
         return 0.0 if self.since is None else seconds_between(self.since, now)
+
+
+HELD_BY_PERSON = frozenset({State.READY, State.PAUSED, State.ABORTED})
+"""States in which a person left the vehicle in the air, and it waits for an order."""
+_KEEP_HERE = CONTACT_INTENDED | {State.LANDED, State.TAKEN}
 
 
 def entered(p: Progress, change: StateChange) -> Progress:
@@ -377,11 +423,21 @@ def entered(p: Progress, change: StateChange) -> Progress:
         entered_height_m=p.seen_height_m, taken_from=change.source if change.target is State.TAKEN else None,
         begun=change.target in FLOWN or (p.begun and change.event is not Event.TAKEN_OFF),
     )  # fmt: skip
+    if change.source in HELD_BY_PERSON and change.reason.cause in (ReasonCause.BATTERY_ENDS, ReasonCause.LANDS_HERE):
+        p = structs.replace(p, end_begun=True)
     match change.event:
         case Event.TAKEN_OFF:
-            p = _asked(structs.replace(_fresh(p), stood=False, ordered=False, stays=False), change.at)
+            p = structs.replace(_fresh(p), stood=False, ordered=False, stays=False, end_begun=False)
+            p = _asked(p, change.at)
         case Event.BATTERY_ENDS:
             p = _asked(structs.replace(_fresh(p), stays=False), change.at)
+        case Event.LAND:
+            if p.here is not None and change.source in (State.PRESS, State.DOWN):
+                off_deck = change.reason.cause is ReasonCause.OFF_DECK
+                p = structs.replace(p, here=structs.replace(p.here, felt=frozenset()), bounces=p.bounces + off_deck)
+            else:
+                here = Here(after=change.source if change.reason.cause is ReasonCause.LANDS_HERE else None)
+                p = _asked(structs.replace(p, here=here, track=None), change.at)
         case Event.STAY if change.source in DESCENDS:
             p = _asked(structs.replace(p, attempt=p.attempt.again()), change.at)
         case Event.BEGIN | Event.STAY:
@@ -392,7 +448,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
                 p = structs.replace(p, asked_at=change.at)
         case Event.CONTACT:
             felt = change.reason.cause is not ReasonCause.REACHED
-            again = change.source is not State.COMMIT
+            again = change.source not in (State.COMMIT, State.LAND_HERE)
             p = structs.replace(p, reckoned=None if felt else change.at, bounces=p.bounces + again)
         case Event.OTHER_PAD:
             p = structs.replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False)
@@ -404,13 +460,15 @@ def entered(p: Progress, change: StateChange) -> Progress:
             p = structs.replace(
                 p, attempt=p.attempt.again(), seen_height_m=higher_m, climbed_m=0.0, silent_m=None, course=HeldCourse()
             )
+    if change.target not in _KEEP_HERE:
+        p = structs.replace(p, here=None)
     match change.target:
         case State.GO_AROUND:
             touched = change.reason.cause is ReasonCause.OFF_DECK
             p = structs.replace(
                 p, fault=change.reason, go_arounds=p.go_arounds + 1, turned=None, bounces=p.bounces + touched, course=HeldCourse()
             )
-        case State.COMMIT | State.DOWN:
+        case State.COMMIT | State.DOWN | State.LAND_HERE:
             p = structs.replace(p, ordered=True)
         case State.REFUSED | State.GAVE_UP:
             p = structs.replace(p, fault=change.reason)
@@ -425,7 +483,6 @@ def _asked(p: Progress, at: MonoNs) -> Progress:
 def _fresh(p: Progress) -> Progress:
     """Return the memory without anything of earlier tries."""
     return structs.replace(
-        p, fault=None, refusing=False, attempt=Attempt(), seen=None, seen_height_m=math.inf, in_sight=False, track=None,
-        heading_rad=None, turned=None, silent_m=None, course=HeldCourse(),
-        climbed_m=0.0, deck_rise_m=0.0,
+        p, fault=None, refusing=False, touches=(), attempt=Attempt(), seen=None, seen_height_m=math.inf, in_sight=False,
+        track=None, heading_rad=None, turned=None, silent_m=None, course=HeldCourse(), climbed_m=0.0, deck_rise_m=0.0,
     )  # fmt: skip

@@ -161,19 +161,36 @@ def outrun(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventW
         yield Event.NO_CONDITIONS, Reason(ReasonCause.DECK_RISE, outrun_m, o.tries.safe_height_m - o.cone.gate_m)
 
 
-def late(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
-    """Yield that the vehicle answers too late to be flown, or that its own samples come too late to land by."""
+def lens_elsewhere(s: GuidanceCycle) -> Reason | None:
+    """Return that the lens is not where the camera's file has it, so that the landing would be as far off; else None."""
+    off_m = None if s.estimate is None else s.estimate.lens_off_m
+    if off_m is None:
+        return None
+    forward_m, right_m = off_m
+    return Reason(ReasonCause.LENS, 100.0 * math.hypot(*off_m), detail=f"{forward_m:+.2f} m forward, {right_m:+.2f} m right")
+
+
+def unlandable(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield that the vehicle answers too late to be flown, its own samples come too late to land by, or its lens is elsewhere."""
     if s.late_s is not None:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ANSWERS_LATE, s.late_s, DELAY_MAX_S)
     if s.estimate is not None and IntegrityAlert.IMU_LATE in s.estimate.alerts:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.ALERT, detail=IntegrityAlert.IMU_LATE)
+    if (elsewhere := lens_elsewhere(s)) is not None and conditions_count(p, s, o):
+        yield Event.NO_CONDITIONS, elsewhere
 
 
 def try_ends(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     """Yield the conditions that end an attempt on its way down."""
     yield from too_windy(p, s, o)
     yield from outrun(p, s, o)
-    yield from late(p, s, o)
+    yield from unlandable(p, s, o)
+
+
+def unconfirmed(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+    """Yield that there is no velocity to look for the pad by."""
+    if s.unconfirmed is not None and unfit_here(p, s, o) is not None:
+        yield Event.NO_CONDITIONS, s.unconfirmed
 
 
 def spend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:

@@ -63,7 +63,8 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
 def _refuses(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     """Yield what lets no landing begin."""
     yield from rules.too_windy(p, s, o)
-    yield from rules.late(p, s, o)
+    yield from rules.unlandable(p, s, o)
+    yield from rules.unconfirmed(p, s, o)
     if rules.unfit_here(p, s, o) is None:
         return
     if isinstance(s.vessel, Reason):

@@ -26,7 +26,8 @@ def ways(cone: Mapping[State, Row]) -> Mapping[State, Row]:
     """Return the rows of the thesis' mission, by those of the other one."""
     rows: dict[State, Row] = {}
     for state, row in cone.items():
-        rows[state] = row if state is State.COMMIT else {event: to for event, to in row.items() if event is not Event.CONTACT}
+        touches = state in (State.COMMIT, State.LAND_HERE)
+        rows[state] = row if touches else {event: to for event, to in row.items() if event is not Event.CONTACT}
     rows[State.GATE] = {**rows[State.GATE], Event.GATE_OPEN: State.DOWN}
     rows[State.DOWN] = {**rows[State.DOWN], Event.OTHER_PAD: State.ANOTHER_PAD}
     return rows

@@ -19,7 +19,7 @@ from msgspec import Struct, field, structs
 from companion.base.mission import Reason, ReasonCause
 from companion.guidance.mission.progress import VesselPosition
 from companion.settings.vessel import ReportLimits
-from estimator.contracts.geometry import F64, ned_between
+from estimator.contracts.geometry import F64, ned_between, rotated
 from estimator.contracts.samples import Attitude, GeoFix, VesselReport
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -107,7 +107,7 @@ class VesselTrack(Struct, frozen=True, eq=False):
         if bow is None:
             sigma = math.hypot(sigma, o.pad_aside_m)
         else:
-            arm = _turned(np.array([o.pad_forward_m, o.pad_right_m]), bow)
+            arm = rotated(np.array([o.pad_forward_m, o.pad_right_m]), bow)
             d[:2] += arm
             v_vessel = v_vessel + _turn_rad_s(self, now) * np.array([-arm[1], arm[0]])
         if sigma > o.sigma_max_m:
@@ -116,9 +116,9 @@ class VesselTrack(Struct, frozen=True, eq=False):
         height_m = None if vehicle.place.height_m is None else float(d[2]) - o.pad_up_m
         return VesselPosition(
             now,
-            _turned(d[:2], -yaw),
+            rotated(d[:2], -yaw),
             sigma,
-            _turned(v_vessel, -yaw),
+            rotated(v_vessel, -yaw),
             axis_rad=(0.0 if bow is None else bow) - yaw,
             bow_known=bow is not None,
             height_m=height_m,
@@ -144,7 +144,7 @@ def _to_vessel(track: VesselTrack, vehicle: GeoFix, vessel: GeoFix, now: MonoNs)
     d = ned_between(vehicle.place, structs.replace(vessel.place, height_m=height_m))
     age_s = seconds_between(vessel.stamp.measured_at, now)
     # On an arc the way has the direction of its middle.
-    d[:2] += _turned(_velocity(track, now)[0], -0.5 * _turn_rad_s(track, now) * age_s) * age_s
+    d[:2] += rotated(_velocity(track, now)[0], -0.5 * _turn_rad_s(track, now) * age_s) * age_s
     if vehicle.v_ned is not None:
         d -= vehicle.v_ned * seconds_between(vehicle.stamp.measured_at, now)
     return d
@@ -155,7 +155,7 @@ def _velocity(track: VesselTrack, now: MonoNs) -> tuple[F64, float]:
     if track.velocity is None or seconds_between(track.velocity[0], now) > track.limits.forget_s:
         return np.zeros(2), _VELOCITY_SIGMA_M_S
     turned_rad = _turn_rad_s(track, now) * seconds_between(track.velocity[0], now)
-    return _turned(track.velocity[1], turned_rad), track.velocity[2]
+    return rotated(track.velocity[1], turned_rad), track.velocity[2]
 
 
 def _bow(track: VesselTrack, now: MonoNs, v_vessel: F64) -> float | None:
@@ -238,9 +238,3 @@ def _unfit(
 def _refused(track: VesselTrack, whose: str, why: ReportRefusal) -> VesselTrack:
     name = f"{whose}_{why.value}"
     return structs.replace(track, refused=MappingProxyType({**track.refused, name: track.refused.get(name, 0) + 1}))
-
-
-def _turned(v: F64, angle_rad: float) -> F64:
-    """Return a horizontal vector turned clockwise seen from above by an angle."""
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1]])

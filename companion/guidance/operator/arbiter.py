@@ -1,7 +1,8 @@
 """The arbiter of people's orders: it answers each by the table of precedence, and decides who commands the vehicle. No I/O.
 
-It stands between guidance and the vehicle: guidance's command passes while no person commands. A person who flies by hand, or
-who ordered a landing, replaces it. Losing the sender that has the hand leads to a hold, never to its last command.
+It stands between guidance and the vehicle: guidance's command passes while no person commands. A person who flies by hand
+replaces it; a landing that a person ordered is guidance's own, which no limit then holds back. Losing the sender that has the
+hand leads to a hold, never to its last command.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.base.loop_lag import STOOD_S
-from companion.base.mission import ORDERED, Reason, ReasonCause
+from companion.base.mission import ORDERED, Reason, ReasonCause, State
 from companion.base.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.operator.command_limits import Limit, PlaceMemory, limited, place_step
+from companion.guidance.operator.order_time import Stop, Stops
 from companion.guidance.operator.precedence import CROSSING_S, IDLE_HAND_S, REASONS, TABLE, ControlSituation, Rule, crossed
 from companion.settings.operator import LimitOptions, ManualOptions
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
@@ -29,7 +31,7 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 _STATUS_FRESH_S = 3.0
 """A status older than this is ignored; an autopilot sends one with each heartbeat, every second."""
 _REPEAT_S = 0.5
-"""The time for which a landing and the end of a cut are repeated: a command may be lost on its way."""
+"""The time for which the end of a cut is repeated: a command may be lost on its way."""
 _CALL_OFF_S = 0.1
 """The time for which the end of a landing or of a take-off is repeated, and the least of a landing; sticks count after it."""
 _OBEYED_S = 2.0
@@ -38,11 +40,13 @@ _LIMIT_GAP_S = 1.0
 _WAITED_S = 1.0
 """Time after a standstill of this service in which orders still come that waited meanwhile, s."""
 NEVER_OLD = (OperatorOrder.ABORT, OperatorOrder.HOLD, OperatorOrder.RELEASE)
-"""Orders that are carried out however late they come: a stop stays one, and all others were meant for what was then."""
+"""Orders that a standstill of this service makes no older: a stop stays one, and all others were meant for what was then."""
+_SHOWN = (OperatorOrder.ABORT, OperatorOrder.HOLD, OperatorOrder.LAND)
+"""Orders whose sender is shown while they stand."""
 _TO_PAD = (OperatorOrder.BEGIN, OperatorOrder.STAY)
 _SAMPLES_MOST = 64
 """Number of samples from which they are processed though no command needs the place."""
-BY_HAND, LANDING_FOR_PERSON, CUTTING = "flown by hand", "landing for the operator", "cutting the motors: not confirmed yet"
+BY_HAND, CUTTING = "flown by hand", "cutting the motors: not confirmed yet"
 """The phases in which a person commands."""
 _NOT_LEFT = "the vehicle still reports its emergency state: set it upright on firm ground, or switch it off and on"
 
@@ -62,6 +66,11 @@ class Guided(Protocol):
     @property
     def may_begin(self) -> bool: ...
 
+    @property
+    def lands_here(self) -> bool: ...
+
+    def land(self, at: MonoNs) -> None: ...
+
     def begin(self, at: MonoNs) -> None: ...
 
     def stay(self, at: MonoNs) -> None: ...
@@ -73,8 +82,6 @@ class Guided(Protocol):
     def overrule(self) -> None: ...
 
     def barred(self) -> tuple[str, bool]: ...
-
-    def engage(self) -> None: ...
 
 
 class Given(Struct, frozen=True):
@@ -94,10 +101,16 @@ class Control(Struct, frozen=True):
     moved_at: MonoNs | None = None
     """Time when a stick was last out of its centre, or the hand was taken."""
     landing: Given | None = None
+    """A landing that guidance does not fly, as it knows of no flight: the vehicle's own is requested."""
+    lands_unheard: bool = False
+    """True if nobody knew then whether the vehicle flies: guidance flies it as soon as it knows of a flight.
+
+    What lifts off after an order on the ground is not landed by it.
+    """
     take_off: Given | None = None
     """A take-off that is not sent yet."""
     called_off: Given | None = None
-    """The order that ended a person's landing or a take-off, while it is passed to the vehicle."""
+    """The order that ended a landing or a take-off, while it is passed to the vehicle."""
     cut: Given | None = None
     """The order to cut the motors, until the vehicle reports that it is obeyed."""
     cut_failed: str = "the vehicle does not report that its motors stand"
@@ -164,9 +177,10 @@ class OperatorArbiter:
         self._place = PlaceMemory()
         self._samples: list[Sample] = []
         """Samples after `_place`."""
-        self._trusts_velocity = True
+        self._trusts_velocity, self._error_m_s = True, 0.0
         self._limited = Limited()
         self._control = Control()
+        self._stops, self._was_cut = Stops(), False
         self._ticked: MonoNs | None = None
         self._stood: tuple[float, MonoNs] | None = None
         """Duration of the newest standstill of this service, s, and its end."""
@@ -188,10 +202,14 @@ class OperatorArbiter:
         return status if status is not None and seconds_between(status.stamp.received_at, now) <= _STATUS_FRESH_S else None
 
     @property
-    def called_off_by(self) -> OrderSender | None:
-        """The sender of the newest order that was obeyed, if that was a hold or an abort."""
+    def ordered_by(self) -> OrderSender | None:
+        """The sender of the newest order that was obeyed, if that was a hold, an abort, or to land where it is."""
         order, given = self._control.accepted or (None, None)
-        return given.sender if given is not None and order in (OperatorOrder.HOLD, OperatorOrder.ABORT) else None
+        return given.sender if given is not None and order in _SHOWN else None
+
+    @property
+    def _lands(self) -> bool:
+        return self._control.landing is not None or self._guided.lands_here
 
     def situation(self, now: MonoNs) -> ControlSituation:
         """Return the situation that decides about an order."""
@@ -200,7 +218,7 @@ class OperatorArbiter:
             return ControlSituation.CUTTING
         if status is not None and status.emergency:
             return ControlSituation.EMERGENCY
-        if control.landing is not None:
+        if self._lands:
             return ControlSituation.LANDING
         if control.hand is not None:
             return ControlSituation.MANUAL
@@ -211,9 +229,15 @@ class OperatorArbiter:
             return ControlSituation.DONE if over else ControlSituation.GROUND
         return ControlSituation.OVER if over else ControlSituation.HELD if self._guided.paused else ControlSituation.GUIDED
 
-    def take(self, order: OperatorOrder, sender: OrderSender, now: MonoNs, detail: str = "") -> HandledOrder:
-        """Answer an order, and carry it out if the table allows."""
-        refusal, hand = self.refusal(order, sender, now), self.hand
+    def take(
+        self, order: OperatorOrder, sender: OrderSender, now: MonoNs, detail: str = "", *, given_at: MonoNs | None = None
+    ) -> HandledOrder:
+        """Answer an order, and carry it out if the tables allow.
+
+        Args:
+            given_at: time when it was given (`order_time.given_at`); None if it is given now.
+        """
+        refusal, hand = self.refusal(order, sender, now, given_at), self.hand
         if self.hand_taken is not None and self.hand_taken[0] == sender:
             self.hand_taken = None
         if refusal is None:
@@ -244,12 +268,15 @@ class OperatorArbiter:
         """Take samples of the vehicle, which the limits need."""
         self._samples += samples
         if len(self._samples) > _SAMPLES_MOST:
-            self._move()
+            self.place()
 
-    def _move(self) -> None:
-        """Follow the vehicle's place through the samples that wait."""
-        self._place = place_step(self._place, self._samples, trusts_velocity=self._trusts_velocity)
-        self._samples.clear()
+    def place(self) -> PlaceMemory:
+        """Return the vehicle's place by all samples."""
+        if self._samples:
+            trusts, error_m_s = self._trusts_velocity, self._error_m_s
+            self._place = place_step(self._place, self._samples, trusts_velocity=trusts, error_m_s=error_m_s)
+            self._samples.clear()
+        return self._place
 
     def tick(self, now: MonoNs) -> None:
         """Follow the time and the vehicle's status; call it before each cycle of guidance."""
@@ -265,11 +292,19 @@ class OperatorArbiter:
         self._follow_motors(now, status)
         if status is None:
             return
+        if status.emergency and not self._was_cut and control.cut is None:
+            self._stops = self._stops.on_stop(Stop.EMERGENCY, now, "the vehicle cut its motors")
+        self._was_cut = status.emergency
         landing = control.landing
         over = status.flying is False or status.emergency or status.taken is not None
+        over = over or (status.flying is True and not control.lands_unheard)
         newest = min(status.stamp.received_at, after(now, -_CALL_OFF_S))
         if landing is not None and over and newest > landing.at:
             self._control = replace(self._control, landing=None)
+        elif landing is not None and control.lands_unheard and self._guided.may_begin:
+            self._control = replace(self._control, landing=None)
+            if self._all_stops().since(OperatorOrder.LAND, landing.sender, landing.at, now) is None:
+                self._guided.land(landing.at)
 
     def _follow_motors(self, now: MonoNs, status: VehicleStatus | None) -> None:
         """End a cut of the motors, or its end, once it is obeyed; tell its sender if that takes long, and when it comes."""
@@ -290,33 +325,63 @@ class OperatorArbiter:
             self.tell(HandledOrder(now, given.sender, order, None if obeyed else why, "(obeyed)" if obeyed else ""))
 
     def choose(
-        self, now: MonoNs, guided: Command | None, belief: RelativeState | None = None, *, trusts_velocity: bool = True
+        self,
+        now: MonoNs,
+        guided: Command | None,
+        belief: RelativeState | None = None,
+        *,
+        trusts_velocity: bool = True,
+        error_m_s: float = 0.0,
+        unseen_m: float = 0.0,
     ) -> Chosen:
         """Return the command of this cycle within the limits: a person's if one commands, else guidance's.
 
         Args:
             belief: the steering estimate of the pad.
-            trusts_velocity: the integrity guard does not refuse the measured velocity.
+            trusts_velocity: integrity guard and monitor do not refuse the measured velocity.
+            error_m_s: rate at which a place by the velocity becomes uncertain.
+            unseen_m: way that may have been flown unseen since the newest sight.
         """
-        self._trusts_velocity = trusts_velocity
+        self._trusts_velocity, self._error_m_s = trusts_velocity, error_m_s
         chosen, manual = self._choose(now, guided), self._control.hand is not None
         hit: tuple[Limit, ...] = ()
-        if chosen.command is not None:
-            self._move()
-            command, hit = limited(chosen.command, self._limits, self._place, belief, now, manual=manual)
+        # A person's landing is reversed by no limit; a fence would tear it off the deck that it follows.
+        if chosen.command is not None and not self._lands:
+            place = self.place()
+            command, hit = limited(chosen.command, self._limits, place, belief, now, manual=manual, unseen_m=unseen_m)
             if command is not chosen.command:
                 chosen = replace(chosen, command=command)
         self._limited = self._limited.step(hit, now)
         fenced_s = seconds_between(self._limited.fenced_since or now, now)
-        if not manual and fenced_s >= self._limits.fence_ends_s and not self._guided.paused:
+        held_back = fenced_s >= self._limits.fence_ends_s and not self._lands
+        if not manual and held_back and not self._guided.paused and self._guided.outcome is None:
             why = f"{Limit.FENCE.value} held guidance back for {self._limits.fence_ends_s:g} s"
             self._guided.pause(Reason(ReasonCause.SERVICE, detail=why))
+            self._stops = self._stops.on_stop(Stop.HOLD, now, why)
             self.tell(HandledOrder(now, OrderSender(OrderSource.LIMITS), OperatorOrder.HOLD, None, f"({why})"))
             self._limited = replace(self._limited, ended=f"landing ended: {why}")
             chosen = replace(chosen, command=Hover())
         if not self._guided.paused or manual:
             self._limited = replace(self._limited, ended="")
         return replace(chosen, limit=self._limited.ended or self._limited.text())
+
+    @property
+    def cuts(self) -> bool:
+        """True while a person's order to cut the motors is not obeyed yet."""
+        return self._control.cut is not None
+
+    @property
+    def commands(self) -> bool:
+        """True while a person's order decides: a cut or its end, a hold, an abort, a landing, or a hand."""
+        control = self._control
+        order = None if control.accepted is None else control.accepted[0]
+        stopped = self._guided.paused or order in (OperatorOrder.HOLD, OperatorOrder.ABORT, OperatorOrder.EMERGENCY)
+        return stopped or any((control.cut, control.reset, control.called_off, control.landing, control.hand))
+
+    def without_guidance(self, now: MonoNs) -> Chosen:
+        """Return the command of a person's order where guidance failed; who flies by hand hovers, as no limit is known."""
+        chosen = self._choose(now, Hover())
+        return replace(chosen, command=Hover()) if isinstance(chosen.command, Velocity) else chosen
 
     def _choose(self, now: MonoNs, guided: Command | None) -> Chosen:
         control = self._control
@@ -332,8 +397,7 @@ class OperatorArbiter:
         if control.called_off is not None:
             return Chosen(Hover(calls_off=True), reason=f"{control.called_off.sender} called it off")
         if control.landing is not None:
-            repeated = control.passed_s(now) <= _REPEAT_S
-            return Chosen(Land(persistent=True) if repeated else None, LANDING_FOR_PERSON, f"ordered by {control.landing.sender}")
+            return Chosen(Land(here=True), State.LAND_HERE.value, f"ordered by {control.landing.sender}")
         if control.hand is not None:
             status = self._guided.vehicle
             flies = status is not None and status.flying is not False and not status.emergency
@@ -356,8 +420,13 @@ class OperatorArbiter:
         v = np.array([sticks.forward * o.speed_max_m_s, sticks.right * o.speed_max_m_s, -sticks.climb * o.climb_max_m_s])
         return Velocity(v, sticks.turn * math.radians(o.turn_max_deg_s))
 
-    def refusal(self, order: OperatorOrder, sender: OrderSender, now: MonoNs) -> str | None:
+    def refusal(self, order: OperatorOrder, sender: OrderSender, now: MonoNs, given_at: MonoNs | None = None) -> str | None:
         """Return why an order would be refused at this instant; None if it would be carried out."""
+        refused = self._refused(order, sender, now)
+        return refused if refused is not None or given_at is None else self._all_stops().since(order, sender, given_at, now)
+
+    def _refused(self, order: OperatorOrder, sender: OrderSender, now: MonoNs) -> str | None:
+        """Return why an order that is given now would be refused."""
         situation = self.situation(now)
         rule = TABLE[order][situation]
         control, status = self._control, self._guided.vehicle
@@ -374,12 +443,10 @@ class OperatorArbiter:
             return REASONS[Rule.FLYING] if flies else None
         idle = control.moved_at is None or seconds_between(control.moved_at, now) > IDLE_HAND_S
         if rule is not Rule.YES and not (rule is Rule.IDLE and idle):
-            outcome = self._guided.outcome
-            holder = control.landing.sender if situation is ControlSituation.LANDING and control.landing else control.hand
             way = _NOT_LEFT if control.warned else '"reset" first'
-            return REASONS[rule].format(holder=holder, outcome=None if outcome is None else outcome.value, way=way)
+            return REASONS[rule].format(holder=control.hand, way=way)
         charge, least = (None if status is None else status.battery_fraction), self._limits.take_off_charge_min
-        if order is OperatorOrder.TAKE_OFF and control.landing is None and charge is not None and charge < least:
+        if order is OperatorOrder.TAKE_OFF and not self._lands and charge is not None and charge < least:
             return f"the battery is at {100 * charge:.0f} %, and a take-off needs {100 * least:.0f} %"
         if control.accepted is None:
             return None
@@ -388,6 +455,13 @@ class OperatorArbiter:
         if sender != given.sender and ago_s <= CROSSING_S and crossed(order, earlier):
             return f'{given.sender} ordered "{earlier.value}" {ago_s:.1f} s ago'
         return None
+
+    def _all_stops(self) -> Stops:
+        """Return the stops up to now, with what the vehicle reports of others."""
+        status, stops = self._guided.vehicle, self._stops
+        if status is not None and status.others_at is not None:
+            return stops.on_stop(Stop.TAKEN, status.others_at, status.taken or "somebody else chose for the vehicle")
+        return stops
 
     def _stood_still(self, now: MonoNs) -> tuple[float, MonoNs] | None:
         """Return how long this service stood still the last time, s, and when that ended; None if it never did."""
@@ -401,21 +475,23 @@ class OperatorArbiter:
         if order in (OperatorOrder.PATH, OperatorOrder.RECORD, OperatorOrder.CLEAR):
             return
         self._control = control = replace(control, accepted=(order, given), passed_at=None)
+        self._stops = self._stops.on_order(order, given.sender, given.at)
         match order:
             case OperatorOrder.EMERGENCY:
                 self._control = Control(cut=given, accepted=control.accepted)
                 guided.abort()
             case OperatorOrder.MANUAL:
-                ended = given if control.landing is not None else None
+                ended = given if self._lands else None
                 by_hand = replace(control, hand=given.sender, sticks=CENTRED, sticks_at=given.at, moved_at=given.at)
                 self._control = replace(by_hand, landing=None, called_off=ended)
                 guided.pause()
             case OperatorOrder.LAND:
-                self._control = replace(control, landing=given, hand=None, take_off=None, called_off=None)
-                if guided.vehicle is not None and guided.vehicle.taken is not None:
-                    guided.engage()
-                if guided.vehicle is None or guided.vehicle.flying is not False:
-                    guided.pause(Reason(ReasonCause.LANDING))
+                flying = None if guided.vehicle is None else guided.vehicle.flying
+                aloft, unheard = guided.may_begin and flying is not False, flying is None
+                kept = None if aloft else given
+                self._control = replace(control, landing=kept, lands_unheard=unheard, hand=None, take_off=None, called_off=None)
+                if aloft:
+                    guided.land(given.at)
             case OperatorOrder.ABORT | OperatorOrder.HOLD:
                 self._control = replace(control, hand=None, take_off=None, landing=None, called_off=given)
                 watch = Reason(ReasonCause.SERVICE, detail=given.sender.name.strip("()"))
@@ -423,7 +499,9 @@ class OperatorArbiter:
                 guided.abort() if order is OperatorOrder.ABORT else guided.pause(why)
             case OperatorOrder.TAKE_OFF:
                 # During a landing it may only end that: the motors of a vehicle that has just touched down would start.
-                begins, ends = (given, None) if control.landing is None else (None, given)
+                begins, ends = (None, given) if self._lands else (given, None)
+                if ends is not None:
+                    guided.pause()
                 self._control = replace(control, take_off=begins, called_off=ends, landing=None)
             case OperatorOrder.BEGIN | OperatorOrder.STAY:
                 self._control = replace(control, hand=None)
@@ -435,6 +513,7 @@ class OperatorArbiter:
 
     def _hold(self, sender: OrderSender, now: MonoNs, why: str) -> None:
         """Take the hand from a sender that is gone, and hover."""
+        self._stops = self._stops.on_stop(Stop.HOLD, now, why)
         self._control = replace(self._control, hand=None, sticks=CENTRED)
         self.hand_taken = sender, f"{why}: it hovers"
         self._guided.pause(Reason(ReasonCause.SERVICE, detail=why))

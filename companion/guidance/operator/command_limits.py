@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct, structs
@@ -10,8 +11,8 @@ from msgspec import Struct, structs
 from companion.settings.operator import LimitOptions
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
-from estimator.contracts.geometry import F64
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, Sample, VehicleStatus
+from estimator.contracts.geometry import F64, GeoPoint, ned_between, rotated, rotated_xy
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
 Corners = tuple[tuple[float, float], ...]
@@ -54,38 +55,44 @@ def margin(p: F64, radius_m: float, corners: Corners) -> tuple[float, F64]:
     return 0.0, normal if ahead < 0.0 else -normal
 
 
-def within(v: F64, p: F64, radius_m: float, corners: Corners, brake_s: float) -> F64:
+def within(v: F64, p: F64, radius_m: float, corners: Corners, brake_s: float, spread_m: float = 0.0) -> F64:
     """Return the velocity with as much of it removed as keeps the place inside the fence.
 
     Inside, the velocity towards the fence is at most the distance to it over `brake_s`. Outside, nothing is left that leads
-    farther away; whatever leads back stays.
+    farther away; whatever leads back stays. Where the place may be outside and nobody knows on which side, nothing is left.
 
     Args:
         v: (2,) m/s relative to the fence's centre.
         p: (2,) m from the fence's centre.
+        spread_m: distance from there at which it may be.
     """
     inside_m, n = margin(p, radius_m, corners)
+    if inside_m < spread_m and float(np.hypot(p[0], p[1])) <= spread_m:
+        return np.zeros(2)
+    inside_m -= spread_m
     excess = float(v @ n) - max(0.0, inside_m / brake_s)
     if excess > 0.0:
         v = v - excess * n
     if not corners:
         # Along the tangent it would creep outwards: the next instant counts as well.
         later_m, n_later = margin(p + _TANGENT_S * v, radius_m, corners)
-        return v - max(0.0, float(v @ n_later)) * n_later if later_m < 0.0 else v
+        return v - max(0.0, float(v @ n_later)) * n_later if later_m < spread_m else v
     if inside_m <= 0.0:
         return v
     # Another edge may be met sooner than the nearest one, in a corner for example.
     later_m, n_later = margin(p + brake_s * v, radius_m, corners)
-    if later_m < 0.0:
+    if later_m < spread_m:
         v = v - max(0.0, float(v @ n_later)) * n_later
         later_m, _ = margin(p + brake_s * v, radius_m, corners)
-    return v if later_m >= -_ON_THE_LINE_M else np.zeros(2)
+    return v if later_m >= spread_m - _ON_THE_LINE_M else np.zeros(2)
 
 
 _GAP_S = 0.5
 """The longest gap between two velocities that the position is integrated over."""
 _RANGE_S, _BARO_S = 0.5, 2.5
 """Ages up to which a range and a barometric height count, s: an autopilot sends one of these a second."""
+_FIX_AGE_S = 2.0
+"""Age up to which a position counts, s."""
 _SIGMA_MAX_M = 5.0
 """The standard deviation of the pad's position above which the fence of a ship does not know where it is."""
 _SEEN_GAIN_1_S = 1.5
@@ -103,8 +110,22 @@ class Limit(Enum):
     RETURN = "a low battery: no farther away"
 
 
+class Fixed(NamedTuple):
+    """The vehicle's newest position."""
+
+    origin: GeoPoint
+    """The first one of the flight."""
+    from_ned: tuple[float, float]
+    """Its place from the start, m."""
+    at: MonoNs
+    p_ned: tuple[float, float]
+    """The newest one from the start, m."""
+    way_ned: tuple[float, float]
+    """Integral of the measured velocity at that time, m."""
+
+
 class PlaceMemory(Struct, frozen=True, eq=False):
-    """Position of the vehicle from its start, by its own velocity, and its height."""
+    """Position of the vehicle from its start, by its own positions or else by its own velocity, and its height."""
 
     p_start_ned: tuple[float, float] = (0.0, 0.0)
     """m north and east of the place where it was first seen to fly."""
@@ -118,49 +139,88 @@ class PlaceMemory(Struct, frozen=True, eq=False):
     charge: float | None = None
     """The battery's charge, 0 to 1."""
     trusted: bool = True
-    """False while the measured velocity is refused: the place stays where it was then, and is not known."""
+    """False while nothing is flown by the measured velocity: the place stays where it was then."""
+    way_ned: tuple[float, float] = (0.0, 0.0)
+    """Integral of the measured velocity, trusted or not, m."""
+    spread_m: float = 0.0
+    """Distance from there at which it may be: what the velocity may have been off by, integrated."""
+    fixed: Fixed | None = None
+
+    def fix_at(self, now: MonoNs) -> Fixed | None:
+        """Return the newest position; None without a fresh one."""
+        return None if self.fixed is None or seconds_between(self.fixed.at, now) > _FIX_AGE_S else self.fixed
+
+    def velocity_at(self, now: MonoNs) -> BodyVelocity | None:
+        """Return the newest velocity; None without a fresh one."""
+        v = self.velocity
+        return None if v is None or seconds_between(v.stamp.measured_at, now) > _GAP_S else v
 
 
-def place_step(memory: PlaceMemory, samples: Sequence[Sample], *, trusts_velocity: bool = True) -> PlaceMemory:
+def place_step(
+    memory: PlaceMemory, samples: Sequence[Sample], *, trusts_velocity: bool = True, error_m_s: float = 0.0
+) -> PlaceMemory:
     """Process samples of the vehicle, in the order in which they were received.
 
     Args:
-        trusts_velocity: the integrity guard does not refuse the velocities among them.
+        trusts_velocity: integrity guard and monitor do not refuse the velocities among them.
+        error_m_s: rate at which the place becomes uncertain.
     """
     p_start_ned, velocity, attitude, flying = memory.p_start_ned, memory.velocity, memory.attitude, memory.flying
     baro, ground_baro_m, newest_range, charge = memory.baro, memory.ground_baro_m, memory.range, memory.charge
+    way_ned, spread_m, fixed = memory.way_ned, memory.spread_m, memory.fixed
     for sample in samples:
         # By the type itself: hundreds of samples a second, and a match checks one class after the other.
         if type(sample) is Attitude:
             attitude = sample
         elif type(sample) is BodyVelocity:
-            if velocity is not None and attitude is not None and flying and trusts_velocity:
+            if velocity is not None and attitude is not None and flying:
                 dt_s = seconds_between(velocity.stamp.measured_at, sample.stamp.measured_at)
                 if 0.0 < dt_s <= _GAP_S:
-                    v_north, v_east = _turned_numbers(sample.v_level, attitude.R_ned_body.rpy_rad[2])
-                    p_start_ned = p_start_ned[0] + v_north * dt_s, p_start_ned[1] + v_east * dt_s
+                    v_north, v_east = rotated_xy(sample.v_level, attitude.R_ned_body.rpy_rad[2])
+                    way_ned = way_ned[0] + v_north * dt_s, way_ned[1] + v_east * dt_s
+                    spread_m += error_m_s * dt_s
+                    if trusts_velocity:
+                        p_start_ned = p_start_ned[0] + v_north * dt_s, p_start_ned[1] + v_east * dt_s
             velocity = sample
         elif type(sample) is Baro:
             baro = sample
             ground_baro_m = baro.height_m if ground_baro_m is None else ground_baro_m
         elif type(sample) is Range:
             newest_range = sample
+        elif type(sample) is GeoFix and sample.whose == "vehicle" and flying:
+            origin, from_ned = (sample.place, p_start_ned) if fixed is None else (fixed.origin, fixed.from_ned)
+            north, east, _ = ned_between(origin, sample.place).tolist()
+            p_start_ned, spread_m = (from_ned[0] + north, from_ned[1] + east), sample.sigma_m
+            fixed = Fixed(origin, from_ned, sample.stamp.received_at, p_start_ned, way_ned)
         elif type(sample) is VehicleStatus:
             flying, charge = sample.flying is True, sample.battery_fraction
             if not flying:
                 p_start_ned, ground_baro_m = (0.0, 0.0), None if baro is None else baro.height_m
-    return PlaceMemory(p_start_ned, velocity, attitude, flying, baro, ground_baro_m, newest_range, charge, trusts_velocity)
+                spread_m, fixed = 0.0, None
+    return PlaceMemory(
+        p_start_ned, velocity, attitude, flying, baro, ground_baro_m, newest_range, charge, trusts_velocity, way_ned, spread_m,
+        fixed,
+    )  # fmt: skip
 
 
 def limited(
-    command: Command, options: LimitOptions, place: PlaceMemory, belief: RelativeState | None, now: MonoNs, *, manual: bool
+    command: Command,
+    options: LimitOptions,
+    place: PlaceMemory,
+    belief: RelativeState | None,
+    now: MonoNs,
+    *,
+    manual: bool,
+    unseen_m: float = 0.0,
 ) -> tuple[Command, tuple[Limit, ...]]:
     """Return the command within the limits, and the limits that changed it.
 
-    Only velocities and tilts are changed. A tilt that would cross the fence becomes a velocity.
+    Only velocities and tilts are changed. A tilt that would cross the fence becomes a velocity, and a vehicle that may not move
+    along the deck for its place is not sure holds by itself.
 
     Args:
         belief: the steering estimate of the pad, None while there is none.
+        unseen_m: way that may have been flown since the newest sight without the estimate following it.
         manual: a person flies by hand; the least height and the battery's rule hold for manual flight alone.
     """
     if not isinstance(command, Velocity | Lean):
@@ -170,15 +230,18 @@ def limited(
         if not _vertical(v_down, options, place, belief, now, manual=False)[1]:
             return command, ()
     v, hit = np.array(command.v_level), list[Limit]()
-    for limit, frame, radius_m, corners in _fences(options, place, belief, manual=manual):
-        kept = frame.centre_v_level + _turned(
-            within(frame.into(v[:2]), frame.p, radius_m, corners, options.fence_brake_s), -frame.yaw_rad
+    for limit, frame, radius_m, corners in _fences(options, place, belief, unseen_m, manual=manual):
+        kept = frame.centre_v_level + rotated(
+            within(frame.into(v[:2]), frame.p, radius_m, corners, options.fence_brake_s, frame.spread_m), -frame.yaw_rad
         )
         change = _braking(v[:2], kept - v[:2])
         if float(np.hypot(*change)) > 1e-9:
             v[:2] += change
             hit.append(limit)
     across = bool(hit)
+    if across and v[2] == 0.0 and place.spread_m + unseen_m > 0.0 and not v[:2].any():
+        # A velocity of nought is flown by the sensor that may lie.
+        return Hover(), tuple(hit)
     down, vertical = _vertical(float(v[2]), options, place, belief, now, manual=manual)
     v[2] = down
     hit += vertical
@@ -200,6 +263,8 @@ class _Frame(Struct, frozen=True, eq=False):
 
     p: F64
     """(2,) m in the fence's axes."""
+    spread_m: float
+    """Distance from there at which it may be."""
     yaw_rad: float
     """Heading of the body in the fence's axes."""
     centre_v_level: F64
@@ -207,16 +272,16 @@ class _Frame(Struct, frozen=True, eq=False):
 
     def into(self, v_level: F64) -> F64:
         """Return a velocity over the ground as one relative to the centre, in the fence's axes."""
-        return _turned(v_level - self.centre_v_level, self.yaw_rad)
+        return rotated(v_level - self.centre_v_level, self.yaw_rad)
 
 
 def _fences(
-    options: LimitOptions, place: PlaceMemory, belief: RelativeState | None, *, manual: bool
+    options: LimitOptions, place: PlaceMemory, belief: RelativeState | None, unseen_m: float, *, manual: bool
 ) -> list[tuple[Limit, _Frame, float, Corners]]:
     """Return the fences whose centre is known."""
     corners, found = options.corners(), list[tuple[Limit, _Frame, float, Corners]]()
     if options.fence != "off":
-        frame = _start(place) if options.fence == "start" else _pad(place, belief, axes=bool(corners))
+        frame = _start(place) if options.fence == "start" else _pad(place, belief, axes=bool(corners), spread_m=unseen_m)
         if frame is not None:
             found.append((Limit.FENCE, frame, options.fence_radius_m, corners))
     if manual and place.charge is not None and place.charge < options.return_charge:
@@ -227,12 +292,12 @@ def _fences(
 
 
 def _start(place: PlaceMemory) -> _Frame | None:
-    if place.attitude is None or place.velocity is None or not place.trusted:
+    if place.attitude is None or (place.velocity is None and place.fixed is None):
         return None
-    return _Frame(np.array(place.p_start_ned), place.attitude.R_ned_body.rpy_rad[2], np.zeros(2))
+    return _Frame(np.array(place.p_start_ned), place.spread_m, place.attitude.R_ned_body.rpy_rad[2], np.zeros(2))
 
 
-def _pad(place: PlaceMemory, belief: RelativeState | None, *, axes: bool) -> _Frame | None:
+def _pad(place: PlaceMemory, belief: RelativeState | None, *, axes: bool, spread_m: float = 0.0) -> _Frame | None:
     """Return the frame around the pad; with `axes` only if the heading against the arrow is known."""
     if belief is None or math.sqrt(max(float(belief.cov[0, 0]), float(belief.cov[1, 1]))) > _SIGMA_MAX_M:
         return None
@@ -240,7 +305,8 @@ def _pad(place: PlaceMemory, belief: RelativeState | None, *, axes: bool) -> _Fr
         return None
     yaw_rad = belief.yaw_rad or 0.0
     body_v = np.zeros(2) if place.velocity is None or not place.trusted else place.velocity.v_level[:2]
-    return _Frame(_turned(-belief.d_body_pad_level[:2], yaw_rad), yaw_rad, belief.v_pad_level[:2] + body_v)
+    p = rotated(-belief.d_body_pad_level[:2], yaw_rad)
+    return _Frame(p, spread_m, yaw_rad, belief.v_pad_level[:2] + body_v)
 
 
 def _vertical(
@@ -304,14 +370,3 @@ def without_velocity(command: Command, by: Unmeasured, *, guided: bool) -> Comma
     if by.over_ground:
         return Velocity(v, command.yaw_rate_rad_s)
     return Lean(a_level, by.trim_level, v, command.yaw_rate_rad_s)
-
-
-def _turned(v: F64, angle_rad: float) -> F64:
-    """Return a vector of a body's axes in axes against which the body has this heading."""
-    return np.array(_turned_numbers(v, angle_rad))
-
-
-def _turned_numbers(v: F64, angle_rad: float) -> tuple[float, float]:
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    x, y = v.tolist()[:2]
-    return c * x - s * y, s * x + c * y

@@ -34,7 +34,7 @@ class ControlSituation(Enum):
     MANUAL = "by hand"
     """A person flies by hand, or has the hand already on the ground."""
     LANDING = "landing"
-    """A landing that a person ordered."""
+    """A landing where the vehicle is, by a person's order or with its last charge."""
     CUTTING = "cutting"
     """The motors are to be cut, and the vehicle has not reported it."""
     EMERGENCY = "emergency"
@@ -49,10 +49,8 @@ class Rule(Enum):
     """Accepted from the sender that has the hand, refused from all others."""
     IDLE = "holder, or idle"
     """Accepted from the holder, and from everybody while the holder's sticks have been centred for `IDLE_HAND_S`."""
-    OVER = "no: over"
     FLYING = "no: flies"
     ON_GROUND = "no: ground"
-    LANDING = "no: landing"
     NO_HAND = "no: no hand"
     NO_EMERGENCY = "no: none"
     CUTTING = "no: cutting"
@@ -64,10 +62,8 @@ REASONS: Mapping[Rule, str] = MappingProxyType(
     {
         Rule.HOLDER: '{holder} has the hand; "manual" takes it while its sticks rest',
         Rule.IDLE: f"{{holder}} has the hand, and moved it in the last {IDLE_HAND_S:g} s",
-        Rule.OVER: 'the flight is over: {outcome}; "begin" tries again, "land" lands here',
         Rule.FLYING: "the vehicle flies already",
         Rule.ON_GROUND: 'the vehicle stands on the ground: "takeoff" first, or order it in the air',
-        Rule.LANDING: 'a landing that {holder} ordered is under way: "hold" or "abort" stops it',
         Rule.NO_HAND: "nobody flies by hand",
         Rule.NO_EMERGENCY: "the vehicle is not in its emergency state",
         Rule.CUTTING: 'the motors are to be cut, and the vehicle has not confirmed it yet: "reset" ends that order',
@@ -82,9 +78,9 @@ def _row(*cells: Rule) -> Mapping[ControlSituation, Rule]:
     return MappingProxyType(dict(zip(ControlSituation, cells, strict=True)))
 
 
-_Y, _H, _O = Rule.YES, Rule.HOLDER, Rule.OVER
-_F, _G, _L, _N, _X, _C, _E, _U = (
-    Rule.FLYING, Rule.ON_GROUND, Rule.LANDING, Rule.NO_HAND, Rule.NO_EMERGENCY, Rule.CUTTING, Rule.EMERGENCY, Rule.UNHEARD,
+_Y, _H = Rule.YES, Rule.HOLDER
+_F, _G, _N, _X, _C, _E, _U = (
+    Rule.FLYING, Rule.ON_GROUND, Rule.NO_HAND, Rule.NO_EMERGENCY, Rule.CUTTING, Rule.EMERGENCY, Rule.UNHEARD,
 )  # fmt: skip
 
 TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyType(
@@ -92,16 +88,17 @@ TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyTyp
         #                     unheard ground done guided held over manual landing cutting emergency
         OperatorOrder.EMERGENCY: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
         OperatorOrder.MANUAL: _row(_U, _Y, _Y, _Y, _Y, _Y, Rule.IDLE, _Y, _C, _E),
-        OperatorOrder.ABORT: _row(_Y, _Y, _Y, _Y, _Y, _O, _H, _Y, _C, _E),
-        OperatorOrder.HOLD: _row(_Y, _Y, _Y, _Y, _Y, _O, _H, _Y, _C, _E),
+        # Anybody stops a vehicle that somebody else flies by hand, as he stops guidance: it hovers, and that one is told by whom.
+        OperatorOrder.ABORT: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _C, _E),
+        OperatorOrder.HOLD: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _C, _E),
         OperatorOrder.LAND: _row(_Y, _Y, _Y, _Y, _Y, _Y, _H, _Y, _C, _E),
         OperatorOrder.TAKE_OFF: _row(_U, _Y, _Y, _F, _F, _F, _H, _Y, _C, _E),
         # An order to fly to the pad is not kept on the ground: it would take the vehicle from who lifts it by hand.
-        OperatorOrder.STAY: _row(_U, _G, _G, _Y, _Y, _Y, _H, _L, _C, _E),
-        OperatorOrder.BEGIN: _row(_U, _G, _G, _Y, _Y, _Y, _H, _L, _C, _E),
+        OperatorOrder.STAY: _row(_U, _G, _G, _Y, _Y, _Y, _H, _Y, _C, _E),
+        OperatorOrder.BEGIN: _row(_U, _G, _G, _Y, _Y, _Y, _H, _Y, _C, _E),
         OperatorOrder.RELEASE: _row(_N, _N, _N, _N, _N, _N, _H, _N, _N, _N),
         OperatorOrder.RESET: _row(_X, _X, _X, _X, _X, _X, _X, _X, _Y, _Y),
-        OperatorOrder.CLEAR: _row(_Y, _G, _G, _Y, _Y, _Y, _H, _L, _C, _E),
+        OperatorOrder.CLEAR: _row(_Y, _G, _G, _Y, _Y, _Y, _H, _Y, _C, _E),
         OperatorOrder.PATH: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
         OperatorOrder.RECORD: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
     }

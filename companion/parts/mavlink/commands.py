@@ -1,5 +1,7 @@
 """Serve COMMAND_LONG and COMMAND_INT: answer each, carry out a repeat only once, report progress of a long one. No I/O.
 
+A command does not say when it was given: its time of arrival counts. A stop is carried out each time it comes.
+
 `Refusals` refuses commands and parameter writes of unauthorized senders: it answers peers, counts all, and reports once.
 
 | command | meaning |
@@ -230,8 +232,8 @@ class PilotTower(PilotOperator):
         self._believe = believe
         self._from_m: float | None = None
 
-    def order(self, order: OperatorOrder) -> str | None:
-        refusal = super().order(order)
+    def order(self, order: OperatorOrder, given_at: MonoNs | None = None) -> str | None:
+        refusal = super().order(order, given_at)
         if refusal is None and order is OperatorOrder.BEGIN:
             self._from_m = None
         return refusal
@@ -351,7 +353,10 @@ class CommandServer:
 
     def _repeats(self, message: Message, known: _Done, sender: tuple[int, int], now: MonoNs) -> bool:
         """Return whether the command is a repeat: it counts a confirmation, or it is its sender's last command, sent again."""
-        if message.command in _ABOUT_MESSAGES:
+        stops = message.command == mav.MAV_CMD_DO_GO_AROUND or (
+            message.command == mav.MAV_CMD_DO_PAUSE_CONTINUE and message.param1 == 0.0
+        )
+        if message.command in _ABOUT_MESSAGES or stops:
             return False
         age_s = seconds_between(known.at, now)
         counted = message.get_type() == "COMMAND_LONG" and message.confirmation > 0 and age_s < _REPEAT_S

@@ -243,6 +243,8 @@ class StatusTexts:
         return [mav.MAVLink_statustext_message(int(severity), piece, self._id, n) for n, piece in enumerate(pieces)]
 
 
+_CHARGE_S = 30.0
+"""Time between two texts of how a charge ends, s."""
 _SEVERITIES = {
     state.value: severity
     for state, severity in {
@@ -300,6 +302,7 @@ class Component(NullObserver):
         self._links: Links | None = None
         self._computer = ComputerReader()
         self._phase = ""
+        self._charge_said_at: MonoNs | None = None
         self._lost = ReportedOnce()
         self._decided: MonoNs | None = None
         self.belief: RelativeState | None = None
@@ -364,6 +367,10 @@ class Component(NullObserver):
             self.texts.say(MavSeverity.WARNING, f"Decklander: {decision.response.text}", decision.at)
         for text in self._lost.new(() if decision.belief is None else decision.belief.lost, decision.at):
             self.texts.say(MavSeverity.WARNING, f"Decklander: {text}", decision.at)
+        said_at = self._charge_said_at
+        if decision.charge and (said_at is None or seconds_between(said_at, decision.at) >= _CHARGE_S):
+            self._charge_said_at = decision.at
+            self.texts.say(MavSeverity.WARNING, f"Decklander: {decision.charge}", decision.at)
         if decision.phase != self._phase:
             self._phase = decision.phase
             severity = _SEVERITIES.get(decision.phase, MavSeverity.INFO)

@@ -4,11 +4,10 @@ The settings say at which of the two. Nothing of it takes the vehicle from a per
 (docs/decisions/mavlink.md): an order to begin is given to the arbiter, once in a
 journey, while nobody has ordered or taken anything in this flight, the pad is in sight, and the vehicle hovers or sinks over it.
 
-Source: mavlink.io, common message set: MISSION_CURRENT (42) with MISSION_STATE, MISSION_ITEM_REACHED (46), HEARTBEAT (0) with
-MAV_STATE. PX4 reports no MISSION_STATE and goes from AUTO.MISSION to AUTO.LOITER behind the last item.
+Source: mavlink.io, common message set: MISSION_CURRENT (42) with MISSION_STATE, MISSION_ITEM_REACHED (46).
+PX4 reports no MISSION_STATE and goes from AUTO.MISSION to AUTO.LOITER behind the last item.
 """
 
-import logging
 import math
 from collections.abc import Callable
 
@@ -19,23 +18,17 @@ from companion.guidance.operator.precedence import ControlSituation
 from companion.guidance.pilot import Pilot
 from companion.settings.operator import HandoverOptions
 from drivers.mavlink.autopilot import Autopilot
-from drivers.mavlink.custody import Hand
-from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.custody import Hand, HandEvent
+from drivers.mavlink.dialect import Message
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.vehicle import HOLD_MODE, RETURN_MODE, Stack
 from estimator.contracts.time import MonoNs, seconds_between
-
-log = logging.getLogger(__name__)
 
 MISSION, RETURN = "at the mission's end", "from the return over the pad"
 _RATE_HZ = 2.0
 _MISSION_MODES, _RETURNS = ("auto", "auto.mission"), tuple(RETURN_MODE.values())
 _ACTIVE, _COMPLETE = 3, 5
 """MISSION_STATE_ACTIVE and MISSION_STATE_COMPLETE."""
-_CRITICAL = int(mav.MAV_STATE_CRITICAL)
-_WARNING = 4
-_BEFORE_S, _AFTER_S = 5.0, 2.0
-"""Time before and after the beginning of a return in which a grave text says that a failsafe chose it, s."""
 _LAST_S = 3.0
 """Time in which PX4 leaves the mission's mode by itself, and the largest gap between HEARTBEATs, s: in a longer one a mode may
 have been chosen unseen."""
@@ -58,22 +51,20 @@ class Journey(Struct):
     settled: MonoNs | None = None
     """Time since when it has been over the pad and slow."""
     done: bool = False
-    """True once it was handed over, or was found to be a failsafe's."""
+    """True once it was handed over, or began unseen."""
 
 
 class Handover:
     """Watches one autopilot's journeys.
 
     Args:
-        begin: gives the order to begin, with the words that name the journey.
+        begin: gives the order to begin, with the words that name the journey and the time since when it hovers over the pad.
     """
 
-    def __init__(self, options: HandoverOptions, pilot: Pilot, begin: Callable[[str], str | None]) -> None:
+    def __init__(self, options: HandoverOptions, pilot: Pilot, begin: Callable[[str, MonoNs], str | None]) -> None:
         self._o, self._pilot, self._begin = options, pilot, begin
         self._journey = Journey("", MonoNs(0))
         self._beat: MonoNs | None = None
-        self._critical: MonoNs | None = None
-        """Time of the newest report of a failsafe."""
         self._items: int | None = None
         self._reached: int | None = None
 
@@ -85,7 +76,6 @@ class Handover:
         autopilot.streams.also("MISSION_CURRENT", _RATE_HZ)
         match m.get_type():
             case "HEARTBEAT":
-                self._critical = now if m.system_status >= _CRITICAL else self._critical
                 seen = self._beat is not None and seconds_between(self._beat, now) <= _LAST_S
                 if (mode := autopilot.condition.mode) != self._journey.mode:
                     # Nobody knows what chose a return whose beginning was not reported.
@@ -128,17 +118,17 @@ class Handover:
         if seconds_between(journey.settled, now) < SETTLED_S:
             return
         journey.done = True
-        if (why := self._failsafe(autopilot, journey.since if returns else None, now)) and not self._o.failsafe:
-            log.warning("handover %s: none, a failsafe has the vehicle: %s", name, why)
-        else:
-            self._begin(name)
+        self._begin(name, journey.settled)
 
     def _free(self, autopilot: Autopilot, now: MonoNs) -> bool:
-        """Return whether nobody has ordered, held or taken anything in this flight."""
+        """Return whether nobody has ordered, held or taken anything in this flight; by the settings a failsafe may have."""
         condition, streamer = autopilot.condition, autopilot.streamer
         waits = self._pilot.state is State.READY and self._pilot.operator.situation(now) is ControlSituation.GUIDED
-        ours = autopilot.unclear is None and streamer is not None and streamer.hand is Hand.NOBODY
-        return waits and ours and bool(condition.armed and condition.flying)
+        if streamer is None or autopilot.unclear is not None:
+            return False
+        free = streamer.hand is Hand.NOBODY and (condition.failsafe is None or self._o.failsafe)
+        free |= self._o.failsafe and streamer.hand is Hand.PERSON and streamer.cause is HandEvent.FAILSAFE
+        return waits and free and bool(condition.armed and condition.flying)
 
     def _over_pad(self, autopilot: Autopilot, now: MonoNs) -> bool:
         """Return whether the pad is in sight, well below, and the vehicle slow over the ground."""
@@ -147,17 +137,3 @@ class Handover:
             return False
         north, east, down = autopilot.positions[-1].v_body_ned
         return belief.height_m >= _LOW_M and math.hypot(north, east) <= _STILL_M_S and down >= -_CLIMB_M_S
-
-    def _failsafe(self, autopilot: Autopilot, chosen: MonoNs | None, now: MonoNs) -> str:
-        """Return the words by which a failsafe chose the mode, or acts now; empty without one.
-
-        Args:
-            chosen: time when a return was chosen; None for a mission.
-        """
-        if self._critical is not None and seconds_between(chosen or now, self._critical) >= -_BEFORE_S:
-            return "HEARTBEAT reports a failsafe"
-        for at, severity, text in autopilot.texts:
-            grave = severity <= _WARNING or "fence" in text.lower() or "failsafe" in text.lower()
-            if grave and -_BEFORE_S <= seconds_between(chosen or now, at) <= _AFTER_S:
-                return text
-        return ""

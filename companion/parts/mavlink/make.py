@@ -119,6 +119,9 @@ class DeckVelocity:
             self._velocity, self._known_s, self._at = np.zeros(3), 0.0, None
         if measured is not None:
             since_s = 0.0 if self._at is None else min(seconds_between(self._at, now), 0.2)
+            if self._at is None and (kept := self._kept_way(now)) is not None:
+                # Half a second of a sight that is wrong must not stand for what is kept for minutes.
+                self._velocity, self._known_s, self._at = np.array([*kept[:2], measured[2]]), MEAN_S, now
             self._known_s += since_s
             spans_s = np.minimum(self._known_s, (MEAN_S, MEAN_S, HEAVE_S))
             weight = 1.0 if self._at is None else since_s / np.maximum(spans_s, max(since_s, 1e-9))
@@ -131,10 +134,14 @@ class DeckVelocity:
             v_ship = self._reported(now)
             if v_ship is not None:
                 velocity = np.array([*v_ship, 0.0])
-            elif self._kept is not None and seconds_between(self._kept[0], now) <= KEEP_S:
-                velocity = self._kept[1]
+            elif (kept := self._kept_way(now)) is not None:
+                velocity = kept
         speed = math.hypot(velocity[0], velocity[1])
         return velocity * min(1.0, _MOST_M_S / max(speed, 1e-9))
+
+    def _kept_way(self, now: MonoNs) -> F64 | None:
+        """Return the ship's way from before the pad came into sight, (3,) m/s; None if it is not known any more."""
+        return None if self._kept is None or seconds_between(self._kept[0], now) > KEEP_S else self._kept[1]
 
     def _carried(self, now: MonoNs, left: Rested) -> F64:
         """Return the way of the ship that carried the deck from under a vehicle to under it again, (3,) m/s, level.
@@ -228,7 +235,9 @@ class AutopilotPart:
             self._watchers.append(rc := RcSwitch(switch, by(OrderSource.SWITCH, f"channel {switch.channel}").order))
             health.counters("switch", rc.counted)
         if after.mission or after.returns:
-            self._watchers.append(Handover(after, pilot, lambda name: by(OrderSource.HANDOVER, name).order(OperatorOrder.BEGIN)))
+            self._watchers.append(
+                Handover(after, pilot, lambda name, at: by(OrderSource.HANDOVER, name).order(OperatorOrder.BEGIN, at))
+            )
         if self._gimbal is not None:
             health.awaited |= {GIMBAL}
             health.counters("gimbal", self._gimbal.counted)

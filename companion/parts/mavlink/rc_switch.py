@@ -41,38 +41,39 @@ class SwitchPosition(Struct, frozen=True):
     """Time of the newest message."""
 
 
-def moved(before: SwitchPosition, pulse: int | None, now: MonoNs) -> tuple[SwitchPosition, bool]:
-    """Return the memory after a message, and whether the switch was moved to the position that it is in.
+def moved(before: SwitchPosition, pulse: int | None, now: MonoNs) -> tuple[SwitchPosition, MonoNs | None]:
+    """Return the memory after a message, and when the switch was moved to the position that it is in; None if it was not.
 
     Args:
         pulse: pulse width, microseconds; None where the input is lost.
     """
     if pulse is None:
-        return SwitchPosition(), False
+        return SwitchPosition(), None
     if before.at is not None and not 0.0 <= seconds_between(before.at, now) <= GAP_S:
         before = SwitchPosition()
     band = band_of(pulse)
     if band is None or band == before.position:
-        return SwitchPosition(before.position, at=now), False
+        return SwitchPosition(before.position, at=now), None
     if band != before.next or before.since is None:
-        return SwitchPosition(before.position, band, now, now), False
+        return SwitchPosition(before.position, band, now, now), None
     if seconds_between(before.since, now) < DEBOUNCE_S:
-        return SwitchPosition(before.position, band, before.since, now), False
-    return SwitchPosition(band, at=now), before.position is not None
+        return SwitchPosition(before.position, band, before.since, now), None
+    return SwitchPosition(band, at=now), None if before.position is None else before.since
 
 
 class RcSwitch:
     """The switch of one autopilot's receiver.
 
     Args:
-        order: gives an order; returns why it is refused, or None.
+        order: gives an order, with the time when the switch was moved; returns why it is refused, or None.
     """
 
-    def __init__(self, options: SwitchOptions, order: Callable[[OperatorOrder], str | None]) -> None:
+    def __init__(self, options: SwitchOptions, order: Callable[[OperatorOrder, MonoNs], str | None]) -> None:
         self._o, self._order = options, order
         self._connects = -1
         self._memory = SwitchPosition()
-        self._waiting: tuple[OperatorOrder, MonoNs] | None = None
+        self._waiting: tuple[OperatorOrder, MonoNs, MonoNs] | None = None
+        """Order that waits for the receiver's health, the time of the message that gave it, and that of the switch's move."""
         self._strength = False
         """True once the receiver's strength was not 0: one that never reports it says nothing by a 0."""
         self.counts: Counter[str] = Counter()
@@ -99,26 +100,26 @@ class RcSwitch:
         if m.onboard_control_sensors_enabled & ~m.onboard_control_sensors_health & _RECEIVER:
             self._memory, self._waiting = SwitchPosition(), None
         elif self._waiting is not None and now > self._waiting[1]:
-            order, self._waiting = self._waiting[0], None
-            self._give(order)
+            (order, _, moved_at), self._waiting = self._waiting, None
+            self._give(order, moved_at)
 
     def _on_channels(self, m: Message, now: MonoNs) -> None:
         self._strength |= 0 < m.rssi < 255
         width = None if self._strength and m.rssi == 0 else pulse_us(m, self._o.channel)
         self.counts["lost"] += width is None
         before = self._memory
-        self._memory, is_moved = moved(before, width, now)
-        if width is None or self._memory.next is not None or is_moved:
+        self._memory, moved_at = moved(before, width, now)
+        if width is None or self._memory.next is not None or moved_at is not None:
             self._waiting = None
         name = (self._o.low, self._o.middle, self._o.high)[self._memory.position or 0]
-        if not is_moved or name == "none":
+        if moved_at is None or name == "none":
             return
         order = OperatorOrder(name)
         if order in _WAITS:
-            self._waiting = order, now
+            self._waiting = order, now, moved_at
         else:
-            self._give(order)
+            self._give(order, moved_at)
 
-    def _give(self, order: OperatorOrder) -> None:
+    def _give(self, order: OperatorOrder, moved_at: MonoNs) -> None:
         self.counts["orders"] += 1
-        self._order(order)
+        self._order(order, moved_at)

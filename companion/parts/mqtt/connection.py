@@ -14,6 +14,7 @@ import math
 import socket
 import ssl
 import time
+from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
@@ -112,6 +113,12 @@ class BrokerEndpoint(Struct, frozen=True):
         )
 
 
+def renewed_endpoint(s: MqttSettings) -> files.Renewed[BrokerEndpoint]:
+    """Return the endpoint, whose secrets are read again when they changed. Raises BadInput."""
+    of_tls = (s.ca_file, s.certificate_file, s.key_file) if s.transport == "tls" else ()
+    return files.Renewed(lambda: BrokerEndpoint.of(s), "mqtt", s.password_file, *of_tls)
+
+
 class Publication(Struct, frozen=True):
     """A message from the broker."""
 
@@ -167,6 +174,12 @@ class Connection(aiomqtt.Client):
         self.last_refusal = ""
         self.farewell = ""
         """Reason for which the broker ended the connection, if it gave one (MQTT 5)."""
+        self._unanswered: Counter[str] = Counter()
+        """Publications of each topic that the broker has not acknowledged yet."""
+        self.accepted: set[str] = set()
+        """Topics at which the broker acknowledged a publication."""
+        self.ended_at: tuple[str, ...] = ()
+        """The topics at which the broker may have ended the connection without a reason."""
 
     async def subscribe_to(self, topic: str, qos: int, *, retained: bool = False) -> None:
         """Subscribe to a topic; unless `retained`, ask an MQTT 5 broker to leave out retained messages.
@@ -198,8 +211,12 @@ class Connection(aiomqtt.Client):
         if self._mqtt5 and correlation is not None:
             properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
             properties.CorrelationData = correlation
+        self._unanswered[topic] += qos > 0
         async with self._answered():
             await self.publish(topic, payload, qos=qos, retain=retain, properties=properties, timeout=math.inf)
+        self._unanswered[topic] -= qos > 0
+        if qos > 0:
+            self.accepted.add(topic)
 
     @asynccontextmanager
     async def _answered(self) -> AsyncIterator[None]:
@@ -291,14 +308,20 @@ class Connection(aiomqtt.Client):
     def explained(self) -> Iterator[None]:
         """Raise the broker's own reason in place of the errors that follow from the end of the connection.
 
+        Brokers of MQTT 3.1.1 have none to give: some hang up at a topic that this user may not write.
+
         Raises:
-            Recoverable: the broker ended the connection, with its reason.
+            Recoverable: the broker ended the connection, with its reason or just after a publication.
         """
         try:
             yield
         except* aiomqtt.MqttError as group:
             if self.farewell:
                 raise Recoverable(self.farewell) from group
+            self.ended_at = tuple(topic for topic, n in self._unanswered.items() if n > 0 and topic not in self.accepted)
+            if self.ended_at and self._disconnected.done():
+                topics = ", ".join(self.ended_at)
+                raise Recoverable(f"the connection ended just after publishing {topics}: may this user write there?") from group
             raise
 
 

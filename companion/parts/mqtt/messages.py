@@ -147,11 +147,19 @@ class OperatorCommand(Struct, frozen=True, kw_only=True, tag_field="command", fo
     """The run that the topic `operator` names; a command for an earlier run is refused."""
     expires_ns: int
     """Expiry on the drone's clock, ns: the newest `at_ns` received plus the time that the command may take to arrive."""
+    given_ns: int | None = None
+    """Time at which it was given on the drone's clock, ns: the newest `at_ns` received plus the time since its arrival."""
     reply_to: str | None = None
     """Topic of the reply: `decklander/v2/<drone>/reply` (the default) or a topic one level below it."""
 
 
-class StartCommand(OperatorCommand, frozen=True, kw_only=True, tag="start"):
+class TakingCommand(OperatorCommand, frozen=True, kw_only=True):
+    """The fields of a command that takes the vehicle: it is refused if something stopped the vehicle after `given_ns`."""
+
+    given_ns: int
+
+
+class StartCommand(TakingCommand, frozen=True, kw_only=True, tag="start"):
     """Begin or resume the approach."""
 
 
@@ -159,7 +167,7 @@ class BeginCommand(StartCommand, frozen=True, kw_only=True, tag="begin"):
     """The same as `start`, by the word of page and terminal."""
 
 
-class StayCommand(OperatorCommand, frozen=True, kw_only=True, tag="stay"):
+class StayCommand(TakingCommand, frozen=True, kw_only=True, tag="stay"):
     """Fly over the pad, and wait there until `start`."""
 
 
@@ -195,7 +203,7 @@ class ShipReport(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     at_ns: Annotated[int, Meta(ge=0)]
     """Instant for which it is true, on the drone's clock, ns: the newest `at_ns` received plus the time since its arrival."""
     latitude_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
-    longitude_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+    longitude_deg: Annotated[float, Meta(ge=-360.0, le=360.0)]
     height_m: Annotated[float, Meta(ge=-1000.0, le=20_000.0)] | None = None
     """Height of the same point above mean sea level."""
     sigma_m: Annotated[float, Meta(ge=0.01, le=1000.0)] = 5.0

@@ -30,23 +30,27 @@ from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.version import version
 from companion.facts.wire import RequestRate, read
+from companion.guidance.operator.order_time import given_at
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import Operated, PilotOperator
 from companion.parts.mqtt import encode as encoding
-from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, client_id, connect
+from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, client_id, connect, renewed_endpoint
 from companion.parts.mqtt.encode import Changes, PendingEvent, order_event
 from companion.parts.mqtt.messages import (
     OTHER_WORDS,
+    AbortCommand,
     Command,
     CommandReply,
     EventData,
     Message,
     OperatorNotice,
+    PauseCommand,
     Refusal,
     SetPathCommand,
     SetRecordingCommand,
     ShipReport,
     StatusMessage,
+    TakingCommand,
     Topics,
     encode,
 )
@@ -182,7 +186,8 @@ class CommandHandler:
             to = wished or to
             command = _decoded(body, self._decoder)
             name = str(command.__struct_config__.tag)
-            if (known := self._answered.get(command.id)) is not None:
+            stops = isinstance(command, PauseCommand | AbortCommand)
+            if (known := self._answered.get(command.id)) is not None and not stops:
                 self.counts["repeated"] += 1
                 return HandledCommand(known, to, name, repeated=True)
             remembered = True
@@ -211,11 +216,18 @@ class CommandHandler:
                 cannot = self.operated.steer_by(command.path)
             case SetRecordingCommand():
                 cannot = self.operated.record(command.on)
+            case TakingCommand():
+                age_s = seconds_between(MonoNs(command.given_ns), now)
+                cannot = self.operated.order(_order_of(command), given_at(now, age_s))
             case _:
-                word = str(command.__struct_config__.tag)
-                cannot = self.operated.order(OperatorOrder(OTHER_WORDS.get(word, word)))
+                cannot = self.operated.order(_order_of(command))
         if cannot is not None:
             raise RefusedMessage("not_possible", cannot)
+
+
+def _order_of(command: Command) -> OperatorOrder:
+    word = str(command.__struct_config__.tag)
+    return OperatorOrder(OTHER_WORDS.get(word, word))
 
 
 def _named_in(payload: bytes) -> tuple[str | None, str | None]:
@@ -291,6 +303,8 @@ _CLOCK_SET_S = 1.0
 """Change of the wall clock that is published at once; NTP slews less."""
 _WATCH_CLOCK_S = 2.0
 _STATUS_AGAIN_S = 60.0
+_LEAVE_OUT = 3
+"""Connections that ended at the first event, after which events stay in the spool."""
 _NAMESAKE_AGAIN_S = 600.0
 
 
@@ -305,7 +319,7 @@ class MqttPart(NullObserver):
     def __init__(
         self,
         settings: MqttSettings,
-        endpoint: BrokerEndpoint,
+        endpoint: Callable[[], BrokerEndpoint],
         outbox: Outbox,
         command_handler: CommandHandler,
         health: Health,
@@ -335,6 +349,7 @@ class MqttPart(NullObserver):
         self._results_reported = 0
         self._counts: Counter[str] = Counter()
         self._broker_down = False
+        self._ended_at_event = 0
         self._stopping = False
         health.counters("mqtt", self.counts)
         self.tell(PendingEvent(self._started, "service", "service started", {"version": version, "unix_s": time.time()}))
@@ -386,7 +401,7 @@ class MqttPart(NullObserver):
     async def _stay_connected(self) -> None:
         s = self._settings
         back_off = BackOff(s.reconnect_first_s, s.reconnect_cap_s, _HEALTHY_S, jitter=0.5)
-        name = f"MQTT broker {self._endpoint.host}:{self._endpoint.port}"
+        name = f"MQTT broker {s.host}:{s.port}"
         try:
             await reconnect(name, self._connection, back_off, self._clock, self._failed, (Recoverable, aiomqtt.MqttError))
         finally:
@@ -401,13 +416,27 @@ class MqttPart(NullObserver):
 
     async def _connection(self) -> None:
         will = aiomqtt.Will(self._topics.of("status"), encode(self._status("lost")), qos=1, retain=True)
-        async with connect(self._endpoint, self._client_id, will) as connection:
+        async with connect(self._endpoint(), self._client_id, will) as connection:
             try:
                 with connection.explained():
                     await self._converse(connection)
             except asyncio.CancelledError:
                 await self._publish_stopped(connection)
                 raise
+            finally:
+                self._note_end(connection)
+
+    def _note_end(self, connection: Connection) -> None:
+        """Count the connections that ended at an event before one was ever taken; leave events out after some."""
+        topic = self._topics.of("event")
+        if topic in connection.accepted:
+            self._ended_at_event = 0
+        elif topic in connection.ended_at:
+            self._ended_at_event += 1
+            if self._ended_at_event == _LEAVE_OUT:
+                log.warning(
+                    "%s is left out until the service starts again: the broker ended %d connections at it", topic, _LEAVE_OUT
+                )
 
     async def _converse(self, connection: Connection) -> None:
         if self._settings.commands != "off":
@@ -424,8 +453,8 @@ class MqttPart(NullObserver):
         self._counts["connections"] += 1
         self._broker_down = False
         self._health.up(BROKER)
-        log.info("connected to broker %s:%d", self._endpoint.host, self._endpoint.port)
         s = self._settings
+        log.info("connected to broker %s:%d", s.host, s.port)
         newest: tuple[tuple[str, float, Callable[[], Message | None]], ...] = (
             ("state", s.state_hz, self._newest_state),
             ("sighting", s.sighting_hz, self._newest_sighting),
@@ -433,7 +462,8 @@ class MqttPart(NullObserver):
             ("health", s.health_hz, lambda: encoding.health(self._session, self._health.snapshot())),
         )
         async with asyncio.TaskGroup() as group:
-            group.create_task(self._outbox.deliver(connection))
+            if self._ended_at_event < _LEAVE_OUT:
+                group.create_task(self._outbox.deliver(connection))
             group.create_task(self._take_publications(connection))
             group.create_task(self._renew_status(connection))
             for leaf, rate_hz, make in newest:
@@ -579,7 +609,7 @@ def make_mqtt(
         BadInput: a secret, a certificate or the spool cannot be read or used.
     """
     session, topics = uuid.uuid4().hex[:12], Topics(settings.drone)
-    endpoint = BrokerEndpoint.of(settings)
+    endpoint = renewed_endpoint(settings)
     spool = Spool(spool_folder(settings), settings.spool_max_kib * 1024)
     outbox = Outbox(spool, session, topics.of("event"), settings.spool_fsync)
     operator = PilotOperator(pilot, OrderSender(OrderSource.MQTT), clock, recording)

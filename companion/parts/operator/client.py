@@ -135,8 +135,11 @@ class OperatorClient:
         self._waiting: dict[int, asyncio.Future[OrderAnswer]] = {}
         self._lost: str | None = None
 
-    async def order(self, order: OperatorOrder) -> OrderAnswer:
+    async def order(self, order: OperatorOrder, age_s: float = 0.0) -> OrderAnswer:
         """Give an order and return its answer.
+
+        Args:
+            age_s: time since it was given, s.
 
         Raises:
             Recoverable: the service is gone, or does not answer in time.
@@ -146,7 +149,7 @@ class OperatorClient:
         self._number += 1
         answer: asyncio.Future[OrderAnswer] = asyncio.get_running_loop().create_future()
         self._waiting[self._number] = answer
-        self._writer.write(line_of(OrderRequest(number=self._number, order=order)))
+        self._writer.write(line_of(OrderRequest(number=self._number, order=order, age_s=age_s)))
         try:
             return await in_time(answer)
         finally:

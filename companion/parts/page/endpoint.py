@@ -7,6 +7,7 @@ nothing else changes by its going.
 """
 
 import asyncio
+import logging
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -60,6 +61,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 from estimator.ekf import Forecast
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+
+log = logging.getLogger(__name__)
 
 # The live picture: what the estimate says of a frame, as lines that the page draws itself, and the frame as JPEG. Pure.
 # Lines instead of painted pixels stay sharp on any screen, can be switched off, and cost the drone's computer no drawing.
@@ -175,6 +178,7 @@ _ALIVE_S = 4.0
 _ATTITUDE_S = 1.0
 _THINGS_S = 1.0
 """Time after the last frame that was searched for which things are shown."""
+_NO_WEBSOCKET = "this address is for a websocket; a reverse proxy must pass Upgrade and Connection on, over HTTP/1.1\n"
 _LANDING_PHASES = frozenset(state.value for state in FLOWN)
 _EVENTS = 60
 """Events that are kept for a browser that comes later."""
@@ -286,13 +290,15 @@ class PageEndpoint(NullObserver):
         return None
 
     async def _operate(self, request: web.Request) -> web.StreamResponse:
-        why = refused_origin(request.headers.get("Origin"), request.headers.get("Host"), own_names(self._settings))
+        why = refused_origin(request.headers, own_names(self._settings))
         if why is not None:
             self._server.counts["foreign_origins"] += 1
+            if self._server.counts["foreign_origins"] == 1:  # a browser shows a script no reason
+                log.warning("the page is refused: %s; further ones are only counted", why)
             return web.Response(status=403, text=f"{why}\n")
         socket = web.WebSocketResponse(max_msg_size=MESSAGE_MAX, compress=False, heartbeat=_ALIVE_S, timeout=1.0)
         if not socket.can_prepare(request).ok:
-            return web.Response(status=426, text="this address is for a websocket\n", headers={"Upgrade": "websocket"})
+            return web.Response(status=426, text=_NO_WEBSOCKET, headers={"Upgrade": "websocket"})
         await socket.prepare(request)
         login = await self._login(socket)
         if login is None:

@@ -157,7 +157,7 @@ class Recordings(Tool):
         """Send a viewer the list of recordings or the address of a report soon, and the address of a recording at once."""
         if isinstance(request, DownloadRequest):
             refusal = self._refusal(request.name, self._downloads, _DOWNLOADS, "downloads are under way already")
-            address = None if refusal else f"/recordings/{self._ticket(request.name)}"
+            address = None if refusal else f"recordings/{self._ticket(request.name)}"
             viewer.tell(DownloadAnswer(name=request.name, address=address, text=refusal))
         elif isinstance(request, ReportRequest):
             refusal = self._refusal(request.name, len(self._wanted), _WAITING, "reports wait already")
@@ -243,7 +243,7 @@ class Recordings(Tool):
             oldest = next(iter(self._reports))
             self._reports.pop(oldest).unlink(missing_ok=True)
         self._reports[ticket] = page
-        return ReportAnswer(name=name, address=f"/reports/{ticket}", text="")
+        return ReportAnswer(name=name, address=f"reports/{ticket}", text="")
 
     def _unfit(self, name: str) -> str | None:
         status = (self._folder / name).lstat()

@@ -2,7 +2,8 @@
 
 A text is checked as `decklander config check` checks a file, and read at the next start of the service; nothing of it reaches a
 flight. Whoever has the page's token commands the vehicle. That must not grow into reading other files of the computer, writing
-into other folders, or sending a password to another host at the next start.
+into other folders, sending a password to another host or giving others rights at the next start: only the keys that are declared
+for it are changed (`estimator.contracts.keys`).
 """
 
 import logging
@@ -33,14 +34,7 @@ ARMED = "the motors are armed: settings are saved while they are disarmed"
 NO_FILE = "this service was started without a settings file of its own"
 AFTERWARDS = "It takes effect when the service starts again (sudo systemctl restart decklander)"
 _WAITING = 8
-
-GUARDED = (
-    "http", "mqtt", "bridge", "recorder.folder", "operator.socket", "vehicle.operators",
-    "vehicle.signing_key_file", "vehicle.signing_time_file", "vehicle.unsigned", "vehicle.links",
-)  # fmt: skip
-"""Keys and tables that a browser does not change: who may command, where secrets are and go, and where files are written."""
-_NO_PATH = re.compile(r"[^/\\]*|/dev/[\w/-]+|(?:rtsps?|https?|udp|tcp)://\S+")
-"""A changed text may name what is shipped, a file beside the settings, a device or a stream."""
+_FOLDER = re.compile(r"[/\\]")
 
 
 class SettingsTool(Tool):
@@ -106,7 +100,7 @@ def check(text: str, before: str, file: SettingsFile) -> Settings:
     """
     try:
         settings = from_file(toml_of(text, file.path), "")
-        _refuse_guarded(settings, before, file)
+        _refuse_unmarked(settings, before, file)
         settings = complete(settings, file.path)
         check_files(settings)
     except BadInput as why:
@@ -114,25 +108,21 @@ def check(text: str, before: str, file: SettingsFile) -> Settings:
     return settings
 
 
-def _refuse_guarded(settings: Settings, before: str, file: SettingsFile) -> None:
-    """Refuse changes of who may command and of where secrets go, and names of files elsewhere. It reads none of them."""
+def _refuse_unmarked(settings: Settings, before: str, file: SettingsFile) -> None:
+    """Refuse a change of a key that is not declared for the page, and a name with a folder in it, before any file is read."""
     try:
         old = _flat(msgspec.to_builtins(from_file(toml_of(before, file.path), ""), enc_hook=raw))
     except BadInput as why:
         raise BadInput(f"the settings file itself is refused ({why}): mend it on the drone's computer first") from why
     new = _flat(msgspec.to_builtins(settings, enc_hook=raw))
-    if old.get("camera.source") != new.get("camera.source"):
-        del old["camera.device"]  # what names no file for one kind of camera may name one for another
+    allowed = schema.on_page(new["vehicle.kind"])
     for path in dict.fromkeys((*old, *new)):
-        had, has = old.get(path), new.get(path)
-        if had == has:
+        has = new.get(path)
+        if old.get(path) == has:
             continue
-        if any(f"{path}.".startswith(f"{guarded}.") for guarded in GUARDED):
-            raise BadInput(
-                f"{in_file(path)} is not changed from a browser: who may command, and where secrets go, is set on the drone"
-            )
-        pipeline = path == "camera.device" and new["camera.source"] == "gstreamer"
-        if isinstance(has, str) and (pipeline or not _NO_PATH.fullmatch(has)):
+        if path not in allowed:
+            raise BadInput(f"{in_file(path)} is not changed from a browser: set it in the file on the drone's computer")
+        if isinstance(has, str) and _FOLDER.search(has):
             raise BadInput(
                 f"{in_file(path)}: from a browser only what is shipped or lies beside the settings is named: {guarded(has)!r:.50}"
             )

@@ -20,7 +20,6 @@ from companion.base.http_server import HttpServer
 from companion.base.observer import ProcessedFrame
 from companion.base.orders import OrderSender
 from companion.facts.wire import RequestRate, RequestRefused
-from companion.guidance.operator.precedence import ControlSituation
 from companion.guidance.pilot import Pilot
 from companion.parts.page.messages import PageEvent, PageRequest, PageState, ToolRequest, ToPage, request_in, text_of
 from companion.recording.frame_encoder import FrameEncoder
@@ -175,8 +174,6 @@ class PageService(Struct, frozen=True, eq=False):
         """The vehicle's way on once the service has ended, in words."""
         if self.pilot.vehicle is not None and self.pilot.vehicle.flying is False:
             return "the vehicle stands on the ground"
-        if self.pilot.operator.situation(self.clock.now()) is ControlSituation.LANDING:
-            return "the landing that a person ordered goes on"
         if isinstance(self.settings.vehicle, ArDroneOptions):
             alone_s = 2 * self.settings.vehicle.com_watchdog_s
             return f"the drone hovers, and lands where it is after {alone_s:g} s if nobody else flies it by then"

@@ -66,11 +66,9 @@ def wall_offset_ns(clock: Clock) -> int:
     return (time.time_ns() - clock.now()) // 1000 * 1000
 
 
-def recorder_to_file(
-    path: Path, camera: Camera, described: About, *, frames: FrameForm = "jpeg", frames_each: int = 1, live: bool = False
-) -> Recorder:
+def recorder_to_file(path: Path, camera: Camera, described: About, *, frames: FrameForm = "jpeg", live: bool = False) -> Recorder:
     """Return a recorder of one flight into one file. A flight in virtual time waits for the disk; a `live` one never does."""
-    options = RecorderOptions(frames=frames, frames_each=frames_each)
+    options = RecorderOptions(frames=frames)
     return Recorder(SingleFile(path), camera, described, options, lossless=not live)
 
 

@@ -15,8 +15,9 @@ from companion.tools.calibrate.solve import LEAST_VIEWS, Solution, solve
 from drivers.camera import images
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions, Size
-from drivers.camera.videos import open_video, video_of
+from drivers.camera.videos import frames_of, open_video, video_of
 from drivers.clock import SystemClock
+from drivers.files import Largest, bytes_of, refuse_special, seen_in
 from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput, Recoverable, refused
 from estimator.contracts.geometry import Transform
@@ -225,12 +226,12 @@ def files_of(paths: Sequence[Path], endings: Container[str] = images.PICTURES, k
     for path in paths:
         with refused(str(path), OSError):
             if path.is_dir():
-                inside = [p for p in path.iterdir() if p.is_file() and p.suffix.lower() in endings]
+                inside = [p for p in seen_in(path) if p.suffix.lower() in endings]
                 inside.sort(key=lambda p: (re.sub(r"\d+", lambda number: number[0].zfill(20), p.name), p.name))
                 if not inside:
                     raise BadInput(f"{path}: no {kinds} in this folder")
                 files += inside
-            elif path.is_file():
+            elif path.exists():
                 files.append(path)
             else:
                 raise BadInput(f"{path}: no such file or folder")
@@ -244,9 +245,7 @@ def read_image(file: Path) -> images.U8:
         BadInput: the file cannot be read, or is no image.
     """
     try:
-        return images.decode(images.load(file))
-    except OSError as why:
-        raise BadInput(f"{file}: {why.strerror or why}") from why
+        return images.decode(bytes_of(file, Largest.PICTURE))
     except images.ImageRefused as why:
         raise BadInput(f"{file}: not an image that can be read ({why})") from why
 
@@ -265,12 +264,12 @@ def add_file(file: Path, collection: Collection, tell: Report) -> None:
     from av.error import FFmpegError
 
     try:
+        refuse_special(file, Largest.RECORDING)
         with open_video(str(file), collection.size) as container:
-            for i, frame in enumerate(container.decode(video_of(container, collection.size))):
-                if frame.is_corrupt:
-                    continue
-                collection.add(f"{file.name}#{i}", np.asarray(frame.to_ndarray(format="bgr24"), np.uint8))
-                tell(collection)
+            for number, _, px in frames_of(container, video_of(container, collection.size)):
+                if px is not None:
+                    collection.add(f"{file.name}#{number}", px)
+                    tell(collection)
     except images.ImageRefused as why:
         raise BadInput(f"{file}: {why}") from why
     except (FFmpegError, OSError, IndexError) as why:

@@ -31,6 +31,7 @@ from companion.tools.doctor.snapshot import AutopilotSnapshot, ServiceSnapshot, 
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.open_camera import open_camera
 from drivers.endpoint import NMEA2000, parse_bus, require_ship
+from drivers.files import Largest, bytes_of
 from drivers.imports import dataflash, px4_ulog, tlog
 from drivers.imports.kinds import DECRYPT, FileKind, kind_of
 from drivers.imports.log_history import AutopilotLog, LogHistory
@@ -41,7 +42,7 @@ from drivers.nmea.ship_sensors import ShipSensors
 from drivers.nmea.ship_wires import read_bus
 from drivers.nmea.transport import SentenceSource, sentences_from
 from drivers.one_source import SourceChoice
-from estimator.contracts.errors import BadInput, DecklanderError, refused
+from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.text import utf8_of
 from estimator.contracts.time import Clock, seconds_between
 
@@ -138,12 +139,14 @@ def _standing(log: AutopilotLog) -> tuple[str, ...]:
 
 _PX4_NAMES = re.compile(r"MAV_SYS_ID|(COM|MPC|EKF2|CAL|SENS|NAV|LNDMC|RTL|CBRK|MC|IMU)_")
 _OF_TABLE = re.compile(r"(\d+)\t(\d+)\t")
-_DECIMAL_COMMA = re.compile(r"[A-Z]\w*[\s,=]+-?\d+,\d+\s*(?:#|$)")
+_DECIMAL_COMMA = re.compile(r"(?:\d+\s+\d+\s+)?[A-Z]\w*[\s,;=]+\"?-?\d*,\d+(?:[eE][-+]?\d+)?\"?\s*(?:[\t;]\s*\d+\s*)?(?:#|$)")
+_TWO_VALUES = re.compile(r"\w+,\s*Value\b")
+"""The head of a table that has another column of numbers behind the value."""
 _ARDUPILOT_NAMES = re.compile(r"SYSID_|MAV_SYSID|FRAME_CLASS|(INS|EK3|ATC|PSC|PLND|GUID|LAND|WPNAV|ARMING|SERVO\d+|RC\d+)_")
 
 
 def parameters_of(path: Path) -> AutopilotLog:
-    """Read a file of parameters as ground stations keep them: `NAME,VALUE`, `NAME VALUE`, or QGroundControl's table with tabs.
+    """Read a file of parameters as ground stations keep them: `NAME,VALUE`, `NAME;VALUE`, `NAME VALUE`, or QGroundControl's tabs.
 
     Return a log that holds nothing else; the stack is given by the file, or by its names.
 
@@ -151,14 +154,16 @@ def parameters_of(path: Path) -> AutopilotLog:
         BadInput: the file cannot be read, no line of it is a parameter, or a value is not clear: two of one name, two vehicles,
             decimal commas, a file that is included.
     """
-    with refused(str(path), OSError):
-        lines = utf8_of(path.read_bytes()).decode("utf-8", "replace").splitlines()
+    lines = utf8_of(bytes_of(path, Largest.TABLE)).decode("utf-8", "replace").splitlines()
     parameters: dict[str, float] = {}
     table = [row for line in lines if (row := _OF_TABLE.match(line)) is not None]
     if len({row[1] for row in table}) > 1:
         raise BadInput(f"{path}: it holds the parameters of several vehicles: save those of one")
     usual = Counter(row[2] for row in table).most_common(1)
+    two_values = any(map(_TWO_VALUES.match, lines))
     for line in lines:
+        if not two_values and _DECIMAL_COMMA.match(line):
+            raise BadInput(f"{path}: decimal commas, or two values: {line.strip()[:60]!r}: save it with points")
         if line.startswith("@include"):
             raise BadInput(f"{path}: it includes another file ({line[8:].strip()}): give one with all parameters")
         if table and (row := _OF_TABLE.match(line)) is not None and row[2] != usual[0][0]:
@@ -171,9 +176,6 @@ def parameters_of(path: Path) -> AutopilotLog:
                 raise BadInput(f"{path}: {name} stands in it twice, as {parameters[name]:g} and as {value:g}")
     if not parameters:
         raise BadInput(f"{path}: no line of it is a parameter")
-    comma = None if any("Value" in line for line in lines) else next((line for line in lines if _DECIMAL_COMMA.match(line)), None)
-    if comma is not None:
-        raise BadInput(f"{path}: decimal commas, or two values: {comma.strip()[:60]!r}: save it with points")
     comments = " ".join(line for line in lines[:40] if line.startswith("#"))
     output = re.search(r"Stack:\s*(PX4|ArduPilot)", comments)
     px4 = sum(_PX4_NAMES.match(name) is not None for name in parameters)
@@ -186,7 +188,7 @@ def parameters_of(path: Path) -> AutopilotLog:
 
 def _parameter_in(line: str) -> tuple[str, float | None] | None:
     """Return a line's name and value, None if that is no number; None if the line is no parameter's."""
-    words = re.split(r"[\s,=]+", line.split("#")[0].strip())
+    words = re.split(r"[\s,;=]+", line.split("#")[0].strip())
     if len(words) >= 4 and words[0].isdigit() and words[1].isdigit():
         words = words[2:]
     if len(words) < 2 or re.fullmatch(r"[A-Z][A-Z0-9_]{0,15}", words[0]) is None:
@@ -290,7 +292,7 @@ def _our_own(http: HttpSettings) -> ssl.SSLContext | bool:
     certificate = files.find(http.certificate_file, "http.certificate_file")
     context = ssl.create_default_context(cafile=certificate)
     context.check_hostname = False
-    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+    context.verify_flags = context.verify_flags & ~ssl.VERIFY_X509_STRICT | ssl.VERIFY_X509_PARTIAL_CHAIN
     return context
 
 

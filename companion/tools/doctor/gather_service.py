@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from msgspec import structs
 
 from companion.base.health import HealthSnapshot
-from companion.settings.load import camera_model, pad_model
+from companion.settings.load import camera_model, lens_assumed
 from companion.settings.model import Settings
 from companion.settings.referenced_files import check_files
 from companion.settings.remarks import contradiction, without_effect
+from companion.settings.sound import beyond_sound
 from companion.tools.doctor.snapshot import UNREADABLE, GimbalSnapshot, ServiceSnapshot, ShipSource
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput
@@ -65,10 +66,10 @@ def files_of(settings: Settings) -> ServiceSnapshot:
         snapshot = structs.replace(snapshot, files_fault=str(why))
     try:
         model = camera_model(settings)
-        pad_model(settings)
+        wide = beyond_sound(settings)
     except BadInput as why:
         return structs.replace(snapshot, camera_fault=str(why))
-    return structs.replace(snapshot, camera_size=(model.width, model.height))
+    return structs.replace(snapshot, camera_size=(model.width, model.height), beyond_sound=wide, lens_assumed=lens_assumed(model))
 
 
 def figures(

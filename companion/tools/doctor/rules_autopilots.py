@@ -2,6 +2,7 @@
 
 from companion.tools.doctor.finding import Finding, Row, Rule, Severity, advice, error
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
+from drivers.mavlink.failsafe import event_id
 
 PARAMETERS = (
     "PLND_ENABLED", "PLND_TYPE", "PLND_EST_TYPE", "PLND_LAG", "PLND_OPTIONS", "PLND_STRICT", "PLND_ORIENT", "PLND_YAW_ALIGN",
@@ -277,14 +278,6 @@ _LEAVES = {
 _FALLS = {6.0: "6 (terminate)", 7.0: "7 (disarm)"}
 _HOLD = "set COM_OBL_RC_ACT 0 (position) or 5 (hold)"
 """Actions at the loss of OFFBOARD that leave a moving ship or stop the motors in the air, and what to set instead."""
-
-
-def event_id(name: str) -> int:
-    """Return the number that EVENT carries: component 1 and 24 bits of the name's FNV-1a hash. Source: PX4, Tools/px4events."""
-    value = 0x811C9DC5
-    for byte in name.encode():
-        value = (value ^ byte) * 0x1000193 & 0xFFFFFFFF
-    return 1 << 24 | value & 0xFFFFFF
 
 
 def targets_withheld(p: Snapshot) -> Finding | None:

@@ -6,18 +6,17 @@ only not named. Sources: parameter references of ArduCopter 4.5, PX4 1.16 and 1.
 """
 
 import math
-import re
 
 from msgspec import Struct
 
 from companion.tools.doctor.finding import Finding, ParameterChange, Row, Rule, Severity, warning
 from companion.tools.doctor.firmware_parameters import NamedValue, named_value
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
+from drivers.mavlink.vehicle import ARMING_REFUSAL
 
 # Both stacks return to the place of the take-off over the ground. A ship under way has left it, so a return must end in a
 # hover, in which a person can take over.
 
-_REFUSAL = re.compile(r"^(?:\[[^\]]*\]\s*)?(?:PreArm|Arm|Preflight Fail|Arming denied)[:!]\s*(.+)$", re.IGNORECASE)
 _SHOWN = 4
 _FIXES = {
     "position estimate": "wait for GNSS under an open sky; on a ship under way see gnss-checks and px4-gnss-checks",
@@ -40,7 +39,7 @@ def arming_refused(p: Snapshot) -> Finding | None:
     a = p.autopilot
     if a is None or a.armed or p.log is not None:
         return None
-    reported = list(dict.fromkeys(found[1].strip() for text in a.texts if (found := _REFUSAL.match(text)) is not None))
+    reported = list(dict.fromkeys(found[1].strip() for text in a.texts if (found := ARMING_REFUSAL.match(text)) is not None))
     if not reported:
         return None
     shown = reported[:_SHOWN] + ([f"{len(reported) - _SHOWN} more"] if len(reported) > _SHOWN else [])

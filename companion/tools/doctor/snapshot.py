@@ -148,6 +148,10 @@ class ServiceSnapshot(Struct, frozen=True):
     """Reason why a key, password or certificate of the settings cannot be used."""
     without_effect: tuple[str, ...] = ()
     """Lines about settings that have no effect beside others."""
+    beyond_sound: tuple[str, ...] = ()
+    """Lines about limits that are wider than their own meaning allows."""
+    lens_assumed: tuple[str, ...] = ()
+    """Lines about a lens that nobody has measured."""
     camera_fault: str | None = None
     """Description of the fault of the camera or pad file."""
     device_fault: str | None = None
@@ -231,5 +235,5 @@ def decode(data: bytes, where: str, kind: type[_File], named: str) -> _File:
     Raises:
         BadInput: the text holds none; the message names the place.
     """
-    with refused(f"{where}: no {named}", msgspec.DecodeError, UnicodeDecodeError):
+    with refused(f"{where}: no {named}", msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return msgspec.json.decode(data, type=kind)

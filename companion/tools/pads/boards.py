@@ -9,6 +9,7 @@ Source: AprilRobotics/apriltag_ros, config/tags.yaml and common_functions.cpp; c
 Wingxtra-Aerospace/wingxtra-de-precision-landing, landing_target_layout.py (the form of Landmark's file).
 """
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -17,6 +18,8 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
+from companion.tools.pads import foreign
+from drivers.files import in_child
 from estimator.contracts.errors import BadInput, refused
 from estimator.vision.camera import shown
 from estimator.vision.fiducial import PaintedFiducial, dictionary_names
@@ -238,13 +241,7 @@ def _by_poses(
 
 
 def _yaml(text: str, where: str) -> dict[str, Any]:
-    try:
-        from ruamel.yaml import YAML
-        from ruamel.yaml.error import YAMLError
-    except ImportError as why:
-        raise BadInput(f"{where}: YAML is read with the extra decklander[ros2], which is not installed") from why
-    with refused(f"{where}: no YAML", YAMLError, ValueError, RecursionError):
-        data = YAML(typ="safe", pure=True).load(text.lstrip("\ufeff"))
+    data = json.loads(in_child(foreign.__name__, "yaml", text.encode(), where))
     if not isinstance(data, dict):
         raise BadInput(f"{where}: it has neither standalone_tags nor tag_bundles")
     return data

@@ -16,10 +16,11 @@ from xml.etree.ElementTree import Element, ParseError, fromstring, tostring
 import cv2
 import msgspec
 import numpy as np
-import resvg_py
 from msgspec import Struct, convert, structs
 from numpy.typing import NDArray
 
+from companion.tools.pads import foreign
+from drivers.files import in_child
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import SMALLEST_M, check_polygon, is_simple
@@ -27,8 +28,6 @@ from estimator.vision.pad_rules import SIDES_MOST, Rgb
 from estimator.vision.regions import PaintedPolygon, Region, borders_of, circle
 
 U8 = NDArray[np.uint8]
-_LARGEST_BYTES = 2_000_000
-_PX_IN_INCH = 96.0
 _PX = {"": 1.0, "px": 1.0, "in": 96.0, "cm": 96 / 2.54, "mm": 96 / 25.4, "q": 24 / 25.4, "pt": 96 / 72, "pc": 16.0}
 """Px of a unit of length."""
 _SVG = "{http://www.w3.org/2000/svg}"
@@ -58,15 +57,19 @@ class SvgDrawing(Struct, frozen=True):
     """The sheet from (0, 0), px."""
     px_mm: float | None
     """Millimetres in a px; None if the file does not say it."""
+    where: str
+    """The file, for errors."""
 
     def rendered(self, left: float, top: float, size_px: tuple[int, int], scale: float, *, crisp: bool) -> U8:
-        """Return a part of the sheet, (H, W, 4) BGRA, `scale` px to one of the sheet; a crisp one is blended at no border."""
+        """Return a part of the sheet, (H, W, 4) BGRA, `scale` px to one of the sheet; a crisp one is blended at no border.
+
+        Raises:
+            BadInput: resvg cannot draw it, or not within the bounds of `in_child`.
+        """
         w, h = size_px
         box = f"{left} {top} {w / scale} {h / scale}"
         around = f'<svg xmlns="{_SVG[1:-1]}" width="{w}" height="{h}" viewBox="{box}">{self.markup}</svg>'
-        sharp = "*{shape-rendering:crispEdges!important}" if crisp else None
-        with refused("no SVG drawing", ValueError):
-            png = resvg_py.svg_to_bytes(around, skip_system_fonts=True, dpi=_PX_IN_INCH, style_sheet=sharp)
+        png = in_child(foreign.__name__, "crisp" if crisp else "blended", around.encode(), self.where)
         image = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8)
         x, y, right, bottom = np.rint(scale * np.maximum(0.0, (-left, -top, self.width - left, self.height - top))).astype(int)
         image[:y], image[bottom:], image[:, :x], image[:, right:] = 0, 0, 0, 0
@@ -79,8 +82,8 @@ def read_svg(text: str, where: str) -> SvgDrawing:
     Raises:
         BadInput: it is no SVG, it is too large, or it holds what is not read.
     """
-    if len(text) > _LARGEST_BYTES or "<!ENTITY" in text:
-        raise BadInput(f"{where}: a drawing has at most {_LARGEST_BYTES} bytes and no entities: save it as plain SVG")
+    if "<!ENTITY" in text:
+        raise BadInput(f"{where}: a drawing has no entities: save it as plain SVG")
     with refused(f"{where}: no SVG drawing", ParseError, ValueError):
         root = fromstring(text)
     if root.tag not in ("svg", _SVG + "svg"):
@@ -99,7 +102,9 @@ def read_svg(text: str, where: str) -> SvgDrawing:
     measured = any(re.search(r"(?i)\d(mm|cm|q|in|pt|pc)\s*$", root.get(key, "")) for key in sizes)
     # resvg would blend the last pixels of a sheet that ends between two, and takes as long for that as for the rest.
     root.attrib.update(width=f"{width}", height=f"{height}", x="0", y="0", overflow="visible")
-    return SvgDrawing(tostring(root, encoding="unicode"), width, height, 25.4 / _PX_IN_INCH if measured else None)
+    with refused(f"{where}: its groups are nested too deep", RecursionError):
+        markup = tostring(root, encoding="unicode")
+    return SvgDrawing(markup, width, height, 25.4 / foreign.PX_IN_INCH if measured else None, where)
 
 
 def _length_px(text: str) -> float | None:

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct, structs
 
-from companion.base.mission import FLOWN, FlightOutcome, Reason, ReasonCause, State
+from companion.base.mission import FLOWN, FlightOutcome, State
 from companion.base.observer import Decision, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder
 from companion.facts import encode
@@ -35,7 +35,7 @@ OWN = CAMERA, PAD
 """The files of a recording that its settings name."""
 _GAP_S = 10.0
 """The longest gap in the recording that is replayed through guidance, s."""
-_FLOWN = tuple(state.value for state in State if state in FLOWN and state is not State.ANOTHER_PAD)
+_FLOWN = tuple(state.value for state in State if state in FLOWN - {State.ANOTHER_PAD, State.LAND_HERE})
 """The phases of a flight that an operator has begun."""
 
 
@@ -215,7 +215,7 @@ class Replay:
         if handled.accepted and handled.order is OperatorOrder.CLEAR:
             self._pilot.overrule()
         elif handled.accepted and handled.order is OperatorOrder.LAND:
-            self._pilot.pause(Reason(ReasonCause.LANDING))
+            self._pilot.land()
         elif handled.accepted and handled.order is OperatorOrder.STAY:
             self._pilot.stay()
         elif handled.accepted and handled.order is OperatorOrder.BEGIN and self._pilot.landing.mission.stays:

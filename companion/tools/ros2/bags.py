@@ -1,9 +1,10 @@
 """Write a recording as a ROS 2 bag, and read bags of ROS 1 and 2, by the library rosbags (the extra `ros2`).
 
 Read are sensor_msgs Imu, Range, Image and CompressedImage, and a velocity in `base_stabilized` as our own bags have it, all in
-the axes of REP-103. Of several IMUs the one with the most messages is read. Of several cameras the raw one is, since a camera
-file describes the lens; images that other programs made come after it, and depth last. A header's stamp counts where it is of
-the clock by which the bag was written; else a message counts as measured when it was written.
+the axes of REP-103. An IMU's frame is joined to `base_link` by /tf_static; one that nothing joins is read where its mean force
+points up, as in the body's axes. Of several IMUs the one with the most messages is read. Of several cameras the raw one is,
+since a camera file describes the lens; images that other programs made come after it, and depth last. A header's stamp counts
+where it is of the clock by which the bag was written; else a message counts as measured when it was written.
 """
 
 import math
@@ -13,7 +14,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from itertools import takewhile
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +24,7 @@ from companion.recording.reading import Recording
 from companion.tools.ros2.messages import ENU_NED, KEPT, LEVEL, UP, Message, RosMessages
 from drivers.camera.images import ImageRefused
 from drivers.camera.ros2 import image_px
+from drivers.files import Largest, opened, refuse_special, seen_in
 from drivers.imports.stamps import SIGMA_S, SIGMA_TILT_RAD, SIGMA_YAW_RAD, Tell, timeline
 from drivers.ros2 import require_rosbags, typestore
 from estimator.contracts.errors import BadInput, refused
@@ -115,6 +117,10 @@ _LATEST_NS: Final = 5 * NS_PER_S
 _DOWN = ("down", "rangefinder", "altimeter")
 """Names in the topic or frame of a range sensor that looks down; the message itself has no direction."""
 _ANY = Stamp(MonoNs(0), MonoNs(0), SIGMA_S, "synced")
+_BODIES = ("", "base_link", "base_footprint")
+"""Frames of the body's own axes, and that of a message that names none."""
+_LOOK, _UPRIGHT = 200, math.cos(math.radians(35.0))
+"""Messages at a topic's begin by which it is judged, and the least share of its mean force that points up in the body's axes."""
 _BAGS = (".db3", ".mcap", ".bag")
 _MADE = re.compile(
     r"rect|undistort|scaled|resize|detect|debug|overlay|annotat|result|track|draw|marker|mask|segment|label|output|stitch"
@@ -140,7 +146,9 @@ def read(path: Path, tell: Tell, topic: str = "") -> Iterator[Sample | Frame]:
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         bare = path.is_dir() and not (path / "metadata.yaml").is_file()
         names = list[Path]()
-        for n, each in enumerate(sorted(f for f in path.iterdir() if f.suffix in _BAGS) if bare else [path]):
+        for n, each in enumerate(sorted(f for f in path.iterdir() if f.suffix in _BAGS and f.name[0] != ".") if bare else [path]):
+            for inner in seen_in(each) if each.is_dir() else [each]:
+                refuse_special(inner, Largest.RECORDING)
             names.append(Path(folder) / f"bag{n}{_suffix(each)}")
             names[-1].symlink_to(each.resolve())
         if bare:
@@ -158,7 +166,7 @@ def _suffix(path: Path) -> str:
     """Return the ending by which rosbags distinguishes files."""
     if path.is_dir():
         return ""
-    with path.open("rb") as file:
+    with opened(path, Largest.RECORDING) as file:
         head = file.read(8)
     return ".bag" if head.startswith(b"#ROSBAG") else ".mcap" if head.startswith(b"\x89MCAP") else ".db3"
 
@@ -172,8 +180,13 @@ class _Import:
         self._frames = 0
         self._source_of: dict[type, str] = {}
         """The topic of the IMU's readings, and that of the attitude."""
+        self._turns: dict[str, F64] = {}
+        """(3, 3) matrices that turn vectors of a frame into the body's axes."""
+        self._still: set[str] = set()
+        """Topics of IMUs without readings: all their rates or forces are exactly 0."""
 
     def messages(self) -> Iterator[Sample | Frame]:
+        self._turns = self._fixed_turns()
         chosen = self._chosen()
         if not chosen:
             names = ", ".join(sorted({c.msgtype for c in self._bag.connections})) or "nothing"
@@ -234,7 +247,7 @@ class _Import:
                 topics = self._choose_imu(found, by_count)
             chosen += [connection for connection in found if connection.topic in topics]
             how = " (--topic reads another)" if kind == "camera" else ""
-            if left := sorted(set(counts) - topics):
+            if topics and (left := sorted(set(counts) - topics)):
                 self._tell(f"of the {kind}s, {', '.join(sorted(topics))} is read; left out: {', '.join(left)}{how}")
         return chosen
 
@@ -251,20 +264,72 @@ class _Import:
         last = {topic: topic.removesuffix("/compressed").rpartition("/")[2].lower() for topic in by_count}
         return min(by_count, key=lambda topic: (topic in depth, bool(_MADE.search(topic.lower())), "raw" not in last[topic]))
 
+    def _fixed_turns(self) -> dict[str, F64]:
+        """Return the turns of all frames that /tf_static joins to the body, whichever of two is the parent."""
+        joined: dict[str, tuple[str, F64]] = {}
+        for connection in self._bag.connections:
+            if connection.topic.endswith("/tf_static"):
+                for _, _, data in self._bag.messages(connections=[connection]):
+                    given: list[Any] = []
+                    with suppress(Exception):  # of the library: a damaged message
+                        given = self._bag.deserialize(data, connection.msgtype).transforms
+                    for one in given:
+                        q = one.transform.rotation
+                        with suppress(ValueError):  # no rotation
+                            turn = Rotation.from_quat([q.w, q.x, q.y, q.z]).matrix
+                            joined[_frame(one.child_frame_id)] = _frame(one.header.frame_id), turn
+        frames = {*joined, *(parent for parent, _ in joined.values())}
+        turns = {frame: UP for frame in frames if _is_body(frame)}
+        for _ in joined:  # a chain is no longer than there are transforms
+            for child, (parent, turn) in joined.items():
+                if parent in turns and child not in turns:
+                    turns[child] = turns[parent] @ turn
+                elif child in turns and parent not in turns:
+                    turns[parent] = turns[child] @ turn.T
+        return turns
+
     def _choose_imu(self, found: list[Any], by_count: list[str]) -> set[str]:
         """Return the topic of the readings and that of the attitude: our own bags have them side by side, and mavros does."""
         has: dict[str, set[type]] = {}
         for connection in found:
-            for _, _, data in self._bag.messages(connections=[connection]):
+            first = list[Any]()
+            for _, _, data in islice(self._bag.messages(connections=[connection]), _LOOK):
                 with suppress(Exception):  # of the library: a damaged message; the pass itself reports it
-                    message = self._bag.deserialize(data, connection.msgtype)
-                    has[connection.topic] = {type(one) for one in self.imu("", message, _ANY)}
-                break
-        readings = next((topic for topic in by_count if Imu in has.get(topic, ())), by_count[0])
+                    first.append(self._bag.deserialize(data, connection.msgtype))
+            if first and self._is_of_the_body(connection.topic, first):
+                has[connection.topic] = {type(one) for one in self.imu(connection.topic, first[0], _ANY)}
+        if not any(has.values()):
+            return set()
+        readings = next((topic for topic in by_count if Imu in has.get(topic, ())), next(t for t in by_count if has.get(t)))
         beside = sorted(by_count, key=lambda topic: (topic != readings, topic.rpartition("/")[0] != readings.rpartition("/")[0]))
         attitude = next((topic for topic in beside if Attitude in has.get(topic, ())), readings)
         self._source_of = {Imu: readings, Attitude: attitude}
         return {readings, attitude}
+
+    def _is_of_the_body(self, topic: str, first: list[Any]) -> bool:
+        """Return whether an IMU can be read, by the messages at its begin, and tell why where that is not plain."""
+        forces = np.array([_vector(m.linear_acceleration) for m in first if m.linear_acceleration_covariance[0] != -1.0])
+        rates = np.array([_vector(m.angular_velocity) for m in first if m.angular_velocity_covariance[0] != -1.0])
+        frame, says = _frame(first[0].header.frame_id), f"{topic} is in the frame {first[0].header.frame_id!r}"
+        for name, values in (("rates", rates), ("forces", forces)):
+            if len(values) and not values.any():
+                self._tell(f"of {topic} no readings are taken: all its {name} are exactly 0, it does not measure them")
+                self._still.add(topic)
+        if frame in self._turns or _is_body(frame):
+            self._turns.setdefault(frame, UP)
+            return True
+        mean = forces.mean(axis=0) if len(forces) else np.zeros(3)
+        if mean[2] >= _UPRIGHT * np.linalg.norm(mean) > 0.0:
+            self._tell(
+                f"{says}, which no /tf_static joins to base_link: it is read as forward, left and up, since its force points up"
+            )
+            self._turns[frame] = UP
+            return True
+        self._tell(
+            f"{says}, which no /tf_static joins to base_link, and its mean force points to {np.round(mean, 1).tolist()} m/s^2 "
+            "and not up: it is left out"
+        )
+        return False
 
     def _of(self, topic: str, message: Any, stamp: Stamp) -> Iterator[Sample | Frame]:
         try:
@@ -278,39 +343,56 @@ class _Import:
 
     def imu(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Sample]:
         """Yield the readings and the attitude, each where the message has it."""
-        if m.angular_velocity_covariance[0] != -1.0 and m.linear_acceleration_covariance[0] != -1.0:
-            yield Imu(stamp, UP @ _vector(m.angular_velocity), UP @ _vector(m.linear_acceleration))
+        turn = self._turns.get(_frame(m.header.frame_id))
+        if turn is None:
+            self._left_out[f"of {topic} are in the frame {m.header.frame_id!r}, which is not that of the others"] += 1
+            return
+        measures = topic not in self._still
+        if measures and m.angular_velocity_covariance[0] != -1.0 and m.linear_acceleration_covariance[0] != -1.0:
+            yield Imu(stamp, turn @ _vector(m.angular_velocity), turn @ _vector(m.linear_acceleration))
         q = m.orientation
         # A driver that knows no orientation says -1, or leaves all of it at zero or the identity.
         known = m.orientation_covariance[0] != -1.0 and (np.any(m.orientation_covariance) or any((q.x, q.y, q.z)))
         if known and abs(math.hypot(q.w, q.x, q.y, q.z) - 1.0) < 0.01:
-            cov = UP @ np.asarray(m.orientation_covariance).reshape(3, 3) @ UP
+            cov = turn @ np.asarray(m.orientation_covariance).reshape(3, 3) @ turn.T
             if not np.trace(cov) > 0.0:
                 cov = np.diag([SIGMA_TILT_RAD**2, SIGMA_TILT_RAD**2, SIGMA_YAW_RAD**2])
-            yield Attitude(stamp, Rotation(ENU_NED.T @ Rotation.from_quat([q.w, q.x, q.y, q.z]).matrix @ UP), cov)
+            yield Attitude(stamp, Rotation(ENU_NED.T @ Rotation.from_quat([q.w, q.x, q.y, q.z]).matrix @ turn.T), cov)
 
     def range(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Sample]:
         """Yield the distance below."""
         if not any(word in f"{topic} {m.header.frame_id}".lower() for word in _DOWN):
             self._left_out[f"of {topic} are ranges, and nothing shows that they look down (in the names of topic or frame)"] += 1
-        elif m.min_range <= m.range <= m.max_range:
+        elif m.min_range <= m.range <= (m.max_range or math.inf) and m.range > 0.0:
             yield Range(stamp, float(m.range), math.sqrt(v) if (v := getattr(m, "variance", 0.0)) > 0.0 else 0.02)
         else:
             self._left_out[f"of {topic} are ranges outside of the sensor's own limits"] += 1
 
     def velocity(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Sample]:
         """Yield a velocity in the level frame; those in other frames are left out."""
-        if m.header.frame_id == LEVEL:
+        if m.header.frame_id != LEVEL:
+            self._left_out[f"of {topic} are velocities in {m.header.frame_id!r} and not in {LEVEL!r}"] += 1
+        elif min(m.twist.covariance[:15:7]) <= 0.0:
+            self._left_out[f"of {topic} are velocities whose covariance says that they are not known"] += 1
+        else:
             cov = UP @ np.asarray(m.twist.covariance).reshape(6, 6)[:3, :3] @ UP
             yield BodyVelocity(stamp, UP @ _vector(m.twist.twist.linear), cov)
-        else:
-            self._left_out[f"of {topic} are velocities in {m.header.frame_id!r} and not in {LEVEL!r}"] += 1
 
     def image(self, topic: str, m: Any, stamp: Stamp) -> Iterator[Frame]:
         """Yield an image, raw or of a file's format."""
         px = image_px(m)
         self._frames += 1
         yield Frame(stamp, self._frames, px)
+
+
+def _frame(name: str) -> str:
+    """Return a frame's name without the stroke at its begin that ROS 1 allowed."""
+    return name.lstrip("/")
+
+
+def _is_body(frame: str) -> bool:
+    """Return whether a frame is the body's, also that of one of several robots, as `drone_1/base_link`."""
+    return frame.rpartition("/")[2] in _BODIES
 
 
 def _vector(v: Any) -> F64:
@@ -322,3 +404,40 @@ _KINDS: Final[Mapping[str, tuple[str, Callable[[_Import, str, Any, Stamp], Itera
     "sensor_msgs/msg/Image": ("camera", _Import.image), "sensor_msgs/msg/CompressedImage": ("camera", _Import.image),
     "geometry_msgs/msg/TwistWithCovarianceStamped": ("velocity", _Import.velocity),
 }  # fmt: skip
+_READ: Final = "read"
+FIELDS: Final[Mapping[str, Mapping[str, str]]] = {
+    "std_msgs/msg/Header": {
+        "stamp": "read; of another clock, the time of writing stands for it",
+        "frame_id": "read of all but images: whose axes an IMU has, whether a range looks down",
+    },
+    "sensor_msgs/msg/Imu": {
+        "header": _READ,
+        "orientation": "read; all 0, and the identity without a covariance, are none",
+        "orientation_covariance": "read; -1 first is no orientation",
+        "angular_velocity": "read; 0 in every message is no gyro",
+        "angular_velocity_covariance": "read; -1 first is no rate",
+        "linear_acceleration": "read; 0 in every message is no accelerometer",
+        "linear_acceleration_covariance": "read; -1 first is no force",
+    },
+    "sensor_msgs/msg/Range": {
+        "header": _READ,
+        "radiation_type": "a distance is one by sound and by light",
+        "field_of_view": "the estimator takes what is below, at any width",
+        "min_range": _READ,
+        "max_range": "read; 0 is no limit",
+        "range": "read; infinite, 0 and beyond the limits is none",
+        "variance": "read; 0 is none, and of ROS 1 there is none",
+    },
+    "sensor_msgs/msg/Image": {
+        "header": _READ,
+        **dict.fromkeys(("height", "width", "encoding", "is_bigendian", "step", "data"), _READ),
+    },
+    "sensor_msgs/msg/CompressedImage": {
+        "header": _READ,
+        "format": "read to know depths; the data say what they are",
+        "data": _READ,
+    },
+    "geometry_msgs/msg/TwistWithCovarianceStamped": {"header": _READ, "twist": "read; a covariance of 0 or -1 is no velocity"},
+    "tf2_msgs/msg/TFMessage": {"transforms": "read of /tf_static alone: what moves turns no sensor of the body"},
+}
+"""Every field of the messages that are read: read, with what means that nothing was measured, or why not."""

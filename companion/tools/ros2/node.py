@@ -16,6 +16,7 @@ from msgspec import Meta, Struct
 from companion.base.orders import OperatorOrder
 from companion.facts import records as rec
 from companion.facts.wire import RequestRate
+from companion.guidance.operator.order_time import BEGINS
 from companion.recording import channels
 from companion.recording.foxglove_protocol import MESSAGE, MESSAGE_DATA, SUBPROTOCOLS
 from companion.recording.reading import NOT_UNDERSTOOD, EventAssembly, instant
@@ -195,7 +196,7 @@ class RosBridge:
 ORDERS = {order.value: order for order in (OperatorOrder.BEGIN, OperatorOrder.HOLD, OperatorOrder.STAY, OperatorOrder.ABORT)}
 """Orders by the name of their topic (std_msgs/Empty) and service (std_srvs/Trigger)."""
 _LATE_S = 5.0
-"""Age from which a begin is refused: it may have waited in a network that was away."""
+"""Age from which a begin or a stay is refused: it may have waited in a network that was away."""
 _EACH_SECOND_MOST = 10
 
 
@@ -215,16 +216,16 @@ class RosOrders:
             for name, path in ((name, f"/{namespace}/{name}") for name in ORDERS)
         ]
 
-    def come(self) -> Iterator[tuple[str, Request]]:
-        """Yield the orders that came by their names, without those that are refused here."""
+    def come(self) -> Iterator[tuple[str, Request, float]]:
+        """Yield the orders that came by their names, each with its age by its sender, s, without those that are refused here."""
         for name, rate, messages, requests in self._ends:
             for request in (*(Request(at, lambda accepted, text: None) for _, at in messages()), *requests()):
                 late_s = 1e-9 * (time.time_ns() - request.sent_at_ns)
                 if rate.exceeded(self._clock.now()):
                     self.refused["flood"] += 1
                     request.answer(False, f"refused: more than {_EACH_SECOND_MOST} of them in a second")
-                elif ORDERS[name] is OperatorOrder.BEGIN and not abs(late_s) <= _LATE_S:
+                elif ORDERS[name] in BEGINS and not abs(late_s) <= _LATE_S:
                     self.refused["late"] += 1
                     request.answer(False, f"refused: sent {late_s:.1f} s ago by its sender's clock, at most {_LATE_S:g} s")
                 else:
-                    yield name, request
+                    yield name, request, late_s

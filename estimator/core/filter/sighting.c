@@ -70,7 +70,7 @@ static void view_of(const dl_belief *b, view *seen)
     rotated(turning, seen->d_b, moved);
     for (int i = 0; i < 3; i++) {
         seen->rates[i] = seen->v_b[i] - moved[i];
-        seen->shown[i] = seen->d_b[i] + x[DL_CAMERA_DELAY] * seen->rates[i];
+        seen->shown[i] = seen->d_b[i] + x[DL_CAMERA_DELAY] * seen->rates[i] - x[DL_CAMERA_LEVER + i];
     }
 }
 
@@ -109,6 +109,7 @@ static void by_place(const dl_belief *b, const view *seen, const double E[9], co
     product(E, skewed, M);
     product(M, jl, skewed);
     set_columns(H, DL_CAMERA_MOUNT, 1.0, skewed);
+    set_columns(H, DL_CAMERA_LEVER, -1.0, E);
     rotated(E, seen->rates, column);
     set_column(H, DL_CAMERA_DELAY, column);
 }

@@ -146,7 +146,7 @@ static void reset_vessel(const dl_filter_params *o, dl_belief *b, double *P)
 /* The pad from the body in ned, by a picture, less `late` (3,) in the camera's axes, or by a baseline; returns its distance squared. */
 static double place_of(const dl_filter_params *o, const dl_belief *b, const dl_sighting *s, const double late[3], double place[3])
 {
-    double A[9], seen[3], back[9];
+    double A[9], seen[3], back[9], lever[3];
     if (s->by_baseline) {
         baseline_place(o, b, s, place);
         return dot(place, place);
@@ -158,6 +158,10 @@ static double place_of(const dl_filter_params *o, const dl_belief *b, const dl_s
         seen[i] -= late[i];
     }
     rotated(back, seen, place);
+    rotated(b->R, b->x + DL_CAMERA_LEVER, lever);
+    for (int i = 0; i < 3; i++) {
+        place[i] += lever[i];
+    }
     return dot(seen, seen);
 }
 

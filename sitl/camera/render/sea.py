@@ -48,10 +48,7 @@ class SeaPainter:
         hs = 0.0 if waves is None else float(waves.hs_m[0])
         self._roughness = 0.55 + 0.45 * math.tanh(hs)
         self._whitecaps = 2.6 - 0.9 * math.tanh((hs - 0.6) / 2.0) if hs > 0.6 else math.inf
-        cos_e = math.cos(light.sun_elevation_rad)
-        self._to_sun = np.array(
-            [cos_e * math.cos(light.sun_azimuth_rad), cos_e * math.sin(light.sun_azimuth_rad), -math.sin(light.sun_elevation_rad)]
-        )
+        self._to_sun = light.to_sun_ned
         self._table, self._sky = scene_of(_water_table(surroundings.water)), scene_of(_SKY)
         self._ripples, self._foam = ripples(surroundings.seed), foam(surroundings.seed)
 

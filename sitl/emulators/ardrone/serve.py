@@ -60,9 +60,10 @@ async def fly_repeatedly(
             ground it commands the motors off.
     """
     while True:
-        sent, stood_s = server.counters["video_sent"], server.stood_still_s
+        before, stood_s = server.counters.copy(), server.stood_still_s
         ended = await _end(server, clock)
-        load = {"frames_sent": server.counters["video_sent"] - sent, "stood_still_s": round(server.stood_still_s - stood_s, 3)}
+        frames = {f"frames_{what}": server.counters[f"video_{what}"] - before[f"video_{what}"] for what in ("sent", "due")}
+        load = {**frames, "stood_still_s": round(server.stood_still_s - stood_s, 3)}
         say(event="flight", seed=seed, ended=ended, **_result(server.world), **load)
         seed += 1
         following = faulty(scenario, seed) if faults else scenario

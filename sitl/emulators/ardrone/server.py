@@ -149,7 +149,8 @@ class StreamPort:
         self._clients_max = clients_max
         self._backlog_max = backlog_max
         self._buffer = buffer
-        self._clients: set[asyncio.WriteTransport] = set()
+        self._clients: set[asyncio.StreamWriter] = set()
+        """A writer that nobody keeps closes its connection."""
 
     @property
     def busy(self) -> bool:
@@ -172,44 +173,43 @@ class StreamPort:
 
     def send(self, data: bytes) -> None:
         """Hand the data over to every client whose backlog allows it."""
-        for transport in self._clients:
-            if transport.is_closing():
+        for writer in self._clients:
+            if writer.is_closing():
                 continue
-            if transport.get_write_buffer_size() > self._backlog_max:
+            if writer.transport.get_write_buffer_size() > self._backlog_max:
                 self._count("dropped")
             else:
-                transport.write(data)
+                writer.write(data)
                 self._count("sent")
 
     def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> Coroutine[None, None, None] | None:
-        transport = writer.transport
         if self._buffer is not None:
-            raw: socket.socket = transport.get_extra_info("socket")
+            raw: socket.socket = writer.get_extra_info("socket")
             raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self._buffer)
         if len(self._clients) >= self._clients_max > 1:
             self._count("client_refused")
-            transport.abort()
+            writer.transport.abort()
             return None
         if len(self._clients) >= self._clients_max:
             self._count("client_replaced")
             self.drop()
         self._count("client")
-        self._clients.add(transport)
-        return self._serve(reader, transport)
+        self._clients.add(writer)
+        return self._serve(reader, writer)
 
-    async def _serve(self, reader: asyncio.StreamReader, transport: asyncio.WriteTransport) -> None:
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
             with suppress(OSError):
                 while await reader.read(4096):
                     pass
         finally:
-            self._clients.discard(transport)
-            transport.abort()
+            self._clients.discard(writer)
+            writer.transport.abort()
 
     def drop(self) -> None:
         """Cut all connections."""
-        for transport in self._clients:
-            transport.abort()
+        for writer in self._clients:
+            writer.transport.abort()
         self._clients.clear()
 
     def _count(self, what: str) -> None:
@@ -420,12 +420,13 @@ class ArDroneServer:
             config = self.drone.state.config
             period_s = 1.0 / config.number(self._habits.generation.frame_rate)
             # A host too slow to render them all films fewer, evenly numbered: only lost frames leave a gap.
-            due = max(after(due, period_s), after(self._clock.now(), -period_s))
+            before, due = due, max(after(due, period_s), after(self._clock.now(), -period_s))
             if not self._video.busy or not config.flag("general:video_enable"):
                 continue
             fate = self.world.streams.frames.fate()
             if not fate.copies:
                 continue
+            self.counters["video_due"] += round(seconds_between(before, due) / period_s)
             rpy, altitude_m = self.drone.rpy_rad, self.drone.altitude_m
             keys = {name: config[name] for name in self._habits.generation.film_keys}
             R_ned_body, number = self.world.truth().R_ned_body, self.drone.shot.number + 1

@@ -123,12 +123,12 @@ class KillableService:
     What a killed daemon still sends while its tasks end must be kept from the vehicle: a killed process sends nothing.
 
     Args:
-        make: makes a daemon with a pilot of its own, that ends with the first outcome or, if False, waits for the next flight.
+        make: makes a daemon with a pilot of its own, that waits for the next flight after an outcome.
     """
 
-    def __init__(self, make: Callable[[bool], FlightDaemon]) -> None:
+    def __init__(self, make: Callable[[], FlightDaemon]) -> None:
         self._make = make
-        self.now = make(True)
+        self.now = make()
         """The newest daemon, even if it was killed."""
         self.gone = False
         """True if it was killed and no new one runs."""
@@ -162,7 +162,7 @@ class KillableService:
         if self._task is not None:
             await asyncio.wait({self._task})
         before = self.now.pilot.landing.memory
-        self.now, self.gone = self._make(False), False
+        self.now, self.gone = self._make(), False
         self.now.pilot.landing.before = before
         self._before, self._unheard = self._offered, 0
         self.start(group)

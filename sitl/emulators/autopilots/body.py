@@ -19,7 +19,7 @@ from sitl.camera.render_worker import RenderWorker
 from sitl.core.library import Number, Numbers
 from sitl.emulators.autopilots.station import OperatorView
 from sitl.faults.fault import Corruptions, FaultTimer
-from sitl.faults.kinds import LightFalls
+from sitl.faults.kinds import LightFalls, LowBattery, charge_left
 from sitl.scenario.scenario import Scenario, pad_model
 from sitl.vehicle.airframe import Airframe
 from sitl.vehicle.vehicle import DECK, SEA, Vehicle, VehiclePhase
@@ -115,6 +115,8 @@ class BodyState(Struct, frozen=True, eq=False):
     """(3,) specific force, m/s^2."""
     range_m: float | None
     """Distance along the body's down axis to the deck or the still water, m; None beyond 40 m and if the axis points upwards."""
+    battery: float = 1.0
+    """Charge of the battery, 0 to 1."""
 
 
 class Body:
@@ -153,7 +155,7 @@ class Body:
         if self._vehicle.airframe.layout != "quad_x":
             raise BadInput("--autopilot flies four rotors in an X; the scenario's vehicle has another layout")
         self._vehicle.curve = curve
-        self._tick = 0
+        self._tick, self._flown_s = 0, 0.0
         self._chunk: list[Ground] = []
         self._chunk_at = 0
         at = self.vessel.pad_at(0.0)
@@ -181,16 +183,23 @@ class Body:
             now, then = self.waves.elevation(p, np.array([self.t_s, self.t_s + _SEA_S]))[0]
             self._sea = (-float(now), -float(then - now) / _SEA_S)
         self._ground.sea_z, self._ground.sea_vz = self._sea
-        self._vehicle.motors = motors
+        self._flown_s += self.step_s if self.flying else 0.0
+        self._vehicle.motors = motors if self.battery > 0.0 else _NONE
         self._vehicle.step(self._ground)
         if self.gimbal is not None:
             self.gimbal.step(Rotation(self._vehicle.R_ned_body))
+
+    @property
+    def battery(self) -> float:
+        """Charge of the battery, 0 to 1; nothing turns the motors at 0."""
+        s = self.scenario.sensors
+        return charge_left(s.battery_start - self._flown_s / s.battery_life_s, self.faults.on(LowBattery), s.battery_life_s)
 
     def state(self) -> BodyState:
         """Return the body's state at the newest step."""
         v = self._vehicle
         rotation = Rotation(v.R_ned_body)
-        return BodyState(self.t_s, v.p_ned, v.v_ned, rotation, v.w_body, v.f_body, self._range(rotation))
+        return BodyState(self.t_s, v.p_ned, v.v_ned, rotation, v.w_body, v.f_body, self._range(rotation), self.battery)
 
     @property
     def p_pad_ned(self) -> F64:
@@ -253,7 +262,7 @@ class Body:
         at = MonoNs(round(self.t_s * NS_PER_S)) if self._clock is None else self._clock.now()
         return Truth(
             at, s.p_ned, s.v_ned, s.R_ned_body, pad.p_ned, pad.v_ned, Rotation(pad.R_ned), phase, None,
-            a_body_ned=s.R_ned_body @ s.f_body + [0.0, 0.0, G_M_S2], w_body=s.w_body, w_pad=pad.w,
+            a_body_ned=s.R_ned_body @ s.f_body + [0.0, 0.0, G_M_S2], w_body=s.w_body, w_pad=pad.w, battery=s.battery,
         )  # fmt: skip
 
     def shot(self) -> Exposure:
@@ -287,6 +296,9 @@ class Body:
         if self._renderer is None:
             seed = self._camera_seed
             self._renderer = film(self.scenario, renderer(self.scenario, self.waves, self.vessel, seed), seed)
+        if self.faults.active("lens_covered"):
+            dark = np.zeros((self.camera.height, self.camera.width, 3), np.uint8)
+            return lambda: RenderedFrame(dark, at, own_s)
         expose, shot = self._renderer.render, self.shot()
         light = math.prod(fault.fraction for fault, _ in self.faults.on(LightFalls))
         taken = structs.replace(Taken() if self.exposure is None else self.exposure.expose(), light_fraction=light)

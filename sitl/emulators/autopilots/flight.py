@@ -13,12 +13,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal
 
 import cv2
 import msgspec
 from msgspec import Struct
 
+from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.mission import REFUSALS, FlightOutcome
 from companion.base.observer import Observer
@@ -28,7 +30,7 @@ from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.links import LinkOptions, Links, open_links
-from drivers.mavlink.vehicle import LAND_MODE, TARGET_MODE, Stack
+from drivers.mavlink.vehicle import ARMING_REFUSAL, LAND_MODE, TARGET_MODE, Stack
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import ned_between
@@ -48,14 +50,20 @@ from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import GimbalLink, StandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import STATION, GroundStation, Task
-from sitl.faults.kinds import OperatorActs
-from sitl.flight.ending import STANDS_AFTER_S, Ending, Standing, standing_of
+from sitl.emulators.autopilots.telemetry import CorruptedTelemetry
+from sitl.faults.carried import refuse_others
+from sitl.faults.fault import Fault
+from sitl.faults.kinds import Failsafe
+from sitl.flight.afterwards import Afterwards, cpu_s
+from sitl.flight.ending import Ending
 from sitl.flight.person import SimulatedPerson
 from sitl.flight.vessel_reports import VesselReporter
-from sitl.perception.port import Perception
-from sitl.scenario.scenario import Scenario, vehicle_model
+from sitl.perception.levels import perceive
+from sitl.perception.port import Level, Perception
+from sitl.scenario.scenario import Scenario
+from sitl.scenario.with_fault import with_random_faults
 from sitl.sensors.sensors import ORIGIN
-from sitl.world.truth import Touchdown, Truth
+from sitl.world.truth import Truth
 
 Name = Literal["arducopter", "arduplane", "px4"]
 HOST = "127.0.0.1"
@@ -66,8 +74,6 @@ COM_WATCHDOG_S: dict[Name, float] = {
 }
 """Time for which each program flies on with the last setpoint."""
 _STATION_S = 0.05
-_AFTER_S = 1.5
-"""Time that the flight continues at least after its end, so that a later contact is recorded."""
 _TRUTH_S = 0.02 - 1e-6
 _PACE = 10.0
 """Largest speed of the program in multiples of real time; the lock step limits it to what the machine can do."""
@@ -92,42 +98,40 @@ class AutopilotProgram(Struct, frozen=True):
 class FlightEnd(Struct, frozen=True):
     """The result of the flight."""
 
-    outcome: FlightOutcome | None
-    """The pilot's outcome, and of an unaided flight a landing where the motors stopped; None if the flight ended otherwise."""
-    landing: Touchdown | None
-    duration_s: float
-    """Time since the landing was commanded."""
+    ending: Ending
+    """The end of the flight, judged from the order to land on."""
     health: Health
     texts: tuple[tuple[float, int, str], ...]
     """Status texts of autopilot and companion: s since the program's start, component, text."""
-    upright: bool
     failure: str = ""
     """The reason why no landing took place."""
-    contacts: tuple[Touchdown, ...] = ()
-    """Every contact since the order to land."""
-    graded: Ending | None = None
-    """The graded result of a scenario with faults; None without."""
     armed_after_contact_s: float | None = None
     """Time for which the motors turned after the newest contact; None if they never stopped, or there was none."""
     silences: tuple[Silence, ...] = ()
     """Flight of the vehicle while the service was killed."""
-    standing: Standing | None = None
-    """Place on the deck some seconds after the contact; None where it does not stand on it."""
     tracking_m: float | None = None
     """Distance from the pad on the way down (`GradedBody.tracking_m`); None for a flight that did not come so far."""
     elsewhere_m: float | None = None
     """Horizontal distance in which a refused vehicle ended from the place at which it was to land; None for another end."""
 
-    @property
-    def without_outcome(self) -> str:
-        """Reason for the end of a flight without an outcome."""
-        return "time ran out" if self.upright else "turned over or fell into the water"
+    def as_json(self) -> dict[str, object]:
+        """Return plain values: the ending's, and what there is of an autopilot's flight alone."""
+        return {
+            **self.ending.as_json(),
+            "failure": self.failure or None,
+            "armed_after_contact_s": None if self.armed_after_contact_s is None else round(self.armed_after_contact_s, 2),
+            "failsafes": list(self.failsafes),
+            "tracking_m": None if self.tracking_m is None else round(self.tracking_m, 3),
+            "elsewhere_m": None if self.elsewhere_m is None else round(self.elsewhere_m, 2),
+            "silences": [silence.as_json() for silence in self.silences],
+        }
 
     @property
     def failsafes(self) -> tuple[str, ...]:
-        """Texts of the autopilot about a failsafe."""
+        """Texts of the autopilot about failsafes, each once. A refusal to arm for one is repeated until it arms, and is none."""
         own = int(mav.MAV_COMP_ID_AUTOPILOT1)
-        return tuple(text for _, component, text in self.texts if component == own and "failsafe" in text.lower())
+        said = dict.fromkeys(text for _, component, text in self.texts if component == own and "failsafe" in text.lower())
+        return tuple(text for text in said if ARMING_REFUSAL.match(text) is None)
 
 
 @dataclass(slots=True)
@@ -177,8 +181,11 @@ class AutopilotFlight:
             raise BadInput("--autopilot arduplane: there is no stand-in for it; name the program with --binary PATH")
         self.station = self._station()
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
-        self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s)
-        self.link = FaultyLink(self.graded.streams, self.clock, self.graded.on_sent, self.graded.on_arrived)
+        unaided = self.autopilot.unaided
+        self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s, unaided=unaided)
+        self.graded.on_begun = self._on_begun
+        told = CorruptedTelemetry(self.graded.corruptions, self.clock)
+        self.link = FaultyLink(self.graded.streams, self.clock, self.graded.on_sent, self.graded.on_arrived, told)
         self._reporter = VesselReporter(self.graded)
 
     def _station(self, ground_m: float = 0.0) -> GroundStation:
@@ -211,14 +218,10 @@ class AutopilotFlight:
             from_program, to_station = px4.MAVLINK_PORTS if fixed else (first, second)
             return await self._fly(from_program, to_station, third)
 
-    async def _fly(self, from_program: int, to_station: int, behind_relay: int) -> FlightEnd:
+    async def _fly(self, from_program: int, to_station: int, to_daemon: int) -> FlightEnd:
         cv2.setNumThreads(1)
-        relayed = self.autopilot.unaided or self.autopilot.own or bool(self.scenario.faults)
-        to_daemon = behind_relay if relayed else from_program
         settings = self.service_settings(to_daemon)
-        person = any(isinstance(fault, OperatorActs) for fault in self.scenario.faults)
-        stays = self.settings.guidance.refused == "hold" and not person
-        service = self._service = KillableService(lambda once: self._serving(settings, once and stays))
+        service = self._service = KillableService(lambda: self._serving(settings))
         # The world begins before the program does: at the level `truth` the pilot reads it from its first cycle on.
         copter = self.autopilot.name != "px4"
         step_s = in_process.STEP_S if self.autopilot.binary is None else STEP_S if copter else px4.STEP_S
@@ -235,8 +238,7 @@ class AutopilotFlight:
                 links = await stack.enter_async_context(
                     open_links((link,), self.clock, STATION, access=NamedSenders(everybody=True))
                 )
-                if relayed:
-                    await stack.enter_async_context(self.link.relaying(HOST, from_program, to_daemon))
+                await stack.enter_async_context(self.link.relaying(HOST, from_program, to_daemon))
                 program = await stack.enter_async_context(self._program((from_program, to_station)))
                 self._stepped_at = time.monotonic()
                 try:
@@ -259,10 +261,10 @@ class AutopilotFlight:
             raise failed
         return end
 
-    def _serving(self, settings: Settings, once: bool) -> FlightDaemon:
+    def _serving(self, settings: Settings) -> FlightDaemon:
         """Return a daemon that knows nothing yet."""
         pilot = self.perception.pilot(settings, self.shadows)
-        side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded), once=once)
+        side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded), once=False)
         if self.on_start is not None:
             self.on_start(side.daemon.health)
         return side
@@ -276,72 +278,77 @@ class AutopilotFlight:
         self.body.exposure = SimulatedExposure(side.exposure, start, camera.period_s, white_k, lambda: camera.frames)
 
     async def _conduct(self, links: Links, service: KillableService, group: asyncio.TaskGroup) -> FlightEnd:
-        station, camera = self.station, self._camera
-        assert camera is not None
+        station, began_s = self.station, cpu_s()
         person = SimulatedPerson(self.graded.faults, by_remote=lambda act: self._by_remote(act, links))
         while station.task is not Task.FAILED:
-            await self.clock.sleep(_STATION_S)
+            await self._act(links, service, group, person)
             if self.body is None:
                 continue
-            camera.on = station.task not in (Task.MEET, Task.ARM)
-            for message in station.period(self.clock.now(), view_of(self.body)):
-                links.send(message)
             lost = not self.body.upright
-            if self.autopilot.unaided and station.task is Task.ORDER:
-                self.link.muted = True
-            if service.gone and not self.graded.faults.active("service_killed"):
-                await service.restart(group)
-                self._expose_by(service.now, camera)
-                self.link.cut = False
-                if station.began is None:  # else the new service goes on with the landing that was ordered
-                    station.again(self.clock.now(), self.graded.height_m)
             if station.began is not None:
-                if not service.gone:
-                    person.act(service.now.pilot.operator, self.clock.now())
                 flown_s = seconds_between(station.began, self.clock.now())
-                if (
-                    (self._flown(service) and not person.gives_back)
-                    or self._touched
-                    or flown_s > self.scenario.duration_limit_s
-                    or lost
-                ):
+                done = self._flown(service) and not person.gives_back
+                if done or self._touched or flown_s > self.scenario.duration_limit_s or lost:
                     break
             elif lost or service.ended(ordered=False):
                 station.failure = "it turned over or fell into the water before the landing was ordered"
                 break
-        ended = self.clock.now()
-        if not self._touched:
-            await self.clock.sleep(_AFTER_S)
-        if self.graded.contacts and self.body is not None and not self.body.flying:
-            await self.clock.sleep(max(0.0, STANDS_AFTER_S - seconds_between(self.graded.contacts[-1].at, self.clock.now())))
-        began = station.began or ended
-        texts = tuple((seconds_between(self.clock.started, at), component, text) for at, component, text in station.texts)
+        health = service.now.daemon.health
+        ending = self.graded.result(self._outcome(service), service.now.pilot, health)
+        if (grader := self.graded.grader) is not None:
+            # A program that simulates its vehicle by itself does not know that it stands on our deck.
+            later = Afterwards(grader, ending)
+            while not self._touched and self.clock.now() < later.ends:
+                await self._act(links, service, group, person)
+                later.step()
+            ending = later.ending(cpu_s() - began_s, stands=not self._touched)
         landing = None if self.body is None or station.began is None else self.body.landing()
         stopped = None if landing is None or self._stopped_s is None else max(self._stopped_s - landing.at / NS_PER_S, 0.0)
-        pilot, health = service.now.pilot, service.now.daemon.health
-        outcome = pilot.outcome
-        if self._touched:
-            outcome = FlightOutcome.LANDED
-        elif self.autopilot.unaided:
-            outcome = FlightOutcome.LANDED if stopped is not None and self.body is not None and self.body.upright else None
         return FlightEnd(
-            outcome,
-            landing,
-            max(seconds_between(began, ended), 0.0),
+            ending,
             health,
-            texts,
-            self.body is not None and self.body.upright,
+            tuple((seconds_between(self.clock.started, at), component, text) for at, component, text in station.texts),
             station.failure,
-            self.graded.contacts,
-            self.graded.result(pilot, health),
             stopped,
             tuple(self._silences),
-            None
-            if self.body is None
-            else standing_of(self.graded.truth(), self.body.pad.disc_radius_m, vehicle_model(self.scenario).airframe().feet),
             self.graded.tracking_m,
             self._from_elsewhere_m(service),
         )
+
+    async def _act(self, links: Links, service: KillableService, group: asyncio.TaskGroup, person: SimulatedPerson) -> None:
+        """Let some time pass, and act as the ground station, the person and whoever starts a killed service again."""
+        station, camera = self.station, self._camera
+        assert camera is not None
+        await self.clock.sleep(_STATION_S)
+        if self.body is None:
+            return
+        camera.on = station.task not in (Task.MEET, Task.ARM)
+        for message in station.period(self.clock.now(), view_of(self.body)):
+            links.send(message)
+        if self.autopilot.unaided and station.task is Task.ORDER:
+            self.link.muted = True
+        if service.gone and not self.graded.faults.active("service_killed"):
+            await service.restart(group)
+            self._expose_by(service.now, camera)
+            self.link.cut = False
+            if station.began is None:  # else the new service goes on with the landing that was ordered
+                station.again(self.clock.now(), self.graded.height_m)
+        if station.began is not None and not service.gone:
+            person.act(service.now.pilot.operator, self.clock.now())
+
+    def _outcome(self, service: KillableService) -> FlightOutcome | None:
+        """Return the pilot's outcome, and of a program that nobody tells of our deck or of the pad its landing."""
+        if self._touched:
+            return FlightOutcome.LANDED
+        if self.autopilot.unaided:
+            stands = self.body is not None and self.body.upright and not self.body.flying and self.body.landing() is not None
+            return FlightOutcome.LANDED if stands else None
+        return service.now.pilot.outcome
+
+    def _on_begun(self, fault: Fault) -> None:
+        """Let a failsafe of the stand-in act."""
+        if isinstance(fault, Failsafe) and self.stand_in is not None:
+            self.stand_in.acts_by_failsafe(fault.takes)
 
     def _by_remote(self, act: str, links: Links) -> None:
         """Act as a pilot with a remote control does: choose the autopilot's mode that holds, or stop the motors."""
@@ -498,6 +505,36 @@ class AutopilotFlight:
         if self.autopilot.name == "px4":
             return Px4StandIn(self.clock, {"MIS_TAKEOFF_ALT": self.height_m, **given})
         return CopterStandIn(self.clock, given, in_process.STEP_S)
+
+
+def fly_stand_in(
+    autopilot: Name,
+    drawn: bool,
+    name: str,
+    scenario: Scenario,
+    seed: int,
+    settings: Settings,
+    perception: Level,
+    perception_model: str | None,
+) -> dict[str, object]:
+    """Fly a scenario once with the stand-in of an autopilot, and return the result as a campaign keeps it.
+
+    Args:
+        drawn: whether the seed draws further faults.
+
+    Raises:
+        BadInput: as of `AutopilotFlight`, or a fault cannot act there.
+        Recoverable: no landing began.
+    """
+    if drawn:
+        scenario = with_random_faults(scenario, seed, perception, autopilot=True)
+    refuse_others(name, scenario.faults, stand_in=True)
+    program, seen_by = AutopilotProgram(autopilot, None), perceive(perception, perception_model)
+    with TemporaryDirectory(prefix="decklander-") as folder:
+        end = event_loop.run(AutopilotFlight(scenario, seed, settings, program, Path(folder), perception=seen_by).fly())
+    if end.failure:
+        raise Recoverable(end.failure)
+    return {**end.as_json(), "scenario": name, "autopilot": autopilot}
 
 
 def _first(group: BaseExceptionGroup[Recoverable]) -> Recoverable:

@@ -45,7 +45,7 @@ from sitl.emulators.autopilots.program import Program
 from sitl.faults.fault import FaultTimer
 from sitl.scenario.scenario import Scenario, pad_model
 from sitl.sensors.sensors import ORIGIN
-from sitl.vehicle.airframe import Airframe
+from sitl.vehicle.airframe import Airframe, ardrone2
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.stage import flight_seeds, renderer, sea_and_vessel
 from sitl.world.truth import RenderedFrame, Surface, Touchdown
@@ -351,7 +351,7 @@ class DeckUnder:
         self._exposure_s = scenario.camera.exposure_s
         self._began, self._images = first.at, 0
         start, pad = scenario.start, self._vessel.pad_at(0.0)
-        below_m = Airframe().feet.below_m if on_ground else start.height_m
+        below_m = ardrone2().feet.below_m if on_ground else start.height_m
         # The arrow keeps the scenario's heading and the vehicle its own.
         heading = first.R_ned_body.rpy_rad[2]
         to_pad = Rotation.from_rpy(0.0, 0.0, heading) @ np.array([start.pad_forward_m, start.pad_right_m, below_m])

@@ -16,6 +16,7 @@ from typing import Any
 
 from msgspec import Struct
 
+from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import Clock, MonoNs, Stamp, after
 from sitl.emulators.autopilots.body import Body
@@ -166,6 +167,7 @@ class FaultyLink:
         streams: what becomes of the vehicle's samples and of the service's commands.
         sent: receives each datagram that the service sends.
         arrived: receives each datagram that reaches the service.
+        changed: returns a datagram of the vehicle as it leaves it.
     """
 
     def __init__(
@@ -174,8 +176,9 @@ class FaultyLink:
         clock: Clock,
         sent: Callable[[bytes], None] = lambda data: None,
         arrived: Callable[[bytes], None] = lambda data: None,
+        changed: Callable[[bytes], bytes] = lambda data: data,
     ) -> None:
-        self._clock, self._sent, self._arrived = clock, sent, arrived
+        self._clock, self._sent, self._arrived, self._changed = clock, sent, arrived, changed
         self._samples: InTransit[bytes] = InTransit(streams.navdata)
         self._commands: InTransit[bytes] = InTransit(streams.commands)
         self._to_daemon: Callable[[bytes], None] | None = None
@@ -206,7 +209,8 @@ class FaultyLink:
     def from_program(self, data: bytes) -> None:
         """Take a datagram of the program."""
         self.carried["samples in"] += 1
-        self._samples.send(lambda: data, self._clock.now(), self.ahead_s(data))
+        ahead_s, reported = self.ahead_s(data), self._changed(data)
+        self._samples.send(lambda: reported, self._clock.now(), ahead_s)
         self.deliver()
 
     def from_daemon(self, data: bytes) -> None:
@@ -223,10 +227,15 @@ class FaultyLink:
         """Relay between `program_port`, to which the program sends, and the daemon at `daemon_port`, until the context ends.
 
         Raises:
-            OSError: the program's port is in use.
+            SetupImpossible: the program's port is in use.
         """
         loop = asyncio.get_running_loop()
-        near, program = await loop.create_datagram_endpoint(lambda: _End(self.from_program), local_addr=(host, program_port))
+        try:
+            near, program = await loop.create_datagram_endpoint(lambda: _End(self.from_program), local_addr=(host, program_port))
+        except OSError as why:
+            raise SetupImpossible(
+                f"the autopilot sends to {host}:{program_port}, which is taken: another flight or simulator runs there"
+            ) from why
         try:
             far, _ = await loop.create_datagram_endpoint(
                 lambda: _End(self.from_daemon), local_addr=(host, 0), remote_addr=(host, daemon_port)

@@ -12,7 +12,6 @@ from companion.settings.remarks import Contradiction, contradiction
 from companion.tools.doctor.diagnose import diagnose
 from companion.tools.doctor.finding import Severity
 from companion.tools.doctor.firmware_parameters import defaults_of
-from companion.tools.doctor.rules_autopilots import event_id
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
     FoundSystem,
@@ -26,6 +25,7 @@ from companion.tools.doctor.snapshot import (
     decode,
     encode,
 )
+from drivers.mavlink.failsafe import event_id
 from drivers.mavlink.requests import RATES_HZ
 from drivers.mavlink.samples import SAMPLE_PARAMETERS
 from drivers.mavlink.vehicle import Stack
@@ -177,9 +177,11 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "clock set while listening": ("clock-jumps", replace(GOOD, sync=TimeSyncSnapshot(True, 0.004, 2, 31.0)), "power"),
     "a key that is not there": ("settings-files", service(files_fault="http.token_file: t: No such file"), "setting"),
     "settings that do nothing": ("settings-idle", service(without_effect=("http.port: without effect",)), "take these keys out"),
+    "limits without a limit": ("limits-wide", service(beyond_sound=("error_m is 2, beyond 0.26: a foot",)), "may land"),
     "feet of an AR.Drone": ("feet-not-said", service(feet_below_m=0.045), "measure"),
     "camera not plugged in": ("camera-device", service(device_fault="usb: no such camera; there is none at all"), "cable"),
     "camera file with a fault": ("camera-file", service(camera_fault="cam.toml: fx: expected a number"), "config check"),
+    "a lens nobody measured": ("lens-nominal", service(lens_assumed=("distances may be 5 % off",)), "calibrate camera"),
     "camera at another size": ("camera-size", service(frame_size=(1280, 720)), "calibrate"),
     "camera in the dark": ("camera-slow", service(frame_rate_hz=4.0), "light"),
     "camera unplugged": ("camera-slow", service(frame_rate_hz=0.0), "cable"),

@@ -271,7 +271,8 @@ def test_the_ground_station_learns_of_a_response_only_if_it_contradicts_its_file
     component = component_of(health, SteppedClock())
     known, later = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02), ResponseInUse(ResponseState.IDENTIFIED, 0.15, 0.012, 0.1)
     slower = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02, shape=TiltShape(0.75, 0.9, 2.0, 0.05))
-    for response in (known, later, slower):
+    quicker = ResponseInUse(ResponseState.KNOWN, 0.05, 0.02, shape=TiltShape(1.35, 0.9, 1.0, 0.03))
+    for response in (known, quicker, later, slower):
         component.on_decision(Decision(MonoNs(7), "descend", None, None, response=response))
     texts = [text for _, text in component.texts._waiting if "answers" in text]
     assert texts == [f"Decklander: {later.text}", f"Decklander: {slower.text}"]

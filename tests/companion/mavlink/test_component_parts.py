@@ -93,12 +93,23 @@ def test_every_command_is_answered_exactly_once(command: int, params: list[float
 def test_a_repeat_is_answered_and_not_done_again() -> None:
     tower = FakeOperator()
     commands = server(tower)
-    commands.on_message(long(193, 0), STATION, US, instant(0))
-    assert acks(commands.on_message(long(193, 0, confirmation=1), STATION, US, instant(0.5))) == [(193, ACCEPTED, 0)]
-    assert tower.done == ["pause"]
-    commands.on_message(long(193, 1, confirmation=1), STATION, US, instant(1.0))
-    commands.on_message(long(193, 0), STATION, US, instant(1.5))
-    assert tower.done == ["pause", "start", "pause"], "another parameter, or given anew, is another command"
+    commands.on_message(long(193, 1), STATION, US, instant(0))
+    assert acks(commands.on_message(long(193, 1, confirmation=1), STATION, US, instant(0.5))) == [(193, ACCEPTED, 0)]
+    assert tower.done == ["start"]
+    commands.on_message(long(193, 0, confirmation=1), STATION, US, instant(1.0))
+    commands.on_message(long(193, 1), STATION, US, instant(1.5))
+    assert tower.done == ["start", "pause", "start"], "another parameter, or given anew, is another command"
+
+
+@pytest.mark.parametrize(("command", "done"), [(193, "pause"), (191, "abort")])
+def test_a_stop_is_carried_out_each_time_it_comes(command: int, done: str) -> None:
+    tower = FakeOperator()
+    commands = server(tower)
+    for n in range(3):
+        assert acks(commands.on_message(long(command, 0, confirmation=n), STATION, US, instant(0.3 * n))) == [
+            (command, ACCEPTED, 0)
+        ]
+    assert tower.done == [done] * 3
 
 
 def test_a_sender_that_repeats_without_counting_is_understood() -> None:

@@ -1,6 +1,5 @@
 """A landing begun by a mission's end or a return: on both stacks, once, and never against a person or a failsafe."""
 
-from collections import deque
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +14,7 @@ from drivers.mavlink.custody import Hand
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.vehicle import RETURN_MODE, VELOCITY_MODE, Stack
 from estimator.contracts.estimates import RelativeState
+from estimator.contracts.time import MonoNs
 from tests.support.toy_autopilot import PERSONS_MODE, STILL, Flown
 
 STACKS = [Stack.ARDUPILOT, Stack.PX4]
@@ -26,7 +26,7 @@ class Journeyed(Flown):
 
     def __init__(self, stack: Stack, after: str = "mission or return", **options: Any) -> None:
         super().__init__(stack)
-        self.critical, self.sees, self.v_ned, self.texts = False, True, np.zeros(3), deque[Any]()
+        self.sees, self.v_ned = True, np.zeros(3)
         given: Any = {"after": after, **options}
         self.handover = Handover(HandoverOptions(**given), self.pilot(), self._begin)
         self.begun: list[str] = []
@@ -50,17 +50,18 @@ class Journeyed(Flown):
 
         return Pilot()
 
-    def _begin(self, name: str) -> str | None:
+    def _begin(self, name: str, given_at: MonoNs) -> str | None:
         self.begun.append(name)
         if self.refuses:
             return "refused"
-        return self.arbiter.take(OperatorOrder.BEGIN, OrderSender(OrderSource.HANDOVER, name), self.now).refusal
+        sender = OrderSender(OrderSource.HANDOVER, name)
+        return self.arbiter.take(OperatorOrder.BEGIN, sender, self.now, given_at=given_at).refusal
 
-    def say(self, message: Message) -> None:
+    def say_to(self, message: Message) -> None:
         """Let the autopilot report this."""
         autopilot: Any = SimpleNamespace(
             is_own=lambda received: True, streams=self.streams, streamer=self.streamer, unclear=None, condition=self.reported,
-            texts=self.texts, positions=(SimpleNamespace(v_body_ned=self.v_ned),),
+            positions=(SimpleNamespace(v_body_ned=self.v_ned),),
         )  # fmt: skip
         heard: Any = SimpleNamespace(message=message, received_at=self.now)
         self.handover.on_message(autopilot, heard)
@@ -68,9 +69,8 @@ class Journeyed(Flown):
     def step(self) -> None:
         super().step()
         if self.reported is not None:
-            status = mav.MAV_STATE_CRITICAL if self.critical else mav.MAV_STATE_ACTIVE
-            self.say(mav.MAVLink_heartbeat_message(2, 3, 128, 0, status, 3))
-            self.say(mav.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0))
+            self.say_to(mav.MAVLink_heartbeat_message(2, 3, 128, 0, 4, 3))
+            self.say_to(mav.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0))
 
     def goes(self, mode: str, seconds: float = 4.0) -> list[str]:
         """Let somebody choose a mode, and return what was begun some seconds later."""
@@ -84,9 +84,9 @@ class Journeyed(Flown):
         states = {Stack.ARDUPILOT: (5, 3, 3, 5), Stack.PX4: (0, 0, 0, 0)}[stack]
         self.goes(AUTO[stack], 1.5)
         for item, state in zip((2, 0, 2, 2), states, strict=True):
-            self.say(mav.MAVLink_mission_current_message(item, 3, state))
+            self.say_to(mav.MAVLink_mission_current_message(item, 3, state))
             self.run(1.5)
-        self.say(mav.MAVLink_mission_item_reached_message(2))
+        self.say_to(mav.MAVLink_mission_item_reached_message(2))
         return self.goes("auto.loiter" if stack is Stack.PX4 else "auto")
 
 
@@ -109,14 +109,15 @@ def test_a_missions_end_and_a_return_begin_once_and_the_pilot_wins_at_once(stack
 @pytest.mark.hazard("H6")
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize(
-    "why", ["critical", "text", "text late", "fence", "unseen", "low", "fast", "climbs", "held", "ordered", "begun", "off"]
+    "why", ["critical", "late words", "fence", "unseen", "low", "fast", "climbs", "held", "ordered", "begun", "off"]
 )
 def test_nothing_begins_against_a_failsafe_a_person_or_without_the_pad(stack: Stack, why: str) -> None:
     flown = Journeyed(stack, "mission" if why == "off" else "mission or return")
-    flown.critical, flown.sees = why == "critical", why != "unseen"
-    texts = {"text": (4, "Battery 1 is low"), "fence": (5, "Fence Breached"), "text late": (3, "GCS Failsafe")}
-    if why in texts:
-        flown.texts.append((flown.now if why != "text late" else flown.now + int(1e9), *texts[why]))
+    flown.sees = why != "unseen"
+    if why == "critical":
+        flown.toy.failing = "Battery Failsafe"
+    if why == "fence":
+        flown.say("Polygon fence breached")
     flown.v_ned = np.array({"fast": [2.0, 0.0, 0.0], "climbs": [0.0, 0.0, -1.0]}.get(why, [0.0, 0.0, 0.0]))
     flown.toy.height_m = 1.5 if why == "low" else 5.0
     if why == "held":
@@ -126,11 +127,13 @@ def test_nothing_begins_against_a_failsafe_a_person_or_without_the_pad(stack: St
     if why == "ordered":
         flown.guidance.command = STILL
     flown.goes(RETURN_MODE[stack], 1.5)
-    flown.critical = False  # a failsafe that passes has chosen the return all the same
+    if why == "late words":
+        flown.say("GCS Failsafe")
+    flown.toy.failing = None  # a failsafe that passes has chosen the return all the same
     assert flown.goes(RETURN_MODE[stack]) == []
-    if why in ("critical", "text", "fence"):
+    if why in ("critical", "fence"):
         explicit = Journeyed(stack, failsafe=True)
-        explicit.critical, explicit.texts = True, flown.texts
+        explicit.toy.failing = "Battery Failsafe"
         assert explicit.goes(RETURN_MODE[stack]) == [RETURN], "the settings say so of a failsafe too"
 
 
@@ -144,12 +147,12 @@ def test_a_return_whose_beginning_nobody_saw_and_a_mission_left_by_a_person_begi
     assert flown.goes(RETURN_MODE[stack]) == []
     left = Journeyed(stack)
     left.goes(AUTO[stack])
-    left.say(mav.MAVLink_mission_current_message(1, 3, 3))
-    left.say(mav.MAVLink_mission_item_reached_message(1))
+    left.say_to(mav.MAVLink_mission_current_message(1, 3, 3))
+    left.say_to(mav.MAVLink_mission_item_reached_message(1))
     assert left.goes("auto.loiter" if stack is Stack.PX4 else "loiter") == []
     left.goes(AUTO[stack])
     for _ in range(5):  # PX4 repeats the last item, and a person chooses Hold later
-        left.say(mav.MAVLink_mission_item_reached_message(2))
+        left.say_to(mav.MAVLink_mission_item_reached_message(2))
         left.run(1.0)
     assert left.goes("auto.loiter" if stack is Stack.PX4 else "loiter") == []
 

@@ -322,6 +322,19 @@ def test_the_way_of_the_deck_from_which_it_took_off_is_kept_until_the_pad_is_see
     assert run_for(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
 
 
+def test_half_a_second_of_a_wrong_sight_does_not_stand_for_the_ship_s_way() -> None:
+    """WHY: a camera that was mirrored for a moment made her 0.45 m/s faster, and a drone that gave up left her by 44 m."""
+    scene = Scene(np.array([2.1, 0.0, 0.0]))
+    scene.rested = Rested(scene.now, np.array([1.5, 0.0, 0.0]), np.zeros(3))
+    seen = True
+    way = DeckVelocity(lambda now: scene.believe(now) if seen else None, scene)
+    assert run_for(way, scene, 0.5)[0] < 1.66
+    seen = False
+    assert run_for(way, scene, FORGET_S + 5.0)[0] < 1.66
+    seen = True
+    assert run_for(way, scene, 8.0)[0] == pytest.approx(2.1, abs=0.06), "a sight that lasts counts"
+
+
 @pytest.mark.parametrize(("beside_m", "found"), [(2.0, [1.25, -0.9, 0.0]), (40.0, [1.5, -0.6, 0.0])])
 def test_the_way_since_the_take_off_is_the_ship_s_for_a_vehicle_back_over_her(beside_m: float, found: list[float]) -> None:
     """WHY: the deck's velocity over 3 s before it took off was that of a wave as well, and a search left the pad by 0.25 m/s."""

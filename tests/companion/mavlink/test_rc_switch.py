@@ -42,7 +42,7 @@ def test_only_a_held_change_between_two_known_positions_is_a_move(spells: Any) -
 
 async def test_the_real_messages_order_by_a_move_alone_and_never_by_what_is_lost() -> None:
     orders = list[OperatorOrder]()
-    switch = RcSwitch(SwitchOptions(channel=7), lambda order: orders.append(order))
+    switch = RcSwitch(SwitchOptions(channel=7), lambda order, moved_at: orders.append(order))
     async with bordered() as border:
         border.autopilot.add_listener(lambda received: switch.on_message(border.autopilot, received))
 

@@ -109,7 +109,7 @@ async def test_a_command_is_carried_out_once_and_answered_where_it_asks(broker: 
         expires = rig.clock.now() + 30 * 10**9
 
         async def ask(**fields: object) -> CommandReply:
-            command = {"id": "a1", "run": RUN, "expires_ns": expires, **fields}
+            command = {"id": "a1", "run": RUN, "given_ns": rig.clock.now(), "expires_ns": expires, **fields}
             await ground.publish_message(TREE + "command", json.dumps(command).encode(), qos=1)
             received_at = await anext(ground.publications())
             assert received_at.topic == fields.get("reply_to", TREE + "reply")
@@ -172,6 +172,7 @@ class WordyBroker:
     def __init__(self) -> None:
         self.clients: list[tuple[str, asyncio.StreamWriter]] = []
         self.published: list[tuple[str, bytes]] = []
+        self.hangs_up_at = ""
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with suppress(asyncio.IncompleteReadError, ConnectionError):
@@ -198,6 +199,9 @@ class WordyBroker:
             return b""
         (length,) = struct.unpack_from(">H", body)
         topic, rest, quality = body[2 : 2 + length].decode(), body[2 + length :], head >> 1 & 3
+        if topic == self.hangs_up_at:
+            writer.close()
+            return b""
         self.published.append((topic, rest[(2 if quality else 0) + 1 :]))
         return b"\x40\x02" + rest[:2] if quality else b""
 
@@ -233,6 +237,20 @@ async def test_the_reason_of_the_broker_is_reported(code, said, tmp_path, caplog
     reported = [line for line in caplog.messages if "the broker ended the connection" in line]
     assert len(reported) == 1
     assert said in reported[0].lower()
+
+
+async def test_a_broker_that_hangs_up_at_the_events_gets_everything_else_and_the_topic_is_named(tmp_path, caplog):
+    """AWS IoT does so where a policy does not allow a topic."""
+    async with wordy() as (broker, settings), running(settings, tmp_path / "spool") as rig:
+        broker.hangs_up_at = "decklander/v2/drone/event"
+        await until(lambda: len(broker.statuses) == 4)
+        await asyncio.sleep(0.3)
+        assert len(broker.clients) == 4, "three connections ended at the events, and the next one stays"
+        assert rig.count("connection_failures") == 3
+        assert rig.count("connections") == 4
+    said = [line for line in caplog.messages if "drone/event" in line]
+    assert "ended just after publishing decklander/v2/drone/event: may this user write there?" in said[0]
+    assert "left out" in said[-1]
 
 
 async def test_the_status_follows_a_clock_that_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

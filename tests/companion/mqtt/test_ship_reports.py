@@ -50,6 +50,7 @@ def test_each_field_goes_where_it_belongs_and_none_is_made_up() -> None:
         (b"$GPRMC,081836", False, "malformed"),
         (ship_report(latitude_deg=90.1), False, "malformed"),
         (ship_report(longitude_deg=math.nan), False, "malformed"),
+        (ship_report(longitude_deg=361.0), False, "malformed"),
         (ship_report(speed_m_s=2.0), False, "malformed"),
         (ship_report(knots=2.0), False, "malformed"),
         (ship_report() + b" " * REPORT_MAX_BYTES, False, "too_long"),

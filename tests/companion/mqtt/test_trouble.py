@@ -232,7 +232,13 @@ async def test_a_broker_of_the_older_version(broker: Broker, tmp_path: Path) -> 
     async with running(broker.settings(protocol="3.1.1"), tmp_path / "spool") as rig, broker.ground() as ground:
         await until(lambda: rig.count("connections") == 1)
         await ground.subscribe("decklander/v2/deck/reply", qos=1)
-        command = {"command": "start", "id": "a", "run": RUN, "expires_ns": rig.clock.now() + 30 * 10**9}
+        command = {
+            "command": "start",
+            "id": "a",
+            "run": RUN,
+            "given_ns": rig.clock.now(),
+            "expires_ns": rig.clock.now() + 30 * 10**9,
+        }
         await ground.publish_message("decklander/v2/deck/command", json.dumps(command).encode(), qos=1)
         async with asyncio.timeout(60):
             assert b'"accepted":true' in (await anext(ground.publications())).payload
@@ -475,7 +481,8 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
 
         async def ask(**fields: object) -> CommandReply:
             health = await wait(HealthMessage)
-            command = {"id": f"c{health.at_ns}", "run": runs[-1], "expires_ns": health.at_ns + 30 * 10**9, **fields}
+            at_ns = health.at_ns
+            command = {"id": f"c{at_ns}", "run": runs[-1], "given_ns": at_ns, "expires_ns": at_ns + 30 * 10**9, **fields}
             await ground.publish_message(TREE + "command", signed(key, TREE + "command", json.dumps(command).encode()), qos=1)
             return await wait(CommandReply)
 

@@ -45,7 +45,7 @@ from tests.support.waiting import until
 
 ROOT = Path(__file__).parents[3]
 NOW = MonoNs(5_000_000_000)
-GOOD: dict[str, Any] = {"command": "start", "id": "a", "run": RUN, "expires_ns": NOW + 1}
+GOOD: dict[str, Any] = {"command": "start", "id": "a", "run": RUN, "given_ns": NOW - 1, "expires_ns": NOW + 1}
 
 
 def command_handler() -> CommandHandler:
@@ -244,7 +244,7 @@ KEY = bytes(range(32))
 
 
 def body(**changes: object) -> bytes:
-    return json.dumps({"command": "start", "id": "a", "run": RUN, "expires_ns": NOW + 10**9, **changes}).encode()
+    return command(**{"expires_ns": NOW + 10**9, **changes})
 
 
 def handler_and_operator() -> tuple[CommandHandler, FakeOperator]:
@@ -279,7 +279,7 @@ def test_a_copy_is_answered_and_carried_out_no_second_time_whatever_comes_betwee
     good = signed(KEY, TREE + "command", body())
     assert taker.take(good, NOW).reply.accepted
     for k in range(5000):
-        taker.take(json.dumps({"command": "start", "id": f"junk {k}", "run": RUN, "expires_ns": NOW + 1}).encode(), NOW)
+        taker.take(command(id=f"junk {k}"), NOW)
     again = taker.take(good, MonoNs(NOW + 10**10))
     assert (again.reply.accepted, again.repeated) == (True, True), "the first answer, even after it has expired"
     assert operator.done == ["start"]

@@ -15,16 +15,18 @@ from companion.base.loop_lag import STOOD_S
 from companion.base.mission import FlightOutcome, State
 from companion.base.observer import Decision
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
-from companion.guidance.mission.progress import Progress
-from companion.guidance.operator.arbiter import BY_HAND, LANDING_FOR_PERSON, OperatorArbiter
+from companion.guidance.controller import Knowledge
+from companion.guidance.mission.progress import GuidanceCycle, Progress
+from companion.guidance.operator.arbiter import BY_HAND, OperatorArbiter
 from companion.guidance.operator.precedence import CROSSING_S, RANKED, REASONS, TABLE, ControlSituation, Rule
 from companion.guidance.pilot import Pilot, make_pilot
 from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from companion.settings.load import load
+from companion.settings.operator import LimitOptions
 from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
-from tests.make import estimate, status
+from tests.make import attitude, estimate, status, velocity
 from tests.support.mqtt_service import vehicle_status
 
 PAD, OTHER = OrderSender(OrderSource.GAMEPAD, "pad"), OrderSender(OrderSource.MAVLINK)
@@ -39,6 +41,7 @@ class Guidance:
     vehicle: VehicleStatus | None = None
     outcome: Enum | None = None
     paused: bool = False
+    lands_here: bool = False
     told: list[str] = field(default_factory=list)
     barred: Callable[[], tuple[str, bool]] = lambda: ("a crate", True)
 
@@ -48,38 +51,39 @@ class Guidance:
 
     def begin(self, at: MonoNs, word: str = "begin") -> None:
         self.told.append(word)
-        self.outcome, self.paused = None, False
+        self.outcome, self.paused, self.lands_here = None, False, word == "land"
+
+    def land(self, at: MonoNs) -> None:
+        self.begin(at, "land")
 
     def stay(self, at: MonoNs) -> None:
         self.begin(at, "stay")
 
     def pause(self, why: object = None) -> None:
         self.told.append("pause")
-        self.paused = True
+        self.paused, self.lands_here = True, False
 
     def overrule(self) -> None:
         self.told.append("overrule")
 
-    def engage(self) -> None:
-        self.told.append("take back")
-
     def abort(self) -> None:
         self.told.append("abort")
-        self.outcome = self.outcome or FlightOutcome.ABORTED
+        self.outcome, self.lands_here = self.outcome or FlightOutcome.ABORTED, False
 
 
 class Bridge:
     """An arbiter, its guidance and its clock."""
 
-    def __init__(self) -> None:
+    def __init__(self, limits: LimitOptions | None = None) -> None:
         self.guidance = Guidance()
-        self.arbiter = OperatorArbiter(self.guidance)
+        self.arbiter = OperatorArbiter(self.guidance, limits=limits)
         self.reported: list[HandledOrder] = []
         self.arbiter.on_order = self.reported.append
         self.now = MonoNs(10**9)
 
     def vehicle(self, flying: bool | None = True, *, emergency: bool = False, taken: str | None = None) -> None:
         stamp = Stamp(self.now, self.now, 0.001, "sim")
+        self.guidance.lands_here &= flying is not False and not emergency and taken is None
         self.guidance.vehicle = VehicleStatus(stamp, flying, "hovering", 0.9, emergency, True, taken)
 
     def order(self, order: OperatorOrder, sender: OrderSender = PAD) -> str | None:
@@ -93,7 +97,8 @@ class Bridge:
             if heard and self.guidance.vehicle is not None:
                 self.vehicle(self.guidance.vehicle.flying, emergency=self.guidance.vehicle.emergency)
             self.arbiter.tick(self.now)
-            command = self.arbiter.choose(self.now, Hover() if self.guidance.paused else GUIDED).command
+            guided = Land() if self.guidance.lands_here else Hover() if self.guidance.paused else GUIDED
+            command = self.arbiter.choose(self.now, guided).command
         return command
 
     def sticks(self, sender: OrderSender = PAD, **positions: float) -> None:
@@ -146,7 +151,7 @@ def test_the_arbiter_answers_by_the_table(order: OperatorOrder, situation: Contr
         assert refused is None
     else:
         assert refused is not None
-        if rule in (Rule.HOLDER, Rule.IDLE, Rule.LANDING):
+        if rule in (Rule.HOLDER, Rule.IDLE):
             assert "gamepad pad" in refused
     assert bridge.reported[-1].refusal == refused
     bridge.guidance.barred = lambda: ("a man", False)
@@ -215,6 +220,25 @@ def test_sticks_command_only_with_the_hand_and_centred_sticks_hover() -> None:
     assert bridge.cycle() is GUIDED
 
 
+@pytest.mark.hazard("H5")
+@pytest.mark.parametrize("stop", [OperatorOrder.HOLD, OperatorOrder.ABORT])
+def test_anybody_stops_a_vehicle_that_another_person_flies_by_hand(stop: OperatorOrder) -> None:
+    bridge = bridge_in(ControlSituation.MANUAL)
+    bridge.sticks(forward=1.0, climb=-1.0)
+    assert isinstance(bridge.cycle(CROSSING_S), Velocity)
+    assert bridge.order(stop, OTHER) is None
+    assert bridge.arbiter.hand is None
+    assert bridge.arbiter.hand_taken == (PAD, f'{OTHER} ordered "{stop.value}"')
+    for _ in range(5):
+        bridge.sticks(forward=1.0, climb=-1.0)
+        assert isinstance(bridge.cycle(0.1), Hover), "sticks that are still pushed move nothing"
+    assert bridge.arbiter.ordered_by == OTHER
+    bridge.cycle(CROSSING_S)
+    assert bridge.order(OperatorOrder.MANUAL) is None, "who saw the stop may fly on"
+    bridge.sticks(forward=1.0)
+    assert isinstance(bridge.cycle(0.1), Velocity)
+
+
 def test_an_idle_hand_may_be_taken_by_another_person_and_a_moving_one_may_not() -> None:
     """A remote shell that hangs leaves a process that sends centred sticks for nobody."""
     bridge = bridge_in(ControlSituation.GUIDED)
@@ -260,12 +284,11 @@ def test_a_lost_hand_is_a_hold_and_never_the_last_stick(how: str) -> None:
     assert bridge.arbiter.hand_taken == (PAD, f'{OTHER} ordered "emergency"')
 
 
-def test_a_persons_landing_outlasts_guidance_and_is_called_off_by_the_hand_without_starting_motors() -> None:
+def test_a_persons_landing_is_guidances_own_and_is_called_off_by_the_hand_without_starting_motors() -> None:
     bridge = bridge_in(ControlSituation.GUIDED)
     assert bridge.order(OperatorOrder.LAND) is None
-    assert bridge.cycle(0.3) == Land(persistent=True)
-    assert bridge.cycle(1.0) is None, "the driver goes on with it, and a hand at the remote control is not overridden"
-    assert bridge.arbiter.choose(bridge.now, GUIDED).phase == LANDING_FOR_PERSON
+    assert bridge.guidance.told == ["land"]
+    assert bridge.arbiter.choose(bridge.now, GUIDED).command is GUIDED, "guidance flies it"
     ends = (OperatorOrder.MANUAL, OperatorOrder.TAKE_OFF, OperatorOrder.HOLD, OperatorOrder.ABORT)
     for calls_off, sender in itertools.product(ends, (PAD, OTHER)):
         bridge = bridge_in(ControlSituation.LANDING)
@@ -298,7 +321,7 @@ def test_an_order_is_passed_on_however_late_the_next_cycle_comes() -> None:
     """On a machine that is too slow a hold was accepted, expired before the next cycle, and the landing went on."""
     for late_s in (0.02, 0.3, 2.0):
         bridge = bridge_in(ControlSituation.GUIDED)
-        for order, command in ((OperatorOrder.LAND, Land(persistent=True)), (OperatorOrder.HOLD, Hover(calls_off=True))):
+        for order, command in ((OperatorOrder.LAND, Land()), (OperatorOrder.HOLD, Hover(calls_off=True))):
             assert bridge.order(order) is None
             bridge.now = after(bridge.now, late_s)
             assert bridge.cycle() == command, (order, late_s)
@@ -359,14 +382,48 @@ def test_a_landing_ends_with_the_pilot_who_takes_the_vehicle_and_another_order_t
     bridge = bridge_in(ControlSituation.LANDING)
     bridge.vehicle(taken="mode loiter")
     bridge.cycle(heard=False)
-    assert bridge.arbiter.situation(bridge.now) is ControlSituation.HELD
-    assert "take back" not in bridge.guidance.told
+    assert bridge.arbiter.situation(bridge.now) is not ControlSituation.LANDING
     assert bridge.order(OperatorOrder.LAND) is None
-    assert bridge.guidance.told[-2:] == ["take back", "pause"]
-    assert bridge.cycle() == Land(persistent=True)
+    assert bridge.guidance.told[-1] == "land", "which takes it back"
+    assert bridge.cycle() == Land()
 
 
-ENDS_LANDING = {OperatorOrder(name) for name in ("manual", "takeoff", "emergency", "hold", "abort")}
+def test_a_landing_that_is_ordered_before_the_vehicle_was_heard_is_its_own_until_guidance_knows_of_a_flight() -> None:
+    bridge = bridge_in(ControlSituation.UNHEARD)
+    assert bridge.order(OperatorOrder.LAND) is None
+    assert bridge.cycle(1.0) == Land(here=True)
+    assert bridge.arbiter.situation(bridge.now) is ControlSituation.LANDING
+    bridge.vehicle(True)
+    bridge.cycle()
+    assert bridge.guidance.told == ["land"]
+    for flying in (True, False):
+        ground = bridge_in(ControlSituation.GROUND)
+        assert ground.order(OperatorOrder.LAND) is None
+        assert ground.cycle() == Land(here=True), "motors that turn on the deck are stopped"
+        ground.vehicle(flying)
+        ground.cycle(0.3)
+        assert ground.guidance.told == [], "nobody lands what lifts off after"
+        assert ground.arbiter.situation(ground.now) is not ControlSituation.LANDING
+
+
+@pytest.mark.parametrize("fenced", [False, True])
+def test_no_limit_holds_a_persons_landing_back(fenced: bool) -> None:
+    """A fence that brakes it would tear it off the deck that it follows; one that pauses it would reverse his order."""
+    limits = LimitOptions(fence="start", fence_radius_m=5.0) if fenced else LimitOptions()
+    bridge = Bridge(limits)
+    bridge.vehicle(True)
+    moves = {"velocity": velocity(0.0, (0.1, 0.0, 0.0)), "attitude": attitude(0.0), "flying": True}
+    bridge.arbiter._place = msgspec.structs.replace(bridge.arbiter._place, p_start_ned=(9.0, 0.0), **moves)
+    held = bridge.cycle(2.9)
+    assert (held is not GUIDED) is fenced
+    bridge.order(OperatorOrder.LAND)
+    for _ in range(100):
+        bridge.now = after(bridge.now, PERIOD_S)
+        assert bridge.arbiter.choose(bridge.now, GUIDED).command is GUIDED
+    assert not bridge.guidance.paused
+
+
+ENDS_LANDING = {OperatorOrder(name) for name in ("manual", "takeoff", "emergency", "hold", "abort", "begin", "stay")}
 EVENTS = st.lists(
     st.one_of(
         st.tuples(st.sampled_from(OperatorOrder), st.sampled_from([PAD, OTHER])),
@@ -446,8 +503,8 @@ def test_start_pause_and_abort_reach_the_pilot_and_only_an_order_to_begin_follow
     assert operator.order(OperatorOrder.ABORT) is None
     assert pilot.outcome is FlightOutcome.ABORTED
     assert isinstance(pilot.decide(MonoNs(4)).command, Hover)
-    answers = {operator.order(order) for order in (OperatorOrder.HOLD, OperatorOrder.ABORT)}
-    assert answers == {'the flight is over: aborted; "begin" tries again, "land" lands here'}
+    assert operator.order(OperatorOrder.HOLD) is None, "a stop is accepted each time it comes"
+    assert pilot.outcome is FlightOutcome.ABORTED, "a hold takes nothing from an abort"
     assert operator.order(OperatorOrder.BEGIN) is None
     assert pilot.state is State.SEARCH
 
@@ -471,7 +528,7 @@ def test_who_lifts_the_vehicle_keeps_it_until_an_order_in_flight(said: list[obje
         accepted = isinstance(what, OperatorOrder) and pilot.operator.take(what, PAD, now).accepted
         assert not accepted or what not in (OperatorOrder.BEGIN, OperatorOrder.STAY)
     report("flying", 1.0, his=taken)
-    assert pilot.state is State.READY
+    assert pilot.state is State.READY, "an order to land is not kept on the ground either"
     assert pilot.operator.take(OperatorOrder.BEGIN, PAD, now).accepted
     report("flying", 0.0, his=True)
     assert pilot.state is State.SEARCH, "a report from before the order"
@@ -515,10 +572,10 @@ def test_every_order_is_reported_with_its_answer() -> None:
     operator.record(True)
     operator.steer_by("median_mean")
     operator.order(OperatorOrder.ABORT)
-    operator.order(OperatorOrder.HOLD)
-    assert [h.order.value for h in reported] == ["hold", "record", "path", "abort", "hold"]
+    operator.order(OperatorOrder.TAKE_OFF)
+    assert [h.order.value for h in reported] == ["hold", "record", "path", "abort", "takeoff"]
     assert [h.accepted for h in reported] == [True, False, True, True, False]
-    assert str(reported[-1]).startswith("mqtt: hold: refused, the flight is over: aborted; ")
+    assert str(reported[-1]) == "mqtt: takeoff: refused, the vehicle flies already"
 
 
 @pytest.mark.hazard("H9")
@@ -531,20 +588,25 @@ def test_a_person_reads_where_a_landing_would_end() -> None:
     def below(off_m: float, sigma_m: float = 0.01, range_m: float = 2.0, age_s: float = 0.0, ok: bool = True) -> tuple[str, bool]:
         watch.on_sample(Range(Stamp(MonoNs(2), MonoNs(2), 0.001, "sim"), range_m, 0.02))
         belief = estimate(0.0, (off_m, 0.0, 2.0), sigma=sigma_m, age=age_s, consistent=ok)
+        pilot.landing._cycle = GuidanceCycle(MonoNs(2), Knowledge(MonoNs(2), belief))
         watch.on_decision(Decision(MonoNs(2), "search", None, belief))
         state = watch.state(page)
         return state.below, state.over_pad
 
     assert watch.state(page).below == "where no pad is known: this may be deck, rail or water"
-    assert below(0.1) == ("over the pad, 10 cm from its centre", True)
-    assert below(0.1, age_s=3.0) == ("over the pad, 10 cm from its centre; the pad's place is not sure: last seen 3 s ago", False)
-    assert below(2.9, ok=False)[0].endswith("over deck or water; the pad's place is not sure: the sightings contradict it")
-    assert below(0.1, sigma_m=radius_m) == ("0.1 m beside the pad, over deck or water", False)
-    assert below(2.9, range_m=3.9) == ("2.9 m beside the pad, over water, or a deck that is 1.9 m lower", False)
-    assert below(0.1, sigma_m=1.2, range_m=3.9)[0].startswith("where no pad is known")
+    assert below(0.1) == ("on the pad, within 15 cm of its centre, in 3 s", True)
+    text, sure = below(0.1, age_s=3.0)
+    assert text.endswith("of its centre, in 5 s; the place of the pad is not sure: last seen 3 s ago")
+    assert not sure
+    assert below(2.9, ok=False)[0].startswith("where no pad is known")
+    assert below(0.1, sigma_m=radius_m)[1] is False
+    beside = "2.9 m beside the pad, +-15 cm, in 3 s; now over water, or a deck that is 1.9 m lower"
+    assert below(2.9, range_m=3.9) == (beside, False)
+    assert below(0.1, sigma_m=1.2, range_m=3.9)[0].startswith("0.1 m beside the pad, +-")
     assert (watch.state(page).height_m, watch.state(page).lateral_m) == (3.9, None), "what is not known is no figure"
-    pilot.on_sample(vehicle_status(MonoNs(2), "landed"))
-    assert below(0.1, age_s=3.0)[0].startswith("where no pad is known"), "what stands and does not see it"
+    pilot.landing.barred = lambda: ("a crate", True)  # type: ignore[method-assign]
+    pilot.barred = pilot.landing.barred
+    assert below(0.1) == ("on the pad, within 15 cm of its centre, in 3 s; a crate", False)
 
 
 def test_each_person_reads_his_own_orders_as_his_and_no_connection_s_number() -> None:

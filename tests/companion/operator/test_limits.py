@@ -222,7 +222,8 @@ def test_the_service_flies_by_hand_to_the_fence_and_no_farther_and_refuses_a_tak
         decision = pilot.decide(now)
         reasons.add(decision.limit)
         v = decision.command.v_level if isinstance(decision.command, Velocity) else np.zeros(3)
-    assert p[0] == pytest.approx(5.0, abs=0.05)
+    # By the velocity alone the place becomes less sure, and the fence nearer.
+    assert 4.0 < p[0] <= 5.05
     assert reasons == {"", "limited by the geofence"}
     assert pilot.operator.hand == sender, "the hand stays with the person"
 

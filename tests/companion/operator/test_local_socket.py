@@ -215,7 +215,7 @@ def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsy
             await _screen(parent, "press t again within 2 s to take off")
             os.write(parent, b"m")
             await _screen(parent, "manual: accepted")
-            while not isinstance(service.command, Velocity):
+            while not isinstance(service.command, Velocity) or service.command.v_level[0] == 0.0:
                 os.write(parent, b"\x1b[A")
                 await asyncio.sleep(0.05)
             commands.append(service.command)

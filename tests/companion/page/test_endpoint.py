@@ -21,9 +21,9 @@ from companion.base.mission import Event, Reason, ReasonCause, State, StateChang
 from companion.base.observer import Decision
 from companion.parts.page import endpoint, viewer
 from companion.parts.page.messages import request_in
-from companion.parts.page.recordings import recordings_in
+from companion.parts.page.recordings import assets, recordings_in
 from companion.settings.links import HttpSettings
-from estimator.contracts.commands import Hover, Land, Velocity
+from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.errors import BadInput
 from tests.fly import record_to
 from tests.make import seen
@@ -45,7 +45,10 @@ async def test_a_browser_watches_and_gives_orders_through_the_arbiter(tmp_path: 
         refused = await browser.order("takeoff")
         assert (refused["accepted"], refused["text"]) == (False, "refused: the vehicle flies already")
         assert (await browser.order("land"))["accepted"]
-        await until(lambda: Land in service.commanded)
+        while (state := await browser.read("state"))["phase"] != "landing where it is":
+            pass
+        assert isinstance(service.command, Velocity)
+        assert service.command.v_level.item(2) > 0.0, "down"
         assert [str(o.sender) for o in service.orders] == [welcome["you"]] * 3
         await browser.read("state")
         assert any("Hold: accepted" in message.get("text", "") for message in browser.messages if message["kind"] == "event")
@@ -88,6 +91,7 @@ async def test_pictures_come_one_after_the_other_and_wait_for_the_browser(tmp_pa
 async def test_a_page_on_tls_answers_nobody_in_clear_and_its_certificate_is_checked(tmp_path: Path) -> None:
     files = make_certificates(tmp_path)
     trusting = ssl.create_default_context(cafile=tmp_path / "ca.crt")
+    trusting.verify_flags &= ~ssl.VERIFY_X509_STRICT  # as with a CA of one's own
     async with serving(tmp_path, endpoint="https", **files) as service, aiohttp.ClientSession() as session:
         async with session.get(f"{service.address}/", ssl=trusting) as answer:
             assert answer.status == 200
@@ -248,10 +252,14 @@ async def test_every_answer_has_strict_headers_and_no_path_leads_out(tmp_path: P
             assert answer.headers["Server"] == "decklander"
             assert "Set-Cookie" not in answer.headers
         assert not re.search(r'(src|href)="https?:|style="|onclick=|<style', page), "nothing of another host, nothing inline"
-        for name in re.findall(r'(?:src|href)="(/[a-z.]+)"', page):
-            async with client.get(name) as answer:
+        named = re.findall(r'(?:src|href)="([^#"]+)"', page)
+        assert named
+        assert not any(name.startswith("/") for name in named), "a proxy may serve the page under a path"
+        assert {f"/{name}" for name in named} < set(assets())
+        for path in assets():
+            async with client.get(path) as answer:
                 assert answer.status == 200
-                assert not re.search(rb"https?://(?!www\.w3\.org/)", await answer.read())
+                assert not re.search(rb"https?://(?!www\.w3\.org/)|[`\"']/\w|host\}/", await answer.read())
         for path in ("/../settings.py", "/%2e%2e/settings.py", "/static/index.html", "/operator/", "/token"):
             async with client.get(path) as answer:
                 assert answer.status == 404
@@ -260,6 +268,23 @@ async def test_every_answer_has_strict_headers_and_no_path_leads_out(tmp_path: P
             assert answer.status == 426
         async with client.post("/", data=b"x" * 100) as answer:
             assert answer.status == 405
+
+
+async def test_what_a_browser_keeps_of_other_services_does_not_judge_this_one(tmp_path: Path) -> None:
+    """Cookies hold for all ports of a host's name; a proxy adds headers of its own."""
+    long = "; ".join(f"state_{n}={'x' * 4000}" for n in range(12))
+    async with serving(tmp_path) as service, aiohttp.ClientSession(service.address) as client:
+        for cookie in ("user=Ren\u00e9; lang=no", "broken=\xff\xfe;;=;", long):
+            headers = {
+                "Cookie": cookie,
+                "Origin": service.address,
+                "X-Forwarded-For": "b\u00e5t",
+                "Accept-Encoding": "br;q=1, zstd",
+            }
+            async with client.get("/", headers=headers) as answer:
+                assert answer.status == 200
+            socket = await client.ws_connect("/operator", headers=headers)
+            await socket.close()
 
 
 async def test_garbage_a_flood_and_a_huge_message_end_their_own_connection_alone(tmp_path: Path) -> None:

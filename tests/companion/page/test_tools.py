@@ -2,7 +2,11 @@
 
 import asyncio
 import errno
+import re
+import shutil
 import socket
+import subprocess
+import sys
 import tomllib
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -12,6 +16,7 @@ from typing import Any
 
 import aiohttp
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -24,8 +29,10 @@ from companion.parts.page import make
 from companion.parts.page.access import own_names, refused_origin
 from companion.parts.page.endpoint import picture_lines
 from companion.parts.page.settings_tool import check, line_of, unmasked
+from companion.settings import schema
 from companion.settings.links import HttpSettings
 from companion.settings.load import camera_model, load, pad_model
+from companion.settings.model import Settings, in_file
 from companion.settings.settings_file import SettingsFile
 from companion.tools.calibrate.board import Board
 from companion.tools.calibrate.guide import Guide
@@ -179,6 +186,35 @@ def refused(text: str, folder: Path = Path(), before: str = RIG) -> str:
     return ""
 
 
+MOUNTED = """
+import sys
+from pathlib import Path
+from companion.settings.settings_file import SettingsFile
+file = SettingsFile(Path(sys.argv[1]))
+text, revision = file.read()
+print(file.refusal())
+file.save(text.replace("20.0", "30.0"), revision)
+"""
+
+
+@pytest.mark.parametrize("options", ["rw", "ro"])
+def test_a_settings_file_that_is_a_mount_is_written_in_place_or_refused_before(tmp_path: Path, options: str) -> None:
+    """A container gets it so: one file over another, which no file can take the place of."""
+    given, folder = rig(tmp_path), tmp_path / "etc"
+    folder.mkdir()
+    inside = folder / "rig.toml"
+    inside.write_text("")
+    mounts = 'mount --bind "$1" "$2" && mount -o "remount,bind,$3" "$2" && shift 3 && exec "$@"'
+    command = ["unshare", "-rm", "sh", "-c", mounts, "sh", str(given), str(inside), options]
+    if shutil.which("unshare") is None or subprocess.run([*command, "true"], capture_output=True).returncode:
+        pytest.skip("no mount namespace may be made here")
+    done = subprocess.run([*command, sys.executable, "-c", MOUNTED, str(inside)], capture_output=True, text=True)
+    assert given.read_text() == (FASTER if options == "rw" else RIG)
+    assert ("mounted read-only" in done.stdout) is (options == "ro"), done.stdout
+    assert (done.returncode == 0) is (options == "rw"), done.stderr
+    assert names(folder) == (["rig.toml", "rig.toml.before"] if options == "rw" else ["rig.toml"])
+
+
 async def test_a_text_is_checked_and_saved_with_the_one_before_kept(tmp_path: Path) -> None:
     path = rig(tmp_path)
     path.chmod(0o640)
@@ -277,13 +313,25 @@ def test_a_fault_is_refused_with_its_line() -> None:
         ('file = "thesis"', 'file = "a/../../b.toml"', "pad.file"),
         ('device = "rtsp', 'device = "/srv/other/film.mp4"\n#', "camera.device"),
         ('device = "rtsp', 'device = "file:///srv/other/film.mp4"\n#', "camera.device"),
-        ('source = "stream"\ndevice = "rtsp', 'source = "gstreamer"\ndevice = "fakesrc ! filesink"\n#', "camera.device"),
-        ('source = "stream"', 'source = "gstreamer"', "camera.device"),
+        ('source = "stream"\ndevice = "rtsp', 'source = "gstreamer"\ndevice = "fakesrc ! filesink"\n#', "camera.source"),
+        ('source = "stream"', 'source = "gstreamer"', "camera.source"),
         ("[guidance]", '[operator]\ngamepad = "/srv/other/pad.toml"\n[guidance]', "operator.gamepad"),
         ("[guidance]", '[operator]\nsocket = "/tmp/socket"\n[guidance]', "operator.socket"),
         ("[guidance]", '[recorder]\nfolder = "/srv/other"\n[guidance]', "recorder.folder"),
         ("[guidance]", '[http]\nendpoint = "http"\ntoken_file = "/etc/hostname"\n[guidance]', "http."),
         ("[guidance]", '[mqtt]\ntransport = "tcp"\nhost = "evil.example"\n[guidance]', "mqtt."),
+        ('device = "rtsp', 'device = "http://169.254.169.254/latest"\n#', "camera.device"),
+        ('device = "rtsp', 'device = "concat:rig.toml"\n#', "camera.device"),
+        ('kind = "ardrone"', 'kind = "ardrone"\nhost = "192.168.1.77"', "vehicle.host"),
+        ('kind = "ardrone"', 'kind = "mavlink"\nlinks = "udpin://0.0.0.0:14550"', "vehicle.kind"),
+        ("[guidance]", '[vessel]\nnmea = "0.0.0.0:10110"\n[guidance]', "vessel.nmea"),
+        ("[guidance]", '[vessel]\nbus = "tcp://198.51.100.7:2597"\n[guidance]', "vessel.bus"),
+        ("[guidance]", "[operator.switch]\nchannel = 7\n[guidance]", "operator.switch.channel"),
+        ("[guidance]", '[operator.handover]\nafter = "return"\n[guidance]', "operator.handover.after"),
+        ("[guidance]", "[expert.operator.handover]\nfailsafe = true\n[guidance]", "expert.operator.handover.failsafe"),
+        ("[guidance]", '[video_stream]\nto = "198.51.100.7:5600"\n[guidance]', "video_stream.to"),
+        ("[guidance]", "[limits]\nheight_max_m = 500.0\n[guidance]", "limits.height_max_m"),
+        ('start = "signal"', 'start = "automatic"', "guidance.start"),
     ],
 )
 def test_a_browser_names_no_file_elsewhere_and_gives_no_rights(tmp_path: Path, was: str, becomes: str, named: str) -> None:
@@ -295,11 +343,100 @@ def test_a_browser_names_no_file_elsewhere_and_gives_no_rights(tmp_path: Path, w
     assert "from a browser" in why, "nothing is read, so it is not told whether it exists"
 
 
-def test_a_name_that_was_allowed_for_one_kind_of_camera_is_not_for_another(tmp_path: Path) -> None:
-    words = 'source = "stream"\ndevice = "rtsp://admin:hunter2@10.0.0.8/live?token=s3cret"'
-    for device, source in (("../film.mp4", "stream"), ("fakesrc ! filesink location=x", "gstreamer")):
-        before, after = (RIG.replace(words, f'source = "{kind}"\ndevice = "{device}"') for kind in ("v4l2", source))
-        assert refused(after, tmp_path, before).startswith("camera.device")
+MAVLINK = RIG.replace('kind = "ardrone"', 'kind = "mavlink"\nlinks = "udpin://127.0.0.1:14550"')
+
+
+@pytest.mark.parametrize("more", ["vessel_id = 42", "system_id = 7", "disarm_on_contact = false", 'operators = "255"'])
+def test_a_browser_gives_nobody_a_right_over_an_autopilot(tmp_path: Path, more: str) -> None:
+    key = more.split()[0]
+    assert refused(MAVLINK.replace("[camera]", f"{more}\n[camera]"), tmp_path, MAVLINK).startswith(
+        f"vehicle.{key} is not changed"
+    )
+    expert = MAVLINK + "[expert.vehicle]\nmode_is_order = true\n"
+    assert refused(expert, tmp_path, MAVLINK).startswith("expert.vehicle.mode_is_order is not changed")
+
+
+def test_ordinary_tuning_is_saved_from_a_browser(tmp_path: Path) -> None:
+    tuned = """
+[recorder]
+enabled = true
+[video_stream]
+rate_hz = 10.0
+[guidance.limits]
+error_m = 0.1
+[expert.guidance.pid.horizontal]
+kp = 1.1
+[expert.estimator.ekf]
+forget_s = 20.0
+[vision]
+colours = "outdoor"
+[service]
+log_level = "debug"
+"""
+    assert refused(RIG + tuned, tmp_path) == ""
+    assert refused(RIG.replace('file = "thesis"', 'file = "printed"'), tmp_path) == ""
+
+
+NAMES_OR_GRANTS = re.compile(
+    r"\b(address|bus|certificate|channel|command|commands|component|device|disarm|failsafe|fence|folder|from|gamepad|handover|host|"
+    r"hosts|ids?|keys?|links?|mmsi|mqtt|nmea|operators|origins|password|peers?|point|polygon|port|response|sensor|"
+    r"signing|socket|source|spool|start|switch|time file|to|token|user)\b|\b(mode changes|mode is order|page)\b"
+)
+"""Words in the name of a key that name an address, a device, a path, a secret or an id, or give somebody a right."""
+GRANTS = re.compile(r"\bwho (may|decides)|\bmay (command|set|begin|watch)|\btaken like|addresses?\b|password|secret|systemd")
+"""The same in what a key means."""
+TEXTS = {"camera.file", "pad.file", "camera.controls", "guidance.controller", "rtk.antenna_m", "rtk.ship_antenna_m"}
+"""The texts among the keys of the page. What they name has no folder in it, so it is shipped or lies beside the settings."""
+
+
+def grants(path: str, field: Any) -> bool:
+    """Return whether a browser must not change a key, by its name, type, unit and meaning."""
+    *_, last = path.split(".")
+    meaning = (field.type.extra_json_schema or {}).get("description", "")
+    named = NAMES_OR_GRANTS.search(last.replace("_", " ")) or GRANTS.search(meaning)
+    texts = isinstance(field.type.type, msgspec.inspect.StrType) and path not in TEXTS
+    return bool(named or texts or schema.unit_of(field.type) in ("port", "id"))
+
+
+@pytest.mark.hazard("A6")
+def test_no_key_of_the_page_names_an_address_a_path_a_secret_or_an_id_or_gives_a_right() -> None:
+    found = {path for path, field in schema.walk(Settings) if grants(path, field)}
+    for one in (
+        "vehicle.host", "vehicle.vessel_id", "vehicle.mode_is_order", "vehicle.links", "camera.source", "camera.device",
+        "guidance.start", "guidance.mode_changes", "guidance.tries.another_pad", "vessel.nmea", "vessel.bus", "http.token_file",
+        "mqtt.port", "video_stream.to", "operator.handover.failsafe", "operator.switch.channel", "recorder.folder",
+        "limits.fence",
+    ):  # fmt: skip
+        assert one in found, "the rule sees what it is for"
+    assert found & schema.on_page() == set()
+    for table in ("http", "mqtt", "bridge", "limits", "operator.switch", "operator.handover", "guidance.elsewhere"):
+        assert not [path for path in schema.on_page() if path.startswith(f"{table}.")], table
+
+
+@pytest.mark.hazard("A6")
+@given(st.sampled_from(sorted(path for path, _ in schema.walk(Settings, "ardrone"))), st.data())
+@settings(max_examples=60, deadline=None)
+def test_a_key_is_changed_from_a_browser_if_it_is_declared_for_it_and_not_else(path: str, data: st.DataObject) -> None:
+    field: Any = dict(schema.walk(Settings, "ardrone"))[path]
+    kind = field.type.type
+    if isinstance(kind, msgspec.inspect.LiteralType):
+        value: Any = data.draw(st.sampled_from(list(kind.values)))
+    elif isinstance(kind, msgspec.inspect.BoolType):
+        value = data.draw(st.booleans())
+    elif isinstance(kind, msgspec.inspect.StrType):
+        value = "a"
+    else:
+        near = field.default * data.draw(st.floats(0.99, 1.01))
+        value = round(near) if isinstance(kind, msgspec.inspect.IntType) else near
+    table, _, last = in_file(path).rpartition(".")
+    bare = "[camera]\nfile = 'sim'\n[pad]\nfile = 'thesis'\n[vehicle]\nkind = 'ardrone'\n"
+    text = f"{table}.{last} = {schema.value_text(value)}\n" if table not in ("camera", "pad", "vehicle") else ""
+    text = text + bare if text else bare.replace(f"[{table}]", f"[{table}]\n{last} = {schema.value_text(value)}")
+    why = refused(text, Path(), bare)
+    if path not in schema.on_page("ardrone") and value != field.default:
+        assert why, text
+    if "is not changed from a browser" in why:
+        assert path not in schema.on_page("ardrone")
 
 
 def test_an_address_that_was_changed_gets_no_secret_of_another() -> None:
@@ -349,7 +486,31 @@ OWN = socket.gethostname().partition(".")[0].lower()
     ],
 )  # fmt: skip
 def test_its_own_page_is_let_in_by_each_of_its_names_and_no_other(origin: str | None, host: str | None, said: str | None) -> None:
-    why = refused_origin(origin, host, NAMES)
+    why = refused_origin({name: text for name, text in (("Origin", origin), ("Host", host)) if text is not None}, NAMES)
+    assert why is None if said is None else said in (why or "")
+
+
+@pytest.mark.parametrize(
+    ("origin", "headers", "said"),
+    [
+        ("https://drone.lan:8443", {"Host": "drone.lan"}, "Host $http_host"),
+        ("https://drone.lan:8443", {"Host": "drone.lan:8443"}, None),
+        ("https://drone.lan", {"Host": "drone.lan:443"}, None),
+        ("https://drone.lan:8443", {"Host": "drone.lan", "X-Forwarded-Port": "8443"}, None),
+        ("https://drone.lan:8443", {"Host": "127.0.0.1:8480", "X-Forwarded-Host": "drone.lan:8443"}, None),
+        ("https://drone.lan:8443", {"Host": "a", "X-Forwarded-Host": "drone.lan, b", "X-Forwarded-Port": "8443"}, None),
+        ("https://drone.lan", {"Host": "127.0.0.1:8480", "X-Forwarded-Host": "drone.lan"}, None),
+        ("https://drone.lan", {"Host": "127.0.0.1:8480"}, "'https://drone.lan' and Host has '127.0.0.1:8480'"),
+        ("https://evil.example", {"Host": "127.0.0.1:8480", "X-Forwarded-Host": "drone.lan"}, "another page"),
+        ("https://evil.example", {"Host": "127.0.0.1", "X-Forwarded-Host": "evil.example"}, "[expert.http] hosts"),
+        ("https://drone.lan:x", {"Host": "drone.lan:x"}, "another page"),
+        ("https://", {"Host": ""}, "another page"),
+    ],
+)  # fmt: skip
+def test_a_proxy_passes_the_browser_s_host_on_or_the_header_is_named(
+    origin: str, headers: dict[str, str], said: str | None
+) -> None:
+    why = refused_origin({"Origin": origin, **headers}, NAMES)
     assert why is None if said is None else said in (why or "")
 
 

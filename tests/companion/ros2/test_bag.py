@@ -355,6 +355,131 @@ def test_headers_of_another_clock_are_reported_and_not_accepted(tmp_path: Path) 
     assert any("another clock" in text for text in reported)
 
 
+def write_imus(path: Path, imus: dict[str, tuple[str, Any, Any]], joined: dict[tuple[str, str], Rotation]) -> Path:
+    """Write a bag of ROS 2 with IMUs, each (frame, rate, force) by its topic, and /tf_static's turns by parent and child."""
+    from rosbags.rosbag2 import Writer
+
+    store, types = typestore(), typestore().types
+    vector, turned = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+
+    def header(n: int, frame: str) -> Any:
+        stamp = types["builtin_interfaces/msg/Time"](*divmod(BEGAN_NS + n * 10_000_000, 10**9))
+        return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+
+    transforms = []
+    for (parent, child), turn in joined.items():
+        w, x, y, z = turn.quat_wxyz
+        move = types["geometry_msgs/msg/Transform"](translation=vector(0.1, 0.0, 0.0), rotation=turned(x, y, z, w))
+        transforms.append(types["geometry_msgs/msg/TransformStamped"](header(0, parent), child, move))
+    with Writer(path, version=8) as bag:
+        fixed = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/Imu"
+        links = {
+            topic: bag.add_connection(topic, fixed[topic != "/tf_static"], typestore=store) for topic in ("/tf_static", *imus)
+        }
+        bag.write(links["/tf_static"], BEGAN_NS, store.serialize_cdr(types[fixed[0]](transforms), fixed[0]))
+        for n in range(20):
+            for topic, (frame, rate, force) in imus.items():
+                message = types[fixed[1]](
+                    header(n, frame), turned(0.0, 0.0, 0.0, 1.0), np.diag([-1.0, 0.0, 0.0]).ravel(),
+                    vector(*map(float, rate)), np.zeros(9), vector(*map(float, force)), np.zeros(9),
+                )  # fmt: skip
+                bag.write(links[topic], BEGAN_NS + n * 10_000_000, store.serialize_cdr(message, fixed[1]))
+    return path
+
+
+RATE, FORCE = np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.0, 9.8])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_imu_in_a_sensor_s_axes_is_turned_by_the_chain_to_the_body(seed: int, tmp_path: Path) -> None:
+    mount, lens = (Rotation.from_quat(q) for q in np.random.default_rng(seed).normal(size=(2, 4)))
+    # A tree may stand on its head: a camera's own launch file has the body below the camera.
+    joined = {("drone/base_link", "cam"): mount} if seed % 2 else {("/cam", "drone/base_link"): mount.inv}
+    turn = (mount @ lens).inv
+    imus = {"/cam/imu": ("cam_imu_optical", turn @ RATE, turn @ FORCE)}
+    bag = write_imus(tmp_path / "bag", imus, {("cam", "cam_imu_optical"): lens, **joined})
+    found = [one for one in bags.read(bag, lambda text: None) if isinstance(one, Imu)]
+    assert len(found) == 20
+    assert np.allclose([found[3].w_body, found[3].f_body], [[0.1, -0.2, -0.3], [0.5, 0.0, -9.8]])
+
+
+@pytest.mark.parametrize(
+    ("rate", "force", "says"),
+    [(RATE, FORCE, "read as forward, left and up"), (RATE, -FORCE, "and not up"), (RATE, FORCE[::-1], "and not up"),
+     (0 * RATE, FORCE, "all its rates are exactly 0"), (RATE, 0 * FORCE, "all its forces are exactly 0")],
+)  # fmt: skip
+def test_an_imu_whose_axes_nothing_says_is_read_only_where_it_stands_as_the_body(rate, force, says, tmp_path: Path) -> None:
+    taken = "read as" in says
+    for name, beside in (("alone", {}), ("beside", {"/imu": ("base_link", 2 * RATE, FORCE)})):
+        reported: list[str] = []
+        bag = write_imus(tmp_path / name, {"/cam/imu": ("cam_imu", rate, force), **beside}, {})
+        if taken or beside:
+            found = [one for one in bags.read(bag, reported.append) if isinstance(one, Imu)]
+            assert {tuple(one.w_body) for one in found} == {(0.1, -0.2, -0.3) if taken else (0.2, -0.4, -0.6)}
+        else:
+            with pytest.raises(BadInput, match="no IMU"):
+                list(bags.read(bag, reported.append))
+        assert any(says in text for text in reported)
+
+
+@pytest.mark.parametrize(
+    ("limits", "far_m", "var", "given"),
+    [((0.1, 9.0), 3.0, 0.01, 2), ((0.0, 0.0), 3.0, 0.01, 2), ((0.1, 9.0), 0.0, 0.01, 1), ((0.0, 0.0), 0.0, 0.01, 1),
+     ((0.1, 9.0), 3.0, 0.0, 1), ((0.1, 9.0), 3.0, -1.0, 1)],
+)  # fmt: skip
+def test_what_a_range_or_a_velocity_does_not_know_is_no_measurement(limits, far_m, var, given, tmp_path: Path) -> None:
+    from rosbags.rosbag2 import Writer
+
+    store, types = typestore(), typestore().types
+    vector, twist, kind = (
+        types["geometry_msgs/msg/Vector3"],
+        "geometry_msgs/msg/TwistWithCovarianceStamped",
+        "sensor_msgs/msg/Range",
+    )
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(BEGAN_NS, 10**9))
+    moved = types["geometry_msgs/msg/Twist"](vector(1.0, 0.0, 0.0), vector(0.0, 0.0, 0.0))
+    moved = types["geometry_msgs/msg/TwistWithCovariance"](moved, np.diag([var] * 6).ravel())
+    made = {
+        twist: types[twist](types["std_msgs/msg/Header"](stamp, "base_stabilized"), moved),
+        kind: types[kind](types["std_msgs/msg/Header"](stamp, "range_down"), 1, 0.1, *limits, far_m, 0.0),
+    }
+    with Writer(tmp_path / "bag", version=8) as bag:
+        for name, message in made.items():
+            link = bag.add_connection(f"/{name[-5:]}", name, typestore=store)
+            bag.write(link, BEGAN_NS, store.serialize_cdr(message, name))
+    assert len(list(bags.read(tmp_path / "bag", lambda text: None))) == given
+
+
+def test_every_field_of_a_bag_s_messages_has_its_row_and_what_is_read_is_what_it_says(tmp_path: Path, monkeypatch) -> None:
+    from rosbags.highlevel import AnyReader
+
+    seen: dict[str, set[str]] = defaultdict(set)
+
+    class Spied:
+        def __init__(self, of: Any) -> None:
+            self.of = of
+
+        def __getattr__(self, name: str) -> Any:
+            if name == "__msgtype__":
+                return self.of.__msgtype__
+            found = getattr(self.of, name)
+            seen[self.of.__msgtype__].add(name)
+            return Spied(found) if name == "header" else found
+
+    for kind, rows in bags.FIELDS.items():
+        assert list(rows) == [name for name, _ in typestore().get_msgdef(kind).fields], kind
+    write_ros1(tmp_path / "a.bag", seconds=1)
+    record_to(tmp_path / "b.mcap", seconds=0.6)
+    assert cli.main(["record", "export", str(tmp_path / "b.mcap"), "--format", "ros2", "--output", str(tmp_path / "b")]) == 0
+    deserialize = AnyReader.deserialize
+    monkeypatch.setattr(AnyReader, "deserialize", lambda *of: Spied(deserialize(*of)))
+    for path in (tmp_path / "a.bag", tmp_path / "b"):
+        assert list(bags.read(path, lambda text: None))
+    for kind, rows in bags.FIELDS.items():
+        assert seen[kind] == {name for name, row in rows.items() if row.startswith("read")}, kind
+    assert set(seen) == set(bags.FIELDS), "no message is read without its rows"
+
+
 def test_our_own_bag_comes_back_as_it_was(tmp_path: Path) -> None:
     flown, bag, again = tmp_path / "a.mcap", tmp_path / "bag", tmp_path / "b.mcap"
     record_to(flown, seconds=0.6)

@@ -122,12 +122,12 @@ async def test_a_ros_program_sees_the_flight_and_its_orders_are_obeyed_or_refuse
                 hold.write(ROS["Empty"](0))
                 await asyncio.sleep(0.01)
             assert pilot.outcome is None
-            over = 'refused: the flight is over: aborted; "begin" tries again, "land" lands here'
             if middleware == "dds":
                 abort = await peer.writes("rq/decklander/abortRequest", "Trigger_Request")
-                for number, answer in ((7, (True, "accepted")), (8, (False, over))):
-                    abort.write(ROS["Trigger_Request"](65261, number, 0))
-                    await until(lambda: replies.read(1))
+                for number, refusal, answer in ((7, None, (True, "accepted")), (8, "not now", (False, "refused: not now"))):
+                    with patch.object(pilot.operator, "_refused", lambda *_, why=refusal: why):
+                        abort.write(ROS["Trigger_Request"](65261, number, 0))
+                        await until(lambda: replies.read(1))
                     got = replies.take(1)[0]
                     assert (got.guid, got.seq, got.success, got.message) == (65261, number, *answer)
             else:

@@ -343,7 +343,10 @@ def test_files_of_parameters_of_each_station_are_read(tmp_path: Path) -> None:
     gimbal = PARAMETERS["px4.params"] + "1\t154\tCOM_DISARM_LAND\t2\t9\n"
     for text, said in (
         (gimbal, ""), (gimbal + "2\t1\tMAV_SYS_ID\t2\t6\n", "several vehicles"), ("A_B,1\nA_B,2\n", "A_B stands in it twice"),
-        ("GUID_TIMEOUT,0,2\nLAND_SPEED,50.0\n", "GUID_TIMEOUT,0,2"), ("@include base.parm\nA_B 1\n", "base.parm"),
+        *((f"GUID_TIMEOUT{mark}0,2\nLAND_SPEED{mark}50.0\n", f"commas.*GUID_TIMEOUT{mark}0,2") for mark in ",; ="),
+        ("1\t1\tGUID_TIMEOUT\t0,2\t9\n1\t1\tLAND_SPEED\t50\t9\n", "decimal commas"),
+        ("# Vehicle-Id Component-Id Name Value Type\n1\t1\tPSC_D\t3,6e-05\t9\n", "decimal commas"),
+        ("@include base.parm\nA_B 1\n", "base.parm"),
     ):  # fmt: skip
         (tmp_path / "odd.param").write_text(text)
         if said:

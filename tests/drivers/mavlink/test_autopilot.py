@@ -224,6 +224,40 @@ async def reported_within_s(fake: MiniatureAutopilot, autopilot: Autopilot, take
     return fake.now_s - began_s
 
 
+@pytest.mark.parametrize(("stack", "velocity", "land", "words"), [
+    (Stack.ARDUPILOT, "guided", "land", "Battery Failsafe"), (Stack.PX4, "offboard", "auto.land", "critical battery"),
+])  # fmt: skip
+async def test_a_failsafe_has_the_vehicle_and_its_words_follow_until_an_order(
+    stack: Stack, velocity: str, land: str, words: str
+) -> None:
+    fake = MiniatureAutopilot(stack, mode="loiter" if stack is Stack.ARDUPILOT else "auto.loiter")
+    async with autopilot_of(fake, prestream_s=0.1, landing="mode") as autopilot, asyncio.timeout(30):
+
+        async def flown(command: Velocity | Land, until_mode: str) -> None:
+            while autopilot.condition.mode != until_mode:
+                autopilot.command(command)
+                await asyncio.sleep(0.02)
+
+        await flown(Velocity(np.array([1.0, 0.0, 0.0]), 0.0), velocity)
+        await flown(Land(), land)
+        drain(autopilot)
+        asked = fake.commands[mav.MAV_CMD_DO_SET_MODE]
+        fake.fail(land, words if stack is Stack.ARDUPILOT else "Failsafe activated", cause=4)
+        text = f"{stack.value} took the vehicle: {words} (mode {land})"
+        assert await reported_within_s(fake, autopilot, lambda taken: taken == text) < 0.5
+        assert autopilot.condition.failsafe is not None
+        for _ in range(20):  # a go-around
+            autopilot.command(Velocity(np.array([0.0, 0.0, -1.0]), 0.0))
+            await asyncio.sleep(0.02)
+        fake.critical = False
+        await until(lambda: autopilot.condition.failsafe is None)
+        autopilot.command(Velocity(np.array([0.0, 0.0, -1.0]), 0.0))
+        await asyncio.sleep(0.1)
+        assert (fake.mode, fake.commands[mav.MAV_CMD_DO_SET_MODE]) == (land, asked), "it stays the failsafe's until an order"
+        autopilot.engage()
+        await flown(Velocity(np.array([0.0, 0.0, -1.0]), 0.0), velocity)
+
+
 async def test_who_takes_the_vehicle_is_reported_at_once_and_so_is_that_it_was_given_back() -> None:
     fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter")
     async with autopilot_of(fake, prestream_s=0.1, mode_is_order=True) as autopilot, asyncio.timeout(30):

@@ -27,6 +27,7 @@ def test_the_table_is_total_and_a_wrong_one_is_refused() -> None:
         (Hand.OURS, {HandEvent.LAND: Hand.OURS}, "leads nowhere else"),
         (Hand.STANDING, {HandEvent.OTHER_MODE: Hand.NOBODY}, "must be a person's"),
         (Hand.PERSON, {HandEvent.CUT: Hand.NOBODY}, "must be cut"),
+        (Hand.LANDING, {HandEvent.FAILSAFE: Hand.TAKING}, "must have the vehicle"),
     ):
         with pytest.raises(ValueError, match=why):
             whole({**rows, hand: {**rows[hand], **wrong}})
@@ -75,10 +76,11 @@ class RandomHands(RuleBasedStateMachine):
     """People, guidance and reports in any order; every message of ours is compared with what people have done."""
 
     @initialize(
-        stack=st.sampled_from(STACKS), on_deck=st.booleans(), late_s=st.sampled_from([0.0, 0.05, 0.25]), seed=st.integers(0, 99)
-    )
-    def begin(self, stack: Stack, on_deck: bool, late_s: float, seed: int) -> None:
-        self.flown = Flown(stack, height_m=0.0 if on_deck else 8.0, late_s=late_s, seed=seed)
+        stack=st.sampled_from(STACKS), on_deck=st.booleans(), late_s=st.sampled_from([0.0, 0.05, 0.25]), seed=st.integers(0, 99),
+        lost=st.sampled_from([0.0, 0.3]),
+    )  # fmt: skip
+    def begin(self, stack: Stack, on_deck: bool, late_s: float, seed: int, lost: float) -> None:
+        self.flown = Flown(stack, height_m=0.0 if on_deck else 8.0, late_s=late_s, seed=seed, lost=lost)
         self.stack, self.read, self.begun = stack, 0, not on_deck
         self.mode: str | None = None
         """The mode that the person has chosen, while the vehicle is in it."""
@@ -114,7 +116,7 @@ class RandomHands(RuleBasedStateMachine):
         new, self.read = [what for _, what in toy.log[self.read :]], len(toy.log)
         if self.cut:
             assert set(new) <= {"disarm forced"}
-            assert not toy.armed or self.flown.now_s - self.cut_s < 0.3
+            assert not toy.armed or self.flown.now_s - self.cut_s < (2.0 if self.flown.lost else 0.3)
             return
         assert not (self.his and new), "he has it"
         assert not self.off or not any(what in ("arm", "take off") or what.startswith("mode") for what in new)
@@ -147,11 +149,27 @@ class RandomHands(RuleBasedStateMachine):
     @rule(modes=st.sampled_from([PERSONS_MODE, MANUAL_MODE, HOLD_MODE, LAND_MODE, RETURN_MODE, VELOCITY_MODE]))
     def switch(self, modes: dict[Stack, str]) -> None:
         mode, toy = modes[self.stack], self.flown.toy
+        # The velocity mode, which no failsafe chooses, is ours while we request it.
         asked = {what for at_s, what in toy.log if self.flown.now_s - at_s < LAPSES_S + 0.5}
-        # Else nobody can say whose it is.
-        if self.flown.reported is not None and mode != toy.mode and f"mode {mode}" not in asked:
+        ours = mode == VELOCITY_MODE[self.stack] and (f"mode {mode}" in asked or self.flown.hand is Hand.TAKING)
+        if self.flown.reported is not None and mode != toy.mode and not ours:
             toy.switch(mode)
             self.mode, toy.others_stream = mode, True
+
+    @precondition(lambda self: self.flown.toy.armed and not self.cut)
+    @rule(modes=st.sampled_from([HOLD_MODE, LAND_MODE, RETURN_MODE, None]))
+    def fail(self, modes: dict[Stack, str] | None) -> None:
+        """A failsafe acts, also by the mode that the vehicle is in, or leaves the mode; it lasts until it is over."""
+        toy = self.flown.toy
+        mode = toy.mode if modes is None else modes[self.stack]
+        toy.fail(mode, f"Failsafe {self.flown.now_s:.2f}")
+        if mode != VELOCITY_MODE[self.stack]:
+            self.mode, toy.others_stream = mode, True
+        self.wait(0.6)
+
+    @rule()
+    def recover(self) -> None:
+        self.flown.toy.failing = None
 
     @rule()
     def disarm(self) -> None:
@@ -173,4 +191,4 @@ class RandomHands(RuleBasedStateMachine):
 RandomHands.TestCase.settings = settings(
     max_examples=25, stateful_step_count=20, deadline=None, suppress_health_check=list(HealthCheck)
 )
-TestRandomHands = pytest.mark.hazard("H4", "H6")(RandomHands.TestCase)
+TestRandomHands = pytest.mark.hazard("H4", "H6", "A7", "A8")(RandomHands.TestCase)

@@ -4,13 +4,15 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec.structs import replace
 from pymavlink import mavutil
 
 from drivers.mavlink.custody import Authority, Hand
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.setpoint import RestVelocity, velocity_setpoint
+from drivers.mavlink.setpoint import RestVelocity, level_setpoint, velocity_setpoint
 from drivers.mavlink.setpoint_streamer import SetpointStreamer
 from drivers.mavlink.vehicle import (
     COPTER_MODES,
@@ -48,11 +50,27 @@ class Flight:
         self.streamer = SetpointStreamer(Identity(7, 1, stack, 2), all_options, authority)
         self.now = ms(0)
         self.mode = mode
+        self.requests: list[int] = []
+        """Numbers of the commands that ask for a mode and have no answer."""
         self.told()
 
     def told(self, mode: str | None = None, *, flying: bool | None = True, armed: bool | None = True) -> None:
         self.mode = mode or self.mode
         self.streamer.on_condition(Condition(self.mode, armed, flying))
+
+    def obeys(self, mode: str) -> None:
+        """Report a mode as one that was requested, and then accept the requests as ArduPilot does."""
+        self.told(mode)
+        for number in self.requests:
+            self.streamer.on_answer(number, accepted=True)
+        self.requests = []
+
+    def sent(self, at: MonoNs) -> list[Message]:
+        """Return the messages of the period at that time."""
+        out = self.streamer.period(at)
+        asks = (mav.MAV_CMD_DO_SET_MODE, mav.MAV_CMD_DO_REPOSITION)
+        self.requests += [m.command for m in out if m.get_type().startswith("COMMAND") and m.command in asks]
+        return out
 
     def sees(self, yaw_rad: float, at: MonoNs) -> None:
         stamp = Stamp(at, at, 0.001, "synced")
@@ -64,7 +82,7 @@ class Flight:
     def sends(self, t: float) -> tuple[list[tuple[float, float, float, float]], list[tuple[float, float]]]:
         """Return the velocities and modes of one period."""
         self.sees(0.0, ms(t))
-        return said(self.streamer.period(ms(t)))
+        return said(self.sent(ms(t)))
 
     def periods(self, seconds: float, command: Command | None = None, *, seen: bool = True) -> list[Message]:
         """Return every message of that long at 25 Hz, the command repeated in each period."""
@@ -75,7 +93,7 @@ class Flight:
                 self.sees(math.radians(90.0), self.now)
             if command is not None:
                 self.streamer.take(command, self.now)
-            out += self.streamer.period(self.now)
+            out += self.sent(self.now)
         return out
 
 
@@ -195,7 +213,7 @@ def test_a_return_is_the_autopilots_own_and_a_velocity_takes_it_back(stack, ours
     flight.periods(3.0, GO)
     flight.told(ours)
     assert modes(flight.periods(0.5, Hover(returns=True))) == [number]
-    flight.told(back)
+    flight.obeys(back)
     assert flight.periods(3.0, Hover(returns=True)) == []
     flight.periods(0.04, GO)
     assert flight.streamer.hand is Hand.TAKING
@@ -225,18 +243,19 @@ def test_another_place_is_flown_to_by_the_autopilot_and_landed_at_only_there(sta
     (sent,) = [m for m in first if m.get_type() == "COMMAND_INT"]
     assert (sent.command, sent.x, sent.y, sent.z, sent.frame) == (mav.MAV_CMD_DO_REPOSITION, 634400000, 104000000, 30.0, 0)
     assert flight.streamer.hand is Hand.LEAVING
-    flight.told(way)
+    flight.obeys(way)
     assert velocities(asked(3.0, 200.0)) == [] == modes(asked(3.0, 5.0)), "a setpoint would end the way, and nobody lands on it"
     flight.told("land" if stack is Stack.ARDUPILOT else "auto.land")
     assert flight.streamer.hand is Hand.PERSON, "a person landed it on the way"
     flight.streamer.engage()
     for mode, velocity in ((ours, GO), (way, leaves)):
         flight.periods(3.0, velocity)
-        flight.told(ours)
+        flight.obeys(ours)
         asked(0.4, 200.0)
-        flight.told(mode)
+        flight.obeys(mode)
+        flight.told()
     assert modes(asked(0.4, 2.0)) == [land]
-    flight.told("land" if stack is Stack.ARDUPILOT else "auto.land")
+    flight.obeys("land" if stack is Stack.ARDUPILOT else "auto.land")
     assert asked(2.0, 0.0) == []
     assert modes(flight.periods(2.2, Hover())) != [], "an order to hold takes it back"
 
@@ -290,10 +309,24 @@ def test_silent_guidance_is_flown_as_a_hold_with_the_deck_then_over_the_ground_t
     assert set(modes(sent)) == {(4, 3) if stack is Stack.PX4 else (17, 0)}
     assert len(v) < 12 * 25, "the stream ends, so that the autopilot's own failsafe can act"
     assert flight.periods(1.0) == []
-    flight.told("auto.loiter" if stack is Stack.PX4 else "brake")
+    flight.obeys("auto.loiter" if stack is Stack.PX4 else "brake")
+    assert flight.periods(1.0, GO) == [], "a person's hold would read the same"
+    flight.streamer.engage()
+    assert velocities(flight.periods(0.2, GO)), "an order takes it back"
+
+
+@pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
+def test_guidance_that_is_back_is_heard_until_the_autopilot_holds_by_itself(stack: Stack) -> None:
+    flight = over_a_deck(stack)
+    assert modes(flight.periods(6.2)) == [LOITER if stack is Stack.PX4 else BRAKE]
     assert flight.streamer.hand is Hand.HOLDING
-    assert velocities(flight.periods(0.2, GO)), "guidance that is back is heard again"
+    assert velocities(flight.periods(0.2, GO))
     assert flight.streamer.hand is Hand.TAKING
+    silent = over_a_deck(stack)
+    silent.periods(6.2)
+    silent.obeys("auto.loiter" if stack is Stack.PX4 else "brake")
+    assert silent.periods(1.0) == silent.periods(1.0, GO) == []
+    assert silent.streamer.hand is Hand.PERSON
 
 
 def test_taking_off_step_by_step() -> None:
@@ -491,42 +524,25 @@ def test_a_landing_by_velocity_ends_by_its_time() -> None:
     assert flight.sends(15_300)[0] == [DOWN], "another one is another one"
 
 
-def test_a_persons_landing_by_velocity_becomes_the_autopilots_own_after_its_time() -> None:
-    """It sank for ever."""
-    flight = sinking()
-    flight.take(Land(persistent=True), 1_000)
-    flight.streamer.on_position(5.0)
-    assert flight.sends(16_000) == ([DOWN], []), "not renewed, and from any height"
-    assert flight.sends(16_000.001) == ([], [AUTO_LAND])
-    assert flight.sends(16_500) == ([], [])
-    assert flight.sends(17_001) == ([], [AUTO_LAND]), "asked for again until it has come about"
-    flight.told("auto.land")
-    assert flight.sends(60_000) == ([], [])
-    assert flight.streamer.hand is Hand.LANDING
-    assert flight.streamer.leave(ms(60_000)) == []
+def test_a_landing_by_mode_is_called_off_when_it_is_not_renewed() -> None:
+    flight = ours()
+    flight.obeys("guided")
+    flight.take(Land(), 100)
+    assert flight.sends(100) == ([], [LAND])
+    flight.obeys("land")
+    assert flight.sends(600) == ([], [])
+    assert flight.sends(600.001) == ([STILL], [GUIDED])
+    assert flight.streamer.hand is Hand.TAKING
 
 
-def test_a_person_may_order_the_landing_that_guidance_has_under_way_or_has_used_up() -> None:
-    flight = sinking()
-    flight.take(Land(persistent=True), 100)
-    flight.take(Land(), 200)
-    assert flight.sends(5_000)[0] == [DOWN], "guidance's own asking makes it no less a person's"
-    spent = sinking()
-    spent.streamer.on_position(1.001)
-    assert spent.sends(100)[0] == [LEVEL]
-    spent.take(Land(persistent=True), 200)
-    assert spent.sends(5_000)[0] == [DOWN]
-
-
-def test_a_landing_by_mode_is_requested_until_it_has_come_about_and_called_off_when_it_is_not_renewed() -> None:
+def test_a_landing_by_mode_that_had_to_be_requested_again_is_a_persons() -> None:
     flight = ours()
     for t in (100, 600, 1099, 1100):
         flight.take(Land(), t)
         assert flight.sends(t) == ([], [LAND] if t in (100, 1100) else [])
-    flight.told("land")
-    assert flight.sends(1600) == ([], [])
-    assert flight.sends(1600.001) == ([STILL], [GUIDED])
-    assert flight.streamer.hand is Hand.TAKING
+    flight.obeys("land")
+    assert flight.streamer.hand is Hand.PERSON
+    assert flight.sends(1600.001) == ([], [])
 
 
 @pytest.mark.parametrize(
@@ -553,9 +569,11 @@ def test_the_last_word_of_a_landing_nobody_renews_is_to_hold(landing: str, expec
     flight.sends(100)
     assert said(flight.streamer.leave(ms(110))) == expected
     person = ours(landing=landing)
-    person.take(Land(persistent=True), 100)
+    person.take(Land(here=True), 100)
     person.sends(100)
-    assert said(person.streamer.leave(ms(110))) == ([], [LAND] if landing == "velocity" else [])
+    goes_on = landing == "mode"
+    assert said(person.streamer.leave(ms(110))) == (([], []) if goes_on else expected)
+    assert (person.streamer.suspend(ms(111)) == []) is goes_on
 
 
 def test_the_last_word_is_to_stand_still_where_the_vehicle_is_ours() -> None:
@@ -585,6 +603,34 @@ def standing(armed: bool | None = True) -> Flight:
 FORCED, ASKED = (0.0, 21196.0), (0.0, 0.0)
 
 
+@pytest.mark.parametrize(("stack", "by_attitude"), [(Stack.ARDUPILOT, True), (Stack.PX4, False)])
+def test_arducopter_comes_to_stand_on_a_deck_by_an_attitude_and_flies_on_by_velocities(stack: Stack, by_attitude: bool) -> None:
+    flight = ours(stack)
+    press = Lean(np.zeros(2), np.zeros(2), np.array([1.0, 0.0, 1.0]), 0.6)
+    kinds = []
+    for k, command in enumerate((press, replace(press, on_deck_turn_rad=0.1), GO)):
+        flight.take(command, 1000 + 40 * k)
+        flight.sees(2.0, ms(1000 + 40 * k))
+        kinds += [m.get_type() for m in flight.streamer.period(ms(1000 + 40 * k)) if m.get_type().startswith("SET_")]
+    velocity = "SET_POSITION_TARGET_LOCAL_NED"
+    assert kinds == [velocity, "SET_ATTITUDE_TARGET" if by_attitude else velocity, velocity]
+
+
+@given(roll=st.floats(-0.6, 0.6), pitch=st.floats(-0.6, 0.6), yaw=st.floats(-3.0, 3.0), turn=st.floats(-0.25, 0.25))
+def test_an_attitude_on_deck_leans_a_little_to_the_other_side_turns_to_the_heading_and_descends(roll, pitch, yaw, turn):
+    """A thrust below one half descends, whether it is read as a climb or as a thrust."""
+    m = level_setpoint(2**32 + 5, (7, 1), (roll, pitch, yaw), turn, 6.0 * turn)
+    other_roll, other_pitch, heading = Rotation.from_quat(np.array(m.q)).rpy_rad
+    assert (m.time_boot_ms, m.target_system, m.target_component, m.type_mask) == (5, 7, 1, 0)
+    assert (m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate) == pytest.approx((0.0, 0.0, 6.0 * turn))
+    assert math.remainder(heading - yaw - turn, math.tau) == pytest.approx(0.0, abs=1e-6)
+    assert other_roll * roll <= 1e-9
+    assert other_pitch * pitch <= 1e-9
+    assert other_roll * pitch == pytest.approx(other_pitch * roll, abs=1e-6), "in the plane of its lean"
+    assert math.hypot(other_roll, other_pitch) < 0.15
+    assert 0.0 < m.thrust < 0.5
+
+
 @pytest.mark.parametrize(
     ("armed", "t", "last"), [(True, 1100, [FORCED]), (None, 1100, [FORCED]), (True, 1300, [ASKED]), (False, 1100, [])]
 )
@@ -601,7 +647,7 @@ def test_a_cut_waits_for_no_other_request_and_is_repeated_until_it_is_reported()
         assert stops(flight.streamer.period(ms(t + 1))) == [FORCED]
     sent = 0
     for t in range(200, 20_000, 100):
-        flight.take(Land(persistent=True), t)
+        flight.take(Land(here=True), t)
         flight.take(TakeOff(), t)
         sent += len(stops(flight.streamer.period(ms(t))))
     assert sent > 30
@@ -652,15 +698,15 @@ def test_where_modes_alone_may_leave_no_setpoint_does_and_the_landing_ends_in_th
     flight = Flight(stack, authority=Authority.MODES, landing="velocity", mode_is_order=True)
     assert flight.periods(1.0, GO) + flight.periods(1.0, TakeOff()) + flight.periods(1.0, Hover()) == []
     assert asked(flight.periods(0.1, Land()), stack) == {lands}
-    flight.told(lands)
+    flight.obeys(lands)
     assert flight.periods(3.0, Land()) + flight.periods(0.4, GO) == [], "the other orders change nothing"
     turns = flight.periods(1.5, Land(turn_rad=math.radians(20.0)))
     assert [(m.command, round(m.param1), m.param4) for m in turns] == [(115, 110, 0)] * (2 if stack is Stack.ARDUPILOT else 0)
     assert asked(flight.periods(0.1, Hover()), stack) == {holds}
-    flight.told(holds)
+    flight.obeys(holds)
     assert flight.periods(20.0, Hover()) == []
     assert asked(flight.periods(0.1, Land()), stack) == {lands}
-    flight.told(lands)
+    flight.obeys(lands)
     assert asked(flight.periods(1.0), stack) == {holds}, "a landing that guidance does not renew is called off"
 
 
@@ -693,7 +739,7 @@ def test_the_landing_mode_after_the_order_to_begin_takes_nothing_over_where_it_i
 @pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
 def test_where_nothing_may_leave_only_a_persons_cut_does(stack: Stack) -> None:
     flight = Flight(stack, authority=Authority.NOTHING)
-    for command in (GO, Land(), Land(persistent=True), Land(on_deck=True), Hover(calls_off=True), TakeOff()):
+    for command in (GO, Land(), Land(here=True), Land(on_deck=True), Hover(calls_off=True), TakeOff()):
         assert flight.periods(1.0, command) == []
     assert [m.command for m in flight.periods(0.05, CutMotors())] == [mav.MAV_CMD_COMPONENT_ARM_DISARM]
 

@@ -99,6 +99,11 @@ def test_vtg_and_hdt_tell_motion_and_heading_together_in_one_datagram() -> None:
     assert pointing.v_vessel_ned is None
 
 
+def test_a_longitude_that_counts_on_beyond_180() -> None:
+    (fix,) = NmeaReader().samples(line("GPGGA,120000.00,1700.0000,S,18000.0300,E,4,12,0.8,5.0,M,30.0,M,1.0,0001"), NOW)
+    assert degrees(fix) == pytest.approx([-17.0, -179.9995])
+
+
 def test_the_named_ship_s_ais_is_taken_and_no_other_s() -> None:
     reader = NmeaReader(MMSI)
     fix, moving, pointing = reader.samples(ais(), NOW)
@@ -108,8 +113,8 @@ def test_the_named_ship_s_ais_is_taken_and_no_other_s() -> None:
     for class_b in (18, 19):
         assert [type(s) for s in reader.samples(ais(type=class_b, heading=511, speed=102.3), NOW)] == [GeoFix]
     assert reader.samples(ais(mmsi=MMSI + 1), NOW) == []
-    assert reader.samples(ais(lat=91, lon=181), NOW) == []
-    assert reader.refused == {"other_ship": 1, "no_fix": 1}
+    assert [reader.samples(ais(**place), NOW) for place in ({"lat": 91}, {"lon": 181}, {"lat": 91, "lon": 181})] == [[], [], []]
+    assert reader.refused == {"other_ship": 1, "no_fix": 3}
     assert NmeaReader().samples(ais(), NOW) == [], "without an MMSI nobody's"
 
 
@@ -169,6 +174,25 @@ RTK_M, METRES_M, RECKONED_M = (0.1, 1.0), (2.0, 5.0), (20.0, 500.0)
         (f"GPGGA,081836,{PLACE},7,09,1.0,12.0,M,42.1,M,,", "typed_in"),
         (f"GPGGA,081836,{PLACE},8,09,1.0,12.0,M,42.1,M,,", "simulated"),
         (f"GPGGA,081836,{PLACE},0,09,1.0,12.0,M,42.1,M,,", "no_fix"),
+        (f"GPRMC,081836,A,{PLACE},005.5,045.0,130998,,,A,U", "not_valid"),
+        ("GPGGA,081836,0000.0000,N,00000.0000,E,1,09,1.0,12.0,M,42.1,M,,", "no_fix"),
+        *((f"GNGNS,081836,{PLACE},{modes},09,1.0,12.0,42.1,,,V", METRES_M) for modes in ("A", "DN", "NNP", "AD")),
+        *((f"GNGNS,081836,{PLACE},{modes},09,1.0,12.0,42.1,,", RTK_M) for modes in ("RR", "NF", "RFRN")),
+        (f"GNGNS,081836,{PLACE},RA,09,1.0,12.0,42.1,,", METRES_M),
+        (f"GNGNS,081836,{PLACE},AE,09,1.0,12.0,42.1,,", RECKONED_M),
+        (f"GNGNS,081836,{PLACE},NNNN,00,99.9,,,,", "no_fix"),
+        (f"GNGNS,081836,{PLACE},,00,99.9,,,,", "no_fix"),
+        (f"GNGNS,081836,{PLACE},M,09,1.0,12.0,42.1,,", "typed_in"),
+        (f"GNGNS,081836,{PLACE},AS,09,1.0,12.0,42.1,,", "simulated"),
+        (f"GNGNS,081836,{PLACE},A7,09,1.0,12.0,42.1,,", "impossible"),
+        (f"GNGNS,081836,{PLACE},AA,09,1.0,12.0,42.1,,,U", "not_valid"),
+        (f"GPGLL,{PLACE},081836,A", METRES_M),
+        (f"GPGLL,{PLACE},081836,A,E", RECKONED_M),
+        (f"GPGLL,{PLACE},081836,A,N", "no_fix"),
+        (f"GPGLL,{PLACE},081836,A,S", "simulated"),
+        (f"GPGLL,{PLACE},081836,V,A", "no_fix"),
+        (f"GPGLL,{PLACE},,A,A", METRES_M),
+        (f"GPGLL,{PLACE}", "no_fix"),
         (f"IIRMC,081836,A,{PLACE},,,130998,,,A", METRES_M),
         (f"IIGGA,081836,{PLACE},1,09,0.9,,M,,M,,", METRES_M),
         (f"IIGGA,081836,{PLACE},1,09,,12.0,M,,M,,", METRES_M),
@@ -186,6 +210,21 @@ def test_a_place_is_worth_what_its_sentence_says_of_it(body: str, worth: tuple[f
     assert worth[0] <= fix.sigma_m <= 1.01 * worth[1]
     if worth is RECKONED_M:
         assert (fix.v_ned, len(made)) == (None, 1), "no velocity is taken of what is reckoned"
+
+
+@pytest.mark.parametrize(
+    ("kinds", "used"), [("GNS GLL", "GNS"), ("RMC GNS GLL", "RMC GNS"), ("GGA RMC GNS GLL", "GGA RMC"), ("GLL", "GLL")]
+)
+def test_a_receiver_s_place_is_not_taken_again_from_a_sentence_that_says_less(kinds: str, used: str) -> None:
+    reader, bodies = NmeaReader(), {
+        "GGA": "{t},{p},1,09,1.0,12.0,M,42.1,M,,", "RMC": "{t},A,{p},005.5,045.0,130998,,,A",
+        "GNS": "{t},{p},AA,09,1.0,12.0,42.1,,", "GLL": "{p},{t},A,A",
+    }  # fmt: skip
+    for second in range(10):
+        for kind in kinds.split():
+            reader.samples(line(f"GN{kind}," + bodies[kind].format(t=f"0818{second:02d}", p=PLACE)), MonoNs(NOW + second * 10**9))
+    assert reader.taken == dict.fromkeys(used.split(), 10)
+    assert reader.refused.get("repeated", 0) == 10 * (len(kinds.split()) - len(used.split()))
 
 
 def test_a_rehearsal_takes_what_is_simulated_where_the_settings_say_so() -> None:

@@ -175,6 +175,57 @@ def test_two_sensors_are_two_and_two_receivers_are_not_mixed() -> None:
     assert r.refused == {"other_receiver": 1}
 
 
+def test_a_source_that_takes_another_s_place_is_said() -> None:
+    said: list[str] = []
+    to = BusReader(ShipSensors(choice=SourceChoice(said.append)))
+    for k in range(40):
+        label = "n2k.27" if k < 20 else "can0.27"
+        to.line(json.dumps(delta(label, navigation__headingTrue=1.0)).encode(), later(0.5 * k))
+    assert said == ["the ship's heading comes from can0.27 from now on: n2k.27 is silent"]
+
+
+def claim(to: BusReader, name: int, source: int, at_s: float) -> None:
+    assert to.arrived(backend.canboat.can_id_compose(6, 60928, source, 255), name.to_bytes(8, "little"), later(at_s)) == []
+
+
+@pytest.mark.parametrize(("heard_s", "called"), [(None, "name"), (1.0, "name"), (60.0, "src")])
+def test_devices_that_exchange_their_addresses_keep_their_names_and_it_is_said(heard_s, called, caplog) -> None:
+    caplog.set_level("INFO")
+    to, names = reader(), (0xC032820000A00001, 0xC08C8C0000B00002)
+
+    def sensors(at_s: float, *sources: int) -> list[str]:
+        return [received(to, "heave", at_s, source=source, heave=0.5)[0].sensor for source in sources]
+
+    if heard_s is not None:
+        assert sensors(0.0, 27, 35) == ["src 27", "src 35"]
+    began = (heard_s or 0.0) + 0.1
+    for name, source in zip(names, (27, 35), strict=True):
+        claim(to, name, source, began)
+    first = sensors(began + 0.1, 27, 35)
+    assert first == ([f"{name:016x}" for name in names] if called == "name" else ["src 27", "src 35"])
+    assert not any("moved" in text for text in caplog.messages)
+    claim(to, names[0], 35, began + 1.0)
+    assert sensors(began + 1.0, 27)[0] not in first, "who has her old address is not known yet"
+    claim(to, names[1], 27, began + 1.1)
+    claim(to, names[1], 254, began + 1.1)
+    assert sensors(began + 1.2, 35, 27) == first
+    assert [text for text in caplog.messages if "moved from address 27 to 35" in text and first[0] in text]
+    claim(to, names[1], 40, began + 2.0)
+    assert sensors(began + 2.1, 40) == first[1:]
+
+
+def test_canboat_and_signal_k_say_who_a_device_is() -> None:
+    to, said = reader(), {"Manufacturer Code": "Maretron", "Unique Number": 1234}
+    sent = [{"pgn": 60928, "src": 27, "fields": said}, {"pgn": 127252, "src": 27, "fields": {"Heave": 0.5}}]
+    assert [one.sensor for text in sent for one in to.line(json.dumps(text).encode(), NOW)] == ["Maretron 1234"]
+    motions = []
+    for label in ("n2k.27", "can0.35"):
+        named = delta(label, environment__heave=0.5)
+        named["updates"][0] |= {"source": {"canName": "c032820000a00001"}}
+        motions += to.line(json.dumps(named).encode(), NOW)
+    assert [one.sensor for one in motions] == ["c032820000a00001"] * 2
+
+
 def test_of_two_rates_of_turn_the_one_that_comes_more_often_is_used() -> None:
     r, used = reader(), Counter[float]()
     for k in range(400):
@@ -193,6 +244,22 @@ def test_a_cut_message_and_a_flood_are_refused() -> None:
         assert not r.arrived(can_id, whole[:end], NOW), "the decoder alone reads a cut number as a small one"
     assert r.refused == {"too_short": 7}
     assert sum(len(received(r, "attitude", at_s=k / 1000.0, roll=0.1, pitch=0.0)) for k in range(1000)) < 700, "250 Hz, a burst"
+
+
+def test_invented_sources_bar_no_real_one_and_push_none_out_that_reports_seldom() -> None:
+    def heading(source: str, at_s: float) -> Samples:
+        values = '[{"path":"navigation.headingTrue","value":1.0},{"path":"navigation.attitude","value":{"roll":0.1,"pitch":0.1}}]'
+        return to.feed(f'{{"updates":[{{"$source":"{source}","values":{values}}}]}}\n'.encode(), later(at_s))
+
+    sensors = ShipSensors()
+    to = BusReader(sensors)
+    assert heading("real.1", 0.0)
+    for n in range(3000):  # ten seconds of invented names
+        heading(f"junk.{n}", 0.003 * n)
+    assert len(sensors.sources) <= 256
+    assert to.refused["too_many_sources"] > 4000
+    assert heading("real.1", 9.1), "it reports each nine seconds"
+    assert [type(s) for s in heading("real.2", 10.0)] == [VesselMotion], "another one that begins"
 
 
 def test_long_messages_come_together_whatever_is_lost_between() -> None:
@@ -468,18 +535,22 @@ no_vcan = pytest.mark.skipif(not Path("/sys/class/net/vcan0").exists(), reason="
     ("interface", "channel"), [("virtual", "ship"), pytest.param("socketcan", "vcan0", marks=no_vcan)], ids=["virtual", "kernel"]
 )
 async def test_frames_of_a_can_interface_are_read(interface: str, channel: str) -> None:
-    async with bus_read(f"can://{interface}:{channel}") as ship:
-        with can.Bus(interface=interface, channel=channel) as bus:
+    asked = list[can.Message]()
+    with can.Bus(interface=interface, channel=channel) as bus:
+        async with bus_read(f"can://{interface}:{channel}") as ship:
 
             def send() -> bool:
+                asked.extend(iter(lambda: bus.recv(0.0), None))
                 for message in create_encoder("python_can", units="si").encode(decoded("gnssPositionData", **FIX)):
                     bus.send(message)
                 bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"12345678"))
                 return ship.took("gnss")()
 
             await until(send)
-    [fix, *_] = [await ship.reports.get()]
+        [fix, *_] = [await ship.reports.get()]
     assert isinstance(fix, GeoFix)
+    asking = [(*backend.canboat.can_id_decompose(m.arbitration_id)[1:], bytes(m.data)) for m in asked if m.is_extended_id]
+    assert asking.count((59904, 254, 255, b"\x00\xee\x00")) == len(asking) == 1, "for the NAMEs, once, and nothing else is sent"
 
 
 async def test_an_interface_that_is_not_there_is_one_line_that_says_so(caplog: pytest.LogCaptureFixture) -> None:

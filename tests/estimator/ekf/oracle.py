@@ -28,6 +28,7 @@ from estimator.ekf.params import (
     ATT_ERR,
     BARO_OFFSET,
     CAMERA_DELAY,
+    CAMERA_LEVER,
     CAMERA_MOUNT,
     CARRIED,
     DECK_DISP,
@@ -883,7 +884,7 @@ def sighting_rows(b: State, s: Sighting, cov_levelled_by: F64, yaw_sigma: float,
     d_b, turning = R.T @ x[POS_REL], skew(b.w - x[GYRO_BIAS])
     v_b = R.T @ (np.append(x[VESSEL_VEL], 0.0) - x[VEL])
     rates = v_b - turning @ d_b
-    shown, arm, ER = d_b + late * rates, skew(d_b), E @ R.T
+    shown, arm, ER = d_b + late * rates - x[CAMERA_LEVER], skew(d_b), E @ R.T
     has_heading = s.yaw_rad is not None and s.cov[3, 3] < 2.0 and not (s.yaw_ambiguous and yaw_sigma > 0.5)
     m = 3 if place_only else 6 if s.pose6 is not None else 4 if has_heading else 3
     H, innov, by_rate = np.zeros((m, N)), np.zeros(m), np.zeros((3, N))
@@ -892,7 +893,7 @@ def sighting_rows(b: State, s: Sighting, cov_levelled_by: F64, yaw_sigma: float,
     by_rate[:, VESSEL_VEL], by_rate[:, GYRO_BIAS] = ER[:, :2], -E @ arm
     H[:3, ATT_ERR], H[:3, POS_REL] = E @ arm, ER
     H[:3] += late * by_rate
-    H[:3, CAMERA_MOUNT], H[:3, CAMERA_DELAY] = E @ skew(shown) @ jl, E @ rates
+    H[:3, CAMERA_MOUNT], H[:3, CAMERA_DELAY], H[:3, CAMERA_LEVER] = E @ skew(shown) @ jl, E @ rates, -E
     innov[:3] = A.T @ _place_of(s) - E @ shown
     # An error of the levelling attitude changes what vision reports by its tilt and never by its heading.
     tilt, J, turn = A - np.outer(_DOWN, heading_row(A) @ A), np.zeros((m, 3)), np.eye(m)
@@ -1014,7 +1015,7 @@ def _compared(b: State, s: Sighting, params: FilterParams, *, place_only: bool =
 def _initialise(b: State, s: Sighting, o: EkfOptions, *, reset: bool) -> None:
     """Set the pad's place by a sighting; with `reset`, drop the rest that is known of the pad as well."""
     x, seen = b.x.copy(), levelling(b).T @ _place_of(s)
-    x[POS_REL] = _camera_to_ned(b) @ seen
+    x[POS_REL] = _camera_to_ned(b) @ seen + b.R @ x[CAMERA_LEVER]
     P = without(b.P, POS_REL, 1e2 + float(seen @ seen))
     if reset:
         P = without(without(P, VESSEL_VEL, 4.0), TURN_RATE, o.sigma_turn_rate_rad_s**2)
@@ -1083,7 +1084,7 @@ def _learn(b: State, s: Sighting, z: Rows, params: FilterParams) -> None:
         return
     A, back, y, var = levelling(b), _camera_to_ned(b), np.zeros(5), np.full(5, 1e6)
     seen = A.T @ _place_of(s) - z.H[:3, CAMERA_DELAY] * b.x[CAMERA_DELAY]
-    y[:3], var[:3] = back @ seen + b.ins_p, np.diag(back @ z.R[:3, :3] @ back.T)
+    y[:3], var[:3] = back @ seen + b.R @ b.x[CAMERA_LEVER] + b.ins_p, np.diag(back @ z.R[:3, :3] @ back.T)
     if z.innov.size == 6 and s.pose6 is not None:
         R_pad = back @ A.T @ s.pose6.R_level_pad.matrix
         y[3], y[4] = math.atan2(R_pad[2, 1], R_pad[2, 2]), math.asin(max(-1.0, min(1.0, -R_pad[2, 0])))

@@ -157,7 +157,7 @@ def test_a_pad_that_stands_is_not_reported_to_move_because_the_attitude_errs() -
     assert dict(state.details)["probability_moving"] < 0.3
 
 
-def followed(scene: VoyageScene, until_s: float) -> tuple[Filter, list[Event]]:
+def flown_along(scene: VoyageScene, until_s: float) -> tuple[Filter, list[Event]]:
     received_at = voyage_truth.events(Voyage(scene))
     ekf = Filter(OPTIONS)
     for event in received_at:
@@ -168,7 +168,7 @@ def followed(scene: VoyageScene, until_s: float) -> tuple[Filter, list[Event]]:
 
 
 def test_a_belief_that_nothing_confirms_is_not_called_consistent() -> None:
-    ekf, _ = followed(replace(QUICK, duration_s=9.0), 8.0)
+    ekf, _ = flown_along(replace(QUICK, duration_s=9.0), 8.0)
     for later_s, expected in ((8.1, True), (8.6, True), (9.5, False), (29.0, False)):
         state = ekf.at(ns(later_s))
         assert state.consistent is expected
@@ -179,7 +179,7 @@ def test_a_belief_that_nothing_confirms_is_not_called_consistent() -> None:
 
 def test_without_sightings_a_velocity_confirms_and_inertial_data_alone_do_not() -> None:
     for left_out, expected in ((Sighting, True), ((Sighting, BodyVelocity), False)):
-        ekf, received_at = followed(replace(QUICK, duration_s=11.0), 8.0)
+        ekf, received_at = flown_along(replace(QUICK, duration_s=11.0), 8.0)
         for event in received_at:
             if event.stamp.received_at > ns(8.0) and not isinstance(event, left_out):
                 ekf.put([event])
@@ -188,7 +188,7 @@ def test_without_sightings_a_velocity_confirms_and_inertial_data_alone_do_not() 
 
 
 def test_one_stamp_far_ahead_is_refused_and_time_that_leaps_is_followed() -> None:
-    ekf, received_at = followed(replace(QUICK, duration_s=9.0), 8.0)
+    ekf, received_at = flown_along(replace(QUICK, duration_s=9.0), 8.0)
     rest = [e for e in received_at if e.stamp.received_at > ns(8.0)]
     for by in (HOUR_NS, -10_000_000_000):
         after = copied(ekf)

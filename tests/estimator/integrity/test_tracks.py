@@ -5,6 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
@@ -17,7 +19,9 @@ from estimator.integrity.tracks import (
     Tracks,
     add_fused,
     arbitrate,
+    asks_clear,
     associate,
+    cleared,
     compare_estimate,
     follow,
     record_fused,
@@ -96,6 +100,62 @@ def test_where_no_other_pad_can_lie_it_is_the_tracked_one_after_that_time(aside_
     assert tracks.number == number
     assert explained.index(True) == pytest.approx(LIMITS.adopt_s * HZ, abs=2)
     assert all(explained[explained.index(True) :])
+
+
+def alone(height_m: float, half_m: float, second: bool = False) -> Tracks:
+    """Return the tracks of a pad about which a frame showed this much of the deck, with a second pad on it or none."""
+    tracks, x, y = known((0.0, 0.0, height_m)), 3.0, half_m
+    shown = np.empty((0, 2)) if second else np.array([(x, -y), (x, y), (-x, y), (-x, -y)])
+    return cleared(tracks, place(2.0, (0.0, 0.0, height_m)), shown)
+
+
+@pytest.mark.parametrize(
+    ("half_m", "second", "aside_m", "sigma_m", "number"),
+    [
+        (2.1, False, 0.65, 1.9, 1), (2.1, False, 0.65, 0.2, 2), (2.1, False, 0.75, 1.9, 2), (1.5, False, 0.65, 1.9, 2),
+        (2.1, True, 0.65, 1.9, 2), (9.0, False, 0.95, 1.9, 1), (9.0, False, 1.05, 1.9, 2),
+    ],
+)  # fmt: skip
+def test_the_only_pad_ever_seen_is_itself_as_far_as_the_estimate_doubts_and_the_deck_was_shown(
+    half_m: float, second: bool, aside_m: float, sigma_m: float, number: int
+) -> None:
+    """WHY: 5 s out of sight the estimate was off by 0.65 m, and the ship's only pad was asked about for a minute."""
+    tracks = alone(7.0, half_m, second)
+    back = steady(7, 10, (aside_m, 0.0, 7.0))
+    tracks, explained = track(back, place(0, (0.0, 0.0, 7.0), sigma_m), tracks)
+    assert tracks.number == number
+    assert explained[-1]
+
+
+@given(
+    clear_m=st.floats(0.0, 3.0), beyond_m=st.floats(0.0, 4.0), towards_rad=st.floats(-math.pi, math.pi),
+    drift_m=st.floats(0.0, 6.0), drifts_rad=st.floats(-math.pi, math.pi), sigma_m=st.floats(0.05, 3.0),
+)  # fmt: skip
+def test_a_second_pad_is_taken_for_the_first_only_by_a_drift_of_more_than_half_of_what_was_clear(
+    clear_m, beyond_m, towards_rad, drift_m, drifts_rad, sigma_m
+):
+    """The second one lies beyond what was shown, and no nearer than two pads lie side by side."""
+    tracks, away_m = known((0.0, 0.0, 9.0))._replace(clear_m=clear_m), max(clear_m, LIMITS.pads_apart_m) + beyond_m
+    other = (away_m * math.cos(towards_rad), away_m * math.sin(towards_rad), 9.0)
+    drifted = (drift_m * math.cos(drifts_rad), drift_m * math.sin(drifts_rad), 9.0)
+    tracks, explained = track(steady(7, 10, other), place(0, drifted, sigma_m), tracks)
+    if tracks.number == 1 and not explained[0]:
+        assert drift_m > 0.49 * max(clear_m, LIMITS.pads_apart_m)
+        assert drift_m > 1.9 * math.dist(drifted, other) or math.dist(drifted, other) < 0.5 * LIMITS.pads_apart_m
+
+
+def test_a_second_pad_is_looked_for_where_a_frame_can_show_more_of_the_deck_and_never_again_once_it_was_seen() -> None:
+    tracks = alone(7.0, 1.5)
+    for height_m, asks in ((4.0, False), (5.0, True), (9.0, True)):
+        assert asks_clear(tracks, place(3.0, (0.0, 0.0, height_m))) is asks
+    for half_m, clear_m in ((1.0, 1.5), (2.5, 2.5)):
+        shown = np.array([(4.0, -half_m), (4.0, half_m), (-4.0, half_m), (-4.0, -half_m)])
+        assert cleared(tracks, place(3.0, (0.0, 0.0, 7.0)), shown).clear_m == pytest.approx(clear_m)
+        assert cleared(tracks, place(3.0, (5.0, 0.0, 7.0)), shown) == tracks, "its own middle is not in the frame"
+    both = cleared(tracks, place(3.0, (0.0, 0.0, 7.0)), np.empty((0, 2)))
+    assert not asks_clear(both, place(4.0, (0.0, 0.0, 9.0)))
+    assert track(steady(3, 4, (0.0, 0.0, 7.0)), None, both)[0].clear_m == -math.inf
+    assert not asks_clear(Tracks(1, 3, place(0.0, HERE)), place(0.1, (0.0, 0.0, 9.0)))
 
 
 def test_an_estimate_that_drifts_off_meanwhile_does_not_make_another_pad_of_it() -> None:

@@ -1,11 +1,13 @@
 """Things on the pad, about it and passing over it are seen, and light and what is painted are not."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from benches.clear_deck import approach, over_ship
 from companion.base.mission import State
 from companion.guidance.pilot import Pilot
 from companion.settings.guidance import GuidanceOptions
@@ -25,13 +27,15 @@ from estimator.vision.about_pad import (
 from estimator.vision.clear_deck import LASTS_S, SurfaceMemory, check_surface
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import PadCheck
+from estimator.vision.options import TrackerOptions
 from estimator.vision.pose import PadPose
 from estimator.vision.tracker import TrackerConfig, TrackerMemory
 from sitl.camera.camera import Exposure, Renderer
-from sitl.camera.light import Light, Mast
+from sitl.camera.light import Light
 from sitl.camera.picture_effects import PictureEffects
 from sitl.camera.surroundings import Decal, Deck, Surroundings
 from sitl.faults.kinds import Bystander, Glint
+from sitl.scenario.scenario import load as load_scenario
 from sitl.sea.sea import SEA_STATES, Waves
 from tests.support.pad_scenes import load_camera, load_pad, truth_of
 
@@ -65,7 +69,7 @@ def test_a_grey_crate_is_seen_in_its_place_and_size(at: tuple[float, float]) -> 
 
 @pytest.mark.parametrize(
     "light",
-    [BRIGHT, Light(mast=Mast(3.0, (1.0, 0.4))), Light(drone_shadow=0.0, glare=0.8)],
+    [BRIGHT, Light(mast_height_m=3.0, mast_forward_m=1.0, mast_right_m=0.4), Light(drone_shadow=0.0, glare=0.8)],
     ids=["even light", "shadows", "beside glare"],
 )
 def test_a_thing_of_the_discs_own_colour_is_seen_by_the_ring_that_it_hides(light: Light) -> None:
@@ -79,7 +83,7 @@ def test_a_thing_of_the_discs_own_colour_is_seen_by_the_ring_that_it_hides(light
         Light(),
         Light(drone_shadow=0.0, glare=1.0),
         Light(glare=0.6, exposure_ev=1.0, white_balance=(1.2, 1.0, 0.8)),
-        Light(drone_shadow=0.6, mast=Mast(3.0, (1.0, 0.4))),
+        Light(drone_shadow=0.6, mast_height_m=3.0, mast_forward_m=1.0, mast_right_m=0.4),
         Light(drone_shadow=0.0, wetness=1.0),
         Light(visibility_m=20.0, colour_temperature_k=3500.0, balanced_for_k=6500.0, wear=0.15),
     ],
@@ -153,7 +157,7 @@ def came_down_about(surroundings: Surroundings, *bodies: Bystander, light: Light
     ("surroundings", "light"),
     [
         (Surroundings(WIDE, decals=(Decal("crate", (0.1, 0.75), 0.4, 0.3, "deck"),)), Light(drone_shadow=0.0)),
-        (Surroundings(WIDE), Light(drone_shadow=0.7, sun_elevation_rad=1.2)),
+        (Surroundings(WIDE), Light(drone_shadow=0.7, sun_elevation_deg=69.0)),
         (Surroundings(Deck(seed=2), Waves.draw(SEA_STATES[4], 3)), Light(drone_shadow=0.0)),
     ],
     ids=["something flat", "the drone's own shadow", "a small deck over waves"],
@@ -185,6 +189,32 @@ def test_what_is_about_the_pad_is_seen_with_its_height_for_a_time(
         assert math.hypot(near.forward_m - body.forward_m, near.right_m - body.right_m) < 0.25
     assert memory.near(MonoNs(at + round(1e9 * (lasts_s - 0.1)))) is not None
     assert memory.near(MonoNs(at + round(1e9 * (lasts_s + 0.1)))) is None
+
+
+@pytest.mark.parametrize(("readings", "is_kept"), [(1, False), (3, False), (12, True)])
+def test_what_later_looks_at_its_place_do_not_confirm_fades_unless_many_did_before(readings: int, is_kept: bool) -> None:
+    """Corners that were followed wrongly agree once; what was seen all the way down counts for a drone that waits."""
+    crate = Bystander(at_s=0.0, thing="box", forward_m=0.1, right_m=0.75, width_m=0.4, height_m=0.4)
+    memory = dataclasses.replace(came_down_about(Surroundings(WIDE), crate), shown=readings)
+    renderer, rng = Renderer(CAMERA, PAD, Surroundings(WIDE), USUAL), np.random.default_rng(5)
+    pad, began = np.array([0.0, 0.0, -0.6]), memory.at
+    for k in range(1, 20):
+        shot = Exposure(4.0 + 0.25 * k, Rotation.identity(), pad - np.array([0.0, 0.0, 2.5]), Rotation.identity(), pad)
+        view, at = FrameView(Pyramid(renderer.render(shot, rng)), CAMERA, PAD), MonoNs(began + 250_000_000 * k)
+        memory = watch_around(memory, view, truth_of(shot, CAMERA), at)
+    assert (memory.near(memory.at) is not None) is is_kept
+
+
+@pytest.mark.parametrize("seed", [24, 40])
+def test_a_camera_that_leans_and_swings_sees_nothing_about_a_clear_pad(seed: int) -> None:
+    """Corners that were followed wrongly stand near each other there, each with a height of its own."""
+    assert over_ship(seed, load_scenario("weather_4"), leans=True).near_m == 0.0
+
+
+def test_a_camera_that_leans_and_swings_sees_a_crate_beside_the_pad() -> None:
+    crate = Bystander(at_s=0.0, thing="box", forward_m=0.1, right_m=0.75, width_m=0.4, height_m=0.5)
+    tracker = TrackerConfig(CAMERA, PAD, TrackerOptions())
+    assert approach(0, "plain", (), tracker, (crate,), leans=True).near_m > 4.0
 
 
 FOOT = Bystander(at_s=0.0, forward_m=0.1, right_m=-0.8, to_forward_m=0.1, to_right_m=0.9, height_m=0.15, speed_m_s=0.8)
@@ -243,8 +273,8 @@ def test_what_crosses_the_pad_once_is_seen_where_it_is_and_for_a_time(from_m: fl
 @pytest.mark.parametrize(
     ("scene", "light", "gain"),
     [
-        (WIDE_DECK, Light(drone_shadow=0.7, sun_elevation_rad=1.2), 1.0),
-        (WIDE_DECK, Light(drone_shadow=0.7, sun_elevation_rad=0.8), 1.0),
+        (WIDE_DECK, Light(drone_shadow=0.7, sun_elevation_deg=69.0), 1.0),
+        (WIDE_DECK, Light(drone_shadow=0.7, sun_elevation_deg=46.0), 1.0),
         (WIDE_DECK, BRIGHT, 1.6),
         (Surroundings(Deck(seed=2), Waves.draw(SEA_STATES[4], 3)), BRIGHT, 1.0),
     ],

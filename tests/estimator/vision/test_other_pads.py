@@ -319,7 +319,7 @@ LIGHTS = {
     "white balance 20 % to blue": Light(white_balance=(0.8, 1.0, 1.2)),
     "glare": Light(glare=0.8, glare_centre_m=(0.1, 0.15)),
     "wet": Light(wetness=0.8),
-    "own shadow": Light(drone_shadow=0.7, sun_elevation_rad=1.3),
+    "own shadow": Light(drone_shadow=0.7, sun_elevation_deg=74.5),
 }
 
 

@@ -87,7 +87,7 @@ _STONE_TILE, _STAIN_TILE = _noise_tile(1, _STONE_M), _noise_tile(2, 0.2)
 
 def _light(rng: np.random.Generator, wetness: float = 0.0, wear: float = 0.06) -> Light:
     return Light(
-        sun_elevation_rad=float(rng.uniform(0.5, 1.5)), sun_azimuth_rad=float(rng.uniform(0.0, math.tau)),
+        sun_elevation_deg=math.degrees(rng.uniform(0.5, 1.5)), sun_azimuth_deg=math.degrees(rng.uniform(0.0, math.tau)),
         drone_shadow=0.0, wetness=wetness, wear=wear,
     )  # fmt: skip
 

@@ -22,7 +22,7 @@ from estimator.contracts.geometry import GeoPoint, Rotation, moved
 from sitl.emulators.autopilots.body import BodyState, Motors, MotorVehicle
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
-from sitl.vehicle.airframe import Airframe
+from sitl.vehicle.airframe import ardrone2
 from sitl.vessel.contact import DeckShape, Ground
 
 HOST = "127.0.0.1"
@@ -48,7 +48,7 @@ class OwnVehicle:
         latitude, longitude, *_ = map(float, home.split(","))
         self._home, self.t_s = GeoPoint.of_degrees(latitude, longitude, 0.0), 0.0
         around = DeckShape(1e3, 1e3, 1e3, 1e3, 0.0)
-        self._vehicle = MotorVehicle(Airframe(), around, STEP_S, np.random.SeedSequence(1))
+        self._vehicle = MotorVehicle(ardrone2(), around, STEP_S, np.random.SeedSequence(1))
         self._ground = Ground.of(np.zeros(3), np.zeros(3), np.eye(3), np.zeros(3))
         self._ground.sea_z = 9.0
         self._vehicle.stand(self._ground, np.array([0.0, 0.0, -self._vehicle.airframe.feet.below_m]), 0.0)

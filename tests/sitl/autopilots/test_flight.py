@@ -29,7 +29,7 @@ from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load
-from tests.fly import NEAR
+from tests.fly import NEAR, land
 from tests.support.processes import gone, started
 from tests.support.waiting import wait_until
 
@@ -63,9 +63,12 @@ def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad_and_its_recording_re
     words = ["--keep", str(kept), "--param", "LAND_SPEED=40", "--perception", "model", "--record", record, "--report", str(page)]
     code = simulate(near, "--seed", "2", "--binary", program(tmp_path, STAND_IN), "--json", *words)
     reported = json.loads(capsys.readouterr().out)
-    assert code == 0, (reported, (kept / "texts.txt").read_text(), (kept / "output.txt").read_text())
+    assert code == 0, (reported["because"], reported["unsafe"], (kept / "texts.txt").read_text()[-500:])
     assert reported["landed_on_pad"]
     assert reported["outcome"] == "landed"
+    assert reported.keys() >= land(load(near), level="truth").as_json().keys(), "judged as every flight is"
+    assert (reported["grade"], reported["unsafe"], reported["standing"]["on_pad"]) == ("on pad", [], True)
+    assert reported["referee"]["into_deck_m_s"][0] > 0.0
     assert reported["touchdown"]["lateral_m"] < 0.15
     assert reported["touchdown"]["vertical_speed_m_s"] < 0.8
     assert reported["frames"]["fused"] > 100
@@ -231,9 +234,9 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
         end = await flight.fly()
         await standin
     assert end.failure == ""
-    assert end.outcome is FlightOutcome.LANDED
-    assert end.landing.on_pad
-    assert end.landing.vertical_speed_m_s < 0.8
+    assert end.ending.outcome is FlightOutcome.LANDED
+    assert end.ending.contact.on_pad
+    assert end.ending.contact.vertical_speed_m_s < 0.8
     assert any("Decklander: down" in text for _, _, text in end.texts)
     environment = (folder / "environment").read_text()
     assert "PX4_SIM_HOSTNAME=127.0.0.1" in environment
@@ -252,6 +255,6 @@ async def test_a_real_program_is_landed_on_the_pad_of_a_ship_under_way(tmp_path:
     )
     end = await flight.fly()
     assert end.failure == ""
-    assert end.outcome is FlightOutcome.LANDED
-    assert end.landing.on_pad
+    assert end.ending.outcome is FlightOutcome.LANDED
+    assert end.ending.contact.on_pad
     assert end.failsafes == ()

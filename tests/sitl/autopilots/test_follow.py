@@ -17,6 +17,7 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.samples import LocalPosition
 from estimator.contracts.commands import Velocity
+from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.geometry import F64, GeoPoint, Rotation, moved
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from estimator.contracts.time import Stamp
@@ -180,6 +181,14 @@ class Linked:
         had = len(self.samples)
         await self.fake.clock.sleep(seconds)
         return self.samples[had:]
+
+
+async def test_a_port_that_another_flight_has_is_named_in_one_line() -> None:
+    clock, port = PatientClock(), free_port()
+    link = FaultyLink(VehicleStreams(FaultTimer((), 1), 1), clock)
+    async with link.relaying(HOST, port, free_port()):
+        with pytest.raises(SetupImpossible, match=f"sends to {HOST}:{port}, which is taken: another flight"):
+            await link.relaying(HOST, port, free_port()).__aenter__()
 
 
 @asynccontextmanager

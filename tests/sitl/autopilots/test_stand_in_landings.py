@@ -19,10 +19,10 @@ from drivers.mavlink.options import GimbalOptions
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from sitl.campaign.plan import Overridable
-from sitl.emulators.autopilots import flight as autopilot_flight
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
-from sitl.faults.kinds import OperatorActs, ServiceKilled
-from sitl.flight.ending import STANDS_AFTER_S
+from sitl.faults.kinds import Failsafe, LowBattery, OperatorActs, ServiceKilled
+from sitl.flight import afterwards
+from sitl.flight.afterwards import STANDS_AFTER_S
 from sitl.flight.hands import HandsWatch
 from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
@@ -53,7 +53,7 @@ def test_an_autopilot_is_flown_by_its_own_response_and_not_by_that_of_the_simula
 @pytest.fixture(autouse=True)
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """End each flight soon after its contact: only one of them is to stand."""
-    monkeypatch.setattr(autopilot_flight, "STANDS_AFTER_S", 0.0)
+    monkeypatch.setattr(afterwards, "STANDS_AFTER_S", 0.0)
 
 
 def flight_of(
@@ -79,14 +79,15 @@ def flight_of(
 
 def assert_landed_and_stopped_at_once(flight: AutopilotFlight, end: FlightEnd) -> None:
     assert end.failure == ""
-    assert end.outcome is FlightOutcome.LANDED
-    assert end.landing.on_pad
-    assert end.landing.lateral_m < 0.12
+    assert end.ending.outcome is FlightOutcome.LANDED
+    assert end.ending.contact.on_pad
+    assert end.ending.contact.lateral_m < 0.12
     # On a starved machine the stand-in of ArduCopter receives late: it slid 0.43 and 0.62 m/s there, and 0.06 to 0.2 otherwise.
-    assert end.landing.lateral_speed_m_s < (0.8 if flight.autopilot.name == "arducopter" else 0.3)
-    assert abs(math.degrees(end.landing.yaw_rad)) < 8.0, "from 20 degrees off the arrow"
+    assert end.ending.contact.lateral_speed_m_s < (0.8 if flight.autopilot.name == "arducopter" else 0.3)
+    assert abs(math.degrees(end.ending.contact.yaw_rad)) < 8.0, "from 20 degrees off the arrow"
     assert end.armed_after_contact_s < 1.0
     assert not flight.stand_in.armed
+    assert flight.stand_in.mode in ("guided", "offboard"), "its own landing holds over the ground"
 
 
 class Seen(NullObserver):
@@ -118,13 +119,13 @@ async def test_it_lands_by_sight_and_an_autopilots_filtered_gyro_is_not_taken_fo
 async def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_falling_deck(tmp_path, monkeypatch):
     """The speeds over the ground alone do not show this contact: the vehicle goes around after it."""
     monkeypatch.setattr(contact, "LEAST_M_S2", math.inf)
-    monkeypatch.setattr(autopilot_flight, "STANDS_AFTER_S", STANDS_AFTER_S)
+    monkeypatch.setattr(afterwards, "STANDS_AFTER_S", STANDS_AFTER_S)
     one_system = msgspec.structs.replace(load("sea_state_5").sea, swell=None, peak_enhancement=3.3)
     end = await flight_of("px4", tmp_path, "sea_state_5", 4, "model", start={}, sea=one_system).fly()
-    assert end.outcome is FlightOutcome.LANDED
+    assert end.ending.outcome is FlightOutcome.LANDED
     assert end.failsafes == ()
-    assert [c.surface for c in end.contacts] == ["pad"]
-    assert end.standing.lateral_m < 0.1
+    assert [c.surface for c in end.ending.contacts] == ["pad"]
+    assert end.ending.standing.lateral_m < 0.1
     assert end.armed_after_contact_s < 1.0
 
 
@@ -149,7 +150,7 @@ async def test_it_holds_when_the_service_is_killed_and_a_new_one_lands_it(stack,
     assert 1.0 < silence.moved_m < 5.0, "the deck's way until it stopped over the ground"
     assert not silence.touched
     assert_landed_and_stopped_at_once(flight, end)
-    assert end.graded.good
+    assert end.ending.good, end.ending.judged
 
 
 @pytest.mark.hazard("H4", "H6")
@@ -162,16 +163,29 @@ async def test_a_pilot_who_switches_the_mode_is_obeyed_and_gives_it_back(stack, 
     flight = flight_of(stack, tmp_path, "calm", faults=(switched,))
     acts = HandsWatch.acts
 
-    def noted(watch: HandsWatch, act: str, at: MonoNs, sticks: StickPositions = CENTRED) -> None:
+    def noted(watch: HandsWatch, act: str, at: MonoNs, sticks: StickPositions = CENTRED, late_s: float = 0.0) -> None:
         modes.append((at * 1e-9, act))
-        acts(watch, act, at, sticks)
+        acts(watch, act, at, sticks, late_s)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(HandsWatch, "acts", noted)
         end = await flight.fly()
     assert [act for _, act in modes] == ["mode", "begin"]
     assert modes[1][0] - modes[0][0] == pytest.approx(2.0, abs=0.2)
-    assert end.graded.good
+    assert end.ending.good
+
+
+@pytest.mark.hazard("H6")
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("stack", ["px4", "arducopter"])
+async def test_a_failsafe_is_left_alone_and_an_empty_battery_ends_the_flight(stack, tmp_path):
+    faults = (Failsafe(below_height_m=2.5, takes="hold"), LowBattery(fraction=0.0, below_height_m=2.4, drawn_within_s=3.0))
+    flight = flight_of(stack, tmp_path, "calm", faults=faults, expect="either", because="its failsafe has it")
+    end = await flight.fly()
+    assert flight.stand_in.failsafes != []
+    assert end.ending.outcome is FlightOutcome.TAKEN
+    assert end.ending.judged.counts.keys() & {"disobeyed_s", "unordered"} == set(), end.ending.judged.unsafe
+    assert end.ending.judged.counts["motors_off_m"][0] > 0.5, "the motors stopped in the air"
 
 
 @pytest.mark.timeout(400)
@@ -181,18 +195,18 @@ async def test_unaided_it_lands_over_the_ground_while_the_ship_goes_on(tmp_path:
     end = await flight.fly()
     assert flight.link.carried["samples out"] > 1000
     assert flight.link.muted
-    assert end.outcome is FlightOutcome.LANDED
-    assert not end.landing.on_pad
-    assert end.landing.lateral_m > 5.0, "the ship's way in the time of the descent"
-    assert end.landing.lateral_speed_m_s > 1.0, "the ship's speed"
+    assert end.ending.outcome is FlightOutcome.LANDED
+    assert not end.ending.contact.on_pad
+    assert end.ending.contact.lateral_m > 5.0, "the ship's way in the time of the descent"
+    assert end.ending.contact.lateral_speed_m_s > 1.0, "the ship's speed"
 
 
 async def test_killed_for_good_it_is_left_alone(tmp_path: Path) -> None:
     killed = ServiceKilled(below_height_m=2.5)
     end = await flight_of("arducopter", tmp_path, faults=(killed,), duration_limit_s=10.0, expect="refuse").fly()
-    assert end.outcome is None
-    assert end.contacts == ()
-    assert end.graded.as_json()["because"].startswith("hovered without a service")
+    assert end.ending.outcome is None
+    assert end.ending.contacts == ()
+    assert end.ending.as_json()["because"].startswith("hovered without a service")
 
 
 @pytest.mark.hazard("H4", "H5")
@@ -205,9 +219,9 @@ async def test_a_new_service_lands_a_vehicle_that_was_left_on_the_deck_with_its_
     assert silence.phase == "press"
     assert silence.lowest_m < 0.06
     assert end.failure == ""
-    assert end.outcome is FlightOutcome.LANDED
-    assert len(end.contacts) == 2
-    assert all(contact.on_pad for contact in end.contacts)
+    assert end.ending.outcome is FlightOutcome.LANDED
+    assert len(end.ending.contacts) == 2
+    assert all(contact.on_pad for contact in end.ending.contacts)
     assert not flight.stand_in.armed
 
 
@@ -231,9 +245,9 @@ async def test_it_lands_by_a_swinging_camera_whose_yaw_is_from_north_and_which_s
     landing = gimbal_flight(tmp_path, device_id=1, yaw="earth", leaves_at_s=8.0)
     end = await landing.fly()
     assert end.failure == ""
-    assert end.outcome is FlightOutcome.LANDED
-    assert end.landing.on_pad
-    assert end.landing.lateral_m < 0.15
+    assert end.ending.outcome is FlightOutcome.LANDED
+    assert end.ending.contact.on_pad
+    assert end.ending.contact.lateral_m < 0.15
     link = landing.stand_in.gimbal if landing.stand_in is not None else None
     assert link.commands[mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW] == 2, "at the start, and when it had left"
     assert link.control == (1, 191)
@@ -243,8 +257,8 @@ async def test_it_lands_by_a_swinging_camera_whose_yaw_is_from_north_and_which_s
 async def test_it_does_not_descend_while_the_gimbal_reports_nothing(tmp_path: Path) -> None:
     landing = gimbal_flight(tmp_path, limit_s=3.5, silent_at_s=1.0)
     end = await landing.fly()
-    assert end.landing is None
-    assert end.outcome is not FlightOutcome.LANDED
+    assert end.ending.contact is None
+    assert end.ending.outcome is not FlightOutcome.LANDED
     assert end.health.frames[Verdict.NO_GIMBAL] > 50
     assert end.health.frames[Verdict.FUSED] == 0
     assert landing.body.p_pad_ned[2] - landing.body.state().p_ned[2] > 1.8, "of 2.5 m"

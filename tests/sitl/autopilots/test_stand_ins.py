@@ -16,7 +16,7 @@ from companion.guidance.law.response_fit import fit_tilt
 from companion.guidance.law.response_watch import course_of, reported_lean, track
 from companion.settings.load import shipped_response
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.setpoint import velocity_setpoint
+from drivers.mavlink.setpoint import level_setpoint, velocity_setpoint
 from drivers.mavlink.vehicle import Stack, set_mode
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.errors import SetupImpossible
@@ -31,7 +31,7 @@ from sitl.emulators.autopilots.stand_in.base import STEP_S, StandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.scenario.scenario import Scenario, load
 from sitl.sensors.sensors import ORIGIN
-from sitl.vehicle.airframe import Airframe
+from sitl.vehicle.airframe import ardrone2
 
 ARM = (mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
 DISARM = (mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
@@ -44,9 +44,12 @@ class Deck:
     """A stand-in on the pad of a ship, without sockets."""
 
     def __init__(
-        self, name: str, stack: Stack, parameters: dict[str, float] | None = None, speed_m_s: float | None = None
-    ) -> None:
+        self, name: str, stack: Stack, parameters: dict[str, float] | None = None, speed_m_s: float | None = None,
+        wind_m_s: float | None = None, from_deg: float = 30.0,
+    ) -> None:  # fmt: skip
         scenario = load(name)
+        if wind_m_s is not None:
+            scenario = replace(scenario, weather=replace(scenario.weather, wind_m_s=wind_m_s, from_deg=from_deg))
         vessel = scenario.vessel if speed_m_s is None else replace(scenario.vessel, speed_m_s=speed_m_s, moored=False)
         scenario = replace(scenario, start=replace(scenario.start, where="pad"), vessel=vessel)
         self.body = Body(scenario, 3, STEP_S, CURVE if stack is Stack.ARDUPILOT else 0.0)
@@ -162,6 +165,14 @@ def test_px4_fails_safe_when_the_setpoints_of_an_armed_vehicle_end() -> None:
     assert quiet.pilot.failsafes == []
 
 
+@pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
+def test_the_reported_velocity_is_the_bodys_and_not_the_setpoint(stack: Stack) -> None:
+    deck = Deck("calm", stack, QUICK)
+    deck.up()
+    deck.tell(velocity_setpoint(0, (1, 1), Velocity(np.array([2.0, 0.0, 0.4]), 0.0), 0.0))
+    assert deck.pilot.v_ned == pytest.approx(deck.body.state().v_ned, abs=0.05)
+
+
 @pytest.mark.parametrize("stack", [Stack.PX4, Stack.ARDUPILOT])
 def test_motors_stop_in_the_air_only_by_force(stack: Stack) -> None:
     deck = Deck("calm", stack, QUICK)
@@ -170,6 +181,20 @@ def test_motors_stop_in_the_air_only_by_force(stack: Stack) -> None:
     assert deck.pilot.armed
     assert deck.order(*DISARM, FORCED) == 0
     assert not deck.pilot.armed
+
+
+def test_arducopter_leans_against_the_wind_as_far_as_its_parameter_allows() -> None:
+    """WHY: with 30 degrees at most, 3 m/s^2 of them against the wind, it was blown off a ship where ArduCopter keeps up."""
+    drifts_m_s = {}
+    for most_deg in (30, 45):
+        deck = Deck("weather_4", Stack.ARDUPILOT, {"ANGLE_MAX": 100.0 * most_deg}, wind_m_s=15.0)
+        deck.up(4.0)
+        deck.fly(6.0, 0.0)
+        at_m = deck.aside_m
+        deck.fly(3.0, 0.0)
+        drifts_m_s[most_deg] = (deck.aside_m - at_m) / 3.0
+        assert math.degrees(math.acos(float(deck.body.state().R_ned_body.matrix[2, 2]))) < most_deg + 2.0
+    assert abs(drifts_m_s[45]) < 0.3 < 1.0 < drifts_m_s[30]
 
 
 def test_arducopter_leaves_the_ground_by_its_take_off_only_and_brakes_when_setpoints_end() -> None:
@@ -241,6 +266,42 @@ def on_deck() -> Deck:
     return deck
 
 
+def turned_deg(from_deg: float, *, level: bool) -> float:
+    """Return how far an ArduCopter turns that comes down in wind, from its first touch until it stands; 0.25 s of it with motors.
+
+    Args:
+        level: it is sent the level attitude; otherwise the velocity with an acceleration that takes its lean away.
+    """
+    deck = Deck("weather_4", Stack.ARDUPILOT, {"PSC_JERK_XY": 20.0}, wind_m_s=11.0, from_deg=from_deg)
+    deck.up(1.0)
+    before = deck.body.landing()
+    while (landing := deck.body.landing()) == before:
+        deck.fly(0.04, 0.35 + deck.body.v_pad_ned[2])
+        assert deck.body.t_s < 30.0
+    assert landing is not None
+    yaw_rad, calm = deck.body.state().R_ned_body.rpy_rad[2], np.zeros(2)
+    leans = -deck.body.state().R_ned_body.matrix[:2, 2] * G_M_S2
+    for k in range(10):
+        turn = 6.0 * (yaw_rad - deck.body.state().R_ned_body.rpy_rad[2])
+        if level:
+            rpy_rad = deck.body.state().R_ned_body.rpy_rad
+            deck.tell(level_setpoint(0, (1, 1), rpy_rad, yaw_rad - rpy_rad[2], turn))
+        else:
+            lean = Lean(-0.1 * (k + 1) * leans, calm, np.array([*deck.body.v_pad_ned[:2], 1.0]), turn)
+            deck.tell(velocity_setpoint(0, (1, 1), lean, 0.0))
+        deck.fly(0.025)
+    deck.order(*DISARM, FORCED)
+    deck.fly(0.5)
+    return math.degrees(deck.body.state().R_ned_body.rpy_rad[2] - yaw_rad)
+
+
+@pytest.mark.parametrize("from_deg", [20.0, 65.0])
+def test_arducopter_on_one_foot_turns_less_level_by_an_attitude_than_by_a_velocity(from_deg: float) -> None:
+    """WHY: its lean against 11 m/s of wind touched with one foot, about which it turned by 13.7 degrees on its way to level."""
+    by_attitude_deg, by_velocity_deg = (abs(turned_deg(from_deg, level=level)) for level in (True, False))
+    assert by_attitude_deg < 5.0 < by_velocity_deg
+
+
 @pytest.mark.parametrize(("mode", "ends_armed"), [("loiter", True), ("land", False)])
 def test_arducopter_stays_armed_on_a_deck_in_loiter_and_disarms_in_land(mode: str, ends_armed: bool) -> None:
     deck = on_deck()
@@ -284,7 +345,7 @@ lua54 = pytest.importorskip("lupa.lua54", reason="lupa is not installed (require
 SCRIPT = Path(__file__).parents[3] / "configs/autopilot/decklander_disarm.lua"
 PERIOD_S = 0.02
 _NUMBERS = {"guided": 4, "land": 9, "brake": 17, "loiter": 5, "stabilize": 0}
-_HOVER = Airframe().mass_kg * G_M_S2 / Airframe().thrust_max_n
+_HOVER = ardrone2().mass_kg * G_M_S2 / ardrone2().thrust_max_n
 
 
 def heartbeat(component: int) -> bytes:
@@ -420,7 +481,7 @@ def servo_packet(frame: int, motors: tuple[float, ...], rate_hz: int = 400, chan
 
 
 def test_each_motor_turns_the_body_the_way_the_autopilots_expect() -> None:
-    f = Airframe()
+    f = ardrone2()
     turns = [wrench(f, [1.0 if n == m else 0.0 for n in range(4)], 0.0)[1] for m in range(4)]
     signs = [tuple(int(math.copysign(1, t)) for t in turn) for turn in turns]
     # roll right, nose up, nose clockwise

@@ -181,7 +181,6 @@ def test_wilsons_interval() -> None:
     assert wilson(0, 0) == (0.0, 1.0)
 
 
-SOAK, VIRTUAL = ["demo", "--soak"], ["demo", "--soak", "--virtual"]
 WRONG_USE = [
     (["calm", "--runs", "0"], "--runs must be 1 or more, got 0"),
     (["calm", "--workers", "0"], "--workers must be 1 or more, got 0"),
@@ -199,17 +198,6 @@ WRONG_USE = [
     (["calm", "--report", "--against", "nothing"], "nothing is no campaign's folder: manifest.json: No such file"),
     (["thirty_faults", "--vary", "wind.speed_m_s=0:4:2"], "--vary goes with one scenario"),
     (["thirty_faults", "--perception", "truth"], "thirty_faults: faults/camera_freezes: the fault frames_frozen acts on vision"),
-    ([*SOAK, "--hours", "0"], "--hours must lie in"),
-    ([*SOAK, "--runs", "3"], "--runs with --soak needs --virtual"),
-    ([*SOAK, "--workers", "2"], "--workers does not go with --soak"),
-    ([*SOAK, "--set", "wind.speed_m_s=3"], "--set with --soak needs --virtual"),
-    ([*SOAK, "--perception", "model"], "--perception needs --virtual"),
-    ([*SOAK, "--fault", "link_lost_4_s"], "needs --virtual"),
-    ([*VIRTUAL, "--runs", "3", "--hours", "1"], "takes the place of --hours"),
-    ([*VIRTUAL, "--fault", "none"], "not a fault scenario"),
-    ([*VIRTUAL, "--fault", "wrong_pad", "--perception", "model"], "seen in rendered frames only"),
-    ([*VIRTUAL, "--runs", "1", "--readings", "/dev/null/there"], "--readings /dev/null/there"),
-    ([*VIRTUAL, "--runs", "1", "--plot", "/dev/null/x.png"], "--plot /dev/null/x.png"),
 ]
 
 

@@ -1,6 +1,7 @@
 """Campaigns of a set, each scenario at its own level with its own line, and of faults that a seed draws."""
 
 import json
+import math
 import re
 import shlex
 import tomllib
@@ -22,9 +23,10 @@ from sitl.campaign.plan import Overridable, digest_of, is_set, load_set, make_pl
 from sitl.campaign.random_faults import FaultTally, shrunk
 from sitl.campaign.report import REPORT
 from sitl.campaign.workers import Flight
+from sitl.faults.carried import TELEMETRY, refuse_others
 from sitl.faults.drawn import SHARES, Drawable, draw, simpler
 from sitl.faults.fault import SIGNALS, UNSIZED, Corrupted, errors_of
-from sitl.faults.kinds import AnyFault, CommandStream, LowBattery, OperatorActs, OtherPad, ServiceKilled, WeakRotor
+from sitl.faults.kinds import AnyFault, CommandStream, Failsafe, LowBattery, OperatorActs, OtherPad, ServiceKilled, WeakRotor
 from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import from_mapping, load
@@ -246,12 +248,27 @@ def test_many_seeds_draw_every_kind_and_every_error_that_is_there_and_no_other()
     drawn = [draw(seed, THERE) for seed in range(8000)]
     every = [fault for faults in drawn for fault in faults]
     corrupted = [fault for fault in every if isinstance(fault, Corrupted)]
-    assert SHARES.keys() - {"pad_size"} <= {fault.kind for fault in every}
+    own = {"pad_size", "level", "landing", "late_order", "failsafe"}
+    assert SHARES.keys() - own | {"corrupted", "operator"} <= {fault.kind for fault in every}
+    assert "failsafe" not in {fault.kind for fault in every}, "an AR.Drone has none"
     assert {(f.signal, f.error) for f in corrupted} == {(s, e) for s in SIGNALS for e in errors_of(s)}
     assert all((f.size == 0.0) == (f.error in UNSIZED) for f in corrupted)
-    assert {"hold", "manual", "abort", "land", "emergency", "begin"} == {f.order for f in every if isinstance(f, OperatorActs)}
-    pairs = [faults for faults in drawn if len(faults) == 2]
-    assert 0.45 < len(pairs) / len(drawn) < 0.55
+    acts = [fault for fault in every if isinstance(fault, OperatorActs)]
+    assert {"hold", "manual", "abort", "land", "emergency", "begin", "stay"} == {act.order for act in acts}
+    assert {act.order for act in acts if act.late_s} == {"begin", "stay", "land"}
+    levels = {f.signal for f in corrupted if f.error == "biased" and f.at_s == 0.0}
+    assert {"velocity", "range", "gyro", "ship_velocity"} <= levels, "wrong from the first sample on, and never a leap"
+    mounts = {abs(f.size) for f in corrupted if (f.signal, f.error, f.at_s) == ("sighting", "biased", 0.0)}
+    assert 0.0 < max(mounts) <= 0.05, "a camera that sits elsewhere than its file says shows in nothing on board"
+    late = [f.for_s for f in corrupted if (f.signal, f.error) == ("commands", "late") and f.size > 0.4]
+    assert all(for_s is not None and for_s <= 0.5 for for_s in late), "nobody flies an axis that is late by a second"
+    drifts = [f for f in corrupted if (f.signal, f.error) == ("commands", "drifting")]
+    assert all(abs(f.size) * (f.for_s or math.inf) <= 0.31 for f in drifts), "nor one that drifts to a full stick"
+    leaps = [f.size for f in corrupted if (f.signal, f.error, f.in_phase) == ("sighting", "biased", "intercept")]
+    assert max(map(abs, leaps)) <= 0.05, "before a pad's place is known no leap of it is seen"
+    others = [faults for faults in drawn if not any(isinstance(fault, OperatorActs) for fault in faults)]
+    pairs = [faults for faults in others if len(faults) == 2]
+    assert 0.35 < len(pairs) / len(others) < 0.55
     assert 0.4 < sum(started(a) == started(b) for a, b in pairs) / len(pairs) < 0.65
     phases = Counter(fault.in_phase for fault in every if fault.in_phase)
     assert min(phases[near] for near in ("gate", "commit", "press")) > max(phases[far] for far in ("intercept", "descend"))
@@ -259,6 +276,28 @@ def test_many_seeds_draw_every_kind_and_every_error_that_is_there_and_no_other()
     few = [fault for seed in range(200) for fault in draw(seed, gyro)]
     assert {f.signal for f in few if isinstance(f, Corrupted)} == {"gyro", "commands"}
     assert {f.size for f in few if isinstance(f, OtherPad) and f.instead}
+
+
+def test_an_autopilots_faults_are_those_that_act_beside_it() -> None:
+    drawn = [with_random_faults(load("rendezvous"), seed, "model", autopilot=True).faults for seed in range(600)]
+    every = [fault for faults in drawn for fault in faults]
+    for faults in drawn:
+        refuse_others("drawn", faults, stand_in=True)
+    assert {fault.kind for fault in every} > {
+        "failsafe",
+        "corrupted",
+        "operator",
+        "service_killed",
+        "low_battery",
+        "lens_covered",
+    }
+    assert {f.takes for f in every if isinstance(f, Failsafe)} == {"land", "hold"}
+    assert {f.order for f in every if isinstance(f, OperatorActs)} > {"mode", "disarm", "land"}
+    assert {f.signal for f in every if isinstance(f, Corrupted)} > TELEMETRY
+    with pytest.raises(BadInput, match=r"simulated AR\.Drone alone; here"):
+        refuse_others("it", [LowBattery(at_s=1.0)], stand_in=False)
+    with pytest.raises(BadInput, match="corrupted barometer"):
+        refuse_others("it", [Corrupted(signal="barometer", error="frozen", at_s=1.0)], stand_in=True)
 
 
 def started(fault: AnyFault) -> tuple[object, ...]:
@@ -276,7 +315,7 @@ def test_a_drawn_fault_is_one_that_a_file_may_hold_and_the_file_flies_the_same(s
     base = load("rendezvous")
     drawn = with_random_faults(base, seed, level)
     faults = drawn.faults
-    assert 1 <= len(faults) <= 2
+    assert 1 <= len(faults) <= 4, "a person orders one thing after the other"
     words = f"{', '.join(fault.words for fault in faults)}: {base.title}".split()
     assert len(drawn.title) <= 120
     assert drawn.title.removesuffix(" ...").split() == words[: len(drawn.title.removesuffix(" ...").split())], "whole words"

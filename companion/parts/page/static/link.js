@@ -40,7 +40,9 @@ export class Link {
   open(token) {
     this.#token = token;
     this.#drop();
-    const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/operator`);
+    const address = new URL("operator", location.href); // beside the page, which a proxy may serve under a path
+    address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+    const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
     this.#heard = performance.now();

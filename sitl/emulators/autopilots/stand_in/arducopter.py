@@ -12,7 +12,7 @@ import numpy as np
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import Clock
 from sitl.emulators.autopilots import arducopter
@@ -20,7 +20,7 @@ from sitl.emulators.autopilots.arducopter import CURVE
 from sitl.emulators.autopilots.body import BodyState, Motors
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.emulators.autopilots.stand_in.cascade import COPTER_GAINS, Cascade
-from sitl.vehicle.airframe import Airframe
+from sitl.vehicle.airframe import ardrone2
 
 _ROOT = math.sqrt(2.0)
 
@@ -58,7 +58,7 @@ class LowPass:
 DEFAULTS: dict[str, float] = {
     "GUID_TIMEOUT": 3.0, "LAND_SPEED": 50.0, "WPNAV_ACCEL": 250.0, "WPNAV_ACCEL_Z": 100.0, "WPNAV_SPEED_DN": 150.0,
     "WPNAV_SPEED_UP": 250.0, "PSC_JERK_XY": 5.0, "PSC_JERK_Z": 5.0, "INS_ACCEL_FILTER": 20.0, "INS_GYRO_FILTER": 20.0,
-    "PLND_XY_DIST_MAX": 2.5,
+    "ANGLE_MAX": 3000.0, "PLND_XY_DIST_MAX": 2.5,
     "PLND_ALT_MAX": 8.0, "PLND_ORIENT": 25, "PLND_YAW_ALIGN": 0, "INS_GYR_CAL": 0, "EK3_SRC1_POSXY": 3, "EK3_SRC1_VELXY": 3,
     "EK3_SRC1_POSZ": 1, "EK3_SRC1_VELZ": 3, "EK3_SRC1_YAW": 1, "EK3_RNG_USE_HGT": -1,
     **{f"PLND_CAM_POS_{axis}": 0.0 for axis in "XYZ"},
@@ -70,6 +70,8 @@ _STILL_M_S2, _DETECT_S, _LOW_THRUST = 1.0, 1.0, 0.25
 """LAND_DETECTOR_ACCEL_MAX and LAND_DETECTOR_TRIGGER_SEC of the program; the thrust that counts as the least."""
 _ACCEL_MEAN_S = 0.16
 """Time constant of the filtered acceleration that the landing detector reads: 1 Hz."""
+_IDLES = 0.1
+"""Command of a motor while it is armed, at the least (MOT_SPIN_ARM's default)."""
 _RAMP_S = 0.5
 _TARGET_S = 0.15
 """Time constant of the target's position and velocity in the precision-landing estimator."""
@@ -84,9 +86,11 @@ class CopterStandIn(StandIn):
         given = {**DEFAULTS, **arducopter.PARAMETERS, **(parameters or {})}
         super().__init__(Stack.ARDUPILOT, clock, given, "stabilize")
         self.step_s = step_s
-        self._cascade = Cascade(COPTER_GAINS, Airframe(), CURVE, step_s)
+        self._cascade = Cascade(COPTER_GAINS, ardrone2(), CURVE, step_s)
         self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
         self._wanted_s = -math.inf
+        self._attitude_rad: tuple[float, float, float] | None = None
+        """Roll, pitch and yaw of the newest setpoint; None if it was one of a velocity."""
         self._v_shaped, self._a_shaped = np.zeros(3), np.zeros(3)
         self._place = np.zeros(3)
         self._take_off_to_m: float | None = None
@@ -125,6 +129,18 @@ class CopterStandIn(StandIn):
         self._take_off_to_m = self._goal = None
         self._v_wanted, self._wanted_s, self._yaw_rate = np.array([m.vx, m.vy, m.vz]), self.now_s, m.yaw_rate
         self._a_wanted = np.array([m.afx, m.afy, m.afz]) if m.type_mask == 0x0407 else np.zeros(3)
+        self._attitude_rad = None
+
+    def _on_set_attitude_target(self, m: Message, received: ReceivedMessage) -> None:
+        """Fly an attitude and its rate of yaw; other rates are not read. By default its thrust is a rate of climb."""
+        if self.mode != "guided" or self.landed_state == ON_GROUND or m.type_mask != 0:
+            return
+        self._take_off_to_m = self._goal = None
+        self._attitude_rad = Rotation.from_quat(np.array(m.q)).rpy_rad
+        up, down = 0.01 * self.parameter("WPNAV_SPEED_UP"), 0.01 * self.parameter("WPNAV_SPEED_DN")
+        climb = 2.0 * (m.thrust - 0.5)
+        self._v_wanted = np.array([0.0, 0.0, -climb * (up if climb > 0.0 else down)])
+        self._a_wanted, self._wanted_s, self._yaw_rate = np.zeros(3), self.now_s, m.body_yaw_rate
 
     def _on_landing_target(self, m: Message, received: ReceivedMessage) -> None:
         reported = m.frame == 12 and m.position_valid == 1 and m.distance > 0
@@ -150,7 +166,7 @@ class CopterStandIn(StandIn):
 
     def entered(self, name: str) -> None:
         """Hold from here: modes that hold do so over the ground."""
-        self._goal = None
+        self._goal = self._attitude_rad = None
         if self.state is not None:
             self._place = self.state.p_ned.copy()
             self._v_shaped, self._a_shaped = self.state.v_ned.copy(), np.zeros(3)
@@ -175,12 +191,19 @@ class CopterStandIn(StandIn):
             self.entered(self.mode)
             return STILL
         if self.landed_state == ON_GROUND and not self._lifts(s):
-            return (0.1, 0.1, 0.1, 0.1)
+            return (_IDLES, _IDLES, _IDLES, _IDLES)
         v_wanted, a_wanted = self._wanted(s)
         v, a = self._shaped(s, v_wanted, a_wanted)
-        motors = self._cascade.motors(s, self._cascade.accelerations(s, v, a), self._yaw_rate if self.mode == "guided" else 0.0)
+        lean_max_rad = math.radians(0.01 * self.parameter("ANGLE_MAX"))
+        wanted, yaw_rate = self._cascade.accelerations(s, v, a), self._yaw_rate if self.mode == "guided" else 0.0
+        if self._attitude_rad is not None:
+            (roll, pitch, heading), yaw = self._attitude_rad, s.R_ned_body.rpy_rad[2]
+            lean = Rotation.from_rpy(0.0, 0.0, yaw) @ np.array([-math.tan(pitch), math.tan(roll), 0.0])
+            wanted = G_M_S2 * lean + wanted * (0.0, 0.0, 1.0)
+            yaw_rate += self.parameter("ATC_ANG_YAW_P") * wrap_pi(heading - yaw)
+        one, two, three, four = self._cascade.motors(s, wanted, yaw_rate, lean_max_rad=lean_max_rad)
         self._detect_landing(s, descends=v_wanted[2] > 0.0)
-        return motors
+        return (max(one, _IDLES), max(two, _IDLES), max(three, _IDLES), max(four, _IDLES))
 
     def _lifts(self, s: BodyState) -> bool:
         """Return whether the rotors have spooled up for a take-off; without one the motors idle, and it disarms at last."""
@@ -205,6 +228,9 @@ class CopterStandIn(StandIn):
             if self._goal is not None:
                 return toward(self._goal - s.p_ned, 1.0, 5.0), nothing
             fresh = self.now_s - self._wanted_s <= self.parameter("GUID_TIMEOUT")
+            if self._attitude_rad is not None:
+                # No horizontal loop runs: it wants what it has.
+                return np.array([*s.v_ned[:2], self._v_wanted[2] if fresh else 0.0]), nothing
             return (self._v_wanted, self._a_wanted) if fresh else (nothing, nothing)
         if self.mode == "land":
             v = toward(self._place - s.p_ned, 1.0, 1.0)

@@ -17,17 +17,18 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from drivers.clock import SystemClock
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import NamedSenders
-from drivers.mavlink.dialect import Message, TimeSyncV2, mav
+from drivers.mavlink.dialect import Event, Message, TimeSyncV2, mav
+from drivers.mavlink.failsafe import event_id
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import LinkLimits
-from drivers.mavlink.vehicle import ARMED, Stack, custom_mode, mode_name
+from drivers.mavlink.vehicle import ARMED, HOLD_MODE, LAND_MODE, Stack, custom_mode, mode_name
 from estimator.contracts.geometry import F64, GeoPoint, Rotation, moved, ned_between
 from estimator.contracts.time import Clock
 from sitl.camera.gimbal import SimulatedGimbal
@@ -42,6 +43,11 @@ _BOOT_MS = 77_000
 _ACCEPTED, _DENIED, _UNSUPPORTED = (
     int(result) for result in (mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_DENIED, mav.MAV_RESULT_UNSUPPORTED)
 )
+_FAILSAFES: dict[Stack, dict[str, str]] = {
+    Stack.ARDUPILOT: {"land": "Battery Failsafe", "hold": "EKF Failsafe"},
+    Stack.PX4: {"land": "Failsafe activated: Low battery, landing", "hold": "Failsafe activated: Low battery, entering Hold"},
+}
+"""Texts of each stack when a failsafe takes a mode."""
 _LOCKS = int(mav.GIMBAL_DEVICE_FLAGS_ROLL_LOCK | mav.GIMBAL_DEVICE_FLAGS_PITCH_LOCK)
 
 
@@ -163,6 +169,10 @@ class MiniatureAutopilot:
     deaf: bool = False
     """Hears commands and answers none."""
     silent: bool = False
+    critical: bool = False
+    """Reports that a failsafe is in force."""
+    charge: float = 0.83
+    """Charge of the battery, 0 to 1."""
     beat_s: float = 0.25
     """Interval of its HEARTBEATs until another is accepted, s; the programs begin with a second."""
     p_ned: F64 = field(default_factory=lambda: np.array([0.0, 0.0, -5.0]))
@@ -215,12 +225,31 @@ class MiniatureAutopilot:
     def heartbeat(self) -> Message:
         base = mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (ARMED if self.armed else 0)
         kind = 3 if self.stack is Stack.ARDUPILOT else 12
-        return mav.MAVLink_heartbeat_message(2, kind, base, custom_mode(self.stack, self.mode), 4 if self.armed else 3, 3)
+        # ArduCopter says so on the ground too, PX4 while it is armed.
+        critical = self.critical and (self.armed or self.stack is not Stack.PX4)
+        status = mav.MAV_STATE_CRITICAL if critical else mav.MAV_STATE_ACTIVE if self.armed else mav.MAV_STATE_STANDBY
+        return mav.MAVLink_heartbeat_message(2, kind, base, custom_mode(self.stack, self.mode), status, 3)
 
     def set_mode(self, name: str) -> None:
         """Set the mode as a person would by the remote control."""
         self.mode = name
         self._shows_mode()
+
+    def fail(self, mode: str, words: str, cause: int = 0) -> None:
+        """Let a failsafe act by a mode: ArduPilot reports the mode first and then why, PX4 the other way round.
+
+        Args:
+            cause: failsafe_cause_t of PX4, which an EVENT names; 0 for none.
+        """
+        self.critical = True
+        if self.stack is Stack.PX4:
+            self.text(2, words)
+            arguments = list(struct.pack("<IBB", 0, 0, cause).ljust(40, b"\0"))
+            self.send(Event(0, 0, event_id("commander_failsafe_enter"), self.boot_ms, 0, 0x44, arguments))
+        self.mode = mode
+        self._shows_mode()
+        if self.stack is not Stack.PX4:
+            self.text(4, words)
 
     def _shows_mode(self) -> None:
         """Report a new mode at once, as ArduPilot does; PX4 reports it in its next HEARTBEAT."""
@@ -318,7 +347,9 @@ class MiniatureAutopilot:
             ),
             mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda: global_position(self.boot_ms, self.p_world_ned, self.v_ned),
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda: mav.MAVLink_extended_sys_state_message(0, self.landed_state),
-            mav.MAVLINK_MSG_ID_SYS_STATUS: lambda: mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 83, 0, 0, 0, 0, 0, 0),
+            mav.MAVLINK_MSG_ID_SYS_STATUS: lambda: mav.MAVLink_sys_status_message(
+                0, 0, 0, 0, 12000, -1, round(100 * self.charge), 0, 0, 0, 0, 0, 0
+            ),
             mav.MAVLINK_MSG_ID_RAW_IMU: lambda: mav.MAVLink_raw_imu_message(
                 self.boot_ns // 1000, *self._f_mg(least), *(w + least for w in self.gyro_mrad_s), 0, 0, 0
             ),
@@ -431,8 +462,20 @@ class StandIn(MiniatureAutopilot, ABC):
 
     def set_mode(self, name: str) -> None:
         """Enter a mode, as a person would by the remote control."""
+        self.critical = False
         self.entered(name)
         super().set_mode(name)
+
+    def _on_set_position_target_local_ned(self, m: Message, received: ReceivedMessage) -> None:
+        """Note the setpoint alone: the body's own velocity is what the streams report."""
+        self.setpoints.append((self.now_s, m))
+
+    def acts_by_failsafe(self, takes: Literal["land", "hold"]) -> None:
+        """Take a mode by a failsafe."""
+        words, mode = _FAILSAFES[self.stack][takes], (LAND_MODE if takes == "land" else HOLD_MODE)[self.stack]
+        self.failsafes.append(words)
+        self.entered(mode)
+        self.fail(mode, words)
 
     def entered(self, name: str) -> None:
         """Note that a mode begins."""
@@ -440,6 +483,7 @@ class StandIn(MiniatureAutopilot, ABC):
     def _enter(self, name: str) -> int:
         result = super()._enter(name)
         if result == 0:
+            self.critical = False
             self.entered(name)
         return result
 
@@ -523,7 +567,7 @@ class StandIn(MiniatureAutopilot, ABC):
         """Return the motors for the body's state; call it once for each step of the physics."""
         self.state = s
         self._origin = s.p_ned if self._origin is None else self._origin
-        self.p_ned, self.v_ned = s.p_ned - self._origin, s.v_ned
+        self.p_ned, self.v_ned, self.charge = s.p_ned - self._origin, s.v_ned, s.battery
         if self.gimbal is not None:
             for component, message in self.gimbal.due(self.now_s, self.boot_ms, s.R_ned_body.rpy_rad[2]):
                 self._send_as(component, message)

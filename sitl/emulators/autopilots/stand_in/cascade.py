@@ -51,6 +51,8 @@ class LoopGains(Struct, frozen=True):
     """1/s: MPC_Z_VEL_P_ACC, PSC_VELZ_P."""
     climb_i: float
     """1/s^2: MPC_Z_VEL_I_ACC, PSC_VELZ_I."""
+    velocity_i_max_m_s2: float
+    """PSC_VELXY_IMAX. PX4's anti-windup has the tilt's limit instead."""
     velocity_d: float
     """MPC_XY_VEL_D_ACC, PSC_VELXY_D."""
     of_errors: bool
@@ -81,14 +83,14 @@ class LoopGains(Struct, frozen=True):
 
 
 PX4_GAINS = LoopGains(
-    velocity_p=1.8, velocity_i=0.4, climb_p=4.0, climb_i=2.0, velocity_d=0.2, of_errors=False,
+    velocity_p=1.8, velocity_i=0.4, velocity_i_max_m_s2=G_M_S2, climb_p=4.0, climb_i=2.0, velocity_d=0.2, of_errors=False,
     angle_p=6.5, angle_lag_s=0.0, lean_max_rad=math.radians(45.0),
     rate_p=0.15, rate_i=0.2, rate_i_max=0.3, rate_d=0.003, gyro_s=0.006, unit=math.sqrt(0.5),
 )  # fmt: skip
 """PX4's defaults. Source: parameter reference of PX4 1.16; the unit: its allocation scales roll and pitch so that the squares of
 their shares add up to half the number of motors (ControlAllocationPseudoInverse)."""
 COPTER_GAINS = LoopGains(
-    velocity_p=2.0, velocity_i=1.0, climb_p=5.0, climb_i=0.0, velocity_d=0.5, of_errors=True,
+    velocity_p=2.0, velocity_i=1.0, velocity_i_max_m_s2=10.0, climb_p=5.0, climb_i=0.0, velocity_d=0.5, of_errors=True,
     angle_p=4.5, angle_lag_s=0.15, lean_max_rad=math.radians(30.0),
     rate_p=0.135, rate_i=0.135, rate_i_max=0.5, rate_d=0.0036, gyro_s=0.011, unit=0.41, lift_p=1.0, lift_i=2.0,
 )  # fmt: skip
@@ -126,7 +128,7 @@ class Cascade(Struct):
         if g.of_errors:
             error = np.append(self._v.value, error[2])
         rate = np.array([g.velocity_i, g.velocity_i, g.climb_i])
-        most = np.array([3.0, 3.0, 6.0])
+        most = np.array([g.velocity_i_max_m_s2, g.velocity_i_max_m_s2, 6.0])
         self.wind_ned = np.clip(self.wind_ned + self.step_s * rate * error, -most, most)
         p = np.array([g.velocity_p, g.velocity_p, g.climb_p])
         a = np.asarray(a_wanted + p * error + self.wind_ned)

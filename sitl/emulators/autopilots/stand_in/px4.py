@@ -20,7 +20,7 @@ from sitl.emulators.autopilots.body import BodyState, Motors
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.emulators.autopilots.stand_in.cascade import PX4_GAINS, Cascade
 from sitl.sensors.sensors import ORIGIN
-from sitl.vehicle.airframe import Airframe
+from sitl.vehicle.airframe import ardrone2
 
 DEFAULTS: dict[str, float] = {
     "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_DISARM_LAND": 2.0, "COM_DISARM_PRFLT": 10.0, "COM_SPOOLUP_TIME": 1.0,
@@ -49,14 +49,14 @@ class Px4StandIn(StandIn):
 
     def __init__(self, clock: Clock, parameters: Mapping[str, float] | None = None) -> None:
         super().__init__(Stack.PX4, clock, {**DEFAULTS, **px4.PARAMETERS, **(parameters or {})}, "auto.loiter")
-        self._cascade = Cascade(PX4_GAINS, Airframe(), 0.0, px4.STEP_S)
+        self._cascade = Cascade(PX4_GAINS, ardrone2(), 0.0, px4.STEP_S)
         self._place: F64 | None = None
         """Target of AUTO modes, (3,) m ned."""
         self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
         self._v_rest = np.zeros(3)
         self._checked_s = self._armed_s = self._climb_s = -math.inf
         self._contact_s = self._still_s = self._landed_s = 0.0
-        self._lifted = False
+        self._lifted = self._lost_offboard = False
 
     # Commands to it
 
@@ -108,6 +108,7 @@ class Px4StandIn(StandIn):
 
     def entered(self, name: str) -> None:
         """Fix the place that a mode goes to: where the vehicle is now, over the ground."""
+        self._lost_offboard = False
         if self.state is None:
             return
         self._place = self.state.p_ned.copy()
@@ -201,12 +202,17 @@ class Px4StandIn(StandIn):
             self._checked_s = self.now_s
 
     def _watch_offboard(self) -> None:
+        """Hold while the setpoints of OFFBOARD are gone, by a failsafe that ends once they come again or a mode is chosen."""
         newest = self.setpoints[-1][0] if self.setpoints else -math.inf
         del self.setpoints[:-200]
-        if self.mode == "offboard" and self.armed and self.now_s - newest > self.parameter("COM_OF_LOSS_T"):
+        lost = self.now_s - newest > self.parameter("COM_OF_LOSS_T")
+        if self.mode == "offboard" and self.armed and lost:
             self.failsafes.append(_LOST)
             self.text(2, _LOST)
             self.set_mode("auto.loiter")
+            self.critical = self._lost_offboard = True
+        elif self._lost_offboard and (not lost or not self.armed):
+            self.set_mode("offboard" if self.armed else self.mode)
 
     def _detect_landing(self, s: BodyState) -> None:
         """Detect the ground in three steps: low thrust in a descent without speed, then no thrust at all, then for a while.

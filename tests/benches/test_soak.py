@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benches.soak import Flown, Reading, Records, Tally, findings, give_back, main, read, real, warm_up_s
 from companion.base.mission import FlightOutcome
-from companion.cli import main as cli
 from estimator.contracts.estimates import Verdict
-from sitl.campaign.soak import Flown, Reading, Records, Tally, findings, give_back, read, real, warm_up_s
 from sitl.flight.ending import Grade, Load
 from sitl.scenario.scenario import load
 from sitl.scenario.with_fault import faulty
@@ -31,7 +30,7 @@ BRIEF = NEAR.replace("duration_limit_s = 40.0", "duration_limit_s = 1.5").replac
 GOOD = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 50})
 SAID: dict[str, Any] = {
     "ended": "landed", "seed": 3, "title": "A small ferry; faults/camera_freezes", "expect": "refuse", "duration_s": 30.0,
-    "surface": "pad", "on_pad": True, "lateral_m": 0.08, "unsafe": [], "left_alone": False, "frames_sent": 880,
+    "surface": "pad", "on_pad": True, "lateral_m": 0.08, "unsafe": [], "left_alone": False, "frames_due": 900, "frames_sent": 880,
     "stood_still_s": 0.0,
 }  # fmt: skip
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="there is no /proc here")
@@ -119,7 +118,7 @@ def test_a_flight_in_real_time_is_good_failed_or_starved_by_the_machine(outcome,
     assert flight.worth is worth
     assert because in flight.because
     assert worth is not Grade.STARVED or "emergency" in flight.because, "what happened is reported beside"
-    assert Load(30.0, 880, 0.2, GOOD).starved() is None
+    assert Load(900, 880, 0.2, GOOD).starved() is None
 
 
 def flown(worth: Grade, seed: int = 1, title: str = "a; faults/b") -> Flown:
@@ -136,8 +135,8 @@ def test_failed_flights_and_a_starved_soak_are_faults_and_a_failed_flight_is_flo
     assert bad.as_json()["classes"] == {"on_pad": 1, "refused_rightly": 1, "failed": 1, "starved": 1}
     slow = Tally([flown(Grade.STARVED), flown(Grade.STARVED), flown(Grade.ON_PAD)])
     assert slow.faults(0) == ["this machine was too slow for 2 of 3 flights, so the run shows nothing"]
-    again = "decklander campaign demo --soak --virtual --runs 1 --seed 7 --fault faults/link_lost_4_s"
-    assert bad.in_words("demo", ("--config", "my rig.toml"))[-1].endswith(f"{again} --config 'my rig.toml'")
+    again = "python -m benches.soak demo --virtual --runs 1 --seed 7 --fault faults/link_lost_4_s"
+    assert bad.in_words("demo")[-1].endswith(again)
     named = faulty(load("demo"), 7, possible=lambda _: True, name="faults/link_lost_4_s")
     assert named.faults == load("faults/link_lost_4_s").faults
     assert named.unreached_contacts
@@ -176,7 +175,7 @@ def test_a_full_temporary_folder_loses_none(monkeypatch: pytest.MonkeyPatch, cap
 
 def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.CaptureFixture[str]) -> None:
     descriptors = len(os.listdir("/proc/self/fd"))
-    assert cli.main(["campaign", "calm", "--soak", "--hours", "0.001", "--json"]) == 1
+    assert main(["calm", "--hours", "0.001", "--json"]) == 1
     output = json.loads(capsys.readouterr().out)
     assert output["findings"] is None, "too short to measure growth"
     assert output["flown_s"] >= 3.0
@@ -187,12 +186,12 @@ def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
     readings, near = tmp_path / "readings.jsonl", tmp_path / "near.toml"
     near.write_text(BRIEF)
     words = ["--virtual", "--hours", "1", "--no-faults", "--json", "--readings", str(readings)]
-    command = [sys.executable, "-m", "companion.cli.main", "campaign", str(near), "--soak", *words]
+    command = [sys.executable, "-m", "benches.soak", str(near), *words]
     with started(command) as soak:
         wait_until(lambda: readings.exists() and readings.read_text())
         soak.send_signal(signal.SIGTERM)
         out, _ = soak.communicate(timeout=60)
-    assert soak.returncode == 143
+    assert soak.returncode == 130
     lines = [json.loads(line) for line in readings.read_text().splitlines()]
     reported = json.loads(out)
     assert len(lines) == lines[-1]["flights"] == reported["flights"] == len(reported["outcomes"]) >= 1
@@ -204,13 +203,13 @@ def test_a_full_disk_is_reported_and_flown_through_without_images_too(tmp_path, 
     near = tmp_path / "near.toml"
     near.write_text(BRIEF)
     words = ["--virtual", "--runs", "2", "--no-faults", "--json", "--readings", "/dev/full", "--perception", "model"]
-    assert cli.main(["campaign", str(near), "--soak", *words]) == 1
+    assert main([str(near), *words]) == 1
     output = capsys.readouterr()
     assert json.loads(output.out)["classes"]["failed"] == 2, "its time ends before it comes down"
     assert output.err.count("--readings: /dev/full: No space left on device") == 1
 
 
-def test_a_virtual_soak_names_the_flight_that_failed_and_draws_it(tmp_path, capsys, monkeypatch):
+def test_a_virtual_soak_names_the_flight_that_failed(tmp_path, capsys, monkeypatch):
     """A bug of the service in flight does not end the soak: it fails that flight, by name."""
     from companion.guidance.pilot import Pilot
 
@@ -221,9 +220,8 @@ def test_a_virtual_soak_names_the_flight_that_failed_and_draws_it(tmp_path, caps
         raise KeyError(int(np.array(7)))
 
     monkeypatch.setattr(Pilot, "detect", broken)
-    words = ["--virtual", "--runs", "2", "--no-faults", "--plot", str(tmp_path / "p.png")]
-    assert cli.main(["campaign", str(near), "--soak", *words]) == 1
+    words = ["--virtual", "--runs", "2", "--no-faults"]
+    assert main([str(near), *words]) == 1
     output = capsys.readouterr().out
     assert "FAULT: 2 of 2 flights failed" in output
     assert "the service died in flight: KeyError: 7 (test_soak.py:" in output
-    assert (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"

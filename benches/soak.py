@@ -1,22 +1,25 @@
-"""Repeated landings in one process, each graded, while memory, descriptors, threads and tasks are watched for leaks.
+"""Land again and again in one process, each flight graded, and watch memory, descriptors, threads and tasks for leaks.
 
-Flights that the machine was too slow for do not count as failures.
-
-The resources are read from /proc, so a soak needs Linux.
+`python -m benches.soak demo --virtual --hours 2` flies two hours of simulated flight, each flight with its own seed and fault;
+without --virtual the landing service flies the simulated drone through sockets in real time. The exit code is 1 if a flight
+failed, if the machine was too slow for over half of them, or if after warm-up memory grew by 1 %, or descriptors, threads or
+tasks by one. The resources are read from /proc, so a soak needs Linux.
 """
 
+import argparse
 import asyncio
 import gc
 import json
 import os
 import resource
 import shlex
+import signal
 import sys
 import tempfile
 import time
 import weakref
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from io import FileIO
 from pathlib import Path
@@ -26,21 +29,20 @@ from typing import Any, Generic, TypeVar
 import msgspec
 from msgspec import Struct, field, to_builtins
 
+from benches.options import parsed
 from companion.base import event_loop, memory
 from companion.base.health import Health
 from companion.base.mission import REFUSALS, FlightOutcome
-from companion.base.signals import Stopped
 from companion.guidance.pilot import Pilot, make_pilot
 from companion.service.assemble import make_daemon
 from companion.settings.model import Settings
 from drivers.clock import SystemClock
-from estimator.contracts.errors import Recoverable, SetupImpossible, refused
+from estimator.contracts.errors import Recoverable, SetupImpossible
 from estimator.contracts.estimates import Verdict
-from sitl.campaign.plan import CampaignPlan
 from sitl.flight.ending import AtEnd, Grade, Load, grade
-from sitl.flight.one_flight import FlyOptions, fly
+from sitl.flight.one_flight import FlyOptions, fly, settings_for
 from sitl.perception.levels import perceive, represents
-from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import Scenario, load
 from sitl.scenario.with_fault import faulty
 
 GROWTH_MAX = 0.01
@@ -245,7 +247,7 @@ def real(
         outcome = None  # the simulator switched the drone off in the air, which the pilot takes for an emergency
     landed_m = said["lateral_m"] if said["on_pad"] else None
     worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], AtEnd(left_alone=said["left_alone"]))
-    load = Load(said["duration_s"], said["frames_sent"], said["stood_still_s"], frames, guidance_late_s)
+    load = Load(said["frames_due"], said["frames_sent"], said["stood_still_s"], frames, guidance_late_s)
     if worth is Grade.FAILED and (slow := load.starved()) is not None:
         worth, because = Grade.STARVED, f"{slow} ({because})"
     return Flown(at_s, said["seed"], said["title"], worth, because, said["duration_s"])
@@ -292,29 +294,6 @@ class Records(Generic[T]):
             for _, line in zip(range(self._written), lines, strict=False):
                 yield self._decoder.decode(line)
         yield from self._rest
-
-
-class SoakOptions(Struct, frozen=True):
-    """Options of a soak: its flights, its length and its files."""
-
-    seed: int
-    """Seed of the first flight; each flight adds 1."""
-    hours: float
-    """Wall time, or flight time in virtual time."""
-    flights: int | None
-    """Flights in virtual time, in place of hours."""
-    virtual: bool
-    """Fly in virtual time, without sockets."""
-    faults: bool
-    fault: str | None
-    """The fault of every flight; None for one by the flight's seed."""
-    failed_max: int
-    """Failed flights that are allowed."""
-    plot: Path | None
-    readings: Path | None
-    """File for every reading as a line of JSON."""
-    json: bool
-    """Print one JSON object in place of words."""
 
 
 class Tally(Struct):
@@ -381,13 +360,8 @@ class Tally(Struct):
             "outcomes": [{**msgspec.structs.asdict(flight), "worth": flight.worth.value} for flight in self.flights],
         }
 
-    def in_words(self, scenario: str, options: Sequence[str] = ()) -> list[str]:
-        """Return lines of counts, and a line for each flight that failed or was not judged.
-
-        Args:
-            scenario: the name of the scenario.
-            options: the options, beside fault and seed, that the first failed one needs to fail again.
-        """
+    def in_words(self, scenario: str) -> list[str]:
+        """Return lines of counts, and a line for each flight that failed or was not judged."""
         endings = ", ".join(f"{n} {name}" for name, n in sorted(self.endings.items()))
         counts = ", ".join(f"{n} {worth.value}" for worth in Grade if (n := self.count(worth)))
         lines = [f"{len(self.flights)} flights in {self.flown_s / 3600:.2f} h: {endings}", f"outcomes   {counts or 'none'}"]
@@ -396,58 +370,55 @@ class Tally(Struct):
                 lines.append(f"  seed {flight.seed}, {fault_of(flight.title)}: {flight.worth.value}: {flight.because}")
         failed = next((flight for flight in self.flights if flight.worth is Grade.FAILED and "; " in flight.title), None)
         if failed is not None:
-            words = ["decklander", "campaign", scenario, "--soak", "--virtual", "--runs", "1", "--seed", str(failed.seed)]
-            again = shlex.join([*words, "--fault", fault_of(failed.title), *options])
+            words = ["python", "-m", "benches.soak", scenario, "--virtual", "--runs", "1", "--seed", str(failed.seed)]
+            again = shlex.join([*words, "--fault", fault_of(failed.title)])
             lines.append(f"  to fly the first failed one again: {again}")
         return lines
 
 
-Draw = Callable[[Path, Sequence[Reading], Sequence[Flown]], None]
-"""Writes the plot of a soak (`plots.soak`)."""
-
-
-def soak(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings: Settings, draw: Draw | None = None) -> int:
-    """Fly, print what was found, and return the exit code.
-
-    Args:
-        plan: says what is flown, and how a flight is flown again.
-        draw: needed where the options name a plot.
-        scenario: the scenario of the plan.
-        settings: the settings of the plan.
-
-    Raises:
-        BadInput: the scenario cannot have the fault, or a file cannot be written.
-    """
-    if options.fault is not None:
-        every = faulty(scenario, options.seed, possible=lambda _: True, name=options.fault)
-        perceive(plan.perception, plan.perception_model).refuse(every.faults)
-    settings = flown_settings(settings)
-    interrupted: Stopped | None = None
-    with nullcontext() if options.readings is None else _unbuffered(options.readings) as file:
+def main(argv: Sequence[str] | None = None) -> int:
+    """Fly, print what was found, and return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenario", nargs="?", default="demo")
+    parser.add_argument("--virtual", action="store_true", help="fly in virtual time, without sockets")
+    parser.add_argument("--hours", type=float, default=1.0, help="hours to run; with --virtual hours of flight time")
+    parser.add_argument("--runs", type=int, help="with --virtual: number of flights, in place of --hours")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the first flight")
+    parser.add_argument("--no-faults", action="store_true")
+    parser.add_argument("--fault", metavar="NAME", help="with --virtual: fly this fault in every flight")
+    parser.add_argument("--perception", default="pixels", help="with --virtual: pixels, model or truth")
+    parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="allow this many failed flights")
+    parser.add_argument("--readings", type=Path, metavar="FILE", help="write every reading as a line of JSON")
+    parser.add_argument("--json", action="store_true", help="print one JSON object in place of words")
+    args = parsed(parser, "calm --virtual --runs 12 --perception model --no-faults", argv)
+    if not args.virtual and (args.runs is not None or args.fault or args.perception != "pixels"):
+        parser.error("--runs, --fault and --perception need --virtual")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    scenario = load(args.scenario)
+    settings = flown_settings(settings_for(scenario, None))
+    if args.fault is not None:
+        perceive(args.perception, None).refuse(faulty(scenario, args.seed, possible=lambda _: True, name=args.fault).faults)
+    interrupted = False
+    with nullcontext() if args.readings is None else FileIO(args.readings, "wb") as file:
         tally = Tally(file=file)
         try:
-            if options.virtual:
-                _virtually(options, plan, scenario, settings, tally)
+            if args.virtual:
+                _virtually(args, scenario, settings, tally)
             else:
-                event_loop.run(_really(options, plan.name, settings, tally))
-        except Stopped as why:
-            interrupted = why
+                event_loop.run(_really(args, settings, tally))
+        except KeyboardInterrupt:
+            interrupted = True
     readings = list(tally.readings)
     found = findings(readings, warm_up_s(readings)) if readings else None
-    faults = tally.faults(options.failed_max)
-    if options.json:
+    faults = tally.faults(args.failed_max)
+    if args.json:
         printed = {**tally.as_json(), "flight_faults": faults, "findings": None if found is None else found.as_json()}
-        sys.stdout.write(json.dumps(printed) + "\n")
+        print(json.dumps(printed))
     else:
-        lines = tally.in_words(plan.name, plan.options)
-        lines += ["too short to measure growth"] if found is None else found.in_words(options.virtual)
-        lines += [f"FAULT: {fault}" for fault in [*faults, *(found.faults if found is not None else ())]]
-        sys.stdout.write("\n".join(lines) + "\n")
-    if options.plot is not None and draw is not None:
-        draw(options.plot, readings, list(tally.flights))
-    if interrupted is not None:
-        raise interrupted
-    return 0 if found is not None and not found.faults and not faults else 1
+        lines = tally.in_words(args.scenario)
+        lines += ["too short to measure growth"] if found is None else found.in_words(args.virtual)
+        print("\n".join([*lines, *(f"FAULT: {fault}" for fault in [*faults, *(found.faults if found is not None else ())])]))
+    return 130 if interrupted else int(found is None or bool(found.faults or faults))
 
 
 def flown_settings(settings: Settings) -> Settings:
@@ -459,23 +430,17 @@ def flown_settings(settings: Settings) -> Settings:
     return msgspec.structs.replace(settings, service=service, guidance=guidance)
 
 
-def _unbuffered(path: Path) -> FileIO:
-    with refused(f"--readings {path}", OSError):
-        return FileIO(path, "wb")
-
-
-def _virtually(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, settings: Settings, tally: Tally) -> None:
-    seed = options.seed
-    level = perceive(plan.perception, plan.perception_model)
+def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings, tally: Tally) -> None:
+    seed, level = args.seed, perceive(args.perception, None)
     # A fault costs tries, and the scenario's time was chosen without it. A flight is graded when it has ended; one that is cut in
     # its third try shows nothing about the fourth.
-    longer_s = settings.guidance.tries.landing_s if options.faults else 0.0
-    rarer = FlyOptions(plan.perception_model, overtime_s=longer_s)
-    while len(tally.flights) < options.flights if options.flights is not None else tally.flown_s < 3600.0 * options.hours:
+    longer_s = 0.0 if args.no_faults else settings.guidance.tries.landing_s
+    rarer = FlyOptions(overtime_s=longer_s)
+    while len(tally.flights) < args.runs if args.runs is not None else tally.flown_s < 3600.0 * args.hours:
         wanted = scenario
-        if options.faults:
-            wanted = faulty(scenario, seed, possible=lambda s: represents(level, s.faults), name=options.fault)
-        ending = fly(plan.name, wanted, seed, settings, plan.perception, options=rarer)
+        if not args.no_faults:
+            wanted = faulty(scenario, seed, possible=lambda s: represents(level, s.faults), name=args.fault)
+        ending = fly(args.scenario, wanted, seed, settings, args.perception, options=rarer)
         judged = ending.judged
         assert judged is not None
         at_s = time.monotonic() - tally.began
@@ -483,14 +448,14 @@ def _virtually(options: SoakOptions, plan: CampaignPlan, scenario: Scenario, set
         tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
         tally.flown_s += ending.duration_s
         del ending, judged, flight
-        tally.take(None, options.json, give_back())
+        tally.take(None, args.json, give_back())
         seed += 1
 
 
-async def _really(options: SoakOptions, scenario: str, settings: Settings, tally: Tally) -> None:
+async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) -> None:
     child = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "sitl.emulators.ardrone.serve", scenario, f"--seed={options.seed}", "--repeat"),
-        *(["--faults"] if options.faults else []),
+        *(sys.executable, "-m", "sitl.emulators.ardrone.serve", args.scenario, f"--seed={args.seed}", "--repeat"),
+        *([] if args.no_faults else ["--faults"]),
         *(f"--{name}-port=0" for name in ("navdata", "video", "at", "control")),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
@@ -511,8 +476,8 @@ async def _really(options: SoakOptions, scenario: str, settings: Settings, tally
         async with asyncio.TaskGroup() as group:
             flying = group.create_task(daemon.run())
             listening = group.create_task(_listen(child.stdout, tally, pilot, daemon.health))
-            reading = group.create_task(_read(tally, options.json))
-            await asyncio.wait({flying, listening}, timeout=3600.0 * options.hours, return_when=asyncio.FIRST_COMPLETED)
+            reading = group.create_task(_read(tally, args.json))
+            await asyncio.wait({flying, listening}, timeout=3600.0 * args.hours, return_when=asyncio.FIRST_COMPLETED)
             ended_early = listening.done()
             reading.cancel()
             listening.cancel()
@@ -544,3 +509,7 @@ async def _read(tally: Tally, quiet: bool) -> None:
     while True:
         await asyncio.sleep(_READ_EACH_S)
         tally.take(len(asyncio.all_tasks()), quiet)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
