@@ -196,19 +196,6 @@ class RelativeEstimator:
         """Return an estimator of the same options and paths that has received nothing."""
         return RelativeEstimator(self._options, self.paths, self._motion_sensor)
 
-    def steer_by(self, name: PathName) -> None:
-        """Steer by another path; the previous one continues as a shadow.
-
-        A path that did not run before starts empty and first has to see the pad.
-
-        Raises:
-            ValueError: there is no such path.
-            BadInput: it needs a library that is not installed.
-        """
-        chosen = next((path for path in self._paths if path.name == name), None) or _path(name, self._options)
-        self._paths = [chosen, *(path for path in self._paths if path.name != name)]
-        self._options = structs.replace(self._options, path=name)
-
     def retune(self, *, min_confidence: float, max_delay_s: float) -> None:
         """Use other settings from now on."""
         self._options = structs.replace(self._options, min_confidence=min_confidence, max_delay_s=max_delay_s)

@@ -1,6 +1,6 @@
 """Give a drone one signed command over MQTT; exit code 0 when it has carried it out. Needs paho-mqtt alone.
 
-python mqtt_command.py HOST PORT CA_FILE USER PASSWORD_FILE DRONE KEY_FILE '{"command": "pause"}'
+python mqtt_command.py HOST PORT CA_FILE USER PASSWORD_FILE DRONE KEY_FILE '{"command": "hold"}'
 """
 
 import hashlib

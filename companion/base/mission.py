@@ -232,7 +232,7 @@ class Event(Enum):
     TAKEN = "vehicle taken over"
     """The vehicle's mode is no longer the one in which it obeys: a failsafe or a person has it."""
     ABORT = "abort ordered"
-    PAUSE = "pause ordered"
+    HOLD = "hold ordered"
     LAND = "to land where it is"
     """A person ordered it, or the last charge is reached, or such a landing has left the deck again."""
     STAY = "stay ordered"

@@ -36,8 +36,6 @@ class OperatorOrder(Enum):
     """Leave the emergency state; the motors stay off."""
     CLEAR = "clear"
     """Ignore the thing that bars the landing: this one alone, where it is, in this attempt."""
-    PATH = "path"
-    """Steer by another path of the estimator."""
     RECORD = "record"
     """Start or stop recording."""
 
@@ -100,7 +98,7 @@ class HandledOrder(Struct, frozen=True):
     refusal: str | None
     """The reason why it was refused; None if it was carried out."""
     detail: str = ""
-    """Argument of the order (a path, on or off), or the reason why it was given."""
+    """Argument of the order (on or off), or the reason why it was given."""
 
     @property
     def accepted(self) -> bool:

@@ -188,7 +188,7 @@ def _graph() -> Iterator[str]:
 
 
 _PLACES = re.compile(r"\{[^}]*\}")
-_ALWAYS = (Event.PAUSE, Event.STAY, Event.ABORT, Event.GROUNDED, Event.GROUNDED_BY_OTHERS)
+_ALWAYS = (Event.HOLD, Event.STAY, Event.ABORT, Event.GROUNDED, Event.GROUNDED_BY_OTHERS)
 _NOT_DRAWN = {*LANDING.values(), State.ANOTHER_PAD} - {State.PAUSED}
 
 

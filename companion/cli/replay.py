@@ -57,9 +57,6 @@ class _Deaf:
     def order(self, order: OperatorOrder, given_at: MonoNs | None = None) -> str | None:
         return f"{_REFUSAL}, not even {order.value}"
 
-    def steer_by(self, path: PathName) -> str | None:
-        return f"{_REFUSAL}, not even of {path}"
-
     def record(self, on: bool) -> str | None:
         return _REFUSAL if on else None
 

@@ -34,8 +34,8 @@ FROM_TERMINAL = (
 
 DESCRIPTION = (
     "Run the landing service: find the pad, approach it, land on it. SIGTERM stops the service and leaves the "
-    "drone hovering; a terminal that hangs up does not. SIGUSR1 starts the approach if guidance.start is "
-    '"signal", and resumes it after SIGUSR2 paused it.'
+    "drone hovering; a terminal that hangs up does not. SIGUSR1 begins the approach if guidance.start is "
+    '"signal", and resumes it after SIGUSR2 held it.'
 )
 
 

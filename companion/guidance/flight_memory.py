@@ -21,7 +21,7 @@ OLD_S = 30.0
 _NEARER_M_S = 0.5
 """Speed with which a deck may have come nearer to a vehicle that hovered meanwhile, m/s."""
 _RESUMES: Mapping[State, Event] = dict.fromkeys(FLOWN, Event.BEGIN) | {
-    State.PAUSED: Event.PAUSE,
+    State.PAUSED: Event.HOLD,
     State.ABORTED: Event.ABORT,
     State.TAKEN: Event.TAKEN,
     State.LAND_HERE: Event.LAND,

@@ -313,7 +313,7 @@ class LandingGuidance:
             self._flight.climb_watch = ClimbWatch()
             # What refused it for late answers flies by no tilt any more, by which its answers could be seen to be in time.
             self._response.begin()
-        if event is Event.PAUSE and self.before is not None and State.__members__.get(self.before.state) in FLOWN:
+        if event is Event.HOLD and self.before is not None and State.__members__.get(self.before.state) in FLOWN:
             # A hold may come before the vehicle's first report, and what was under way does not go on against it.
             self.before = structs.replace(self.before, state=State.PAUSED.name)
         self.mission, changes = take_order(self.mission, event, self._now, self._guidance, why)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from msgspec import Struct, structs
 
-from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, ORDERED, Event, FlightOutcome, Reason, ReasonCause, State
+from companion.base.mission import CONTACT_INTENDED, GROUND, ORDERED, Event, FlightOutcome, Reason, ReasonCause, State
 from companion.base.observer import Decision, DeckOutlook
 from companion.guidance import monitor
 from companion.guidance.controller import Controller, FieldOfView, Knowledge
@@ -27,7 +27,7 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import DOWN, HeldCamera
 from estimator.contracts.commands import Lean
-from estimator.contracts.errors import BadInput, in_words
+from estimator.contracts.errors import in_words
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.samples import Attitude, Baseline, Frame, GeoFix, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
@@ -206,7 +206,7 @@ class Pilot:
 
     @property
     def paused(self) -> bool:
-        """True if a person paused guidance."""
+        """True if a person holds the vehicle."""
         return self.state is State.PAUSED
 
     @property
@@ -234,26 +234,13 @@ class Pilot:
         self.landing.order(Event.STAY, at)
         self.engage()
 
-    def pause(self, why: Reason = ORDERED) -> None:
+    def hold(self, why: Reason = ORDERED) -> None:
         """Hold still until `begin` is called."""
-        self.landing.order(Event.PAUSE, None, why)
+        self.landing.order(Event.HOLD, None, why)
 
     def abort(self) -> None:
         """Hold still for the operator and end the flight. A landing already ordered is no longer repeated."""
         self.landing.order(Event.ABORT)
-
-    def steer_by(self, path: PathName) -> str | None:
-        """Steer by another estimator path for the operator; return None on success, otherwise why it is refused.
-
-        A path that does not run yet has no belief to start from, so during an approach it is accepted only while paused.
-        """
-        if self.state in FLOWN and path not in self.estimator.paths:
-            return f"{path} does not run along; pause the approach first"
-        try:
-            self.estimator.steer_by(path)
-        except (ValueError, BadInput) as why:
-            return str(why)
-        return None
 
     def retune(self, guidance: GuidanceOptions, *, min_confidence: float, max_delay_s: float) -> None:
         """Use other settings from now on; the present approach continues."""

@@ -11,7 +11,7 @@ from companion.guidance.operator.arbiter import NEVER_OLD
 from companion.guidance.operator.order_time import given_at
 from companion.guidance.operator.precedence import ControlSituation
 from companion.guidance.pilot import Pilot
-from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import Range, Sample
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
@@ -27,8 +27,6 @@ class Operated(Protocol):
     """The operations that MQTT and MAVLink offer; each returns None if it was carried out, else the reason why it cannot be."""
 
     def order(self, order: OperatorOrder, given_at: MonoNs | None = None) -> str | None: ...
-
-    def steer_by(self, path: PathName) -> str | None: ...
 
     def record(self, on: bool) -> str | None: ...
 
@@ -64,17 +62,13 @@ class PilotOperator:
         # Who cuts the motors sees the drone itself, whatever its screen still shows.
         if seen_s > _OLD_S and request.order not in (*NEVER_OLD, OperatorOrder.EMERGENCY):
             self._tell(request.order, refusal, "")
-        elif request.order in (OperatorOrder.PATH, OperatorOrder.RECORD):
+        elif request.order is OperatorOrder.RECORD:
             refusal = f"{request.order.value} is an order of MQTT and MAVLink"
         else:
             refusal = self.order(request.order, given_at(self._clock.now(), age_s))
         accepted = "sent until the vehicle reports it" if request.order is OperatorOrder.EMERGENCY else "accepted"
         text = accepted if refusal is None else f"refused: {self._sender.reads(refusal)}"
         return OrderAnswer(number=request.number, accepted=refusal is None, text=text)
-
-    def steer_by(self, path: PathName) -> str | None:
-        """Steer by another path of the estimator."""
-        return self._tell(OperatorOrder.PATH, self._pilot.steer_by(path), path)
 
     def record(self, on: bool) -> str | None:
         """Start or stop recording."""

@@ -387,7 +387,7 @@ async def live(daemon: Daemon, pilot: Pilot, *, stays: bool = False) -> FlightOu
     """Run the daemon, and heed signals.
 
     SIGINT and SIGTERM end it in order: the vehicle holds, recordings are closed. SIGQUIT does the same after the log
-    has each thread's stack. SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it. Python ignores SIGPIPE: the write fails.
+    has each thread's stack. SIGUSR1 begins (or resumes) the approach, SIGUSR2 holds it. Python ignores SIGPIPE: the write fails.
 
     Args:
         stays: a terminal that hangs up (SIGHUP) or Ctrl-Z (SIGTSTP) is logged and not followed: a drone in the air cannot

@@ -21,7 +21,7 @@ def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = 
     loop = Loop(automatic=automatic, flying=flying)
     loop.pilot.landing.before, loop.now = before, ns(102.0)
     if hold:
-        loop.pilot.pause()
+        loop.pilot.hold()
     loop.tick("no frames")
     return loop
 

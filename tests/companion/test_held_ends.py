@@ -40,7 +40,7 @@ def test_a_held_drone_ends_as_its_person_has_chosen_and_by_default_on_the_deck(s
 def test_an_order_that_calls_the_end_off_stands_for_the_flight(state: State) -> None:
     why = Reason(ReasonCause.LANDS_HERE, 4.0, 5.0)
     p = entered(memory(state, 60.0), StateChange(ns(NOW), state, Event.LAND, State.LAND_HERE, why))
-    p = entered(p, StateChange(ns(NOW), State.LAND_HERE, Event.PAUSE, State.PAUSED, Reason(ReasonCause.OPERATOR)))
+    p = entered(p, StateChange(ns(NOW), State.LAND_HERE, Event.HOLD, State.PAUSED, Reason(ReasonCause.OPERATOR)))
     later = replace(p, since=ns(NOW - 60.0))
     assert first(later, cycle(sees(), battery=0.03), LANDS) is None
     again = entered(later, StateChange(ns(NOW), State.LANDED, Event.TAKEN_OFF, State.READY, why))
@@ -66,7 +66,7 @@ def test_an_autopilot_flies_back_with_the_last_charge_where_the_settings_say_so(
 
 
 @pytest.mark.hazard("H6")
-@pytest.mark.parametrize("order", [Event.PAUSE, Event.ABORT])
+@pytest.mark.parametrize("order", [Event.HOLD, Event.ABORT])
 @pytest.mark.parametrize("state", [State.PAUSED, State.ABORTED, State.REFUSED, State.GAVE_UP])
 def test_a_way_back_or_elsewhere_that_began_by_itself_ends_by_an_order_for_the_flight(state: State, order: Event) -> None:
     """An order to hold was refused while a drone that had refused its landing flew back, as its flight was over."""
@@ -86,11 +86,11 @@ def test_a_way_back_or_elsewhere_that_began_by_itself_ends_by_an_order_for_the_f
 @pytest.mark.parametrize(
     ("order", "by_hand", "options", "said"),
     [
-        (Event.PAUSE, False, WORD, "it holds on until it falls: land it"),
+        (Event.HOLD, False, WORD, "it holds on until it falls: land it"),
         (Event.ABORT, False, WORD, "it holds on until it falls: land it"),
-        (Event.PAUSE, False, LANDS, "at 10 % it lands on a pad in sight, at 5 % where it is"),
-        (Event.PAUSE, False, RETURNS, "at 5 % it flies back by the autopilot's own return"),
-        (Event.PAUSE, True, LANDS, "whoever flies it has to land it before"),
+        (Event.HOLD, False, LANDS, "at 10 % it lands on a pad in sight, at 5 % where it is"),
+        (Event.HOLD, False, RETURNS, "at 5 % it flies back by the autopilot's own return"),
+        (Event.HOLD, True, LANDS, "whoever flies it has to land it before"),
         (None, False, WORD, "it holds on until it falls: land it"),
     ],
 )

@@ -49,7 +49,7 @@ def test_the_order_is_taken_in_every_state_of_a_flight(state: State, mission: An
     assert p.lands_here
     on_deck = mission == "cone" and state in (State.PRESS, State.DOWN)
     assert p.state is (state if on_deck else State.LAND_HERE)
-    for event, target in ((Event.PAUSE, State.PAUSED), (Event.ABORT, State.ABORTED), (Event.BEGIN, State.SEARCH)):
+    for event, target in ((Event.HOLD, State.PAUSED), (Event.ABORT, State.ABORTED), (Event.BEGIN, State.SEARCH)):
         ended, _ = take_order(p, event, ns(1.0), o)
         assert not ended.lands_here
         assert ended.state is (p.state if on_deck and event is Event.BEGIN else target)
@@ -130,7 +130,7 @@ def test_whatever_is_seen_and_felt_it_goes_down_until_a_person_ends_it(
         waits = 0.0 if p.in_state_s(ns(t)) <= 8.1 else 0.1
         assert isinstance(aim, Land) or (down is not None and down >= (-1.0 if p.state is State.LAND_HERE and d else waits))
         assert mission != "targets" or aim == Land(here=True)
-    p, _ = take_order(p, Event.PAUSE, ns(t), o)
+    p, _ = take_order(p, Event.HOLD, ns(t), o)
     assert p.state is State.PAUSED
 
 

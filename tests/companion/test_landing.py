@@ -342,7 +342,7 @@ def test_an_order_of_a_person_counts_from_the_newest_instant_that_is_known() -> 
     assert landing.mission.asked_at == ns(3.1)
     landing = in_flight()
     landing.command(knowing(4.0, landing))
-    landing.order(Event.PAUSE)
+    landing.order(Event.HOLD)
     assert [(c.at, c.target) for c in landing.changed()][-1] == (ns(4.0), State.PAUSED)
     assert landing.changed() == ()
 

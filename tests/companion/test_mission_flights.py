@@ -31,7 +31,7 @@ from tests.make import change, deck, estimate, ns, status
 
 DT = 0.05
 KINDS = ("fresh", "fresh", "gate", "none", "stale", "inconsistent", "another")
-ACTS = (None, Event.STAY, Event.STAY, Event.BEGIN, Event.PAUSE, "taken", "given back")
+ACTS = (None, Event.STAY, Event.STAY, Event.BEGIN, Event.HOLD, "taken", "given back")
 WAY_DOWN = [State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN]
 
 
@@ -268,7 +268,7 @@ def test_on_its_own_it_takes_another_pad_only_where_set_so_only_high_up_and_only
 
 @pytest.mark.parametrize("over_ground", [False, True])
 @pytest.mark.parametrize("blind_sigma_m", [1.0, 0.05])
-@pytest.mark.parametrize("order", [Event.PAUSE, Event.ABORT, None])
+@pytest.mark.parametrize("order", [Event.HOLD, Event.ABORT, None])
 def test_still_means_still_against_the_deck(order: Event | None, blind_sigma_m: float, over_ground: bool) -> None:
     """The pad sails away at 1.5 m/s; paused, aborted and blind, with an estimate or none, the point stays and loses no height."""
     options = guided(tries={"blind_sigma_m": blind_sigma_m})
@@ -291,11 +291,11 @@ def test_until_a_landing_is_requested_nothing_but_the_vehicles_own_hover_is_comm
     o, seen = GuidanceOptions(), estimate(0.2, [2.5, 0.3, 3.0], v=(1.0, 0.0, 0.0))
     s = holding(GuidanceCycle(ns(0.2), Knowledge(ns(0.2), seen)), over_ground)
     p, _ = take_status(Progress.start(automatic=False), status(0.0, True), o)
-    for order in (None, Event.ABORT, Event.PAUSE):
+    for order in (None, Event.ABORT, Event.HOLD):
         held = p if order is None else take_order(p, order, ns(0.1), o)[0]
         assert isinstance(mission_step(held, s, o)[1], Hover)
     # Held in the same flight it stays with the deck; in the next one it is left alone again.
-    for order, state in ((Event.BEGIN, State.INTERCEPT), (Event.PAUSE, State.PAUSED)):
+    for order, state in ((Event.BEGIN, State.INTERCEPT), (Event.HOLD, State.PAUSED)):
         held, aim, _ = mission_step(take_order(held, order, ns(0.2), o)[0], s, o)
         assert (held.state, isinstance(aim, Target)) == (state, True)
     stands, _ = take_status(held, status(0.2, False), o)
@@ -338,7 +338,7 @@ def test_no_order_to_stay_begins_a_landing_whatever_is_seen_or_taken(acts: Any, 
     for act, kind, ticks in acts:
         if isinstance(act, Event):
             p, _ = take_order(p, act, ns(t), o)
-            ordered = act is Event.STAY or (ordered and act is Event.PAUSE)
+            ordered = act is Event.STAY or (ordered and act is Event.HOLD)
         elif act is not None:
             given = replace(status(t + 0.01, True), taken="mode stabilize" if act == "taken" else None)
             p, _ = take_status(p, given, o, resumes=True)

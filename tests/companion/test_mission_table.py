@@ -67,7 +67,7 @@ def breach(name: str, state: State, event: Event) -> str:
         "an end is left by a take-off, the operator, a pilot or a battery that ends": state not in ENDED
         or event in (Event.TAKEN_OFF, Event.TAKEN)
         or (event in (Event.BEGIN, Event.STAY, Event.LAND) and state in AGAIN)
-        or (event in (Event.PAUSE, Event.ABORT) and state in BY_ITSELF)
+        or (event in (Event.HOLD, Event.ABORT) and state in BY_ITSELF)
         or (event is Event.BATTERY_ENDS and state in BY_ITSELF | {State.ABORTED}),
         "the ground is left by a take-off": state not in GROUND or target in GROUND | ENDED or event is Event.TAKEN_OFF,
         "no order to fly to the pad is kept on the ground": state not in GROUND
@@ -88,13 +88,13 @@ def test_the_operators_hand_wins_in_every_state_of_the_flight(name: str) -> None
         assert table[state][Event.LAND] is State.LAND_HERE
     for state in AIRBORNE:
         assert table[state][Event.ABORT] is State.ABORTED
-        assert table[state][Event.PAUSE] is State.PAUSED
+        assert table[state][Event.HOLD] is State.PAUSED
     for state in (State.READY, State.PAUSED, State.ANOTHER_PAD, State.LAND_HERE, *AGAIN):
         assert table[state][Event.BEGIN] is table[state][Event.STAY] is State.SEARCH
     assert table[State.STAY][Event.BEGIN] is State.SEARCH
     for state in ENDED:
         ends = (State.PAUSED, State.ABORTED) if state in BY_ITSELF else (state, state)
-        assert (table[state][Event.PAUSE], table[state][Event.ABORT]) == ends
+        assert (table[state][Event.HOLD], table[state][Event.ABORT]) == ends
 
 
 @pytest.mark.parametrize("name", MISSIONS)
@@ -188,9 +188,9 @@ def test_a_vehicle_that_does_not_say_whether_it_flies_changes_nothing(state: Sta
 def test_an_order_that_the_state_does_not_know_leaves_no_trace() -> None:
     p = in_state(State.SEARCH)
     assert take_order(p, Event.BEGIN, ns(1), OPTIONS) == (p, ())
-    moved, changes = take_order(p, Event.PAUSE, ns(1), OPTIONS)
+    moved, changes = take_order(p, Event.HOLD, ns(1), OPTIONS)
     assert moved.state is State.PAUSED
-    assert events_of(changes) == [(ns(1), State.SEARCH, Event.PAUSE, State.PAUSED, ReasonCause.OPERATOR)]
+    assert events_of(changes) == [(ns(1), State.SEARCH, Event.HOLD, State.PAUSED, ReasonCause.OPERATOR)]
 
 
 def test_events_that_undo_each_other_do_not_hold_the_cycle_up(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -133,7 +133,7 @@ def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
             if step == 100:
                 pilot.begin()
             if step == 150:
-                pilot.pause()
+                pilot.hold()
             if step == 200:
                 pilot.abort()
             flight.step()

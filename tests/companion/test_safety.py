@@ -172,14 +172,14 @@ def test_no_history_of_faults_makes_it_descend_without_a_fresh_consistent_estima
             assert around <= 2 * (TRIES.go_arounds_max + 1)
             before = loop.pilot.state.value
             if loop.ticks == pause_at:
-                loop.pilot.pause()
+                loop.pilot.hold()
                 assert not descends(paused := loop.tick(fault)) or fit_to_steer(paused.belief, paused.at, GUIDANCE.stale_after_s)
                 loop.pilot.begin()
                 flown, around, landing_s = None, 0, 0.0
 
 
 @pytest.mark.hazard("H6")
-@pytest.mark.parametrize("word", ["pause", "abort"])
+@pytest.mark.parametrize("word", ["hold", "abort"])
 def test_the_operator_has_the_last_word_even_over_a_landing(word: str) -> None:
     loop = Loop()
     loop.until(lambda decision: isinstance(decision.command, Land))

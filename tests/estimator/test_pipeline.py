@@ -105,20 +105,12 @@ def test_an_old_sighting_is_a_wide_one_on_every_path() -> None:
 NOW = MonoNs(10**9)
 
 
-def test_another_path_steers_on_with_what_it_knows_and_one_that_did_not_run_begins_empty() -> None:
+def test_the_chosen_path_steers_and_the_others_run_beside_it() -> None:
     memory = hovering()
     first, second = memory.all_at(NOW)
     steering = memory.at(NOW)
-    assert (steering.path, equal(steering, first)) == ("dead_reckoning", True)
+    assert (steering.path, equal(steering, first), second.path) == ("dead_reckoning", True, "median_mean")
     assert {"range_agrees", "heading_off_rad"} <= dict(steering.details).keys()
-    memory.steer_by("median_mean")
-    assert (memory.path, memory.paths) == ("median_mean", ["median_mean", "dead_reckoning"])
-    after = memory.at(NOW)
-    assert (after.path, equal(after, second)) == ("median_mean", True)
-    memory.steer_by("ekf")
-    assert memory.paths == ["ekf", "median_mean", "dead_reckoning"]
-    assert memory.at(NOW) is None
-    assert equal(memory.all_at(NOW)[1], first)
 
 
 def test_a_sighting_of_another_place_is_refused_before_every_path_once_the_pad_was_fused() -> None:
@@ -185,17 +177,14 @@ def test_what_the_steering_path_refuses_is_no_place_of_the_pad_to_the_guard() ->
 
 
 def test_motion_and_forecast_are_those_of_the_path_that_steers() -> None:
-    memory = RelativeEstimator(EstimatorOptions(path="ekf"), shadows=("median_mean",))
-    for i in range(200):
-        memory, _ = feed(memory, at_rest(i / 200))
-        if i % 7 == 0 and i > 20:
-            memory.put([seen_at(i / 200 - 0.1, (0.5, -0.2, 2.0))])
-    _, deck = memory.motion(NOW)
-    assert deck is not None
-    assert memory.forecast(NOW, [1.0]) is not None
-    memory.steer_by("median_mean")
-    assert memory.motion(NOW) == (None, None)
-    assert memory.forecast(NOW, [1.0]) is None
+    for path, shadow in (("ekf", "median_mean"), ("median_mean", "ekf")):
+        memory = RelativeEstimator(EstimatorOptions(path=path), shadows=(shadow,))
+        for i in range(200):
+            memory, _ = feed(memory, at_rest(i / 200))
+            if i % 7 == 0 and i > 20:
+                memory.put([seen_at(i / 200 - 0.1, (0.5, -0.2, 2.0))])
+        knows = path == "ekf"
+        assert (memory.motion(NOW)[1] is not None, memory.forecast(NOW, [1.0]) is not None) == (knows, knows)
 
 
 def test_the_largest_delay_and_the_least_confidence_are_allowed_themselves() -> None:

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 
 from companion.base.orders import OperatorOrder
 from companion.parts.mavlink.commands import LandingProgress
-from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
 
 
@@ -22,10 +21,7 @@ class FakeOperator:
         return self.cannot
 
     def order(self, order: OperatorOrder, given_at: MonoNs | None = None) -> str | None:
-        return self._do({OperatorOrder.BEGIN: "start", OperatorOrder.HOLD: "pause"}.get(order, order.value))
-
-    def steer_by(self, path: PathName) -> str | None:
-        return self._do(f"path {path}")
+        return self._do(order.value)
 
     def record(self, on: bool) -> str | None:
         return self._do(f"record {on}")

@@ -193,7 +193,7 @@ class Guidance:
         self.begin(at)
         self.lands_here, self.command = True, SINKS
 
-    def pause(self, why: object = None) -> None:
+    def hold(self, why: object = None) -> None:
         self.paused, self.lands_here, self.command = True, False, Hover()
 
     def abort(self) -> None:

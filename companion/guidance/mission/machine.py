@@ -141,23 +141,23 @@ def take(p: Progress, event: Event, reason: Reason, at: MonoNs, o: GuidanceOptio
 
 
 def take_order(p: Progress, event: Event, at: MonoNs, o: GuidanceOptions, why: Reason = ORDERED) -> tuple[Progress, Transitions]:
-    """Take an order: LAND, BEGIN, STAY, PAUSE or ABORT; the newest one gives a pause its reason."""
+    """Take an order: LAND, BEGIN, STAY, HOLD or ABORT; the newest one gives a hold its reason."""
     touched = p.state in (State.PRESS, State.DOWN) and o.mission == "cone"
     if event is Event.LAND and (touched or p.state is State.LAND_HERE):
         # On the deck the order decides what follows a bounce.
         return replace(p, here=replace(p.here or Here(), after=None)), ()
     if event is Event.BEGIN and touched:
         return replace(p, here=None), ()
-    if event in (Event.PAUSE, Event.ABORT) and p.stood and p.state in ENDED:
+    if event in (Event.HOLD, Event.ABORT) and p.stood and p.state in ENDED:
         # What stands is held by nothing, and its flight ended as it did.
         return p, ()
-    if event in (Event.PAUSE, Event.ABORT) and isinstance(p.kept, waiting.Returning):
+    if event in (Event.HOLD, Event.ABORT) and isinstance(p.kept, waiting.Returning):
         p = replace(p, kept=None, end_begun=True)
     if event in (Event.BEGIN, Event.STAY) and p.stays != (event is Event.STAY):
         # On the way to the pad the order alone decides what follows there.
         p = replace(p, stays=event is Event.STAY)
     p, changes = take(p, event, why, at, o)
-    return (replace(p, reason=why) if event is Event.PAUSE and p.state is State.PAUSED else p), changes
+    return (replace(p, reason=why) if event is Event.HOLD and p.state is State.PAUSED else p), changes
 
 
 def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resumes: bool = False) -> tuple[Progress, Transitions]:

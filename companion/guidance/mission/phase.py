@@ -24,7 +24,7 @@ from estimator.contracts.time import seconds_between
 
 GROUNDED: Row = {Event.CUT: State.EMERGENCY, Event.GROUNDED: State.LANDED, Event.GROUNDED_BY_OTHERS: State.LANDED_BY_OTHERS}
 HELD: Row = {**GROUNDED, Event.ABORT: State.ABORTED, Event.LAND: State.LAND_HERE}
-FLIGHT: Row = {**HELD, Event.PAUSE: State.PAUSED}
+FLIGHT: Row = {**HELD, Event.HOLD: State.PAUSED}
 OVER: Row = {Event.TIPPED: State.DOWN}
 LANDING: Row = {**FLIGHT, **OVER, Event.TAKEN: State.TAKEN}
 AROUND: Row = {Event.LIMIT: State.GO_AROUND, Event.TIMEOUT: State.GO_AROUND}

@@ -99,13 +99,13 @@ _NEXT: Row = {Event.TAKEN_OFF: State.READY}
 _SEARCHES: Row = {Event.BEGIN: State.SEARCH, Event.STAY: State.SEARCH}
 _AGAIN: Row = {**_NEXT, **_SEARCHES, Event.LAND: State.LAND_HERE}
 _HOVERS: Row = {**_AGAIN, **OVER, Event.TAKEN: State.TAKEN}
-_TRIES_AGAIN: Row = {**_HOVERS, Event.BATTERY_ENDS: State.SEARCH, Event.PAUSE: State.PAUSED, Event.ABORT: State.ABORTED}
+_TRIES_AGAIN: Row = {**_HOVERS, Event.BATTERY_ENDS: State.SEARCH, Event.HOLD: State.PAUSED, Event.ABORT: State.ABORTED}
 
 PHASES = {
     State.STANDBY: Phase("The vehicle is on the ground, or its state is unknown.", {**_NEXT, Event.ABORT: State.ABORTED}),
     State.WAIT: Phase(
         "The vehicle does not fly yet; by the settings a landing begins as soon as it does.",
-        {Event.PAUSE: State.STANDBY, Event.TAKEN: State.STANDBY, Event.TAKEN_OFF: State.SEARCH, Event.ABORT: State.ABORTED},
+        {Event.HOLD: State.STANDBY, Event.TAKEN: State.STANDBY, Event.TAKEN_OFF: State.SEARCH, Event.ABORT: State.ABORTED},
     ),
     State.READY: Phase(
         "Flying, in its own hover until somebody requests a landing; an autopilot stays with whoever flies it.",

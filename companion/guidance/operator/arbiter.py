@@ -75,7 +75,7 @@ class Guided(Protocol):
 
     def stay(self, at: MonoNs) -> None: ...
 
-    def pause(self, why: Reason = ORDERED) -> None: ...
+    def hold(self, why: Reason = ORDERED) -> None: ...
 
     def abort(self) -> None: ...
 
@@ -286,7 +286,7 @@ class OperatorArbiter:
             if control.sticks_at is None or seconds_between(control.sticks_at, now) > self._o.silence_s:
                 self._hold(control.hand, now, f"nothing received from {control.hand} for {self._o.silence_s:g} s")
             else:
-                self._guided.pause()
+                self._guided.hold()
         if control.called_off is not None and control.passed_s(now) > _CALL_OFF_S:
             self._control = replace(self._control, called_off=None)
         self._follow_motors(now, status)
@@ -356,7 +356,7 @@ class OperatorArbiter:
         held_back = fenced_s >= self._limits.fence_ends_s and not self._lands
         if not manual and held_back and not self._guided.paused and self._guided.outcome is None:
             why = f"{Limit.FENCE.value} held guidance back for {self._limits.fence_ends_s:g} s"
-            self._guided.pause(Reason(ReasonCause.SERVICE, detail=why))
+            self._guided.hold(Reason(ReasonCause.SERVICE, detail=why))
             self._stops = self._stops.on_stop(Stop.HOLD, now, why)
             self.tell(HandledOrder(now, OrderSender(OrderSource.LIMITS), OperatorOrder.HOLD, None, f"({why})"))
             self._limited = replace(self._limited, ended=f"landing ended: {why}")
@@ -472,7 +472,7 @@ class OperatorArbiter:
         control, guided = self._control, self._guided
         if order is OperatorOrder.CLEAR:
             guided.overrule()
-        if order in (OperatorOrder.PATH, OperatorOrder.RECORD, OperatorOrder.CLEAR):
+        if order in (OperatorOrder.RECORD, OperatorOrder.CLEAR):
             return
         self._control = control = replace(control, accepted=(order, given), passed_at=None)
         self._stops = self._stops.on_order(order, given.sender, given.at)
@@ -484,7 +484,7 @@ class OperatorArbiter:
                 ended = given if self._lands else None
                 by_hand = replace(control, hand=given.sender, sticks=CENTRED, sticks_at=given.at, moved_at=given.at)
                 self._control = replace(by_hand, landing=None, called_off=ended)
-                guided.pause()
+                guided.hold()
             case OperatorOrder.LAND:
                 flying = None if guided.vehicle is None else guided.vehicle.flying
                 aloft, unheard = guided.may_begin and flying is not False, flying is None
@@ -496,12 +496,12 @@ class OperatorArbiter:
                 self._control = replace(control, hand=None, take_off=None, landing=None, called_off=given)
                 watch = Reason(ReasonCause.SERVICE, detail=given.sender.name.strip("()"))
                 why = watch if given.sender.source is OrderSource.LIMITS else ORDERED
-                guided.abort() if order is OperatorOrder.ABORT else guided.pause(why)
+                guided.abort() if order is OperatorOrder.ABORT else guided.hold(why)
             case OperatorOrder.TAKE_OFF:
                 # During a landing it may only end that: the motors of a vehicle that has just touched down would start.
                 begins, ends = (None, given) if self._lands else (given, None)
                 if ends is not None:
-                    guided.pause()
+                    guided.hold()
                 self._control = replace(control, take_off=begins, called_off=ends, landing=None)
             case OperatorOrder.BEGIN | OperatorOrder.STAY:
                 self._control = replace(control, hand=None)
@@ -516,5 +516,5 @@ class OperatorArbiter:
         self._stops = self._stops.on_stop(Stop.HOLD, now, why)
         self._control = replace(self._control, hand=None, sticks=CENTRED)
         self.hand_taken = sender, f"{why}: it hovers"
-        self._guided.pause(Reason(ReasonCause.SERVICE, detail=why))
+        self._guided.hold(Reason(ReasonCause.SERVICE, detail=why))
         self.tell(HandledOrder(now, sender, OperatorOrder.HOLD, None, f"({why})"))

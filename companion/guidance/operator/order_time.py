@@ -64,7 +64,6 @@ ENDED_BY: Mapping[OperatorOrder, frozenset[Stop]] = MappingProxyType({
     OperatorOrder.RELEASE: frozenset({Stop.MANUAL}),
     OperatorOrder.RESET: frozenset({Stop.EMERGENCY}),
     OperatorOrder.CLEAR: _ALL,
-    OperatorOrder.PATH: frozenset(),
     OperatorOrder.RECORD: frozenset(),
 })  # fmt: skip
 """The stops after which each order is not carried out any more, if it was given before them."""

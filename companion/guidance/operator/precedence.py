@@ -28,7 +28,7 @@ class ControlSituation(Enum):
     GUIDED = "guided"
     """Guidance commands the vehicle, or waits for the start."""
     HELD = "held"
-    """A person has paused guidance."""
+    """A person holds the vehicle."""
     OVER = "over"
     """Guidance or a person has ended the attempt; the vehicle hovers, or somebody else flies it."""
     MANUAL = "by hand"
@@ -99,7 +99,6 @@ TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyTyp
         OperatorOrder.RELEASE: _row(_N, _N, _N, _N, _N, _N, _H, _N, _N, _N),
         OperatorOrder.RESET: _row(_X, _X, _X, _X, _X, _X, _X, _X, _Y, _Y),
         OperatorOrder.CLEAR: _row(_Y, _G, _G, _Y, _Y, _Y, _H, _Y, _C, _E),
-        OperatorOrder.PATH: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
         OperatorOrder.RECORD: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
     }
 )

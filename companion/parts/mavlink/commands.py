@@ -10,7 +10,6 @@ A command does not say when it was given: its time of arrival counts. A stop is 
 | NAV_LOITER_UNLIM (17) | fly over the pad and stay there; its place and radius are the pad's and the settings' |
 | DO_PAUSE_CONTINUE (193) | param1 0: hover where it is; 1: go on |
 | DO_GO_AROUND (191) | call the landing off and hover |
-| USER_1 (31010) | param1: estimator path, 0 median_mean, 1 dead_reckoning, 2 ekf, 3 constant_velocity |
 | LOGGING_START (2510), LOGGING_STOP (2511) | start or stop a recording |
 | REQUEST_MESSAGE (512), SET_MESSAGE_INTERVAL (511), GET_MESSAGE_INTERVAL (510) | of our own messages |
 
@@ -40,7 +39,7 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import Links, ReceivedMessage
 from estimator.contracts.address import raw
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 CAPABILITIES = int(
@@ -173,8 +172,6 @@ class ParameterServer:
 
 
 COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
-PATHS: tuple[PathName, ...] = ("median_mean", "dead_reckoning", "ekf", "constant_velocity")
-"""Estimator paths by the number that a command carries."""
 ACCEPTED, DENIED, UNSUPPORTED = int(mav.MAV_RESULT_ACCEPTED), int(mav.MAV_RESULT_DENIED), int(mav.MAV_RESULT_UNSUPPORTED)
 FAILED, IN_PROGRESS = int(mav.MAV_RESULT_FAILED), int(mav.MAV_RESULT_IN_PROGRESS)
 CANCELLED = 6
@@ -396,16 +393,13 @@ class CommandServer:
             return result, []
         if command == mav.MAV_CMD_DO_PAUSE_CONTINUE:
             if first not in (0.0, 1.0):
-                return self._denied(f"pause or continue, not {first:g}"), []
+                self.refusal = f"pause or continue, not {first:g}"
+                return DENIED, []
             return self._handler(self._operator.order(OperatorOrder.BEGIN if first else OperatorOrder.HOLD)), []
         if command == mav.MAV_CMD_NAV_LOITER_UNLIM:
             return self._handler(self._operator.order(OperatorOrder.STAY)), []
         if command == mav.MAV_CMD_DO_GO_AROUND:
             return self._handler(self._operator.order(OperatorOrder.ABORT)), []
-        if command == mav.MAV_CMD_USER_1:
-            if not math.isfinite(first) or first not in range(len(PATHS)):
-                return self._denied(f"no estimator path {first:g}"), []
-            return self._handler(self._operator.steer_by(PATHS[int(first)])), []
         if command in (mav.MAV_CMD_LOGGING_START, mav.MAV_CMD_LOGGING_STOP):
             return self._handler(self._operator.record(command == mav.MAV_CMD_LOGGING_START)), []
         return self._about_messages(command, params, now)
@@ -430,10 +424,6 @@ class CommandServer:
     def _handler(self, refusal: str | None) -> int:
         self.refusal = refusal
         return ACCEPTED if refusal is None else _REFUSED
-
-    def _denied(self, why: str) -> int:
-        self.refusal = why
-        return DENIED
 
 
 _log = logging.getLogger(__name__)

@@ -14,7 +14,6 @@ from msgspec import Meta, Struct
 
 from companion.facts.records import BeliefRecord, DecisionRecord, DetectionRecord, FusionRecord, HealthRecord, StatusRecord
 from companion.facts.wire import read
-from estimator.contracts.estimates import PathName
 
 ROOT = "decklander/v2"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
@@ -159,34 +158,20 @@ class TakingCommand(OperatorCommand, frozen=True, kw_only=True):
     given_ns: int
 
 
-class StartCommand(TakingCommand, frozen=True, kw_only=True, tag="start"):
+class BeginCommand(TakingCommand, frozen=True, kw_only=True, tag="begin"):
     """Begin or resume the approach."""
 
 
-class BeginCommand(StartCommand, frozen=True, kw_only=True, tag="begin"):
-    """The same as `start`, by the word of page and terminal."""
-
-
 class StayCommand(TakingCommand, frozen=True, kw_only=True, tag="stay"):
-    """Fly over the pad, and wait there until `start`."""
+    """Fly over the pad, and wait there until `begin`."""
 
 
-class PauseCommand(OperatorCommand, frozen=True, kw_only=True, tag="pause"):
-    """Hover until `start`."""
-
-
-class HoldCommand(PauseCommand, frozen=True, kw_only=True, tag="hold"):
-    """The same as `pause`, by the word of page and terminal."""
+class HoldCommand(OperatorCommand, frozen=True, kw_only=True, tag="hold"):
+    """Hover until `begin`."""
 
 
 class AbortCommand(OperatorCommand, frozen=True, kw_only=True, tag="abort"):
     """Hover and end the approach."""
-
-
-class SetPathCommand(OperatorCommand, frozen=True, kw_only=True, tag="path"):
-    """Select the estimator path that steers."""
-
-    path: PathName
 
 
 class SetRecordingCommand(OperatorCommand, frozen=True, kw_only=True, tag="record"):
@@ -220,10 +205,9 @@ class ShipReport(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             raise ValueError("speed_m_s and course_deg need each other")
 
 
-PlainCommand = StartCommand | BeginCommand | StayCommand | PauseCommand | HoldCommand | AbortCommand
-Command = PlainCommand | SetPathCommand | SetRecordingCommand
-OTHER_WORDS = {"start": "begin", "pause": "hold"}
-"""Commands by words that are no order's; every other command without fields has the word of its order."""
+PlainCommand = BeginCommand | StayCommand | HoldCommand | AbortCommand
+"""The commands without fields of their own; each has the word of its order."""
+Command = PlainCommand | SetRecordingCommand
 
 Refusal = Literal[
     "malformed",

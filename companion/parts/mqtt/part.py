@@ -37,16 +37,14 @@ from companion.parts.mqtt import encode as encoding
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, client_id, connect, renewed_endpoint
 from companion.parts.mqtt.encode import Changes, PendingEvent, order_event
 from companion.parts.mqtt.messages import (
-    OTHER_WORDS,
     AbortCommand,
     Command,
     CommandReply,
     EventData,
+    HoldCommand,
     Message,
     OperatorNotice,
-    PauseCommand,
     Refusal,
-    SetPathCommand,
     SetRecordingCommand,
     ShipReport,
     StatusMessage,
@@ -186,7 +184,7 @@ class CommandHandler:
             to = wished or to
             command = _decoded(body, self._decoder)
             name = str(command.__struct_config__.tag)
-            stops = isinstance(command, PauseCommand | AbortCommand)
+            stops = isinstance(command, HoldCommand | AbortCommand)
             if (known := self._answered.get(command.id)) is not None and not stops:
                 self.counts["repeated"] += 1
                 return HandledCommand(known, to, name, repeated=True)
@@ -212,8 +210,6 @@ class CommandHandler:
         if command.expires_ns > after(now, FARTHEST_S):
             raise RefusedMessage("expiry_too_far", f"it may expire {FARTHEST_S:.0f} s from now at most")
         match command:
-            case SetPathCommand():
-                cannot = self.operated.steer_by(command.path)
             case SetRecordingCommand():
                 cannot = self.operated.record(command.on)
             case TakingCommand():
@@ -226,8 +222,7 @@ class CommandHandler:
 
 
 def _order_of(command: Command) -> OperatorOrder:
-    word = str(command.__struct_config__.tag)
-    return OperatorOrder(OTHER_WORDS.get(word, word))
+    return OperatorOrder(command.__struct_config__.tag)
 
 
 def _named_in(payload: bytes) -> tuple[str | None, str | None]:

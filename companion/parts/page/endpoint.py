@@ -165,7 +165,7 @@ def _figures(health: HealthSnapshot) -> Iterator[tuple[str, str]]:
         yield "frames used", f"{100 * health.frames.get(Verdict.FUSED.value, 0) / frames:.0f} % of {frames}"
 
 
-ORDERS = tuple(order for order in OperatorOrder if order not in (OperatorOrder.PATH, OperatorOrder.RECORD))
+ORDERS = tuple(order for order in OperatorOrder if order is not OperatorOrder.RECORD)
 """The orders that the page may give."""
 WRONG_TOKEN_CODE, FULL_CODE, GOING_CODE = 4401, 4409, 1001
 _STATE_S, _HEALTH_EACH = 0.1, 10

@@ -226,7 +226,7 @@ class Replay:
     def _follow_operator(self, phase: str) -> None:
         """Follow the operator's commands as they show in the phases: old recordings hold no orders."""
         if phase == "paused":
-            self._pilot.pause()
+            self._pilot.hold()
         elif phase == FlightOutcome.ABORTED.value:
             self._pilot.abort()
         elif phase in _FLOWN and self._phase not in _FLOWN:

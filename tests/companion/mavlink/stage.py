@@ -39,7 +39,7 @@ AUTOPILOT, US, STATION = (7, 1), (7, 191), (255, 190)
 _RANGES = {f"{sign}int{bits}_t": (0, 2**bits - 1) if sign else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
            for bits in (8, 16, 32, 64) for sign in ("u", "")}  # fmt: skip
 _FLOATS = [0.0, -0.0, 1.0, -1.0, 0.5, 1e-40, 1e6, -1e6, 1e38, -1e38, math.inf, -math.inf, math.nan]
-_COMMANDS = [21, 22, 17, 176, 191, 193, 400, 510, 511, 512, 2510, 2511, 31010]
+_COMMANDS = [21, 22, 17, 176, 191, 193, 400, 510, 511, 512, 2510, 2511]
 _MESSAGES = [0.0, 1.0, 2.0, 148.0, 251.0, 390.0, 396.0, 65535.0, 65536.0]
 NAMED: dict[str, st.SearchStrategy[Any]] = {
     "target_system": st.sampled_from([0, 7, 255]),

@@ -29,7 +29,7 @@ def command_message(number: int, *params: float) -> Message:
     return mav.MAVLink_command_long_message(*US, number, 0, *[*params, 0, 0, 0, 0, 0, 0, 0][:7])
 
 
-EVERY_COMMAND = [command_message(n) for n in (21, 193, 191, 31010, 2510, 2511, 511, 512)] + [
+EVERY_COMMAND = [command_message(n) for n in (21, 193, 191, 2510, 2511, 511, 512)] + [
     mav.MAVLink_param_set_message(*US, b"PID_H_KP", 0.9, 9)
 ]
 
@@ -125,7 +125,7 @@ async def test_the_ship_s_reports_come_from_one_port(stranger: socket.socket) ->
 async def test_what_a_router_forwards_from_the_autopilot_s_own_port_is_obeyed() -> None:
     async with bordered() as border:
         await border.send(command_message(193, 0), source=STATION)
-        assert border.tower.done == ["pause"]
+        assert border.tower.done == ["hold"]
 
 
 async def test_a_named_operator_is_obeyed_and_reported_from_its_first_port_alone(stranger: socket.socket) -> None:
@@ -133,9 +133,9 @@ async def test_a_named_operator_is_obeyed_and_reported_from_its_first_port_alone
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
             station.setblocking(False)
             await border.send(command_message(193, 0), wire=station, source=STATION)
-            assert border.tower.done == ["pause"]
+            assert border.tower.done == ["hold"]
             await border.send(command_message(191), wire=stranger, source=STATION)
-            assert border.tower.done == ["pause"]
+            assert border.tower.done == ["hold"]
             assert (193, ACCEPTED) in {(m.command, m.result) for m in border.answers(station) if m.get_type() == "COMMAND_ACK"}
             await border.told_of_the_pad()
             assert "LANDING_TARGET" in {m.get_type() for m in border.answers(station)}
@@ -153,11 +153,11 @@ async def test_a_peer_that_may_not_command_is_answered_and_reported_once(caplog:
                 for message in EVERY_COMMAND * 3:
                     await border.send(message, wire=station, source=STATION, link=1)
             answers = [m for m in border.answers(station) if m.get_type() == "COMMAND_ACK"]
-            assert {m.command for m in answers} == {21, 193, 191, 31010, 2510, 2511, 511, 512}
+            assert {m.command for m in answers} == {21, 193, 191, 2510, 2511, 511, 512}
             assert {m.result for m in answers} == {DENIED}
             assert border.tower.done == []
             assert setting(border) == before
-            assert border.component.refusals.counts == {"COMMAND_LONG": 24, "PARAM_SET": 3}
+            assert border.component.refusals.counts == {"COMMAND_LONG": 21, "PARAM_SET": 3}
             reported = [r.getMessage() for r in caplog.records if "is no operator" in r.getMessage()]
             assert len(reported) == 1
             assert "vehicle.operators" in reported[0]

@@ -173,7 +173,7 @@ async def test_commands_from_the_wire() -> None:
         fake.send(mav.MAVLink_command_long_message(7, 191, 193, 0, 0, 0, 0, 0, 0, 0, 0))
         fake.send(mav.MAVLink_command_long_message(7, 191, 512, 0, ComponentInformationBasic.id, 0, 0, 0, 0, 0, 0))
         await until(lambda: bool(fake.of("COMPONENT_INFORMATION_BASIC")))
-        assert stage.tower.done == ["pause"]
+        assert stage.tower.done == ["hold"]
         assert {(m.command, m.result) for m in fake.of("COMMAND_ACK")} == {(193, 0), (512, 0)}
         assert fake.of("COMPONENT_INFORMATION_BASIC")[0].vendor_name == "Decklander"
         stage.tower.cannot = "no recorder is set up"

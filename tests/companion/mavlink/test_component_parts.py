@@ -65,10 +65,10 @@ def acks(messages: list[Message]) -> list[tuple[int, int, int]]:
 @pytest.mark.parametrize(
     ("command", "params", "result", "done"),
     [
-        (193, (0,), ACCEPTED, ["pause"]), (193, (1,), ACCEPTED, ["start"]), (17, (0, 0, 0, math.nan), ACCEPTED, ["stay"]),
-        (191, (), ACCEPTED, ["abort"]), (31010, (0,), ACCEPTED, ["path median_mean"]), (31010, (2,), ACCEPTED, ["path ekf"]),
+        (193, (0,), ACCEPTED, ["hold"]), (193, (1,), ACCEPTED, ["begin"]), (17, (0, 0, 0, math.nan), ACCEPTED, ["stay"]),
+        (191, (), ACCEPTED, ["abort"]),
         (2510, (), ACCEPTED, ["record True"]), (2511, (), ACCEPTED, ["record False"]), (193, (7,), DENIED, []),
-        (193, (math.nan,), DENIED, []), (31010, (9,), DENIED, []), (31010, (0.5,), DENIED, []), (400, (1,), UNSUPPORTED, []),
+        (193, (math.nan,), DENIED, []), (400, (1,), UNSUPPORTED, []),
         (512, (math.nan,), UNSUPPORTED, []), (512, (1,), FAILED, []), (511, (2, -5), DENIED, []), (510, (-1,), DENIED, []),
     ],
 )  # fmt: skip
@@ -95,13 +95,13 @@ def test_a_repeat_is_answered_and_not_done_again() -> None:
     commands = server(tower)
     commands.on_message(long(193, 1), STATION, US, instant(0))
     assert acks(commands.on_message(long(193, 1, confirmation=1), STATION, US, instant(0.5))) == [(193, ACCEPTED, 0)]
-    assert tower.done == ["start"]
+    assert tower.done == ["begin"]
     commands.on_message(long(193, 0, confirmation=1), STATION, US, instant(1.0))
     commands.on_message(long(193, 1), STATION, US, instant(1.5))
-    assert tower.done == ["start", "pause", "start"], "another parameter, or given anew, is another command"
+    assert tower.done == ["begin", "hold", "begin"], "another parameter, or given anew, is another command"
 
 
-@pytest.mark.parametrize(("command", "done"), [(193, "pause"), (191, "abort")])
+@pytest.mark.parametrize(("command", "done"), [(193, "hold"), (191, "abort")])
 def test_a_stop_is_carried_out_each_time_it_comes(command: int, done: str) -> None:
     tower = FakeOperator()
     commands = server(tower)
@@ -141,7 +141,7 @@ def test_a_landing_reports_until_it_ends() -> None:
     tower.state = LandingProgress(100, landed=True)
     assert acks(commands.due(instant(2.3))) == [(21, ACCEPTED, 0)]
     assert commands.due(instant(9)) == []
-    assert tower.done == ["start"]
+    assert tower.done == ["begin"]
 
 
 @pytest.mark.parametrize(

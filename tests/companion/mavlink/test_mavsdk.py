@@ -71,10 +71,8 @@ async def test_mavsdk_discovers_receives_and_commands_us() -> None:
         assert (fields["x"], fields["y"], fields["z"]) == pytest.approx(tuple(expected), abs=0.01)
 
         assert (await command(direct, 193, param1=0))["result"] == 0
-        assert (await command(direct, 31010, param1=1))["result"] == 0
-        assert (await command(direct, 31010, param1=7))["result"] == 2
         assert (await command(direct, 400, param1=1))["result"] == 3
-        assert stage.tower.done == ["pause", "path dead_reckoning"]
+        assert stage.tower.done == ["hold"]
 
 
 async def test_a_landing_commanded_by_mavsdk_is_answered_when_it_is_over() -> None:
@@ -86,7 +84,7 @@ async def test_a_landing_commanded_by_mavsdk_is_answered_when_it_is_over() -> No
         try:
             await asyncio.sleep(1.5)
             assert not landing.done()
-            assert stage.tower.done == ["start"]
+            assert stage.tower.done == ["begin"]
             stage.tower.state = LandingProgress(100, landed=True)
             async with asyncio.timeout(60):
                 assert (await landing)["result"] == 0

@@ -119,19 +119,18 @@ async def test_a_command_is_carried_out_once_and_answered_where_it_asks(broker: 
 
         async with asyncio.timeout(60):
             assert rig.operator.done == [], "what the broker had retained does not reach us"
-            assert (await ask(command="start")).accepted
-            assert (await ask(command="start")).accepted
+            assert (await ask(command="begin")).accepted
+            assert (await ask(command="begin")).accepted
             to = TREE + "reply/tablet-1"
-            assert (await ask(command="path", path="median_mean", id="a2", reply_to=to)).accepted
             assert (await ask(command="record", on=True, id="a3", reply_to=to)).accepted
             assert (await ask(command="stay", id="a5", reply_to=to)).accepted
             late = await ask(command="abort", id="a4", expires_ns=rig.clock.now() - 1, reply_to=to)
             assert (late.id, late.accepted, late.reason) == ("a4", False, "expired")
             rig.operator.cannot = "the flight is over: landed"
-            cannot = await ask(command="pause", id="a6")
+            cannot = await ask(command="hold", id="a6")
             assert (cannot.reason, cannot.text) == ("not_possible", "the flight is over: landed")
-            assert rig.operator.done == ["start", "path median_mean", "record True", "stay"]
-        assert rig.count("commands_accepted") == 4
+            assert rig.operator.done == ["begin", "record True", "stay"]
+        assert rig.count("commands_accepted") == 3
         assert rig.count("commands_repeated") == 1
 
 
@@ -141,9 +140,9 @@ async def test_the_shipped_broker_configuration_serves_a_drone_that_has_its_user
     broker.start()
     async with running(broker.settings(drone="drone"), tmp_path / "own") as rig, broker.ground() as ground:
         await until(lambda: rig.count("events_delivered") >= 1)
-        command = {"command": "pause", "id": "x", "run": RUN, "expires_ns": rig.clock.now() + 30 * 10**9}
+        command = {"command": "hold", "id": "x", "run": RUN, "expires_ns": rig.clock.now() + 30 * 10**9}
         await ground.publish_message("decklander/v2/drone/command", json.dumps(command).encode(), qos=1)
-        await until(lambda: rig.operator.done == ["pause"])
+        await until(lambda: rig.operator.done == ["hold"])
     async with running(broker.settings(drone="other"), tmp_path / "others") as rig:
         await until(lambda: rig.count("connection_failures") + rig.count("events_refused") >= 1)
         assert rig.count("events_delivered") == 0

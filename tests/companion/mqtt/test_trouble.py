@@ -189,7 +189,7 @@ async def test_a_flood_of_commands_is_cut_off(broker: Broker, tmp_path: Path) ->
             flight = Flight(rig)
             flying = group.create_task(flight.fly())
             for k in range(3000):
-                command = {"command": "pause", "id": f"f{k}", "run": RUN, "expires_ns": rig.clock.now() + 10**10}
+                command = {"command": "hold", "id": f"f{k}", "run": RUN, "expires_ns": rig.clock.now() + 10**10}
                 await ground.publish_message("decklander/v2/deck/command", json.dumps(command).encode())
             await until(lambda: rig.count("floods") >= 1)
             await until(lambda: rig.count("connections") >= 2)
@@ -233,7 +233,7 @@ async def test_a_broker_of_the_older_version(broker: Broker, tmp_path: Path) -> 
         await until(lambda: rig.count("connections") == 1)
         await ground.subscribe("decklander/v2/deck/reply", qos=1)
         command = {
-            "command": "start",
+            "command": "begin",
             "id": "a",
             "run": RUN,
             "given_ns": rig.clock.now(),
@@ -242,7 +242,7 @@ async def test_a_broker_of_the_older_version(broker: Broker, tmp_path: Path) -> 
         await ground.publish_message("decklander/v2/deck/command", json.dumps(command).encode(), qos=1)
         async with asyncio.timeout(60):
             assert b'"accepted":true' in (await anext(ground.publications())).payload
-        assert rig.operator.done == ["start"]
+        assert rig.operator.done == ["begin"]
 
 
 async def ended_after_s(settings: MqttSettings, folder: Path, enough: Callable[[RunningPart], bool]) -> float:
@@ -488,9 +488,9 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
 
         try:
             assert (await wait(StatusMessage)).online
-            assert (await ask(command="path", path="median_mean")).accepted
+            assert (await ask(command="hold")).accepted
             assert (await ask(command="abort")).accepted
-            late = await ask(command="start")
+            late = await ask(command="begin")
             assert (late.reason, late.text) == ("not_possible", "the vehicle is silent")
             daemon.send_signal(signal.SIGTERM)
             farewell = await wait(StatusMessage)
@@ -503,7 +503,7 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
     assert daemon.returncode == 0, stderr.decode()
     assert events[0] == "service started"
     assert events[-1] == "service stopped"
-    assert {"command path accepted", "command abort accepted"} <= set(events)
+    assert {"command hold accepted", "command abort accepted"} <= set(events)
     assert any(text.startswith("aborted") for text in events)
-    assert "command start refused: the vehicle is silent" in events
+    assert "command begin refused: the vehicle is silent" in events
     assert "secret" not in stderr.decode()

@@ -45,7 +45,7 @@ from tests.support.waiting import until
 
 ROOT = Path(__file__).parents[3]
 NOW = MonoNs(5_000_000_000)
-GOOD: dict[str, Any] = {"command": "start", "id": "a", "run": RUN, "given_ns": NOW - 1, "expires_ns": NOW + 1}
+GOOD: dict[str, Any] = {"command": "begin", "id": "a", "run": RUN, "given_ns": NOW - 1, "expires_ns": NOW + 1}
 
 
 def command_handler() -> CommandHandler:
@@ -60,11 +60,11 @@ def command(**changes: object) -> bytes:
 @pytest.mark.parametrize(
     ("payload", "retained", "reason", "text"),
     [
-        (b"start", False, "malformed", "malformed"),
-        (command(command="fly"), False, "malformed", "'fly' - at `$.command`: known are start, begin, stay"),
+        (b"begin", False, "malformed", "malformed"),
+        (command(command="start"), False, "malformed", "'start' - at `$.command`: known are begin, stay, hold, abort, record"),
         (command(run=...), False, "malformed", "run"),
         (command(speed=3), False, "malformed", "speed"),
-        (command(command="path", path="luck"), False, "malformed", "luck"),
+        (command(command="record", on="luck"), False, "malformed", "$.on"),
         (command(id="x" * 65), False, "malformed", "64"),
         (b" " * (LONGEST_BYTES + 1), False, "too_long", "4097 bytes"),
         (command(), True, "retained", "retained"),
@@ -99,7 +99,7 @@ def test_an_answer_names_the_command_and_goes_where_it_is_wanted() -> None:
     st.binary(max_size=80)
     | st.text(max_size=80).map(str.encode)
     | st.dictionaries(
-        st.sampled_from([*GOOD, "path", "on", "reply_to", "x"]),
+        st.sampled_from([*GOOD, "on", "reply_to", "x"]),
         st.none() | st.booleans() | st.integers() | st.text(max_size=8) | st.sampled_from(list(GOOD.values())),
     ).map(lambda d: json.dumps({**GOOD, **d}).encode())
 )
@@ -221,7 +221,7 @@ def test_the_spool_is_where_it_is_set_else_where_systemd_says_else_nowhere() -> 
 
 def test_the_schema_is_printed_and_the_examples_of_the_page_are_good(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["config", "schema", "--mqtt"]) == 0
-    assert set(json.loads(capsys.readouterr().out)["$defs"]) >= {"OperatorNotice", "ShipReport", "StartCommand"}
+    assert set(json.loads(capsys.readouterr().out)["$defs"]) >= {"OperatorNotice", "ShipReport", "BeginCommand"}
     page = (ROOT / "docs/mqtt.md").read_text()
     blocks = [block.split("```")[0] for block in page.split("```json\n")[1:]]
     examples = [json.loads(block) for block in blocks if "$schema" not in block]
@@ -270,7 +270,7 @@ def test_only_the_right_key_topic_and_bytes_are_obeyed() -> None:
         assert RUN not in handled.reply.text
     taker, operator = handler_and_operator()
     assert taker.take(good, NOW).reply.accepted
-    assert operator.done == ["start"]
+    assert operator.done == ["begin"]
     assert not any(text in repr(taker) for text in (KEY.hex(), repr(KEY)))
 
 
@@ -282,10 +282,10 @@ def test_a_copy_is_answered_and_carried_out_no_second_time_whatever_comes_betwee
         taker.take(command(id=f"junk {k}"), NOW)
     again = taker.take(good, MonoNs(NOW + 10**10))
     assert (again.reply.accepted, again.repeated) == (True, True), "the first answer, even after it has expired"
-    assert operator.done == ["start"]
+    assert operator.done == ["begin"]
     later = CommandHandler(Topics("deck"), SESSION, operator, "f" * 32, KEY)
     assert later.take(good, NOW).reply.reason == "other_run", "after a restart"
-    assert operator.done == ["start"]
+    assert operator.done == ["begin"]
 
 
 @given(st.one_of(st.binary(max_size=200), st.binary(max_size=80).map(lambda junk: b"0" * 64 + b" " + junk)))
@@ -353,9 +353,9 @@ async def test_what_a_display_may_read_reports_no_run_and_lets_it_command_nothin
         await display.subscribe([("decklander/#", 1), ("decklander/v2/deck/operator", 1)])
         command = body(expires_ns=rig.clock.now() + 30 * 10**9)
         await display.publish_message(TREE + "command", command, qos=1)
-        await ground.publish_message(TREE + "command", command.replace(b"start", b"pause"), qos=1)
+        await ground.publish_message(TREE + "command", command.replace(b"begin", b"hold"), qos=1)
         await until(lambda: rig.count("commands_accepted") == 1)
-        assert rig.operator.done == ["pause"]
+        assert rig.operator.done == ["hold"]
         leaves: set[str] = set()
         async for publication in display.publications():
             assert RUN.encode() not in publication.payload
@@ -375,7 +375,7 @@ async def test_the_script_of_the_examples_commands_a_drone(broker: Broker, tmp_p
         )
         async with asyncio.timeout(60):
             out, _ = await child.communicate()
-        assert (child.returncode, rig.operator.done) == (0, ["pause"])
+        assert (child.returncode, rig.operator.done) == (0, ["hold"])
         assert b"accepted" in out
 
 

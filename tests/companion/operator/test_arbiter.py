@@ -59,8 +59,8 @@ class Guidance:
     def stay(self, at: MonoNs) -> None:
         self.begin(at, "stay")
 
-    def pause(self, why: object = None) -> None:
-        self.told.append("pause")
+    def hold(self, why: object = None) -> None:
+        self.told.append("hold")
         self.paused, self.lands_here = True, False
 
     def overrule(self) -> None:
@@ -536,20 +536,6 @@ def test_who_lifts_the_vehicle_keeps_it_until_an_order_in_flight(said: list[obje
     assert pilot.state is State.TAKEN
 
 
-def test_a_path_that_runs_along_may_take_over_in_an_approach_another_only_while_paused() -> None:
-    first = load("sim").estimator.path
-    operator = operating(flying(shadows=("median_mean",)))
-    assert operator.steer_by("median_mean") is None
-    assert operator.steer_by(first) is None
-    operator = operating(pilot := flying())
-    assert operator.steer_by("median_mean") == "median_mean does not run along; pause the approach first"
-    assert operator.order(OperatorOrder.HOLD) is None
-    assert operator.steer_by("median_mean") is None
-    assert pilot.estimator.path == "median_mean"
-    assert operator.order(OperatorOrder.BEGIN) is None
-    assert operator.steer_by(first) is None, "the path that steered goes on as a shadow"
-
-
 @pytest.mark.parametrize("on", [True, False])
 def test_recording_is_switched_where_there_is_a_recorder(on: bool) -> None:
     switched: list[bool] = []
@@ -570,11 +556,10 @@ def test_every_order_is_reported_with_its_answer() -> None:
     operator = operating(pilot)
     operator.order(OperatorOrder.HOLD)
     operator.record(True)
-    operator.steer_by("median_mean")
     operator.order(OperatorOrder.ABORT)
     operator.order(OperatorOrder.TAKE_OFF)
-    assert [h.order.value for h in reported] == ["hold", "record", "path", "abort", "takeoff"]
-    assert [h.accepted for h in reported] == [True, False, True, True, False]
+    assert [h.order.value for h in reported] == ["hold", "record", "abort", "takeoff"]
+    assert [h.accepted for h in reported] == [True, False, True, False]
     assert str(reported[-1]) == "mqtt: takeoff: refused, the vehicle flies already"
 
 
@@ -619,11 +604,10 @@ def test_each_person_reads_his_own_orders_as_his_and_no_connection_s_number() ->
 def test_after_a_fall_the_estimator_restarts_on_the_same_path() -> None:
     """WHY: after a cut, 25 s on the deck and a take-off the old filter had the drone 250 m under the pad."""
     pilot = make_pilot(load("sim"), shadows=["median_mean"])
-    pilot.estimator.steer_by("median_mean")
     known = []
     for n, emergency in enumerate((False, True, True, False, False)):
         pilot.on_sample(status(100.0 + n, emergency=emergency))
         known.append(pilot.estimator)
     assert [known[0] is one for one in known] == [True, True, True, False, False]
     assert known[4] is known[3], "at the end of the emergency alone"
-    assert known[3].paths == known[0].paths == ["median_mean", "ekf"]
+    assert known[3].paths == known[0].paths == ["ekf", "median_mean"]
