@@ -83,7 +83,7 @@ def write(path: Path, out: Path, tag_m: float | None) -> list[str]:
     tables: dict[str, dict[str, object]] = {
         "vehicle": {"kind": "mavlink", "links": found.link, "system_id": found.system_id},
         "camera": {"file": found.camera_file, "source": found.source, "device": found.device, "rate_hz": found.rate_hz},
-        "pad": {"file": pad_file.name if files else "printed"},
+        "pad": {"file": pad_file.name if files else "thesis"},
         "vision": {"colours": "outdoor"},
         "guidance": {"start": "signal"},
     }

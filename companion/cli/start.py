@@ -1,4 +1,4 @@
-"""`decklander start`: ask for vehicle, camera, pad and place, write a commented settings file, check it and show the page."""
+"""`decklander start`: ask for vehicle, camera and place, write a commented settings file, check it and show the page."""
 
 import argparse
 import itertools
@@ -42,6 +42,8 @@ VEHICLES = {
     "ardupilot": "a copter with ArduPilot",
     "px4": "a copter with PX4",
 }
+USUAL_PAD = "thesis"
+"""The pad of the examples: an A4 printer prints it in parts."""
 PLACES = {"indoors": "a hall, lamps", "outdoors": "daylight, a pad ashore", "ship": "daylight, a pad on a ship"}
 _OWN_LINK = ("sim", "ardrone1", "ardrone2")
 """Vehicles whose address and camera are known."""
@@ -75,7 +77,7 @@ class Answers(Struct, frozen=True):
 
 
 DESCRIPTION = (
-    "Ask for vehicle, camera, pad and place, write a commented settings file, check it, diagnose the setup and "
+    "Ask for vehicle, camera and place, write a commented settings file, check it, diagnose the setup and "
     "print the operator page's address. Autopilots and cameras are found. An option replaces its question. Exit code: "
     "that of the doctor, or 2 for a wrong answer."
 )
@@ -87,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--link URL", "MAVLink link of an autopilot, or address of an AR.Drone (default: found)")
     option(parser, "--camera DEVICE", "camera: a V4L2 path or a part of its name, libcamera:NAME or an address (default: found)")
     option(parser, "--camera-file FILE", "camera file of yours (default: a shipped one to begin with)")
-    option(parser, "--pad NAME", "pad: a shipped one or a file of yours")
+    option(parser, "--pad NAME", f"pad: one of decklander pad list, or a file of yours (default: {USUAL_PAD})")
     option(parser, "--where", "place of the flights", choices=sorted(PLACES))
     option(
         parser, "--page ADDRESS", "address, port or both for the operator page: 127.0.0.1, one of this computer's by TLS, or off"
@@ -105,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
         BadInput: an answer is wrong, or no terminal can answer.
     """
     if not args.yes and not sys.stdin.isatty():
-        raise BadInput("no terminal to ask at: give --yes, and --vehicle, --camera, --pad, --where as you need them")
+        raise BadInput("no terminal to ask at: give --yes, and --vehicle, --camera, --where as you need them")
     answers = _answers(args)
     _write(args.out, settings_text(answers, args.out))
     sys.stdout.write(f"\n{args.out}: written\n")
@@ -145,11 +147,7 @@ def _answers(args: argparse.Namespace) -> Answers:
         raise BadInput(f"--camera {device} is no camera: a stream has an address as rtsp://{device}/PATH")
     shipped = {"sim": "sim", "ardrone1": "ardrone1_bottom", "ardrone2": "ardrone2_bottom"}.get(vehicle, "usb_640x480")
     find_file(args.camera_file or shipped, "cameras", args.out.parent, "--camera-file")
-    from companion.cli.pad import shipped_pads  # it brings OpenCV, which a help needs none of
-
-    pad = args.pad or ask(
-        "pad", {name: what.strip() for name, what in shipped_pads().items()}, "thesis" if flies_itself else "printed"
-    )
+    pad = args.pad or USUAL_PAD
     pad_of_file(find_file(pad, "pads", args.out.parent, "--pad"))
     place = args.where or ask("place", PLACES, "indoors" if flies_itself else "outdoors")
     page = args.page or ask("page", _page_addresses(), "127.0.0.1")
@@ -194,9 +192,9 @@ def _ask(what: str, among: dict[str, str], usual: str) -> str:
         answer = line.strip() or usual
         if answer.isdecimal() and 1 <= int(answer) <= len(names):
             return names[int(answer) - 1]
-        if answer in names or what == "camera" or (what == "pad" and Path(answer).is_file()):
+        if answer in names or what == "camera":
             return answer
-        sys.stdout.write(f"  a number from 1 to {len(names)}, or a name{' or a file' if what == 'pad' else ''}\n")
+        sys.stdout.write(f"  a number from 1 to {len(names)}, or a name\n")
 
 
 class FoundVehicle(Struct, frozen=True):
@@ -375,6 +373,7 @@ def _next_steps(answers: Answers, out: Path, *, sound: bool, there: bool) -> Non
     elif not sound:
         fix = f" ({command} doctor --config {file} --fix sets parameters)" if autopilot else ""
         say(f"first:              mend what is named above{fix}\n")
+    say(f"pad:                {command} pad print {shlex.quote(answers.pad)} --out pad.pdf; others: {command} pad list\n")
     if autopilot:
         say(f"then:               measure feet_below_m, and the camera: {command} calibrate camera --help\n")
     say(f"start the service:  {start}\n")

@@ -129,11 +129,13 @@ def test_an_ardrone_is_who_sends_navdata(answer: bytes | None, monkeypatch: pyte
 def test_the_switch_that_moves_is_proposed(answers, channel, copter, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdin", io.StringIO(answers))
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
-    words = "start --no-doctor --vehicle px4 --camera usb --pad printed --where ship --page off --out"
+    words = "start --no-doctor --vehicle px4 --camera usb --where ship --page off --out"
     assert main([*words.split(), str(tmp_path / "rig.toml")]) == 0
     assert load(tmp_path / "rig.toml").operator.switch.channel == channel
-    shown = "channel 7: low 1000 us: hold, middle 1500 us: stay, high 1990 us: begin"
-    assert (shown in capsys.readouterr().out) == answers.startswith("yes")
+    assert load(tmp_path / "rig.toml").pad.file == "thesis", "without a question"
+    output, shown = capsys.readouterr().out, "channel 7: low 1000 us: hold, middle 1500 us: stay, high 1990 us: begin"
+    assert (shown in output) == answers.startswith("yes")
+    assert "pad print thesis --out pad.pdf; others: " in output
 
 
 def test_a_raspberry_pis_own_camera_is_proposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -254,6 +256,6 @@ def test_after_a_fault_the_first_thing_to_do_is_to_mend_it(tmp_path: Path, capsy
     out = tmp_path / "a rig.toml"
     assert main(["start", "--yes", "--vehicle", "px4", "--link", "udpin://127.0.0.1:0", "--out", str(out)]) in (1, 2)
     *_, steps = capsys.readouterr().out.partition("known faults found\n")
-    assert [line.partition(":")[0] for line in steps.split("\n") if line][:2] == ["first", "then"]
+    assert [line.partition(":")[0] for line in steps.split("\n") if line][:3] == ["first", "pad", "then"]
     assert f"'{out}'" in steps
     assert "takeoff" not in steps
