@@ -107,9 +107,11 @@ class PageViewer:
         Args:
             take: carries a request out; it returns why it is refused, which ends the connection.
         """
+        socket = self.socket
         try:
+            for text in self._texts.waiting():  # a state would overtake the welcome, and the events from before it
+                await socket.send_str(text)
             async with asyncio.TaskGroup() as group:
-                socket = self.socket
                 sending = [
                     group.create_task(_send(self._states, socket.send_str)),
                     group.create_task(_send(self._texts, socket.send_str)),

@@ -6,6 +6,7 @@ import os
 import re
 import ssl
 import tempfile
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 
 import aiohttp
@@ -20,7 +21,7 @@ from companion.base.http_server import ConnectionLimits
 from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
 from companion.base.observer import Decision
 from companion.parts.page import endpoint, viewer
-from companion.parts.page.messages import request_in
+from companion.parts.page.messages import PageRequest, request_in
 from companion.parts.page.recordings import assets, recordings_in
 from companion.settings.links import HttpSettings
 from estimator.contracts.commands import Hover, Velocity
@@ -56,6 +57,24 @@ async def test_a_browser_watches_and_gives_orders_through_the_arbiter(tmp_path: 
         for order, accepted in (("land", False), ("hold", True), ("emergency", True)):
             await browser.send(kind="order", number=9, order=order, seen_at_s=state["at_s"] - 3.5)
             assert (await browser.read("answer"))["accepted"] is accepted, "what was long on its way, and stops nothing"
+
+
+async def test_no_state_overtakes_the_welcome_and_what_happened_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    serve = viewer.PageViewer.serve
+    async with serving(tmp_path) as service:
+
+        def serve_late(one: viewer.PageViewer, take: Callable[[PageRequest], str | None]) -> Coroutine[None, None, None]:
+            service.page._tell_states()
+            return serve(one, take)
+
+        monkeypatch.setattr(viewer.PageViewer, "serve", serve_late)
+        async with browsing(service) as browser:
+            await browser.order("hold")
+        async with browsing(service) as browser:
+            await browser.read("state")
+            kinds = [message["kind"] for message in browser.messages]
+            assert kinds[0] == "welcome"
+            assert {"event", "health"} <= set(kinds[: kinds.index("state")])
 
 
 async def test_things_are_shown_while_frames_are_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

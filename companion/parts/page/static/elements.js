@@ -1,6 +1,6 @@
 // Elements of the page: find one by its id, make one with a text and attributes.
-// The words of the service by what they are of; a state may come before the welcome that brings them.
-export const words = { orders: {}, phases: {}, situations: {}, ended: {} };
+// The words of the service by what they are of; the welcome brings them.
+export const words = {};
 export const $ = (id) => document.getElementById(id);
 
 export function write(id, text) {
