@@ -521,17 +521,17 @@ async def _watch(endpoint: Endpoint, wire: Datagrams | _Stream, address: Any, cl
             if others:
                 wire.stop(f"{what}; {endpoint.host} is {', '.join(others)} {'now' if len(others) == len(found) else 'too'}")
                 return
-            if wire.local is not None and _source_towards(found[0]) != wire.local[0]:
+            if wire.local is not None and source_towards(found[0][4]) != wire.local[0]:
                 wire.stop(f"{what}; this computer's own address has changed")
                 return
 
 
-def _source_towards(found: tuple[Any, Any, int, str, Any]) -> str:
-    """Return this computer's address towards another.
+def source_towards(place: tuple[Any, ...]) -> str:
+    """Return this computer's address towards another; nothing is sent.
 
     Raises:
         OSError: there is no way to it.
     """
-    with socket.socket(found[0], socket.SOCK_DGRAM) as probe:
-        probe.connect(found[4])
+    with socket.socket(socket.AF_INET6 if ":" in place[0] else socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(place)
         return str(probe.getsockname()[0])

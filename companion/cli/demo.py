@@ -22,15 +22,16 @@ from companion.cli import kept_flight
 from companion.cli.kept_flight import compared_paths, shown
 from companion.cli.options import check_seed, listening, named_wait, option, print_line, print_result
 from companion.cli.outputs import REPORT_FOLDER, output
+from companion.cli.page_link import certify, network_address, qr_code
 from companion.guidance.pilot import make_pilot
 from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon
 from companion.settings.links import HttpSettings, VideoStreamOptions, on_loopback
-from companion.settings.load import load, shipped
+from companion.settings.load import kept_folder, load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
 from drivers.clock import SystemClock
 from drivers.pyav import has_pyav
-from estimator.contracts.errors import BadInput, Recoverable, refused
+from estimator.contracts.errors import BadInput, Recoverable, file_errors, refused
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.state import GENERATIONS
 from sitl.emulators.ardrone.truth_log import contact_of
@@ -94,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         return event_loop.run(_demo(args, scenario, _place(args)))
 
 
-async def _demo(args: argparse.Namespace, scenario: Scenario, place: tuple[str, int] | None) -> int:
+async def _demo(args: argparse.Namespace, scenario: Scenario, place: HttpSettings | None) -> int:
     clock = SystemClock()
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         truth_path = Path(folder) / "truth.jsonl"
@@ -231,18 +232,18 @@ def _ending(
 def _add_servers(parser: argparse.ArgumentParser) -> None:
     port = str(HttpSettings().port)
     page = (
-        "serve the operator page on loopback and print its address; the landing begins by a button there, and the flight "
-        f"goes on until Ctrl-C (default port: {port})"
+        "serve the operator page, by TLS on an address of this computer for phones, and print its link; the landing begins by a "
+        f"button there, and the flight goes on until Ctrl-C (default: 127.0.0.1:{port})"
     )
     live = (
         "serve the flight live to Foxglove or Lichtblick on loopback and print the address; with --page on the page's port "
         f"(default port: {port})"
     )
-    for spec, meaning in (("--page PORT", page), ("--foxglove PORT", live)):
+    for spec, meaning in (("--page ADDRESS", page), ("--foxglove PORT", live)):
         option(parser, spec, meaning, nargs="?", const=port)
 
 
-def _with_http(settings: Settings, args: argparse.Namespace, place: tuple[str, int], folder: Path, token: str) -> Settings:
+def _with_http(settings: Settings, args: argparse.Namespace, place: HttpSettings, folder: Path, token: str) -> Settings:
     """Return the settings with the page, live data or both on a port.
 
     With a page the token is needed, and the approach waits for the operator: whoever opens the page sees it from its
@@ -254,9 +255,9 @@ def _with_http(settings: Settings, args: argparse.Namespace, place: tuple[str, i
     token_file = folder / "page.token"
     token_file.touch(0o600)
     token_file.write_text(token)
-    page, foxglove = args.page is not None, args.foxglove is not None
+    page, foxglove, endpoint = args.page is not None, args.foxglove is not None, "https" if place.certificate_file else "http"
     given = str(token_file) if page else ""
-    http = HttpSettings(endpoint="http", host=place[0], port=place[1], token_file=given, page=page, foxglove=foxglove)
+    http = structs.replace(place, endpoint=endpoint, token_file=given, page=page, foxglove=foxglove)
     return structs.replace(
         settings, http=http, guidance=structs.replace(settings.guidance, start="signal") if page else settings.guidance
     )
@@ -272,26 +273,48 @@ async def _announce(http: HttpSettings, token: str) -> None:
             writer.close()
             break
         await asyncio.sleep(_PROBE_S)
-    address = f"{http.host}:{http.port}"
+    address = f"{f'[{http.host}]' if ':' in http.host else http.host}:{http.port}"
+    secure = "s" if http.endpoint == "https" else ""
+    link = f"http{secure}://{address}/#token={token}"
     if http.page:
-        print_line(f"operator page: http://{address}/#token={token}")
+        print_line(f"operator page: {link}")
+    if secure:
+        print_line("a browser asks once whether to trust this computer's own certificate")
+        sys.stderr.write(qr_code(link) if sys.stderr.isatty() else "")
     if http.foxglove:
         query = f"?token={token}" if http.page else ""
-        print_line(f"live for Foxglove (Open connection, Foxglove WebSocket): ws://{address}/live{query}")
+        print_line(f"live for Foxglove (Open connection, Foxglove WebSocket): ws{secure}://{address}/live{query}")
 
 
-def _place(args: argparse.Namespace) -> tuple[str, int] | None:
-    """Return the address and port of page and live data, None without both; refuse those of others, or that are taken."""
+def _place(args: argparse.Namespace) -> HttpSettings | None:
+    """Return where page and live data are served, None without both; refuse addresses of others, and what is taken."""
     option, given = ("--page", args.page) if args.page is not None else ("--foxglove", args.foxglove)
     if given is None:
         return None
-    place = listening(given, option)
-    if not on_loopback(place[0]):
-        raise BadInput(f"{option} {given}: the demo has no certificate, and serves this computer alone: name a port")
-    with socket.socket(socket.AF_INET6 if ":" in place[0] else socket.AF_INET) as probe:
+    host, port = listening(given, option)
+    secured = "", ""
+    if not on_loopback(host):
+        if args.page is None:
+            raise BadInput(f"{option} {given}: beyond this computer live data are served beside a page: give --page {given} too")
+        if network_address(host) != host:
+            own = network_address()
+            raise BadInput(f"{option}: {host} is no address of this computer" + (f"; {own} is one" if own else ""))
+        secured = _secured(host)
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind(place)
+            probe.bind((host, port))
         except OSError as why:
-            raise BadInput(f"{option}: port {place[1]} cannot be used ({why.strerror}); name another: {option} PORT") from why
-    return place
+            raise BadInput(f"{option}: port {port} cannot be used ({why.strerror}); name another: {option} PORT") from why
+    return HttpSettings("off", host, port, "", *secured)
+
+
+def _secured(host: str) -> tuple[str, str]:
+    """Return the files of this computer's certificate for an address and of its key, which are kept: a phone is asked once."""
+    if (kept := kept_folder()) is None:
+        raise BadInput("--page: there is no home to keep a certificate in: set XDG_CACHE_HOME")
+    certificate, key = (kept / "page" / f"{host}{ending}" for ending in (".crt", ".key"))
+    with file_errors(str(certificate.parent)):
+        certificate.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    certify(host, certificate, key)
+    return str(certificate), str(key)

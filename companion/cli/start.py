@@ -6,7 +6,6 @@ import selectors
 import shlex
 import shutil
 import socket
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +19,7 @@ from companion.cli import config, doctor
 from companion.cli.keys import write_secret
 from companion.cli.options import listening, named_wait, option
 from companion.cli.outputs import SETTINGS, output
+from companion.cli.page_link import certify, network_address, qr_code
 from companion.parts.page.access import make_token
 from companion.settings.load import find_file, pad_of_file, write_whole
 from companion.settings.operator import SwitchOptions
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.yes and not sys.stdin.isatty():
         raise BadInput("no terminal to ask at: give --yes, and --vehicle, --camera, --where as you need them")
     answers = _answers(args)
-    _write(args.out, settings_text(answers, args.out))
+    _write(args.out, answers)
     sys.stdout.write(f"\n{args.out}: written\n")
     checked, examined = argparse.ArgumentParser(), argparse.ArgumentParser()
     config.add_arguments(checked)
@@ -270,9 +270,8 @@ def _stack(messages: Sequence[Message]) -> str:
 def _page_addresses() -> dict[str, str]:
     """Return where the page may listen: on loopback, on this computer's own address by TLS, or nowhere."""
     found = {"127.0.0.1": "this computer alone; from elsewhere through SSH"}
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
-        probe.connect(("192.168.1.1", 9))  # sends nothing: it chooses the address towards that network
-        found[probe.getsockname()[0]] = "phones and laptops of this network, by TLS with a certificate of its own"
+    if own := network_address():
+        found[own] = "phones and laptops of this network, by TLS with a certificate of its own"
     return found | {"off": "no page"}
 
 
@@ -329,34 +328,16 @@ def _secret(what: str, out: Path) -> tuple[str, Path]:
     return f"credential:{name}", _UNIT_STORE / f"decklander.{name}"
 
 
-def _write(out: Path, text: str) -> None:
+def _write(out: Path, answers: Answers) -> None:
     """Write the settings, and the token and certificate that they name, each new and readable by its user alone."""
-    (word, token), (_, key), certificate = _secret("token", out), _secret("key", out), out.with_name(out.stem + ".crt")
+    (_, token), (_, key), certificate = _secret("token", out), _secret("key", out), out.with_name(out.stem + ".crt")
     with file_errors(str(out)):
         token.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if f'"{certificate.name}"' in text and not certificate.exists():
-            _certify(certificate, key, text.partition('host = "')[2].rpartition('host = "')[2].partition('"')[0])
-        if f'"{word}"' in text and not token.exists():
+        if answers.page not in ("", "127.0.0.1") and not certificate.exists():
+            certify(answers.page, certificate, key)
+        if answers.page and not token.exists():
             write_secret(token, make_token().encode() + b"\n")
-        write_whole(out, text)
-
-
-def _certify(certificate: Path, key: Path, address: str) -> None:
-    """Make a certificate of one's own for an address, by openssl.
-
-    Raises:
-        BadInput: openssl is missing or refuses.
-    """
-    if shutil.which("openssl") is None:
-        raise BadInput("--page: a page beyond 127.0.0.1 needs a certificate, and openssl is missing: apt install openssl")
-    words = (
-        "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 365 -subj /CN=decklander "
-        f"-addext subjectAltName=IP:{address}"
-    ).split()
-    done = subprocess.run([*words, "-keyout", key, "-out", certificate], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise BadInput(f"--page {address}: {done.stderr.strip().splitlines()[-1]}")
-    key.chmod(0o600)
+        write_whole(out, settings_text(answers, out))
 
 
 def _next_steps(answers: Answers, out: Path, *, sound: bool, there: bool) -> None:
@@ -389,15 +370,3 @@ def _next_steps(answers: Answers, out: Path, *, sound: bool, there: bool) -> Non
     say(f"page:               {address}\n")
     if secure and sys.stdout.isatty():
         say("\n" + qr_code(address))
-
-
-def qr_code(text: str) -> str:
-    """Return a QR code of a text for a terminal: two rows of modules in each line of half blocks, with the quiet zone of four."""
-    import cv2
-    import numpy as np
-
-    dark = np.pad(cv2.QRCodeEncoder.create().encode(text) == 0, 2)  # the encoder leaves two modules of the quiet zone
-    dark = np.pad(dark, ((0, dark.shape[0] % 2), (0, 0)))
-    blocks = {(False, False): "█", (False, True): "▀", (True, False): "▄", (True, True): " "}
-    rows = ("".join(blocks[bool(a), bool(b)] for a, b in zip(dark[i], dark[i + 1], strict=True)) for i in range(0, len(dark), 2))
-    return "\n".join(rows) + "\n"

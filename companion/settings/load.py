@@ -300,13 +300,17 @@ def with_known_calibration(pad: Pad) -> Pad:
 
 
 def calibration_file(pad: Pad) -> Path | None:
-    """Return where a drawing's calibration is kept: in the service's state, else in the user's cache; None without a home."""
+    """Return where a drawing's calibration is kept; None without a home."""
+    return (kept := kept_folder()) and kept / "pads" / f"{pad.fingerprint}.json"
+
+
+def kept_folder() -> Path | None:
+    """Return where commands keep what they find and make: the service's state, else the user's cache; None without a home."""
     state, cache = os.environ.get("STATE_DIRECTORY", "").split(":")[0], os.environ.get("XDG_CACHE_HOME")
     try:
-        kept = Path(state) if state else (Path(cache) if cache else Path.home() / ".cache") / "decklander"
+        return Path(state) if state else (Path(cache) if cache else Path.home() / ".cache") / "decklander"
     except RuntimeError:  # a number that has no name, in a container, and no HOME
         return None
-    return kept / "pads" / f"{pad.fingerprint}.json"
 
 
 def response_model(settings: Settings) -> Response:

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from companion.base.http_server import ConnectionLimits
 from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
 from companion.base.observer import Decision
+from companion.cli.page_link import certify
 from companion.parts.page import endpoint, viewer
 from companion.parts.page.messages import PageRequest, request_in
 from companion.parts.page.recordings import assets, recordings_in
@@ -28,7 +29,6 @@ from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.errors import BadInput
 from tests.fly import record_to
 from tests.make import seen
-from tests.support.certificates import make_certificates
 from tests.support.page_service import TOKEN, PageService, browsing, serving
 from tests.support.waiting import PATIENCE_S, until
 
@@ -108,10 +108,15 @@ async def test_pictures_come_one_after_the_other_and_wait_for_the_browser(tmp_pa
 
 
 async def test_a_page_on_tls_answers_nobody_in_clear_and_its_certificate_is_checked(tmp_path: Path) -> None:
-    files = make_certificates(tmp_path)
-    trusting = ssl.create_default_context(cafile=tmp_path / "ca.crt")
+    files = [tmp_path / "page.crt", tmp_path / "page.key"]
+    certify("127.0.0.1", *files)
+    made = files[0].read_bytes()
+    certify("127.0.0.1", *files)
+    assert files[0].read_bytes() == made, "a phone accepts it once"
+    trusting = ssl.create_default_context(cafile=files[0])
     trusting.verify_flags &= ~ssl.VERIFY_X509_STRICT  # as with a CA of one's own
-    async with serving(tmp_path, endpoint="https", **files) as service, aiohttp.ClientSession() as session:
+    names = dict(zip(("certificate_file", "key_file"), map(str, files), strict=True))
+    async with serving(tmp_path, endpoint="https", **names) as service, aiohttp.ClientSession() as session:
         async with session.get(f"{service.address}/", ssl=trusting) as answer:
             assert answer.status == 200
         with pytest.raises(aiohttp.ClientConnectorCertificateError):
