@@ -34,7 +34,7 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from tests.support.mocap_flight import FLYING_S, MocapFilter, load, run, sightings
+from tests.support.mocap_flight import FLYING_S, load, run, sightings
 from tests.support.pad_scenes import DATA, load_camera, load_pad, pad_scene
 
 U8 = NDArray[np.uint8]
@@ -484,7 +484,7 @@ def boats(every: int) -> list[Row]:
 def mocap(_: int) -> list[Row]:
     """Replay a real AR.Drone flight with motion capture; sightings are synthesised from it and levelled by the own attitude."""
     flight, cells = load(needed("flight_with_mocap")), []
-    t, e, nees = run(flight, MocapFilter(), sightings(flight, 10.0, []), FLYING_S[1])
+    t, e, nees = run(flight, sightings(flight, 10.0, []), FLYING_S[1])
     for title, part in (("undisturbed", (t > 18.0) & (t < PULLED_S)), ("pulled", t > PULLED_S)):
         rms = 100.0 * np.sqrt(np.nanmean(e[part] ** 2, axis=0))
         cells.append(f"{title} {rms[0]:.1f}, {rms[1]:.1f}, {rms[2]:.1f} cm (NEES {np.nanmean(nees[part]):.1f}, 3 is right)")

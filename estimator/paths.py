@@ -35,7 +35,7 @@ class Path(Protocol):
         The result is None for a kind of sample that this path does not use. Otherwise it holds the verdict and, if the path
         compares the measurement with a prediction, the innovation.
         """
-        ...
+        return [None] * len(samples)
 
     def sight(self, sighting: Sighting) -> FusionResult:
         """Process one sighting; return the result."""
@@ -56,7 +56,6 @@ class Path(Protocol):
 
 MEDIAN = 3
 MEAN = 3
-GROUP_DELAY_SAMPLES = (MEDIAN - 1) // 2 + (MEAN - 1) // 2
 _KEPT = MEDIAN + MEAN - 1
 
 VARIANCE_RATIO = (1.0, 0.625, 0.475, 0.322, 0.286)
@@ -235,9 +234,6 @@ class MedianMeanPath(Path):
         self._newest: Filtered | None = None
         self._sighting: Sighting | None = None
 
-    def put(self, samples: Sequence[Sample], *, wanted: bool = True) -> Sequence[FusionResult | None]:
-        return [None] * len(samples)
-
     def sight(self, sighting: Sighting) -> FusionResult:
         memory, out = self._filter.step(
             sighting.stamp.measured_at, sighting.d_body_pad_level, sighting.yaw_rad, sighting.yaw_ambiguous
@@ -281,7 +277,7 @@ class DeadReckoningPath(Path):
     def put(self, samples: Sequence[Sample], *, wanted: bool = True) -> Sequence[FusionResult | None]:
         for sample in samples:
             self._state, _ = dead_reckoning.step(self._state, sample)
-        return [None] * len(samples)
+        return super().put(samples)
 
     def sight(self, sighting: Sighting) -> FusionResult:
         memory, smooth = self._filter.smooth(sighting)

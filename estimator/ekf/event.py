@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import F64
 from estimator.contracts.samples import (
     Attitude,
     Baro,
@@ -54,25 +55,14 @@ def _record(kind: int, event: Event, sample: dict[str, Any], seq: int = 0, metho
     return _bytes_of(_new(_EVENT, values))[:]  # type: ignore[no-any-return]
 
 
-def _padding(sample: str) -> bytes:
-    """Return what follows a sample in an event."""
-    return bytes(CORE.ffi.sizeof("dl_event") - _HEAD.size - CORE.ffi.sizeof(sample))
-
-
 # Hundreds of samples a second: their bytes are joined in the order of the header's members.
 def _of_imu(event: Imu) -> bytes:
     lost = _TWO.pack(event.gyro_lost_s, event.accel_lost_s)
     return b"".join([_head(abi.DL_IMU, event), event.w_body.tobytes(), event.f_body.tobytes(), lost, _AFTER_IMU])
 
 
-def _of_attitude(event: Attitude) -> bytes:
-    R, cov = event.R_ned_body.matrix, event.cov_body
-    return b"".join([_head(abi.DL_ATTITUDE, event), R.tobytes(), cov.tobytes(), _AFTER_ATTITUDE])
-
-
-def _of_velocity(event: BodyVelocity) -> bytes:
-    v, cov = event.v_level, event.cov_level
-    return b"".join([_head(abi.DL_VELOCITY, event), v.tobytes(), cov.tobytes(), _AFTER_VELOCITY])
+def _with_cov(kind: int, event: Attitude | BodyVelocity, measured: F64, cov: F64, rest: bytes) -> bytes:
+    return b"".join([_head(kind, event), measured.tobytes(), cov.tobytes(), rest])
 
 
 def _of_distance(kind: int, event: Range | Baro, measured_m: float) -> bytes:
@@ -144,13 +134,14 @@ def _of_baseline(b: Baseline) -> bytes:
     return _record(abi.DL_SIGHTING, b, {"sighting": values})
 
 
-_AFTER_IMU, _AFTER_ATTITUDE, _AFTER_VELOCITY, _AFTER_DISTANCE = map(
-    _padding, ("dl_imu", "dl_attitude", "dl_velocity", "dl_distance")
+_AFTER_IMU, _AFTER_ATTITUDE, _AFTER_VELOCITY, _AFTER_DISTANCE = (
+    bytes(CORE.ffi.sizeof("dl_event") - _HEAD.size - CORE.ffi.sizeof(sample))
+    for sample in ("dl_imu", "dl_attitude", "dl_velocity", "dl_distance")
 )
 _RECORDS: dict[type[Event], Callable[[Any], bytes]] = {
     Imu: _of_imu,
-    Attitude: _of_attitude,
-    BodyVelocity: _of_velocity,
+    Attitude: lambda event: _with_cov(abi.DL_ATTITUDE, event, event.R_ned_body.matrix, event.cov_body, _AFTER_ATTITUDE),
+    BodyVelocity: lambda event: _with_cov(abi.DL_VELOCITY, event, event.v_level, event.cov_level, _AFTER_VELOCITY),
     Range: lambda event: _of_distance(abi.DL_RANGE, event, event.range_m),
     Baro: lambda event: _of_distance(abi.DL_HEIGHT, event, event.height_m),
     VesselReport: _of_vessel,

@@ -188,7 +188,7 @@ def admit_sighting(
             return guard, Verdict.FROZEN if guard.view.frozen else Verdict.IMPOSSIBLE
     if attitude is not None and sighting.pose6 is not None and not sighting.yaw_ambiguous:
         guard = structs.replace(guard, inertial=_pictured(guard, sighting, attitude))
-    expected = None if belief is None else _expected(belief, sighting, attitude)
+    expected = None if belief is None else _place(sighting, attitude, belief)
     place = _place(sighting, attitude)
     if guard.tracks.assumed is not None and guard.tracks.last is not None and guard.tracks.last.t == place.t:
         guard = structs.replace(guard, tracks=guard.tracks._replace(last=place, assumed=None))
@@ -253,7 +253,7 @@ def _following(guard: IntegrityGuard, place: Place, assumed: Attitude, alone_in:
 def excludes(belief: RelativeState, sighting: Sighting, o: IntegrityOptions) -> bool:
     """Return whether a belief at the exposure excludes the place of a sighting: it is not the tracked pad's, maybe another's."""
     # Both are written in the same `level`, so that no heading is needed.
-    return tracks.is_apart(_expected(belief, sighting, None), _place(sighting, None), o)
+    return tracks.is_apart(_place(sighting, None, belief), _place(sighting, None), o)
 
 
 def judged(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None, is_fused: bool) -> IntegrityGuard:
@@ -350,12 +350,10 @@ def _pictured(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude) -> 
     return structs.replace(state, parity=seen)
 
 
-def _place(sighting: Sighting, attitude: Attitude | None) -> Place:
-    return Place(sighting.stamp.measured_at, _fixed(sighting.d_body_pad_level, attitude), *_sigmas(sighting.cov))
-
-
-def _expected(belief: RelativeState, sighting: Sighting, attitude: Attitude | None) -> Place:
-    return Place(sighting.stamp.measured_at, _fixed(belief.d_body_pad_level, attitude), *_sigmas(belief.cov))
+def _place(sighting: Sighting, attitude: Attitude | None, belief: RelativeState | None = None) -> Place:
+    """Return the place of the pad as the sighting has it, or as the belief has it at the same instant."""
+    by = sighting if belief is None else belief
+    return Place(sighting.stamp.measured_at, _fixed(by.d_body_pad_level, attitude), *_sigmas(by.cov))
 
 
 def _sigmas(cov: F64) -> tuple[float, float]:

@@ -53,7 +53,10 @@ _ALONE_S = 0.2
 """Time for which a look at one pad alone serves those after it."""
 _DISC = np.array([(x, y) for x in np.linspace(-1, 1, 21) for y in np.linspace(-1, 1, 21) if math.hypot(x, y) < 1.05])
 """Places, (N, 2), on a disc of radius 1."""
-_ALIVE_S = 1.0
+_ALIVE_S, _LOOKS = 1.0, 3.0
+"""Time for which a candidate counts that is not seen again: at least, and as a multiple of the time between two sightings."""
+_LATE = 0.3
+"""Weight of the newest time between two sightings in their mean."""
 _MOST = 4
 _SEEN_AT_LEAST = 3
 _ESTABLISHED = 8
@@ -109,6 +112,13 @@ class Tracks(NamedTuple):
     """The pad's place when it was last whole and alone in the frame, and the corners, (4, 2) m, of what the frame showed."""
     clear_m: float = 0.0
     """Distance from the tracked pad within which frames have shown no second one, m; -inf once they have shown one."""
+    each_s: float = 0.0
+    """Mean time between two sightings of this track that were fused of late, s; 0 for those that follow within `_BESIDE_S`."""
+
+    @property
+    def alive_s(self) -> float:
+        """Time for which a candidate counts that is not seen again: a few looks of a camera however slow, s."""
+        return max(_ALIVE_S, _LOOKS * self.each_s)
 
     @property
     def leapt(self) -> bool:
@@ -133,7 +143,10 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
     last = tracks.last
     if last is None:
         return Tracks(1, 0, seen), True
-    alive = [c for c in tracks.candidates if abs(seen.t - c.last.t) <= _ALIVE_S * 1e9]
+    if tracks.n < _ESTABLISHED and seen.t - last.t >= _SUDDEN_S * 1e9:
+        # After a few looks the belief hardly knows where the pad is by now. By how much, the filter's gate knows.
+        return tracks, True
+    alive = [c for c in tracks.candidates if abs(seen.t - c.last.t) <= tracks.alive_s * 1e9]
     known = next((c for c in alive if _beside(c.last, seen, o)), None)
     # What motion did not explain at first it does not explain later, when the pad may have moved further.
     nearer = known is None or _apart(last, seen)[0] <= _apart(known.last, seen)[0]
@@ -145,18 +158,18 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
         sigma_m, sigma_down_m = min(expected.sigma_m, then[0]), min(expected.sigma_down_m, then[1])
         if _as_expected(expected._replace(sigma_m=sigma_m, sigma_down_m=sigma_down_m), seen, o):
             return tracks, True
-    candidates = _with(tracks.candidates, last, known, seen, expected)
+    candidates = _with(tracks, last, known, seen, expected)
     chosen = candidates[-1]
     # No one has flown by the track yet, so the candidate with more sightings becomes the pad.
     if tracks.n < _ESTABLISHED:
         if chosen.n > max(tracks.n, _SEEN_AT_LEAST):
             return Tracks(tracks.number, chosen.n, seen), True
-    elif tracks.n < _CHOSEN and chosen.n_alone > tracks.n and _alone(chosen, candidates):
+    elif tracks.n < _CHOSEN and chosen.n_alone > tracks.n and _alone(chosen, candidates, tracks.alive_s):
         return Tracks(tracks.number, chosen.n, seen), True
-    elif _adopted(chosen, candidates, o):
+    elif _adopted(chosen, candidates, tracks.alive_s, o):
         if chosen.sudden or chosen.apart_m >= max(0.5 * o.pads_apart_m, _surely_clear_m(tracks, chosen)):
-            return Tracks(tracks.number + 1, chosen.n, seen), True
-        return Tracks(tracks.number, chosen.n, seen, clear_m=tracks.clear_m), True
+            return Tracks(tracks.number + 1, chosen.n, seen, each_s=tracks.each_s), True
+        return Tracks(tracks.number, chosen.n, seen, clear_m=tracks.clear_m, each_s=tracks.each_s), True
     return tracks._replace(candidates=candidates), False
 
 
@@ -249,23 +262,26 @@ def _inside(p: F64, corners: F64) -> np.ndarray[tuple[int, ...], np.dtype[np.boo
 
 def add_fused(tracks: Tracks, seen: Place) -> Tracks:
     """Record that the estimator fused the sighting: the next one is compared with it."""
-    alive = tuple(c for c in tracks.candidates if seen.t - c.last.t <= 2.0 * _ALIVE_S * 1e9)
+    alive = tuple(c for c in tracks.candidates if seen.t - c.last.t <= 2.0 * tracks.alive_s * 1e9)
     if tracks.last is not None and tracks.last.t > seen.t:
         return tracks._replace(n=tracks.n + 1, candidates=alive)
-    return Tracks(tracks.number, tracks.n + 1, seen, alive, clear_m=tracks.clear_m)
+    each_s = tracks.each_s
+    if tracks.last is not None:
+        each_s += _LATE * ((seen.t - tracks.last.t) * 1e-9 - each_s)
+    return Tracks(tracks.number, tracks.n + 1, seen, alive, clear_m=tracks.clear_m, each_s=each_s)
 
 
-def _adopted(chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...], o: IntegrityOptions) -> bool:
+def _adopted(chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...], alive_s: float, o: IntegrityOptions) -> bool:
     lasts = chosen.n_alone >= _ESTABLISHED and chosen.last.t - chosen.first >= o.adopt_s * 1e9
-    return lasts and _alone(chosen, candidates)
+    return lasts and _alone(chosen, candidates, alive_s)
 
 
-def _alone(chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...]) -> bool:
-    return all(c is chosen or c.n < _SEEN_AT_LEAST or chosen.last.t - c.last.t > _ALIVE_S * 1e9 for c in candidates)
+def _alone(chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...], alive_s: float) -> bool:
+    return all(c is chosen or c.n < _SEEN_AT_LEAST or chosen.last.t - c.last.t > alive_s * 1e9 for c in candidates)
 
 
 def _with(
-    candidates: tuple[TrackCandidate, ...], last: Place, known: TrackCandidate | None, seen: Place, expected: Place | None
+    tracks: Tracks, last: Place, known: TrackCandidate | None, seen: Place, expected: Place | None
 ) -> tuple[TrackCandidate, ...]:
     """Return the candidates with one more sighting, which joins `known` or begins another candidate.
 
@@ -282,7 +298,7 @@ def _with(
         chosen = known._replace(n=known.n + 1, last=seen, n_alone=known.n_alone + 1)
         if known.first <= last.t < seen.t:
             chosen = chosen._replace(first=seen.t, n_alone=1, sudden=sudden)
-    others = [c for c in candidates if c is not known and seen.t - c.last.t <= 2.0 * _ALIVE_S * 1e9]
+    others = [c for c in tracks.candidates if c is not known and seen.t - c.last.t <= 2.0 * tracks.alive_s * 1e9]
     return (*sorted(others, key=lambda c: c.last.t)[-(_MOST - 1) :], chosen)
 
 
@@ -316,7 +332,8 @@ def _as_expected(expected: Place, seen: Place, o: IntegrityOptions) -> bool:
     base = _base_m(seen, o)
     side, down = _apart(expected, seen)
     # Sideways they are independent of one another. Summed, they would reach another pad on the same deck from 10 m on.
-    side_max = math.hypot(base, min(_BELIEF_SIGMAS * expected.sigma_m, _BELIEF_MAX_M), _seen_m(seen.sigma_m))
+    most_m = max(_BELIEF_MAX_M, 0.5 * o.pads_apart_m)
+    side_max = math.hypot(base, min(_BELIEF_SIGMAS * expected.sigma_m, most_m), _seen_m(seen.sigma_m))
     down_max = base + min(_BELIEF_SIGMAS * expected.sigma_down_m, _BELIEF_DOWN_MAX_M) + _seen_m(seen.sigma_down_m)
     return side <= side_max and down <= down_max
 

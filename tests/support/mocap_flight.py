@@ -9,13 +9,12 @@ the drone's velocities fit best, its roll and pitch are what the accelerometer m
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from msgspec import Struct
 
 from estimator import ekf
-from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, Rotation, skew, wrap_pi
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu, Range
@@ -154,31 +153,10 @@ def sightings(flight: MocapRecording, rate_hz: float, blind: Sequence[tuple[floa
 OPTIONS = ekf.EkfOptions(velocity_scale=0.9, sigma_velocity_scale=0.15, sigma_mount_rad=math.radians(0.3), deck_radius_m=3.0)
 
 
-class FollowingPath(Protocol):
-    """An estimator that takes one event after the other and answers for an instant."""
-
-    def step(self, event: Event) -> None: ...
-
-    def at(self, now: MonoNs) -> RelativeState | None: ...
-
-
-class MocapFilter:
-    """The filter behind the shape of the other paths."""
-
-    def __init__(self) -> None:
-        self.memory = ekf.Filter(OPTIONS)
-
-    def step(self, event: Event) -> None:
-        self.memory.put([event])
-
-    def at(self, now: MonoNs) -> RelativeState | None:
-        return self.memory.at(now)
-
-
-def run(flight: MocapRecording, path: FollowingPath, seen: Sequence[Sighting], until_s: float) -> tuple[F64, F64, F64]:
+def run(flight: MocapRecording, seen: Sequence[Sighting], until_s: float, path: ekf.Filter | None = None) -> tuple[F64, F64, F64]:
     """(n,) times, (n, 3) errors of the place, (n,) NEES of it, every 50 ms while flying; nan where there is no belief."""
     events = sorted([*flight.samples, *seen], key=lambda e: e.stamp.received_at)
-    times, errors, nees = [], [], []
+    path, times, errors, nees = path or ekf.Filter(OPTIONS), [], [], []
     next_s = FLYING_S[0]
     for event in events:
         received_at = event.stamp.received_at * 1e-9
@@ -193,5 +171,5 @@ def run(flight: MocapRecording, path: FollowingPath, seen: Sequence[Sighting], u
             errors.append(error)
             nees.append(math.nan if state is None else float(error @ np.linalg.solve(state.cov[:3, :3], error)))
             next_s += 0.05
-        path.step(event)
+        path.put([event])
     return np.array(times), np.array(errors), np.array(nees)

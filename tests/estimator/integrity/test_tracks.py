@@ -406,3 +406,21 @@ def test_single_sightings_elsewhere_do_not_move_it_and_five_in_a_row_do() -> Non
         assert (state.misses, state.overrules, abs(state.axes[0].p - x) < 0.1) == (n, False, True)
         state = arbitrate(state, arbiter_place(5.0 + n / HZ, (x + 1.0, y, z)))
     assert (state.n, state.misses, state.axes[0].p) == (1, 0, x + 1.0)
+
+
+def test_a_slow_camera_s_pad_is_followed_from_the_first_looks_on_and_adopted_elsewhere_after_as_many() -> None:
+    drifted = place(0, (0.4, 1.0, 3.0), 2.0)
+    slow, explained = track([place(1.5 * i, (1.0 + 0.3 * i, 0.0, 4.0)) for i in range(8)], drifted)
+    assert (slow.number, slow.n, all(explained)) == (1, 8, True)
+    tracks, explained = track([place(20.0 + 1.5 * i, FAR) for i in range(15)], place(0, HERE, 0.05), slow)
+    assert (tracks.number, explained.index(True)) == (2, 7)
+
+
+def test_where_no_second_pad_is_near_an_unsure_belief_explains_as_far_as_it_is_unsure() -> None:
+    belief, alone = place(5, HERE, 0.6), IntegrityOptions(pads_apart_m=10.0)
+    of = [
+        associate(known(), place(5, (1.5, 0.0, 2.0)), belief._replace(sigma_m=s), o)[1]
+        for o in (LIMITS, alone)
+        for s in (0.6, 0.3)
+    ]
+    assert of == [False, False, True, False]
