@@ -6,13 +6,13 @@ An instant `at` is given in seconds of the monotonic clock, or as a `Stamp`.
 - samples: `imu`, `attitude`, `velocity`, `range_down`, `baro`, `vessel`, `status`, `gimbal`
 - vision: `sighting`, `frame`, `processed_frame`, `seen`
 - estimates and what guidance knows: `estimate`, `deck`, `body`, `vessel_position`
-- settings: `change`, which replaces keys by section
+- settings: `change`, which replaces keys by section, and `tuned`, which changes constants too
 - two values that must be equal to the bit: `same_bits`
 """
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -236,6 +236,14 @@ def change(options: _T, **sections: Any) -> _T:
             for name, value in sections.items()
         },
     )
+
+
+def tuned(kind: type[_T], **values: Any) -> _T:
+    """Return options of a kind, whose constants may have other values too."""
+    constants = {name: value for name, value in values.items() if name not in kind.__struct_fields__}  # type: ignore[attr-defined]
+    assert all(hasattr(kind, name) for name in constants)
+    made = msgspec.defstruct(kind.__name__, [], bases=(kind,), namespace=constants, frozen=True)  # type: ignore[arg-type]
+    return cast("_T", made(**{name: value for name, value in values.items() if name not in constants}))
 
 
 def same_bits(a: Any, b: Any) -> bool:

@@ -10,7 +10,7 @@ with u, f, a as accelerations g tan(tilt). A commanded vertical speed acts after
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -206,9 +206,8 @@ class FollowDeckOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
             page=True,
         ),
     ] = True
-    delay_known_s: Annotated[
-        float, tuning("standard deviation up to which the delay of the tilt counts as known", "s", 0.005, 0.2)
-    ] = 0.04
+    delay_known_s: ClassVar[float] = 0.04
+    """Standard deviation up to which the delay of the tilt counts as known."""
     accelerometer: Annotated[
         bool,
         choice("whether gusts are felt by the accelerometer; without it they show a second later in place and speed", page=True),
@@ -280,19 +279,12 @@ class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         tuning("largest velocity that the integral commands on one axis: the pad's own speed and the wind", "m/s", 0.0, 10.0),
     ] = 0.5
-    soft_above_m: Annotated[
-        float,
-        tuning(
-            "set points higher than this soften the horizontal gains in proportion", "m", 0.1, 100.0, "2.5 in the thesis' code"
-        ),
-    ] = 2.5
-    soft_least: Annotated[
-        float,
-        tuning("least fraction of the horizontal gains that remains at any height", "1", 0.01, 1.0, "0.1 in the thesis' code"),
-    ] = 0.1
-    forget_after_s: Annotated[
-        float, tuning("silence of the estimator after which the integrals start again from zero", "s", 0.1, 60.0)
-    ] = 2.0
+    soft_above_m: ClassVar[float] = 2.5
+    """Set points higher than this soften the horizontal gains in proportion (2.5 in the thesis' code)."""
+    soft_least: ClassVar[float] = 0.1
+    """Least fraction of the horizontal gains that remains at any height (0.1 in the thesis' code)."""
+    forget_after_s: ClassVar[float] = 2.0
+    """Silence of the estimator after which the integrals start again from zero."""
 
 
 class ElsewhereOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):

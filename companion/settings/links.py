@@ -1,7 +1,7 @@
 """The settings of the service's links: the tables [http], [mqtt], [video_stream], [landing_target] and [bridge]."""
 
 import ipaddress
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from msgspec import Struct
 
@@ -229,10 +229,8 @@ class OutputOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     rate_hz: Annotated[
         float, tuning("LANDING_TARGET messages a second, at least", "Hz", 1.0, 50.0, "10 to 50 suit ArduPilot", public=True)
     ] = 25.0
-    receiver_s: Annotated[
-        float,
-        tuning("time from a message's arrival until the autopilot uses it", "s", 0.0, 0.2, "half a period of ArduPilot's 400 Hz"),
-    ] = 0.00125
+    receiver_s: ClassVar[float] = 0.00125
+    """Time from a message's arrival until the autopilot uses it (half a period of ArduPilot's 400 Hz)."""
     vision_target_estimator: Annotated[
         bool, choice("whether PX4 runs its vision target estimator, which needs TARGET_RELATIVE too", public=True, page=True)
     ] = False

@@ -1,7 +1,7 @@
 """The mission's options: the cone, the limits of gate and commit, the attempts, and the way points of the thesis."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from estimator.contracts.keys import CheckedOptions, choice, tuning
 
@@ -33,20 +33,12 @@ class ConeOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     commit_s: Annotated[
         float, tuning("longest time from the gate to a felt contact; after it the drone goes around", "s", 0.5, 30.0)
     ] = 3.0
-    no_return_s: Annotated[
-        float,
-        tuning(
-            "time to the contact below which neither a tilted deck nor a contradicting sighting ends the commit: a "
-            "climb would begin after the contact; without a fit estimate it stays that long without descending, and goes around "
-            "if it feels no contact; a delay that is identified in flight adds to it",
-            "s",
-            0.0,
-            1.0,
-        ),
-    ] = 0.3
-    press_s: Annotated[
-        float, tuning("time for which it presses on level after the contact before the motors stop", "s", 0.0, 3.0)
-    ] = 0.4
+    no_return_s: ClassVar[float] = 0.3
+    """Time to the contact below which neither a tilted deck nor a contradicting sighting ends the commit: a climb would begin
+    after the contact; without a fit estimate it stays that long without descending, and goes around if it feels no contact; a
+    delay that is identified in flight adds to it."""
+    press_s: ClassVar[float] = 0.4
+    """Time for which it presses on level after the contact before the motors stop."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -213,9 +205,8 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             public=True,
         ),
     ] = 180.0
-    clear_side_m: Annotated[
-        float, tuning("how far to that side it goes; the pad has to stay in view from the safe height", "m", 0.0, 10.0)
-    ] = 0.3
+    clear_side_m: ClassVar[float] = 0.3
+    """How far to that side it goes; the pad has to stay in view from the safe height."""
     blind_s: Annotated[
         float, tuning("time after the newest sight for which it flies over the pad by dead reckoning", "s", 0.0, 30.0)
     ] = 10.0
@@ -258,19 +249,16 @@ class ThesisOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     approach_height_m: Annotated[
         float, tuning("height over the pad of the first way point", "m", 0.3, 50.0, "thesis section 4.6")
     ] = 2.0
-    approach_reached_m: Annotated[
-        float, tuning("distance, aside and in height, at which the drone itself counts as there", "m", 0.01, 2.0)
-    ] = 0.25
+    approach_reached_m: ClassVar[float] = 0.25
+    """Distance, aside and in height, at which the drone itself counts as there."""
     final_height_m: Annotated[
         float, tuning("height over the pad from which the vehicle lands by itself", "m", 0.05, 5.0, "thesis section 4.6")
     ] = 0.3
-    final_reached_m: Annotated[
-        float, tuning("the same for the last way point", "m", 0.01, 2.0, "0.01 in the thesis, where it held for the set point")
-    ] = 0.12
-    final_dwell_s: Annotated[float, tuning("time for which the drone must stay that near", "s", 0.0, 60.0)] = 0.2
-    touchdown_s: Annotated[
-        float,
-        tuning("time ahead at which the drone must still be near the last way point, at its present velocity", "s", 0.0, 5.0),
-    ] = 0.6
+    final_reached_m: ClassVar[float] = 0.12
+    """The same for the last way point (0.01 in the thesis, where it held for the set point)."""
+    final_dwell_s: ClassVar[float] = 0.2
+    """Time for which the drone must stay that near."""
+    touchdown_s: ClassVar[float] = 0.6
+    """Time ahead at which the drone must still be near the last way point, at its present velocity."""
 
     ORDER = ("final_height_m < approach_height_m",)

@@ -13,7 +13,7 @@ from functools import reduce
 from inspect import get_annotations
 from operator import getitem
 from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin
 
 from msgspec import Meta, Struct
 
@@ -192,7 +192,7 @@ def _known(data: Mapping[str, Any], kinds: tuple[type[Struct], ...] = (Settings,
         if inner := _tables_of(annotation):
             if isinstance(value, Mapping):
                 yield from _known(value, inner, f"{above}{name}.")
-        elif annotation is not None:
+        elif annotation is not None and get_origin(annotation) is not ClassVar:
             yield above + name, any(isinstance(m, Meta) and PUBLIC in (m.extra_json_schema or {}) for m in get_args(annotation))
 
 

@@ -110,7 +110,7 @@ _RULES = (
     _Rule(
         "landing_target.range_rate_hz landing_target.range_id landing_target.ground_clearance_m", 'landing_target.ranges is "off"'
     ),
-    _Rule("vehicle.descent_rate_m_s vehicle.landing_most_s vehicle.landing_depth_m", 'vehicle.landing is "mode"'),
+    _Rule("vehicle.descent_rate_m_s", 'vehicle.landing is "mode"'),
     _Rule("camera.format camera.buffers", 'camera.source is not "v4l2"'),
     _Rule(
         "camera.controls", 'camera.source is neither "v4l2" nor "libcamera"', idle=lambda s: s.camera.source not in DRIVEN_SOURCES
@@ -130,16 +130,6 @@ _RULES = (
         "camera.reconnect_most_s",
         'camera.source is "vehicle", whose own keys say this',
         idle=lambda s: s.camera.source == "vehicle",
-    ),
-    _Rule(
-        "estimator.ekf.min_confidence",
-        "it does not exceed estimator.min_confidence, which refuses before",
-        idle=lambda s: s.estimator.ekf.min_confidence <= s.estimator.min_confidence,
-    ),
-    _Rule(
-        "estimator.dead_reckoning.calibration_samples estimator.dead_reckoning.calibration_velocity_max_m_s "
-        "estimator.dead_reckoning.calibration_acceleration_max_m_s2",
-        "estimator.dead_reckoning.calibration_s is 0",
     ),
     _Rule(
         "estimator.dead_reckoning.history_s",

@@ -29,8 +29,6 @@ SOUND = (
     Sound("guidance.cone.commit_rate_m_s", 0.8, "small feet break at about 1 m/s, and the deck's own speed is added"),
     Sound("guidance.cone.gate_height_m", 1.0, "the commit goes on without a limit of the gate: the deck moves on its way"),
     Sound("guidance.cone.feet_below_m", 0.6, "the contact is expected so much above the deck: measure from the body's origin"),
-    Sound("guidance.cone.no_return_s", 0.6, "a commit that should end is flown on for so long"),
-    Sound("guidance.cone.press_s", 1.5, "the motors turn on a rolling deck for so long, and the vehicle slides"),
     Sound("guidance.cone.feet_aside_m", lambda s: pad_model(s).disc_radius_m, "no foot is then on the pad"),
     Sound("guidance.limits.error_m", _rim_m, "a foot is then over the pad's rim"),
     Sound("guidance.limits.commit_error_m", _rim_m, "a foot is then over the pad's rim"),

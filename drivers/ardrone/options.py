@@ -1,7 +1,7 @@
 """Everything about an AR.Drone link that a person may choose."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl
 from estimator.contracts.keys import CheckedOptions, choice, number, text, tuning
@@ -29,28 +29,19 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     command_period_s: Annotated[
         float, number("interval between commands; the drone counts 50 ms of silence as a miss", "s", 0.01, 0.05, "customary")
     ] = 0.03
-    command_timeout_s: Annotated[
-        float, number("a velocity command older than this is flown as hover", "s", 0.05, 0.5, "six commands of guidance")
-    ] = 0.12
+    command_timeout_s: ClassVar[float] = 0.12
+    """A velocity command older than this is flown as hover (six commands of guidance)."""
     hold_s: Annotated[
         float,
         number(
             "time for which the sender holds the flying drone in hover for a new service after this one died", "s", 0.0, 600.0
         ),
     ] = 60.0
-    com_watchdog_s: Annotated[
-        int,
-        number(
-            "time for which the drone flies on with its last command before it hovers, and for which it hovers before it lands",
-            "s",
-            1,
-            60,
-            "firmware default",
-        ),
-    ] = 2
-    hold_com_watchdog_s: Annotated[
-        int, number("the same while the sender holds the drone without a service", "s", 1, 60, "the longest there is")
-    ] = 60
+    com_watchdog_s: ClassVar[int] = 2
+    """Time for which the drone flies on with its last command before it hovers, and for which it hovers before it lands (firmware
+    default)."""
+    hold_com_watchdog_s: ClassVar[int] = 60
+    """The same while the sender holds the drone without a service (the longest there is)."""
     navdata_silence_s: Annotated[
         float, number("time without navdata after which the stream is requested again", "s", 0.02, 10.0, "Parrot SDK 2.0.1")
     ] = 1.0
@@ -90,36 +81,13 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     yaw_rate_max_deg_s: Annotated[float, tuning("largest turn rate", "deg/s", 40.0, 350.0, "firmware default", public=True)] = (
         100.0
     )
-    velocity_gain_1_s: Annotated[
-        float,
-        tuning(
-            "acceleration commanded for each m/s of velocity error",
-            "1/s",
-            0.0,
-            10.0,
-            "gain margin of the loop: 2.0, and 1.3 in drones unlike their file",
-        ),
-    ] = 1.4
-    velocity_integral_1_s2: Annotated[
-        float,
-        tuning(
-            "the same for each metre of the integrated velocity error, which compensates wind",
-            "1/s^2",
-            0.0,
-            10.0,
-            "tuned in simulation",
-        ),
-    ] = 0.4
-    velocity_lead: Annotated[
-        float,
-        tuning(
-            "factor on the missing tilt that is commanded in addition, because the tilt lags behind",
-            "1",
-            0.0,
-            0.9,
-            "below 1, with room for a tilt that overshoots: more swings where commands come late",
-        ),
-    ] = 0.7
+    velocity_gain_1_s: ClassVar[float] = 1.4
+    """Acceleration commanded for each m/s of velocity error (gain margin of the loop 2.0; 1.3 in drones unlike their file)."""
+    velocity_integral_1_s2: ClassVar[float] = 0.4
+    """The same for each metre of the integrated velocity error, which compensates wind (tuned in simulation)."""
+    velocity_lead: ClassVar[float] = 0.7
+    """Factor on the missing tilt that is commanded in addition, because the tilt lags behind (below 1, with room for a tilt that
+    overshoots: more swings where commands come late)."""
     velocity_scale: Annotated[
         float,
         tuning(
@@ -130,55 +98,45 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
             "a recorded AR.Drone 2.0 flight under motion capture",
         ),
     ] = 0.83
-    velocity_drag_1_s: Annotated[
-        float,
-        tuning(
-            "deceleration for each m/s of speed through the air",
-            "1/s",
-            0.0,
-            10.0,
-            "a recorded AR.Drone 2.0 flight under motion capture",
-        ),
-    ] = 0.43
-    sigma_velocity_m_s: Annotated[float, tuning("standard deviation of a measured velocity at rest", "m/s", 0.001, 10.0)] = 0.03
+    velocity_drag_1_s: ClassVar[float] = 0.43
+    """Deceleration for each m/s of speed through the air (a recorded AR.Drone 2.0 flight under motion capture)."""
+    sigma_velocity_m_s: ClassVar[float] = 0.03
+    """Standard deviation of a measured velocity at rest."""
     sigma_velocity_fraction: Annotated[
         float, tuning("the same as a fraction of the speed, in addition: the remaining scale error", "1", 0.001, 10.0)
     ] = 0.2 / 3.0
-    sigma_tilt_rad: Annotated[float, tuning("standard deviation of measured roll and pitch", "rad", 1e-4, 1.0)] = math.radians(
-        0.5
-    )
-    sigma_yaw_rad: Annotated[float, tuning("standard deviation of the measured heading", "rad", 1e-4, 3.2)] = math.radians(3.0)
-    sigma_range_m: Annotated[float, tuning("standard deviation of the ultrasound at the ground", "m", 0.001, 10.0)] = 0.02
-    sigma_range_fraction: Annotated[float, tuning("the same as a fraction of the distance, in addition", "1", 0.0001, 1.0)] = 0.02
-    sigma_baro_m: Annotated[float, tuning("standard deviation of the barometer", "m", 0.001, 100.0)] = 0.7
-    sigma_fix_m: Annotated[
-        float, tuning("standard deviation of the flight recorder's place, at a dilution of precision of 1", "m", 0.1, 100.0)
-    ] = 2.5
-    landing_timeout_s: Annotated[
-        float,
-        number(
-            "time without renewal by guidance after which a landing is called off, unless it is about to end", "s", 0.05, 10.0
-        ),
-    ] = 0.5
-    velocity_timeout_s: Annotated[
-        float, number("age of the newest measured velocity above which a velocity command is flown as hover", "s", 0.02, 10.0)
-    ] = 0.25
-    take_off_timeout_s: Annotated[
-        float, number("time after which a take-off that has not happened is given up", "s", 0.5, 60.0)
-    ] = 8.0
+    sigma_tilt_rad: ClassVar[float] = math.radians(0.5)
+    """Standard deviation of measured roll and pitch."""
+    sigma_yaw_rad: ClassVar[float] = math.radians(3.0)
+    """Standard deviation of the measured heading."""
+    sigma_range_m: ClassVar[float] = 0.02
+    """Standard deviation of the ultrasound at the ground."""
+    sigma_range_fraction: ClassVar[float] = 0.02
+    """The same as a fraction of the distance, in addition."""
+    sigma_baro_m: ClassVar[float] = 0.7
+    """Standard deviation of the barometer."""
+    sigma_fix_m: ClassVar[float] = 2.5
+    """Standard deviation of the flight recorder's place, at a dilution of precision of 1."""
+    landing_timeout_s: ClassVar[float] = 0.5
+    """Time without renewal by guidance after which a landing is called off, unless it is about to end."""
+    velocity_timeout_s: ClassVar[float] = 0.25
+    """Age of the newest measured velocity above which a velocity command is flown as hover."""
+    take_off_timeout_s: ClassVar[float] = 8.0
+    """Time after which a take-off that has not happened is given up."""
     reopen_after_s: Annotated[
         float, number("time without navdata after which its socket and the command socket are opened again", "s", 0.05, 60.0)
     ] = 3.0
-    connect_timeout_s: Annotated[float, number("time limit for opening a connection", "s", 0.05, 60.0)] = 2.0
+    connect_timeout_s: ClassVar[float] = 2.0
+    """Time limit for opening a connection."""
     config_timeout_s: Annotated[
         float, number("time limit for the drone to acknowledge one configuration key", "s", 0.05, 60.0)
     ] = 2.0
     restart_first_s: Annotated[float, number("first back-off of a channel that failed", "s", 0.001, 60.0)] = 0.1
     restart_most_s: Annotated[float, number("longest back-off; each is twice the one before", "s", 0.001, 600.0)] = 5.0
-    navdata_delay_s: Annotated[float, tuning("least time from a measurement to the arrival of its navdata", "s", 0.0, 0.5)] = (
-        0.002
-    )
-    navdata_delay_sigma_s: Annotated[float, tuning("one standard deviation of it", "s", 0.0, 0.5)] = 0.001
+    navdata_delay_s: ClassVar[float] = 0.002
+    """Least time from a measurement to the arrival of its navdata."""
+    navdata_delay_sigma_s: ClassVar[float] = 0.001
+    """One standard deviation of it."""
     video_delay_sigma_s: Annotated[float, tuning("standard deviation of video_delay_s", "s", 0.0, 0.5)] = 0.01
     arrival_sigma_s: Annotated[
         float, tuning("standard deviation of times in demo mode, which has no clock", "s", 0.0001, 1.0)

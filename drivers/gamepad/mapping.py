@@ -8,7 +8,7 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
 from msgspec import Meta, Struct
 
@@ -62,9 +62,8 @@ class GamepadMapping(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     dead_zone: Annotated[float, number("deflection below which a stick is centred", "1", 0.01, 0.5)] = 0.1
     exponent: Annotated[float, number("curve of a stick: 1 is straight, 2 is soft around the centre", "1", 0.5, 4.0)] = 1.5
     limit: Annotated[float, number("position that full deflection gives", "1", 0.05, 1.0)] = 1.0
-    orders_max_hz: Annotated[
-        int, number("orders that are taken in one second; more are dropped and counted, but for emergency", "Hz", 1, 50)
-    ] = 10
+    orders_max_hz: ClassVar[int] = 10
+    """Orders that are taken in one second; more are dropped and counted, but for emergency."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

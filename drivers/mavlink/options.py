@@ -5,7 +5,7 @@ This module imports nothing of the dialect, so that settings can be read without
 """
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.access import Named, parse_operators
@@ -29,9 +29,8 @@ class LinkLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True, kw_onl
     peers_max: Annotated[
         int, number("most peers of a listening socket; the one that was silent for longest is dropped first", "1", 1, 1000)
     ] = 16
-    peer_timeout_s: Annotated[
-        float, number("time of silence after which nothing more is sent to a peer of a listening socket", "s", 0.05, 3600.0)
-    ] = 30.0
+    peer_timeout_s: ClassVar[float] = 30.0
+    """Time of silence after which nothing more is sent to a peer of a listening socket."""
     restart_first_s: Annotated[float, number("first back-off before a broken link is opened again", "s", 0.01, 60.0)] = 0.2
     restart_most_s: Annotated[float, number("longest back-off; each is twice the one before", "s", 0.01, 600.0)] = 5.0
 
@@ -100,8 +99,10 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
 class SampleOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The uncertainty of an autopilot's readings."""
 
-    sigma_tilt_rad: Annotated[float, tuning("standard deviation of roll and pitch", "rad", 1e-4, 1.0)] = math.radians(0.5)
-    sigma_yaw_rad: Annotated[float, tuning("standard deviation of the heading", "rad", 1e-4, 3.2)] = math.radians(3.0)
+    sigma_tilt_rad: ClassVar[float] = math.radians(0.5)
+    """Standard deviation of roll and pitch."""
+    sigma_yaw_rad: ClassVar[float] = math.radians(3.0)
+    """Standard deviation of the heading."""
     sigma_velocity_m_s: Annotated[float, tuning("standard deviation of each axis of the velocity", "m/s", 0.001, 10.0)] = 0.1
     sigma_range_m: Annotated[
         float, tuning("standard deviation of the rangefinder if its messages do not give it", "m", 0.001, 10.0)
@@ -110,19 +111,16 @@ class SampleOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     sigma_fix_m: Annotated[
         float, tuning("standard deviation of the autopilot's place on the Earth, on each horizontal axis", "m", 0.01, 100.0)
     ] = 2.0
-    sigma_vessel_fix_m: Annotated[
-        float, tuning("the same of the place that the ship reports, where she does not claim a larger one", "m", 0.01, 100.0)
-    ] = 2.5
-    sigma_vessel_velocity_m_s: Annotated[
-        float, tuning("standard deviation of each axis of the velocity that the ship reports", "m/s", 0.001, 10.0)
-    ] = 0.2
-    sigma_vessel_heading_rad: Annotated[
-        float, tuning("standard deviation of the heading that the ship reports", "rad", 1e-4, 3.2)
-    ] = math.radians(3.0)
-    status_period_s: Annotated[float, tuning("interval at which an unchanged status is repeated", "s", 0.01, 60.0)] = 0.5
-    attitude_gap_s: Annotated[
-        float, tuning("largest time between a velocity and the newest attitude; other velocities are not used", "s", 0.01, 10.0)
-    ] = 0.2
+    sigma_vessel_fix_m: ClassVar[float] = 2.5
+    """The same of the place that the ship reports, where she does not claim a larger one."""
+    sigma_vessel_velocity_m_s: ClassVar[float] = 0.2
+    """Standard deviation of each axis of the velocity that the ship reports."""
+    sigma_vessel_heading_rad: ClassVar[float] = math.radians(3.0)
+    """Standard deviation of the heading that the ship reports."""
+    status_period_s: ClassVar[float] = 0.5
+    """Interval at which an unchanged status is repeated."""
+    attitude_gap_s: ClassVar[float] = 0.2
+    """Largest time between a velocity and the newest attitude; other velocities are not used."""
 
 
 class TimeSyncOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
@@ -159,21 +157,18 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
     command_period_s: Annotated[
         float, number("interval between velocity setpoints", "s", 0.01, 0.2, "PX4 wants more than 2 Hz")
     ] = 0.04
-    command_timeout_s: Annotated[
-        float, number("age above which a commanded velocity is replaced by a hold", "s", 0.05, 2.0, "twelve commands of guidance")
-    ] = 0.25
-    attitude_timeout_s: Annotated[
-        float, number("age of the newest heading above which the vehicle only holds or climbs", "s", 0.05, 5.0)
-    ] = 0.5
+    command_timeout_s: ClassVar[float] = 0.25
+    """Age above which a commanded velocity is replaced by a hold (twelve commands of guidance)."""
+    attitude_timeout_s: ClassVar[float] = 0.5
+    """Age of the newest heading above which the vehicle only holds or climbs."""
     prestream_s: Annotated[
         float,
         number(
             "time for which setpoints stream before OFFBOARD is requested from PX4", "s", 0.1, 30.0, "PX4 refuses before 1.5 s"
         ),
     ] = 2.0
-    request_period_s: Annotated[
-        float, number("time after which a mode, arming or take-off that did not happen is requested again", "s", 0.05, 60.0)
-    ] = 1.0
+    request_period_s: ClassVar[float] = 1.0
+    """Time after which a mode, arming or take-off that did not happen is requested again."""
     request_tries: Annotated[int, number("number of requests after which it is given up", "1", 1, 100)] = 5
     landing: Annotated[
         Literal["by stack", "mode", "velocity"],
@@ -184,21 +179,12 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
         ),
     ] = "by stack"
     descent_rate_m_s: Annotated[float, tuning("descent rate of a landing by velocity", "m/s", 0.05, 2.0, public=True)] = 0.4
-    landing_timeout_s: Annotated[
-        float, number("time without renewal by guidance after which a landing is called off", "s", 0.05, 10.0)
-    ] = 0.5
-    landing_most_s: Annotated[
-        float, number("longest time of a landing by velocity; the autopilot continues one that a person ordered", "s", 0.5, 120.0)
-    ] = 15.0
-    landing_depth_m: Annotated[
-        float,
-        number(
-            "largest descent of a landing by velocity, after which there is no deck; one that a person ordered has no bound",
-            "m",
-            0.2,
-            20.0,
-        ),
-    ] = 3.0
+    landing_timeout_s: ClassVar[float] = 0.5
+    """Time without renewal by guidance after which a landing is called off."""
+    landing_most_s: ClassVar[float] = 15.0
+    """Longest time of a landing by velocity; the autopilot continues one that a person ordered."""
+    landing_depth_m: ClassVar[float] = 3.0
+    """Largest descent of a landing by velocity, after which there is no deck; one that a person ordered has no bound."""
     disarm_on_contact: Annotated[
         bool,
         choice(
@@ -214,19 +200,13 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
             "go on; otherwise only begin is"
         ),
     ] = False
-    deck_hold_s: Annotated[
-        float,
-        number(
-            "time after the last velocity for which a hold moves with the deck; later it holds over the ground", "s", 0.1, 60.0
-        ),
-    ] = 3.0
-    hold_mode_after_s: Annotated[
-        float, number("time without guidance after which the autopilot is put into its own hold mode", "s", 0.5, 120.0)
-    ] = 6.0
+    deck_hold_s: ClassVar[float] = 3.0
+    """Time after the last velocity for which a hold moves with the deck; later it holds over the ground."""
+    hold_mode_after_s: ClassVar[float] = 6.0
+    """Time without guidance after which the autopilot is put into its own hold mode."""
     take_off_height_m: Annotated[float, tuning("height of a take-off on command", "m", 0.5, 50.0, public=True)] = 3.0
-    take_off_timeout_s: Annotated[
-        float, number("time after which a take-off that has not happened is given up", "s", 0.5, 120.0)
-    ] = 15.0
+    take_off_timeout_s: ClassVar[float] = 15.0
+    """Time after which a take-off that has not happened is given up."""
     samples: SampleOptions = SampleOptions()
     timesync: TimeSyncOptions = TimeSyncOptions()
 

@@ -1,7 +1,7 @@
 """The filter's options: noises, priors, gates, sizes. The defaults suit an AR.Drone 2.0 over a small vessel."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from msgspec import Struct
 
@@ -40,9 +40,8 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     sigma_gyro_bias_rad_s: Annotated[float, tuning("standard deviation of the gyro's bias at the start", "rad/s", 1e-6, 1.0)] = (
         0.02
     )
-    asd_gyro_bias_rad_s2: Annotated[
-        float, tuning("random walk of the gyro's bias: its change within 1 s", "rad/s^2/sqrt(Hz)", 1e-9, 0.1)
-    ] = 1e-4
+    asd_gyro_bias_rad_s2: ClassVar[float] = 1e-4
+    """Random walk of the gyro's bias: its change within 1 s."""
     sigma_accel_bias_m_s2: Annotated[
         float,
         tuning(
@@ -72,25 +71,16 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
             1.0,
         ),
     ] = 2e-3
-    accel_step_m_s2: Annotated[
-        float,
-        tuning(
-            "largest plausible change of specific force between two samples; the rest is cut off and counts as uncertainty",
-            "m/s^2",
-            0.1,
-            1000.0,
-        ),
-    ] = 15.0
-    gyro_step_rad_s: Annotated[float, tuning("the same for the angular velocity", "rad/s", 0.01, 1000.0)] = 4.0
-    sigma_initial_tilt_rad: Annotated[
-        float, tuning("standard deviation of roll and pitch at the start if the vehicle sends no attitude", "rad", 1e-4, math.pi)
-    ] = math.radians(3.0)
-    sigma_initial_heading_rad: Annotated[
-        float, tuning("standard deviation of the heading at the start if the vehicle sends no attitude", "rad", 1e-4, math.pi)
-    ] = math.radians(10.0)
-    sigma_initial_velocity_m_s: Annotated[
-        float, tuning("standard deviation of the vehicle's velocity at the start", "m/s", 1e-3, 100.0)
-    ] = 2.0
+    accel_step_m_s2: ClassVar[float] = 15.0
+    """Largest plausible change of specific force between two samples; the rest is cut off and counts as uncertainty."""
+    gyro_step_rad_s: ClassVar[float] = 4.0
+    """The same for the angular velocity."""
+    sigma_initial_tilt_rad: ClassVar[float] = math.radians(3.0)
+    """Standard deviation of roll and pitch at the start if the vehicle sends no attitude."""
+    sigma_initial_heading_rad: ClassVar[float] = math.radians(10.0)
+    """Standard deviation of the heading at the start if the vehicle sends no attitude."""
+    sigma_initial_velocity_m_s: ClassVar[float] = 2.0
+    """Standard deviation of the vehicle's velocity at the start."""
 
     sigma_attitude_bias_rad: Annotated[
         float,
@@ -103,41 +93,25 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
             _MOTION_CAPTURE + ": 0.5 degrees in the calm, 9 when pulled",
         ),
     ] = math.radians(1.5)
-    asd_attitude_bias_rad_s: Annotated[
-        float,
-        tuning(
-            "random walk of that error: its change within 1 s; an AR.Drone in a steady side wind loses its level by much more",
-            "rad/s/sqrt(Hz)",
-            1e-7,
-            1.0,
-        ),
-    ] = 2e-3
-    attitude_correlation_s: Annotated[
-        float,
-        tuning(
-            "time over which errors of the vehicle's own attitude are correlated; samples closer together count as parts of one",
-            "s",
-            1e-4,
-            60.0,
-        ),
-    ] = 1.0
-    velocity_correlation_s: Annotated[float, tuning("the same for its velocity", "s", 1e-4, 60.0)] = 0.25
-    range_correlation_s: Annotated[float, tuning("the same for its range sensor", "s", 1e-4, 60.0)] = 0.05
-    baro_correlation_s: Annotated[float, tuning("the same for its barometer", "s", 1e-4, 60.0)] = 0.5
-    aiding_period_s: Annotated[
-        float,
-        tuning(
-            "time over which samples of attitude, velocity, range and height are averaged before they are fused", "s", 1e-3, 5.0
-        ),
-    ] = 0.05
+    asd_attitude_bias_rad_s: ClassVar[float] = 2e-3
+    """Random walk of that error: its change within 1 s; an AR.Drone in a steady side wind loses its level by much more."""
+    attitude_correlation_s: ClassVar[float] = 1.0
+    """Time over which errors of the vehicle's own attitude are correlated; samples closer together count as parts of one."""
+    velocity_correlation_s: ClassVar[float] = 0.25
+    """The same for its velocity."""
+    range_correlation_s: ClassVar[float] = 0.05
+    """The same for its range sensor."""
+    baro_correlation_s: ClassVar[float] = 0.5
+    """The same for its barometer."""
+    aiding_period_s: ClassVar[float] = 0.05
+    """Time over which samples of attitude, velocity, range and height are averaged before they are fused."""
 
     velocity_scale: Annotated[float, tuning("initial scale factor: measured over true horizontal velocity", "1", 0.1, 10.0)] = 1.0
     sigma_velocity_scale: Annotated[
         float, tuning("standard deviation of the scale factor at the start", "1", 1e-4, 10.0, _MOTION_CAPTURE)
     ] = 0.2
-    asd_velocity_scale: Annotated[
-        float, tuning("random walk of the scale factor: its change within 1 s", "1/sqrt(s)", 1e-7, 1.0)
-    ] = 1e-3
+    asd_velocity_scale: ClassVar[float] = 1e-3
+    """Random walk of the scale factor: its change within 1 s."""
     velocity_is_over: Annotated[
         Literal["auto", "ground", "pad", "either"],
         choice(
@@ -147,29 +121,20 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = "auto"
 
-    sigma_vessel_velocity_m_s: Annotated[
-        float, tuning("standard deviation of the vessel's velocity before the first sighting", "m/s", 1e-3, 100.0)
-    ] = 2.0
-    asd_vessel_velocity_m_s2: Annotated[
-        float,
-        tuning(
-            "random walk of the vessel's steady velocity, without the waves: its change within 1 s", "m/s^2/sqrt(Hz)", 1e-6, 10.0
-        ),
-    ] = 0.03
-    sigma_turn_rate_rad_s: Annotated[
-        float, tuning("standard deviation of the vessel's steady rate of turn before the first sighting", "rad/s", 1e-5, 1.0)
-    ] = math.radians(3.0)
-    asd_turn_rate_rad_s2: Annotated[
-        float, tuning("random walk of the steady rate of turn: its change within 1 s", "rad/s^2/sqrt(Hz)", 1e-7, 1.0)
-    ] = 0.006
-    sigma_wave_yaw_rate_rad_s: Annotated[
-        float,
-        tuning("standard deviation of the rate at which waves make the vessel yaw about its course", "rad/s", 1e-5, 1.0),
-    ] = math.radians(2.5)
-    wave_yaw_period_s: Annotated[float, tuning("period of the yaw motion in waves", "s", 0.5, 60.0)] = 6.0
-    sigma_list_rad: Annotated[float, tuning("standard deviation of the deck's constant list and trim", "rad", 1e-5, 0.5)] = (
-        math.radians(1.0)
-    )
+    sigma_vessel_velocity_m_s: ClassVar[float] = 2.0
+    """Standard deviation of the vessel's velocity before the first sighting."""
+    asd_vessel_velocity_m_s2: ClassVar[float] = 0.03
+    """Random walk of the vessel's steady velocity, without the waves: its change within 1 s."""
+    sigma_turn_rate_rad_s: ClassVar[float] = math.radians(3.0)
+    """Standard deviation of the vessel's steady rate of turn before the first sighting."""
+    asd_turn_rate_rad_s2: ClassVar[float] = 0.006
+    """Random walk of the steady rate of turn: its change within 1 s."""
+    sigma_wave_yaw_rate_rad_s: ClassVar[float] = math.radians(2.5)
+    """Standard deviation of the rate at which waves make the vessel yaw about its course."""
+    wave_yaw_period_s: ClassVar[float] = 6.0
+    """Period of the yaw motion in waves."""
+    sigma_list_rad: ClassVar[float] = math.radians(1.0)
+    """Standard deviation of the deck's constant list and trim."""
     pad_yaw_in_vessel_rad: Annotated[
         float, tuning("direction of the pad's arrow from the bow, clockwise from above", "rad", 0.0, 2.0 * math.pi, public=True)
     ] = 0.0
@@ -188,26 +153,20 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
             public=True,
         ),
     ] = 0.6
-    sigma_range_offset_m: Annotated[
-        float,
-        tuning("standard deviation of the range sensor's constant error, with that of its mounting height", "m", 1e-4, 10.0),
-    ] = 0.05
-    asd_range_offset_m: Annotated[float, tuning("random walk of that error: its change within 1 s", "m/sqrt(s)", 1e-7, 1.0)] = (
-        2e-3
-    )
-    sigma_baro_offset_m: Annotated[float, tuning("standard deviation of the barometer's constant error", "m", 1e-3, 10_000.0)] = (
-        100.0
-    )
-    asd_baro_offset_m: Annotated[float, tuning("random walk of that error: its change within 1 s", "m/sqrt(s)", 1e-6, 10.0)] = (
-        0.02
-    )
+    sigma_range_offset_m: ClassVar[float] = 0.05
+    """Standard deviation of the range sensor's constant error, with that of its mounting height."""
+    asd_range_offset_m: ClassVar[float] = 2e-3
+    """Random walk of that error: its change within 1 s."""
+    sigma_baro_offset_m: ClassVar[float] = 100.0
+    """Standard deviation of the barometer's constant error."""
+    asd_baro_offset_m: ClassVar[float] = 0.02
+    """Random walk of that error: its change within 1 s."""
 
     sigma_delay_s: Annotated[
         float, tuning("standard deviation of the common error of the sightings' time stamps", "s", 1e-6, 1.0)
     ] = 0.03
-    delay_drift_s_sqrt_s: Annotated[float, tuning("random walk of that error: its change within 1 s", "s/sqrt(s)", 0.0, 0.1)] = (
-        1e-4
-    )
+    delay_drift_s_sqrt_s: ClassVar[float] = 1e-4
+    """Random walk of that error: its change within 1 s."""
     sigma_mount_rad: Annotated[
         float, tuning("standard deviation of the camera's orientation on the body, about each axis", "rad", 1e-6, 0.5)
     ] = math.radians(1.0)
@@ -220,9 +179,8 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
             1.0,
         ),
     ] = 0.0
-    mount_drift_rad_sqrt_s: Annotated[
-        float, tuning("random walk of that orientation: its change within 1 s", "rad/sqrt(s)", 0.0, 0.1)
-    ] = 1e-5
+    mount_drift_rad_sqrt_s: ClassVar[float] = 1e-5
+    """Random walk of that orientation: its change within 1 s."""
     sighting_has_attitude_error: Annotated[
         bool,
         choice(
@@ -231,66 +189,35 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = True
 
-    gate_probability: Annotated[
-        float, tuning("probability that the gate refuses a correct measurement: 0.01, 0.001 or 0.0001", "1", 1e-4, 0.01)
-    ] = 1e-4
-    min_confidence: Annotated[
-        float,
-        tuning("least confidence of a sighting; estimator.min_confidence applies earlier", "1", 0.0, 1.0),
-    ] = 0.05
-    reopen_count: Annotated[
-        int,
-        tuning(
-            "number of consecutive refused sightings, in agreement with one another, that reset the filter to them", "1", 1, 1000
-        ),
-    ] = 5
-    reopen_s: Annotated[float, tuning("least time that these sightings must span", "s", 1e-3, 60.0)] = 0.6
-    heading_memory_s: Annotated[
-        float,
-        tuning(
-            "longest time for which the gyro holds a heading that sightings contradict, if they agreed for as long before",
-            "s",
-            0.01,
-            600.0,
-        ),
-    ] = 10.0
-    confirm_s: Annotated[
-        float,
-        tuning("time after the newest fused sighting or velocity for which the estimate can be consistent", "s", 0.01, 60.0),
-    ] = 1.0
-    consistent_sigma_m: Annotated[
-        float,
-        tuning("largest standard deviation of the pad's position at which the estimate can be consistent", "m", 1e-4, 100.0),
-    ] = 1.0
+    min_confidence: ClassVar[float] = 0.05
+    """Least confidence of a sighting; estimator.min_confidence applies earlier."""
+    reopen_count: ClassVar[int] = 5
+    """Number of consecutive refused sightings, in agreement with one another, that reset the filter to them."""
+    reopen_s: ClassVar[float] = 0.6
+    """Least time that these sightings must span."""
+    heading_memory_s: ClassVar[float] = 10.0
+    """Longest time for which the gyro holds a heading that sightings contradict, if they agreed for as long before."""
+    confirm_s: ClassVar[float] = 1.0
+    """Time after the newest fused sighting or velocity for which the estimate can be consistent."""
+    consistent_sigma_m: ClassVar[float] = 1.0
+    """Largest standard deviation of the pad's position at which the estimate can be consistent."""
     forget_s: Annotated[float, tuning("time without a sighting after which there is no estimate", "s", 0.1, 600.0)] = 30.0
 
     history_s: Annotated[float, tuning("largest delay of a measurement", "s", 0.05, 30.0)] = 1.0
-    max_ahead_s: Annotated[
-        float, tuning("largest time by which a measurement may be ahead of the latest time of reception", "s", 0.0, 5.0)
-    ] = 0.05
-    leap_s: Annotated[
-        float,
-        tuning("jump of the time of reception beyond which a sample is refused until others agree with it", "s", 0.05, 60.0),
-    ] = 2.0
-    leap_count: Annotated[int, tuning("number of consecutive samples that must agree for that", "1", 1, 1000)] = 5
-    tick_s: Annotated[
-        float,
-        tuning(
-            "longest time between two propagations of the covariance; the state is propagated at every IMU sample", "s", 1e-3, 1.0
-        ),
-    ] = 0.1
-    hold_s: Annotated[
-        float,
-        tuning("time for which an IMU sample is valid; after that the body is assumed to keep its velocity", "s", 1e-3, 5.0),
-    ] = 0.06
-    asd_coast_m_s2: Annotated[
-        float, tuning("density of the unknown acceleration while the IMU is silent", "m/s^2/sqrt(Hz)", 1e-4, 100.0)
-    ] = 1.5
-    asd_coast_rad_s: Annotated[
-        float, tuning("density of the unknown rotation while the IMU is silent", "rad/s/sqrt(Hz)", 1e-5, 10.0)
-    ] = 0.3
+    max_ahead_s: ClassVar[float] = 0.05
+    """Largest time by which a measurement may be ahead of the latest time of reception."""
+    leap_s: ClassVar[float] = 2.0
+    """Jump of the time of reception beyond which a sample is refused until others agree with it."""
+    leap_count: ClassVar[int] = 5
+    """Number of consecutive samples that must agree for that."""
+    tick_s: ClassVar[float] = 0.1
+    """Longest time between two propagations of the covariance; the state is propagated at every IMU sample."""
+    hold_s: ClassVar[float] = 0.06
+    """Time for which an IMU sample is valid; after that the body is assumed to keep its velocity."""
+    asd_coast_m_s2: ClassVar[float] = 1.5
+    """Density of the unknown acceleration while the IMU is silent."""
+    asd_coast_rad_s: ClassVar[float] = 0.3
+    """Density of the unknown rotation while the IMU is silent."""
 
     def __post_init__(self) -> None:
         check_ranges(self)
-        if self.gate_probability not in (0.01, 1e-3, 1e-4):
-            raise ValueError(f"gate_probability must be 0.01, 1e-3 or 1e-4, got {self.gate_probability!r}")

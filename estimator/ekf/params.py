@@ -211,17 +211,8 @@ def _initial_var(o: EkfOptions) -> F64:
     return var
 
 
-_CHI2 = {
-    0.01: (6.635, 9.210, 11.345, 13.277, 15.086, 16.812, 18.475, 20.090, 21.666),
-    1e-3: (10.828, 13.816, 16.266, 18.467, 20.515, 22.458, 24.322, 26.124, 27.877),
-    1e-4: (15.137, 18.421, 21.108, 23.513, 25.745, 27.856, 29.878, 31.828, 33.720),
-}
-"""Chi-square by probability of exceeding it, for 1 to 9 degrees of freedom."""
-
-
-def nis_max(probability: float, dof: int) -> float:
-    """Return the limit that the NIS of a consistent measurement of `dof` numbers exceeds with this probability."""
-    return _CHI2[probability][dof - 1]
+NIS_MAX = (15.137, 18.421, 21.108, 23.513, 25.745, 27.856, 29.878, 31.828, 33.720)
+"""Limits of the gate for 1 to 9 degrees of freedom: a consistent measurement exceeds one with a probability of 1e-4."""
 
 
 _SURFACES = {"auto": abi.DL_OVER_EITHER, "either": abi.DL_OVER_EITHER, "pad": abi.DL_OVER_PAD, "ground": abi.DL_OVER_GROUND}
@@ -248,7 +239,7 @@ def _packed(params: FilterParams) -> NDArray[Any]:
         velocity_is_over=_SURFACES[o.velocity_is_over],
         pad_in_vessel_m=(o.pad_forward_m, o.pad_right_m),
         correlation_s=(o.attitude_correlation_s, o.velocity_correlation_s, o.range_correlation_s, o.baro_correlation_s),
-        nis_max=[nis_max(o.gate_probability, dof) for dof in range(1, DL_ROWS_MAX + 1)],
+        nis_max=NIS_MAX[:DL_ROWS_MAX],
         carrying_psd_accel=by.asd_accel**2,
         carrying_psd_drift=by.asd_drift**2,
         carrying_psd_tilt=by.asd_tilt**2,

@@ -371,13 +371,6 @@ def test_long_rows_of_numbers_and_texts_with_dots_are_no_deep_keys() -> None:
             minimal("mavlink") | {"landing_target": {"ranges": "off", "range_rate_hz": 5.0}},
             ('expert.landing_target.range_rate_hz: without effect, as landing_target.ranges is "off"',),
         ),
-        (
-            minimal() | {"estimator": {"ekf": {"min_confidence": 0.1}}},
-            (
-                "expert.estimator.ekf.min_confidence: without effect, as it does not exceed estimator.min_confidence, "
-                "which refuses before",
-            ),
-        ),
     ],
 )
 def test_a_key_without_effect_is_reported_with_the_cause(data: dict[str, Any], said: tuple[str, ...]) -> None:

@@ -10,6 +10,7 @@ from estimator.contracts.commands import Hover, Land, Lean, TakeOff, Velocity
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity
 from estimator.contracts.time import MonoNs, Stamp
+from tests.make import tuned
 
 FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
 GROUND = at.Ref(at.REF_BASE)
@@ -24,7 +25,7 @@ class Cockpit:
     """A streamer and what it receives."""
 
     def __init__(self) -> None:
-        self.options = ArDroneOptions(command_timeout_s=0.25, velocity_timeout_s=0.2, take_off_timeout_s=5.0)
+        self.options = tuned(ArDroneOptions, command_timeout_s=0.25, velocity_timeout_s=0.2, take_off_timeout_s=5.0)
         self.streamer = CommandStreamer(self.options)
 
     def hears(self, t: float, control: nd.ControlState | None, state: int = 0, altitude_m: float = 0.0) -> None:

@@ -24,8 +24,9 @@ from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp, after
+from tests.make import tuned
 
-OPTIONS = ArDroneOptions(take_off_timeout_s=3.0)
+OPTIONS = tuned(ArDroneOptions, take_off_timeout_s=3.0)
 PERIOD_S, PERIOD_NS = 0.03, 30_000_000
 COMMANDS: dict[str, Command] = {
     "take off": TakeOff(), "land": Land(), "hover": Hover(),

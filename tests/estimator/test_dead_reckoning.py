@@ -11,7 +11,7 @@ from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.options import DeadReckoningOptions
-from tests.make import attitude, imu, ns, sighting, stamp, velocity
+from tests.make import attitude, imu, ns, sighting, stamp, tuned, velocity
 
 G = np.array([0.0, 0.0, -G_M_S2])
 NO_VERTICAL = (1e-4, 1e-4, UNKNOWN_VAR)
@@ -153,7 +153,7 @@ def test_calibration_at_rest_takes_the_means_off():
 
 
 def test_a_drone_that_moves_is_not_at_rest():
-    options = DeadReckoningOptions(calibration_s=1.0, calibration_samples=50)
+    options = tuned(DeadReckoningOptions, calibration_s=1.0, calibration_samples=50)
     events = [e for i in range(200) for e in (facing(i * 0.01), felt(i * 0.01, G), moving(i * 0.01, [(i % 50) * 0.01, 0, 0]))]
     state, _ = feed([*events, pad_at(1.99, [0, 0, 2])], options)
     assert dict(dr.at(state, ns(2.0)).details)["calibrated"] == 0.0

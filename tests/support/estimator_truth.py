@@ -18,6 +18,7 @@ from estimator.contracts.time import MonoNs, Stamp
 from sitl.sea.sea import SEA_STATES, Waves
 from sitl.vessel.seakeeping import HULLS
 from sitl.vessel.vessel import Vessel
+from tests.make import tuned
 
 G = 9.80665
 EPOCH_NS = 5_000_000_000
@@ -279,7 +280,8 @@ LEGS = (
     (0.0, 2.5, 1.5, 5.0), (3.0, 2.5, 1.5, 5.0), (9.0, 0.3, -0.2, 2.0), (26.0, 0.2, 0.2, 2.0), (31.0, -0.6, 0.6, 4.0),
     (36.0, 0.1, 0.0, 2.0),
 )  # fmt: skip
-OPTIONS = ekf.EkfOptions(
+OPTIONS = tuned(
+    ekf.EkfOptions,
     asd_gyro_rad_s=0.0025,
     asd_accel_m_s2=0.02,
     sigma_accel_bias_m_s2=0.15,

@@ -36,6 +36,7 @@ from estimator.ekf.params import (
     DECK_TRIM,
     GYRO_BIAS,
     LOG_PRIOR,
+    NIS_MAX,
     NOT_MEASURED_VAR,
     PAD_YAW,
     POS_DOWN,
@@ -56,7 +57,6 @@ from estimator.ekf.params import (
     FilterParams,
     N,
     W,
-    nis_max,
 )
 from tests.estimator.ekf.core_state import State, heading
 
@@ -599,7 +599,7 @@ def _refused_at_an_edge(
     nis = nis_of(row.innov, S)
     if nis is None or nis < 6.0 or (1.0 if deck_weight < 0.5 else -1.0) * _evidence_of_the_deck(b, event, list(axes)) <= 0.0:
         return None
-    return Outcome(Verdict.GATED, row.innov, S, nis, nis_max(params.options.gate_probability, len(axes)), axes)
+    return Outcome(Verdict.GATED, row.innov, S, nis, NIS_MAX[len(axes) - 1], axes)
 
 
 def _foot(b: State) -> tuple[float, float]:
@@ -690,7 +690,7 @@ def _gather(
     o, aid = params.options, b.aids[kind]
     so_far = _gathered_so_far(b, kind, innov, params, axes, deck_weight)
     S = so_far.spread + R
-    nis, limit = nis_of(innov, S), nis_max(o.gate_probability, innov.size)
+    nis, limit = nis_of(innov, S), NIS_MAX[innov.size - 1]
     if nis is None:
         return Outcome(Verdict.SINGULAR, innov, S, axes=axes)
     if nis > limit:
@@ -813,7 +813,7 @@ def _turn_shows(b: State, innov: float, sigma: float) -> bool:
 
 def _gated(b: State, z: Rows, params: FilterParams, axes: tuple[int, ...], *, velocities_alone: bool = False) -> Outcome:
     """Correct a state, or its horizontal velocities alone, by numbers that pass the gate."""
-    fix, limit = correction(b.P, z), nis_max(params.options.gate_probability, z.innov.size)
+    fix, limit = correction(b.P, z), NIS_MAX[z.innov.size - 1]
     if fix is None:
         return Outcome(Verdict.SINGULAR, z.innov, axes=axes)
     if fix.nis > limit:
@@ -949,7 +949,7 @@ def _sighting(b: State, s: Sighting, params: FilterParams) -> Outcome:
     o, fresh, turned_round = params.options, b.sighted < 0, False
 
     def limit(z: Rows) -> float:
-        return nis_max(o.gate_probability, z.innov.size)
+        return NIS_MAX[z.innov.size - 1]
 
     if fresh:
         _initialise(b, s, o, reset=False)

@@ -12,7 +12,7 @@ from estimator.contracts.time import MonoNs
 from estimator.ekf import EkfOptions, Filter
 from estimator.ekf.params import FilterParams
 from tests.estimator.ekf.core_state import MS, T, holding, known, newest, put, state_of
-from tests.make import baro, imu, stamp_at, status
+from tests.make import baro, imu, stamp_at, status, tuned
 from tests.support.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns
 
 SETTING = Setting(seed=4, sea=4, duration_s=5.0, pose6=True, range_hz=20.0, baro_hz=10.0, imu_hz=100.0, outliers=0.05)
@@ -42,7 +42,7 @@ def test_late_and_shuffled_equals_in_order() -> None:
     assert sum(a is not b for a, b in zip(received, in_order, strict=True)) > 100
     rng = np.random.default_rng(0)
     jumbled = sorted(received, key=lambda e: e.stamp.received_at + rng.uniform(0.0, 0.25e9))
-    options = EkfOptions(max_ahead_s=0.5)
+    options = tuned(EkfOptions, max_ahead_s=0.5)
     reference, _ = put_all(in_order, options)
     for order in (received, jumbled):
         late, verdicts = put_all(order, options)

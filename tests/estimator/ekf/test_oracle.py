@@ -33,7 +33,7 @@ from tests.estimator.ekf.core_state import (
     seen,
     state_of,
 )
-from tests.make import attitude, baro, imu, range_down, stamp_at, velocity, vessel
+from tests.make import attitude, baro, imu, range_down, stamp_at, tuned, velocity, vessel
 from tests.support.estimator_truth import Setting, TruthFlight, events
 
 _OPTIONS: tuple[dict[str, Any], ...] = (
@@ -41,14 +41,14 @@ _OPTIONS: tuple[dict[str, Any], ...] = (
     {"velocity_is_over": "either", "deck_radius_m": 3.0, "sighting_has_attitude_error": False, "min_confidence": 0.5},
     {
         "velocity_is_over": "pad", "aiding_period_s": 0.02, "hold_s": 0.02, "pad_yaw_in_vessel_rad": 1.2, "tick_s": 0.01,
-        "pad_forward_m": -3.0, "pad_right_m": 1.0, "gate_probability": 1e-4,
+        "pad_forward_m": -3.0, "pad_right_m": 1.0,
     },
     {
         "velocity_is_over": "ground", "forget_s": 0.5, "accel_step_m_s2": 1.0, "gyro_step_rad_s": 0.1, "reopen_count": 2,
-        "reopen_s": 0.01, "gate_probability": 0.01, "heading_memory_s": 0.3,
+        "reopen_s": 0.01, "heading_memory_s": 0.3,
     },
 )  # fmt: skip
-PARAMS = tuple(FilterParams(EkfOptions(leap_s=10.0, **changed)) for changed in _OPTIONS)
+PARAMS = tuple(FilterParams(tuned(EkfOptions, leap_s=10.0, **changed)) for changed in _OPTIONS)
 DOWN = np.array([0.0, 0.0, 1.0])
 REST = -9.8 * DOWN
 ORDER = Imu, Attitude, BodyVelocity, Range, Baro, VesselReport, VesselMotion, Sighting

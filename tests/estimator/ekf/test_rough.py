@@ -16,6 +16,7 @@ from estimator.contracts.time import MonoNs
 from estimator.ekf import Filter
 from estimator.ekf.params import TURN_RATE
 from tests.estimator.ekf.core_state import copied, newest
+from tests.make import tuned
 from tests.support import voyage_truth
 from tests.support.voyage_score import Score, fly_voyage
 from tests.support.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
@@ -172,7 +173,7 @@ def test_a_belief_that_nothing_confirms_is_not_called_consistent() -> None:
     for later_s, expected in ((8.1, True), (8.6, True), (9.5, False), (29.0, False)):
         state = ekf.at(ns(later_s))
         assert state.consistent is expected
-    strict = Filter(structs.replace(OPTIONS, consistent_sigma_m=1e-3), ekf.save())
+    strict = Filter(tuned(type(OPTIONS), **structs.asdict(OPTIONS), consistent_sigma_m=1e-3), ekf.save())
     state = strict.at(ns(8.1))
     assert not state.consistent, "a sigma beyond the bound"
 

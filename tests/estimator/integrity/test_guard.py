@@ -14,7 +14,7 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, excludes, follow, judged
 from estimator.integrity.options import IntegrityOptions
 from tests import make
-from tests.make import baro, imu, ns, stamp, status
+from tests.make import baro, imu, ns, stamp, status, tuned
 
 T, HEADING = 100.0, 0.5
 NOW = ns(T)
@@ -148,7 +148,7 @@ def test_a_pad_that_its_ship_swung_out_of_sight_goes_on_where_the_estimate_can_h
     ids=["there", "nearer than half of two pads", "as far", "in height", "an uncertain estimate", "as the settings have it"],
 )  # fmt: skip
 def test_an_estimate_excludes_where_another_pad_can_be_and_it_does_not_expect_this_one(d, sigma_m, step_m, excluded):
-    assert excludes(estimate((1.0, 0.5, 2.0), sigma_m), sighting(T, d), IntegrityOptions(place_step_m=step_m)) is excluded
+    assert excludes(estimate((1.0, 0.5, 2.0), sigma_m), sighting(T, d), tuned(IntegrityOptions, place_step_m=step_m)) is excluded
 
 
 def test_a_sightings_stamp_is_judged_before_its_place() -> None:
@@ -212,7 +212,7 @@ def test_a_pad_above_a_camera_that_looks_down_is_impossible_and_changes_nothing(
 )
 def test_a_pad_that_was_followed_without_an_attitude_is_known_again_whatever_the_tilt_is_by_then(tilts_to_deg, aside_m, verdict):
     """Own truth: the body tilts while its attitude is not known, which moves the place that is assumed by 1.1 m."""
-    p, guard = np.array([0.2, 0.1, 3.0]), IntegrityGuard(options=IntegrityOptions(view_turned_min_rad=1.0))
+    p, guard = np.array([0.2, 0.1, 3.0]), IntegrityGuard(options=tuned(IntegrityOptions, view_turned_min_rad=1.0))
     times = [T + 0.033 * n for n in range(83)]
     for t in times[:20]:
         guard, found = see(guard, sighting(t, (0.2, 0.1, 3.0)), attitude_of(t))
