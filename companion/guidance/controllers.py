@@ -11,7 +11,6 @@ from msgspec import Struct, structs
 
 from companion.guidance.controller import Controller, FieldOfView
 from companion.guidance.law.follow_deck import FollowDeck
-from companion.guidance.law.gains import ObserverNoise
 from companion.guidance.law.pid import PidController
 from companion.guidance.law.policy import PolicyController, read_policy, shipped_policy
 from companion.settings.guidance import GuidanceOptions, Response
@@ -53,9 +52,6 @@ def _follow_deck(setup: ControllerSetup) -> FollowDeck:
         response,
         1.0 / setup.guidance.rate_hz,
         setup.view if o.keep_in_view else None,
-        noise=ObserverNoise(accelerometer=o.accelerometer),
-        forecast=o.forecast,
-        delay_line=o.delay_line,
         fallback=PidController(setup.guidance.pid, heaves=not setup.over_ground),
         over_ground=setup.over_ground,
     )

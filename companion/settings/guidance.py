@@ -208,12 +208,6 @@ class FollowDeckOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True)
     ] = True
     delay_known_s: ClassVar[float] = 0.04
     """Standard deviation up to which the delay of the tilt counts as known."""
-    accelerometer: Annotated[
-        bool,
-        choice("whether gusts are felt by the accelerometer; without it they show a second later in place and speed", page=True),
-    ] = True
-    delay_line: Annotated[bool, choice("whether commands under way are taken into account", page=True)] = True
-    forecast: Annotated[bool, choice("whether the deck's motion is followed ahead of time", page=True)] = True
     keep_in_view: Annotated[
         bool, choice("whether the lean is cut so that the pad stays in the picture", public=True, page=True)
     ] = True

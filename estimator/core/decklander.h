@@ -530,8 +530,6 @@ typedef struct {
     bool over_ground;
     /* Whether the tilt is limited so that the pad stays in the camera's view. */
     bool keeps_in_view;
-    /* Whether the deck's motion is known. */
-    bool looks_ahead;
     /* Period of the cycles, s. */
     double period_s;
     /* Frequency of the vehicle's answer to a tilt command, rad/s. */

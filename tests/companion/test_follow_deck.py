@@ -246,17 +246,15 @@ def turning(t: float, early: float, late: float) -> Forecast:
 
 
 def test_the_decks_acceleration_counts_now_and_when_the_command_has_taken_effect() -> None:
-    def lean(forecast: Forecast | None, law: FollowDeck = LAW) -> F64:
+    def lean(forecast: Forecast | None) -> F64:
         now = knows(0.0, (0.001, -0.002, 1.0), v_deck=(0.0, 0.0, 0.0), forecast=forecast)
-        return np.append(ask_law(command := stepped(law.start(), now, law=law)[1]), command.v_level[2])
+        return np.append(ask_law(command := stepped(LAW.start(), now)[1]), command.v_level[2])
 
     plain, early, late = lean(None), lean(turning(0.0, 0.2, 0.0)), lean(turning(0.0, 0.0, 0.2))
     assert np.all(np.abs(early[:2] - plain[:2]) > 1e-3)
     assert np.all(np.abs(late - plain) > 1e-3)
     for made_s, counts in ((-0.04, True), (-0.49, True), (-0.51, False)):
         assert lean(turning(made_s, 0.0, 0.2)) == pytest.approx(late if counts else plain)
-    blind = FollowDeck(RESPONSE, T, forecast=False)
-    assert lean(turning(0.0, 0.2, 0.2), blind).tolist() == plain.tolist(), "a law without forecast follows from behind"
 
 
 def test_a_tilt_is_cut_so_that_the_camera_keeps_the_pad() -> None:
@@ -555,11 +553,11 @@ def test_the_observers_gains_solve_its_riccati_equation(accelerometer: bool) -> 
     assert ObserverNoise().accelerometer
 
 
-@pytest.mark.parametrize(("lag_s", "delay_line"), [(0.08, True), (0.0, True), (0.08, False)])
-def test_the_regulators_gains_solve_its_riccati_equation(lag_s: float, delay_line: bool) -> None:
+@pytest.mark.parametrize("lag_s", [0.08, 0.0])
+def test_the_regulators_gains_solve_its_riccati_equation(lag_s: float) -> None:
     response = structs.replace(TILT, lag_s=lag_s)
-    gains = tilt_gains(response, TiltWeights(), T, delay_line=delay_line)
-    model = tilt_model(structs.replace(response, delay_s=0.05 if delay_line else 0.0), T)
+    gains = tilt_gains(response, TiltWeights(), T)
+    model = tilt_model(structs.replace(response, delay_s=0.05), T)
     B, Q = model.B[:, None], np.zeros_like(model.A)
     Q[:3, :3] = np.outer((1.0, 0.0, 0.01), (1.0, 0.0, 0.01)) / 0.006**2
     Q[1, 1] = 4.1**-2
@@ -568,6 +566,5 @@ def test_the_regulators_gains_solve_its_riccati_equation(lag_s: float, delay_lin
     K = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ model.A)[0]
     lag = (gains.lag,) if lag_s else ()
     np.testing.assert_allclose((*gains[:4], *lag, *gains.under_way), K, rtol=1e-9)
-    assert delay_line is (gains == tilt_gains(response, TiltWeights(), T))
-    assert len(gains.under_way) == (3 if delay_line else 1)
+    assert len(gains.under_way) == 3
     assert (gains.lag == 0.0) is (lag_s == 0.0)

@@ -457,7 +457,7 @@ def fly_pushed(
 
     It begins at rest; `answer` scales commands. The pushes are so small that the loop is linear.
     """
-    law = FollowDeck(Response(assumed, ClimbResponse(0.1, 0.1)), PERIOD_S, forecast=False)
+    law = FollowDeck(Response(assumed, ClimbResponse(0.1, 0.1)), PERIOD_S)
     model, memory, out = tilt_model(true, PERIOD_S), law.start(), np.empty((cycles + 1, 3))
     x = np.zeros(len(model.A))
     for k in range(-1, cycles):  # the law begins with a cycle at rest

@@ -107,13 +107,12 @@ class TiltTuning:
         response, weights: of `tuned`.
         period_s: the guidance period.
         periods: how many of them a cycle takes.
-        delay_line: whether commands under way are in the state.
     """
 
-    def __init__(self, response: TiltResponse, weights: TiltWeights, period_s: float, periods: int, *, delay_line: bool) -> None:
+    def __init__(self, response: TiltResponse, weights: TiltWeights, period_s: float, periods: int) -> None:
         self.response, self.periods = response, periods
         self.under_way = max(1, math.ceil(response.delay_s / period_s - 1e-9))
-        self._weights, self._period_s, self._delay_line = weights, periods * period_s, delay_line
+        self._weights, self._period_s = weights, periods * period_s
         self._solved: dict[float, TiltGains] = {}
         self._after: dict[tuple[float, int], F64] = {}
 
@@ -123,14 +122,14 @@ class TiltTuning:
         sigma = chosen(SIGMAS_P_M, sigma_p_m)
         if sigma not in self._solved:
             weights = self._weights._replace(p_m=self._weights.p_m * max(1.0, sigma / _STIFF_M))
-            self._solved[sigma] = tilt_gains(self.response, weights, self._period_s, delay_line=self._delay_line)
+            self._solved[sigma] = tilt_gains(self.response, weights, self._period_s)
         return self._solved[sigma]
 
     def after(self, sigma_p_m: float, seconds: float) -> F64:
         """Return what leads from the state of the closed loop to place and speed so many seconds later, (2, n)."""
         key = chosen(SIGMAS_P_M, sigma_p_m), (cycles := max(0, round(seconds / self._period_s)))
         if key not in self._after:
-            model = tilt_model(self.response, self._period_s, delay_line=self._delay_line)
+            model = tilt_model(self.response, self._period_s)
             gains = self.gains(key[0])
             lag = (gains.lag,) if model.states == 5 else ()
             K = np.array([gains.p, gains.w, gains.a, gains.rate, *lag, *gains.under_way])
@@ -141,8 +140,7 @@ class TiltTuning:
         """Return the state of the closed loop: an axis of the core's memory less the aim and what holds it over the deck."""
         reference = a_deck - axis.d
         lag = (axis.lag - reference,) if self.response.lag_s else ()
-        n = self.under_way if self._delay_line else 1
-        under_way = [axis.under_way[k] - reference for k in range(0, n, self.periods)]
+        under_way = [axis.under_way[k] - reference for k in range(0, self.under_way, self.periods)]
         return np.array([axis.p - aim_m, axis.w, axis.lean - reference, axis.rate, *lag, *under_way])
 
     def solve(self) -> TiltTuning:
@@ -207,9 +205,6 @@ class FollowDeck:
         response: how the vehicle answers.
         period_s: the guidance period.
         view: the camera's field of view; None for no limit by it.
-        noise: of the observer.
-        forecast: whether the deck's motion is known ahead; without it the deck is followed from behind.
-        delay_line: whether commands under way are known; without it the vehicle is taken to answer at once.
         fallback: flies where the estimator path knows nothing of the body's motion.
         over_ground: whether the vehicle takes velocities over the ground with an acceleration, and cancels wind by itself.
 
@@ -225,24 +220,17 @@ class FollowDeck:
         period_s: float,
         view: FieldOfView | None = None,
         *,
-        noise: ObserverNoise | None = None,
-        forecast: bool = True,
-        delay_line: bool = True,
         fallback: PidController | None = None,
         over_ground: bool = False,
     ) -> None:
         self._fallback, self._over_ground = fallback, over_ground
         self.response, self.period_s = response, period_s
-        self._delay_line = delay_line
         self._tunings: dict[TuningChoice, TiltTuning] = {}
         for soft in (False, True):
             self._tuning(TuningChoice(0.0, soft)).solve()
         longest_s = max(DELAY_MAX_S, response.tilt.delay_s, response.climb.delay_s)
         self._remembered = math.ceil((longest_s + SOFTER_LONGER_S) / period_s) + 1
-        self._params = law_params(
-            response.tilt, response.climb, period_s, self._remembered, view, looks_ahead=forecast, over_ground=over_ground
-        )
-        self._noise = noise or ObserverNoise()
+        self._params = law_params(response.tilt, response.climb, period_s, self._remembered, view, over_ground=over_ground)
         self._in_use: dict[tuple[TuningChoice, TuningChoice, float, float, tuple[float, float], bool, bool], Any] = {}
 
     @property
@@ -260,7 +248,7 @@ class FollowDeck:
             response, weights = tuned(self.response.tilt, TiltWeights(), choice)
             late_s = max(0.0, (choice.periods - 1) * self.period_s - _LATE_S)
             weights = weights._replace(p_m=weights.p_m * (1.0 + _SOFTER_PER_LATE_S * late_s))
-            self._tunings[choice] = TiltTuning(response, weights, self.period_s, choice.periods, delay_line=self._delay_line)
+            self._tunings[choice] = TiltTuning(response, weights, self.period_s, choice.periods)
         return self._tunings[choice]
 
     def tilt_max_deg(self, knowledge: Knowledge) -> float:
@@ -285,7 +273,7 @@ class FollowDeck:
         if key not in self._in_use:
             gains, earlier = self._gains(memory.tuning, soft_m), self._gains(before, soft_m)
             felt = {"accelerometer": False} if unfelt else {"sigma_a_m_s2": _ROUGH_M_S2} if rough else {}
-            observers = observer_gains(self._noise._replace(**felt), memory.tuning.periods * self.period_s)
+            observers = observer_gains(ObserverNoise(**felt), memory.tuning.periods * self.period_s)
             of = self._tuning(memory.tuning).response
             tilt_max_m_s2 = replace(self.response.tilt, max_deg=limits[1]).max_m_s2
             own = {"frequency_rad_s": of.frequency_rad_s, "damping": of.damping}

@@ -110,11 +110,8 @@ class TiltModel(msgspec.Struct, frozen=True):
     """Number of states before them: 4 or 5."""
 
 
-def tilt_model(tilt: TiltResponse, period_s: float, *, delay_line: bool = True) -> TiltModel:
+def tilt_model(tilt: TiltResponse, period_s: float) -> TiltModel:
     """Return the exact discrete model of a response whose commands are held for a period each; the delay may be any.
-
-    Args:
-        delay_line: whether commands under way are in the state; False takes the vehicle to answer at once.
 
     Source: Astrom & Wittenmark, Computer-Controlled Systems, 3rd ed., sec. 3.2 (delay that is no multiple of the period).
     """
@@ -128,7 +125,7 @@ def tilt_model(tilt: TiltResponse, period_s: float, *, delay_line: bool = True) 
         A[3, 4], A[4, 4], b[4] = w * w, -1.0 / tilt.lag_s, 1.0 / tilt.lag_s
     else:
         b[3] = w * w
-    late = tilt.delay_s / period_s if delay_line else 0.0
+    late = tilt.delay_s / period_s
     n = max(1, math.ceil(late - 1e-9))
     part = late - (n - 1)
     whole, _ = _held(A, b, period_s)
@@ -184,16 +181,13 @@ class TiltGains(NamedTuple):
 
 
 @lru_cache(maxsize=256)
-def tilt_gains(response: TiltResponse, weights: TiltWeights, period_s: float, *, delay_line: bool = True) -> TiltGains:
+def tilt_gains(response: TiltResponse, weights: TiltWeights, period_s: float) -> TiltGains:
     """Return the gains for a vehicle, solved once in a process: a campaign flies the same vehicle again and again.
-
-    Args:
-        delay_line: of `tilt_model`.
 
     Raises:
         ValueError: there are no gains that stabilise such a vehicle.
     """
-    model = tilt_model(response, period_s, delay_line=delay_line)
+    model = tilt_model(response, period_s)
     n, m = model.A.shape[0], model.states
     stands, Q = np.zeros(n), np.zeros((n, n))
     stands[0], stands[2] = 1.0, weights.lean_m
@@ -272,7 +266,6 @@ def law_params(
     remembered: int,
     view: FieldOfView | None = None,
     *,
-    looks_ahead: bool,
     over_ground: bool,
 ) -> LawParams:
     """Return what the core's law is made for.
@@ -280,7 +273,6 @@ def law_params(
     Args:
         remembered: number of commands under way that are kept.
         view: None for no limit by it.
-        looks_ahead: whether the deck's motion is known.
 
     Raises:
         ValueError: more commands are under way than the core keeps.
@@ -289,7 +281,7 @@ def law_params(
         raise ValueError(f"{remembered} commands of {period_s} s are under way, and the law keeps {DL_UNDER_WAY_MAX}")
     seen = view or FieldOfView(0.0, 0.0, 0.0, 0.0)
     return {
-        "remembered": remembered, "over_ground": over_ground, "keeps_in_view": view is not None, "looks_ahead": looks_ahead,
+        "remembered": remembered, "over_ground": over_ground, "keeps_in_view": view is not None,
         "period_s": period_s, "frequency_rad_s": tilt.frequency_rad_s, "damping": tilt.damping, "lag_s": tilt.lag_s,
         "tilt_max_m_s2": tilt.max_m_s2, "climb_lag_s": climb.lag_s, "climb_max_m_s": climb.max_m_s,
         "view_forward_m": seen.forward_m, "view_right_m": seen.right_m,

@@ -187,7 +187,7 @@ def _law(assumed: TiltResponse, weights: TiltWeights) -> _Law:
     gains = tilt_gains(assumed, weights, PERIOD_S)
     seeing = chosen(observer_gains(ObserverNoise(), PERIOD_S), _SIGMA_P_M)
     n, seen = max(1, math.ceil(assumed.delay_s / PERIOD_S - 1e-9)), len(_AXIS)
-    params = law_params(assumed, _ANY_CLIMB, PERIOD_S, n, looks_ahead=True, over_ground=False)
+    params = law_params(assumed, _ANY_CLIMB, PERIOD_S, n, over_ground=False)
     flown = law_in_use(params, law_gains(gains, n, 1, assumed.slowness_s), seeing)
 
     def step(state: F64, z: F64) -> tuple[F64, float]:

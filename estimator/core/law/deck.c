@@ -35,10 +35,10 @@ static double slope(const dl_law_course *course, int64_t i, int axis)
     return (course->rates_m_s[i + 1][axis] - course->rates_m_s[i][axis]) / (course->horizons_s[i + 1] - course->horizons_s[i]);
 }
 
-void deck_ahead_of(const dl_law_params *o, const dl_law_cycle *in, const dl_law_course *course, double ahead_s, deck_then *out)
+void deck_ahead_of(const dl_law_cycle *in, const dl_law_course *course, double ahead_s, deck_then *out)
 {
     memset(out, 0, sizeof *out);
-    if (!o->looks_ahead || !in->has_deck) {
+    if (!in->has_deck) {
         return;
     }
     const double age = in->forecast_age_s, until = age + ahead_s;

@@ -178,7 +178,7 @@ static double climb_by(const dl_law_params *o, const dl_law_gains *gains, const 
     double v = v_down;
     deck_then then;
     const double d = memory->pushed_down_m_s2, way = climb_predicted(o, &v, d, gains->climb_delay, memory->climbs);
-    deck_ahead_of(o, in, course, (double)gains->climb_delay * o->period_s, &then);
+    deck_ahead_of(in, course, (double)gains->climb_delay * o->period_s, &then);
     const double height = in->d[2] + then.moved[2] - way;
     return law_limited(climb_command(o, in, v, d, &then, height - in->wanted[2]), o->climb_max_m_s);
 }
@@ -218,7 +218,7 @@ bool dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_
     dl_law_memory was = *before;
     const int64_t periods = in->goes_on ? held(o, in, &was) : 1;
     *after = was;
-    deck_ahead_of(o, in, course, 0.0, &here);
+    deck_ahead_of(in, course, 0.0, &here);
     measure(n, in, &here, z);
     observe_axes(law, in, periods, z, &was, after->axes);
     const double v_down = (in->has_deck ? in->v_deck[2] : 0.0) - in->v[2];
@@ -232,7 +232,7 @@ bool dl_law_step(const dl_law_in_use *law, const dl_law_cycle *in, const dl_law_
         return 1;
     }
     double soon = law_between(in, gains->slowness_s, gains_before->slowness_s), lean[2];
-    deck_ahead_of(o, in, course, soon, &then);
+    deck_ahead_of(in, course, soon, &then);
     lean_to(law, in, n, after->axes, &here, &then, lean, out->trim);
     const double later = climb_by(o, gains, in, course, after, v_down);
     const double earlier = climb_by(o, gains_before, in, course, after, v_down);

@@ -31,7 +31,7 @@ void own_flown(const dl_law_params *o, double dt, int64_t n, const dl_law_axis *
 void own_hovered(double dt, double lean, const dl_law_own *before, dl_law_own *after);
 
 /* The deck this many seconds ahead; still where nothing is known of its motion. */
-void deck_ahead_of(const dl_law_params *o, const dl_law_cycle *in, const dl_law_course *course, double ahead_s, deck_then *out);
+void deck_ahead_of(const dl_law_cycle *in, const dl_law_course *course, double ahead_s, deck_then *out);
 /* The deck's turn, by the course of the heading against the arrow. */
 void turn_observe(const dl_law_cycle *in, const dl_law_memory *before, dl_law_memory *after);
 /* The turn to command, rad/s; 0 where no heading is wanted or known. */

@@ -17,7 +17,7 @@ static void law_parameters(dl_law_params *o)
 {
     memset(o, 0, sizeof *o);
     o->remembered = 1 + draw() % DL_UNDER_WAY_MAX;
-    o->over_ground = draw() % 2, o->keeps_in_view = draw() % 2, o->looks_ahead = draw() % 4 != 0;
+    o->over_ground = draw() % 2, o->keeps_in_view = draw() % 2;
     o->period_s = 0.02, o->frequency_rad_s = 9.0, o->damping = 0.7, o->lag_s = draw() % 2 ? 0.08 : 0.0, o->tilt_max_m_s2 = 3.5;
     o->climb_lag_s = 0.3, o->climb_max_m_s = 1.0, o->half_forward_rad = 0.4, o->half_right_rad = 0.6;
     poisoned(&o->period_s, 11);
