@@ -12,9 +12,8 @@ and one rotation. The pad is assumed stationary; the covariance includes its pos
 Vertical: if the vehicle measures no vertical velocity (AR.Drone), it comes from an alpha-beta filter. The position comes from the
 sightings, and the velocity is corrected towards their rate within `vertical_tau_s`. In between the accelerometer drives it, and
 without sightings it decays to zero within `vertical_leak_s`. The accelerometer's mean over `vertical_mean_s` is taken for its
-bias: nothing accelerates one way for long, and biases of 0.6 m/s^2 are usual.
-
-At rest the means of velocity and specific force over `calibration_s` (ten seconds in the thesis) are their biases.
+bias: nothing accelerates one way for long, and biases of 0.6 m/s^2 are usual. The thesis' section 4.3 takes the means at rest
+for the biases, which its code leaves out.
 """
 
 from __future__ import annotations
@@ -62,44 +61,6 @@ def heading_after(arrow: ArrowHeading | None, heading_rad: float, sighting: Sigh
         seen = wrap_pi(seen + math.pi)
     ambiguous = sighting.yaw_ambiguous and (arrow is None or arrow.ambiguous)
     return ArrowHeading(seen, float(sighting.cov[3, 3]), sighting.stamp.measured_at, ambiguous)
-
-
-class RestCalibration(Struct, frozen=True, eq=False):
-    """The sums so far of velocity, m/s in level, and specific force minus gravity, m/s^2 in `body`: (sum, number of samples).
-
-    `done` is True once the means are final. A reading that is too large for a vehicle at rest begins them again.
-    """
-
-    options: DeadReckoningOptions = field(default_factory=DeadReckoningOptions)
-    since: MonoNs | None = None
-    velocity: tuple[F64, int] = field(default_factory=lambda: (np.zeros(3), 0))
-    acceleration: tuple[F64, int] = field(default_factory=lambda: (np.zeros(3), 0))
-    done: bool = False
-
-    def biases(self) -> tuple[F64, F64]:
-        """Return the biases of velocity and acceleration, (3,) each; zeros until done or without samples."""
-        v, a = (total / n if self.done and n else np.zeros(3) for total, n in (self.velocity, self.acceleration))
-        return v, a
-
-    def add_velocity(self, t: MonoNs, v_level: F64) -> RestCalibration:
-        """Add one measured velocity, (3,) m/s."""
-        if self.done:
-            return self
-        if float(np.abs(v_level).max()) > self.options.calibration_velocity_max_m_s:
-            return RestCalibration(self.options)
-        total, n = self.velocity
-        return replace(self, since=t if self.since is None else self.since, velocity=(total + v_level, n + 1))
-
-    def add_acceleration(self, t: MonoNs, a_body: F64) -> RestCalibration:
-        """Add one measured specific force minus gravity, (3,) m/s^2 in `body`; a perfect sensor at rest gives zeros."""
-        o = self.options
-        if self.done:
-            return self
-        if float(np.abs(a_body).max()) > o.calibration_acceleration_max_m_s2:
-            return RestCalibration(o)
-        since, (total, n) = t if self.since is None else self.since, self.acceleration
-        done = n + 1 >= o.calibration_samples and seconds_between(since, t) >= o.calibration_s
-        return replace(self, since=since, acceleration=(total + a_body, n + 1), done=done)
 
 
 _NIS_MAX = 16.27
@@ -158,13 +119,11 @@ class DeadReckoning(Struct, frozen=True, eq=False):
     arrow: ArrowHeading | None = None
     agreed: tuple[bool, ...] = ()
     """True for each of the last innovations that lay inside the claimed covariance."""
-    rest: RestCalibration | None = None
 
     @staticmethod
     def start(options: DeadReckoningOptions | None = None) -> DeadReckoning:
         """Return a state without any knowledge."""
-        options = options or DeadReckoningOptions()
-        return DeadReckoning(options, rest=RestCalibration(options) if options.calibration_s > 0.0 else None)
+        return DeadReckoning(options or DeadReckoningOptions())
 
 
 def step(state: DeadReckoning, event: Sample | Sighting) -> tuple[DeadReckoning, Verdict | None]:
@@ -251,13 +210,9 @@ def at(state: DeadReckoning, now: MonoNs) -> RelativeState | None:
 
 def _figures(state: DeadReckoning) -> tuple[tuple[str, float], ...]:
     """Return the figures for the records."""
-    v_bias, a_bias = _biases(state)
     return (
         ("yaw_ambiguous", float(state.arrow is not None and state.arrow.ambiguous)),
         ("a_vertical_mean_m_s2", state.a_vertical_mean),
-        ("calibrated", float(state.rest is not None and state.rest.done)),
-        *((f"bias_v_{axis}_m_s", float(b)) for axis, b in zip("xyz", v_bias, strict=True)),
-        *((f"bias_a_{axis}_m_s2", float(b)) for axis, b in zip("xyz", a_bias, strict=True)),
     )
 
 
@@ -279,9 +234,7 @@ def _velocity(state: DeadReckoning, sample: BodyVelocity) -> DeadReckoning:
         return state
     o = state.options
     state = _advance(state, sample.stamp.measured_at)
-    if state.rest is not None:
-        state = replace(state, rest=state.rest.add_velocity(sample.stamp.measured_at, sample.v_level))
-    v = o.velocity_scale * (sample.v_level - _biases(state)[0])
+    v = o.velocity_scale * sample.v_level
     v[np.abs(v) < o.velocity_dead_band_m_s] = 0.0
     measured = np.diag(sample.cov_level) < _NOT_MEASURED_VAR
     cov_v = o.velocity_scale**2 * sample.cov_level
@@ -301,9 +254,7 @@ def _imu(state: DeadReckoning, sample: Imu) -> DeadReckoning:
     R_level_body = state.R_ned_body.without_heading()
     state = _advance(state, sample.stamp.measured_at)
     a_body = sample.f_body + R_level_body.inv @ np.array([0.0, 0.0, G_M_S2])
-    if state.rest is not None:
-        state = replace(state, rest=state.rest.add_acceleration(sample.stamp.measured_at, a_body))
-    a = R_level_body @ (a_body - _biases(state)[1])
+    a = R_level_body @ a_body
     mean, n = state.a_vertical_mean, state.a_samples + 1
     step_s = 0.0 if state.a_t is None else min(seconds_between(state.a_t, sample.stamp.measured_at), state.options.hold_s)
     mean += (a[2] - mean) * max(1.0 / n, 1.0 - math.exp(-step_s / state.options.vertical_mean_s))
@@ -458,11 +409,6 @@ def _spread(cov: F64, cov_v: F64, elapsed_s: float, now: float) -> None:
         cov[:3, 3:6] += across
         cov[3:6, :3] += across
         cov[3:6, 3:6] += now * now * cov_v
-
-
-def _biases(state: DeadReckoning) -> tuple[F64, F64]:
-    """Return the biases of velocity in level (m/s) and acceleration in body (m/s^2), measured at rest."""
-    return (np.zeros(3), np.zeros(3)) if state.rest is None else state.rest.biases()
 
 
 def _turned(v: F64, angle_rad: float) -> F64:

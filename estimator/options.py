@@ -13,22 +13,6 @@ _AR_DRONE = "AR.Drone 2.0"
 class DeadReckoningOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Carrying the last sighting on by the drone's own velocity and acceleration."""
 
-    calibration_s: Annotated[
-        float,
-        tuning(
-            "time over which biases are averaged while the drone is still on the ground; 0 for no averaging",
-            "s",
-            0.0,
-            60.0,
-            "off in the thesis' code, 10 s in its section 4.3",
-        ),
-    ] = 0.0
-    calibration_samples: ClassVar[int] = 1000
-    """Least number of accelerometer samples of this average (thesis section 4.3)."""
-    calibration_velocity_max_m_s: ClassVar[float] = 0.15
-    """Largest measured velocity of a drone at rest; a larger one restarts the calibration."""
-    calibration_acceleration_max_m_s2: ClassVar[float] = 1.5
-    """The same for acceleration (an AR.Drone 2.0 at rest shows up to 0.8)."""
     velocity_dead_band_m_s: ClassVar[float] = 0.003
     """Velocity below which it counts as zero (3 mm/s in the thesis' code)."""
     acceleration_dead_band_m_s2: ClassVar[float] = 0.5

@@ -10,8 +10,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import UNKNOWN_VAR
-from estimator.options import DeadReckoningOptions
-from tests.make import attitude, imu, ns, sighting, stamp, tuned, velocity
+from tests.make import attitude, imu, ns, sighting, stamp, velocity
 
 G = np.array([0.0, 0.0, -G_M_S2])
 NO_VERTICAL = (1e-4, 1e-4, UNKNOWN_VAR)
@@ -133,30 +132,6 @@ def test_small_readings_inside_the_dead_band_do_not_drift():
     for i in range(200):
         events += [felt(i * 0.05, pushed(0.4, -0.4, 0.0)), moving(i * 0.05, [0.0029, -0.0029, 0.0029])]
     np.testing.assert_array_equal(dr.at(feed(events)[0], ns(9.95)).d_body_pad_level, [0, 0, 2])
-
-
-def test_calibration_at_rest_takes_the_means_off():
-    bias_v, bias_f = np.array([0.02, -0.03, 0.0]), np.array([0.8, -0.3, 0.4])
-    tilt = Rotation.from_rpy(0.05, -0.03, 0.0)
-    rng = np.random.default_rng(3)
-    events = []
-    for i in range(1100):
-        t = i * 0.01
-        events += [facing(t, roll=0.05, pitch=-0.03), moving(t, bias_v + rng.normal(0, 0.005, 3))]
-        events += [felt(t, tilt.inv @ G + bias_f + rng.normal(0, 0.1, 3))]
-    state, _ = feed(events, DeadReckoningOptions(calibration_s=10.0))
-    state, _ = feed([pad_at(10.995, [0, 0, 2])], state=state)
-    details = dict(dr.at(state, ns(11.0)).details)
-    assert details["calibrated"] == 1.0
-    assert [details[f"bias_v_{a}_m_s"] for a in "xyz"] == pytest.approx(bias_v, abs=0.001)
-    assert [details[f"bias_a_{a}_m_s2"] for a in "xyz"] == pytest.approx(bias_f, abs=0.02)
-
-
-def test_a_drone_that_moves_is_not_at_rest():
-    options = tuned(DeadReckoningOptions, calibration_s=1.0, calibration_samples=50)
-    events = [e for i in range(200) for e in (facing(i * 0.01), felt(i * 0.01, G), moving(i * 0.01, [(i % 50) * 0.01, 0, 0]))]
-    state, _ = feed([*events, pad_at(1.99, [0, 0, 2])], options)
-    assert dict(dr.at(state, ns(2.0)).details)["calibrated"] == 0.0
 
 
 def test_a_velocity_that_stops_coming_is_not_flown_on_for_ever():
