@@ -206,7 +206,7 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 180.0
     clear_side_m: ClassVar[float] = 0.3
-    """How far to that side it goes; the pad has to stay in view from the safe height."""
+    """Distance to that side; the pad has to stay in view from the safe height."""
     blind_s: Annotated[
         float, tuning("time after the newest sight for which it flies over the pad by dead reckoning", "s", 0.0, 30.0)
     ] = 10.0
@@ -255,7 +255,7 @@ class ThesisOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         float, tuning("height over the pad from which the vehicle lands by itself", "m", 0.05, 5.0, "thesis section 4.6")
     ] = 0.3
     final_reached_m: ClassVar[float] = 0.12
-    """The same for the last way point (0.01 in the thesis, where it held for the set point)."""
+    """Such a distance from the last way point (0.01 in the thesis, where it held for the set point)."""
     final_dwell_s: ClassVar[float] = 0.2
     """Time for which the drone must stay that near."""
     touchdown_s: ClassVar[float] = 0.6

@@ -84,7 +84,7 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     velocity_gain_1_s: ClassVar[float] = 1.4
     """Acceleration commanded for each m/s of velocity error (gain margin of the loop 2.0; 1.3 in drones unlike their file)."""
     velocity_integral_1_s2: ClassVar[float] = 0.4
-    """The same for each metre of the integrated velocity error, which compensates wind (tuned in simulation)."""
+    """Acceleration for each metre of the integrated velocity error, which compensates wind (tuned in simulation)."""
     velocity_lead: ClassVar[float] = 0.7
     """Factor on the missing tilt that is commanded in addition, because the tilt lags behind (below 1, with room for a tilt that
     overshoots: more swings where commands come late)."""

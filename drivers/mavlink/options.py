@@ -112,7 +112,7 @@ class SampleOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         float, tuning("standard deviation of the autopilot's place on the Earth, on each horizontal axis", "m", 0.01, 100.0)
     ] = 2.0
     sigma_vessel_fix_m: ClassVar[float] = 2.5
-    """The same of the place that the ship reports, where she does not claim a larger one."""
+    """Standard deviation of the place that the ship reports, unless she claims a larger one."""
     sigma_vessel_velocity_m_s: ClassVar[float] = 0.2
     """Standard deviation of each axis of the velocity that the ship reports."""
     sigma_vessel_heading_rad: ClassVar[float] = math.radians(3.0)

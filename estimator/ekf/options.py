@@ -74,7 +74,7 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     accel_step_m_s2: ClassVar[float] = 15.0
     """Largest plausible change of specific force between two samples; the rest is cut off and counts as uncertainty."""
     gyro_step_rad_s: ClassVar[float] = 4.0
-    """The same for the angular velocity."""
+    """Largest plausible change of the angular velocity."""
     sigma_initial_tilt_rad: ClassVar[float] = math.radians(3.0)
     """Standard deviation of roll and pitch at the start if the vehicle sends no attitude."""
     sigma_initial_heading_rad: ClassVar[float] = math.radians(10.0)
@@ -98,11 +98,11 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     attitude_correlation_s: ClassVar[float] = 1.0
     """Time over which errors of the vehicle's own attitude are correlated; samples closer together count as parts of one."""
     velocity_correlation_s: ClassVar[float] = 0.25
-    """The same for its velocity."""
+    """Correlation time of its velocity."""
     range_correlation_s: ClassVar[float] = 0.05
-    """The same for its range sensor."""
+    """Correlation time of its range sensor."""
     baro_correlation_s: ClassVar[float] = 0.5
-    """The same for its barometer."""
+    """Correlation time of its barometer."""
     aiding_period_s: ClassVar[float] = 0.05
     """Time over which samples of attitude, velocity, range and height are averaged before they are fused."""
 

@@ -104,8 +104,8 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
         tuning("radius of the deck around the pad's centre; beyond it a range is not compared with the camera", "m", 0.05, 100.0),
     ] = 0.6
     height_tolerance_m: ClassVar[float] = 2.5
-    """How far barometer minus camera may leave its range of 6 to 12 s before (waves bring it back); a third of the change of the
-    camera's height is added."""
+    """Width by which barometer minus camera may leave its range of 6 to 12 s before: waves bring it back. A third of the
+    change of the camera's height is added."""
 
     lens_sigma_m: Annotated[
         float,
