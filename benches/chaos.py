@@ -45,8 +45,6 @@ from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.support.processes import burners, decklander, started
 from tests.support.waiting import free_port
 
-LASTING_S = 16.0
-"""Duration of the watch over a flight, s."""
 NAMED_S = 10.0
 GAP_S, LINES = 0.2, 300
 """The required limits: of a gap that is not the link's own, s, and of the lines in the log."""
@@ -446,8 +444,8 @@ async def beside_ardrone(around: Around, stack: ExitStack, happens: Callable[[],
             seen.unsafe = "touched beside the pad"
 
 
-async def fly(chaos: Chaos, *, alone: bool = False) -> Seen:
-    """Fly once; with `alone` the service goes before all other programs."""
+async def fly(chaos: Chaos, lasting_s: float, *, alone: bool = False) -> Seen:
+    """Fly once and watch for some time; with `alone` the service goes before all other programs."""
     seen = Seen()
     with tempfile.TemporaryDirectory(prefix="decklander-chaos-") as name, ExitStack() as stack:
         around = Around(Path(name), seen, stack, alone=alone)
@@ -474,7 +472,7 @@ async def fly(chaos: Chaos, *, alone: bool = False) -> Seen:
                     await asyncio.to_thread(metric, "loop_lag")
 
             beside = [asyncio.create_task(bench_late()), asyncio.create_task(scrape())]
-            await asyncio.gather(asyncio.sleep(LASTING_S), *(one(event) for event in chaos.events))
+            await asyncio.gather(asyncio.sleep(lasting_s), *(one(event) for event in chaos.events))
             for task in beside:
                 task.cancel()
             seen.phase = await asyncio.to_thread(metric, r'decklander_phase\{phase="([^"]*)"\} 1')
@@ -571,12 +569,13 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--vehicle", choices=("mavlink", "ardrone"))
     parser.add_argument("--kind", choices=KINDS, help="fly this event alone")
+    parser.add_argument("--lasting", type=float, default=16.0, metavar="SECONDS", help="watch each flight for so long")
     parser.add_argument("--healthy", action="store_true", help="let nothing fail")
     parser.add_argument("--alone", action="store_true", help="let the service go before all other programs (SCHED_FIFO)")
     parser.add_argument("--worst", type=Path, metavar="FILE", help="write the ten worst flights")
     parser.add_argument("--again", type=Path, metavar="FILE", help="fly the flights of a file")
     parser.add_argument("--log", action="store_true", help="print the log of each flight")
-    asked = parsed(parser, "--flights 1 --vehicle ardrone --healthy")
+    asked = parsed(parser, "--flights 1 --vehicle ardrone --healthy --lasting 2")
     flights = [draw(seed, asked.vehicle) for seed in range(asked.first, asked.first + asked.flights)]
     if asked.again is not None:
         flights = of_toml(asked.again.read_text())
@@ -587,7 +586,7 @@ def main() -> int:
     rows = []
     for chaos in flights:
         try:
-            row = judged(chaos, asyncio.run(fly(chaos, alone=asked.alone)))
+            row = judged(chaos, asyncio.run(fly(chaos, asked.lasting, alone=asked.alone)))
         except (TimeoutError, ExceptionGroup) as why:
             print(f"BAD {chaos.seed:4d} {chaos.vehicle}: waited in vain ({why!r}) | {chaos.events}", flush=True)
             continue

@@ -1,11 +1,10 @@
-"""Measure what the service takes of a core, by thread and by part: python -m benches.cost [PROFILE ...] [--parts].
+"""Measure what the service takes of a core, by thread: python -m benches.cost [PROFILE ...].
 
 The service is `decklander run` in a process of its own. Around it, in other processes: an AR.Drone that sends 200 navdata and 30
 H.264 frames a second and is landed; or autopilots in miniature that stand still above the pad, over one link or four, beside a
 V4L2 camera of 30 or 60 frames a second whose buffers come through a pipe. `+` after a profile's name adds page, recorder, MQTT: a
 browser watches with pictures, and a broker listens. Printed are percentages of one core by thread, wake-ups (voluntary context
-switches) and page faults a second. `--parts` divides the loop's share by the functions' own processor time under cProfile,
-builtins under their callers. `--tree FOLDER` runs the service of another checkout.
+switches) and page faults a second. `--tree FOLDER` runs the service of another checkout.
 
 `python -m benches.latency` times frames likewise, from arrival to the bytes of the LANDING_TARGET: the pad tracked, and searched
 for in each frame; `--scenario night` shows one by its lamps. A floor is one BGR to HSV conversion and one inRange of a frame.
@@ -13,11 +12,8 @@ for in each frame; `--scenario night` shows one by its lamps. A floor is one BGR
 
 import argparse
 import asyncio
-import cProfile
 import json
 import os
-import pstats
-import re
 import signal
 import subprocess
 import sys
@@ -44,10 +40,9 @@ LIMITS = {"tracked": (9.0, 18.0), "searched": (22.0, 36.0)}
 """Limits of p50 and p99 from frame in to bytes out, floors."""
 CHANNELS = ("navdata", "video", "at", "control")
 BEGIN, END = signal.SIGRTMIN, signal.SIGRTMIN + 1
-PART = re.compile(r"(?:(?:companion|drivers|estimator)/[\w/]+|asyncio/\w+|(?<=site-packages/)\w+)")
 
 
-def serve(rig: str, how: str, *, profiled: bool) -> None:
+def serve(rig: str, how: str) -> None:
     """Run the service here: threads carry their names, a pipe is a camera, calls and times are noted between two signals."""
     from companion.cli.main import main
     from companion.guidance.pilot import Pilot
@@ -56,7 +51,7 @@ def serve(rig: str, how: str, *, profiled: bool) -> None:
     from drivers.camera.v4l2_device import Buffer, FrameLayout
 
     begin_thread, on_frame = threading.Thread._bootstrap_inner, Component.on_frame  # type: ignore[attr-defined]
-    profiler, ms = cProfile.Profile(time.thread_time), list[float]()
+    ms = list[float]()
 
     def named(thread: threading.Thread) -> None:
         Path(f"/proc/self/task/{threading.get_native_id()}/comm").write_text(thread.name[:15])
@@ -92,8 +87,6 @@ def serve(rig: str, how: str, *, profiled: bool) -> None:
             ms.append(1e-6 * (time.monotonic_ns() - processed.frame.stamp.received_at))
 
     def note(*_: Any) -> None:
-        profiler.disable()
-        profiler.dump_stats(f"{rig}.calls")
         Path(f"{rig}.ms").write_text(json.dumps(ms))
 
     threading.Thread._bootstrap_inner = named  # type: ignore[attr-defined]
@@ -101,7 +94,7 @@ def serve(rig: str, how: str, *, profiled: bool) -> None:
     Component.on_frame = timed  # type: ignore[assignment, method-assign]
     if how == "searched":
         Pilot.look_at = lambda self, frame, attitude, held=None: self.search.anywhere(frame, attitude)  # type: ignore[method-assign]
-    signal.signal(BEGIN, lambda *_: profiler.enable() if profiled else ms.clear())
+    signal.signal(BEGIN, lambda *_: ms.clear())
     signal.signal(END, note)
     sys.exit(main(["run", "--config", rig]))
 
@@ -197,7 +190,7 @@ async def measure(name: str, how: str, args: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory(prefix="cost-") as made:
         folder, ports = Path(made), [free_port() for _ in range(6)]
         (folder / "rig.toml").write_text(rig_of(profile, all_on, args.scenario, folder, ports))
-        words = [sys.executable, "-P", __file__, "--serve", f"{folder}/rig.toml", how, *["--parts"] * args.parts]
+        words = [sys.executable, "-P", __file__, "--serve", f"{folder}/rig.toml", how]
         async with AsyncExitStack() as stack:
             if profile == "ardrone":
                 drone = [sys.executable, "-m", "sitl.emulators.ardrone.serve", "sea_state_4", "--seed", "1"]
@@ -239,20 +232,6 @@ async def measure(name: str, how: str, args: argparse.Namespace) -> None:
         threads = ", ".join(f"{n} {x:.1f}" for n, x in sorted(share.items(), key=lambda i: -i[1]) if x >= 0.05)
         each_s = f"{wakes:.0f} wake-ups, {faults:.0f} faults a second"
         print(f"{name:<11} {sum(share.values()):5.1f} %: {threads}; {each_s}", flush=True)
-        if args.parts:
-            parts(f"{folder}/rig.toml.calls", share["loop"], took_s)
-
-
-def parts(file: str, share: float, took_s: float) -> None:
-    """Print the loop's share by part, the dearest first."""
-    own, calls = Counter[str](), Counter[str]()
-    for (path, _, _), (_, n, took, _, callers) in pstats.Stats(file).stats.items():  # type: ignore[attr-defined]
-        for where, m, seconds in [(c[0], v[1], v[2]) for c, v in callers.items()] if path == "~" else [(path, n, took)]:
-            part = PART.search(where)
-            own[part[0] if part else "Python"] += seconds
-            calls[part[0] if part else "Python"] += m
-    for name, seconds in own.most_common(25):
-        print(f"    {share * seconds / own.total():5.2f} %  {calls[name] / took_s:8.0f} calls/s  {name}")
 
 
 def main(latency: bool = False) -> None:
@@ -262,12 +241,11 @@ def main(latency: bool = False) -> None:
     parser.add_argument("--seconds", type=float, default=12.0)
     parser.add_argument("--warm", type=float, default=5.0, help="seconds before it is measured")
     parser.add_argument("--scenario", default="calm", help="whose frames the camera shows")
-    parser.add_argument("--parts", action="store_true", help="divide the loop's share by part")
     parser.add_argument("--tree", type=Path, default=Path(__file__).parents[1], help="the checkout whose service runs")
     parser.add_argument("--serve", nargs=2, default=("", ""), help=argparse.SUPPRESS)
-    args = parsed(parser, "--seconds 2 --warm 5 autopilot" if latency else "--seconds 2 ardrone autopilot+")
+    args = parsed(parser, "--seconds 1 --warm 4 autopilot" if latency else "--seconds 1 --warm 4 autopilot+")
     if args.serve[0]:
-        serve(*args.serve, profiled=args.parts)
+        serve(*args.serve)
     for how, name in product(LIMITS if latency else ("",), args.profiles):
         asyncio.run(measure(name, how, args))
 

@@ -249,11 +249,12 @@ class Daemon:
 
     def _read(self) -> None:
         assert self.process.stdout is not None
-        for line in self.process.stdout:
-            now = time.monotonic()
-            if line.strip() != self.phase:
-                self.phase, self.since = line.strip(), now
-            self.cycles.append(now)
+        with self.process.stdout as lines:
+            for line in lines:
+                now = time.monotonic()
+                if line.strip() != self.phase:
+                    self.phase, self.since = line.strip(), now
+                self.cycles.append(now)
 
     @property
     def alive(self) -> bool:

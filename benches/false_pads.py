@@ -9,7 +9,6 @@ be made in parts (`--first`). The exit code is 1 if any frame reaches 0.5.
 
 import argparse
 import math
-import multiprocessing
 import sys
 import time
 from dataclasses import replace
@@ -19,10 +18,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.options import parsed
+from benches.options import mapping, parsed
+from benches.real import STAMP
+from benches.search import SIGMA_ATTITUDE_RAD
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.samples import Attitude, Frame
-from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
@@ -31,7 +31,6 @@ from tests.support.hard_light import HARD, Hard
 from tests.support.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad, ring_scene
 
 CHUNK = 100
-STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9)
 
 
@@ -44,7 +43,7 @@ def scene_of(chunk: int, i: int, rings: bool = False) -> PadScene:
 def sure_of(px: NDArray[np.uint8], camera: Camera, pad: Pad, R_level_body: Rotation | None) -> float:
     """Return the confidence of the sighting in a frame, or 0 if there is none."""
     tracker = TrackerConfig(camera, pad, TrackerOptions("fused", "simulator"))
-    attitude = None if R_level_body is None else Attitude(STAMP, R_level_body, np.eye(3) * math.radians(1.0) ** 2)
+    attitude = None if R_level_body is None else Attitude(STAMP, R_level_body, np.eye(3) * SIGMA_ATTITUDE_RAD**2)
     seen, _ = track(tracker, TrackerMemory(), Frame(STAMP, 0, px), attitude)
     return 0.0 if seen.selected is None else seen.selected.confidence
 
@@ -54,25 +53,27 @@ def condition_of(name: str, pad: str) -> Hard:
     return replace(HARD[name], pad=load_pad(pad)) if pad else HARD[name]
 
 
-def best_scores(chunk: int, condition: str = "plain", pad: str = "", rings: bool = False) -> tuple[list[float], float]:
+def best_scores(
+    chunk: int, condition: str = "plain", pad: str = "", rings: bool = False, frames: int = CHUNK
+) -> tuple[list[float], float]:
     """Return the best score of each frame of a chunk, and the processor time per frame without rendering, ms."""
     cv2.setNumThreads(1)
     camera, hard = load_camera("sim"), condition_of(condition, pad)
     scores, took = [], 0
-    for i in range(CHUNK):
+    for i in range(frames):
         scene = scene_of(chunk, i, rings)
         px = hard.change(scene.px, np.random.default_rng([chunk, i, 0xC4A9]))
         began = time.process_time_ns()
         scores.append(sure_of(px, camera, hard.pad, scene.R_level_body))
         took += time.process_time_ns() - began
-    return scores, took * 1e-6 / CHUNK
+    return scores, took * 1e-6 / frames
 
 
-def photographs(hard: Hard) -> list[tuple[str, float]]:
-    """Return (name, best score) of each photograph over several frame sizes."""
+def photographs(hard: Hard, most: int) -> list[tuple[str, float]]:
+    """Return (name, best score) of each photograph, of so many, over several frame sizes."""
     mount = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.zeros(3))
     out: list[tuple[str, float]] = []
-    for path in sorted([*(DATA / "sea").glob("*.jpg"), *(DATA / "not_pads").glob("*.jpg")]):
+    for path in sorted([*(DATA / "sea").glob("*.jpg"), *(DATA / "not_pads").glob("*.jpg")])[:most]:
         whole = np.asarray(cv2.imread(str(path)), np.uint8)
         for width in (320, 640, 960):
             h = round(width * whole.shape[0] / whole.shape[1])
@@ -89,21 +90,15 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0, help="chunk to begin with")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument(
-        "--rings", action="store_true", help="each frame holds what is mistaken most: a green disc with a ring, in glare"
-    )
-    parser.add_argument(
-        "--condition", default="plain", choices=list(HARD), help="what happens to each frame, and which pad is looked for"
-    )
+    parser.add_argument("--rings", action="store_true", help="show in each frame a green disc with a ring, in glare")
+    parser.add_argument("--condition", default="plain", choices=list(HARD), help="what changes each frame, and which pad")
     parser.add_argument("--pad", default="", help="name of a shipped pad in place of the condition's")
-    args = parsed(parser, "--frames 100")
+    args = parsed(parser, "--frames 4")
     chunks = range(args.first, args.first + max(1, args.frames // CHUNK))
-    scores: list[float] = []
-    took: list[float] = []
-    with multiprocessing.Pool(args.workers) as pool:
-        for chunk, (part, ms) in zip(
-            chunks, pool.imap(partial(best_scores, condition=args.condition, pad=args.pad, rings=args.rings), chunks), strict=True
-        ):
+    scores, took = list[float](), list[float]()
+    work = partial(best_scores, condition=args.condition, pad=args.pad, rings=args.rings, frames=min(CHUNK, args.frames))
+    with mapping(args.workers) as each:
+        for chunk, (part, ms) in zip(chunks, each(work, chunks), strict=True):
             scores += part
             for i in np.flatnonzero(np.array(part) >= 0.5):
                 print(f"\rchunk {chunk}, {i}: {part[i]:.2f}", file=sys.stderr)
@@ -119,7 +114,7 @@ def main() -> int:
         print(f"  {level:.1f} or more: {int((all_ >= level).sum())}")
     order = np.argsort(-all_)[:24]
     print("  highest: " + ", ".join(f"{all_[k]:.2f} (chunk {chunks.start + k // CHUNK}, {k % CHUNK})" for k in order[:8]))
-    seen = photographs(condition_of(args.condition, args.pad))
+    seen = photographs(condition_of(args.condition, args.pad), args.frames)
     if seen:
         name, top = max(seen, key=lambda s: s[1])
         print(

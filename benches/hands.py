@@ -24,13 +24,12 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from random import Random
 
-from benches.options import parsed
+from benches.options import mapping, parsed
 from companion.base.orders import OperatorOrder
 from companion.guidance.operator.order_time import BEGINS
 from drivers.mavlink.custody import LEFT_ALONE, Hand
@@ -375,7 +374,7 @@ def table(stack: Stack, states: tuple[str, ...], acts: tuple[str, ...], found: I
     return total
 
 
-def main(argv: list[str]) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Run the command line; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=20)
@@ -401,12 +400,13 @@ def main(argv: list[str]) -> int:
         disobeyed += table(stack, states, acts, iter(cells))
     if programs:
         return int(disobeyed > 0)
-    with ProcessPoolExecutor(args.jobs, initializer=partial(logging.disable, logging.WARNING)) as pool:
+    logging.disable(logging.WARNING)
+    with mapping(args.jobs) as mapped:
         for stack in stacks:
             jobs = [(stack, state, name) for state in states for name in acts]
-            disobeyed += table(stack, states, acts, pool.map(partial(counted, runs=args.runs, first=args.seed), jobs))
+            disobeyed += table(stack, states, acts, mapped(partial(counted, runs=args.runs, first=args.seed), jobs))
     return int(disobeyed > 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

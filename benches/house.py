@@ -51,9 +51,15 @@ class Tree:
         return {_dotted(path): ast.parse(text) for path, text in self.under(*PRODUCT, ending=(".py",)).items()}
 
     @cached_property
+    def nodes(self) -> dict[str, list[ast.AST]]:
+        """The imports, functions and methods of each of the product's modules."""
+        kinds = ast.Import | ast.ImportFrom | ast.FunctionDef | ast.AsyncFunctionDef
+        return {name: [node for node in ast.walk(tree) if isinstance(node, kinds)] for name, tree in self.modules.items()}
+
+    @cached_property
     def imports(self) -> dict[str, set[str]]:
         """The product's modules that each module imports, in functions and under TYPE_CHECKING too."""
-        return {name: set(_imported(name, tree, self.modules)) - {name} for name, tree in self.modules.items()}
+        return {name: set(_imported(name, nodes, self.modules)) - {name} for name, nodes in self.nodes.items()}
 
     @cached_property
     def lines_of(self) -> dict[str, int]:
@@ -92,8 +98,8 @@ def _dotted(path: str) -> str:
     return path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
 
-def _imported(name: str, tree: ast.Module, known: Mapping[str, ast.Module]) -> Iterator[str]:
-    for node in ast.walk(tree):
+def _imported(name: str, nodes: Iterable[ast.AST], known: Mapping[str, ast.Module]) -> Iterator[str]:
+    for node in nodes:
         if isinstance(node, ast.ImportFrom):
             base = node.module or ""
             if node.level:
@@ -175,8 +181,8 @@ def import_share(tree: Tree) -> float:
     """Return the share of the product's lines of Python that import statements take, percent."""
     taken = sum(
         node.end_lineno - node.lineno + 1
-        for module in tree.modules.values()
-        for node in ast.walk(module)
+        for nodes in tree.nodes.values()
+        for node in nodes
         if isinstance(node, ast.Import | ast.ImportFrom) and node.end_lineno
     )
     return 100 * taken / sum(tree.lines_of.values())
@@ -185,8 +191,8 @@ def import_share(tree: Tree) -> float:
 def wide_python(tree: Tree) -> list[str]:
     """Return the product's functions and constructors with more parameters than are allowed, without self and cls."""
     found = []
-    for name, module in tree.modules.items():
-        for node in ast.walk(module):
+    for name, nodes in tree.nodes.items():
+        for node in nodes:
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 taken = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
                 if len([a for a in taken if a not in ("self", "cls")]) > PARAMETERS_MAX:

@@ -99,7 +99,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--perception", type=perception_level, default="pixels")
     parser.add_argument("--for", dest="for_s", type=float, default=5.0)
-    args = parsed(parser, "--perception model --phase press --for 1")
+    args = parsed(parser, "--scenario calm --perception truth --phase press --for 1")
     flights = list[tuple[str, FlightEnd]]()
     for seed in range(args.first, args.first + args.seeds):
         for phase in args.phase:

@@ -132,7 +132,7 @@ def cells(rows: Sequence[Row]) -> list[str]:
     ]  # fmt: skip
 
 
-def main(ways: Ways, scenarios: Sequence[str]) -> None:
+def main(ways: Ways = CONTROLLERS, scenarios: Sequence[str] = WEATHERS) -> None:
     """Fly what is left and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=2)
@@ -159,4 +159,4 @@ def main(ways: Ways, scenarios: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(CONTROLLERS, WEATHERS)
+    main()

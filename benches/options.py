@@ -5,9 +5,11 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 
 def parsed(parser: argparse.ArgumentParser, smoke: str, argv: Sequence[str] | None = None) -> argparse.Namespace:
@@ -19,6 +21,16 @@ def parsed(parser: argparse.ArgumentParser, smoke: str, argv: Sequence[str] | No
     parser.add_argument("--smoke", action="store_true", help=f"the smallest run, as a test runs it: {smoke or 'the whole'}")
     argv = sys.argv[1:] if argv is None else argv
     return parser.parse_args([*shlex.split(smoke), *argv] if "--smoke" in argv else argv)
+
+
+@contextmanager
+def mapping(workers: int) -> Iterator[Callable[..., Iterator[Any]]]:
+    """Yield what maps a function over items in their order: by so many processes, or in this one where it is one."""
+    if workers == 1:
+        yield map
+    else:
+        with ProcessPoolExecutor(workers) as pool:
+            yield pool.map
 
 
 def program(name: str, package: str) -> str:

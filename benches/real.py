@@ -401,7 +401,7 @@ def mbzirc(every: int) -> list[Row]:
     folder = needed("real_pads", "mbzirc")
     pad = Pad.from_mapping(tomllib.loads((folder / "pad.toml").read_text()), "mbzirc")
     empty, labels = Looks(real=True), sorted(folder.glob("*/ground_truth.txt"))
-    lines = [(file.parent, line.split("\t")) for file in labels for line in file.open()]
+    lines = [(file.parent, line.split("\t")) for file in labels for line in file.read_text().splitlines()]
     by: dict[str, Finds] = {f"below {most} deg": Finds() for most in (30, 50, 90)}
     for path, numbers in [(at / words[0], words[1:]) for at, words in lines if (at / words[0]).exists()][::every]:
         has, u, v, wide, high, _ = map(float, numbers)
@@ -552,7 +552,7 @@ def main() -> None:
     parser.add_argument("--part", action="append", choices=PARTS, help="only this one; may be repeated")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth frame (default: all)")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write evidence.md there")
-    args = parsed(parser, "--every 400")
+    args = parsed(parser, "--every 400 --part photographs --part aruco --part mbzirc")
     cv2.setNumThreads(1)
     rows: list[Row] = []
     for name in args.part or PARTS:

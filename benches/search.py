@@ -20,12 +20,12 @@ import cv2
 import numpy as np
 
 from benches.options import parsed
-from benches.real import SHIPPED, Looks, curve_of
+from benches.real import SHIPPED, STAMP, Looks, curve_of
 from companion.tools.pads.price import view
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.time import MonoNs
 from estimator.vision.camera import Camera
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
@@ -46,7 +46,6 @@ TIMED_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 FRAMES_HZ = 30.0
 READ_HZ, LOW_HZ, LOW_M = (3.75, 3.75, 5.0), 10.0, 1.0
 """Readings a second of the pad's surface, its surroundings and what passes, in a stream of `FRAMES_HZ`; of the last one, low."""
-STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 SIGMA_ATTITUDE_RAD, SIGMA_DECK_RAD, SIGMA_YAW_RAD = math.radians(1.0), math.radians(2.0), 0.02
 TONES: dict[str, Callable[[F64], F64]] = {
     "sRGB": lambda x: np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055),

@@ -1,6 +1,10 @@
 """Set landings with and without each of a ship's sensors side by side: see `benches.landings`, whose table and options it has."""
 
-from benches.landings import SHIP_SENSORS, main
+from functools import partial
+
+from benches import landings
+
+main = partial(landings.main, landings.SHIP_SENSORS, ("sea_state_4", "weather_4", "sea_state_6"))
 
 if __name__ == "__main__":
-    main(SHIP_SENSORS, ("sea_state_4", "weather_4", "sea_state_6"))
+    main()

@@ -390,7 +390,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="allow this many failed flights")
     parser.add_argument("--readings", type=Path, metavar="FILE", help="write every reading as a line of JSON")
     parser.add_argument("--json", action="store_true", help="print one JSON object in place of words")
-    args = parsed(parser, "calm --virtual --runs 12 --perception model --no-faults", argv)
+    args = parsed(parser, "calm --virtual --runs 12 --perception truth --no-faults", argv)
     if not args.virtual and (args.runs is not None or args.fault or args.perception != "pixels"):
         parser.error("--runs, --fault and --perception need --virtual")
     signal.signal(signal.SIGTERM, signal.default_int_handler)

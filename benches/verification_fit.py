@@ -10,18 +10,19 @@ estimator/vision/detect/verification.py.
 
 import argparse
 import math
-import multiprocessing
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.options import parsed
+from benches.options import mapping, parsed
+from benches.real import STAMP
+from benches.search import SIGMA_ATTITUDE_RAD, SIGMA_DECK_RAD
 from estimator.contracts.samples import Attitude
-from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import FEATURES, FITTED
 from estimator.vision.pad import Pad
@@ -46,34 +47,36 @@ _ONE_WAY = (
 """Features whose sign a fit must not reverse."""
 
 
-def scenes(seed: int) -> Iterator[tuple[int, bool, Pad, PadScene]]:
+def scenes(seed: int, frames: int = _CHUNK) -> Iterator[tuple[int, bool, Pad, PadScene]]:
     """Yield the frame's number, whether it has a pad, the pad, and the scene, for one chunk of frames."""
     rng = np.random.default_rng([seed, 0x51DE])
     camera, pads = load_camera("sim"), [load_pad("thesis"), load_pad("printed")]
-    for i in range(_CHUNK):
+    for i in range(frames):
         height = float(np.exp(rng.uniform(math.log(0.2), math.log(30.0))))
         with_pad, pad = i % 2 == 0, pads[i // 2 % 2]
         scene = pad_scene(rng, camera, pad, height, str(rng.choice(CONDITIONS))) if with_pad else empty_scene(rng, camera, height)
         yield seed * _CHUNK + i, with_pad, pad, scene
 
 
-def examples(seed: int) -> F64:
+def examples(seed: int, frames: int = _CHUNK) -> F64:
     """Return frame, 1 for a right candidate, 1 for a frame with a pad, and features, (n, 3 + len(FEATURES)), of one chunk."""
     cv2.setNumThreads(1)
     camera, rows = load_camera("sim"), []
-    for frame, with_pad, pad, scene in scenes(seed):
+    for frame, with_pad, pad, scene in scenes(seed, frames):
         for c in acquire(scene.px, camera, pad, scene.R_level_body, sure=2.0)[:4]:
             right = scene.truth is not None and keeps_claim(c.pose, scene.truth, camera, pad, c.yaw_ambiguous)
             rows.append([frame, float(right), float(with_pad), *c.aligned.features])
     return np.array(rows).reshape(-1, 3 + len(FEATURES))
 
 
-def registered_examples(seed: int) -> F64:
+def registered_examples(seed: int, frames: int = _CHUNK) -> F64:
     """Return the examples of registration, (n, 3 + len(FITTED)), in the form of `examples`."""
     cv2.setNumThreads(1)
     camera, rows = load_camera("sim"), []
-    for frame, with_pad, pad, scene in scenes(seed):
-        orientation = Orientation.of(_attitude(scene), math.radians(2.0))
+    for frame, with_pad, pad, scene in scenes(seed, frames):
+        R = scene.R_level_body
+        attitude = None if R is None else Attitude(STAMP, R, np.eye(3) * SIGMA_ATTITUDE_RAD**2)
+        orientation = Orientation.of(attitude, SIGMA_DECK_RAD)
         for c in acquire(scene.px, camera, pad, scene.R_level_body)[:2]:
             found = look(FrameView(Pyramid(scene.px), camera, pad), c.pose, orientation, RegistrationOptions(coarse=False))
             if found is None:
@@ -81,13 +84,6 @@ def registered_examples(seed: int) -> F64:
             right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
             rows.append([frame, float(right), float(with_pad), *found.evidence[: len(FITTED)]])
     return np.array(rows).reshape(-1, 3 + len(FITTED))
-
-
-def _attitude(scene: PadScene) -> Attitude | None:
-    if scene.R_level_body is None:
-        return None
-    stamp = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
-    return Attitude(stamp, scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
 
 
 def fit(x: F64, y: F64, weight: F64) -> F64:
@@ -126,16 +122,17 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--registered", action="store_true")
     parser.add_argument("--keep", type=Path, help="write the examples here, or read them if the file is there")
-    args = parsed(parser, "--frames 250")
+    args = parsed(parser, "--frames 24")
     names, work, first = (FITTED, registered_examples, _REGISTERED_FROM) if args.registered else (FEATURES, examples, 0)
     if args.keep is not None and args.keep.exists():
         data = np.load(args.keep)
     else:
-        with multiprocessing.Pool(args.workers) as pool:
+        with mapping(args.workers) as mapped:
             parts = []
-            for i, part in enumerate(pool.imap(work, range(first, first + args.frames // _CHUNK))):
+            each = min(_CHUNK, args.frames // 2)
+            for i, part in enumerate(mapped(partial(work, frames=each), range(first, first + args.frames // each))):
                 parts.append(part)
-                print(f"\r{(i + 1) * _CHUNK} frames", end="", file=sys.stderr, flush=True)
+                print(f"\r{(i + 1) * each} frames", end="", file=sys.stderr, flush=True)
         print(file=sys.stderr)
         data = np.concatenate(parts)
         if args.keep is not None:

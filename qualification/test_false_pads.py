@@ -53,6 +53,6 @@ def test_what_a_search_once_took_for_the_pad_is_none(chunk: int, i: int) -> None
 @pytest.mark.hazard("H2")
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"{DATA} is not here")
 def test_no_photograph_without_a_pad_shows_one() -> None:
-    seen = photographs(HARD["plain"])
+    seen = photographs(HARD["plain"], 1000)
     assert len(seen) > 200
     assert max(score for _, score in seen) < 0.5, max(seen, key=lambda one: one[1])

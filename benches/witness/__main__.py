@@ -18,14 +18,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for option, module in WITNESSES.items():
         parser.add_argument(option, action="append_const", dest="options", const=option, help=module.TITLE)
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth row (default: all)")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write the sections of evidence.md there")
-    args = parsed(parser, "--contact")
+    args = parsed(parser, "--contact --every 8")
     for option in args.options or WITNESSES:
         module = WITNESSES[option]
         lines = [f"## {module.TITLE}", "", f"Made by `python -m benches.witness {option} --write docs`.", ""]
         lines += [*(module.__doc__ or "").strip().splitlines()[2:], ""]
         try:
-            for line in module.table():
+            for line in module.table(args.every):
                 print(line, flush=True)
                 lines.append(line)
         except ModuleNotFoundError as why:

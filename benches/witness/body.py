@@ -223,14 +223,14 @@ def cases(f: Airframe, seconds: float) -> Iterator[tuple[str, Callable[[Ours], d
     yield "gust of 5 m/s, 1 s up, 2 s, 1 s down: sd of ", partial(hover, wind=gust), ""
 
 
-def table(seconds: float = 60.0) -> Iterator[str]:
-    """Yield the lines of the table."""
+def table(every: int = 1, seconds: float = 60.0) -> Iterator[str]:
+    """Yield the lines of the table, of every Nth flight."""
     exact = Avionics(tilt_bias_sigma_rad=0.0, tilt_drift_sigma_rad=0.0)
     effects = EffectSettings(rotor_saturation=True, rotor_drag=True, drag_per_m=0.006)
     f = replace(load(VEHICLE).airframe(), avionics=exact, effects=effects)
     yield "| what | ours | RotorPy | off | measured elsewhere |"
     yield "|" + "---|" * 5
-    for name, fly, elsewhere in cases(f, seconds):
+    for name, fly, elsewhere in list(cases(f, seconds))[::every]:
         yield from compared(name, fly(Ours(f)), fly(Theirs(f)), elsewhere)
     for height_m in (3.0, 20.0):
         ours = our_air(f, height_m, 20.0 * seconds, AIR_STEP_S)

@@ -178,10 +178,11 @@ class Chapter5(NamedTuple):
 
 def fly_up_and_down(settings: Settings, seed: int) -> ExperimentFlight:
     """Fly section 5.1.2 with all methods of vision."""
-    return fly_by_hand(_with_all_methods(settings), *up_and_down(0.2, 5.0, 0.4, x_m=-0.1), seed)
+    return fly_by_hand(with_all_methods(settings), *up_and_down(0.2, 5.0, 0.4, x_m=-0.1), seed)
 
 
-def _with_all_methods(settings: Settings) -> Settings:
+def with_all_methods(settings: Settings) -> Settings:
+    """Return the settings with every method of vision."""
     return msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="fused"))
 
 
@@ -196,7 +197,7 @@ def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None]) -> Ch
     """
     say("5.1.2 up and down between 0.2 and 5 m")
     up = fly_up_and_down(settings, seed)
-    settings = _with_all_methods(settings)
+    settings = with_all_methods(settings)
     hovering = {}
     for height_m in HEIGHTS_M:
         say(f"5.1.3 hovering at {height_m:g} m")

@@ -20,6 +20,7 @@ from study.experiments.chapter5 import (
     HEIGHTS_M,
     QUANTITIES,
     Chapter5,
+    HoverFlights,
     Landed,
     Printed,
     Quantity,
@@ -65,7 +66,7 @@ def page(chapter: Chapter5, photographs: Photographs | None, command: str) -> st
         "## 5.1.3 Hovering at six heights",
         "Mean ± standard deviation of the error, and share of frames with an estimate. A dash or no row is no estimate; cells "
         "that cannot be read in the thesis are empty.",
-        *(_hovering(chapter, quantity) for quantity in QUANTITIES),
+        *(hovering(chapter.hover, quantity) for quantity in QUANTITIES),
         "![Mean and standard deviation of each method at six heights](experiments_hover.png)",
         "## 5.1.4 A step through the filter",
         _lags(chapter),
@@ -103,9 +104,10 @@ def heights_table(flown: ExperimentFlight) -> str:
     return _table("method | heights with an estimate, thesis | here | frames | standard deviation of z, mm", rows)
 
 
-def _hovering(chapter: Chapter5, quantity: Quantity) -> str:
-    found, rows = hover_table(chapter.hover, quantity), []
-    for height_m in chapter.hover:
+def hovering(flights: HoverFlights, quantity: Quantity) -> str:
+    """Return the table of a quantity of section 5.1.3."""
+    found, rows = hover_table(flights, quantity), []
+    for height_m in flights:
         for method in METHODS:
             was, now = printed(quantity, height_m, method), found.get((height_m, method))
             if quantity == "yaw" and method == "ellipse":
