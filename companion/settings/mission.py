@@ -119,16 +119,9 @@ class LandingLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             60.0,
         ),
     ] = 10.0
-    wind_wait_s: Annotated[
-        float,
-        tuning(
-            "time for which it waits over the pad in a wind that the vehicle's tilt cannot fly (limit less 2.5 standard "
-            "deviations of the gusts); after it the landing is refused",
-            "s",
-            0.0,
-            600.0,
-        ),
-    ] = 20.0
+    wind_wait_s: ClassVar[float] = 20.0
+    """Time for which it waits over the pad in a wind that the vehicle's tilt cannot fly (limit less 2.5 standard deviations of
+    the gusts); after it the landing is refused."""
     battery: Annotated[
         float,
         tuning(

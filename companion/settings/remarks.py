@@ -67,78 +67,100 @@ def contradiction(settings: Settings) -> Contradiction | None:
     return None
 
 
+_Cause = tuple[str, Callable[[Settings], bool]]
+"""The cause as it is printed, and whether settings have it."""
+
+
+def _at(settings: Settings, path: str) -> object:
+    """Return the value of a key, text without blanks around it; None of one that this kind of table does not have."""
+    *tables, last = path.split(".")
+    table: Struct = reduce(getattr, tables, settings)
+    config = table.__struct_config__
+    found = config.tag if last == config.tag_field else getattr(table, last, None)
+    return found.strip() if isinstance(found, str) else found
+
+
+def _is(key: str, value: object) -> _Cause:
+    return f"{key} is {json.dumps(value) if value != '' else 'empty'}", lambda s: _at(s, key) == value
+
+
+def _is_not(key: str, value: object) -> _Cause:
+    return f"{key} is {f'not {json.dumps(value)}' if value != '' else 'set'}", lambda s: _at(s, key) not in (value, None)
+
+
 class _Rule(NamedTuple):
     keys: str
     """One key, several with blanks between, or a table with a dot at its end."""
-    why: str
-    """The cause as it is printed, which is also the condition where `idle` is absent."""
+    cause: _Cause
     but: str = ""
     """A key of the table that has an effect all the same."""
-    idle: Callable[[Settings], bool] | None = None
 
 
 _RULES = (
-    _Rule("vision.learned_file", 'vision.learned is "off"'),
-    _Rule("guidance.policy_file", 'guidance.controller is not "policy"'),
+    _Rule("vision.learned_file", _is("vision.learned", "off")),
+    _Rule("guidance.policy_file", _is_not("guidance.controller", "policy")),
     _Rule(
         "guidance.pid.",
-        'guidance.controller is not "pid" and estimator.path is "ekf"',
-        idle=lambda s: s.guidance.controller in ("follow_deck", "policy") and s.estimator.path == "ekf",
+        (
+            'guidance.controller is not "pid" and estimator.path is "ekf"',
+            lambda s: s.guidance.controller in ("follow_deck", "policy") and s.estimator.path == "ekf",
+        ),
     ),
-    _Rule("guidance.thesis.", 'guidance.mission is not "thesis"'),
-    _Rule("guidance.elsewhere.", 'guidance.refused is not "land elsewhere"'),
-    _Rule("mqtt.", 'mqtt.transport is "off"', "mqtt.transport"),
-    _Rule("mqtt.ca_file mqtt.certificate_file mqtt.key_file", 'mqtt.transport is "tcp"'),
-    _Rule("mqtt.commands_max_hz", 'mqtt.commands is "off"'),
-    _Rule("http.", 'http.endpoint is "off"', "http.endpoint"),
-    _Rule("video_stream.", "video_stream.to is empty", "video_stream.to"),
-    _Rule("http.certificate_file http.key_file", 'http.endpoint is "http"'),
-    _Rule("http.hosts http.picture_codec http.bitrate_kbit_s", "http.page is false"),
-    _Rule("http.origins http.foxglove_frames", "http.foxglove is false"),
-    _Rule("http.origins", "http.token_file is set"),
-    _Rule("limits.fence_radius_m limits.fence_polygon limits.fence_brake_s limits.fence_ends_s", 'limits.fence is "off"'),
-    _Rule("limits.fence_radius_m", "limits.fence_polygon is set"),
-    _Rule("guidance.rendezvous.", "guidance.rendezvous.enabled is false", "guidance.rendezvous.enabled"),
-    _Rule("vessel.", "no source of the ship's place is set", idle=lambda s: not sources(s)),
-    _Rule("operator.gamepad_device", 'operator.gamepad is "off"'),
-    _Rule("landing_target.", 'vehicle.kind is "ardrone"'),
-    _Rule("camera.gimbal.", "camera.gimbal.device_id is 0", "camera.gimbal.device_id"),
-    _Rule("camera.exposure.", 'camera.exposure.mode is "camera"', "camera.exposure.mode"),
-    _Rule("bridge.", "bridge.links is empty"),
-    _Rule("bridge.signing_time_file", "bridge.signing_key_file is empty"),
-    _Rule("vehicle.signing_time_file", "vehicle.signing_key_file is empty"),
+    _Rule("guidance.thesis.", _is_not("guidance.mission", "thesis")),
+    _Rule("guidance.elsewhere.", _is_not("guidance.refused", "land elsewhere")),
+    _Rule("mqtt.", _is("mqtt.transport", "off"), "mqtt.transport"),
+    _Rule("mqtt.ca_file mqtt.certificate_file mqtt.key_file", _is("mqtt.transport", "tcp")),
+    _Rule("mqtt.commands_max_hz", _is("mqtt.commands", "off")),
+    _Rule("http.", _is("http.endpoint", "off"), "http.endpoint"),
+    _Rule("video_stream.", _is("video_stream.to", ""), "video_stream.to"),
+    _Rule("http.certificate_file http.key_file", _is("http.endpoint", "http")),
+    _Rule("http.hosts http.picture_codec http.bitrate_kbit_s", _is("http.page", False)),
+    _Rule("http.origins http.foxglove_frames", _is("http.foxglove", False)),
+    _Rule("http.origins", _is_not("http.token_file", "")),
+    _Rule("limits.fence_radius_m limits.fence_polygon limits.fence_brake_s limits.fence_ends_s", _is("limits.fence", "off")),
+    _Rule("limits.fence_radius_m", _is_not("limits.fence_polygon", "")),
+    _Rule("guidance.rendezvous.", _is("guidance.rendezvous.enabled", False), "guidance.rendezvous.enabled"),
+    _Rule("vessel.", ("no source of the ship's place is set", lambda s: not sources(s))),
+    _Rule("operator.gamepad_device", _is("operator.gamepad", "off")),
+    _Rule("landing_target.", _is("vehicle.kind", "ardrone")),
+    _Rule("camera.gimbal.", _is("camera.gimbal.device_id", 0), "camera.gimbal.device_id"),
+    _Rule("camera.exposure.", _is("camera.exposure.mode", "camera"), "camera.exposure.mode"),
+    _Rule("bridge.", _is("bridge.links", "")),
+    _Rule("bridge.signing_time_file", _is("bridge.signing_key_file", "")),
+    _Rule("vehicle.signing_time_file", _is("vehicle.signing_key_file", "")),
     _Rule(
-        "landing_target.range_rate_hz landing_target.range_id landing_target.ground_clearance_m", 'landing_target.ranges is "off"'
+        "landing_target.range_rate_hz landing_target.range_id landing_target.ground_clearance_m",
+        _is("landing_target.ranges", "off"),
     ),
-    _Rule("vehicle.descent_rate_m_s", 'vehicle.landing is "mode"'),
-    _Rule("camera.format camera.buffers", 'camera.source is not "v4l2"'),
+    _Rule("vehicle.descent_rate_m_s", _is("vehicle.landing", "mode")),
+    _Rule("camera.format camera.buffers", _is_not("camera.source", "v4l2")),
     _Rule(
-        "camera.controls", 'camera.source is neither "v4l2" nor "libcamera"', idle=lambda s: s.camera.source not in DRIVEN_SOURCES
+        "camera.controls",
+        ('camera.source is neither "v4l2" nor "libcamera"', lambda s: s.camera.source not in DRIVEN_SOURCES),
     ),
     _Rule(
         "camera.rate_hz camera.arrival_sigma_s",
-        'camera.source is "vehicle" or "stream"',
-        idle=lambda s: s.camera.source in ("vehicle", "stream"),
+        ('camera.source is "vehicle" or "stream"', lambda s: s.camera.source in ("vehicle", "stream")),
     ),
     _Rule(
         "camera.repeat",
-        "camera.source and camera.device do not name a video file",
-        idle=lambda s: s.camera.source != "stream" or s.camera.is_live,
+        ("camera.source and camera.device do not name a video file", lambda s: s.camera.source != "stream" or s.camera.is_live),
     ),
     _Rule(
         "camera.latency_s camera.latency_sigma_s camera.exposure_s camera.silence_s camera.reconnect_first_s "
         "camera.reconnect_most_s",
-        'camera.source is "vehicle", whose own keys say this',
-        idle=lambda s: s.camera.source == "vehicle",
+        ('camera.source is "vehicle", whose own keys say this', lambda s: s.camera.source == "vehicle"),
     ),
     _Rule(
         "estimator.dead_reckoning.history_s",
-        "it is shorter than estimator.max_delay_s, which is taken instead",
-        idle=lambda s: s.estimator.dead_reckoning.history_s < s.estimator.max_delay_s,
+        (
+            "it is shorter than estimator.max_delay_s, which is taken instead",
+            lambda s: s.estimator.dead_reckoning.history_s < s.estimator.max_delay_s,
+        ),
     ),
-    _Rule("guidance.tries.another_pad_s", 'guidance.tries.another_pad is "operator"'),
-    _Rule("recorder.jpeg_quality", 'recorder.frames is not "jpeg"'),
-    _Rule("recorder.frames_each", 'recorder.frames is "none"'),
+    _Rule("guidance.tries.another_pad_s", _is("guidance.tries.another_pad", "operator")),
+    _Rule("recorder.jpeg_quality", _is_not("recorder.frames", "jpeg")),
+    _Rule("recorder.frames_each", _is("recorder.frames", "none")),
 )
 """The first rule that holds explains a key."""
 
@@ -191,26 +213,11 @@ def without_effect(settings: Settings) -> tuple[str, ...]:
             idle = {path for path in changed if path.startswith(rule.keys)} - {rule.but}
         else:
             idle = changed.intersection(rule.keys.split())
-        if idle and (rule.idle or _holds(rule.why))(settings):
+        why, holds = rule.cause
+        if idle and holds(settings):
             changed -= idle
-            lines.append(f"{', '.join(map(in_file, sorted(idle)))}: without effect, as {rule.why}")
+            lines.append(f"{', '.join(map(in_file, sorted(idle)))}: without effect, as {why}")
     return tuple(lines)
-
-
-def _holds(why: str) -> Callable[[Settings], bool]:
-    """Return the condition that a sentence like `mqtt.transport is not "tls"` describes."""
-    path, _, what = why.partition(" is ")
-
-    def holds(settings: Settings) -> bool:
-        *tables, last = path.split(".")
-        table: Struct = reduce(getattr, tables, settings)
-        config = table.__struct_config__
-        found = config.tag if last == config.tag_field else getattr(table, last, None)
-        if what in ("empty", "set"):
-            return isinstance(found, str) and bool(found.strip()) == (what == "set")
-        return bool(found != json.loads(what[4:]) if what.startswith("not ") else found == json.loads(what))
-
-    return holds
 
 
 def _changed(table: Struct, prefix: str = "") -> Iterator[str]:

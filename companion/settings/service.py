@@ -1,6 +1,6 @@
 """The settings of the service itself: its restarts, and the table [recorder]."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from estimator.contracts.keys import CheckedOptions, choice, number, text, tuning
 
@@ -18,15 +18,8 @@ class RestartOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     restart_healthy_after_s: Annotated[
         float, number("time of uninterrupted work after which a part begins with the first back-off again", "s", 0.1, 3600.0)
     ] = 5.0
-    restart_give_up_after: Annotated[
-        int,
-        number(
-            "failures in a row after which a part beside the flight is given up; those of the outside world do not count",
-            "1",
-            1,
-            1000,
-        ),
-    ] = 10
+    restart_give_up_after: ClassVar[int] = 10
+    """Failures in a row after which a part beside the flight is given up; those of the outside world do not count."""
 
     ORDER = ("restart_first_s <= restart_cap_s",)
 

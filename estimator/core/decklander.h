@@ -120,8 +120,6 @@ typedef struct {
     int64_t reopen_count;
     /* The surface over which velocities are measured. */
     enum dl_velocity_surface velocity_is_over;
-    /* Whether the covariance of a sighting contains the error of the attitude that levelled it. */
-    bool sighting_has_attitude_error;
     /* Longest time between two propagations of the covariance, s. */
     double tick_s;
     /* Time without a sighting after which the pad is forgotten, s. */

@@ -181,13 +181,6 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.0
     mount_drift_rad_sqrt_s: ClassVar[float] = 1e-5
     """Random walk of that orientation: its change within 1 s."""
-    sighting_has_attitude_error: Annotated[
-        bool,
-        choice(
-            "whether the covariance of a sighting includes that of the attitude that levelled it; the filter then subtracts it",
-            page=True,
-        ),
-    ] = True
 
     min_confidence: ClassVar[float] = 0.05
     """Least confidence of a sighting; estimator.min_confidence applies earlier."""

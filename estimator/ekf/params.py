@@ -217,7 +217,7 @@ NIS_MAX = (15.137, 18.421, 21.108, 23.513, 25.745, 27.856, 29.878, 31.828, 33.72
 
 _SURFACES = {"auto": abi.DL_OVER_EITHER, "either": abi.DL_OVER_EITHER, "pad": abi.DL_OVER_PAD, "ground": abi.DL_OVER_GROUND}
 _FROM_OPTIONS = (
-    "reopen_count", "sighting_has_attitude_error", "tick_s", "forget_s", "aiding_period_s", "accel_step_m_s2", "gyro_step_rad_s",
+    "reopen_count", "tick_s", "forget_s", "aiding_period_s", "accel_step_m_s2", "gyro_step_rad_s",
     "deck_radius_m", "sigma_wave_yaw_rate_rad_s", "min_confidence", "reopen_s", "heading_memory_s", "sigma_turn_rate_rad_s",
     "pad_yaw_in_vessel_rad", "velocity_scale", "sigma_initial_tilt_rad", "sigma_initial_heading_rad", "sigma_attitude_bias_rad",
     "leap_count",

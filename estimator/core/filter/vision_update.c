@@ -77,15 +77,13 @@ static void rate_covariance(const double *by_rate, const double *P, double cov[9
 
 static void compare(const dl_filter_params *o, const dl_belief *b, const double *P, const dl_sighting *s, int place_only, comparison *out)
 {
-    static const double none[9] = {0.0};
-    const double *cov_levelled_by = o->sighting_has_attitude_error ? b->cov_levelled_by : none;
     const double yaw_sigma = b->heading_known ? sqrt(AT(P, DL_PAD_YAW, DL_PAD_YAW)) : INFINITY;
     sighting_rows *seen = &out->seen;
     double cov_rate[9];
     if (s->by_baseline) {
         baseline_model(o, b, P, s, seen);
     } else {
-        sighting_model(b, s, cov_levelled_by, yaw_sigma, place_only, seen);
+        sighting_model(b, s, b->cov_levelled_by, yaw_sigma, place_only, seen);
     }
     const int m = seen->m;
     /* The part of an innovation that is due to the delay grows with the rate of the measured position. While that rate is poorly

@@ -56,7 +56,7 @@ static void parameters(dl_filter_params *o, int surface)
     for (int i = 0; i < DL_N; i++) {
         o->psd[i] = 1e-4, o->initial_var[i] = 1e-3;
     }
-    o->reopen_count = 3, o->reopen_s = 0.1, o->sighting_has_attitude_error = 1;
+    o->reopen_count = 3, o->reopen_s = 0.1;
     o->min_confidence = 0.05, o->heading_memory_s = 1.0, o->sigma_turn_rate_rad_s = 0.05;
     for (int i = 0; i < 3; i++) {
         o->carrying_psd_accel[i] = o->carrying_psd_drift[i] = o->carrying_psd_tilt[i] = 1e-3;

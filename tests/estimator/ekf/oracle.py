@@ -999,8 +999,7 @@ def _camera_to_ned(b: State) -> F64:
 
 def _compared(b: State, s: Sighting, params: FilterParams, *, place_only: bool = False) -> tuple[Rows, Fix | None]:
     yaw_sigma = math.sqrt(float(b.P[PAD_YAW, PAD_YAW])) if b.heading_known else math.inf
-    cov = b.cov_levelled_by if params.options.sighting_has_attitude_error else np.zeros((3, 3))
-    z = sighting_rows(b, s, cov, yaw_sigma, place_only=place_only)
+    z = sighting_rows(b, s, b.cov_levelled_by, yaw_sigma, place_only=place_only)
     # While the rate of the measured place is poorly known, the delay is not corrected and its effect counts as noise.
     cov_rate = z.by_rate @ b.P @ z.by_rate.T
     if np.trace(cov_rate) > 0.35**2:

@@ -38,7 +38,7 @@ from tests.support.estimator_truth import Setting, TruthFlight, events
 
 _OPTIONS: tuple[dict[str, Any], ...] = (
     {},
-    {"velocity_is_over": "either", "deck_radius_m": 3.0, "sighting_has_attitude_error": False, "min_confidence": 0.5},
+    {"velocity_is_over": "either", "deck_radius_m": 3.0, "min_confidence": 0.5},
     {
         "velocity_is_over": "pad", "aiding_period_s": 0.02, "hold_s": 0.02, "pad_yaw_in_vessel_rad": 1.2, "tick_s": 0.01,
         "pad_forward_m": -3.0, "pad_right_m": 1.0,
