@@ -147,26 +147,14 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
             "frames up to this long after the bottom camera was selected may be of the other one, and are dropped", "s", 0.0, 10.0
         ),
     ] = 0.3
-    configuration_ids: Annotated[
-        str,
-        text(
-            "session, user and application of the drone's multiple configurations, eight lower-case hexadecimal digits each, "
-            "with commas between; empty to use none",
-            26,
-            shortest=0,
-        ),
-    ] = "dec1a4de,dec1a4d1,dec1a4d0"
+    IDS: ClassVar[tuple[str, str, str]] = ("dec1a4de", "dec1a4d1", "dec1a4d0")
+    """Session, user and application of the drone's multiple configurations."""
     further_configuration: Annotated[
         str, text("further configuration of the drone, sent last, as section:name=value with commas between", 4096, shortest=0)
     ] = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        ids = self.ids
-        if ids is not None and (len(ids) != 3 or any(len(i) != 8 or not set(i) <= set("0123456789abcdef") for i in ids)):
-            raise ValueError(
-                f"configuration_ids must be three times eight lower-case hexadecimal digits, got {self.configuration_ids!r}"
-            )
         self.configuration()
 
     @property
@@ -179,19 +167,10 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
         """The largest turn rate, rad/s."""
         return math.radians(self.yaw_rate_max_deg_s)
 
-    @property
-    def ids(self) -> tuple[str, ...] | None:
-        """Session, user and application of the drone's multiple configurations; None to use none."""
-        return tuple(part.strip() for part in self.configuration_ids.split(",")) if self.configuration_ids else None
-
     def configuration(self) -> dict[str, str]:
         """Every key that is set on the drone, in order of sending; full navdata first, since it ends the drone's bootstrap."""
         wanted = {"general:navdata_demo": "FALSE"}
-        if self.ids is not None:
-            session, user, application = self.ids
-            wanted["custom:session_id"] = session
-            wanted["custom:profile_id"] = user
-            wanted["custom:application_id"] = application
+        wanted["custom:session_id"], wanted["custom:profile_id"], wanted["custom:application_id"] = self.IDS
         wanted["video:video_codec"] = CODECS[self.model]
         wanted["video:video_channel"] = "1"
         wanted["general:com_watchdog"] = str(self.com_watchdog_s)
@@ -212,5 +191,4 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
 
     def timeouts(self, seconds: int) -> list[AtCommand]:
         """Commands that set `com_watchdog_s` alone, without waiting for the acknowledge bit: nobody may be there to wait."""
-        ids: list[AtCommand] = [] if self.ids is None else [ConfigIds(*self.ids)]
-        return [Ctrl(CTRL_ACK), *ids, Config("general:com_watchdog", str(seconds)), Ctrl(CTRL_ACK)]
+        return [Ctrl(CTRL_ACK), ConfigIds(*self.IDS), Config("general:com_watchdog", str(seconds)), Ctrl(CTRL_ACK)]

@@ -34,10 +34,10 @@ def configuration_commands(options: ArDroneOptions) -> Iterator[tuple[str, list[
 
     These are CONFIG, and CONFIG_IDS before it once a session is in use, without which the drone refuses the session's keys.
     """
-    ids, in_use = options.ids, False
+    in_use = False
     for key, value in options.configuration().items():
-        in_use = in_use or (ids is not None and not key.startswith("custom:") and key != "general:navdata_demo")
-        prefix: list[AtCommand] = [ConfigIds(*ids)] if ids is not None and in_use else []
+        in_use = in_use or (not key.startswith("custom:") and key != "general:navdata_demo")
+        prefix: list[AtCommand] = [ConfigIds(*options.IDS)] if in_use else []
         yield key, [*prefix, Config(key, value)]
 
 

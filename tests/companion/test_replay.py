@@ -84,14 +84,15 @@ def test_the_same_replay_has_the_same_hash_and_a_change_another(recorded_flight,
     digest = replayed(recorded_flight[0], "--sightings", capsys=capsys)["passes"][0]["sha256"]
     config = tmp_path / "other.toml"
     own = open_recording([recorded_flight[0]]).attachments["settings.toml"].decode()
-    config.write_text(re.sub(r"sigma_pad_v_m_s = [0-9.]+", "sigma_pad_v_m_s = 0.7", own))
+    config.write_text(re.sub(r"(dead_reckoning\]\n[^\[]*sigma_velocity_scale = )[0-9.]+", r"\g<1>0.7", own))
     both = replayed(recorded_flight[0], "--against", str(config), "--sightings", capsys=capsys)
     first, second = both["passes"]
     assert first["sha256"] == digest != second["sha256"]
     assert first["counts"]["as_recorded"] > 20
     against = {d["path"]: d for d in both["against"][str(config)]}
     assert against["median_mean"]["identical"] > against["dead_reckoning"]["identical"] == 0
-    by_key = replayed(recorded_flight[0], "--set", "estimator.dead_reckoning.sigma_pad_v_m_s=0.7", "--sightings", capsys=capsys)
+    wider = "estimator.dead_reckoning.sigma_velocity_scale=0.7"
+    by_key = replayed(recorded_flight[0], "--set", wider, "--sightings", capsys=capsys)
     assert by_key["passes"][0]["sha256"] == second["sha256"]
     out, key = tmp_path / "out.mcap", ["--set=pad.file=icao", "--set=expert.camera.file=ardrone2_bottom"]
     other = replayed(recorded_flight[0], *key, "--record", str(out), capsys=capsys)["passes"][0]["errors"]

@@ -121,7 +121,7 @@ def test_what_the_two_say_to_each_other_comes_out_as_it_went_in() -> None:
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 async def test_a_service_that_is_killed_or_stopped_leaves_a_climb_and_hover_and_the_drone_in_the_air(how: signal.Signals) -> None:
     fake = FakeArDrone()
-    async with fake.on_loopback(command_timeout_s=0.12, hold_s=2.5) as options, service(options, fake) as (child, sender):
+    async with fake.on_loopback(hold_s=2.5) as options, service(options, fake) as (child, sender):
         child.send_signal(how)
         before = len(fake.of(at.Pcmd))
         await until(lambda: fake.of(at.Pcmd)[-1].gaz == 1.0)
@@ -150,7 +150,7 @@ async def test_a_service_that_is_killed_or_stopped_leaves_a_climb_and_hover_and_
 async def test_a_new_service_takes_over_from_the_sender_that_holds_the_drone(monkeypatch: pytest.MonkeyPatch) -> None:
     be_patient(monkeypatch)
     fake = FakeArDrone()
-    async with fake.on_loopback(command_timeout_s=0.12) as options, service(options, fake) as (child, orphan):
+    async with fake.on_loopback() as options, service(options, fake) as (child, orphan):
         child.kill()
         child.wait()
         fake.altitude_mm = 2100
@@ -287,7 +287,7 @@ async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> N
 @pytest.mark.hazard("H5")
 async def test_a_blocked_event_loop_means_hover() -> None:
     fake = FakeArDrone()
-    async with fake.on_loopback(command_timeout_s=0.12) as options, open_ardrone(options, CLOCK) as drone:
+    async with fake.on_loopback() as options, open_ardrone(options, CLOCK) as drone:
         await until(lambda: drone.ready)
         drone.command(TakeOff())
         await until(lambda: bool(fake.state & nd.NavdataState.FLYING))

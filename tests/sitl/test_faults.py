@@ -17,6 +17,7 @@ from companion.guidance.pilot import make_pilot
 from companion.settings.load import load as load_settings
 from drivers.ardrone.navdata_channel import NavdataOrder
 from drivers.ardrone.navdata_channel import SequencePlace as P
+from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.estimates import Verdict
@@ -45,7 +46,7 @@ from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import RenderedFrame
 from sitl.world.world import Stick, World
 from tests.fly import ObservedCalls, fly_for, near, new_flight
-from tests.make import change
+from tests.make import change, tuned
 
 CALM = near(start={"height_m": 3.0})
 SIM = load_settings("sim")
@@ -248,9 +249,8 @@ def test_the_simulated_drone_takes_every_key_of_the_configuration_or_the_run_end
     flight, _ = fly_calm(kinds.FlowBlind(at_s=9.0), 0.02)
     assert flight.world.limits.euler_angle_max_rad == pytest.approx(math.radians(SIM.vehicle.euler_angle_max_deg), abs=1e-5)  # type: ignore[union-attr]
     assert flight._drone.state.counters["config_set"] == 11
-    vehicle = msgspec.structs.replace(SIM.vehicle)
-    msgspec.structs.force_setattr(vehicle, "com_watchdog_s", 61)  # the range check of the options would refuse it first
-    steep = msgspec.structs.replace(SIM, vehicle=vehicle)
+    values = msgspec.structs.asdict(SIM.vehicle)
+    steep = msgspec.structs.replace(SIM, vehicle=tuned(ArDroneOptions, **values, com_watchdog_s=61))
     with pytest.raises(SetupImpossible, match="refused the configuration key general:com_watchdog: bad_value"):
         Flight(CALM, 1, steep, make_pilot(steep))
 
