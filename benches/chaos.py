@@ -333,8 +333,6 @@ KINDS = (
     "log_reader_stops", "terminal_hangs_up", "ctrl_z", "service_stopped", "disk_hangs", "disk_full", "clock_set", "link_stalls",
     "link_doubles", "link_moves", "broker_dies", "broker_says_nothing", "browsers_stop_reading", "cpu_hogs",
 )  # fmt: skip
-
-
 _ALONE = ("disk_hangs", "disk_full", "broker_dies", "broker_says_nothing")
 """Events that exclude others with the same first word: nobody writes to a full disk, so it cannot hang."""
 

@@ -14,7 +14,6 @@ import argparse
 import asyncio
 import json
 import math
-import os
 import signal
 import socket
 import subprocess
@@ -30,7 +29,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benches.options import parsed
+from benches.options import failed, parsed
 from companion.base.observer import Decision, NullObserver
 from companion.guidance.pilot import make_pilot
 from companion.service.assemble import live, make_daemon
@@ -528,13 +527,14 @@ def main() -> None:
         fly(args.fly)
         return
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # this runs every finally block, so that no child process remains
-    os.environ.setdefault("MPLCONFIGDIR", tempfile.gettempdir())
     print(HEADER, flush=True)
     counts: list[Count] = []
     try:
         counts.extend(fly_case(case, args) for case in CASES if not args.phase or case.name in args.phase)
     finally:
         summarize(counts)
+    if not any(flight.reached for count in counts for flight in count.flights):
+        failed("no flight reached its phase")
 
 
 if __name__ == "__main__":
