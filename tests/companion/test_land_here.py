@@ -89,7 +89,7 @@ def test_from_inside_the_cone_it_is_the_pads_centre_and_from_aside_the_place_bel
     assert touch(cycle(1.0, frozen), OPTIONS).text.endswith("rail or water; the camera repeats its frames")
     windy = WindOverDrone(24.0, 1.0, 18.0, (1.0, 0.0), 0.6, spent=True)
     told = touch(cycle(1.0, wind=windy), OPTIONS).text
-    assert told.endswith("rail or water; 24.0 m/s of wind over the drone carries it off: its tilt can fly 18.0")
+    assert told.endswith("rail or water; 24.0 m/s of wind over the drone carries it off: its tilt can fly 18.0 m/s")
     by_ship = touch(cycle(1.0, vessel=vessel_position(1.0, (30.0, 40.0))), OPTIONS)
     assert by_ship.lateral_m == pytest.approx(50.0)
 

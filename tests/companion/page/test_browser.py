@@ -6,6 +6,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from msgspec import structs, to_builtins
@@ -25,6 +26,8 @@ from tests.support.waiting import free_port, until
 
 pytestmark = MARKS
 ORDER_BUTTONS = [f'[data-order="{order}"]' for order in ("takeoff", "begin", "hold", "land", "abort")]
+BELIEVED = RelativeState(MonoNs(0), "ekf", np.array([0.2, 0.3, 2.0]), np.zeros(3), 0.0, np.eye(7) / 1e4, MonoNs(0), True)
+SIZES = ((LAPTOP, 44), (PHONE, 44), (SIDEWAYS, 40), ({"width": 320, "height": 568}, 44), ({"width": 768, "height": 1024}, 44))
 
 
 BROKEN_DECODER = """
@@ -60,8 +63,7 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
         await playwright.expect(one.page.locator("#picture-note")).to_be_hidden(timeout=WAIT_MS)
         assert await one.page.evaluate("document.querySelector('#picture').width") > 300
         await one.shows("delay", "ms")
-        cov = np.diag([1e-4] * 6 + [1e-3])
-        service.believed = RelativeState(MonoNs(0), "ekf", np.array([0.2, 0.3, 2.0]), np.zeros(3), 0.0, cov, MonoNs(0), True)
+        service.believed = BELIEVED
         seen = PadCheck(MonoNs(0), 1.0, PadThing(0.25, 0.1, -0.15), NearThing(-0.6, 0.7, 0.41))
         service.found = Detection(None, None, MappingProxyType({}), on_pad=seen)
         await playwright.expect(one.page.locator("#above .thing")).to_have_count(2, timeout=WAIT_MS)
@@ -75,7 +77,7 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
         scale = radius / service.pilot.pad.disc_radius_m
         # Nose 90 degrees clockwise of the arrow, the pad 2 m ahead of it: the drone is 2 m to port of the pad.
         across = structs.replace(
-            service.believed, d_body_pad_level=np.array([2.0, 0.0, 3.0]), v_pad_level=np.array([0.1, -0.2, 0.3]),
+            BELIEVED, d_body_pad_level=np.array([2.0, 0.0, 3.0]), v_pad_level=np.array([0.1, -0.2, 0.3]),
             yaw_rad=np.pi / 2, cov=np.diag([0.04, 0.01, 0.09, 1.0, 1.0, 1.0, 0.01]),
         )  # fmt: skip
         state = {"belief": to_builtins(facts.belief(across)), "deck": None}
@@ -201,32 +203,32 @@ async def test_a_wrong_token_is_refused_and_the_right_one_typed_in(tmp_path: Pat
 
 
 @pytest.mark.timeout(500)
-async def test_every_order_is_in_sight_and_stays_in_its_place_on_a_phone_and_a_laptop(tmp_path: Path) -> None:
+async def test_every_order_is_in_sight_and_stays_in_its_place_by_day_in_metres_and_by_night_in_feet(tmp_path: Path) -> None:
     async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service, has_touch=True) as one:
-        for size, least_px in ((LAPTOP, 44), (PHONE, 44), (SIDEWAYS, 40)):
+        service.believed = BELIEVED
+        places: dict[str, Any] = {}
+        for night, (size, least_px) in [(night, one) for night in (False, True) for one in SIZES]:
+            if night and size == LAPTOP:
+                await one.page.select_option("#units", "feet")
+                for button in ("#alarms", "#theme"):  # on and off; dark and night
+                    await one.page.click(button, click_count=2)
+                await one.page.reload()
+                assert await one.page.is_hidden("#alarms-ask"), "asked once"
             await one.page.set_viewport_size(size)
-            await one.shows("link", "live")
+            await one.shows("height", "^6.6ft$" if night else "^2.00m$")
             assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-            places: dict[str, Any] = {}
             for grow in (False, True):
                 if grow:
                     await one.page.click('[data-order="land"]')
                     await playwright.expect(one.page.locator("#asks")).to_be_visible(timeout=WAIT_MS)
-                    await one.page.evaluate(
-                        "for (const e of [answer, reason, worst]) e.textContent = 'more than a line '.repeat(6)"
-                    )
-                for name in (
-                    *(f'[data-order="{order}"]' for order in ("takeoff", "begin", "hold", "land", "abort")),
-                    "#emergency",
-                ):
+                    await one.page.evaluate("[answer, reason, worst].forEach((e) => (e.textContent = 'over a line '.repeat(8)))")
+                for name in (*ORDER_BUTTONS, "#emergency"):
                     box = await one.page.locator(name).bounding_box()
-                    assert box["height"] >= least_px, "a thumb's size"
-                    assert box["y"] + box["height"] <= size["height"]
-                    assert places.setdefault(name, box) == box, "no button moves under a thumb or pointer"
+                    assert least_px <= box["height"] <= box["y"] + box["height"] <= size["height"]
+                    assert places.setdefault(f"{name} {size}", box) == box, "no button moves under a thumb or pointer"
+            shot = cv2.imdecode(np.frombuffer(await one.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+            assert (shot[..., :2].max() == 0) == night, "by night nothing but red"
             await one.page.keyboard.press("Escape")
-            await one.page.evaluate("answer.textContent = ''")
-        await one.page.set_viewport_size({"width": 320, "height": 568})
-        assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         await one.shows("worst", "no status from the vehicle yet")
         assert await one.page.locator("#link").get_attribute("data-level") == "fault", "no green over what is missing"
         assert await one.page.locator('[data-order="begin"].primary').count() == 0

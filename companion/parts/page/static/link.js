@@ -1,5 +1,6 @@
 // The connection: login, messages to those who want them, and trying again after a loss.
 import { $, chip } from "./elements.js";
+import { inUnits } from "./units.js";
 
 const WRONG_TOKEN = 4401;
 const GOING = 1001;
@@ -78,7 +79,7 @@ export class Link {
       for (const handler of this.#handlers.get("picture")) handler(header, new Uint8Array(data, 4 + length));
       return;
     }
-    const message = JSON.parse(data);
+    const message = inUnits(JSON.parse(data));
     if (message.kind === "refused") this.#said = message.text;
     else for (const handler of this.#handlers.get(message.kind) ?? []) handler(message);
   }

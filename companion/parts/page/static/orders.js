@@ -1,4 +1,5 @@
 // The buttons, the slides that confirm what cannot be taken back, and the answers of the service.
+import { alarm } from "./alarms.js";
 import { chip, words, write } from "./elements.js";
 
 const ANSWER_MS = 3000;
@@ -120,6 +121,8 @@ export class Orders {
   // What is ordered by others makes an answer old; a connection begins with the newest events.
   event({ at_s, text }) {
     if (this.#state !== null && text.startsWith("you: ") && text.includes("not obeyed")) this.tell("fault", text.slice(5));
+    const stops = STOPS.some((order) => text.includes(`: ${words.orders[order]}: accepted`));
+    if (this.#state !== null && stops && !text.startsWith("you: ")) alarm("stopped");
     if (!text.endsWith(": accepted")) return;
     if (this.#kept !== null && at_s >= this.#kept.seen_s && text.endsWith(`: ${words.orders[this.#kept.order]}: accepted`)) {
       this.tell("info", `${words.orders[this.#kept.order]}: obeyed`);
@@ -138,7 +141,7 @@ export class Orders {
     this.#cutting = message.situation === "cutting";
     this.#state = message;
     // That an order was not sent stays for a while, also when the connection is back at once.
-    if (this.#passing) this.tell(...(this.#answer.dataset.level === "fault" ? ["fault", this.#answer.textContent] : ["", ""]));
+    if (this.#passing) this.tell(...(this.#answer.dataset.level === "fault" ? ["fault", this.#answer.textContent, true] : ["", ""]));
     const asked = this.#asked?.dataset.order;
     if (message.refusals[asked]) {
       this.#ask(null);
@@ -170,11 +173,12 @@ export class Orders {
     this.tell(level === "info" && waiting.order === "emergency" ? "warning" : level, `${words.orders[waiting.order]}: ${text}`);
   }
 
-  tell(level, text) {
+  tell(level, text, again = false) {
     this.#passing = false;
     clearTimeout(this.#fades);
     if (level in SHOWN_MS) this.#fades = setTimeout(() => this.#passing || this.tell("", ""), SHOWN_MS[level]);
     chip(this.#answer, level, text);
+    if (level === "fault" && !again) alarm("refused");
   }
 }
 

@@ -1,4 +1,5 @@
 // The page's beginning: the theme, the login, and who gets which message.
+import { alarm } from "./alarms.js";
 import { Calibration } from "./calibration.js";
 import { Doctor } from "./doctor.js";
 import { Link } from "./link.js";
@@ -14,15 +15,19 @@ import { $, chip, words } from "./elements.js";
 
 const TOKEN = "decklander.token";
 const THEME = "decklander.theme";
+const THEMES = ["light", "dark", "night"];
 const UNKNOWN = "What the drone does now is not known here: a landing may go on, or the service has ended and left the drone to itself.";
 
 const system = matchMedia("(prefers-color-scheme: dark)");
 const shown = document.documentElement.dataset;
-const theme = () => (shown.theme = localStorage.getItem(THEME) ?? (system.matches ? "dark" : "light"));
+function theme() {
+  shown.theme = localStorage.getItem(THEME) ?? (system.matches ? "dark" : "light");
+  $("browser-bar").content = getComputedStyle(document.documentElement).getPropertyValue("--card");
+}
 theme();
 system.addEventListener("change", theme);
 $("theme").addEventListener("click", () => {
-  localStorage.setItem(THEME, shown.theme === "dark" ? "light" : "dark");
+  localStorage.setItem(THEME, THEMES[(THEMES.indexOf(shown.theme) + 1) % THEMES.length]);
   theme();
 });
 
@@ -102,6 +107,7 @@ link.onQuiet = (quiet_s) => {
   if (quiet_s !== null) chip($("link"), "fault", "silent");
 };
 link.onLost = (why, ends) => {
+  if (!old && run !== null) alarm("lost");
   [old, ended] = [true, ended || (ends ? why : "")];
   link.onQuiet(null);
   chip($("link"), "fault", "lost");

@@ -1,15 +1,17 @@
 // The last minute: height, distance from the centre and climb, with the bands of the estimate's own error.
+import { shown, signed } from "./units.js";
+
 const SPAN_S = 60;
 const DRAWN_MS = 250;
 const PLOTS = [
-  { id: "plot-height", name: "Height", unit: "m", of: (p) => p.z_m, half: (p) => 1.96 * p.sigma_z_m, least: 1, floor: 0 },
+  { id: "plot-height", name: "Height", kind: "length", of: (p) => p.z_m, half: (p) => 1.96 * p.sigma_z_m, least: 1, floor: 0 },
   {
-    id: "plot-lateral", name: "Off centre", unit: "m", of: (p) => Math.hypot(p.x_m, p.y_m),
+    id: "plot-lateral", name: "Off centre", kind: "length", of: (p) => Math.hypot(p.x_m, p.y_m),
     half: (p) => 2.448 * Math.sqrt(Math.max(p.cov_m2[0], p.cov_m2[2])), least: 0.4, floor: 0,
   },
-  { id: "plot-climb", name: "Climb", unit: "m/s", of: (p) => p.v_m_s[2], half: () => 0, least: 0.5, floor: null },
+  { id: "plot-climb", name: "Climb", kind: "climb", of: (p) => p.v_m_s[2], half: () => 0, least: 0.5, floor: null },
 ];
-const STEPS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50];
+const STEPS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200];
 
 export class Plots {
   #states = [];
@@ -32,6 +34,8 @@ export class Plots {
 
   #draw(plot, now_s) {
     const canvas = document.getElementById(plot.id);
+    const [unit, size, digits] = shown(plot.kind);
+    canvas.previousElementSibling.textContent = `${plot.name}, ${unit}`;
     const scale = devicePixelRatio || 1;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
     if (width === 0) return;
@@ -40,11 +44,11 @@ export class Plots {
     const ink = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
     pen.setTransform(scale, 0, 0, scale, 0, 0);
     pen.clearRect(0, 0, width, height);
-    const known = this.#states.filter(({ place }) => place !== null).map(({ at_s, place }) => ({ at_s, value: plot.of(place), half: plot.half(place) }));
-    let low = plot.floor ?? -plot.least;
-    let high = plot.least;
+    const known = this.#states.filter(({ place }) => place !== null).map(({ at_s, place }) => ({ at_s, value: plot.of(place) / size, half: plot.half(place) / size }));
+    let low = plot.floor ?? -plot.least / size;
+    let high = plot.least / size;
     for (const { value } of known) [low, high] = [Math.min(low, value), Math.max(high, value)];
-    const step = STEPS.find((s) => (high - low) / s <= 3.2) ?? 100;
+    const step = STEPS.find((s) => (high - low) / s <= 3.2) ?? 500;
     [low, high] = [Math.floor(low / step - 0.02) * step, Math.ceil(high / step + 0.02) * step];
     if (plot.floor !== null) low = Math.max(low, plot.floor);
     const [left, top, bottom] = [34, 6, height - 16];
@@ -85,7 +89,7 @@ export class Plots {
     }
     pen.restore();
     const newest = known.at(-1);
-    canvas.setAttribute("aria-label", `${plot.name} in the last minute; ${newest ? `${newest.value.toFixed(2)} ${plot.unit} at its end` : "not known"}`);
+    canvas.setAttribute("aria-label", `${plot.name} in the last minute; ${newest ? `${signed(newest.value, digits, "")} ${unit} at its end` : "not known"}`);
   }
 }
 

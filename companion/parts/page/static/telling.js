@@ -1,5 +1,6 @@
 // What the page says in words and figures: phase and reason, who commands, figures, health and its causes, events.
 import { $, chip, part, words, write } from "./elements.js";
+import { figure, signed } from "./units.js";
 
 const EVENTS = 100;
 const DEGREES = 180 / Math.PI;
@@ -41,8 +42,8 @@ export function state(message) {
     const level = place.consistent ? "" : "warning";
     const [xx, , yy] = place.cov_m2;
     length("sigma", CHI_95 * Math.max(Math.sqrt(Math.max(xx, yy)), place.sigma_z_m), level);
-    set("climb", signed(place.v_m_s[2], 2), "m/s");
-    set("speed", Math.hypot(place.v_m_s[0], place.v_m_s[1]).toFixed(2), "m/s");
+    set("climb", ...figure("climb", place.v_m_s[2], "+"));
+    set("speed", ...figure("speed", Math.hypot(place.v_m_s[0], place.v_m_s[1])));
     set("heading", place.heading_known ? `${signed(place.heading_rad * DEGREES, 0)}°` : "–");
     const tilt = [place.deck_roll_rad, place.deck_pitch_rad];
     set("deck", tilt.includes(null) ? "–" : tilt.map((rad) => `${signed(rad * DEGREES, 1)}°`).join(" / "));
@@ -51,15 +52,9 @@ export function state(message) {
   set("delay", delay === null ? "–" : String(Math.round(1000 * delay)), delay === null ? "" : "ms", delay > 0.5 ? "warning" : "");
 }
 
-function signed(value, digits) {
-  const text = value.toFixed(digits);
-  return Number(text) === 0 ? (0).toFixed(digits) : value > 0 ? `+${text}` : text.replace("-", "−");
-}
-
 function length(id, metres, level = "") {
   if (metres === null) set(id, "–");
-  else if (Math.abs(metres) < 1) set(id, (100 * metres).toFixed(Math.abs(metres) < 0.1 ? 1 : 0), "cm", level);
-  else set(id, metres.toFixed(2), "m", level);
+  else set(id, ...figure("length", metres), level);
 }
 
 function battery(fraction) {
