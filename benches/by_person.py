@@ -14,7 +14,6 @@ the last contact. The worst of several contacts counts. Exit code 0 where 95 % a
 Flights that the file of `--write` has are not flown again: remove a file of other code first.
 """
 
-import argparse
 import asyncio
 import json
 import math
@@ -32,7 +31,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from msgspec.structs import replace
 
-from benches.options import parsed
+from benches.options import described, parsed
 from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
@@ -154,7 +153,7 @@ def cells(rows: Sequence[Row]) -> list[str]:
 
 def main() -> int:
     """Fly what is left and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--seed", type=int, default=891000)
     parser.add_argument("--vehicles", choices=VEHICLES, nargs="+", default=VEHICLES)

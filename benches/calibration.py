@@ -10,7 +10,7 @@ from collections import Counter
 
 import numpy as np
 
-from benches.options import parsed
+from benches.options import described, parsed
 from companion.tools.calibrate.board import Board, BoardView, Collection
 from companion.tools.calibrate.guide import assess
 from companion.tools.calibrate.solve import Solution, distance_errors, solve
@@ -69,7 +69,7 @@ def solved(rng: np.random.Generator, args: argparse.Namespace, tilt_deg: float) 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = described(__doc__)
     parser.add_argument("--sets", type=int, default=40)
     parser.add_argument("--views", type=int, default=15)
     parser.add_argument("--images", action="store_true", help="render the board and find its corners")

@@ -10,7 +10,6 @@ the loop's lag, lines in the log, and for each event whether the log says its wo
 with `--alone` (as root) the service goes before all other programs, as on cores of its own.
 """
 
-import argparse
 import asyncio
 import os
 import random
@@ -38,7 +37,7 @@ import av
 import numpy as np
 
 from benches.dead_man import drone
-from benches.options import parsed
+from benches.options import described, parsed
 from drivers.mavlink.dialect import mav
 from sitl.emulators.ardrone.truth_log import read as read_truth
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
@@ -562,7 +561,7 @@ def of_toml(text: str) -> list[Chaos]:
 
 def main() -> int:
     """Fly and print; return 0 if every flight was good."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     parser.add_argument("--flights", type=int, default=20)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--vehicle", choices=("mavlink", "ardrone"))

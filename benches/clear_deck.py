@@ -15,7 +15,6 @@ With `--hovers` it waits for a minute beside and over the empty pad of a ship, t
 something was there at a stretch.
 """
 
-import argparse
 import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -27,7 +26,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from benches.options import parsed
+from benches.options import described, parsed
 from benches.search import SIGMA_YAW_RAD
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation, wrap_pi
@@ -343,7 +342,7 @@ def with_bodies(runs: range, tracker: TrackerConfig, *, leans: bool) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = described(__doc__)
     parser.add_argument("--runs", type=int, default=60, help="approaches with a thing")
     parser.add_argument("--clear", type=int, default=60, help="approaches without one")
     parser.add_argument("--bodies", type=int, default=0, help="approaches with a body about the pad")

@@ -31,7 +31,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benches.options import alive, failed, parsed, program
+from benches.options import alive, described, failed, parsed, program
 
 HOST, TOKEN = "127.0.0.1", "0123456789abcdef" * 4
 PROFILES = {"ardrone": (0, 30.0), "autopilot": (1, 30.0), "links4": (4, 30.0), "v4l2_60": (1, 60.0)}
@@ -235,7 +235,7 @@ async def measure(name: str, how: str, args: argparse.Namespace) -> None:
 
 
 def main(latency: bool = False) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     every = ["autopilot", "v4l2_60"] if latency else [*PROFILES, *(f"{name}+" for name in PROFILES)]
     parser.add_argument("profiles", nargs="*", default=every)
     parser.add_argument("--seconds", type=float, default=12.0)

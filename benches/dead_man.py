@@ -29,7 +29,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benches.options import failed, parsed
+from benches.options import described, failed, parsed
 from companion.base.observer import Decision, NullObserver
 from companion.guidance.pilot import make_pilot
 from companion.service.assemble import live, make_daemon
@@ -516,7 +516,7 @@ def _unsafe(flights: list[Flight]) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     parser.add_argument("--seeds", type=int, default=1, help="flights for each phase")
     parser.add_argument("--first", type=int, default=1, metavar="SEED")
     parser.add_argument("--how", choices=("kill", "stop"), default="kill")

@@ -8,7 +8,6 @@ speed over the rms of the true one (a forecast of zero would give 1). The delay'
 and the same in estimated sigmas.
 """
 
-import argparse
 import os
 from collections.abc import Callable, Sequence
 
@@ -16,7 +15,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from benches.options import parsed
+from benches.options import described, parsed
 from estimator.options import DeadReckoningOptions
 from estimator.paths import DeadReckoningPath, MedianMeanPath
 from tests.support import voyage_truth
@@ -55,7 +54,7 @@ def row(name: str, scores: Sequence[Score]) -> str:
 
 def main() -> None:
     """Print a row for each sea."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     parser.add_argument("--runs", type=int, default=6, help="number of flights in each sea")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--sea", choices=sorted(SEAS), action="append")

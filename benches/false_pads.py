@@ -7,7 +7,6 @@ highest confidence of any frame and the time per frame. A chunk is 100 frames wi
 be made in parts (`--first`). The exit code is 1 if any frame reaches 0.5.
 """
 
-import argparse
 import math
 import sys
 import time
@@ -18,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.options import mapping, parsed
+from benches.options import described, mapping, parsed
 from benches.real import STAMP
 from benches.search import SIGMA_ATTITUDE_RAD
 from estimator.contracts.geometry import Rotation, Transform
@@ -86,7 +85,7 @@ def photographs(hard: Hard, most: int) -> list[tuple[str, float]]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = described(__doc__)
     parser.add_argument("--frames", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0, help="chunk to begin with")
     parser.add_argument("--workers", type=int, default=1)

@@ -29,7 +29,7 @@ from functools import partial
 from pathlib import Path
 from random import Random
 
-from benches.options import mapping, parsed
+from benches.options import described, mapping, parsed
 from companion.base.orders import OperatorOrder
 from companion.guidance.operator.order_time import BEGINS
 from drivers.mavlink.custody import LEFT_ALONE, Hand
@@ -376,7 +376,7 @@ def table(stack: Stack, states: tuple[str, ...], acts: tuple[str, ...], found: I
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)

@@ -16,7 +16,7 @@ from statistics import median
 
 import msgspec
 
-from benches.options import parsed
+from benches.options import described, parsed
 from companion.base import event_loop
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.emulators.autopilots.program import executable
@@ -90,7 +90,7 @@ def _median(values: Sequence[float], digits: int) -> str:
 
 def main() -> int:
     """Fly and print; return 0 if the daemon was killed in some flight, and each such flight ended on the pad."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     parser.add_argument("--autopilot", choices=("px4", "arducopter"), default="arducopter")
     parser.add_argument("--binary", default="stand-in")
     parser.add_argument("--scenario", default="rendezvous")

@@ -12,7 +12,6 @@ estimated and the true place of the pad, and the distance from the centre that t
 of `--write` has are not flown again: remove a file of other code first.
 """
 
-import argparse
 import json
 import math
 import os
@@ -28,7 +27,7 @@ import numpy as np
 from msgspec.structs import replace
 
 import examples.known_controllers  # noqa: F401 - offers lqr and mpc
-from benches.options import parsed
+from benches.options import described, parsed
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.pilot import Pilot
 from estimator.contracts.estimates import Verdict
@@ -134,7 +133,7 @@ def cells(rows: Sequence[Row]) -> list[str]:
 
 def main(ways: Ways = CONTROLLERS, scenarios: Sequence[str] = WEATHERS) -> None:
     """Fly what is left and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     parser.add_argument("--runs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=5000)
     parser.add_argument("--only", choices=list(ways), nargs="+", default=list(ways))

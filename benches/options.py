@@ -12,6 +12,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 
+def described(doc: str | None) -> argparse.ArgumentParser:
+    """Return the parser of a bench, whose help is its module's."""
+    return argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+
+
 def parsed(parser: argparse.ArgumentParser, smoke: str, argv: Sequence[str] | None = None) -> argparse.Namespace:
     """Return the options of a bench; with --smoke those of its smallest run, which measures something within seconds.
 

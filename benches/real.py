@@ -7,7 +7,6 @@ contours, with an ellipse fitted to it, or its marker detector with sub-pixel co
 the same ranges by the same camera, in drawn light. `--every 4` takes every fourth frame; `--write` leaves evidence.md.
 """
 
-import argparse
 import csv
 import itertools
 import json
@@ -24,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.options import parsed
+from benches.options import described, parsed
 from companion.cli.main import main as decklander
 from drivers.nmea.sentences import NmeaReader
 from estimator.contracts.estimates import Sighting
@@ -548,7 +547,7 @@ def write_part(page: Path, text: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     parser.add_argument("--part", action="append", choices=PARTS, help="only this one; may be repeated")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth frame (default: all)")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write evidence.md there")

@@ -10,7 +10,6 @@ its confidence: where that is calibrated, its mean is the share that is right.
 smallest of 25 of both, the median of six frames; `--lost` that of frames without a pad where one is expected.
 """
 
-import argparse
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -19,7 +18,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from benches.options import parsed
+from benches.options import described, parsed
 from benches.real import SHIPPED, STAMP, Looks, curve_of
 from companion.tools.pads.price import view
 from estimator.contracts.estimates import RelativeState, Sighting
@@ -360,7 +359,7 @@ def lost(tracker: TrackerConfig, frames: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     parser.add_argument("--frames", type=int, default=20, help="in each condition")
     parser.add_argument("--seed", type=int, default=0)
     instead = parser.add_mutually_exclusive_group()

@@ -27,9 +27,9 @@ from statistics import median
 from typing import Any, Generic, TypeVar
 
 import msgspec
-from msgspec import Struct, field, to_builtins
+from msgspec import Struct, field
 
-from benches.options import parsed
+from benches.options import described, parsed
 from companion.base import event_loop, memory
 from companion.base.health import Health
 from companion.base.mission import REFUSALS, FlightOutcome
@@ -146,11 +146,6 @@ class Findings(Struct, frozen=True):
             if trend is not None and trend.last > trend.first:
                 output.append(f"{name} grew from {trend.first:g} to {trend.last:g}")
         return output
-
-    def as_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        values: dict[str, Any] = to_builtins(self)
-        return {**values, **values.pop("counted"), "memory_growth": self.memory_mib.growth, "faults": self.faults}
 
     def in_words(self, virtual: bool) -> list[str]:
         """Return a line for each quantity."""
@@ -317,7 +312,7 @@ class Tally(Struct):
         self.endings[ending] += 1
         self.flights.append(flight)
 
-    def take(self, tasks: int | None, quiet: bool, before_mib: float | None = None) -> None:
+    def take(self, tasks: int | None, before_mib: float | None = None) -> None:
         """Take a reading of the process, and print a line about it every minute.
 
         Args:
@@ -331,7 +326,7 @@ class Tally(Struct):
             except OSError as why:
                 sys.stderr.write(f"--readings: {self.file.name!s}: {why.strerror or why}; no more are written\n")
                 self.file = None
-        if not quiet and reading.at_s - self._said >= _SAY_EACH_S:
+        if reading.at_s - self._said >= _SAY_EACH_S:
             self._said = reading.at_s
             sys.stderr.write(
                 f"{reading.at_s / 60:5.0f} min  {len(self.flights)} flights, {self.count(Grade.ON_PAD)} on the pad, "
@@ -348,17 +343,6 @@ class Tally(Struct):
         if starved > STARVED_MAX * len(self.flights):
             output.append(f"this machine was too slow for {starved} of {len(self.flights)} flights, so the run shows nothing")
         return output
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the counts by class and by ending, and every flight."""
-        return {
-            "flights": len(self.flights),
-            "on_pad": self.count(Grade.ON_PAD),
-            "endings": dict(self.endings),
-            "flown_s": self.flown_s,
-            "classes": {worth.name.lower(): self.count(worth) for worth in Grade},
-            "outcomes": [{**msgspec.structs.asdict(flight), "worth": flight.worth.value} for flight in self.flights],
-        }
 
     def in_words(self, scenario: str) -> list[str]:
         """Return lines of counts, and a line for each flight that failed or was not judged."""
@@ -378,7 +362,7 @@ class Tally(Struct):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fly, print what was found, and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     parser.add_argument("scenario", nargs="?", default="demo")
     parser.add_argument("--virtual", action="store_true", help="fly in virtual time, without sockets")
     parser.add_argument("--hours", type=float, default=1.0, help="hours to run; with --virtual hours of flight time")
@@ -389,7 +373,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--perception", default="pixels", help="with --virtual: pixels, model or truth")
     parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="allow this many failed flights")
     parser.add_argument("--readings", type=Path, metavar="FILE", help="write every reading as a line of JSON")
-    parser.add_argument("--json", action="store_true", help="print one JSON object in place of words")
     args = parsed(parser, "calm --virtual --runs 12 --perception truth --no-faults", argv)
     if not args.virtual and (args.runs is not None or args.fault or args.perception != "pixels"):
         parser.error("--runs, --fault and --perception need --virtual")
@@ -411,13 +394,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     readings = list(tally.readings)
     found = findings(readings, warm_up_s(readings)) if readings else None
     faults = tally.faults(args.failed_max)
-    if args.json:
-        printed = {**tally.as_json(), "flight_faults": faults, "findings": None if found is None else found.as_json()}
-        print(json.dumps(printed))
-    else:
-        lines = tally.in_words(args.scenario)
-        lines += ["too short to measure growth"] if found is None else found.in_words(args.virtual)
-        print("\n".join([*lines, *(f"FAULT: {fault}" for fault in [*faults, *(found.faults if found is not None else ())])]))
+    lines = tally.in_words(args.scenario)
+    lines += ["too short to measure growth"] if found is None else found.in_words(args.virtual)
+    print("\n".join([*lines, *(f"FAULT: {fault}" for fault in [*faults, *(found.faults if found is not None else ())])]))
     return 130 if interrupted else int(found is None or bool(found.faults or faults))
 
 
@@ -448,7 +427,7 @@ def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings,
         tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
         tally.flown_s += ending.duration_s
         del ending, judged, flight
-        tally.take(None, args.json, give_back())
+        tally.take(None, give_back())
         seed += 1
 
 
@@ -472,11 +451,11 @@ async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) ->
         pilot = make_pilot(settings)
         daemon = make_daemon(settings, pilot, clock=SystemClock())
         tally.began = time.monotonic()
-        tally.take(len(asyncio.all_tasks()), quiet=True)
+        tally.take(len(asyncio.all_tasks()))
         async with asyncio.TaskGroup() as group:
             flying = group.create_task(daemon.run())
             listening = group.create_task(_listen(child.stdout, tally, pilot, daemon.health))
-            reading = group.create_task(_read(tally, args.json))
+            reading = group.create_task(_read(tally))
             await asyncio.wait({flying, listening}, timeout=3600.0 * args.hours, return_when=asyncio.FIRST_COMPLETED)
             ended_early = listening.done()
             reading.cancel()
@@ -505,10 +484,10 @@ async def _listen(lines: asyncio.StreamReader, tally: Tally, pilot: Pilot, healt
             tally.flown(printed["ended"], real(time.monotonic() - tally.began, printed, pilot.outcome, frames, late_s))
 
 
-async def _read(tally: Tally, quiet: bool) -> None:
+async def _read(tally: Tally) -> None:
     while True:
         await asyncio.sleep(_READ_EACH_S)
-        tally.take(len(asyncio.all_tasks()), quiet)
+        tally.take(len(asyncio.all_tasks()))
 
 
 if __name__ == "__main__":

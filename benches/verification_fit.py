@@ -8,7 +8,6 @@ coefficients in the form of estimator/vision/detect/verification.py, and the res
 estimator/vision/detect/verification.py.
 """
 
-import argparse
 import math
 import sys
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.options import mapping, parsed
+from benches.options import described, mapping, parsed
 from benches.real import STAMP
 from benches.search import SIGMA_ATTITUDE_RAD, SIGMA_DECK_RAD
 from estimator.contracts.samples import Attitude
@@ -117,7 +116,7 @@ def fit_one_way(x: F64, y: F64, weight: F64, one_way: NDArray[np.bool_]) -> F64:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = described(__doc__)
     parser.add_argument("--frames", type=int, default=6000)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--registered", action="store_true")

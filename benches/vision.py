@@ -14,7 +14,6 @@ The last table is README's: ArUco, AprilTag, the thesis' methods and ours side b
 and the true place, and the time; below nine finds in ten frames it says how many. The thesis' cell has its best method's.
 """
 
-import argparse
 import math
 import os
 import sys
@@ -33,7 +32,7 @@ import numpy as np  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 from pupil_apriltags import Detector  # noqa: E402
 
-from benches.options import parsed  # noqa: E402
+from benches.options import described, parsed  # noqa: E402
 from benches.search import floor_ms  # noqa: E402
 from estimator.contracts.estimates import Method, Sighting  # noqa: E402
 from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
@@ -300,7 +299,7 @@ HEADER = ["height m", "method", "found", "lateral mm", "range mm", "range bias m
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     parser.add_argument("--frames", type=int, default=20, help="frames at each height")
     parser.add_argument("--heights", default=",".join(map(str, HEIGHTS_M)), help="metres, with commas")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write benchmarks.md there")

@@ -3,10 +3,9 @@
 Without a name all witnesses are asked, one table each; `--write` puts the tables into evidence.md.
 """
 
-import argparse
 from pathlib import Path
 
-from benches.options import parsed
+from benches.options import described, parsed
 from benches.real import MissingDataError, write_part
 from benches.witness import body, contact, seas
 
@@ -15,7 +14,7 @@ WITNESSES = {"--contact": contact, "--body": body, "--seas": seas}
 
 def main() -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = described(__doc__)
     for option, module in WITNESSES.items():
         parser.add_argument(option, action="append_const", dest="options", const=option, help=module.TITLE)
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth row (default: all)")

@@ -132,7 +132,7 @@ def test_failed_flights_and_a_starved_soak_are_faults_and_a_failed_flight_is_flo
     assert bad.faults(0) == ["1 of 4 flights failed"]
     assert bad.faults(1) == []
     assert "  seed 7, faults/link_lost_4_s: failed: why" in bad.in_words("demo")
-    assert bad.as_json()["classes"] == {"on_pad": 1, "refused_rightly": 1, "failed": 1, "starved": 1}
+    assert [bad.count(worth) for worth in Grade] == [1] * 4
     slow = Tally([flown(Grade.STARVED), flown(Grade.STARVED), flown(Grade.ON_PAD)])
     assert slow.faults(0) == ["this machine was too slow for 2 of 3 flights, so the run shows nothing"]
     again = "python -m benches.soak demo --virtual --runs 1 --seed 7 --fault faults/link_lost_4_s"
@@ -175,17 +175,15 @@ def test_a_full_temporary_folder_loses_none(monkeypatch: pytest.MonkeyPatch, cap
 
 def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.CaptureFixture[str]) -> None:
     descriptors = len(os.listdir("/proc/self/fd"))
-    assert main(["calm", "--hours", "0.001", "--json"]) == 1
-    output = json.loads(capsys.readouterr().out)
-    assert output["findings"] is None, "too short to measure growth"
-    assert output["flown_s"] >= 3.0
+    assert main(["calm", "--hours", "0.001"]) == 1
+    assert "too short to measure growth" in capsys.readouterr().out
     assert len(os.listdir("/proc/self/fd")) <= descriptors
 
 
 def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
     readings, near = tmp_path / "readings.jsonl", tmp_path / "near.toml"
     near.write_text(BRIEF)
-    words = ["--virtual", "--hours", "1", "--no-faults", "--json", "--readings", str(readings)]
+    words = ["--virtual", "--hours", "1", "--no-faults", "--readings", str(readings)]
     command = [sys.executable, "-m", "benches.soak", str(near), *words]
     with started(command) as soak:
         wait_until(lambda: readings.exists() and readings.read_text())
@@ -193,19 +191,18 @@ def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
         out, _ = soak.communicate(timeout=60)
     assert soak.returncode == 130
     lines = [json.loads(line) for line in readings.read_text().splitlines()]
-    reported = json.loads(out)
-    assert len(lines) == lines[-1]["flights"] == reported["flights"] == len(reported["outcomes"]) >= 1
-    assert reported["classes"]["failed"] == reported["flights"], "none of them came down in its time"
-    assert reported["flight_faults"]
+    assert len(lines) == lines[-1]["flights"] >= 1
+    assert out.startswith(f"{len(lines)} flights in ")
+    assert f"FAULT: {len(lines)} of {len(lines)} flights failed" in out, "none of them came down in its time"
 
 
 def test_a_full_disk_is_reported_and_flown_through_without_images_too(tmp_path, capsys):
     near = tmp_path / "near.toml"
     near.write_text(BRIEF)
-    words = ["--virtual", "--runs", "2", "--no-faults", "--json", "--readings", "/dev/full", "--perception", "model"]
+    words = ["--virtual", "--runs", "2", "--no-faults", "--readings", "/dev/full", "--perception", "model"]
     assert main([str(near), *words]) == 1
     output = capsys.readouterr()
-    assert json.loads(output.out)["classes"]["failed"] == 2, "its time ends before it comes down"
+    assert "FAULT: 2 of 2 flights failed" in output.out, "its time ends before it comes down"
     assert output.err.count("--readings: /dev/full: No space left on device") == 1
 
 

@@ -45,6 +45,16 @@ def test_the_navigation_names_every_page_once() -> None:
     assert sorted(set(named) ^ (pages - records)) == [], "each page of docs/ belongs into `nav` of mkdocs.yml"
 
 
+def test_pages_for_users_name_no_bench_and_no_commit() -> None:
+    """Users read every page before the evidence in the navigation; the command of a figure stands in benches/figures.toml."""
+    nav = (ROOT / "mkdocs.yml").read_text().split("\nnav:\n", 1)[1].split("\n  - Evidence:\n")[0]
+    users = [ROOT / "README.md", *(DOCS / name for name in re.findall(r"([\w./-]+\.md)$", nav, re.MULTILINE))]
+    makers = re.compile(r"benches\.\w|bench\s+`|\bof (?=\w*\d)[0-9a-f]{8}\b|earlier\s+referee|we\s+decided|\bargument\b", re.I)
+    found = {f"{page.name}: {match[0]}" for page in users for match in makers.finditer(page.read_text())}
+    assert len(users) > 30
+    assert found == set()
+
+
 def test_the_list_of_decisions_names_every_record() -> None:
     records = {path.name for path in DOCS.glob("decisions/*.md")} - {"README.md"}
     listed = set(re.findall(r"\]\(([\w-]+\.md)\)", (DOCS / "decisions/README.md").read_text()))

@@ -66,9 +66,8 @@ def acks(messages: list[Message]) -> list[tuple[int, int, int]]:
     ("command", "params", "result", "done"),
     [
         (193, (0,), ACCEPTED, ["hold"]), (193, (1,), ACCEPTED, ["begin"]), (17, (0, 0, 0, math.nan), ACCEPTED, ["stay"]),
-        (191, (), ACCEPTED, ["abort"]),
-        (2510, (), ACCEPTED, ["record True"]), (2511, (), ACCEPTED, ["record False"]), (193, (7,), DENIED, []),
-        (193, (math.nan,), DENIED, []), (400, (1,), UNSUPPORTED, []),
+        (191, (), ACCEPTED, ["abort"]), (2510, (), ACCEPTED, ["record True"]), (2511, (), ACCEPTED, ["record False"]),
+        (193, (7,), DENIED, []), (193, (math.nan,), DENIED, []), (400, (1,), UNSUPPORTED, []),
         (512, (math.nan,), UNSUPPORTED, []), (512, (1,), FAILED, []), (511, (2, -5), DENIED, []), (510, (-1,), DENIED, []),
     ],
 )  # fmt: skip

@@ -472,8 +472,8 @@ def test_whatever_people_do_nothing_commands_without_its_order(events: list[tupl
             assert hand is not None
 
 
-def flying(shadows: tuple[str, ...] = ()) -> Pilot:
-    pilot = make_pilot(load("sim"), shadows=shadows)  # type: ignore[arg-type]
+def flying() -> Pilot:
+    pilot = make_pilot(load("sim"))
     pilot.on_sample(vehicle_status(MonoNs(1)))
     return pilot
 
