@@ -321,11 +321,7 @@ class Tally(Struct):
         reading = read(time.monotonic() - self.began, len(self.flights), tasks, before_mib)
         self.readings.append(reading)
         if self.file is not None:
-            try:
-                self.file.write(json.dumps(msgspec.structs.asdict(reading)).encode() + b"\n")
-            except OSError as why:
-                sys.stderr.write(f"--readings: {self.file.name!s}: {why.strerror or why}; no more are written\n")
-                self.file = None
+            self.file.write(json.dumps(msgspec.structs.asdict(reading)).encode() + b"\n")
         if reading.at_s - self._said >= _SAY_EACH_S:
             self._said = reading.at_s
             sys.stderr.write(

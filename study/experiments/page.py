@@ -5,8 +5,12 @@ Both set the thesis as printed beside its methods as they are here and our best 
 
 import csv
 import math
-from collections.abc import Iterable, Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
+from io import StringIO
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -84,6 +88,41 @@ def page(chapter: Chapter5, photographs: Photographs | None, command: str) -> st
         _photographs(photographs),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+class ChapterPage(NamedTuple):
+    """The page of the experiments with its figures, as a notebook shows it."""
+
+    chapter: Chapter5
+
+    def _repr_html_(self) -> str:
+        drawn = {}
+        for name, (figure, _) in _figures(self.chapter).items():
+            figure.savefig(svg := StringIO(), format="svg")
+            drawn[f"experiments_{name}.png"] = svg.getvalue()
+        return in_html(page(self.chapter, None, "decklander experiments"), drawn)
+
+
+def in_html(text: str, drawn: Mapping[str, str]) -> str:
+    """Return a page of this module as HTML; its figures are the drawings of their names."""
+    out = []
+    for part in text.strip().split("\n\n"):
+        if part.startswith("|"):
+            head, _, *rows = (line[1:-1].split("|") for line in part.splitlines())
+            cells = [
+                "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row)
+                for tag, row in (("th", head), *(("td", r) for r in rows))
+            ]
+            out.append("<table>" + "".join(f"<tr>{row}</tr>" for row in cells) + "</table>")
+        elif image := re.fullmatch(r"!\[.*\]\((.*)\)", part):
+            out.append(drawn[image[1]])
+        else:
+            level = len(part) - len(part.lstrip("#"))
+            plain = re.sub(
+                r"\*\*(.*?)\*\*", r"<b>\1</b>", re.sub("`(.*?)`", r"<code>\1</code>", escape(part.lstrip("# "), quote=False))
+            )
+            out.append(f"<h{level}>{plain}</h{level}>" if level else f"<p>{plain}</p>")
+    return "\n".join(out)
 
 
 def _table(heads: str, rows: Iterable[Sequence[str]]) -> str:
@@ -191,14 +230,10 @@ _MOST = {"x": 150.0, "y": 150.0, "z": 300.0, "yaw": 20.0}
 """Ends of the error axes; errors beyond them are drawn at the edge."""
 
 
-def draw(chapter: Chapter5, folder: Path) -> None:
-    """Draw every figure into a folder, and write what it shows beside it.
-
-    Raises:
-        OSError: the folder cannot be written.
-    """
+def _figures(chapter: Chapter5) -> dict[str, tuple[Figure, dict[str, ExperimentFlight]]]:
+    """Return each figure by its name, and the flights that it shows."""
     landings = (chapter.landing, "PID and planner"), (chapter.external, "external controller")
-    figures = {
+    return {
         "up_and_down": (_draw_up_and_down(chapter.up_and_down), {"up and down": chapter.up_and_down}),
         "hover": (_hover(chapter), {f"{height_m:g} m": flown for height_m, flown in chapter.hover.items()}),
         "step": (_step(chapter.step), {"step": chapter.step}),
@@ -206,7 +241,15 @@ def draw(chapter: Chapter5, folder: Path) -> None:
         "turn": (_turn(chapter), {"turn": chapter.turn}),
         "landing": (_draw_landings(*landings), {title: landed.flown for landed, title in landings}),
     }
-    for name, (figure, flights) in figures.items():
+
+
+def draw(chapter: Chapter5, folder: Path) -> None:
+    """Draw every figure into a folder, and write what it shows beside it.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    for name, (figure, flights) in _figures(chapter).items():
         for ending, unsaid in _FORMATS.items():
             figure.savefig(folder / f"experiments_{name}.{ending}", dpi=_DPI, metadata={unsaid: None, **MARK})
         with (folder / f"experiments_{name}.csv").open("w", newline="") as file:

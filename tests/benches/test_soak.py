@@ -196,16 +196,6 @@ def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
     assert f"FAULT: {len(lines)} of {len(lines)} flights failed" in out, "none of them came down in its time"
 
 
-def test_a_full_disk_is_reported_and_flown_through_without_images_too(tmp_path, capsys):
-    near = tmp_path / "near.toml"
-    near.write_text(BRIEF)
-    words = ["--virtual", "--runs", "2", "--no-faults", "--readings", "/dev/full", "--perception", "model"]
-    assert main([str(near), *words]) == 1
-    output = capsys.readouterr()
-    assert "FAULT: 2 of 2 flights failed" in output.out, "its time ends before it comes down"
-    assert output.err.count("--readings: /dev/full: No space left on device") == 1
-
-
 def test_a_virtual_soak_names_the_flight_that_failed(tmp_path, capsys, monkeypatch):
     """A bug of the service in flight does not end the soak: it fails that flight, by name."""
     from companion.guidance.pilot import Pilot

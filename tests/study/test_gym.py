@@ -24,6 +24,7 @@ from sitl.world.world import World
 from study.experiments.chapter5 import error_of, spread
 from study.experiments.flown import Estimate, ExperimentFlight, calm_scenario, fly_by_hand
 from study.experiments.hand import HeldPose, hold, level_axes, thesis_axes, thesis_yaw_rad
+from study.experiments.page import in_html
 from study.gym.environment import LandEnv, LandVectorEnv, weighted
 from study.gym.training import ENDS, TERMS, TrainingOptions, TrainingWorlds
 
@@ -180,6 +181,12 @@ def test_the_spread_counts_frames_without_an_estimate() -> None:
     half = replace(flown.sightings[0], name="corners", yaw_rad=0.1 - math.pi)
     assert error_of(half, "yaw") == pytest.approx(math.degrees(0.1))
     assert error_of(replace(half, name="arrow"), "yaw") == pytest.approx(math.degrees(0.1 - math.pi))
+
+
+def test_a_notebook_shows_headings_tables_and_figures_of_the_experiments() -> None:
+    text = "# **One** & `two`\n\n| a | b |\n|---|---|\n|  | 1 < 2 |\n\n![Errors](x.png)\n"
+    table = "<table><tr><th> a </th><th> b </th></tr><tr><td>  </td><td> 1 &lt; 2 </td></tr></table>"
+    assert in_html(text, {"x.png": "<svg/>"}) == f"<h1><b>One</b> &amp; <code>two</code></h1>\n{table}\n<svg/>"
 
 
 def test_a_short_hover_by_hand_sees_the_pad_and_errs_little() -> None:

@@ -1,6 +1,7 @@
 """The logs of a recorded flight for figures and report: as it was decided then, and as a replay decides."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 from msgspec import Struct, structs
@@ -13,10 +14,11 @@ from companion.facts.records import ContactRecord, FusionRecord, HealthRecord, O
 from companion.recording import decode
 from companion.recording.channels import SETTINGS
 from companion.recording.frame_encoder import VideoImage
-from companion.recording.reading import RecordedFrame, Recording, instant
+from companion.recording.reading import RecordedFrame, Recording, instant, open_recording
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import FlightLog, FrameRecord, LoggedContact, LogObserver, StageTime, TruthSample
 from companion.tools.report.overlay import less_innovation
+from companion.tools.report.page import Report
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import FusionResult, PathName, RelativeState, Verdict
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
@@ -42,6 +44,15 @@ def _contact(of: ContactRecord, truth: TruthRecord) -> LoggedContact:
     along, starboard, _ = body_over_pad(np.array([truth.d_body_pad_level]), np.array([truth.yaw_rad]))[0].tolist()
     where = (along, starboard)
     return LoggedContact(MonoNs(of.at_ns), lateral_m, down_m_s, aside_m_s, of.on_pad, of.surface, where, yaw_rad)
+
+
+def report_of(path: str | Path) -> Report:
+    """Return the report of a recorded flight for a notebook.
+
+    Raises:
+        BadInput: as `log_of`, or the file is no recording.
+    """
+    return Report(log_of(open_recording([Path(path)]), Path(path).stem))
 
 
 def log_of(recording: Recording, title: str, *, images: bool = True) -> FlightLog:

@@ -10,6 +10,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from companion.base.mission import ENDED, State
@@ -25,6 +26,17 @@ from estimator.contracts.errors import refused
 from estimator.contracts.time import MonoNs, seconds_between
 
 PAGE = "index.html"
+
+
+class Report(Struct, frozen=True):
+    """The report of a flight as a notebook shows it."""
+
+    log: FlightLog
+
+    def _repr_html_(self) -> str:
+        # The page's styles and script are those of a whole document, so it gets a frame of its own.
+        page = escape(render(self.log, film_of(self.log, unwatched) or still_of(self.log)))
+        return f'<iframe srcdoc="{page}" style="width: 100%; height: 45em; border: 0"></iframe>'
 
 
 def write_report(log: FlightLog, folder: Path, watch: Watch = unwatched) -> Path:
