@@ -68,7 +68,12 @@ def main() -> int:
     for row in TABLE["figure"]:
         if not args.pages or row["page"] in args.pages:
             found = check(row, printed(row))
-            print(f"{row['page']}: {row['command']}: {len(found)} moved", *found, sep="\n", flush=True)
+            print(
+                f"{row['page']}: {row.get('says') or row['begins']}: {len(found)} moved by {row['command']}",
+                *found,
+                sep="\n",
+                flush=True,
+            )
             count += len(found)
     return int(count > 0)
 

@@ -20,8 +20,6 @@ import time
 import weakref
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
-from io import FileIO
 from pathlib import Path
 from statistics import median
 from typing import Any, Generic, TypeVar
@@ -252,8 +250,7 @@ class Records(Generic[T]):
     """Records in the order in which they came, in a temporary file.
 
     What the run remembers of itself must not look like growth of what it watches: a day of flights is thousands of records of
-    half a kilobyte, some per cent of the process' memory. If the temporary folder is full, later records are kept in memory, and
-    stderr says so once.
+    half a kilobyte, some per cent of the process' memory.
 
     Args:
         kind: the type of the records, a dataclass.
@@ -264,31 +261,20 @@ class Records(Generic[T]):
         self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - it lives as long as the records
         weakref.finalize(self, self._file.close)
         self._written = 0
-        self._rest: list[T] = []
 
     def append(self, record: T) -> None:
         """Add a record."""
-        if not self._rest:
-            try:
-                whole = self._encoder.encode(record) + b"\n"
-                if self._file.write(whole) == len(whole):
-                    self._written += 1
-                    return
-                why = "no space left"
-            except OSError as error:
-                why = error.strerror or str(error)
-            sys.stderr.write(f"{tempfile.gettempdir()}: {why}; the run keeps its further records in memory\n")
-        self._rest.append(record)
+        self._file.write(self._encoder.encode(record) + b"\n")
+        self._written += 1
 
     def __len__(self) -> int:
-        return self._written + len(self._rest)
+        return self._written
 
     def __iter__(self) -> Iterator[T]:
         # A place of its own in the file, so that records may come while one reads.
         with open(f"/proc/self/fd/{self._file.fileno()}", "rb") as lines:
             for _, line in zip(range(self._written), lines, strict=False):
                 yield self._decoder.decode(line)
-        yield from self._rest
 
 
 class Tally(Struct):
@@ -299,8 +285,6 @@ class Tally(Struct):
     began: float = field(default_factory=time.monotonic)
     endings: Counter[str] = field(default_factory=Counter)
     flown_s: float = 0.0
-    file: FileIO | None = None
-    """File for the readings, written without a buffer: a run that is killed keeps its readings."""
     _said: float = 0.0
 
     def count(self, worth: Grade) -> int:
@@ -320,8 +304,6 @@ class Tally(Struct):
         """
         reading = read(time.monotonic() - self.began, len(self.flights), tasks, before_mib)
         self.readings.append(reading)
-        if self.file is not None:
-            self.file.write(json.dumps(msgspec.structs.asdict(reading)).encode() + b"\n")
         if reading.at_s - self._said >= _SAY_EACH_S:
             self._said = reading.at_s
             sys.stderr.write(
@@ -368,7 +350,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--fault", metavar="NAME", help="with --virtual: fly this fault in every flight")
     parser.add_argument("--perception", default="pixels", help="with --virtual: pixels, model or truth")
     parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="allow this many failed flights")
-    parser.add_argument("--readings", type=Path, metavar="FILE", help="write every reading as a line of JSON")
     args = parsed(parser, "calm --virtual --runs 12 --perception truth --no-faults", argv)
     if not args.virtual and (args.runs is not None or args.fault or args.perception != "pixels"):
         parser.error("--runs, --fault and --perception need --virtual")
@@ -378,15 +359,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.fault is not None:
         perceive(args.perception, None).refuse(faulty(scenario, args.seed, possible=lambda _: True, name=args.fault).faults)
     interrupted = False
-    with nullcontext() if args.readings is None else FileIO(args.readings, "wb") as file:
-        tally = Tally(file=file)
-        try:
-            if args.virtual:
-                _virtually(args, scenario, settings, tally)
-            else:
-                event_loop.run(_really(args, settings, tally))
-        except KeyboardInterrupt:
-            interrupted = True
+    tally = Tally()
+    try:
+        if args.virtual:
+            _virtually(args, scenario, settings, tally)
+        else:
+            event_loop.run(_really(args, settings, tally))
+    except KeyboardInterrupt:
+        interrupted = True
     readings = list(tally.readings)
     found = findings(readings, warm_up_s(readings)) if readings else None
     faults = tally.faults(args.failed_max)

@@ -1,14 +1,9 @@
 """The soak: its judgement on made-up readings and flights, its view of this very process, and a few real ones."""
 
-import json
 import mmap
 import os
-import signal
-import sys
-import tempfile
 import tracemalloc
 from collections import Counter
-from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +17,6 @@ from sitl.flight.ending import Grade, Load
 from sitl.scenario.scenario import load
 from sitl.scenario.with_fault import faulty
 from tests.fly import NEAR
-from tests.support.processes import started
-from tests.support.waiting import wait_until
 
 BRIEF = NEAR.replace("duration_limit_s = 40.0", "duration_limit_s = 1.5").replace("height_m = 2.0", "height_m = 3.0")
 """Flights that are over before they come down: what is tested here is not how they end."""
@@ -164,36 +157,11 @@ def test_a_day_of_records_takes_no_memory_and_more_may_come_while_one_reads() ->
     assert len(records) == 10_000
 
 
-def test_a_full_temporary_folder_loses_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(tempfile, "TemporaryFile", lambda buffering: FileIO("/dev/full", "w"))
-    records = Records(Flown)
-    for n in range(6):
-        records.append(record_number(n))
-    assert list(records) == [record_number(n) for n in range(6)]
-    assert capsys.readouterr().err.count("No space left on device; the run keeps its further records in memory\n") == 1
-
-
 def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.CaptureFixture[str]) -> None:
     descriptors = len(os.listdir("/proc/self/fd"))
     assert main(["calm", "--hours", "0.001"]) == 1
     assert "too short to measure growth" in capsys.readouterr().out
     assert len(os.listdir("/proc/self/fd")) <= descriptors
-
-
-def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
-    readings, near = tmp_path / "readings.jsonl", tmp_path / "near.toml"
-    near.write_text(BRIEF)
-    words = ["--virtual", "--hours", "1", "--no-faults", "--readings", str(readings)]
-    command = [sys.executable, "-m", "benches.soak", str(near), *words]
-    with started(command) as soak:
-        wait_until(lambda: readings.exists() and readings.read_text())
-        soak.send_signal(signal.SIGTERM)
-        out, _ = soak.communicate(timeout=60)
-    assert soak.returncode == 130
-    lines = [json.loads(line) for line in readings.read_text().splitlines()]
-    assert len(lines) == lines[-1]["flights"] >= 1
-    assert out.startswith(f"{len(lines)} flights in ")
-    assert f"FAULT: {len(lines)} of {len(lines)} flights failed" in out, "none of them came down in its time"
 
 
 def test_a_virtual_soak_names_the_flight_that_failed(tmp_path, capsys, monkeypatch):

@@ -83,6 +83,17 @@ class SpiedCells(list[str]):
         return super().__getitem__(at)
 
 
+class Spied:
+    """A message that notes which of its fields are read."""
+
+    def __init__(self, of: Any, seen: set[str]) -> None:
+        self.of, self.seen = of, seen
+
+    def __getattr__(self, name: str) -> Any:
+        self.seen.add(name)
+        return getattr(self.of, name)
+
+
 def reads(fields: Fields) -> set[str]:
     return {name for name, row in fields.items() if isinstance(row, Read)}
 
@@ -133,19 +144,11 @@ def test_every_field_of_a_position_report_has_its_row(monkeypatch) -> None:
     assert set(AIS) == {field.name for of in classes for field in of.fields()}
     seen, decode = set[str](), pyais.decode
 
-    class Spied:
-        def __init__(self, of: Any) -> None:
-            self.of = of
-
-        def __getattr__(self, name: str) -> Any:
-            seen.add(name)
-            return getattr(self.of, name)
-
     def made(**changed: float) -> Samples:
         return NmeaReader(MMSI).samples(ais(**changed), NOW)
 
     with monkeypatch.context() as m:
-        m.setattr(pyais, "decode", lambda *of, **more: Spied(decode(*of, **more)))
+        m.setattr(pyais, "decode", lambda *of, **more: Spied(decode(*of, **more), seen))
         whole = made()
     assert len(whole) == 3
     assert seen == reads(AIS)
@@ -209,15 +212,7 @@ def test_every_field_of_a_relative_position_has_its_row(monkeypatch) -> None:
     assert set(RELPOSNED) == defined
     seen, parse = set[str](), pyubx2.UBXReader.parse
 
-    class Spied:
-        def __init__(self, of: Any) -> None:
-            self.of = of
-
-        def __getattr__(self, name: str) -> Any:
-            seen.add(name)
-            return getattr(self.of, name)
-
-    monkeypatch.setattr(pyubx2.UBXReader, "parse", staticmethod(lambda frame: Spied(parse(frame))))
+    monkeypatch.setattr(pyubx2.UBXReader, "parse", staticmethod(lambda frame: Spied(parse(frame), seen)))
     flags = 1 | 1 << 1 | 1 << 2 | 2 << 3 | 1 << 5 | 1 << 7 | 1 << 8
     payload = (
         bytes([1, 0, 0, 0])
