@@ -130,15 +130,14 @@ def _run_camera(args: argparse.Namespace) -> int:
     """
     if args.figures is not None:
         require_drawing("--figures")
-    board = board_option.board(args, args.board)
     position, rpy = _three(args.position_m, "--position-m"), _three(args.rpy_deg, "--rpy-deg")
     mount = Transform(Rotation.from_rpy(*(math.radians(a) for a in rpy)), np.array(position))
     out = args.out
     exported = {kind: out.with_suffix(f".{kind}.yaml") for kind in args.export}
     for path in exported.values():
         check_output(path, EXPORTED, "--export", [], force=args.force)
-    collection = _gather(args, board)
-    size = collection.size or (0, 0)
+    collection = _gather(args, board_option.board(args, args.board))
+    board, size = collection.board, collection.size or (0, 0)
     if len(collection.views) < LEAST_VIEWS:
         lacks = missing_before(collection.views, size) if collection.views else [_NO_BOARD]
         if collection.mirrored:
@@ -221,6 +220,9 @@ def _say(
     lines = [f"{collection.image_count} images: {len(collection.views)} views, the board not found in {len(collection.without)}"]
     if again := collection.repeated:
         lines[0] += f"; {len(again)} do not count: it stands where another view has it, or moves ({again[0]} first)"
+    if (board := collection.board) is not collection.given:
+        given = f"{board.columns - 1}x{board.rows - 1}"
+        lines.append(f"--squares {given}: the images show {given} inner corners, and are taken as {board.columns}x{board.rows}")
     if solution is not None:
         c, s = solution.camera, solution.sigma
         lines += [
@@ -264,6 +266,7 @@ def _record(
         "file": str(args.out) if written else None,
         "images": collection.image_count,
         "views": len(collection.views),
+        "squares": [collection.board.columns, collection.board.rows],
         "without_board": collection.without,
         "repeated": collection.repeated,
     }

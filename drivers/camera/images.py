@@ -119,11 +119,27 @@ def _decoded_jpeg(data: bytes | memoryview) -> U8:
     try:
         px = np.asarray(simplejpeg.decode_jpeg(data, "BGR", strict=True), np.uint8)
         subsampling = simplejpeg.decode_jpeg_header(data, strict=True)[3]
-    except (ValueError, MemoryError) as why:
+        if _lacks_scans(bytes(data)):
+            raise ValueError("it ends before its last scan")
+    except (LookupError, ValueError, MemoryError) as why:
         raise ImageRefused(f"damaged: {why}") from why
     if subsampling in _UNITS and _is_shifted(px, _UNITS[subsampling], max(_STEP_LEAST, _coarsest(bytes(data[:_HEAD])) / 2)):
         raise ImageRefused("damaged: its brightness steps in the middle of a row of blocks")
     return px
+
+
+def _lacks_scans(data: bytes) -> bool:
+    """Return whether some bit of a coefficient is in no scan: a JPEG that was cut between two scans shows what it has."""
+    frame = _frame(data) or 0
+    lacks = dict.fromkeys(data[frame + 10 : frame + 10 + 3 * data[frame + 9] : 3], (1 << 64) - 1)
+    scan = data.find(b"\xff\xda", frame)
+    while scan >= 0:
+        spectrum = scan + 5 + 2 * data[scan + 4]
+        first, last, bits = data[spectrum : spectrum + 3]
+        for component in data[scan + 5 : spectrum : 2] if not bits & 15 else b"":
+            lacks[component] &= (1 << first) - 1 | -1 << last + 1
+        scan = data.find(b"\xff\xda", spectrum)
+    return any(lacks.values())
 
 
 def _coarsest(head: bytes) -> int:
@@ -272,6 +288,12 @@ def _jpeg_begin(data: bytes | memoryview) -> int | None:
 
 
 def _jpeg(data: bytes | memoryview) -> tuple[int, int] | None:
+    frame = _frame(data)
+    return None if frame is None else struct.unpack_from(">HH", data, frame + 5)[::-1]
+
+
+def _frame(data: bytes | memoryview) -> int | None:
+    """Return where a JPEG says its size and components; None where its pixels come first."""
     at = 2
     while at + 4 <= len(data):
         if data[at] != 0xFF:
@@ -282,8 +304,7 @@ def _jpeg(data: bytes | memoryview) -> tuple[int, int] | None:
         elif marker in _JPEG_ALONE:
             at += 2
         elif marker in _JPEG_FRAMES:
-            height, width = struct.unpack_from(">HH", data, at + 5)
-            return width, height
+            return at
         elif marker in (0xD9, 0xDA, 0x00):  # the end or the pixels, and no size before
             return None
         else:

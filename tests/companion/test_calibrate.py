@@ -206,7 +206,11 @@ def square_chessboard() -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("board", "print_px", "size_m"),
-    [(CHARUCO, old_charuco(), (0.2, 0.275)), (Board("chessboard", 8, 8), square_chessboard(), (0.25, 0.25))],
+    [
+        (CHARUCO, old_charuco(), (0.2, 0.275)),
+        (Board("chessboard", 8, 8), square_chessboard(), (0.25, 0.25)),
+        (Board("chessboard", 7, 7), square_chessboard(), (0.25, 0.25)),  # its inner corners, as other programs count them
+    ],
 )
 def test_old_and_square_boards_measure_the_focal_length(board: Board, print_px: np.ndarray, size_m: tuple[float, float]) -> None:
     collection, rng = Collection(board, moving=False), np.random.default_rng(1)
@@ -214,7 +218,8 @@ def test_old_and_square_boards_measure_the_focal_length(board: Board, print_px: 
         burst = np.clip(np.roll(px, 1, axis=1) + rng.normal(0.0, 3.0, px.shape), 0, 255).astype(np.uint8)
         for name, again in {f"{n}": px, f"{n} copied": px, f"{n} in a burst": burst}.items():
             collection.add(name, again)
-    solution = solve(collection.views, board, (400, 300), STRAIGHT.T_body_cam)
+    assert collection.board == (board if board.columns != 7 or board.rows != 7 else Board("chessboard", 8, 8))
+    solution = solve(collection.views, collection.board, (400, 300), STRAIGHT.T_body_cam)
     assert len(collection.views) >= 10
     assert collection.repeated == [f"{view.name} {why}" for view in collection.views for why in ("copied", "in a burst")]
     assert solution.camera.fx == pytest.approx(320.0, rel=0.01)

@@ -460,6 +460,16 @@ def test_without_pyav_a_pixhawk_and_a_webcam_work_and_other_video_is_refused_by_
     assert "Traceback" not in printed
 
 
+def test_folders_of_our_names_on_the_python_path_of_a_robot_hide_nothing(tmp_path: Path) -> None:
+    for name in ("configs", "drivers", "estimator", "sitl", "study"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").touch()
+    child = "subprocess.run([sys.executable, '-P', '-c', 'import drivers.files'], check=True)"
+    probe = f"import subprocess, sys\nfrom companion.cli.main import main\nassert main(['config', 'check', 'sim']) == 0\n{child}"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
+    subprocess.run([sys.executable, "-c", probe], timeout=240, env=environment, check=True)
+
+
 def test_a_name_that_the_terminal_s_encoding_lacks_is_refused_and_no_traceback(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     words = [sys.executable, "-m", "companion.cli.main", "detect", str(tmp_path / "foto é.jpg")]

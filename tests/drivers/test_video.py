@@ -309,6 +309,9 @@ def test_a_jpeg_torn_in_the_middle_is_refused(progressive: int, interval: int) -
         with contextlib.suppress(ImageRefused):
             taken += decode(torn, (320, 240)) is not None
     assert taken <= 8, "some gaps leave what an encoder might have written: docs/decisions/camera-drivers.md"
+    for scan in range(1, whole.count(b"\xff\xda")):  # a progressive one that ends between two of its scans is a coarse picture
+        with pytest.raises(ImageRefused, match="ends before its last scan"):
+            decode(b"\xff\xda".join(whole.split(b"\xff\xda")[: scan + 1]) + b"\xff\xd9")
 
 
 def test_most_flipped_bits_that_shift_what_follows_are_refused() -> None:

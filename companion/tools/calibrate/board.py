@@ -1,6 +1,6 @@
 """The calibration board: its printed shapes, the detection of its corners, and the images that are useful to a calibration."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -214,8 +214,8 @@ _NEW = 0.06
 """Share of the image's diagonal that the board must have moved, shrunk or turned to be a new view."""
 _STILL = 0.004
 """Share of the diagonal by which a board that is held still moves: from one frame of a video to the next, or in a burst."""
-_MIRROR_TRIES = 8
-"""Number of images without the board that are searched for a mirrored one."""
+_TRIES = 8
+"""Number of images without the board that are searched for a mirrored one, and for one with as many corners as squares given."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,7 +237,8 @@ class Collection:
     """
 
     def __init__(self, board: Board, moving: bool) -> None:
-        self._board = board
+        self.given = self.board = board
+        """The board that was named, and that of the images: many programs count a chessboard's inner corners, not its squares."""
         self._moving = moving
         self._before: BoardView | None = None
         self.size: tuple[int, int] | None = None
@@ -264,10 +265,14 @@ class Collection:
             raise BadInput(f"{name}: {size[0]}x{size[1]} px, but the images before it have {self.size[0]}x{self.size[1]} px")
         self.image_count += 1
         grey = np.asarray(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), np.uint8) if px.ndim == 3 else px
-        found = self._board.find(grey)
+        found, another_try = self.board.find(grey), len(self.without) < _TRIES
+        if found is None and another_try and self.board.kind == "chessboard" and not self.views:
+            more = replace(self.given, columns=self.given.columns + 1, rows=self.given.rows + 1)
+            if (found := more.find(grey)) is not None:
+                self.board = more
         if found is None:
             self.without.append(name)
-            if len(self.without) <= _MIRROR_TRIES and self._board.find(np.ascontiguousarray(grey[:, ::-1])) is not None:
+            if another_try and self.board.find(np.ascontiguousarray(grey[:, ::-1])) is not None:
                 self.mirrored += 1
             self._before = None
             return None

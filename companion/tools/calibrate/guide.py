@@ -165,7 +165,6 @@ class Guide:
     """
 
     def __init__(self, board: Board, mount: Transform | None = None) -> None:
-        self._board = board
         self._mount = mount
         self._solved = 0
         self.collection = Collection(board, moving=True)
@@ -186,7 +185,7 @@ class Guide:
             self._solved = len(self.collection.views)
             assert self.collection.size is not None
             try:
-                self.solution = solve(self.collection.views, self._board, self.collection.size, self._mount)
+                self.solution = solve(self.collection.views, self.collection.board, self.collection.size, self._mount)
             except BadInput:  # too few views agree yet
                 self.solution = None
         seen = len(found.without) == without
