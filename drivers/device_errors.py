@@ -1,6 +1,7 @@
 """The system's errors in the words of the device that gave them: one number means another thing of a camera than of a file."""
 
 import errno
+import socket
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Literal
@@ -26,7 +27,7 @@ DEVICE_ERRORS: Mapping[Device, Mapping[int, str]] = MappingProxyType(
             errno.ENOMEM: "the kernel has no memory for its pictures: take a smaller one, or fewer camera.buffers",
         },
         "serial port": {
-            errno.EACCES: "this user may not use serial ports: add it to the group dialout",
+            errno.EACCES: "this user may not use serial ports: add it to the group (usermod -aG dialout USER), and log in again",
             errno.EPERM: "this user may not use serial ports: add it to the group dialout, or give the container the device",
             errno.EBUSY: _ANOTHER,
             errno.EAGAIN: _ANOTHER,
@@ -35,7 +36,7 @@ DEVICE_ERRORS: Mapping[Device, Mapping[int, str]] = MappingProxyType(
             errno.EIO: "it was unplugged, or lost its power",
             errno.EPROTO: _USB,
             errno.EPIPE: _USB,
-            errno.ENOENT: "there is no such device: is it plugged in?",
+            errno.ENOENT: "there is no such device: look at the cable, and in /dev/serial/by-id for its name",
         },
         "network": {
             errno.ENOBUFS: "the network device takes no more: its radio is too slow, or out of reach",
@@ -46,6 +47,10 @@ DEVICE_ERRORS: Mapping[Device, Mapping[int, str]] = MappingProxyType(
             errno.EPERM: "a firewall of this computer forbids it",
             errno.EACCES: "a broadcast address, or a port that this user may not use",
             errno.EMSGSIZE: "larger than the network takes",
+            errno.EADDRINUSE: "another program listens on that port: stop it, or choose another port",
+            errno.EADDRNOTAVAIL: "this computer has no such address: listen on 0.0.0.0, or on one that it has",
+            errno.ECONNREFUSED: "nothing listens there: start it, or check address and port",
+            socket.EAI_NONAME: "there is no host of that name: write its address",
         },
     }
 )

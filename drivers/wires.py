@@ -81,7 +81,7 @@ def _ask(key: tuple[str, int, int], loop: asyncio.AbstractEventLoop, found: asyn
         try:
             addresses = list(socket.getaddrinfo(host, port, type=kind))
         except (OSError, UnicodeError) as error:
-            why = str(getattr(error, "strerror", None) or error)
+            why = device_fault(error, "network") if isinstance(error, OSError) else str(error)
         # The loop may have ended in the meantime.
         with suppress(RuntimeError):
             loop.call_soon_threadsafe(settle, addresses, why)
@@ -442,7 +442,7 @@ async def open_wire(
         try:
             port = serial.Serial(endpoint.host, endpoint.port, timeout=0, exclusive=True)
         except (OSError, serial.SerialException) as why:
-            raise Recoverable(f"{why}: {device_fault(why, 'serial port')}" if why.errno else str(why) or "no answer") from why
+            raise Recoverable(f"{endpoint.host}: {device_fault(why, 'serial port')}") from why
         line = _Serial(port, clock, received, counts)
         try:
             yield line
@@ -493,8 +493,8 @@ async def _open_socket(
             made.close()
             # Linux forbids a socket that did not ask for it to be connected to the address of all in a network.
             shared = isinstance(why, PermissionError) and endpoint.scheme == "udpout"
-            fault = f"it is a broadcast address, and a link has one peer: {ONE_PEER}" if shared else str(why)
-            reasons.append(fault or f"no answer from {address[0]}")
+            fault = f"it is a broadcast address, and a link has one peer: {ONE_PEER}" if shared else device_fault(why, "network")
+            reasons.append(f"{address[0]}: {fault or 'no answer'}")
         except BaseException:
             made.close()
             raise

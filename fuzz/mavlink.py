@@ -7,9 +7,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from companion.settings.files import signing_key
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.signing import Signing, SigningKey, SigningTimes, load_key
+from drivers.mavlink.signing import Signing, SigningKey, SigningTimes
 from estimator.contracts.errors import BadInput
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
 
@@ -66,13 +67,13 @@ def run_signing(data: bytes) -> None:
         key.chmod(0o600)
         time.write_bytes(choices.block())
         with suppress(BadInput):
-            load_key(str(key), {})
+            signing_key(str(key))
         with suppress(BadInput):
             times = SigningTimes(time, lambda: 1.7e9)
             times.next()
             times.close()
     clock = SigningTimes(None, lambda: 1.7e9)
-    codec = Codec(1, 191, datagrams=True, signing=Signing(_SECRET, clock, 0))
+    codec = Codec(1, 191, datagrams=True, signing=Signing(lambda: _SECRET, clock, 0))
     sender = mav.MAVLink(None, srcSystem=1, srcComponent=1)
     sender.signing.secret_key, sender.signing.sign_outgoing = _SECRET.secret, True
     while choices:
@@ -94,8 +95,7 @@ def run_signing(data: bytes) -> None:
 def _signed(sender: Any, number: int, payload: bytes) -> bytes:
     kind = mav.mavlink_map[number]
     whole = payload[: kind.unpacker.size].ljust(kind.unpacker.size, b"\0")
-    message = mav.MAVLink_message(number, kind.msgname)
-    return bytes(message._pack(sender, kind.crc_extra, whole))
+    return bytes(mav.MAVLink_message(number, kind.msgname)._pack(sender, kind.crc_extra, whole))
 
 
 def signing_seeds() -> Iterator[bytes]:

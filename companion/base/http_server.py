@@ -171,7 +171,7 @@ class HttpServer:
         self.port: int | None = None
         """The port that the server listens on; None while it does not listen."""
         s = settings
-        self._token = files.Renewed(lambda: files.token(s.token_file, "http", "token_file"), "http", s.token_file)
+        self._token = files.Renewed(lambda: files.token(s.token_file, "http.token_file"), "http", s.token_file)
         of_tls = (s.certificate_file, s.key_file) if s.endpoint == "https" else ()
         self._certified = files.Renewed(lambda: server_context(s), "http", *of_tls)
         self._routes: list[web.RouteDef] = []

@@ -18,6 +18,7 @@ from companion.base import event_loop
 from companion.cli.options import option, refuse_any
 from companion.cli.outputs import PARAMETERS, SNAPSHOT, UNDO_FILE, output
 from companion.parts.mavlink.signed_links import signed_links
+from companion.settings.files import signing_key
 from companion.settings.load import Settings, load, write_whole
 from companion.tools.doctor import rules_switch
 from companion.tools.doctor.diagnose import counted, diagnose
@@ -41,7 +42,7 @@ from drivers.imports.log_history import LogHistory
 from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.signing import Signing, SigningTimes, load_key
+from drivers.mavlink.signing import Signing, SigningTimes
 from drivers.nmea.sentences import REFUSED_FOR
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, file_errors, refused
@@ -67,10 +68,10 @@ def given_links(args: argparse.Namespace, settings: Settings | None) -> GivenLin
         options = AutopilotOptions(", ".join(args.link), system_id=args.system or 0)
     except ValueError as why:
         raise BadInput(str(why).replace("links:", "--link:", 1)) from why
-    key = load_key(args.signing_key) if args.signing_key else None
+    key = signing_key(args.signing_key) if args.signing_key else None
     times = SigningTimes(None)
     return options, tuple(
-        LinkOptions(endpoint, None if key is None else Signing(key, times, number))
+        LinkOptions(endpoint, None if key is None else Signing(lambda: key, times, number))
         for number, endpoint in enumerate(options.endpoints())
     )
 

@@ -17,13 +17,14 @@ from msgspec import Struct
 from companion.cli.options import named_wait, option
 from companion.cli.outputs import SECRET, output
 from companion.parts.page.access import make_token
+from companion.settings.files import signing_key
 from drivers.clock import SystemClock
 from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import TimeSyncV2, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import LinkLimits
-from drivers.mavlink.signing import Signing, SigningKey, SigningTimes, load_key
+from drivers.mavlink.signing import Signing, SigningKey, SigningTimes
 from drivers.mavlink.vehicle import ARMED, is_autopilot, stack_of
 from estimator.contracts.errors import BadInput, Recoverable, refused
 from estimator.contracts.time import Clock, MonoNs, seconds_between
@@ -66,14 +67,14 @@ def run(args: argparse.Namespace) -> int:
     if (made := {"make": _make, "token": _make_token}.get(args.action)) is not None:
         return made(Path(args.file))
     if args.action == "show":
-        sys.stdout.write(f"{args.file}: fingerprint {load_key(args.file).fingerprint}\n")
+        sys.stdout.write(f"{args.file}: fingerprint {signing_key(args.file).fingerprint}\n")
         return 0
     if not 0.5 <= args.seconds <= 600:
         raise BadInput(f"--seconds must lie in 0.5..600, got {args.seconds:g}")
     if args.system is not None and not 1 <= args.system <= 255:
         raise BadInput(f"--system must lie in 1..255, got {args.system}")
-    current = None if args.current is None else load_key(args.current)
-    key = load_key(args.file) if args.action == "install" else None
+    current = None if args.current is None else signing_key(args.current)
+    key = signing_key(args.file) if args.action == "install" else None
     return asyncio.run(_set_up(args, parse_endpoint(args.link), current, key))
 
 
@@ -243,7 +244,7 @@ async def observe(endpoint: Endpoint, key: SigningKey | None, of: Met, clock: Cl
 
 @asynccontextmanager
 async def _opened(endpoint: Endpoint, key: SigningKey | None, clock: Clock) -> AsyncIterator[Links]:
-    signing = None if key is None else Signing(key, SigningTimes(None), 0)
+    signing = None if key is None else Signing(lambda: key, SigningTimes(None), 0)
     options = LinkOptions(endpoint, signing, LinkLimits(restart_first_s=0.1, restart_most_s=0.5))
     # Every sender on this link is trusted, because a person stated that the link leads to the autopilot.
     async with open_links([options], clock, _STATION, access=NamedSenders(everybody=True)) as links, asyncio.TaskGroup() as group:

@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"--namespace must be names of letters, digits and _ with / between, got {args.namespace!r}")
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
-    token = files.token(args.token_file, "ros2", "--token-file")
+    token = files.Renewed(lambda: files.token(args.token_file, "--token-file"), "--token-file", args.token_file)
     settings = None if args.config is None else load(args.config)
     known: dict[str, Any] = {"camera": None}
     if settings is not None:
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     from companion.tools.ros2.node import LiveClient, RosBridge, RosOrders
     from drivers.clock import SystemClock
 
-    client = LiveClient(args.url, None if token is None else token.decode(), _note)
+    client = LiveClient(args.url, token, _note)
     node = open_node("decklander", args.middleware)
     bridge = RosBridge(client, node, args.namespace, partial(RosMessages, **known), _note)
     orders = RosOrders(node, args.namespace, SystemClock()) if args.orders else None

@@ -416,7 +416,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         BadInput: an option or the settings file is wrong, or a secret cannot be read.
     """
-    from companion.parts.mqtt.connection import BrokerEndpoint
+    from companion.parts.mqtt.connection import renewed_endpoint
 
     if args.config is not None:
         settings = load(args.config).mqtt
@@ -430,7 +430,7 @@ def run(args: argparse.Namespace) -> int:
             wire.Topics(args.drone)
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
-    endpoint = BrokerEndpoint.of(settings)
+    endpoint = renewed_endpoint(settings)
     out, live = sys.stdout, sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
     return event_loop.run(_Watch(endpoint, args.drone, out, live).run(args.seconds))
 
@@ -447,7 +447,7 @@ def _changed(settings: MqttSettings, args: argparse.Namespace) -> MqttSettings:
 class _Watch:
     """Subscribe to the broker and show what arrives."""
 
-    def __init__(self, endpoint: BrokerEndpoint, drone: str | None, out: TextIO, live: bool) -> None:
+    def __init__(self, endpoint: Callable[[], BrokerEndpoint], drone: str | None, out: TextIO, live: bool) -> None:
         self._endpoint = endpoint
         self._model = WatchModel(drone)
         self._topic = f"{wire.ROOT}/{drone or '+'}/+"
@@ -482,11 +482,12 @@ class _Watch:
 
     @property
     def _where(self) -> str:
-        return f"broker {self._endpoint.host}:{self._endpoint.port} ({'plain TCP' if self._endpoint.tls is None else 'TLS'})"
+        to = self._endpoint()
+        return f"broker {to.host}:{to.port} ({'plain TCP' if to.tls is None else 'TLS'})"
 
     @property
     def _hint(self) -> str:
-        return "; a broker that expects TLS does not answer plain TCP" if self._endpoint.tls is None else ""
+        return "; a broker that expects TLS does not answer plain TCP" if self._endpoint().tls is None else ""
 
     async def _listen(self) -> None:
         from aiomqtt import MqttError
@@ -495,7 +496,8 @@ class _Watch:
 
         while True:
             try:
-                async with connect(self._endpoint, f"decklander-watch-{uuid.uuid4().hex[:8]}", incoming=_INCOMING) as connection:
+                name = f"decklander-watch-{uuid.uuid4().hex[:8]}"
+                async with connect(self._endpoint(), name, incoming=_INCOMING) as connection:
                     await connection.subscribe_to(self._topic, qos=1, retained=True)
                     self._reached, self._model.connected, self._model.trouble = True, True, ""
                     async for publication in connection.publications():

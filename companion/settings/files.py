@@ -1,5 +1,6 @@
 """Read the secrets that settings name, and archives whose files unpack to no more than what they are for."""
 
+import hashlib
 import hmac
 import logging
 import os
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from drivers.files import Largest, opened
+from drivers.mavlink.signing import SigningKey
 from estimator.contracts.errors import BadInput, DecklanderError, file_errors
 from estimator.contracts.text import text_of, utf8_of
 
@@ -55,15 +57,15 @@ class Renewed(Generic[T_co]):
 
     Args:
         read: returns what they hold.
-        references: values of the settings that name them; empty ones name none.
+        named: values of the settings that name them; empty ones name none.
 
     Raises:
         BadInput: they cannot be read or used at the start.
     """
 
-    def __init__(self, read: Callable[[], T_co], part: str, *references: str) -> None:
+    def __init__(self, read: Callable[[], T_co], what: str, *named: str, environment: Mapping[str, str] = os.environ) -> None:
         self._read = read
-        self._paths = [path for path in (find(reference, part) for reference in references) if path is not None]
+        self._paths = [path for path in (find(one, what, environment) for one in named) if path is not None]
         self._state = self._found()
         self._held = read()
 
@@ -90,19 +92,19 @@ class Renewed(Generic[T_co]):
         return found
 
 
-CREDENTIAL = "credential:"
-"""Prefix that marks the name of a systemd credential in place of a path."""
+CREDENTIAL, _PASSPHRASE = "credential:", "passphrase:"
+"""Prefix that marks the name of a systemd credential in place of a path, and the begin of a line that a key is made of."""
 KEY_BYTES = 32
 _LONGEST = 4096
 _SHORTEST_TOKEN = 16
 
 
-def find(reference: str, part: str, environment: Mapping[str, str] = os.environ) -> Path | None:
+def find(reference: str, what: str, environment: Mapping[str, str] = os.environ) -> Path | None:
     """Return the file that a setting names, or None for an empty setting.
 
     Args:
         reference: the value of the setting.
-        part: the section of the settings, for errors.
+        what: the setting or option, for errors.
         environment: the environment variables, by default those of the process.
 
     Raises:
@@ -114,75 +116,87 @@ def find(reference: str, part: str, environment: Mapping[str, str] = os.environ)
         return Path(reference)
     wanted, folder = reference.removeprefix(CREDENTIAL), environment.get("CREDENTIALS_DIRECTORY")
     if not wanted or "/" in wanted or wanted in (".", ".."):
-        raise BadInput(f"{part}: {reference!r} does not name a credential")
+        raise BadInput(f"{what}: {reference!r} does not name a credential")
     if not folder:
-        raise BadInput(f"{part}: {reference!r} is named, but there is no $CREDENTIALS_DIRECTORY (LoadCredential= in the unit)")
+        raise BadInput(f"{what}: {reference!r} is named, but there is no $CREDENTIALS_DIRECTORY (LoadCredential= in the unit)")
     return Path(folder) / wanted
 
 
-def text(reference: str, part: str, key: str, environment: Mapping[str, str] = os.environ) -> str | None:
+def text(reference: str, what: str, environment: Mapping[str, str] = os.environ) -> str | None:
     """Return a secret text without the final newline that editors add, or None for an empty setting.
 
     Raises:
         BadInput: the file cannot be read, is empty, or is not text.
     """
-    path = find(reference, part, environment)
-    if path is None:
+    if (path := find(reference, what, environment)) is None:
         return None
-    where = f"{part}.{key}: {path}"
-    with file_errors(where):
-        if stat.S_IMODE(path.stat().st_mode) & stat.S_IROTH:
-            log.warning("%s can be read by everyone on this machine (chmod o-r)", where)
-        secret = text_of(_content(path), where).rstrip("\r\n")
+    where = f"{what}: {path}"
+    mode, content = _read(path, where)
+    if mode & stat.S_IROTH:
+        log.warning("%s can be read by everyone on this machine (chmod o-r)", where)
+    secret = text_of(content, where).rstrip("\r\n")
     if not secret:
         raise BadInput(f"{where}: is empty")
     return secret
 
 
-def key(reference: str, part: str, name: str, environment: Mapping[str, str] = os.environ) -> bytes | None:
+def key(reference: str, what: str, environment: Mapping[str, str] = os.environ, *, phrase: bool = False) -> bytes | None:
     """Return a key of `KEY_BYTES` bytes from a file that holds them raw or as hexadecimal digits; None for an empty setting.
 
+    Args:
+        phrase: whether the file may hold `passphrase: ...`, too, whose SHA-256 is the key, as ground stations compute it.
+
     Raises:
-        BadInput: the file cannot be read, other users may read it, or it holds no key.
+        BadInput: the file cannot be read, other users may read it, or it holds no key. The text never shows its content.
     """
-    path = find(reference, part, environment)
-    if path is None:
+    if (path := find(reference, what, environment)) is None:
         return None
-    where = f"{part}.{name}: {path}"
-    with file_errors(where):
-        mode, content = path.stat().st_mode, _content(path)
+    where = f"{what}: {path}"
+    mode, content = _read(path, where)
     # systemd protects credentials by an access list, which looks like a group that may read.
-    if not reference.startswith(CREDENTIAL) and stat.S_IMODE(mode) & 0o077:
+    if not reference.startswith(CREDENTIAL) and mode & 0o077:
         raise BadInput(f"{where}: others may read it; chmod 600 {path}")
     if len(content) == KEY_BYTES:
         return content
+    words = utf8_of(content).decode(errors="replace").strip()
+    if phrase and words.startswith(_PASSPHRASE) and (of := words.removeprefix(_PASSPHRASE).strip()):
+        return hashlib.sha256(of.encode()).digest()
     try:
-        found = bytes.fromhex(utf8_of(content).decode("ascii").strip())
+        found = bytes.fromhex(words)
     except ValueError:
         found = b""
     if len(found) != KEY_BYTES:
-        raise BadInput(f"{where}: holds neither {KEY_BYTES} bytes nor {2 * KEY_BYTES} hexadecimal digits")
+        line = f", nor a line '{_PASSPHRASE} ...'" if phrase else ""
+        raise BadInput(f"{where}: holds neither {KEY_BYTES} bytes nor {2 * KEY_BYTES} hexadecimal digits{line}")
     return found
 
 
-def token(reference: str, part: str, name: str, environment: Mapping[str, str] = os.environ) -> bytes | None:
+def signing_key(reference: str, what: str = "signing key", environment: Mapping[str, str] = os.environ) -> SigningKey:
+    """Return the key that MAVLink messages are signed with. Raises BadInput, as `key`."""
+    secret = key(reference, what, environment, phrase=True)
+    if secret is None:
+        raise BadInput(f"{what}: no file is named")
+    return SigningKey(secret)
+
+
+def token(reference: str, what: str) -> bytes | None:
     """Return the token that callers must know, from a file; None for an empty setting.
 
     Raises:
         BadInput: the file cannot be read, or holds no token.
     """
-    secret = text(reference, part, name, environment)
+    secret = text(reference, what)
     if secret is None:
         return None
     if len(secret) < _SHORTEST_TOKEN or not secret.isascii() or any(c.isspace() for c in secret):
-        raise BadInput(f"{part}.{name}: a token has {_SHORTEST_TOKEN} or more ASCII characters without spaces")
+        raise BadInput(f"{what}: a token has {_SHORTEST_TOKEN} or more ASCII characters without spaces")
     return secret.encode()
 
 
-def _content(path: Path) -> bytes:
-    """Return at most as many bytes as a secret can have."""
-    with opened(path, Largest.SETTINGS) as file:
-        return file.read(_LONGEST)
+def _read(path: Path, where: str) -> tuple[int, bytes]:
+    """Return a file's mode, and at most as many bytes as a secret can have. Raises BadInput."""
+    with opened(path, Largest.SETTINGS, where) as file, file_errors(where):
+        return os.fstat(file.fileno()).st_mode, file.read(_LONGEST)
 
 
 def is_token(given: str, token: bytes) -> bool:

@@ -13,7 +13,7 @@ import os
 import re
 import secrets
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import lru_cache
@@ -58,15 +58,6 @@ KINDS = {
     "title": "a scenario: give it to decklander simulate or campaign",
 }
 """Our kinds of TOML files by a key that only such a file has, or one that is none of those before it."""
-_FILES = {
-    "vehicle": ("signing_key_file", "signing_time_file"),
-    "bridge": ("signing_key_file", "signing_time_file"),
-    "vision": ("learned_file",),
-    "guidance": ("policy_file",),
-    "http": ("token_file", "certificate_file", "key_file"),
-    "mqtt": ("password_file", "ca_file", "certificate_file", "key_file", "command_key_file", "spool"),
-}
-"""Keys that hold paths relative to the settings file, by table."""
 _AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {
     ("guidance", "tries"): {"heading": "align"},
     ("estimator", "ekf"): {"sigma_attitude_bias_rad": math.radians(0.5), "asd_accel_bias_m_s3": 0.02},
@@ -111,7 +102,7 @@ def complete(settings: Settings, path: Path) -> Settings:
     pad = _reference(settings.pad.file, "pads", path, "pad.file")
     found = msgspec.structs.replace(settings.camera, file=camera)
     settings = msgspec.structs.replace(settings, camera=found, pad=PadSettings(pad))
-    anchored = {name: _anchored(getattr(settings, name), path.parent, keys) for name, keys in _FILES.items()}
+    anchored = {name: _anchored(getattr(settings, name), path.parent) for name in settings.__struct_fields__}
     settings = msgspec.structs.replace(settings, **anchored)
     follow = settings.guidance.follow_deck
     if not follow.response_by_vehicle:
@@ -447,15 +438,13 @@ def find_file(text: str, folder: str, base: Path, what: str) -> Path:
     raise BadInput(f"{what}: there is no file {str(path) if text else text!r} and no shipped one of that name ({hint})")
 
 
-def _anchored(table: _Table, base: Path, keys: Iterable[str]) -> _Table:
-    """Return the table with the relative paths in `keys` made relative to the working directory.
+def _anchored(table: _Table, base: Path) -> _Table:
+    """Return a table of the settings with its relative paths made relative to the working directory.
 
     Args:
-        table: a table of the settings.
         base: folder of the settings file, to which the paths are relative.
-        keys: names of the keys that hold paths; a table of another kind lacks them.
     """
-    given = {key: str(getattr(table, key)) for key in keys if hasattr(table, key)}
+    given = {key: getattr(table, key) for key in table.__struct_fields__ if key.endswith("_file") or key == "spool"}
     return msgspec.structs.replace(
         table, **{key: str(base / path) for key, path in given.items() if path and not path.startswith(CREDENTIAL)}
     )

@@ -139,6 +139,8 @@ def ardrone_options(settings: Settings) -> ArDroneOptions:
 
 
 EXPERT = "expert"
+RENAMED: dict[str, tuple[str, dict[str, Any]]] = {"page": ("http", {}), "metrics": ("http", {"page": False, "port": 9464})}
+"""Tables that have another name now, with their defaults that are others there."""
 
 
 def joined(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -154,6 +156,12 @@ def joined(data: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(inside, Mapping):
         raise BadInput(f"{EXPERT} must be a table of keys")
     outside = {name: value for name, value in data.items() if name != EXPERT}
+    for name, (new, defaults) in RENAMED.items():
+        if isinstance(table := outside.get(name), Mapping):
+            if new in outside:
+                raise BadInput(f"{name} is called {new} now, and there is such a table too: keep one")
+            outside[new] = {**defaults, **table}
+            del outside[name]
     misplaced = [f"{path} belongs in [{EXPERT}.{path.rpartition('.')[0]}]" for path, public in _known(outside) if not public]
     misplaced += [f"{EXPERT}.{path} belongs in [{path.rpartition('.')[0]}]" for path, public in _known(inside) if public]
     if misplaced:

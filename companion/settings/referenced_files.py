@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import ssl
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,10 +24,10 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.endpoint import NMEA2000, RELPOS, parse_bus, require_ship
 from drivers.files import Largest, bytes_of, refuse_special
 from drivers.gamepad.mapping import GamepadMapping
-from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.options import MavlinkOptions
 from drivers.pyav import require_pyav
 from drivers.ros2 import require_rosbags
-from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.errors import BadInput
 
 if TYPE_CHECKING:
     from estimator.vision.learned.second_opinion import SecondOpinion
@@ -158,34 +159,24 @@ def check_files(settings: Settings, environment: Mapping[str, str] = os.environ)
 
 def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Callable[[], object]]]:
     """Yield (settings key, file references, function that reads the files) for everything that is switched on."""
-    if isinstance(settings.vehicle, AutopilotOptions) and settings.vehicle.signing_key_file:
-        yield _signing("vehicle", settings.vehicle.signing_key_file)
-    if settings.bridge.links and settings.bridge.signing_key_file:
-        yield _signing("bridge", settings.bridge.signing_key_file)
+    for section, table in (("vehicle", settings.vehicle), ("bridge", settings.bridge)):
+        if isinstance(table, MavlinkOptions) and table.links and table.signing_key_file:
+            what = f"{section}.signing_key_file"
+            yield what, (table.signing_key_file,), partial(files.signing_key, table.signing_key_file, what)
     vision = settings.vision
     if vision.learned != "off":
         yield ("vision.learned_file", (vision.learned_file,), lambda: second_opinion(vision.learned_file, "vision.learned_file"))
     m = settings.mqtt
     if m.transport != "off":
-        yield "mqtt.password_file", (m.password_file,), lambda: files.text(m.password_file, "mqtt", "password_file")
-        yield ("mqtt.command_key_file", (m.command_key_file,), lambda: files.key(m.command_key_file, "mqtt", "command_key_file"))
+        yield "mqtt.password_file", (m.password_file,), lambda: files.text(m.password_file, "mqtt.password_file")
+        yield ("mqtt.command_key_file", (m.command_key_file,), lambda: files.key(m.command_key_file, "mqtt.command_key_file"))
         yield "mqtt.ca_file", (m.ca_file, m.certificate_file, m.key_file), lambda: tls_context(m)
     if settings.http.endpoint != "off":
         http = settings.http
-        yield "http.token_file", (http.token_file,), lambda: files.token(http.token_file, "http", "token_file")
+        yield "http.token_file", (http.token_file,), lambda: files.token(http.token_file, "http.token_file")
         yield "http.certificate_file", (http.certificate_file, http.key_file), lambda: server_context(http)
     if settings.operator.gamepad != "off":
         yield "operator.gamepad", (settings.operator.gamepad,), lambda: mapping_of(settings.operator.gamepad)
-
-
-def _signing(section: str, reference: str) -> tuple[str, tuple[str, ...], Callable[[], object]]:
-    from drivers.mavlink.signing import load_key
-
-    def read() -> None:
-        with refused(f"{section}.signing_key_file", BadInput):
-            load_key(reference)
-
-    return f"{section}.signing_key_file", (reference,), read
 
 
 def check_installed(settings: Settings) -> None:

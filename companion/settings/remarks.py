@@ -10,9 +10,9 @@ from typing import NamedTuple
 import msgspec
 from msgspec import NODEFAULT, Struct
 
-from companion.settings.load import camera_model, find_file, lens_assumed, mount_assumed
+from companion.settings.load import camera_model, find_file, lens_assumed, mount_assumed, read_toml
 from companion.settings.mission import ConeOptions
-from companion.settings.model import Settings, in_file
+from companion.settings.model import RENAMED, Settings, in_file
 from companion.settings.sound import beyond_sound
 from drivers.camera.options import DRIVEN_SOURCES
 from drivers.mavlink.options import AutopilotOptions
@@ -171,7 +171,8 @@ def remarks(settings: Settings, path: Path) -> tuple[str, ...]:
     contradicting = () if found is None else (f"{found.what}: {found.fix}",)
     mount = mount_assumed(find_file(settings.camera.file, "cameras", Path(), "camera.file"))
     said = *_empty_battery(settings), *_feet(settings), *_numbered_ports(settings), *lens_assumed(camera_model(settings))
-    return (*without_effect(settings), *contradicting, *beyond_sound(settings), *said, *mount)
+    old = (f"[{name}] is called [{RENAMED[name][0]}] now (docs/page.md)" for name in read_toml(path) if name in RENAMED)
+    return (*old, *without_effect(settings), *contradicting, *beyond_sound(settings), *said, *mount)
 
 
 def _empty_battery(settings: Settings) -> tuple[str, ...]:

@@ -83,7 +83,7 @@ class Codec:
         """The next sequence number of each component that messages are sent as."""
         self.counters = counters or CodecCounters()
         if signing is not None:
-            self._mav.signing.secret_key = signing.key.secret
+            self._mav.signing.secret_key = signing.key().secret
             self._mav.signing.link_id = signing.link_id
             self._mav.signing.sign_outgoing = True
             self._mav.signing.stream_timestamps = signing.times.streams
@@ -172,7 +172,7 @@ class Codec:
                     signing.stream_timestamps[stream] = newest
             if signing.badsig_count + signing.reject_count > refused_before or "signature" in str(why).lower():
                 self.counters.refused_signature += 1
-                self._note_refused_time(frame)
+                self._note_refused(frame)
                 self.counters.old_version += frame[0] == _V1
                 return True, None
             self.counters.damaged += 1
@@ -190,11 +190,15 @@ class Codec:
         self._count(message, frame)
         return True, message
 
-    def _note_refused_time(self, frame: bytearray) -> None:
-        """Count a refused message that has the right signature: then its time is what was refused."""
+    def _note_refused(self, frame: bytearray) -> None:
+        """Take the key's file's new key where it is the message's; of one with the right signature count that its time is not."""
         if self._signing is None or frame[0] != _V2 or not frame[2] & _SIGNED:
             return
-        if hashlib.sha256(self._signing.key.secret + frame[:-6]).digest()[:6] != frame[-6:]:
+        secret = self._signing.key().secret
+        if hashlib.sha256(secret + frame[:-6]).digest()[:6] != frame[-6:]:
+            return
+        if secret != self._mav.signing.secret_key:
+            self._mav.signing.secret_key = secret
             return
         self.counters.refused_time += 1
         self.counters.behind_s = (self._signing.times.now - int.from_bytes(frame[-12:-6], "little")) / TICKS_PER_S

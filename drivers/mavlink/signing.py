@@ -1,4 +1,4 @@
-"""Message signing: load the key from a file or a systemd credential, and keep the signing state of an endpoint.
+"""Message signing: the key, and the signing state of an endpoint.
 
 Source: mavlink.io, "Message signing". The key is never printed, logged or offered as a parameter.
 
@@ -11,16 +11,13 @@ import hashlib
 import json
 import logging
 import os
-import stat
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from drivers.files import Largest, opened
 from estimator.contracts.errors import BadInput, unusable
-from estimator.contracts.text import utf8_of
 
 _log = logging.getLogger(__name__)
 
@@ -170,10 +167,6 @@ class SigningTimes:
             _log.error("%s; they are kept in memory alone meanwhile, and a restart will not know of them", fault)
 
 
-_CREDENTIAL, _PASSPHRASE = "credential:", "passphrase:"
-_LONGEST = 4096
-
-
 @dataclass(frozen=True, slots=True)
 class SigningKey:
     """A secret key of 32 bytes whose representation does not show them."""
@@ -190,59 +183,17 @@ class SigningKey:
         return ":".join(f"{byte:02x}" for byte in hashlib.sha256(self.secret).digest()[:8])
 
 
-def load_key(where: str, environment: Mapping[str, str] | None = None) -> SigningKey:
-    """Load the key from a file: 32 raw bytes, 64 hexadecimal digits, or `passphrase: ...`.
-
-    The key of a passphrase is its SHA-256, as ground stations compute it.
-
-    Args:
-        where: a path, or `credential:NAME` for a file that systemd put into `$CREDENTIALS_DIRECTORY`.
-        environment: the environment variables, by default those of the process.
-
-    Raises:
-        BadInput: the file does not exist, other users may read it, or it holds no key. The text never shows the file's content.
-    """
-    environment = os.environ if environment is None else environment
-    if where.startswith(_CREDENTIAL):
-        folder = environment.get("CREDENTIALS_DIRECTORY")
-        if folder is None:
-            raise BadInput(f"signing key {where!r}: systemd passed no credentials to this process (LoadCredential= in the unit)")
-        name = where.removeprefix(_CREDENTIAL)
-        if not name or "/" in name or name in (".", ".."):
-            raise BadInput(f"signing key {where!r} does not name a credential")
-        path = Path(folder) / name
-    else:
-        path = Path(where)
-    with opened(path, Largest.SETTINGS, f"signing key {str(path)!r}") as file:
-        mode, content = os.fstat(file.fileno()).st_mode, file.read(_LONGEST)
-    # systemd protects credentials by an access list, which looks like a group that may read.
-    if not where.startswith(_CREDENTIAL) and stat.S_IMODE(mode) & 0o077:
-        raise BadInput(f"signing key {path}: others may read it; chmod 600 {path}")
-    if len(content) == 32:
-        return SigningKey(content)
-    text = utf8_of(content).decode("utf-8", errors="replace").strip()
-    if text.startswith(_PASSPHRASE) and text.removeprefix(_PASSPHRASE).strip():
-        return SigningKey(hashlib.sha256(text.removeprefix(_PASSPHRASE).strip().encode()).digest())
-    try:
-        key = bytes.fromhex(text)
-    except ValueError:
-        key = b""
-    if len(key) != 32:
-        raise BadInput(f"signing key {path}: neither 32 bytes, nor 64 hexadecimal digits, nor a line 'passphrase: ...'")
-    return SigningKey(key)
-
-
 @dataclass(frozen=True, slots=True)
 class Signing:
     """The key and the state with which one endpoint signs.
 
     Args:
-        key: the secret key.
+        key: returns the secret key, which may be renewed.
         times: the timestamps seen, shared by all endpoints, so that a message received on one cannot be replayed on another.
         link_id: number of this endpoint, 0..255, different from those of the other endpoints.
     """
 
-    key: SigningKey
+    key: Callable[[], SigningKey]
     times: SigningTimes
     link_id: int
 

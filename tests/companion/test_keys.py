@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 
 from companion.cli.main import main
+from companion.settings.files import signing_key
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.signing import Signing, SigningKey, SigningTimes, load_key
+from drivers.mavlink.signing import Signing, SigningKey, SigningTimes
 
 HOST = "127.0.0.1"
 
@@ -29,7 +30,8 @@ class Lockable(asyncio.DatagramProtocol):
         self.lock(key)
 
     def lock(self, key: bytes | None) -> None:
-        self.codec = Codec(1, 1, datagrams=True, signing=None if key is None else Signing(SigningKey(key), SigningTimes(None), 5))
+        signing = None if key is None else Signing(lambda: SigningKey(key), SigningTimes(None), 5)
+        self.codec = Codec(1, 1, datagrams=True, signing=signing)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = transport
@@ -90,7 +92,7 @@ def test_a_key_is_made_for_its_owner_alone_and_never_over_a_file(tmp_path: Path,
     assert main(["keys", "make", str(tmp_path / "none/key")]) == 2
     output = capsys.readouterr()
     assert "there is a file of that name already" in output.err
-    assert load_key(str(path)).fingerprint in output.out
+    assert signing_key(str(path)).fingerprint in output.out
 
 
 def test_a_key_is_shown_by_its_fingerprint_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,7 +100,7 @@ def test_a_key_is_shown_by_its_fingerprint_alone(tmp_path: Path, capsys: pytest.
     capsys.readouterr()
     assert main(["keys", "show", str(path)]) == 0
     output = capsys.readouterr().out
-    assert load_key(str(path)).fingerprint in output
+    assert signing_key(str(path)).fingerprint in output
     assert path.read_bytes().hex()[:8] not in output.replace(":", "")
     assert main(["keys", "show", str(tmp_path / "none")]) == 2
 
@@ -110,7 +112,7 @@ async def test_a_key_is_installed_seen_to_be_in_force_and_removed(tmp_path: Path
         assert autopilot.measured_at[-1] == path.read_bytes()
         output = capsys.readouterr().out
         assert "ArduPilot, system 1" in output
-        assert load_key(str(path)).fingerprint in output
+        assert signing_key(str(path)).fingerprint in output
         assert "the autopilot signs with this key now" in output
         assert "IN CLEAR" not in output, "loopback"
         assert await keys("install", "--link", url, "--seconds", "1", "--yes", str(second)) == 1

@@ -1,4 +1,4 @@
-"""Certificates, tokens and passwords that are replaced under a running service."""
+"""Certificates, tokens, passwords and keys that are replaced under a running service."""
 
 import asyncio
 import logging
@@ -11,11 +11,17 @@ import pytest
 
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
-from companion.parts.mqtt.connection import renewed_endpoint
+from companion.cli.main import main
+from companion.parts.mavlink.signed_links import signed_links
+from companion.parts.mqtt.connection import BrokerEndpoint, renewed_endpoint
 from companion.settings.files import Renewed
 from companion.settings.links import HttpSettings, MqttSettings
 from drivers.clock import SystemClock
-from estimator.contracts.errors import BadInput
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import mav
+from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.signing import Signing, SigningKey, SigningTimes
+from estimator.contracts.errors import BadInput, Recoverable
 from tests.support.waiting import listening
 
 OLD, NEW = "a-token-of-before-the-change", "another-token-that-came-later"
@@ -77,18 +83,45 @@ def test_a_token_that_is_rewritten_holds_from_then_on(tmp_path: Path) -> None:
     assert not server.knows(OLD)
 
 
-def test_the_broker_gets_the_password_of_now_and_a_renewed_authority(tmp_path: Path) -> None:
+def test_the_broker_is_known_by_a_renewed_authority(tmp_path: Path) -> None:
     certify(tmp_path, "ca")
-    password, ca = tmp_path / "password", tmp_path / "page.crt"
-    password.write_text("before")
-    endpoint = renewed_endpoint(MqttSettings(transport="tls", user="drone", password_file=str(password), ca_file=str(ca)))
+    endpoint = renewed_endpoint(MqttSettings(transport="tls", user="drone", ca_file=str(tmp_path / "page.crt")))
     first = endpoint()
     assert endpoint() is first
-    password.write_text("after")
-    assert endpoint().password == "after"
     der = certify(tmp_path, "renewed")
     assert (tls := endpoint().tls) is not None
     assert tls.get_ca_certs(binary_form=True) == [der]
+
+
+def test_watch_connects_by_the_password_of_now(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (file := tmp_path / "password").write_text("before")
+    given = list[str | None]()
+
+    def refuses(endpoint: BrokerEndpoint, *_: object, **__: object) -> None:
+        given.append(endpoint.password)
+        file.write_text("after")
+        raise Recoverable("not today")
+
+    monkeypatch.setattr("companion.parts.mqtt.connection.connect", refuses)
+    monkeypatch.setattr("companion.cli.watch._BACK_OFF_S", 0.01)
+    assert main(["watch", "--plain-tcp", "--user", "u", "--password-file", str(file), "--seconds", "0.3"]) == 1
+    assert given[:2] == ["before", "after"]
+
+
+def test_a_renewed_signing_key_holds_once_the_other_side_signs_by_it(tmp_path: Path) -> None:
+    keys = bytes(32), bytes(range(32))
+    (file := tmp_path / "key").write_bytes(keys[0])
+    file.chmod(0o600)
+    (link,) = signed_links(AutopilotOptions("tcp://127.0.0.1:1", signing_key_file=str(file)))
+    ours = Codec(1, 191, signing=link.signing)
+    old, new = (Codec(1, 1, signing=Signing(lambda k=key: SigningKey(k), SigningTimes(None), n)) for n, key in enumerate(keys))
+    file.write_bytes(keys[1])
+    beat = mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
+    assert ours.feed(old.pack(beat)), "the file is renewed before the autopilot"
+    assert not ours.feed(new.pack(beat)), "this one says that the autopilot has it now"
+    assert ours.feed(new.pack(beat))
+    assert not ours.feed(old.pack(beat))
+    assert new.feed(ours.pack(beat))
 
 
 def test_a_link_that_points_to_another_folder_is_a_change_and_a_start_without_the_file_is_refused(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def test_files_of_windows_are_read(tmp_path: Path, way: Callable[[str], bytes]) 
 
     sim = Path("configs/sim.toml").read_text(encoding="utf-8")
     assert load(written("rig.toml", sim)).camera.file == load("sim").camera.file
-    assert key(str(written("a.key", "ab" * 32 + "\n")), "mqtt", "command_key_file") == b"\xab" * 32
+    assert key(str(written("a.key", "ab" * 32 + "\n")), "mqtt.command_key_file") == b"\xab" * 32
     assert parameters_of(written("a.param", "PLND_LAG,0.05\nPLND_ENABLED,1\n")).parameters["PLND_LAG"] == 0.05
     table = written("a.csv", "time_s,roll_deg,pitch_deg\n0,1,2\n0.1,1,2\n")
     assert (kind_of(table), len(attitudes(table))) == (FileKind.TABLE, 2)

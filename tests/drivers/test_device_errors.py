@@ -12,19 +12,7 @@ from drivers.camera.source import CameraLost, VideoSource
 from drivers.camera.v4l2 import V4l2Channel
 from drivers.camera.v4l2_device import KernelDevice
 from drivers.clock import SystemClock
-from drivers.device_errors import DEVICE_ERRORS, Device, device_fault
-
-
-@pytest.mark.parametrize(
-    ("device", "number", "words"),
-    [
-        ("camera", errno.ENOSPC, "USB bus"), ("camera", errno.EBUSY, "another program"), ("camera", errno.EPROTO, "cable"),
-        ("camera", errno.ENODEV, "unplugged"), ("serial port", errno.EACCES, "dialout"), ("serial port", errno.EBUSY, "another"),
-        ("network", errno.ENOBUFS, "radio"), ("network", errno.EPERM, "firewall"),
-    ],
-)  # fmt: skip
-def test_an_error_is_told_in_the_words_of_its_device(device: Device, number: int, words: str) -> None:
-    assert words in device_fault(OSError(number, os.strerror(number)), device)
+from drivers.device_errors import DEVICE_ERRORS, device_fault
 
 
 def test_no_device_passes_on_words_about_a_disk_and_what_the_table_lacks_is_the_system_s() -> None:

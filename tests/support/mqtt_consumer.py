@@ -1,6 +1,8 @@
 """A consumer of events as one would write it: a session that the broker keeps, and ids to tell copies by."""
 
 import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 
 import aiomqtt
 from paho.mqtt.packettypes import PacketTypes
@@ -60,3 +62,13 @@ class Consumer:
             self.others.append(event)
         if len(self.numbers) == self._total:
             self.done.set()
+
+
+@asynccontextmanager
+async def consuming(broker: Broker, total: int) -> AsyncIterator[Consumer]:
+    """Yield a consumer that listens."""
+    consumer = Consumer(broker, total)
+    task = asyncio.create_task(consumer.run())
+    await consumer.listening.wait()
+    yield consumer
+    task.cancel()

@@ -73,7 +73,7 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
     spool = Spool(folder, settings.spool_max_kib * 1024)
     outbox = Outbox(spool, session, topics.of("event"), settings.spool_fsync)
     command_handler = CommandHandler(
-        topics, session, operator, RUN, files.key(settings.command_key_file, "mqtt", "command_key_file")
+        topics, session, operator, RUN, lambda: files.key(settings.command_key_file, "mqtt.command_key_file")
     )
     part = MqttPart(settings, renewed_endpoint(settings), outbox, command_handler, health, clock, version="1.2.3")
     ended = asyncio.Event()

@@ -5,9 +5,10 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
+from companion.settings.files import Renewed, signing_key
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import MavlinkOptions
-from drivers.mavlink.signing import Signing, SigningTimes, load_key
+from drivers.mavlink.signing import Signing, SigningTimes
 
 _log = logging.getLogger(__name__)
 
@@ -25,7 +26,8 @@ def signed_links(options: MavlinkOptions, environment: Mapping[str, str] | None 
             _log.log(level, "MAVLink over %s is %s", options.links, options.unsigned)
         return tuple(LinkOptions(endpoint, limits=options) for endpoint in found)
     environment = os.environ if environment is None else environment
-    key = load_key(options.signing_key_file, environment)
+    named = options.signing_key_file
+    key = Renewed(lambda: signing_key(named, environment=environment), "signing key", named, environment=environment)
     file = _time_file(options.signing_time_file, environment)
     if file is None:
         _log.warning(

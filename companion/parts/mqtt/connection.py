@@ -14,9 +14,8 @@ import math
 import socket
 import ssl
 import time
-from collections import Counter
 from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from contextlib import asynccontextmanager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +104,7 @@ class BrokerEndpoint(Struct, frozen=True):
             settings.host,
             settings.port,
             settings.user or None,
-            files.text(settings.password_file, "mqtt", "password_file"),
+            files.text(settings.password_file, "mqtt.password_file"),
             tls_context(settings),
             settings.protocol == "5",
             settings.keepalive_s,
@@ -174,12 +173,11 @@ class Connection(aiomqtt.Client):
         self.last_refusal = ""
         self.farewell = ""
         """Reason for which the broker ended the connection, if it gave one (MQTT 5)."""
-        self._unanswered: Counter[str] = Counter()
-        """Publications of each topic that the broker has not acknowledged yet."""
         self.accepted: set[str] = set()
         """Topics at which the broker acknowledged a publication."""
-        self.ended_at: tuple[str, ...] = ()
-        """The topics at which the broker may have ended the connection without a reason."""
+        self._first, self._asked = asyncio.Lock(), ""
+        self.ended_at = ""
+        """The topic at which the broker ended the connection without a reason."""
 
     async def subscribe_to(self, topic: str, qos: int, *, retained: bool = False) -> None:
         """Subscribe to a topic; unless `retained`, ask an MQTT 5 broker to leave out retained messages.
@@ -206,17 +204,21 @@ class Connection(aiomqtt.Client):
     async def publish_message(
         self, topic: str, payload: bytes, *, qos: int = 0, retain: bool = False, correlation: bytes | None = None
     ) -> None:
-        """Publish a message; return when it is written out (QoS 0) or answered (QoS 1)."""
+        """Publish a message; return when it is written out (QoS 0) or answered (QoS 1).
+
+        The first message of each topic is sent alone and is answered, so that a broker that hangs up at it shows at which.
+        """
         properties = None
         if self._mqtt5 and correlation is not None:
             properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
             properties.CorrelationData = correlation
-        self._unanswered[topic] += qos > 0
-        async with self._answered():
-            await self.publish(topic, payload, qos=qos, retain=retain, properties=properties, timeout=math.inf)
-        self._unanswered[topic] -= qos > 0
-        if qos > 0:
-            self.accepted.add(topic)
+        async with self._first if topic not in self.accepted else nullcontext():
+            if topic not in self.accepted:
+                self._asked, qos = topic, 1
+            async with self._answered():
+                await self.publish(topic, payload, qos=qos, retain=retain, properties=properties, timeout=math.inf)
+            if qos > 0:
+                self.accepted.add(topic)
 
     @asynccontextmanager
     async def _answered(self) -> AsyncIterator[None]:
@@ -318,10 +320,9 @@ class Connection(aiomqtt.Client):
         except* aiomqtt.MqttError as group:
             if self.farewell:
                 raise Recoverable(self.farewell) from group
-            self.ended_at = tuple(topic for topic, n in self._unanswered.items() if n > 0 and topic not in self.accepted)
-            if self.ended_at and self._disconnected.done():
-                topics = ", ".join(self.ended_at)
-                raise Recoverable(f"the connection ended just after publishing {topics}: may this user write there?") from group
+            if self._asked not in self.accepted and self._disconnected.done():
+                self.ended_at = topic = self._asked
+                raise Recoverable(f"the connection ended just after publishing {topic}: may this user write there?") from group
             raise
 
 

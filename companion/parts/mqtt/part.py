@@ -154,14 +154,14 @@ class CommandHandler:
     Args:
         session: the id of this run of the service that everyone may read.
         run: the id of this run that only those who may command can read.
-        key: the key that commands are signed with; None if the broker decides who may send them.
+        key: returns the key that commands are signed with; None if the broker decides who may send them.
     """
 
     topics: Topics
     session: str
     operated: Operated
     run: str
-    key: bytes | None = field(default=None, repr=False)
+    key: Callable[[], bytes | None] = lambda: None
     _answered: OrderedDict[str, CommandReply] = field(default_factory=OrderedDict)
     counts: Counter[str] = field(default_factory=Counter)
     _decoder: msgspec.json.Decoder[Command] = field(default_factory=lambda: msgspec.json.Decoder(Command), repr=False)
@@ -176,7 +176,7 @@ class CommandHandler:
         to, identifier, name, remembered = self.topics.of("reply"), None, None, False
         refused: RefusedMessage | None = None
         try:
-            body = _opened(payload, self.topics.of("command"), self.key, LONGEST_BYTES)
+            body = _opened(payload, self.topics.of("command"), self.key(), LONGEST_BYTES)
             identifier, named = _named_in(body)
             wished = named or reply_to
             if wished is not None and not self.topics.allows_reply(wished):
@@ -241,12 +241,12 @@ class ShipReportReader:
 
     Args:
         run: the id of this run of the service that only those who may command can read.
-        key: the key that reports are signed with; None if the broker decides who may send them.
+        key: returns the key that reports are signed with; None if the broker decides who may send them.
     """
 
     topics: Topics
     run: str
-    key: bytes | None = field(default=None, repr=False)
+    key: Callable[[], bytes | None] = lambda: None
     counts: Counter[str] = field(default_factory=Counter)
     """The number of reports by `taken`, or by the reason why they were refused."""
     _newest_ns: int = -1
@@ -255,7 +255,7 @@ class ShipReportReader:
     def samples(self, payload: bytes, received_at: MonoNs, *, retained: bool = False) -> Samples:
         """Return the samples in one message; none if it is refused, which is counted and logged once for each reason."""
         try:
-            report = _decoded(_opened(payload, self.topics.of("vessel"), self.key, REPORT_MAX_BYTES), self._decoder)
+            report = _decoded(_opened(payload, self.topics.of("vessel"), self.key(), REPORT_MAX_BYTES), self._decoder)
             _check_run(report.run, self.run, retained)
             if report.at_ns > received_at:
                 raise RefusedMessage("ahead")
@@ -299,7 +299,7 @@ _CLOCK_SET_S = 1.0
 _WATCH_CLOCK_S = 2.0
 _STATUS_AGAIN_S = 60.0
 _LEAVE_OUT = 3
-"""Connections that ended at the first event, after which events stay in the spool."""
+"""Connections that ended at the first message of a topic, after which it is left out; events stay in the spool."""
 _NAMESAKE_AGAIN_S = 600.0
 
 
@@ -344,7 +344,7 @@ class MqttPart(NullObserver):
         self._results_reported = 0
         self._counts: Counter[str] = Counter()
         self._broker_down = False
-        self._ended_at_event = 0
+        self._ended_at: Counter[str] = Counter()
         self._stopping = False
         health.counters("mqtt", self.counts)
         self.tell(PendingEvent(self._started, "service", "service started", {"version": version, "unix_s": time.time()}))
@@ -422,13 +422,12 @@ class MqttPart(NullObserver):
                 self._note_end(connection)
 
     def _note_end(self, connection: Connection) -> None:
-        """Count the connections that ended at an event before one was ever taken; leave events out after some."""
-        topic = self._topics.of("event")
-        if topic in connection.accepted:
-            self._ended_at_event = 0
-        elif topic in connection.ended_at:
-            self._ended_at_event += 1
-            if self._ended_at_event == _LEAVE_OUT:
+        """Count the connections that ended at each topic before it was ever taken; leave it out after some."""
+        for taken in connection.accepted:
+            del self._ended_at[taken]
+        if topic := connection.ended_at:
+            self._ended_at[topic] += 1
+            if self._ended_at[topic] == _LEAVE_OUT:
                 log.warning(
                     "%s is left out until the service starts again: the broker ended %d connections at it", topic, _LEAVE_OUT
                 )
@@ -457,12 +456,12 @@ class MqttPart(NullObserver):
             ("health", s.health_hz, lambda: encoding.health(self._session, self._health.snapshot())),
         )
         async with asyncio.TaskGroup() as group:
-            if self._ended_at_event < _LEAVE_OUT:
+            if self._ended_at[self._topics.of("event")] < _LEAVE_OUT:
                 group.create_task(self._outbox.deliver(connection))
             group.create_task(self._take_publications(connection))
             group.create_task(self._renew_status(connection))
             for leaf, rate_hz, make in newest:
-                if rate_hz > 0:
+                if rate_hz > 0 and self._ended_at[self._topics.of(leaf)] < _LEAVE_OUT:
                     group.create_task(self._publish_periodically(connection, leaf, rate_hz, make))
 
     async def _publish_status(self, connection: Connection) -> None:
@@ -608,7 +607,8 @@ def make_mqtt(
     spool = Spool(spool_folder(settings), settings.spool_max_kib * 1024)
     outbox = Outbox(spool, session, topics.of("event"), settings.spool_fsync)
     operator = PilotOperator(pilot, OrderSender(OrderSource.MQTT), clock, recording)
-    key = files.key(settings.command_key_file, "mqtt", "command_key_file")
+    named, what = settings.command_key_file, "mqtt.command_key_file"
+    key = files.Renewed(lambda: files.key(named, what), what, named)
     run = secrets.token_hex(16)
     command_handler = CommandHandler(topics, session, operator, run, key)
     ship = None if reports is None else (ShipReportReader(topics, run, key), reports)

@@ -269,7 +269,7 @@ async def _scrape(settings: Settings, timeout_s: float) -> list[Sample] | None:
         return None
     host = "127.0.0.1" if http.host in ("0.0.0.0", "::") else http.host
     try:
-        token = files.text(http.token_file, "http", "token_file")
+        token = files.text(http.token_file, "http.token_file")
     except BadInput:  # a finding of its own, or a credential that only the unit has
         return None
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}

@@ -22,24 +22,6 @@ _LISTED_MAX = 6
 _JUMP_MIN_S = 1.0  # a restart or a second autopilot makes a greater one, a simulator on a busy machine a smaller
 _REFUSED_MIN, _LATE_MIN = 2, 20
 """Refused datagrams and late messages that may happen: a peer that starts, a line that stood still for a moment."""
-_REASONS = {
-    "permission denied": "let the service's user open it: usermod -aG dialout USER, and log in again",
-    "could not exclusively lock": "another program has it: stop the daemon or ModemManager, or the other ground station",
-    "no such file": "the device is not there: check the cable, and dmesg for its name (/dev/serial/by-id is stable)",
-    "no such device": "the device is not there: check the cable, and dmesg for its name (/dev/serial/by-id is stable)",
-    "address already in use": "another program listens on that port: stop it, or choose another port",
-    "connect call failed": "nothing listens there: start it, or check address and port",
-    "name or service not known": "the host name cannot be resolved: write the address",
-}
-
-
-def link_down(p: Snapshot) -> Finding | None:
-    """Find a link that cannot be opened."""
-    for link in p.links:
-        if link.down is not None:
-            fix = next((c for text, c in _REASONS.items() if text in link.down.lower()), "check what the link's address names")
-            return error("link-down", f"{link.url} is not open: {link.down}", fix)
-    return None
 
 
 def _open(p: Snapshot) -> list[LinkSnapshot]:
@@ -363,7 +345,10 @@ WATCHED: tuple[Rule, ...] = (
 )  # fmt: skip
 """Rules that a running service applies all the time."""
 RULES: tuple[Rule, ...] = (
-    link_down, link_silent, _REFUSED, _CONSOLE, _ECHO, _GARBAGE, _LATE, id_conflict, link_signature, _OLD_VERSION,
+    Row("link-down", _ERROR, lambda p: next((link for link in p.links if link.down is not None), None),
+        "{0.url} is not open",
+        "{0.down}"),
+    link_silent, _REFUSED, _CONSOLE, _ECHO, _GARBAGE, _LATE, id_conflict, link_signature, _OLD_VERSION,
     Row("link-lossy", _WARNING, _lossy,
         "{0[0]}: {0[1]:.0f} % of the messages are lost",
         "raise the speed to 921600, connect RTS/CTS, or ask for fewer streams on that port"),

@@ -57,13 +57,12 @@ class LiveClient:
 
     Args:
         url: the address, ws://HOST:PORT/live.
-        token: its token; None for none.
+        token: returns its token of now; None for none.
         note: receives what a person should know: a connection, its loss and why.
     """
 
-    def __init__(self, url: str, token: str | None, note: Callable[[str], None]) -> None:
-        self._url = url
-        self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+    def __init__(self, url: str, token: Callable[[], bytes | None], note: Callable[[str], None]) -> None:
+        self._url, self._token = url, token
         self._note = note
         self._told = ""
         self.connections = 0
@@ -78,11 +77,12 @@ class LiveClient:
             BadInput: the address is none, or the token is refused.
         """
         while True:
+            headers = {} if (token := self._token()) is None else {"Authorization": f"Bearer {token.decode()}"}
             try:
                 async with (
                     aiohttp.ClientSession() as session,
                     session.ws_connect(
-                        self._url, protocols=SUBPROTOCOLS, headers=self._headers, heartbeat=_ALIVE_S, max_msg_size=_BYTES_MAX
+                        self._url, protocols=SUBPROTOCOLS, headers=headers, heartbeat=_ALIVE_S, max_msg_size=_BYTES_MAX
                     ) as socket,
                 ):
                     async for message in self._from(socket):

@@ -282,7 +282,7 @@ async def watch_links(monkeypatch: pytest.MonkeyPatch, *, signed: bool = False) 
         monkeypatch.setattr(make, name, 0.1 * getattr(make, name))
     clock = SystemClock()
     health, options = Health(clock), AutopilotOptions(f"udpin://{HOST}:0")
-    signing = Signing(KEY, SigningTimes(None), 0) if signed else None
+    signing = Signing(lambda: KEY, SigningTimes(None), 0) if signed else None
     links = (LinkOptions(parse_endpoint(options.links), signing),)
     async with open_autopilot(options, clock, links) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)
@@ -294,7 +294,7 @@ async def watch_links(monkeypatch: pytest.MonkeyPatch, *, signed: bool = False) 
 def heartbeat_of(three_days_ago: bool) -> Callable[[], bytes]:
     """Return what makes heartbeats signed three days ago, or not signed at all."""
     times = SigningTimes(None, lambda: time.time() - 3 * 86_400.0)
-    codec = Codec(1, 1, signing=Signing(KEY, times, 3) if three_days_ago else None)
+    codec = Codec(1, 1, signing=Signing(lambda: KEY, times, 3) if three_days_ago else None)
     return lambda: codec.pack(mav.MAVLink_heartbeat_message(2, 3, 128, 5, 4, 3))
 
 

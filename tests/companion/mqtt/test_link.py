@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from companion.parts.mqtt import part as part_module
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, client_id
@@ -238,17 +239,19 @@ async def test_the_reason_of_the_broker_is_reported(code, said, tmp_path, caplog
     assert said in reported[0].lower()
 
 
-async def test_a_broker_that_hangs_up_at_the_events_gets_everything_else_and_the_topic_is_named(tmp_path, caplog):
+@pytest.mark.parametrize("leaf", ["event", "health"])
+async def test_a_broker_that_hangs_up_at_a_topic_gets_everything_else_and_it_is_named(leaf, tmp_path, caplog):
     """AWS IoT does so where a policy does not allow a topic."""
-    async with wordy() as (broker, settings), running(settings, tmp_path / "spool") as rig:
-        broker.hangs_up_at = "decklander/v2/drone/event"
+    async with wordy() as (broker, settings), running(replace(settings, health_hz=10.0), tmp_path / "spool") as rig:
+        broker.hangs_up_at = f"decklander/v2/drone/{leaf}"
         await until(lambda: len(broker.statuses) == 4)
         await asyncio.sleep(0.3)
         assert len(broker.clients) == 4, "three connections ended at the events, and the next one stays"
         assert rig.count("connection_failures") == 3
         assert rig.count("connections") == 4
-    said = [line for line in caplog.messages if "drone/event" in line]
-    assert "ended just after publishing decklander/v2/drone/event: may this user write there?" in said[0]
+        assert {"event", "health"} - {name.rpartition("/")[2] for name, _ in broker.published} == {leaf}
+    said = [line for line in caplog.messages if broker.hangs_up_at in line]
+    assert f"ended just after publishing {broker.hangs_up_at}: may this user write there?" in said[0]
     assert "left out" in said[-1]
 
 

@@ -75,7 +75,7 @@ def test_a_copy_and_an_overtaken_report_are_refused() -> None:
 
 
 def test_with_a_key_the_signature_must_be_of_this_topic() -> None:
-    reader = ShipReportReader(TOPICS, RUN, KEY)
+    reader = ShipReportReader(TOPICS, RUN, lambda: KEY)
     assert reader.samples(ship_report(), NOW) == []
     assert reader.samples(signed(KEY, TOPICS.of("command"), ship_report()), NOW) == []
     assert reader.samples(signed(bytes(32), TOPICS.of("vessel"), ship_report()), NOW) == []

@@ -28,7 +28,7 @@ from companion.parts.mqtt.part import signed
 from companion.settings.links import MqttSettings
 from estimator.contracts.time import seconds_between
 from tests.support.mosquitto import Broker
-from tests.support.mqtt_consumer import Consumer
+from tests.support.mqtt_consumer import consuming
 from tests.support.mqtt_service import RUN, SESSION, RunningPart, decision, event, running
 from tests.support.waiting import answering, until
 
@@ -159,24 +159,18 @@ async def test_a_line_that_is_open_and_silent(certificates: Path, tmp_path: Path
 
 @pytest.mark.hazard("H11")
 async def test_a_broker_that_hangs_and_wakes_up(broker: Broker, tmp_path: Path) -> None:
-    consumer = Consumer(broker, 20)
-    async with asyncio.TaskGroup() as group:
-        consuming = group.create_task(consumer.run())
-        await consumer.listening.wait()
-        async with running(broker.settings(timeout_s=0.4), tmp_path / "spool") as rig:
-            await until(lambda: rig.count("connections") == 1)
-            flight = Flight(rig)
-            flying = group.create_task(flight.fly())
-            broker.hold()
-            for n in range(20):
-                rig.part.tell(event(rig.clock.now(), f"number {n}"))
-            await until(lambda: rig.count("connection_failures") >= 2)
-            assert not rig.health.parts["broker"].up
-            broker.go_on()
-            async with asyncio.timeout(60):
-                await consumer.done.wait()
-            flying.cancel()
-        consuming.cancel()
+    async with consuming(broker, 20) as consumer, running(broker.settings(timeout_s=0.4), tmp_path / "spool") as rig:
+        await until(lambda: rig.count("connections") == 1)
+        flight = Flight(rig)
+        flying = asyncio.create_task(flight.fly())
+        broker.hold()
+        for n in range(20):
+            rig.part.tell(event(rig.clock.now(), f"number {n}"))
+        await until(lambda: rig.count("connection_failures") >= 2)
+        assert not rig.health.parts["broker"].up
+        broker.go_on()
+        await asyncio.wait_for(consumer.done.wait(), 60.0)
+        flying.cancel()
     assert consumer.numbers == list(range(20))
     undisturbed(flight)
 
@@ -204,14 +198,9 @@ async def test_events_that_the_broker_forbids_are_kept(broker: Broker, tmp_path:
         await until(lambda: rig.count("events_refused") >= 1)
         assert rig.count("events_delivered") == 0
         assert rig.count("connections") == 1
-    consumer = Consumer(broker, 1)
-    async with asyncio.TaskGroup() as group:
-        consuming = group.create_task(consumer.run())
-        await consumer.listening.wait()
-        async with running(broker.settings(), tmp_path / "spool", session="allowed") as rig:
-            rig.part.tell(event(rig.clock.now(), "number 0"))
-            await consumer.done.wait()
-        consuming.cancel()
+    async with consuming(broker, 1) as consumer, running(broker.settings(), tmp_path / "spool", session="allowed") as rig:
+        rig.part.tell(event(rig.clock.now(), "number 0"))
+        await consumer.done.wait()
     assert [e.session for e in consumer.others[:1]] == [SESSION]
 
 
@@ -350,29 +339,24 @@ async def test_a_disk_that_stands_still_does_not_hold_up_the_end(broker, tmp_pat
 
 async def test_events_survive_a_broker_that_stops_and_one_that_is_killed(broker: Broker, tmp_path: Path) -> None:
     total = 500
-    consumer = Consumer(broker, total)
-    async with asyncio.TaskGroup() as group:
-        consuming = group.create_task(consumer.run())
-        await consumer.listening.wait()
-        async with running(broker.settings(), tmp_path / "spool") as rig:
-            await until(lambda: rig.count("connections") == 1)
-            for n in range(total):
-                if n == 100:
-                    stopped = group.create_task(asyncio.to_thread(broker.away, signal.SIGTERM, 1.0))
-                if n == 400:
-                    await stopped
-                    await until(lambda: rig.count("connections") == 2)
-                    # What the broker has acknowledged and not handed on when it is killed is lost by the broker, not by us.
-                    await until(lambda: len(consumer.numbers) == 400)
-                    group.create_task(asyncio.to_thread(broker.away, signal.SIGKILL, 0.2))
-                rig.part.tell(event(rig.clock.now(), f"number {n}"))
-                await asyncio.sleep(0.003)
-            async with asyncio.timeout(60):
-                await consumer.done.wait()
-            assert rig.count("connections") >= 3
-            await until(lambda: rig.count("events_waiting") == 0)
-            assert rig.count("events_dropped") == 0
-        consuming.cancel()
+    async with consuming(broker, total) as consumer, running(broker.settings(), tmp_path / "spool") as rig:
+        await until(lambda: rig.count("connections") == 1)
+        for n in range(total):
+            if n == 100:
+                stopped = asyncio.create_task(asyncio.to_thread(broker.away, signal.SIGTERM, 1.0))
+            if n == 400:
+                await stopped
+                await until(lambda: rig.count("connections") == 2)
+                # What the broker has acknowledged and not handed on when it is killed is lost by the broker, not by us.
+                await until(lambda: len(consumer.numbers) == 400)
+                killed = asyncio.create_task(asyncio.to_thread(broker.away, signal.SIGKILL, 0.2))
+            rig.part.tell(event(rig.clock.now(), f"number {n}"))
+            await asyncio.sleep(0.003)
+        await killed
+        await asyncio.wait_for(consumer.done.wait(), 60.0)
+        assert rig.count("connections") >= 3
+        await until(lambda: rig.count("events_waiting") == 0)
+        assert rig.count("events_dropped") == 0
     assert consumer.numbers == list(range(total))
 
 
@@ -384,15 +368,9 @@ async def test_events_of_a_service_without_a_broker_come_with_the_next_one(broke
             rig.part.tell(event(rig.clock.now(), f"number {n}"))
         await until(lambda: rig.count("connection_failures") >= 2)
     broker.start()
-    consumer = Consumer(broker, 41)
-    async with asyncio.TaskGroup() as group:
-        consuming = group.create_task(consumer.run())
-        await consumer.listening.wait()
-        async with running(broker.settings(), tmp_path / "spool", session="two") as rig:
-            rig.part.tell(event(rig.clock.now(), "number 40"))
-            async with asyncio.timeout(60):
-                await consumer.done.wait()
-        consuming.cancel()
+    async with consuming(broker, 41) as consumer, running(broker.settings(), tmp_path / "spool", session="two") as rig:
+        rig.part.tell(event(rig.clock.now(), "number 40"))
+        await asyncio.wait_for(consumer.done.wait(), 60.0)
     assert consumer.numbers == list(range(41))
     assert [e.text for e in consumer.others[:3]] == ["service started", "service stopped", "service started"]
     assert {e.session for e in consumer.others[:2]} == {"one"}
@@ -401,10 +379,7 @@ async def test_events_of_a_service_without_a_broker_come_with_the_next_one(broke
 async def test_stopping_at_any_moment_loses_no_event(broker: Broker, tmp_path: Path) -> None:
     """The service is cancelled while it connects, subscribes, spools, publishes; what it said is delivered or on disk."""
     reported = 0
-    consumer = Consumer(broker, 10**9)
-    async with asyncio.TaskGroup() as group:
-        consuming = group.create_task(consumer.run())
-        await consumer.listening.wait()
+    async with consuming(broker, 10**9) as consumer:
         for k in range(14):
             async with running(broker.settings(), tmp_path / "spool", session=f"s{k}") as rig:
                 for _ in range(5):
@@ -413,7 +388,6 @@ async def test_stopping_at_any_moment_loses_no_event(broker: Broker, tmp_path: P
                 await asyncio.sleep(0.0025 * k)
         async with running(broker.settings(), tmp_path / "spool", session="last"):
             await until(lambda: len(consumer.numbers) == reported)
-        consuming.cancel()
     assert consumer.numbers == list(range(reported))
 
 
@@ -489,7 +463,9 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
         try:
             assert (await wait(StatusMessage)).online
             assert (await ask(command="hold")).accepted
-            assert (await ask(command="abort")).accepted
+            key = key[::-1]
+            (tmp_path / "command.key").write_bytes(key)
+            assert (await ask(command="abort")).accepted, "a renewed key holds"
             late = await ask(command="begin")
             assert (late.reason, late.text) == ("not_possible", "the vehicle is silent")
             daemon.send_signal(signal.SIGTERM)

@@ -28,7 +28,6 @@ from companion.parts.mqtt.connection import BrokerEndpoint, Connection, connect
 from companion.parts.mqtt.encode import Changes
 from companion.parts.mqtt.messages import PUBLISHED, Topics, decode, split
 from companion.parts.mqtt.part import FARTHEST_S, LONGEST_BYTES, CommandHandler, RefusedMessage, signed, spool_folder, verified
-from companion.settings import files
 from companion.settings.links import MqttSettings
 from companion.settings.load import from_mapping
 from companion.settings.referenced_files import tls_context
@@ -187,10 +186,6 @@ def test_secrets_come_from_files_or_credentials(tmp_path: Path, caplog: pytest.L
     file.chmod(0o644)
     assert password() == "hush"
     assert "can be read by everyone" in caplog.text
-    assert files.find("credential:mqtt", "mqtt", {"CREDENTIALS_DIRECTORY": "/run/x"}) == Path("/run/x/mqtt")
-    for reference, environment in (("credential:mqtt", {}), ("credential:../a", {"CREDENTIALS_DIRECTORY": "/x"})):
-        with pytest.raises(BadInput, match="mqtt: 'credential:"):
-            files.find(reference, "mqtt", environment)
     for content, words in ((b"\n", "is empty"), (b"\xff", "not UTF-8 text")):
         file.write_bytes(content)
         with pytest.raises(BadInput, match=words):
@@ -249,7 +244,7 @@ def body(**changes: object) -> bytes:
 
 def handler_and_operator() -> tuple[CommandHandler, FakeOperator]:
     operator = FakeOperator()
-    return CommandHandler(Topics("deck"), SESSION, operator, RUN, KEY), operator
+    return CommandHandler(Topics("deck"), SESSION, operator, RUN, lambda: KEY), operator
 
 
 def test_only_the_right_key_topic_and_bytes_are_obeyed() -> None:
@@ -283,7 +278,7 @@ def test_a_copy_is_answered_and_carried_out_no_second_time_whatever_comes_betwee
     again = taker.take(good, MonoNs(NOW + 10**10))
     assert (again.reply.accepted, again.repeated) == (True, True), "the first answer, even after it has expired"
     assert operator.done == ["begin"]
-    later = CommandHandler(Topics("deck"), SESSION, operator, "f" * 32, KEY)
+    later = CommandHandler(Topics("deck"), SESSION, operator, "f" * 32, lambda: KEY)
     assert later.take(good, NOW).reply.reason == "other_run", "after a restart"
     assert operator.done == ["begin"]
 

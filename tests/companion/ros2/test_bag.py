@@ -579,6 +579,7 @@ async def test_a_flight_is_published_while_it_is_flown_and_again_after_the_servi
             await until(lambda: file.exists() and b"/rosout" in file.read_bytes())
             port = service.server.port
         before = file.read_bytes().count(b"/tf_static")
+        token.write_text(TOKEN[::-1])
         async with serve_live(token_file=str(token), port=port) as again:
             await until(lambda: again.counted("viewers") == 1)
             await again.fly(0.5)

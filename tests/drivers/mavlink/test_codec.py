@@ -13,10 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.settings.files import signing_key
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, TargetRelative, TimeSyncV2, crc_extra_of, mav
 from drivers.mavlink.requests import Parameters, RateLimit, Streams, VersionRequest, is_for, parameter_value, wire_value
-from drivers.mavlink.signing import EPOCH_S, TICKS_PER_S, Signing, SigningKey, SigningTimes, load_key
+from drivers.mavlink.signing import EPOCH_S, TICKS_PER_S, Signing, SigningKey, SigningTimes
 from drivers.mavlink.vehicle import CHUNK, LOST, JoinedTexts, Stack
 from estimator.contracts.errors import BadInput
 from tests.make import ns
@@ -38,7 +39,7 @@ def times(messages: list[Message]) -> list[int]:
 
 
 def signing(link_id: int = 3, wall_s: float = EPOCH_S + 1000.0) -> Signing:
-    return Signing(KEY, SigningTimes(None, lambda: wall_s), link_id)
+    return Signing(lambda: KEY, SigningTimes(None, lambda: wall_s), link_id)
 
 
 @settings(max_examples=60)
@@ -108,7 +109,7 @@ def test_signed_traffic_is_received_and_anything_else_is_refused() -> None:
     assert times(receiver.feed(good)) == [1]
     assert receiver.feed(good) == [], "a replay"
     assert receiver.feed(Codec(1, 1).pack(attitude_message(2))) == [], "unsigned"
-    stranger = Signing(SigningKey(bytes(32)), SigningTimes(None, lambda: EPOCH_S + 1001.0), 3)
+    stranger = Signing(lambda: SigningKey(bytes(32)), SigningTimes(None, lambda: EPOCH_S + 1001.0), 3)
     assert receiver.feed(Codec(9, 1, signing=stranger).pack(attitude_message(3))) == [], "another key"
     late = Codec(5, 1, signing=signing(wall_s=EPOCH_S + 900.0))
     assert receiver.feed(late.pack(attitude_message(4))) == [], "a new stream more than a minute behind"
@@ -119,7 +120,7 @@ def test_signed_traffic_is_received_and_anything_else_is_refused() -> None:
 def test_a_forged_time_does_not_shut_the_true_sender_out() -> None:
     sender, receiver = Codec(1, 1, signing=signing()), Codec(2, 1, signing=signing(link_id=4))
     assert receiver.feed(sender.pack(attitude_message(1)))
-    forger = Signing(SigningKey(bytes(32)), SigningTimes(None, lambda: EPOCH_S + 9e8), 3)
+    forger = Signing(lambda: SigningKey(bytes(32)), SigningTimes(None, lambda: EPOCH_S + 9e8), 3)
     assert receiver.feed(Codec(1, 1, signing=forger).pack(attitude_message(2))) == []
     assert times(receiver.feed(sender.pack(attitude_message(3)))) == [3]
 
@@ -375,48 +376,30 @@ def test_the_version_is_requested_until_it_is_answered_with_a_growing_pause() ->
 SECRET = bytes(range(100, 132))
 
 
-def key_file(folder: Path, content: bytes, mode: int = 0o600) -> str:
-    path = folder / "key"
-    path.write_bytes(content)
-    path.chmod(mode)
-    return str(path)
-
-
 @pytest.mark.parametrize(
-    ("content", "secret"),
+    ("content", "mode", "named", "found"),
     [
-        (SECRET, SECRET), (SECRET.hex().encode(), SECRET), (SECRET.hex().upper().encode() + b"\n", SECRET),
-        (b"passphrase: sea and sky\n", hashlib.sha256(b"sea and sky").digest()),
+        (SECRET, 0o600, "", SECRET), (SECRET.hex().encode(), 0o600, "", SECRET), (SECRET, 0o400, "credential:key", SECRET),
+        (SECRET.hex().upper().encode() + b"\n", 0o600, "", SECRET),
+        (b"passphrase: sea and sky\n", 0o600, "", hashlib.sha256(b"sea and sky").digest()),
+        (SECRET, 0o440, "credential:key", SECRET),  # as systemd's access list for a dynamic user shows
+        (SECRET, 0o644, "", "chmod 600"), (b"short and secret", 0o600, "", "neither 32 bytes"), (b"", 0o600, "", "neither"),
+        (SECRET, 0o600, "credential:../key", "does not name a credential"), (SECRET, 0o600, "/nowhere/key", "No such file"),
+        (SECRET, 0o600, "/dev/zero", "not a file, but a device"),
     ],
 )  # fmt: skip
-def test_a_key_is_32_bytes_or_64_digits_or_the_passphrase_of_ground_stations(
-    tmp_path: Path, content: bytes, secret: bytes
+def test_a_key_is_of_three_forms_and_what_is_none_is_named_and_not_shown(
+    tmp_path: Path, content: bytes, mode: int, named: str, found: bytes | str
 ) -> None:
-    assert load_key(key_file(tmp_path, content)).secret == secret
-
-
-@pytest.mark.parametrize("mode", [0o400, 0o440])  # the second is how systemd's access list for a dynamic user shows
-def test_a_systemd_credential(tmp_path: Path, mode: int) -> None:
-    key_file(tmp_path, SECRET, mode)
-    assert load_key("credential:key", {"CREDENTIALS_DIRECTORY": str(tmp_path)}).secret == SECRET
-    with pytest.raises(BadInput, match="LoadCredential"):
-        load_key("credential:key", {})
-    with pytest.raises(BadInput, match="does not name a credential"):
-        load_key("credential:../key", {"CREDENTIALS_DIRECTORY": str(tmp_path / "sub")})
-    with pytest.raises(BadInput, match="not a file, but a device"):
-        load_key("credential:zero", {"CREDENTIALS_DIRECTORY": "/dev"})
-
-
-@pytest.mark.parametrize(
-    ("content", "mode", "says"),
-    [(SECRET, 0o644, "chmod 600"), (b"short and secret", 0o600, "neither 32 bytes"), (b"", 0o600, "neither")],
-)
-def test_a_bad_key_file_is_named_and_its_content_is_not(tmp_path: Path, content: bytes, mode: int, says: str) -> None:
-    with pytest.raises(BadInput, match=says) as raised:
-        load_key(key_file(tmp_path, content, mode))
+    (file := tmp_path / "key").write_bytes(content)
+    file.chmod(mode)
+    environment = {"CREDENTIALS_DIRECTORY": str(tmp_path)}
+    if isinstance(found, bytes):
+        assert signing_key(named or str(file), environment=environment).secret == found
+        return
+    with pytest.raises(BadInput, match=found) as raised:
+        signing_key(named or str(file), environment=environment)
     assert "secret" not in str(raised.value)
-    with pytest.raises(BadInput, match="No such file"):
-        load_key(str(tmp_path / "absent"))
 
 
 def test_time_follows_the_wall_and_never_repeats() -> None:
@@ -437,12 +420,12 @@ def test_time_follows_the_wall_and_never_repeats() -> None:
 
 def crossing(times: SigningTimes, messages: list[bytes]) -> int:
     """Return the number of these that a link with these times accepts."""
-    codec = Codec(1, 191, datagrams=True, signing=Signing(SigningKey(SECRET), times, 0))
+    codec = Codec(1, 191, datagrams=True, signing=Signing(lambda: SigningKey(SECRET), times, 0))
     return sum(len(codec.feed(message)) for message in messages)
 
 
 def signed(wall_s: float, count: int = 3, system: int = 1) -> list[bytes]:
-    sender = Codec(system, 1, signing=Signing(SigningKey(SECRET), SigningTimes(None, lambda: wall_s), 7))
+    sender = Codec(system, 1, signing=Signing(lambda: SigningKey(SECRET), SigningTimes(None, lambda: wall_s), 7))
     return [sender.pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)) for _ in range(count)]
 
 
@@ -521,7 +504,7 @@ def test_a_right_signature_with_a_time_that_is_refused_is_counted_apart() -> Non
     now_s = EPOCH_S + 4e8
 
     def codec_of(key: bytes, wall_s: float) -> Codec:
-        return Codec(1, 1, datagrams=True, signing=Signing(SigningKey(key), SigningTimes(None, lambda: wall_s), 0))
+        return Codec(1, 1, datagrams=True, signing=Signing(lambda: SigningKey(key), SigningTimes(None, lambda: wall_s), 0))
 
     ours = codec_of(SECRET, now_s)
     heartbeat = mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)

@@ -93,6 +93,10 @@ class Spied:
         self.seen.add(name)
         return getattr(self.of, name)
 
+    def get(self, name: str, default: Any = None) -> Any:
+        self.seen.add(name)
+        return self.of.get(name, default)
+
 
 def reads(fields: Fields) -> set[str]:
     return {name for name, row in fields.items() if isinstance(row, Read)}
@@ -157,18 +161,6 @@ def test_every_field_of_a_position_report_has_its_row(monkeypatch) -> None:
             assert not cell or len(made(**{name: float(cell)})) < 3, (name, cell)
 
 
-class SpiedValues(dict[str, Any]):
-    """Values that note which of them are read."""
-
-    def __init__(self, of: dict[str, Any]) -> None:
-        super().__init__(of)
-        self.seen = set[str]()
-
-    def get(self, name: str, default: Any = None) -> Any:
-        self.seen.add(name)
-        return super().get(name, default)
-
-
 @pytest.mark.parametrize("pgn", MESSAGES)
 def test_every_field_of_nmea_2000_has_its_row_and_none_is_a_value_where_it_has_none(pgn: int) -> None:
     backend = pytest.importorskip("nmea2000", reason="the extra ship is not installed").backend
@@ -184,10 +176,9 @@ def test_every_field_of_nmea_2000_has_its_row_and_none_is_a_value_where_it_has_n
         values["reference"] = "True (ground referenced to North)"
     seen = set[str]()
     for missing in (None, *values):
-        spied, sensors = SpiedValues({**values, **({} if missing is None else {missing: None})}), ShipSensors()
-        made = sensors.samples(kind, "src 7", spied, Stamp(NOW, NOW, 0.01, "arrival"))
+        spied: Any = Spied({**values, **({} if missing is None else {missing: None})}, seen)
+        made = ShipSensors().samples(kind, "src 7", spied, Stamp(NOW, NOW, 0.01, "arrival"))
         assert made or missing is not None or kind == "variation"
-        seen |= spied.seen
     wanted = {name.lower() for name in reads(fields)}
     assert wanted <= seen
     assert seen - wanted <= {"altitude"}, "129025 shares the place of 129029, and has no height"
