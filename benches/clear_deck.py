@@ -12,7 +12,7 @@ drones on their way over the pad and back: seen counts any frame. Half of these 
 deck with waves about it. `--scenarios` comes down on the ships of scenarios. With `--leans` the camera is under an autopilot in
 wind: it comes from aside, leans by 6 to 26 degrees and swings beyond that, over the pad at 5 to 7 m for six seconds first.
 With `--hovers` it waits for a minute beside and over the empty pad of a ship, two pads in turn, and what counts is how long
-something was there at a stretch.
+something was there at a stretch. Its camera takes 30 frames/s, and those in which the tracker reads the deck are drawn.
 """
 
 import math
@@ -32,6 +32,7 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import PadCheck
 from estimator.vision.options import TrackerOptions
 from estimator.vision.srgb import LUMA, linear_light
@@ -47,18 +48,17 @@ from sitl.sea.sea import SEA_STATES, Waves
 from sitl.vessel.vessel import Vessel
 from sitl.world.stage import renderer as renderer_of
 from sitl.world.stage import sea_and_vessel
-from tests.support.pad_scenes import DECK_PAINTS, load_camera, load_pad, random_light
+from tests.support.pad_scenes import DECK_PAINTS, load_camera, load_pad, random_light, truth_of
 
 LIGHTS = ("light", "plain", "wet", "shadow", "glare", "mast", "dusk")
 BODIES = ("crate", "stands", "walks", "bird", "drone")
 HUES = ("grey", "any hue", "disc's hue")
-HIGH_M, LOW_M, FRAMES, PERIOD_S, LEAN_FRAMES = 5.0, 0.9, 41, 0.1, 110
-HOVER_FRAMES, HOVER_SEAS, HOVER_PADS, BARS_S = (
-    600,
-    ("demo", "sea_state_4", "sea_state_6", "weather_4"),
-    ("thesis", "printed"),
-    5.0,
+HIGH_M, LOW_M, FRAMES, PERIOD_S = 5.0, 0.9, 41, 0.1
+HOVER_SEAS = (
+    *("demo", "ferry", "patrol_boat", "glint", "dusk", "rain", "weather_4", "weather_6"),
+    *(f"sea_state_{k}" for k in range(7)),
 )
+HOVER_PADS, BARS_S = ("thesis", "printed"), 5.0
 LAST, LAST_SURE = 10, 3
 
 
@@ -74,8 +74,8 @@ class Approached:
     """The same about it."""
     lands: bool
     """True if the pad is sure in the last frames."""
-    near_s: float = 0.0
-    """Longest time at a stretch for which something was there about it."""
+    held_s: float
+    """Longest time at a stretch for which something was there, on it or about it."""
 
     @property
     def asks(self) -> bool:
@@ -176,32 +176,38 @@ def hovering(rng: np.random.Generator) -> Way:
     return at
 
 
+class Course(NamedTuple):
+    """A kind of way, and the frames that are taken on it."""
+
+    way: Callable[[np.random.Generator], Way]
+    frames: int
+    period_s: float = PERIOD_S
+    reads_alone: bool = False
+    """True to draw none but the frames in which the tracker reads the deck."""
+
+
+DOWN, LEANS, HOVER = Course(swinging, FRAMES), Course(leaning, 110), Course(hovering, 1800, 1 / 30, reads_alone=True)
+
+
 def hovers(runs: range) -> None:
     """Print the hovers over an empty deck in which something was there for so long that it holds a landing."""
     barred = 0
-    for seed in runs:
+    for n, seed in enumerate(runs):
         name, pad = HOVER_SEAS[seed % len(HOVER_SEAS)], HOVER_PADS[seed // len(HOVER_SEAS) % len(HOVER_PADS)]
         scenario = load_scenario(name)
-        of = over_ship(seed, replace(scenario, pad=replace(scenario.pad, file=pad)), way=hovering, frames=HOVER_FRAMES)
-        barred += of.near_s >= BARS_S
-        if of.near_s:
-            print(f"  seed {seed}, {name}, {pad}: something for {of.near_s:.1f} s, {of.check}", flush=True)
+        of = over_ship(seed, replace(scenario, pad=replace(scenario.pad, file=pad)), HOVER)
+        barred += of.held_s >= BARS_S
+        if of.held_s or of.asks:
+            print(f"  hover {n + 1}, seed {seed}, {name}, {pad}: something for {of.held_s:.1f} s, {of.check}", flush=True)
     print(f"hovers: {barred} of {len(runs)} barred for {BARS_S:g} s and more", flush=True)
 
 
-def over_ship(
-    seed: int,
-    scenario: Scenario,
-    *,
-    leans: bool = False,
-    way: Callable[[np.random.Generator], Way] | None = None,
-    frames: int | None = None,
-) -> Approached:
+def over_ship(seed: int, scenario: Scenario, course: Course = DOWN) -> Approached:
     """Return what an approach to the clear pad of a scenario's ship shows, in its sea and light."""
     waves, vessel = sea_and_vessel(scenario, [seed])
     film = renderer_of(scenario, waves, vessel, seed)
     tracker = TrackerConfig(camera_model(scenario), pad_model(scenario), TrackerOptions())
-    return followed(tracker, vessel, film.render, np.random.default_rng([50, seed]), leans=leans, way=way, frames=frames)
+    return followed(tracker, vessel, film.render, np.random.default_rng([50, seed]), course)
 
 
 def approach(
@@ -210,8 +216,7 @@ def approach(
     things: tuple[Decal, ...],
     tracker: TrackerConfig,
     bodies: tuple[Bystander, ...] = (),
-    *,
-    leans: bool = False,
+    course: Course = DOWN,
 ) -> Approached:
     """Return what an approach to a pad at rest shows."""
     rng = np.random.default_rng([50, seed])
@@ -219,10 +224,9 @@ def approach(
     effects = PictureEffects(tracker.camera, tracker.pad, renderer.light, seed)
 
     def image(shot: Exposure, rng: np.random.Generator) -> NDArray[np.uint8]:
-        px = renderer.render(shot, rng)
-        return effects.drawn(px, bodies, shot, rng) if bodies else px
+        return effects.drawn(renderer.render(shot, rng), bodies, shot, rng)
 
-    return followed(tracker, None, image, rng, leans=leans)
+    return followed(tracker, None, image, rng, course)
 
 
 def followed(
@@ -230,18 +234,14 @@ def followed(
     vessel: Vessel | None,
     image: Callable[[Exposure, np.random.Generator], NDArray[np.uint8]],
     rng: np.random.Generator,
-    *,
-    leans: bool,
-    way: Callable[[np.random.Generator], Way] | None = None,
-    frames: int | None = None,
+    course: Course,
 ) -> Approached:
     """Return what the tracker makes of an approach to the pad of a vessel, or to one at rest."""
-    memory, check, first_m, near_m, sure, near_s, longest_s = TrackerMemory(), None, 0.0, 0.0, 0, 0.0, 0.0
-    yaw, flown = float(rng.uniform(-math.pi, math.pi)), (way or (leaning if leans else swinging))(rng)
-    frames = frames or (LEAN_FRAMES if leans else FRAMES)
+    memory, check, first_m, near_m, sure, clear_s, held_s = TrackerMemory(), None, 0.0, 0.0, 0, 0.0, 0.0
+    yaw, flown, view = float(rng.uniform(-math.pi, math.pi)), course.way(rng), None
     p_pad, v_pad, w_pad, R_pad = np.array([0.0, 0.0, -0.6]), np.zeros(3), np.zeros(3), Rotation.identity()
-    for k in range(frames):
-        t = k * PERIOD_S
+    for k in range(course.frames):
+        t = k * course.period_s
         if vessel is not None:
             pad = vessel.pad_at(t)
             p_pad, v_pad, w_pad, R_pad = pad.p_ned, pad.v_ned, pad.w, Rotation(pad.R_ned)
@@ -249,24 +249,26 @@ def followed(
         R, p_body = Rotation.from_rpy(is_at.roll, is_at.pitch, yaw), p_pad + is_at.place_m
         w = rng.normal(0, 0.1, 3) if is_at.w_rad_s is None else is_at.w_rad_s
         shot = Exposure(t, R, p_body, R_pad, p_pad, is_at.v_m_s + v_pad, w, v_pad, w_pad)
-        px = image(shot, rng)
         stamp = Stamp(MonoNs(round(1e9 * (1.0 + t))), MonoNs(round(1e9 * (1.0 + t))), 0.0, "sim")
-        d_level = Rotation.from_rpy(0.0, 0.0, yaw).inv @ (p_pad - p_body)
-        error = rng.normal(0.0, 0.005, 3)
+        if view is not None and not memory.deck.is_due(stamp.measured_at, view, truth_of(shot, tracker.camera)):
+            continue
+        px = image(shot, rng)
+        view = FrameView(Pyramid(px), tracker.camera, tracker.pad) if course.reads_alone else None
+        d_level = Rotation.from_rpy(0.0, 0.0, yaw).inv @ (p_pad - p_body) + rng.normal(0.0, 0.005, 3)
         belief = RelativeState(
-            stamp.measured_at, "ekf", d_level + error, np.zeros(3), wrap_pi(yaw - R_pad.rpy_rad[2] + float(rng.normal(0, 0.005))),
+            stamp.measured_at, "ekf", d_level, np.zeros(3), wrap_pi(yaw - R_pad.rpy_rad[2] + float(rng.normal(0, 0.005))),
             np.diag([0.005**2] * 3 + [0.01] * 3 + [SIGMA_YAW_RAD**2]), stamp.measured_at, True,
         )  # fmt: skip
         attitude = Attitude(stamp, Rotation.from_rotvec(rng.normal(0, 0.005, 3)) @ R, np.eye(3) * 0.006**2)
         seen, memory = track(tracker, memory, Frame(stamp, k, px), attitude, belief if k else None)
-        sure += k >= frames - LAST and seen.selected is not None and seen.selected.confidence >= 0.5
-        if seen.on_pad is not None:
-            check = seen.on_pad
-            first_m = first_m or (-is_at.place_m[2] if check.thing is not None else 0.0)
-            near_m = near_m or (-is_at.place_m[2] if check.near is not None else 0.0)
-        near_s = near_s + PERIOD_S if seen.on_pad is not None and seen.on_pad.near is not None else 0.0
-        longest_s = max(longest_s, near_s)
-    return Approached(check, first_m, near_m, sure >= LAST_SURE, longest_s)
+        sure += k >= course.frames - LAST and seen.selected is not None and seen.selected.confidence >= 0.5
+        on, about = (None, None) if seen.on_pad is None else (seen.on_pad.thing, seen.on_pad.near)
+        check = seen.on_pad or check
+        first_m = first_m or (0.0 if on is None else -is_at.place_m[2])
+        near_m = near_m or (0.0 if about is None else -is_at.place_m[2])
+        clear_s = t if on is None and about is None else clear_s
+        held_s = max(held_s, t - clear_s)
+    return Approached(check, first_m, near_m, sure >= LAST_SURE, held_s)
 
 
 def with_things(runs: range, contrast: float, lights: tuple[str, ...], tracker: TrackerConfig) -> None:
@@ -296,29 +298,27 @@ def with_things(runs: range, contrast: float, lights: tuple[str, ...], tracker: 
     print(f"first seen at {np.median(heights or [0.0]):.1f} m in the median", flush=True)
 
 
-def without(runs: range, lights: Sequence[str], tracker: TrackerConfig | None, *, leans: bool) -> None:
+def without(runs: range, lights: Sequence[str], tracker: TrackerConfig | None, course: Course) -> None:
     """Print the number of clear approaches in which something is seen at any time; None flies in scenarios of these names."""
     wrong: dict[str, list[tuple[bool, bool, bool]]] = defaultdict(list)
     for seed in runs:
         light = lights[seed % len(lights)]
         if tracker is None:
-            of = over_ship(seed, load_scenario(light), leans=leans)
+            of = over_ship(seed, load_scenario(light), course)
         else:
-            of = approach(10_000 + seed, light, (), tracker, leans=leans)
+            of = approach(10_000 + seed, light, (), tracker, course=course)
         wrong[light].append((of.first_m > 0.0, of.near_m > 0.0, of.asks))
         if of.first_m or of.near_m:
-            print(
-                f"  false: seed {seed}, {light}, on it from {of.first_m:.1f} m, about it from {of.near_m:.1f} m, {of.check}",
-                flush=True,
-            )
+            where = f"on it from {of.first_m:.1f} m, about it from {of.near_m:.1f} m"
+            print(f"  false: seed {seed}, {light}, {where}, {of.check}", flush=True)
     for light, each in wrong.items():
         on, about, asked = np.sum(each, axis=0)
         print(f"clear, {light}: {on} of {len(each)} with something seen on the pad, {about} about it, {asked} asked", flush=True)
 
 
-def with_bodies(runs: range, tracker: TrackerConfig, *, leans: bool) -> None:
+def with_bodies(runs: range, tracker: TrackerConfig, course: Course) -> None:
     """Print the share of bodies about the pad that were seen, by kind."""
-    seen: dict[str, list[bool]] = defaultdict(list)
+    seen: dict[str, list[tuple[bool, bool]]] = defaultdict(list)
     for seed in runs:
         rng, kind = np.random.default_rng([52, seed]), BODIES[seed % len(BODIES)]
         light = LIGHTS[int(rng.integers(len(LIGHTS)))]
@@ -333,12 +333,14 @@ def with_bodies(runs: range, tracker: TrackerConfig, *, leans: bool) -> None:
             "bird": replace(walks, thing="bird", height_m=1.2, speed_m_s=float(rng.uniform(0.5, 2.0))),
             "drone": replace(walks, thing="drone", height_m=1.0, speed_m_s=float(rng.uniform(0.2, 0.8))),
         }[kind]
-        of = approach(20_000 + seed, light, (), tracker, (body,), leans=leans)
-        seen[kind].append(max(of.first_m, of.near_m) > 0.0)
+        of = approach(20_000 + seed, light, (), tracker, (body,), course)
+        kept = of.check is not None and (of.check.thing is not None or of.check.near is not None)
+        seen[kind].append((max(of.first_m, of.near_m) > 0.0, kept))
         where = f"{seed}, {kind}, {light}, {body.height_m:.1f} m high, {r:.2f} m off"
-        print(f"  {where}: on the pad from {of.first_m:.1f} m, about it from {of.near_m:.1f} m", flush=True)
+        print(f"  {where}: on the pad from {of.first_m:.1f} m, about it from {of.near_m:.1f} m, {of.check}", flush=True)
     for kind, each in seen.items():
-        print(f"{kind}: {sum(each)} of {len(each)} seen", flush=True)
+        found, kept = np.sum(each, axis=0)
+        print(f"{kind}: {found} of {len(each)} seen, {kept} in the last frame", flush=True)
 
 
 def main() -> None:
@@ -356,13 +358,11 @@ def main() -> None:
     lights = LIGHTS if args.light is None else (args.light,)
     cv2.setNumThreads(1)
     tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), TrackerOptions())
-    clear = range(args.first, args.first + args.clear)
-    if args.scenarios:
-        without(clear, args.scenarios.split(","), None, leans=args.leans)
-    else:
-        without(clear, lights, tracker, leans=args.leans)
+    clear, course = range(args.first, args.first + args.clear), LEANS if args.leans else DOWN
+    ships = args.scenarios.split(",") if args.scenarios else ()
+    without(clear, ships or lights, None if ships else tracker, course)
     with_things(range(args.first, args.first + args.runs), args.contrast, lights, tracker)
-    with_bodies(range(args.first, args.first + args.bodies), tracker, leans=args.leans)
+    with_bodies(range(args.first, args.first + args.bodies), tracker, course)
     if args.hovers:
         hovers(range(args.first, args.first + args.hovers))
 

@@ -98,9 +98,11 @@ _STANDS_M, _STANDS_SIGMAS = 0.15, 6.0
 """Least height of what stands out, and in standard deviations."""
 _FLAT_LEAST, _SIGMAS_ARE, _MAD = 12, (0.4, 1.0), 1.4826
 """Least number of corners that say what a standard deviation is worth, and between which limits."""
+_ASTRAY = 2.0
+"""Such a spread from which on a reading confirms nothing: in the picture that is followed the pad was registered wrongly."""
 _BELOW = 0.8
 """Largest height of what stands, in parts of the camera's."""
-_STAYS, _STAYS_PART, _STAYS_M = 4.0, 0.15, 0.06
+_STAYS, _STAYS_PART, _STAYS_M = 4.0, 0.3, 0.06
 """Largest mean square that is left of a corner that stands: in variances, and of a high one more, in parts of what the height
 explains, up to so many metres."""
 _MOVES_M, _MOVES_TIMES = 0.12, 6.0
@@ -126,6 +128,8 @@ class _Heights:
     stays: NDArray[np.bool_]
     stands: NDArray[np.bool_]
     moves: NDArray[np.bool_]
+    flat: float
+    """Spread of most about the deck, in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -180,9 +184,7 @@ def _shows_ring(view: FrameView, pose: PadPose) -> bool:
 def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> AroundMemory:
     """Return the memory with what a frame shows about the pad, whose registered pose is `pose`."""
     since_s = math.inf if memory is None else seconds_between(memory.at, at)
-    if memory is not None and 0.0 <= since_s < PERIOD_S:
-        return memory
-    if memory is not None and not _shows_ring(view, pose):
+    if memory is not None and (0.0 <= since_s < PERIOD_S or not _shows_ring(view, pose)):
         return memory
     centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
     height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
@@ -202,8 +204,12 @@ def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at
         of = _heights(sums, view.pad.disc_radius_m)
         new, known = _nearest_of(of, q, stood, view.pad.disc_radius_m), memory.near(at)
         if new is not None and (known is None or new.height_m > 0.0 or known.height_m == 0.0):
+            place = known or new
+            apart_m = math.hypot(place.forward_m - new.forward_m, place.right_m - new.right_m)
             again = known is not None and (known.height_m > 0.0) == (new.height_m > 0.0)
-            found, found_at, times, missed = new, at, 1 + (times if again else 0), 0
+            times = times if again and (times >= _SURE or apart_m < _CLUSTER_M) else 0
+            times = max(1, times + (of.flat < _ASTRAY))
+            found, found_at, missed = new, at, 0
         elif known is not None and known.height_m > 0.0 and times < _SURE and _is_shown(known, shown):
             missed += 1
             found, found_at = (None, None) if missed >= _FADES else (found, found_at)
@@ -246,8 +252,8 @@ def _follow(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[np
 def _corners(above: U8, shown: U8, disc_radius_m: float, old: F64) -> F64:
     """Return new corners in the ring about the pad, (N, 2) px from above, those near the pad first, beside the old ones."""
     middle = (len(above) - 1) // 2
-    mask = cv2.erode(shown, np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8))
-    mask[:_MARGIN], mask[-_MARGIN:], mask[:, :_MARGIN], mask[:, -_MARGIN:] = 0, 0, 0, 0
+    box = np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8)
+    mask = cv2.erode(shown, box, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     cv2.circle(mask, (middle, middle), math.ceil(_OFF_DISC * disc_radius_m / _STEP_M), 0, -1)
     for x, y in np.rint(old).astype(int).tolist():
         cv2.circle(mask, (x, y), _APART_PX, 0, -1)
@@ -284,18 +290,20 @@ def _heights(sums: F64, disc_radius_m: float) -> _Heights:
     # Most corners lie flat: how far their heights are off says what a standard deviation is worth in this approach.
     sure, flat = np.sqrt(aa), _SIGMAS_ARE[1]
     if np.count_nonzero(often) >= _FLAT_LEAST:
-        flat = float(np.clip(_MAD * median(np.abs(z * sure)[often]), *_SIGMAS_ARE))
-    # What is high turns and grows on the way down, and its corners are followed less well.
-    stays = left < _STAYS * freedom + np.minimum(_STAYS_PART * np.maximum(0.0, aq * z), _STAYS_M**2 * w)
+        flat = float(_MAD * median(np.abs(z * sure)[often]))
+    # What is high turns and grows on the way down, and its corners are followed less well. On the deck more is left than here, as
+    # q = (p - c z/h) / (1 - z/h): glitter that goes its own way would seem to stand just below the camera.
+    on_deck = left / np.square(np.clip(1.0 - z / np.sqrt(sums[:, 10] / w), 1.0 - _BELOW, 1.0))
+    stays = on_deck < _STAYS * freedom + np.minimum(_STAYS_PART * np.maximum(0.0, aq * z), _STAYS_M**2 * w)
     stands = (
         (reads >= _READS_STANDS)
         & (own > left + _STANDS_SIGMAS**2 * freedom)
-        & (z > np.maximum(_STANDS_M, flat * _STANDS_SIGMAS / sure))
+        & (z > np.maximum(_STANDS_M, float(np.clip(flat, *_SIGMAS_ARE)) * _STANDS_SIGMAS / sure))
         & stays
     )
     stands &= (np.hypot(*place.T) < disc_radius_m + _STANDS_REACH_M + _CLUSTER_M) & (z < _BELOW * np.sqrt(sums[:, 10] / w))
     moves = often & (left / w > _MOVES_M**2) & (left > _MOVES_TIMES**2 * freedom) & (z > -_STANDS_M)
-    return _Heights(place, z, stays, stands, moves)
+    return _Heights(place, z, stays, stands, moves, flat)
 
 
 def _left_by_own(sums: F64) -> F64:
@@ -314,7 +322,7 @@ def _left_by_own(sums: F64) -> F64:
 def _nearest_of(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearThing | None:
     """Return the nearest thing that several corners agree on, with those that stood and were lost."""
     standing = np.concatenate([of.place[of.stands], stood[:, :2]]), np.concatenate([of.z[of.stands], stood[:, 2]])
-    best: NearThing | None = None
+    seen: list[NearThing] = []
     moving = q[of.moves], np.zeros(np.count_nonzero(of.moves))
     for (those, up), reach_m in ((standing, disc_radius_m + _STANDS_REACH_M), (moving, math.inf)):
         if len(those) < _AGREE:
@@ -325,12 +333,10 @@ def _nearest_of(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearT
         agree = near.sum(axis=1)
         # What was lost confirms what is followed, and nothing alone.
         followed = np.arange(len(those)) < len(those) - (len(stood) if reach_m < math.inf else 0)
-        for k in np.flatnonzero(followed & (agree >= _AGREE) & (np.hypot(*those.T) < reach_m)):
-            x, y = np.median(those[near[k]], axis=0).tolist()
-            seen = NearThing(x, y, float(np.median(up[near[k]])))
-            if best is None or seen.from_centre_m < best.from_centre_m:
-                best = seen
-    return best
+        agreed = np.column_stack([those, up])
+        each = near[followed & (agree >= _AGREE) & (np.hypot(*those.T) < reach_m)]
+        seen += [NearThing(*np.median(agreed[these], axis=0).tolist()) for these in each]
+    return min(seen, key=lambda of: of.from_centre_m, default=None)
 
 
 _PASS_PERIOD_S, _LOW_PERIOD_S, _LOW_M = 0.19, 0.09, 1.0
@@ -460,10 +466,9 @@ def _most(of: U8) -> U8:
 
 def _largest(change: U8) -> NearThing | None:
     """Return the largest patch of cells that changed."""
-    count, _, stats, middles = cv2.connectedComponentsWithStats(change, connectivity=8)
-    if count < 2:
-        return None
-    best = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+    _, _, stats, middles = cv2.connectedComponentsWithStats(change, connectivity=8)
+    stats[0, cv2.CC_STAT_AREA] = 0  # what did not change
+    best = int(stats[:, cv2.CC_STAT_AREA].argmax())
     if stats[best, cv2.CC_STAT_AREA] < _CELLS_LEAST:
         return None
     x, y = ((middles[best] - (len(change) - 1) / 2) * _CELL_M).tolist()

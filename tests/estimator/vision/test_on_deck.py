@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from benches.clear_deck import approach, over_ship
+from benches.clear_deck import HOVER, LEANS, approach, over_ship
 from companion.base.mission import State
 from companion.guidance.pilot import Pilot
 from companion.settings.guidance import GuidanceOptions
@@ -177,9 +177,7 @@ def test_what_lies_flat_and_what_is_light_or_sea_is_nothing(surroundings: Surrou
     ],
     ids=["a crate", "a person stands", "a person walks"],
 )
-def test_what_is_about_the_pad_is_seen_with_its_height_for_a_time(
-    body: Bystander, height_m: tuple[float, float], lasts_s: float
-) -> None:
+def test_what_is_about_the_pad_is_seen_with_its_height_for_a_time(body, height_m, lasts_s) -> None:
     memory = came_down_about(Surroundings(WIDE), body)
     near, at = memory.near(memory.at), memory.found_at
     assert near is not None
@@ -205,16 +203,18 @@ def test_what_later_looks_at_its_place_do_not_confirm_fades_unless_many_did_befo
     assert (memory.near(memory.at) is not None) is is_kept
 
 
-@pytest.mark.parametrize("seed", [24, 40])
-def test_a_camera_that_leans_and_swings_sees_nothing_about_a_clear_pad(seed: int) -> None:
-    """Corners that were followed wrongly stand near each other there, each with a height of its own."""
-    assert over_ship(seed, load_scenario("weather_4"), leans=True).near_m == 0.0
+@pytest.mark.parametrize(
+    ("seed", "over", "course"),
+    [(24, "weather_4", LEANS), (40, "weather_4", LEANS), (900003, "glint", HOVER._replace(frames=330))],
+)
+def test_a_camera_that_leans_and_swings_or_waits_over_glitter_sees_nothing_about_a_clear_pad(seed, over, course) -> None:
+    """Corners that were followed wrongly stand near each other there, each with a height of its own, or go their own way."""
+    assert over_ship(seed, load_scenario(over), course).near_m == 0.0
 
 
 def test_a_camera_that_leans_and_swings_sees_a_crate_beside_the_pad() -> None:
     crate = Bystander(at_s=0.0, thing="box", forward_m=0.1, right_m=0.75, width_m=0.4, height_m=0.5)
-    tracker = TrackerConfig(CAMERA, PAD, TrackerOptions())
-    assert approach(0, "plain", (), tracker, (crate,), leans=True).near_m > 4.0
+    assert approach(0, "plain", (), TrackerConfig(CAMERA, PAD, TrackerOptions()), (crate,), LEANS).near_m > 4.0
 
 
 FOOT = Bystander(at_s=0.0, forward_m=0.1, right_m=-0.8, to_forward_m=0.1, to_right_m=0.9, height_m=0.15, speed_m_s=0.8)
