@@ -54,7 +54,6 @@ def belief_at(place: PadPlacement) -> RelativeState:
 def said(network: SecondOpinion, name: str, shown: str, turned_rad: float = 0.0) -> float:
     """Return the network's confidence that the pad `name` is where the pad `shown` was rendered, turned by an angle."""
     scene = pad_scene(np.random.default_rng(4), CAMERA, shipped_pad(shown), 2.0, "plain", 0.1)
-    assert scene.truth is not None
     log_odds = network.log_odds(Pyramid(scene.px), CAMERA, shipped_pad(name), scene.truth.turned(turned_rad))
     assert log_odds is not None
     return confidence_of(log_odds)
@@ -84,7 +83,6 @@ def test_the_patch_is_the_drawing_where_the_pad_is() -> None:
     pad = shipped_pad("thesis")
     px = image(PLACE, CAMERA, pad, blur_px=0.6, gain=(0.7, 0.5, 0.6)).px
     patch = patch_of(Pyramid(px), CAMERA, pad, pose_of(PLACE))
-    assert patch is not None
     x = inputs(patch)
     assert x.shape == (CHANNELS, SIDE, SIDE)
     known = patch.drawn[:, :, 3] > 250
@@ -100,7 +98,6 @@ def test_it_can_only_lower_a_confidence_and_is_used_in_a_search_alone() -> None:
     def confidence(opinion: SecondOpinion | None) -> float:
         tracker = TrackerConfig(CAMERA, pad, TrackerOptions(learned="second_opinion"), second_opinion=opinion)
         seen = track(tracker, TrackerMemory(), frame, attitude)[0]
-        assert seen.selected is not None
         assert (seen.opinions is None) == (opinion is None)
         return seen.selected.confidence
 
@@ -111,7 +108,6 @@ def test_it_can_only_lower_a_confidence_and_is_used_in_a_search_alone() -> None:
     no = Always(-30.0)
     tracker = TrackerConfig(CAMERA, pad, second_opinion=no)
     seen = track(tracker, TrackerMemory(), frame, attitude, belief_at(PLACE))[0].selected
-    assert seen is not None
     assert seen.confidence > 0.5
     assert no.asked == 0
 

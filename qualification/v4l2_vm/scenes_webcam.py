@@ -82,7 +82,6 @@ class Deck:
         self._where = where
 
     def image(self, fourcc: str, size: tuple[int, int], n: int) -> tuple[bytes, bool]:
-        assert self.webcam is not None
         self._settings.append((self.webcam.exposure.now, self.webcam.gain.now))
         units, gain = self._settings[0]
         white = self.light * 0.1 * units * (1.0 + gain / 16.0)
@@ -203,7 +202,6 @@ async def a_driven_exposure_brings_the_pad_to_its_level_and_a_refused_one_ends_n
                     levels.append(0.0 if seen is None else seen.level)
                 assert all(0.4 * TARGET < level < 1.4 * TARGET for level in levels[-10:]), levels
                 assert (webcam.mode.now, webcam.auto_balance.now, webcam.balance.now) == (1, 0, 6500)
-                assert drive.held is not None
                 held_s, gain = drive.held.exposure_s, drive.held.gain
                 assert abs(held_s - 1e-4 * webcam.exposure.now) < 1e-9
                 assert (frame.exposure_s, frame.gain) == (held_s, gain)

@@ -58,8 +58,6 @@ def test_in_a_long_run_the_first_thirty_flights_are_warm_up_whatever_they_fill()
     leak = [Reading(100.0 * n, n, 204.0 + 0.1 * n, 6, 4, None, 50.0 * n) for n in range(1, 76)]
     assert warm_up_s(step) == 3000.0
     once, always = (findings(readings, warm_up_s(readings)) for readings in (step, leak))
-    assert once is not None
-    assert always is not None
     assert once.faults == []
     assert "memory grew by 1.7%" in always.faults[0]
     assert warm_up_s(step[:40]) == pytest.approx(0.2 * 4000.0), "half of a short run would be too much"

@@ -15,7 +15,6 @@ from companion.cli.main import main
 from companion.settings.load import pad_of_file
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import Attitude, Frame
-from estimator.vision.fiducial import PaintedFiducial
 from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
@@ -123,7 +122,6 @@ def test_a_node_of_ros_2_is_one_tag_and_a_board_is_turned_as_it_was_painted(tmp_
     node = "/**:\n  ros__parameters:\n    family: 16h5\n    size: 0.2\n    tag: {ids: [4, 9], sizes: [0.3, 0.1]}\n"
     for target, more, wanted in (("tag_9", (), (9, 0.1, 180.0)), ("tag_4", ("--tags-turned",), (4, 0.3, 0.0))):
         tag = imported(tmp_path, "node.yaml", node, "--target", target, *more, "--force").regions[1]
-        assert isinstance(tag, PaintedFiducial)
         assert (tag.dictionary, tag.id, tag.size_m, tag.turn_deg) == ("DICT_APRILTAG_16h5", *wanted)
 
 

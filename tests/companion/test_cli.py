@@ -209,8 +209,6 @@ def test_a_reader_that_went_away_is_no_traceback() -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "companion.cli.main", "config", "schema"], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == b""
         assert process.wait(60) == 141

@@ -56,8 +56,6 @@ def test_a_parameter_that_is_written_in_flight_makes_the_law_forget_nothing_of_t
     changed = structs.replace(table, **{name: 0.9 * getattr(table, name)})
     landing.retune(structs.replace(SETTINGS.guidance, **{section: changed}))
     after = pushed(landing, 200)
-    assert isinstance(before, Lean)
-    assert isinstance(after, Lean)
     assert before.trim_level[0] < -2.5
     assert after.trim_level == pytest.approx(before.trim_level, abs=0.05)
     assert after.a_level == pytest.approx(before.a_level, abs=0.2)
@@ -104,7 +102,6 @@ def test_the_field_of_view_is_in_the_body_axes_whatever_way_the_camera_is_turned
         return replace(given, T_body_cam=Transform(R, given.T_body_cam.t))
 
     nose_up, sideways = field_of_view(camera(90.0)), field_of_view(camera(0.0))
-    assert nose_up is not None
     assert (nose_up.half_forward_rad, nose_up.half_right_rad) == (sideways.half_right_rad, sideways.half_forward_rad)
     assert math.degrees(nose_up.half_forward_rad) == pytest.approx(25.6, abs=0.1)
     assert field_of_view(camera(90.0, 60.0)) is None
@@ -164,7 +161,6 @@ def test_heights_and_heading_are_the_law_s(rate_m_s: float | None) -> None:
     memory = law.start()
     for n, command in enumerate(policy_commands([0.2, 0.1, 1.0], target)):
         memory, own = law.step(memory, ns(0.02 * n), knowledge(0.02 * n, [0.2, 0.1, 1.0]), target)
-        assert isinstance(own, Lean)
         assert (command.v_level[2], command.yaw_rate_rad_s) == (own.v_level[2], own.yaw_rate_rad_s)
 
 

@@ -380,7 +380,6 @@ class Scene:
     def run(self, frames: int, w_body: float = 0.0) -> ExposureSetting:
         for _ in range(frames):
             held = self.drive.held
-            assert held is not None
             self.number += 1
             stamp = stamp_at(self.number * PERIOD_NS)
             self.part.on_sample(imu(stamp, (0.0, w_body, 0.0)))

@@ -66,7 +66,6 @@ def test_the_place_that_is_told_before_is_the_one_that_is_flown_to(d: Any, yaw: 
     seen = estimate(1.0, d, yaw=yaw, age=age, sigma=sigma)
     told = touch(cycle(1.0, seen), OPTIONS)
     p, aim, _ = mission_step(landing(at_s=0.9), cycle(1.0, seen), OPTIONS)
-    assert isinstance(aim, Target)
     assert p.here is not None
     assert told.lateral_m == pytest.approx(math.hypot(*aim.d_body_pad_level[:2]))
     assert touch(cycle(1.0, seen), OPTIONS, p.here) == told, "and so is what is told on the way"
@@ -76,7 +75,6 @@ def test_the_place_that_is_told_before_is_the_one_that_is_flown_to(d: Any, yaw: 
     _, later, _ = mission_step(p, cycle(1.1, turned), OPTIONS)
     c, s = math.cos(0.5), math.sin(0.5)
     x, y, _ = aim.d_body_pad_level
-    assert isinstance(later, Target)
     assert later.d_body_pad_level[:2] == pytest.approx([c * x + s * y, c * y - s * x]), "it is a place on the deck"
 
 
@@ -310,5 +308,4 @@ def test_a_service_that_comes_back_goes_on_to_the_place_that_was_meant() -> None
     guidance = back(FlightMemory(ns(100.0), "LAND_HERE", True, 1.0, here=(0.4, 1.0))).pilot.landing
     assert guidance.mission.lands_here
     assert guidance.mission.here == Here((0.4, 1.0))
-    assert guidance.memory is not None
     assert (guidance.memory.state, guidance.memory.here) == ("LAND_HERE", (0.4, 1.0))

@@ -270,7 +270,6 @@ def test_a_lens_elsewhere_ends_every_try_unless_the_pad_is_the_nearest_way_down(
     off = replace(sees(), lens_off_m=(0.3, -0.1))
     for state in (*WAY, State.SEARCH, State.RENDEZVOUS):
         ended = of(Event.NO_CONDITIONS, memory(state), cycle(off))
-        assert ended is not None
         assert "the lens is 32 cm from where the camera's file has it: +0.30 m forward, -0.10 m right" in ended.text
     for state in WAY:
         assert of(Event.NO_CONDITIONS, memory(state), cycle(off, battery=0.05)) is None

@@ -91,7 +91,6 @@ def test_the_printed_board_is_found_where_it_was_drawn(tmp_path: Path, board: Bo
     assert main(["pad", "print", "--board", board.kind, *chosen, "--out", str(out)]) == 0
     (px,) = rendered(out)
     found = board.find(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
-    assert found is not None
     ids, uv = found
     assert len(ids) == 6 * 9
     sheet = sheets(board_drawing(board), paper)[0]  # type: ignore[arg-type]

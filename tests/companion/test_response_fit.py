@@ -312,7 +312,6 @@ def held_at(asked: Track, t: F64) -> F64:
 def test_a_course_is_the_mean_of_what_held_over_each_step_beside_what_was_reported_at_its_beginning(seed: int) -> None:
     asked, reported = uneven_tracks(seed)
     course = course_of(asked, reported, 0.003, 1)
-    assert course is not None
     first, last = max(asked.t_s[0], reported.t_s[0]), min(asked.t_s[-1], reported.t_s[-1])
     n = int((last - first) / STEP_S)
     assert course.asked.shape == course.reported.shape == (n, 2)
@@ -398,7 +397,6 @@ def test_a_file_is_read_back_with_the_covariance_of_its_fits() -> None:
     for k in range(1, 600):
         v[k] = keep * v[k - 1] + (1.0 - keep) * u[k - 1, 0]
     climb = fit_climb(FlightCourse(u, v + 0.02 * rng.normal(size=v.shape), np.arange(600) > WARM), GIVEN.climb)
-    assert tilt is not None
     read = response_from_mapping(tomllib.loads(text(Response(tilt.response, climb.response), "a", tilt, climb)), "a.toml")
     np.testing.assert_allclose(np.array(read.tilt.cov_delay_frequency_damping), tilt.cov, rtol=1e-5)
     np.testing.assert_allclose(np.array(read.climb.cov_delay_lag), climb.cov, rtol=1e-5)

@@ -119,7 +119,6 @@ def test_the_delay_flown_with_comes_to_the_vehicles_own_and_never_by_one_fit(see
         # A delay between agreement and contradiction leaves the gains soft.
         assert CONTRADICTION_S - 0.03 < abs(delay_s - GIVEN.tilt.delay_s) < 0.12
         return
-    assert watch.in_use.sigma_s is not None
     assert abs(watch.in_use.delay_s - delay_s) < CONTRADICTION_S + 3.0 * watch.in_use.sigma_s
     if watch.in_use.state is ResponseState.KNOWN:
         assert watch.in_use.delay_s == GIVEN.tilt.delay_s
@@ -287,8 +286,6 @@ def differences(before: ResponseInUse | None, found: list[ResponseInUse], cycles
         after = found[min((k - 100) // 20, len(found) - 1)]
         stays, a = law.step(stays, over(k, before).at, over(k, before), TARGET)
         turns, b = law.step(turns, over(k, after).at, over(k, after), TARGET)
-        assert isinstance(a, Lean)
-        assert isinstance(b, Lean)
         lean = float(np.hypot(*(b.a_level + b.trim_level - a.a_level - a.trim_level)))
         out.append([lean, abs(float(b.v_level[2] - a.v_level[2])), float(np.hypot(*(b.v_level - a.v_level)[:2]))])
         # The two go on from the same commands, so that what differs is this cycle's alone.
@@ -466,7 +463,6 @@ def fly_pushed(
         at = estimate(t, (SMALL * (x[0] + by.place), 0.0, 1.0), (SMALL * (x[1] + by.speed), 0.0, 0.0), sigma=0.01)
         moves = body(t, (SMALL * (x[2] + by.accel + by.gust - by.tilt), 0.0, 0.0), (0.0, -SMALL * x[3] / G_M_S2, 0.0), reported)
         memory, command = law.step(memory, ns(t), Knowledge(ns(t), at, moves), Target(np.array([0.0, 0.0, 1.0])))
-        assert isinstance(command, Lean)
         u = float(command.a_level[0] + command.trim_level[0]) / SMALL
         out[k + 1] = *x[:2], u
         push, w = by.deck + by.tilt - by.gust, x[1]

@@ -237,7 +237,6 @@ def test_the_offset_is_found_within_its_sigma() -> None:
         found = sync.offset_ns(MonoNs(now))
         assert abs(found[0] - 12_345 * MS) < 3 * found[1] * S
         assert found[1] < 0.003
-        assert sync.round_trip_s is not None
         assert 0.0006 < sync.round_trip_s < 0.02
 
 

@@ -58,7 +58,6 @@ def test_the_layouts_are_those_of_a_captured_datagram() -> None:
     data = (CAPTURES / "navdata_full_gps.bin").read_bytes()
     expected = json.loads((CAPTURES / "navdata_full_gps.expected.json").read_text())
     navdata = nd.decode(data)
-    assert isinstance(navdata, nd.Navdata)
     assert (navdata.state, navdata.sequence, navdata.skipped) == (expected["state"], expected["sequence"], ())
     assert navdata.options == tuple(range(28))
     for label, values in expected["options"].items():
@@ -95,7 +94,6 @@ def test_unknown_short_repeated_and_long_options_cost_nothing_else() -> None:
     pressure = struct.pack("<ihii", 1, 2, 3, 4)
     old_gps = (27, bytes(8))
     decoded = nd.decode(datagram((99, b"abc"), (9, b"xy"), (21, pressure), (1, bytes(4) + b"new"), old_gps, (21, pressure)))
-    assert isinstance(decoded, nd.Navdata)
     assert (decoded.options, decoded.skipped, decoded.pressure_pa, decoded.clock) == ((21, 1), (99, 9, 21), 4, 0)
 
 

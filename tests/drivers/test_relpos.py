@@ -50,7 +50,6 @@ def reader(**options: Any) -> RelposReader:
 @pytest.mark.parametrize("version", [0, 1])
 def test_a_fixed_solution_is_a_baseline_with_its_high_precision_parts_and_an_honest_sigma(version):
     (found,) = reader(delay_s=0.2).take(message(version=version), at(0.0))
-    assert isinstance(found, Baseline)
     assert found.fix == "fixed"
     assert found.d_ned == pytest.approx([1.2346, -2.5, -3.1001], abs=1e-9)
     assert np.sqrt(np.diag(found.cov_ned)) == pytest.approx([0.01221, 0.01345, 0.02332], abs=1e-4)
@@ -61,9 +60,6 @@ def test_a_float_claims_decimetres_whatever_the_receiver_does_and_extrapolation_
     (floating,) = reader().take(message(carrSoln=1, accN=0.1, accE=0.1, accD=0.1), at(0.0))
     (carried,) = reader().take(message(refObsMiss=1), at(0.0))
     (fixed,) = reader().take(message(), at(0.0))
-    assert isinstance(floating, Baseline)
-    assert isinstance(carried, Baseline)
-    assert isinstance(fixed, Baseline)
     assert floating.fix == "float"
     assert np.diag(floating.cov_ned).min() >= 0.3**2
     assert np.diag(carried.cov_ned).min() > 5.0 * np.diag(fixed.cov_ned).min()
@@ -123,7 +119,6 @@ def test_two_antennas_on_the_ship_give_her_bow_and_only_while_that_is_fixed():
 
 def test_a_base_on_the_drone_turns_the_vector_round():
     (found,) = reader(reverse=True).take(message(), at(0.0))
-    assert isinstance(found, Baseline)
     assert found.d_ned == pytest.approx([-1.2346, 2.5, 3.1001])
 
 

@@ -306,7 +306,6 @@ async def test_a_blocked_event_loop_means_hover() -> None:
 def test_only_the_same_user_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
     name = f"\0decklander-test/{os.getpid()}"
     claimed = sender_lock.claim(name, f"{name}/mark", replaces=False)
-    assert claimed is not None
     listener, sequence = claimed
     assert listener is not None
     assert sequence == 0
@@ -329,7 +328,6 @@ async def test_a_service_that_has_lost_its_sender_gets_the_drone_back_before_a_n
         await asyncio.sleep(0.1)
         assert not newcomer.done()
         claimed = sender_lock.claim(name, f"{name}/mark", replaces=True)
-        assert claimed is not None
         listener, _ = claimed
         assert listener is not None
         with listener:

@@ -131,7 +131,6 @@ def test_the_camera_outvotes_a_baseline_that_leaps_and_believes_it_again_afterwa
     named = []
     for t, estimator, state in perceived(Way(camera_until_s=99.0, off=leap(5.0, 8.0))):
         if t > 2.0:
-            assert state is not None
             assert off_m(t, state) < 0.05
             assert state.consistent
             assert not state.alerts

@@ -85,7 +85,6 @@ LEVEL = Rotation.from_rpy(0.0, 0.0, 0.0)
 
 def shipped_image() -> NDArray[np.uint8]:
     image = cv2.imread(str(ROOT / "configs/examples/pad.jpg"))
-    assert image is not None
     return image.astype(np.uint8)
 
 
@@ -116,8 +115,6 @@ def test_the_tracker_finds_the_pad_and_leaves_the_image_to_its_owner() -> None:
     assert tracker.detection is None
     stamp = Stamp.from_seconds(3.0, 3.1, sigma_s=0.002)
     first, second = tracker.track(image, stamp=stamp), tracker.track(image)
-    assert first is not None
-    assert second is not None
     assert (first.stamp, first.seq, second.seq) == (stamp, 0, 1)
     assert np.abs(first.d_body_pad_level - second.d_body_pad_level).max() < 0.005
     assert tracker.detection is not None
@@ -129,12 +126,10 @@ def test_the_tracker_begins_where_the_pad_is_expected() -> None:
     image, tracker = shipped_image(), PadTracker(CAMERA, PAD, colours="simulator", method="registration")
     stamp = Stamp.from_seconds(1.0)
     searched = tracker.track(image, stamp=stamp, attitude=attitude(1.0))
-    assert searched is not None
     filter = RelativeEstimator()
     filter.on_attitude(attitude(1.0))
     assert filter.on_sighting(searched) is Verdict.FUSED
     followed = tracker.track(image, stamp=stamp, attitude=filter.attitude_at(stamp), expected=filter.state)
-    assert followed is not None
     assert np.abs(followed.d_body_pad_level - searched.d_body_pad_level).max() < 0.005
 
 
@@ -186,11 +181,9 @@ def test_the_tracker_hands_on_its_options_and_counts_no_find_below_its_confidenc
 def test_the_estimator_carries_the_pad_on_between_sightings() -> None:
     filter = hovering()
     state = filter.state
-    assert state is not None
     assert state.at == 1_990_000_000
     assert np.abs(state.d_body_pad_level - [0.5, 0.2, 3.0]).max() < 0.02
     later = filter.at(MonoNs(2_200_000_000))
-    assert later is not None
     assert later.cov[0, 0] > state.cov[0, 0]
 
 
@@ -202,13 +195,10 @@ def test_the_estimator_takes_late_sightings_and_gives_the_reason_it_refuses_othe
     assert filter.on_sighting(pad_sighting(1.99, confidence=0.1)) is Verdict.LOW_CONFIDENCE
     assert filter.on_imu(Imu(Stamp.from_seconds(2.0), np.full(3, 1e3), np.zeros(3))) is Verdict.IMPOSSIBLE
     after = filter.at(MonoNs(2_000_000_000))
-    assert filter.state is not None
     assert filter.state.at == 1_990_000_000, "what is refused is no newest event"
     for t in (2.01, 2.0):
         assert filter.on_imu(Imu(Stamp.from_seconds(t), np.full(3, 1e-5 * t), np.array([0.0, 0.0, -9.81]))) is Verdict.FUSED
     assert filter.state.at == 2_010_000_000, "nor is one that is late"
-    assert before is not None
-    assert after is not None
     assert np.array_equal(before.d_body_pad_level, after.d_body_pad_level)
 
 

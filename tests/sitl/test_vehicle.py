@@ -191,7 +191,6 @@ def test_lands_on_a_moving_deck_and_goes_with_it() -> None:
         v.step(g)
         if v.phase == VehiclePhase.LANDED and v.tied and at_rest is None:
             at_rest = on_pad(v, g)
-    assert at_rest is not None
     assert np.abs(on_pad(v, g) - at_rest).max() < 1e-9
     assert np.hypot(*at_rest[:2]) < 0.5
 

@@ -51,7 +51,6 @@ class Consumer:
 
     def _take(self, payload: bytes) -> None:
         event = decode("event", payload)
-        assert isinstance(event, EventMessage)
         if event.id in self._ids:
             self.copies += 1
             return

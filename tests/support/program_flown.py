@@ -148,7 +148,6 @@ class ProgramFlown(OrderedFlight):
     @property
     def hand(self) -> Hand:
         """The holder of the vehicle by the driver."""
-        assert self._autopilot is not None
         return Hand.NOBODY if self._autopilot.streamer is None else self._autopilot.streamer.hand
 
     @property

@@ -39,7 +39,6 @@ HOST = "127.0.0.1"
 async def examined(fake: MiniatureAutopilot, seconds: float = 1.0, system: int = 0) -> Snapshot:
     async with fake.talking_to(f"udpin://{HOST}:0"):
         await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
-        assert fake.links is not None
         host, port = fake.links.all[0].local or ("", 0)
         options = AutopilotOptions(f"udpout://{host}:{port}", system_id=system, silence_s=1.0, command_period_s=0.01)
         return await gather.examine(options, SystemClock(), seconds)

@@ -222,5 +222,4 @@ def test_a_log_reports_what_its_own_firmware_begins_with(tmp_path: Path) -> None
     for value, default in ((1.0, 1.0), (1.25, 1.0)):
         rows = [(0.5, "PARM", ("PSC_POSXY_P", value, default)), (0.5, "PARM", ("SERIAL1_BAUD", 57.0, 115.0))]
         autopilot = examine_log(copter_log(path, ARDUPILOT.parameters, [*rows, *FLIGHT], defaults=True)).autopilot
-        assert autopilot is not None
         assert autopilot.differs == ({"PSC_POSXY_P": (1.25, 1.0)} if value != default else {})

@@ -184,7 +184,6 @@ def test_the_path_follows_the_settings(folder: Path) -> None:
 @pytest.mark.usefixtures("alone")
 def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(capsys):
     path = socket_path(load("sim"))
-    assert path is not None
     assert main(["fly", "hold"]) == 1
     assert "no service runs" in capsys.readouterr().err
     path.parent.mkdir()

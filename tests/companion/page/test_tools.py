@@ -70,7 +70,6 @@ async def flown_by(fake: MiniatureAutopilot) -> AsyncIterator[Autopilot]:
     """Open the autopilot as the service does, with none of its parameters known."""
     async with fake.talking_to("udpin://127.0.0.1:0"):
         await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
-        assert fake.links is not None
         _, port = fake.links.all[0].local or ("", 0)
         options = AutopilotOptions(f"udpout://127.0.0.1:{port}", silence_s=1.0, command_period_s=0.01)
         async with open_autopilot(options, SystemClock()) as autopilot:
@@ -122,7 +121,6 @@ async def test_a_take_off_ends_an_examination(tmp_path: Path) -> None:
         assert (await browser.read("examined"))["busy"]
         service.flying = True
         assert (await browser.read("examined"))["text"] == make.EXAMINATION_ENDED
-        assert autopilot.parameters is not None
         assert autopilot.parameters.settled, "nothing more is asked"
         assert autopilot._listeners == []
 
@@ -598,7 +596,6 @@ def test_a_guide_names_what_is_missing_until_nothing_is(images: list[NDArray[np.
         guide.add("one", px)
         state = guide.add("still", px)
     assert state.complete, state.lacks
-    assert guide.solution is not None
     assert abs(guide.solution.camera.fx / TRUE.fx - 1) < 0.004
 
 

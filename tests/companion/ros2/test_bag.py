@@ -127,7 +127,6 @@ def test_the_camera_of_the_transforms_sees_the_pad_where_the_service_does(flight
 def test_a_camera_on_a_gimbal_is_turned_with_each_frame(flight_file: Path) -> None:
     recording = open_recording([flight_file])
     camera = recording.camera()
-    assert camera is not None
     frame = next(e for e in recording.events() if isinstance(e, RecordedFrame))
     held = camera.T_body_cam.R @ Rotation.from_rpy(0.2, -0.1, 0.3)
     turned = RecordedFrame(replace(frame.record, R_body_cam=held.matrix.ravel().tolist()), None)

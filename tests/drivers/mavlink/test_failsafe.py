@@ -56,8 +56,6 @@ def test_it_lasts_as_long_as_the_state_says_and_words_may_come_behind_it() -> No
     assert heartbeat(watch, 1.0, CRITICAL) == "a failsafe"
     first = watch.now
     watch.on_text("Radio Failsafe", ns(2.0))
-    assert watch.now is not None
-    assert first is not None
     assert (watch.now.words, watch.now.since) == ("Radio Failsafe", first.since)
     assert heartbeat(watch, 60.0, CRITICAL) == "Radio Failsafe"
     watch.on_text("Battery Failsafe", ns(61.0))

@@ -158,13 +158,11 @@ def test_one_bad_field_costs_its_own_part_alone(name: str, bad: dict[str, Any], 
 
 def test_a_place_that_counts_on_beyond_180_degrees() -> None:
     (fix,) = sampler().samples(message_of("GLOBAL_POSITION_INT", lon=1_800_005_000), NOW)
-    assert isinstance(fix, GeoFix)
     assert math.degrees(fix.place.longitude_rad) == pytest.approx(-179.9995)
 
 
 def test_a_yaw_that_counts_turns() -> None:
     (sample,) = sampler().samples(message_of("ATTITUDE", yaw=0.3 + 6 * math.tau), NOW)
-    assert isinstance(sample, Attitude)
     assert np.allclose(sample.R_ned_body.rpy_rad, (0.0, 0.0, 0.3), atol=1e-6)
 
 
@@ -216,7 +214,6 @@ def test_angles_are_used_again_where_quaternions_end() -> None:
     s.samples(message_of("ATTITUDE_QUATERNION"), NOW)
     assert s.samples(message_of("ATTITUDE"), NOW) == []
     (sample,) = s.samples(message_of("ATTITUDE", time_boot_ms=9000), MonoNs(NOW + 5 * S))
-    assert isinstance(sample, Attitude)
     assert np.allclose(sample.R_ned_body.rpy_rad, (0.0, 0.0, 0.3))
 
 

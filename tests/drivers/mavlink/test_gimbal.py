@@ -251,7 +251,6 @@ def test_a_manager_that_reports_of_itself_is_the_one_that_is_commanded_and_answe
     asked = [m for m in gimbal.due(to, MonoNs(100 * NS_PER_S)) if m.command == CONFIGURE]
     assert [(m.target_system, m.target_component, m.param7) for m in asked] == [(1, 154, 154.0)]
     accepted = mav.MAVLink_command_ack_message(CONFIGURE, 0)
-    assert gimbal.pointer is not None
     gimbal.on_message(to, received(accepted, 1, 0.1))
     assert gimbal.pointer.step.name == "CONTROL", "an answer of another component"
     gimbal.on_message(to, received(accepted, 154, 0.2))

@@ -95,8 +95,6 @@ def test_north_that_is_known_at_last_turns_the_world_and_not_the_pad_below_the_b
     turned, now = copied(before), ns(AT_S + 0.4)
     assert put(turned, attitude(AT_S + 0.4, yaw=1.2, var=[1e-4, 1e-4, 1e-3])).verdict is Verdict.FUSED
     one, two = before.at(now), turned.at(now)
-    assert one is not None
-    assert two is not None
     assert one.yaw_rad is not None
     assert two.yaw_rad == pytest.approx(one.yaw_rad, abs=0.01)
     np.testing.assert_allclose(two.d_body_pad_level, one.d_body_pad_level, atol=0.01)

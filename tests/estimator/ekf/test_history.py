@@ -25,7 +25,6 @@ def put_all(what: list[Any], options: EkfOptions | None = None) -> tuple[Filter,
 
 def apart(one: RelativeState | None, two: RelativeState | None) -> float:
     """Return the largest difference of two estimates."""
-    assert one is not None
     assert one.sighted == two.sighted
     return max(
         float(np.abs(one.d_body_pad_level - two.d_body_pad_level).max()),
@@ -124,7 +123,6 @@ def test_an_answer_is_computed_once_until_an_event_changes_it() -> None:
     assert ekf.motion(now)[1] is ekf.motion(now)[1]
     ekf.put([imu(stamp_at(T + 2 * MS), (0.1, 0.0, 0.2))])
     other = ekf.at(now)
-    assert other is not None
     assert other is not first
     assert not np.array_equal(other.d_body_pad_level, first.d_body_pad_level)
     figures = tuple(first.details)

@@ -51,7 +51,6 @@ def estimate_sea(s: Setting) -> tuple[TruthFlight, Filter, list[float], dict[flo
     for event in events(flight):
         while event.stamp.received_at > ns(next_s):
             state = ekf.at(ns(next_s))
-            assert state.yaw_rad is not None
             d, v, yaw = (x[0] for x in flight.relative(np.array([next_s])))
             turn = math.remainder(state.yaw_rad - yaw, math.tau)
             e = np.concatenate([state.d_body_pad_level - d, state.v_pad_level - v, [turn]])
@@ -81,7 +80,6 @@ def test_consistent_and_the_forecast_holds_its_bands() -> None:
 def test_forecast_grows_with_the_horizon_and_starts_at_the_estimate() -> None:
     _, ekf, _, _ = estimate_sea(replace(QUICK, duration_s=8.0))
     found, state = ekf.forecast(ns(7.9), (0.0, 1.0, 3.0)), ekf.at(ns(7.9))
-    assert found is not None
     np.testing.assert_allclose(found.d_body_pad_level[0], state.d_body_pad_level, atol=1e-9)
     np.testing.assert_allclose(found.cov_d_level[0], state.cov[:3, :3], atol=1e-9)
     assert found.sigma_deck_height_m[0] < found.sigma_deck_height_m[1] < found.sigma_deck_height_m[2]
@@ -161,7 +159,6 @@ def test_half_a_heading_is_used_only_when_the_other_half_is_known(known_until_s:
     flight, ekf = TruthFlight(replace(QUICK, duration_s=5.0, pose6=False)), Filter()
     for event in events(flight):
         if isinstance(event, Sighting) and event.stamp.measured_at > ns(known_until_s):
-            assert event.yaw_rad is not None
             event = structs.replace(event, yaw_rad=math.remainder(event.yaw_rad + math.pi, math.tau), yaw_ambiguous=True)
         ekf.put([event])
     state = ekf.at(ns(4.9))
@@ -169,5 +166,4 @@ def test_half_a_heading_is_used_only_when_the_other_half_is_known(known_until_s:
     if known_until_s == 0.0:
         assert state.yaw_rad is None
     else:
-        assert state.yaw_rad is not None
         assert abs(math.remainder(state.yaw_rad - flight.relative(np.array([4.9]))[2][0], math.tau)) < 0.15

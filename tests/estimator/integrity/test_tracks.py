@@ -198,7 +198,6 @@ def test_a_place_seen_before_the_pad_was_last_seen_begins_a_new_track_too() -> N
 
 def test_before_a_track_is_established_the_place_seen_more_often_is_the_pad() -> None:
     tracks, explained = track([place(0.0, ASIDE), *steady(0.1, 1, HERE)])
-    assert tracks.last is not None
     assert (tracks.number, explained[-1], tracks.last.d) == (1, True, HERE)
 
 
@@ -220,7 +219,6 @@ def test_without_an_attitude_a_pad_in_sight_goes_on_and_one_that_takes_its_place
             aside_m = LIMITS.pads_apart_m + math.tan(turned_rad) * height_m
             other = place((n + 1) / HZ, (last.d[0] + aside_m, 0.0, height_m))
             assert follow(tracks, other, ASSUMED, LIMITS) is None
-    assert last is not None
     late = follow(tracks, place(5.37, last.d), ASSUMED, LIMITS)
     assert (late is None) == (height_m > 0.6), "after a pause another pad may have come there, save close by"
     assert tracks.n == 60, "no look without an attitude is a sighting"

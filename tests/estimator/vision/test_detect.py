@@ -36,7 +36,6 @@ def test_the_core_reduces_the_parts_that_it_needs_as_the_pyramid_does(range_m: f
     unmade, made = Pyramid(scene.px), Pyramid(scene.px)
     made[5]
     found = [align(FrameView(pyramid, camera, pad), scene.truth, SIGMA_TILT_RAD) for pyramid in (unmade, made)]
-    assert found[0] is not None
     assert np.array_equal(found[0].features, found[1].features)
     assert np.array_equal(found[0].pose.t_cam_pad, found[1].pose.t_cam_pad)
 
@@ -125,7 +124,6 @@ def test_half_a_pad_is_found_some_pixels_beside_the_expected_place_where_registr
     near = from_there = from_here = 0
     for k in range(12):
         scene, start, plane = half_covered(camera, pad, k)
-        assert scene.truth is not None
         pyramid = Pyramid(scene.px)
         found = pose_about(FrameView(pyramid, camera, pad), plane, start)
         there, true = camera.project(np.array([found[0].t_cam_pad, scene.truth.t_cam_pad]))
@@ -211,7 +209,6 @@ def test_ring_and_h_blurred_into_one_are_an_area_of_some_size_between_theirs(cam
     pyramid, plane, pad = Pyramid(seen.px), Plane.of(camera, seen.R_level_body), HARD["grey"].pad
     circles = blob_circles(pyramid, camera, plane)
     guesses = guesses_from(circles, Outline.AREA, FrameView(pyramid, camera, pad).as_seen(), plane, 60)
-    assert seen.truth is not None
     right = [g for g in guesses if np.linalg.norm(g.flat.t_cam_pad - seen.truth.t_cam_pad) < 0.1 * seen.truth.range_m]
     assert max((g.score for g in right), default=0.0) > 0.8 * max(g.score for g in guesses)
     best = acquire(seen.px, camera, pad, seen.R_level_body)[0]

@@ -159,7 +159,6 @@ def test_another_lit_pad_does_not_take_the_tracked_ones_place_but_is_reported():
         )
         seen, left = track(config, memory, frame, measured, belief)
         at, other = (seen.selected, seen.elsewhere) if is_tracked else (seen.elsewhere, seen.selected)
-        assert at is not None
         assert other is None
         assert np.linalg.norm(at.d_body_pad_level - place) < 0.05
         assert left.lit

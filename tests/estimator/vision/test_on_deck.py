@@ -180,7 +180,6 @@ def test_what_lies_flat_and_what_is_light_or_sea_is_nothing(surroundings: Surrou
 def test_what_is_about_the_pad_is_seen_with_its_height_for_a_time(body, height_m, lasts_s) -> None:
     memory = came_down_about(Surroundings(WIDE), body)
     near, at = memory.near(memory.at), memory.found_at
-    assert near is not None
     assert at is not None
     assert height_m[0] <= near.height_m <= height_m[1]
     if not body.speed_m_s:
@@ -262,8 +261,6 @@ def came_down(
 def test_what_crosses_the_pad_once_is_seen_where_it_is_and_for_a_time(from_m: float, to_m: float, body: Bystander) -> None:
     memory = came_down(from_m, to_m, body)
     near, at = memory.near(memory.at), memory.found_at
-    assert near is not None
-    assert at is not None
     assert near.from_centre_m < PAD.disc_radius_m + 1.2
     assert memory.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S - 0.1)))) == near
     assert memory.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S + 0.1)))) is None

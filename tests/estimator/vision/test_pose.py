@@ -60,7 +60,6 @@ def test_the_covariance_is_what_a_monte_carlo_finds(pad: Pad) -> None:
     attitude = Attitude(STAMP, scene.attitude().R_ned_body, np.diag([1.0, 1.0, 4.0]) * sigma_tilt**2)
     orientation = Orientation.of(attitude, sigma_deck)
     predicted = solve(marks_of(points, scene, camera, sigma_px), OrientedCamera(camera, orientation))
-    assert predicted is not None
     rng = np.random.default_rng(4)
     errors = []
     for _ in range(600):
@@ -83,7 +82,6 @@ def test_without_an_attitude_level_is_assumed_and_priced(camera: Camera) -> None
     points = np.array([[0, 0, 0], [0.3, 0, 0.0]])
     reported = solve(marks_of(points, scene, camera), OrientedCamera(camera, Orientation.of(scene.attitude())))
     assumed = solve(marks_of(points, scene, camera), OrientedCamera(camera, Orientation.of(None)))
-    assert reported is not None
     assert np.allclose(reported.d_body_pad_level, assumed.d_body_pad_level, atol=1e-9)
     # 4 m below a lever of the unknown tilt.
     assert math.sqrt(assumed.cov[1, 1]) == pytest.approx(4.0 * SIGMA_LEVEL_ASSUMED_RAD, rel=0.02)
@@ -137,8 +135,6 @@ def test_a_fisheye_of_160_degrees_finds_the_pad_and_an_uncertain_focal_length_sh
         track(TrackerConfig(camera, shipped_pad("thesis")), TrackerMemory(), view.frame(), reported)[0].selected
         for camera in (lens, replace(lens, focal_sigma=0.01))
     )
-    assert known is not None
-    assert unknown is not None
     off = known.d_body_pad_level - view.d_body_pad_level
     assert off @ np.linalg.solve(known.cov[:3, :3], off) < 14.2
     assert np.linalg.norm(off) < 2e-3
@@ -213,8 +209,6 @@ def levelled(camera: Camera, deck: F64, off: F64, tilt: F64, sigma_deck: float =
 def level_errors(camera: Camera, deck: F64, off: F64, tilt: F64) -> F64:
     """Return the errors of a sighting, (7,): place, small rotation, heading."""
     pose_seen = levelled(camera, deck, off, tilt)
-    assert pose_seen.pose6 is not None
-    assert pose_seen.yaw_rad is not None
     R = oracle.exp(np.array([*deck, 0.0])) @ rpy_matrix(0.0, 0.0, -YAW)
     turn = oracle.log(pose_seen.pose6.R_level_pad.matrix @ R.T)
     return np.array([*(pose_seen.d_body_pad_level - PLACE), *turn, wrap_pi(pose_seen.yaw_rad + math.atan2(R[1, 0], R[0, 0]))])

@@ -210,7 +210,6 @@ def test_the_distant_disc(camera: Camera, pad: Pad, height_m: float) -> None:
     for _ in range(20):
         view = stage.view(height_m)
         found = register(view.px, camera, pad, stage.start(view, 0.3), view.orientation(), TRACK)
-        assert found is not None
         squares.append(nees(found, view))
         away.append(error(found.pose, view.pose)[2] / height_m)
     assert float(np.mean(squares)) < 14.0
@@ -238,7 +237,6 @@ def test_motion_blur_is_seen_in_its_direction(camera: Camera, pad: Pad) -> None:
     stage = Stage(camera, pad, sensor=Sensor(exposure_s=0.02))
     view = stage.view(2.0, tilt_rad=0.0, yaw_rad=0.0, v_body_ned=(0.0, 1.0, 0.0))
     found = register(view.px, camera, pad, stage.start(view, 0.5), view.orientation(), TRACK)
-    assert found is not None
     travel_px = 1.0 * 0.02 * camera.fx / 2.0
     # The nose is at the top of the frame, so flying to the right smears along u; a box of that length has this variance.
     assert found.blur_px2[0] - found.blur_px2[2] == pytest.approx(travel_px**2 / 12.0, rel=0.3)
@@ -275,7 +273,6 @@ def test_half_of_the_pad_hidden(camera: Camera, pad: Pad, height_m: float) -> No
         view = stage.view(height_m, lateral=0.02)
         px = half_hidden(view, pad, camera, n * math.tau / 6)
         found = register(px, camera, pad, stage.start(view, 0.5), view.orientation(), TRACK)
-        assert found is not None
         if found.dense:
             assert nees(found, view) < chdtri(6, 0.0001)
             assert found.inliers < 0.6
@@ -388,7 +385,6 @@ def surrounded_errors(camera: Camera, pad: Pad, name: str, height_m: float, tilt
         rng = np.random.default_rng([67, SURROUNDINGS.index(name), round(10 * height_m), round(tilt_deg), k])
         view = surrounded_view(rng, camera, pad, name, height_m, math.radians(tilt_deg))
         found = register(view.px, camera, pad, view.start, view.prior, TRACK)
-        assert found is not None
         T = np.kron(np.eye(2), view.truth.R_cam_pad.matrix.T)
         off.append(T @ error(found.pose, view.truth))
         cov.append(T @ found.cov @ T.T)
@@ -418,7 +414,6 @@ def test_what_lies_around_a_pad_does_not_have_it_rejected(camera: Camera, pad: P
         rng = np.random.default_rng([83, SURROUNDINGS.index(name), 100, 12, k])
         view = surrounded_view(rng, camera, pad, name, 10.0, math.radians(12.0))
         found = register(view.px, camera, pad, view.start, view.prior, TRACK)
-        assert found is not None
         sight = view.truth.t_cam_pad / view.truth.range_m
         sigmas.append(math.sqrt(float(sight @ found.cov[:3, :3] @ sight)))
         known += not found.yaw_ambiguous
@@ -472,6 +467,5 @@ def test_only_predicted_frames_are_downgraded(camera: Camera, pad: Pad) -> None:
         for coded in (False, True)
     ]
     plain, suspect = (look.selected for look in seen)
-    assert plain is not None
     assert np.all(plain.d_body_pad_level == suspect.d_body_pad_level)
     assert np.linalg.eigvalsh(suspect.cov[:3, :3] - plain.cov[:3, :3]).min() > 0.0

@@ -45,7 +45,6 @@ def test_tilt_and_forward_offset_are_put_in(method: Method, pad: Pad) -> None:
     assert s is not None
     assert np.linalg.norm(errors(s, scene)[0]) < 0.01
     level = detect(frame, None, camera, pad, SIMULATOR).methods[method]
-    assert level is not None
     off = errors(level, scene)[0]
     assert np.linalg.norm(off) > 0.3
     # What was not known is said: the error lies within four sigmas.
@@ -157,7 +156,6 @@ def test_a_cue_that_comes_or_goes_moves_the_result_less_than_three_centimetres(s
     cues.sort(key=lambda c: float(c.cov[0, 0]))
     whole = fuse(cues)
     without = fuse(cues[:-1])
-    assert whole is not None
     assert np.linalg.norm(whole.d_body_pad_level - without.d_body_pad_level) < 0.03
 
 
@@ -169,7 +167,6 @@ def test_an_ambiguous_heading_follows_the_sure_one(yaw: float, flipped: bool) ->
     assert alone.yaw_ambiguous
     both = fuse([cue("corners", 0.002, yaw=other, ambiguous=True), cue("arrow", 0.01, yaw=yaw)])
     assert not both.yaw_ambiguous
-    assert both.yaw_rad is not None
     assert abs(math.remainder(both.yaw_rad - yaw, math.tau)) < 1e-6
 
 

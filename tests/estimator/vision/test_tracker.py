@@ -72,7 +72,6 @@ def test_found_in_the_whole_image_and_followed_from_the_belief(height_m: float, 
     view = stage().view(height_m)
     searched, memory = track(tracker(method), TrackerMemory(), view.frame(), attitude_of(view))
     assert right(searched.selected, view)
-    assert searched.selected is not None
     assert searched.selected.confidence > (0.5 if height_m >= 0.5 else 0.2)
     followed, _ = track(tracker(method), memory, view.frame(), attitude_of(view), estimate_of(view, (0.02, -0.01, 0.01)))
     assert right(followed.selected, view)
@@ -248,7 +247,6 @@ def test_a_letter_is_found_up_to_its_symmetry(name: str, height_m: float, yaw_ra
     config = TrackerConfig(PLAIN, pad, TrackerOptions(method="registration"))
     attitude_of = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
     found = track(config, TrackerMemory(), Frame(STAMP, 0, px), attitude_of)[0].selected
-    assert found.yaw_rad is not None
     assert found.confidence > 0.9
     assert found.yaw_ambiguous
     assert abs(found.d_body_pad_level[2] - (exposure.p_pad_ned - exposure.p_body_ned)[2]) < 0.003 * height_m

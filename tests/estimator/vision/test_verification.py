@@ -94,7 +94,6 @@ def test_a_look_is_a_registration_an_alignment_and_their_evidence(camera: Camera
             continue
         compared += 1
         other = align(FrameView(pyramid, camera, pad), one.pose, SIGMA_TILT_RAD, 0)
-        assert other is not None
         assert np.array_equal(found.cov, one.cov)
         assert np.array_equal(found.pose.t_cam_pad, one.pose.t_cam_pad)
         assert found.record["aligned"]["features"] == pytest.approx(other.features, abs=1e-9)
@@ -148,7 +147,6 @@ def test_three_confident_frames_make_it_trusted_and_doubtful_ones_teach_nothing(
     one = view(camera, pad, Light())
     assert taught(2, one).dominance(pad) is None
     learned = taught(3, one).dominance(pad)
-    assert learned is not None
     disc, around = learned
     assert disc > around + 1.0, "the disc is green and the deck is not"
     assert abs(around) < 0.25
@@ -255,7 +253,6 @@ def test_a_frame_upside_down_has_the_same_pose_covariance_and_sighting(k: int, p
     pad, view, found = seen_at(k, pad_name)
     other = mirrored(view, UPSIDE_DOWN, np.eye(3)).seen(pad)
     assert sigmas(found, other, UPSIDE_DOWN, np.eye(3)) < 0.01
-    assert other is not None
     turn = np.kron(np.eye(2), UPSIDE_DOWN)
     scale = np.sqrt(np.outer(np.diag(found.cov), np.diag(found.cov)))
     assert np.abs((turn @ other.cov @ turn - found.cov) / scale).max() < 0.01
