@@ -88,10 +88,28 @@ lint: $(VENV)/.dev $(CORE)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# What `make bench` gives the dear ones, so that all of them end within the hour; LONG=1 leaves it out.
+SHORT_by_person := --runs 1 --speeds 1.5 --heights 3
+SHORT_calibration := --sets 6
+SHORT_chaos := --flights 4
+SHORT_clear_deck := --runs 6 --clear 6
+SHORT_estimator := --runs 1
+SHORT_false_pads := --frames 200
+SHORT_figures := docs/pads.md
+SHORT_hands := --runs 1 --state ours landing
+SHORT_killed := --perception model
+SHORT_landings := --runs 1 --scenarios calm weather_3
+SHORT_real := --every 4
+SHORT_search := --frames 4
+SHORT_ship_sensors := --runs 1 --scenarios weather_3
+SHORT_soak := --virtual --hours 0.1
+SHORT_verification_fit := --frames 200
+SHORT_vision := --frames 5
+
 # Each bench to its end; those that fell short or broke are named at the end and make it red. ONLY="cost latency" for some.
 bench: $(VENV)/.dev $(CORE)
-	@failed=; for bench in $(if $(ONLY),$(addprefix benches.,$(ONLY)),$(subst /,.,$(BENCHES))); do \
-	  echo "== $$bench"; $(BIN)/python -m $$bench || failed="$$failed $$bench ($$?)"; done; \
+	@failed=; $(foreach bench,$(if $(ONLY),$(addprefix benches.,$(ONLY)),$(subst /,.,$(BENCHES))),echo "== $(bench)"; \
+	  $(BIN)/python -m $(bench) $(if $(LONG),,$(SHORT_$(patsubst benches.%,%,$(bench)))) || failed="$$failed $(bench) ($$?)";) \
 	  [ -z "$$failed" ] || { echo "fell short or broke (exit code):$$failed" >&2; exit 1; }
 
 # The documentation as a site in site/; a broken link, a page outside the navigation, or a search that misses its page fails it. A preview while writing: .venv/bin/mkdocs serve.
