@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from msgspec import structs, to_builtins
 
+from companion.base.mission import Reason, ReasonCause
 from companion.facts import encode as facts
+from companion.guidance.mission.land_here import Touch
 from estimator.contracts.address import masked
 from estimator.contracts.commands import CutMotors, Hover, Velocity
 from estimator.contracts.estimates import RelativeState
@@ -28,6 +30,16 @@ pytestmark = MARKS
 ORDER_BUTTONS = [f'[data-order="{order}"]' for order in ("takeoff", "begin", "hold", "land", "abort")]
 BELIEVED = RelativeState(MonoNs(0), "ekf", np.array([0.2, 0.3, 2.0]), np.zeros(3), 0.0, np.eye(7) / 1e4, MonoNs(0), True)
 SIZES = ((LAPTOP, 44), (PHONE, 44), (SIDEWAYS, 40), ({"width": 320, "height": 568}, 44), ({"width": 768, "height": 1024}, 44))
+TEXTS = [Reason(cause, 2.5, 1.25, "left").text for cause in ReasonCause] + [Touch(1.5, 0.15, 6.0, "known to 0.6 m").text]
+IN_FEET = "async (texts) => (await import('/units.js')).inUnits({ kind: 'event', texts }).texts"
+FIGURES = "async (values) => { const { figure } = await import('/units.js'); return values.map((v) => figure('length', v)); }"
+FELT = """() => {
+    window.felt = [];
+    navigator.vibrate = ([first_ms]) => felt.push(first_ms);
+    const start = OscillatorNode.prototype.start;
+    OscillatorNode.prototype.start = function (at_s) { felt.push(`${this.frequency.value} Hz`); start.call(this, at_s); };
+}"""
+STOPPED, LOST = 150, 400  # the first length of each alarm's vibration, ms
 
 
 BROKEN_DECODER = """
@@ -88,12 +100,17 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
         assert (x / scale, y / scale) == pytest.approx((-0.15, -0.1), abs=0.01), "to port of the arrow, which points up"
         await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "h264", timeout=WAIT_MS)
         assert "accepted" in await one.press("begin")
+        await one.page.evaluate(FELT)
         assert (await one.press("takeoff")).endswith("refused: the vehicle flies already")
+        assert await one.page.evaluate("felt") == [], "off until a person wants it"
+        await one.page.click("#alarms-ask [value=on]")
+        await one.page.wait_for_function("felt.includes('620 Hz')")
         async with window(browser, service) as two:
             await two.shows("phase", ".")
             assert "accepted" in await two.press("hold")
             await one.shows("phase", "paused")
             await one.shows("events", "another page .*: Hold: accepted")
+            assert (await one.page.evaluate("felt"))[-4:] == [STOPPED, *["880 Hz"] * 3]
             await one.shows("reason", "ordered by another page")
             await two.page.click('[data-order="land"]')
             await two.shows("asks-says", "Lands 0.4 m beside the pad.*; the place of the pad is not sure: last seen .*; now over")
@@ -158,6 +175,8 @@ async def test_over_tls_a_lost_hand_a_silent_and_an_ended_service_are_reported_a
             one = await stack.enter_async_context(window(browser, service, ignore_https_errors=True))
             await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "h264", timeout=WAIT_MS)
             await one.page.evaluate(WITHOUT_STICKS)
+            await one.page.evaluate(FELT)
+            await one.page.click("#alarms-ask [value=on]")
             await one.page.click("#by-hand")
             await one.shows("answer", "Fly by hand: .*: nothing received from you for 0.5 s: it hovers")
             assert await one.page.evaluate(BEGUN_IN_SILENCE) == "Begin landing: not sent, the connection is silent"
@@ -171,6 +190,8 @@ async def test_over_tls_a_lost_hand_a_silent_and_an_ended_service_are_reported_a
         await one.shows("lost", "The service has ended: the drone hovers, and lands where it is after 4 s if .*Trying again")
         assert "last known" in await one.page.evaluate(OLD)
         await one.shows("answer", "^$")  # what was accepted before is over
+        felt = await one.page.evaluate("felt")
+        assert 0 < felt.count(LOST) == felt.count("220 Hz") < 6, "once for each loss, however often it is tried again"
         assert await violations(one) == []
         for order, says in (("hold", "^Hold: will be"), ("abort", "^Abort: will be"), ("begin", "^Begin.*not sent.*Abort: will")):
             await one.page.click(f'[data-order="{order}"]', force=True)
@@ -229,6 +250,11 @@ async def test_every_order_is_in_sight_and_stays_in_its_place_by_day_in_metres_a
             shot = cv2.imdecode(np.frombuffer(await one.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
             assert (shot[..., :2].max() == 0) == night, "by night nothing but red"
             await one.page.keyboard.press("Escape")
+        metres = np.geomspace(0.01, 300.0, 40)
+        for value, (text, unit) in zip(metres, await one.page.evaluate(FIGURES, metres.tolist()), strict=True):
+            assert float(text) * {"ft": 0.3048, "in": 0.0254}[unit] == pytest.approx(value, rel=0.05, abs=0.002)
+        for before, after in zip(TEXTS, await one.page.evaluate(IN_FEET, TEXTS), strict=True):
+            assert not re.search(r"[\d.]+ c?m\b(?!/s\^)", after) or re.search(r"_m\b", before), after
         await one.shows("worst", "no status from the vehicle yet")
         assert await one.page.locator("#link").get_attribute("data-level") == "fault", "no green over what is missing"
         assert await one.page.locator('[data-order="begin"].primary').count() == 0
