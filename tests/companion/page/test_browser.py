@@ -333,6 +333,10 @@ async def test_the_keyboard_alone_reaches_and_gives_every_order(tmp_path: Path) 
         await one.shows("answer", "Hold: accepted")
         await until(lambda: isinstance(service.command, Hover))
         await tab_to("emergency")
+        await one.page.keyboard.press("ArrowRight")
+        await one.page.keyboard.press("Escape")
+        assert (await one.page.evaluate(FOCUS))[0] != "emergency", "emptied, and left"
+        await one.page.focus("#emergency")
         for presses in range(10):
             assert "emergency" not in [order.order.value for order in service.orders], presses
             await one.page.keyboard.press("ArrowRight")
@@ -361,6 +365,36 @@ async def test_a_person_flies_by_hand_by_keys_touch_and_gamepad(tmp_path: Path) 
                 await one.page.keyboard.up(key)
                 await hovers()
 
+        async def by_keys_past_clicks_and_slides() -> None:
+            for clicked in ('[data-order="land"]', "#lines"):
+                await one.page.keyboard.down("w")
+                await flies(2, -1.0)
+                await one.page.click(clicked)
+                await hovers()
+                await one.page.keyboard.down("w")  # it repeats
+                await flies(2, -1.0)
+                await one.page.keyboard.up("w")
+                await hovers()
+            await one.page.keyboard.down("w")
+            await one.page.evaluate("dispatchEvent(new Event('blur'))")
+            await hovers()
+            for slide in ("confirm", "emergency"):
+                await one.slide(slide, 0.3)
+                await one.page.click(f"#{slide} .text")
+                assert (await one.page.evaluate(FOCUS))[0] != slide
+                await one.page.focus(f"#{slide}")
+                for _ in range(11):
+                    await one.page.keyboard.press("ArrowUp")
+                assert await one.page.locator(f"#{slide}").get_attribute("aria-valuenow") == "0"
+            assert not {"land", "emergency"} & {order.order.value for order in service.orders}
+            await one.page.click("#show-settings")
+            await one.page.click("#settings-text")
+            await one.page.keyboard.type("www")
+            await one.shows("keys-off", "The keys are off")
+            assert "www" in await one.page.input_value("#settings-text")
+            await one.page.click("#lines")
+            await playwright.expect(one.page.locator("#keys-off")).to_be_hidden(timeout=3000)
+
         async def by_touch() -> None:
             box = await one.page.locator(".stick >> nth=1").bounding_box(timeout=3000)
             x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -377,7 +411,7 @@ async def test_a_person_flies_by_hand_by_keys_touch_and_gamepad(tmp_path: Path) 
             await flies(1, 1.0)
             await one.shows("hand-note", "a pad")
 
-        for way in (by_keys, by_touch, by_gamepad):
+        for way in (by_keys, by_keys_past_clicks_and_slides, by_touch, by_gamepad):
             for tried in range(TRIES):
                 if service.pilot.operator.hand is None:
                     await one.page.click("#by-hand")

@@ -6,6 +6,7 @@ const ANSWER_MS = 3000;
 const SHOWN_MS = { info: 10_000, warning: 30_000, fault: 30_000 };
 const KNOB_PX = 62;
 const CONFIRMED = 0.95;
+const EMPTIES_MS = 5000; // from a slide's newest key
 // Orders that leave over a silent connection too: what is seen of the drone itself counts for them, and not the screen.
 const STOPS = ["hold", "abort", "emergency"];
 // Orders that are kept while the page is out of touch, until it is back or closed: a stop stays one, however late.
@@ -45,7 +46,7 @@ export class Orders {
     for (const button of this.#buttons) button.addEventListener("click", () => this.#press(button));
     this.#slide = new Slide(document.getElementById("emergency"), "to cut the motors", () => this.give("emergency"));
     this.#confirm = new Slide(document.getElementById("confirm"), "", () => this.give(this.#asked.dataset.order, this.#asked));
-    this.#asks.addEventListener("keydown", (event) => event.key === "Escape" && this.#ask(null));
+    addEventListener("keydown", (event) => event.key === "Escape" && this.#ask(null), true);
     this.enable(false);
   }
 
@@ -71,7 +72,7 @@ export class Orders {
     this.#confirm.name(ASKS[button.dataset.order].verb);
     this.#say();
     this.tell("", "");
-    document.getElementById("confirm").focus();
+    if (!this.#state.yours) document.getElementById("confirm").focus(); // the arrow keys fly
   }
 
   #say() {
@@ -182,13 +183,15 @@ export class Orders {
   }
 }
 
-// It confirms only at its end: a tap, a slip or one key does nothing, and letting go before the end goes back.
+// It confirms only at its end: a tap, a slip or one key does nothing, and letting go before the end goes back. A pointer never
+// leaves the focus with it: the next arrow key may be meant for the drone.
 class Slide {
   #element;
   #verb;
   #confirmed;
   #from = null;
   #at = 0;
+  #empties;
 
   constructor(element, verb, confirmed) {
     this.#element = element;
@@ -204,11 +207,16 @@ class Slide {
     });
     knob.addEventListener("pointerup", () => this.#let());
     knob.addEventListener("pointercancel", () => this.#back());
+    element.addEventListener("pointerup", () => element.blur());
+    element.addEventListener("mousedown", (event) => event.preventDefault());
     element.addEventListener("keydown", (event) => {
+      if (event.key === "Escape") this.#back();
       const step = { ArrowRight: 0.1, ArrowUp: 0.1, ArrowLeft: -0.1, ArrowDown: -0.1 }[event.key];
       if (step === undefined || event.repeat) return;
       event.preventDefault();
       this.#move(this.#at + step);
+      clearTimeout(this.#empties);
+      this.#empties = setTimeout(() => this.#back(), EMPTIES_MS);
       if (this.#at >= CONFIRMED) this.#let();
     });
     element.addEventListener("blur", () => this.#back());
@@ -232,10 +240,12 @@ class Slide {
   }
 
   #back() {
+    clearTimeout(this.#empties);
     this.#from = null;
     this.#at = 0;
     this.#element.classList.add("back");
     this.#show();
+    this.#element.blur();
   }
 
   #show() {

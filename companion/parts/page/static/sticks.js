@@ -12,6 +12,9 @@ const KEYS = {
   ArrowUp: ["forward", 1], ArrowDown: ["forward", -1], ArrowLeft: ["right", -1], ArrowRight: ["right", 1],
 };
 const AXES = ["forward", "right", "climb", "turn"];
+const TYPES = "textarea, input:not([type=checkbox])"; // there a key writes a letter
+
+const typing = () => document.activeElement?.matches(TYPES) === true;
 
 export class Sticks {
   #link;
@@ -32,14 +35,17 @@ export class Sticks {
       this.#asked = this.#yours ? -ASKED_MS : performance.now();
       orders.give(this.#yours ? "release" : "manual", this.#button);
     });
-    addEventListener("keydown", (event) => this.#key(event, true));
-    addEventListener("keyup", (event) => this.#key(event, false));
-    addEventListener("blur", () => this.#pressed.clear());
+    // Before any other part of the page: a key that flies does nothing else.
+    addEventListener("keydown", (event) => this.#down(event), true);
+    addEventListener("keyup", ({ code }) => this.#pressed.delete(code), true);
+    // A key may be let go where nothing reports it; one that is still held repeats.
+    for (const change of ["blur", "focusin", "visibilitychange"]) addEventListener(change, () => this.#pressed.clear());
     setInterval(() => this.#send(), EACH_MS);
   }
 
   state(message) {
     if (message.yours && !this.#yours) this.#host.parentElement.scrollIntoView({ block: "nearest" });
+    if (message.yours !== this.#yours) this.#freeSlide();
     this.#yours = message.yours;
     this.#host.hidden = !message.yours;
     this.#button.setAttribute("aria-pressed", String(message.yours));
@@ -51,11 +57,13 @@ export class Sticks {
     if (message.hand_taken === this.#taken) return;
     this.#taken = message.hand_taken;
     const link_s = this.#orders.round_s.toFixed(1);
-    const slow = link_s > ASKED_MS / 2000 ? `your link is too slow to fly by hand (${link_s} s)` : "ended";
+    const late = link_s > ASKED_MS / 2000 && this.#taken.startsWith("nothing received");
+    const slow = late ? `your link is too slow to fly by hand (${link_s} s)` : "ended";
     if (this.#taken) this.#orders.tell("fault", `${words.orders.manual}: ${slow}: ${this.#taken}`);
   }
 
   lost() {
+    if (this.#yours) this.#freeSlide();
     this.#yours = false;
     this.#host.hidden = true;
     this.#button.setAttribute("aria-disabled", "true");
@@ -67,13 +75,20 @@ export class Sticks {
     for (const pad of this.#pads) pad.centre();
   }
 
-  #key(event, down) {
-    if (!this.#yours || !(event.code in KEYS) || event.target.closest?.("input, [role=slider]")) return;
+  // A key that flew a moment ago, or flies from now on, must not find a slide.
+  #freeSlide() {
+    if (document.activeElement?.matches("[role=slider]")) document.activeElement.blur();
+  }
+
+  #down(event) {
+    if (!this.#yours || !(event.code in KEYS) || typing()) return;
     event.preventDefault();
-    this.#pressed[down ? "add" : "delete"](event.code);
+    event.stopPropagation();
+    this.#pressed.add(event.code);
   }
 
   #send() {
+    $("keys-off").hidden = !this.#yours || !typing();
     const flies = this.#yours || performance.now() - this.#asked < ASKED_MS;
     if (!flies || document.hidden) return;
     const sum = Object.fromEntries(AXES.map((axis) => [axis, 0]));
