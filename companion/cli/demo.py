@@ -143,7 +143,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario, place: HttpSetting
     print_result(args, ending.as_json(), f"{ending.in_words()}\n{report}")
     if ending_signal() == signal.SIGTERM:
         check()
-    return 0 if ending.on_pad else 1
+    return 0 if ending.on_pad and not kept.incomplete else 1
 
 
 class _Child(Struct):

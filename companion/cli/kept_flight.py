@@ -87,6 +87,14 @@ class KeptFlight:
         self.shadows = () if self.log is None and self.recorder is None else compared_paths()
 
     @property
+    def incomplete(self) -> str:
+        """Reason why the recording is incomplete; empty if it is whole, or none is kept."""
+        recorder = self.recorder
+        if recorder is None or not (recorder.why or recorder.faults):
+            return ""
+        return recorder.why or "a fault of the recorder"
+
+    @property
     def on_start(self) -> Callable[[Health], None] | None:
         """Takes the counters of the flight's health before it begins; None if nobody wants them."""
         return None if self.recorder is None else self.recorder.watch
@@ -102,7 +110,8 @@ class KeptFlight:
         Args:
             time: the time in which it was flown, in words.
         """
-        recorded = "" if self.recorder is None else f"recording: {self.args.record}\n"
+        lacks = f", incomplete: {self.incomplete}" if self.incomplete else ""
+        recorded = "" if self.recorder is None else f"recording: {self.args.record}{lacks}\n"
         if self.log is None:
             return recorded
         from companion.tools.report.page import PAGE, write_report
@@ -201,8 +210,6 @@ def recording(
     described = about(settings, flight, offset_ns)
     with recorder_to_file(args.record, body_camera(settings), described, frames=args.record_frames, live=live) as recorder:
         yield recorder
-    if recorder.why or recorder.faults:
-        sys.stderr.write(f"the recording is incomplete: {recorder.why or 'a fault of the recorder'}\n")
 
 
 def truth_record(truth: Truth) -> TruthRecord:

@@ -111,8 +111,8 @@ def require_drawing(option: str, instead: str = "") -> None:
     """
     if find_spec("matplotlib") is None:
         raise BadInput(
-            f"{option} draws with matplotlib, which is not installed: install requirements/report.txt, "
-            f"or the extra decklander[report]{instead}"
+            f"{option} draws with matplotlib, which is not installed: in a checkout "
+            f".venv/bin/pip install --require-hashes -r requirements/report.txt, else the extra decklander[report]{instead}"
         )
 
 
