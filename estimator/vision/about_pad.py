@@ -12,7 +12,8 @@ A thing that moves fast over the pad is gone before corners of it could be follo
 above, in coarse cells, and compared with its slow mean (the sigma-delta background of Manzanera & Richefeu, Pattern Recogn. Lett.
 28, 2007). What lies there has the same share of that light as it had a fifth of a second before, at the same place. The drone's
 own shadow, glare and drops on the lens have it at the same place in the drone's cone, q = c + s h for a camera at height h over
-the place c. A patch that has neither passes. A registration may be off by a cell: its light is looked for among its neighbours.
+the place c. A patch that has neither passes. A flash and a drop that falls do so too, but once: what few readings show from high
+above soon fades. A registration may be off by a cell: its light is looked for among its neighbours.
 """
 
 import math
@@ -110,11 +111,12 @@ _MOVES_M, _MOVES_TIMES = 0.12, 6.0
 _OWN, _OWN_M, _OWN_SIGMA_M = 1.0, 0.4, 0.3
 """Part that the drone's own shadow leaves of the deviation where it is that; how far a part of it is from its middle at most, and
 the standard deviation that is assumed of that."""
-_AGREE, _CLUSTER_M, _LOST_S = 3, 0.5, 1.5
-"""Least number of corners that agree, within this distance. Third: time for which one that was lost agrees with others."""
-_SURE, _FADES = 6, 12
-"""Number of readings that show a standing thing from which on it counts for `STANDING_LASTS_S`. Second: number of readings of
-its place without it after which one that was shown less often is nothing. Corners that were followed wrongly agree once."""
+_AGREE, _FOLLOWED, _CLUSTER_M, _LOST_S = 3, 2, 0.5, 1.5
+"""Least number of corners that agree, and of those that are still followed, within this distance. Fourth: time for which one that
+was lost agrees with others."""
+_SURE, _MOVED_SURE, _FADES = 6, 2, 12
+"""Number of readings that show a standing thing from which on it counts for its whole time, and of one that moves. Third: number
+of readings of its place without it after which one that was shown less often is nothing. Wrongly followed corners agree once."""
 _LEVEL_M, _LEVEL_PART = 0.05, 0.5
 """Largest difference in height of corners that agree, m, and in parts of it: a thing's top, a person's head and shoulders."""
 
@@ -137,6 +139,10 @@ class _Found:
     found: NearThing | None = None
     """The newest finding."""
     found_at: MonoNs | None = None
+    shown: int = 0
+    """Number of readings that showed the thing that was found."""
+    missed: int = 0
+    """Number of those since that showed its place without it."""
 
     def near(self, at: MonoNs) -> NearThing | None:
         """Return what was found lately."""
@@ -168,10 +174,6 @@ class AroundMemory(_Found):
     """Number of corners when the picture was taken."""
     stood: F64
     """Corners that were lost and stood out of the deck, (N, 4): place (2) m, height m, and time of the loss, s."""
-    shown: int = 0
-    """Number of readings that showed the thing that was found."""
-    missed: int = 0
-    """Number of those since that showed its place without it."""
 
 
 def _shows_ring(view: FrameView, pose: PadPose) -> bool:
@@ -207,10 +209,11 @@ def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at
             place = known or new
             apart_m = math.hypot(place.forward_m - new.forward_m, place.right_m - new.right_m)
             again = known is not None and (known.height_m > 0.0) == (new.height_m > 0.0)
-            times = times if again and (times >= _SURE or apart_m < _CLUSTER_M) else 0
+            in_place = apart_m < _CLUSTER_M or times >= _SURE or new.height_m == 0.0
+            times = times if again and in_place else 0
             times = max(1, times + (of.flat < _ASTRAY))
             found, found_at, missed = new, at, 0
-        elif known is not None and known.height_m > 0.0 and times < _SURE and _is_shown(known, shown):
+        elif known is not None and times < (_SURE if known.height_m > 0.0 else _MOVED_SURE) and _is_shown(known, shown, _STEP_M):
             missed += 1
             found, found_at = (None, None) if missed >= _FADES else (found, found_at)
         if len(uv) > _LEFT * memory.began and key_s <= _KEY_S and 0.65 < grown < 1.3:
@@ -225,12 +228,14 @@ def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at
     q, uv = (more - (len(above) - 1) / 2) * _STEP_M, np.concatenate([uv, more])
     sums = np.concatenate([sums, np.zeros((len(q), 16)) + _reading(q, centre[:2], height_m, px_m)])
     of = _heights(sums, view.pad.disc_radius_m)
-    return AroundMemory(at, at, above, height_m, uv, uv, sums, of, len(uv), stood, times, missed, found=found, found_at=found_at)
+    return AroundMemory(
+        at, at, above, height_m, uv, uv, sums, of, len(uv), stood, found=found, found_at=found_at, shown=times, missed=missed
+    )
 
 
-def _is_shown(thing: NearThing, shown: U8) -> bool:
-    """Return whether a picture from above shows the place on the deck where a thing was found."""
-    x, y = (round(of_m / _STEP_M) + (len(shown) - 1) // 2 for of_m in (thing.forward_m, thing.right_m))
+def _is_shown(thing: NearThing, shown: U8, step_m: float) -> bool:
+    """Return whether a picture from above, of pixels of a size, shows the place on the deck where a thing was found."""
+    x, y = (round(of_m / step_m) + (len(shown) - 1) // 2 for of_m in (thing.forward_m, thing.right_m))
     return 0 <= x < len(shown) and 0 <= y < len(shown) and bool(shown[y, x])
 
 
@@ -331,10 +336,10 @@ def _nearest_of(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearT
         near = np.hypot(*(those[:, None] - those[None]).transpose(2, 0, 1)) < _CLUSTER_M
         near &= np.abs(up[:, None] - up[None]) <= np.maximum(_LEVEL_M, _LEVEL_PART * up)[:, None]
         agree = near.sum(axis=1)
-        # What was lost confirms what is followed, and nothing alone.
+        # What was lost confirms what is followed, and nothing alone, nor one corner alone.
         followed = np.arange(len(those)) < len(those) - (len(stood) if reach_m < math.inf else 0)
         agreed = np.column_stack([those, up])
-        each = near[followed & (agree >= _AGREE) & (np.hypot(*those.T) < reach_m)]
+        each = near[followed & (agree >= _AGREE) & (near[:, followed].sum(axis=1) >= _FOLLOWED) & (np.hypot(*those.T) < reach_m)]
         seen += [NearThing(*np.median(agreed[these], axis=0).tolist()) for these in each]
     return min(seen, key=lambda of: of.from_centre_m, default=None)
 
@@ -353,6 +358,9 @@ _LEAST, _LEAST_VALUE, _NOISES = 0.25, 10.0, 4.0
 """Change that counts: of the mean's light, in values of a pixel, and in mean changes of the cell."""
 _CELLS_LEAST = 8
 """Least number of cells of a thing."""
+_PASSED_SURE, _PASSED_FADES = 3, 10
+"""Number of readings that show what passes from which on it counts for `MOVED_LASTS_S`; below `_LOW_M` one is enough. Second:
+number of readings of its place without it after which one that was shown less often is nothing: a flash, or a drop that fell."""
 _BOX = np.ones((3, 3), np.uint8)
 _DRONE_M = 0.3
 """Half the width of the drone's shadow, which does not shrink with its cone."""
@@ -395,11 +403,13 @@ def watch_passing(memory: PassMemory | None, view: FrameView, pose: PadPose, at:
         return memory
     light, shown = from_above(view, pose, view.pad.disc_radius_m + _REACH_M, _CELL_M, _PASS_MESH, 3)
     centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
-    found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
+    old = memory or _Found()
+    found, found_at, times, missed = old.found, old.found_at, old.shown, old.missed
     if memory is None or not 0.0 <= since_s <= _PASS_GAP_S:
         # Its share of a mean that is itself says nothing: a shadow that is there already would seem to come.
         now = _Reading(at, light, np.full_like(light, _ONE), np.zeros_like(shown), centre[:2], float(-centre[2]))
-        return PassMemory(light, shown, np.zeros(shown.shape, np.float32), (now,), found=found, found_at=found_at)
+        noise = np.zeros(shown.shape, np.float32)
+        return PassMemory(light, shown, noise, (now,), found=found, found_at=found_at, shown=times, missed=missed)
     both = ((shown > 0) & (memory.known > 0))[::2, ::2]
     bright, was = (of[::2, ::2, 1][both].astype(np.float32) + _FLOOR for of in (light, memory.mean))
     mean = cv2.convertScaleAbs(memory.mean, alpha=float(median(bright / was)) if len(was) else 1.0)  # by the exposure
@@ -411,16 +421,22 @@ def watch_passing(memory: PassMemory | None, view: FrameView, pose: PadPose, at:
     before = next((each for each in reversed(memory.readings) if seconds_between(each.at, at) >= _SINCE_S), None)
     if before is not None:
         change, noise = _compare(before, now, np.asarray(mean, np.uint8), noise)
-        new = _largest(change)
-        found, found_at = (found, found_at) if new is None else (new, at)
+        new, known = _largest(change), memory.near(at)
+        if new is not None:
+            times = _PASSED_SURE if now.height_m < _LOW_M else 1 + (0 if known is None else times)
+            found, found_at, missed = new, at, 0
+        elif known is not None and times < _PASSED_SURE and _is_shown(known, shown, _CELL_M):
+            missed += 1
+            found, found_at = (None, None) if missed >= _PASSED_FADES else (found, found_at)
     more, less = (np.minimum(off, np.uint8(_STEP)) for off in (cv2.subtract(light, mean), cv2.subtract(mean, light)))
     nearer = cv2.subtract(cv2.add(mean, more), less)
     cv2.copyTo(nearer, shown, mean)
     kept = tuple(each for each in memory.readings if seconds_between(each.at, at) < _SINCE_S)
     last = memory.readings[: len(memory.readings) - len(kept)][-1:]
     return PassMemory(
-        np.asarray(mean, np.uint8), memory.known | shown, noise, (*last, *kept, now), found=found, found_at=found_at
-    )
+        np.asarray(mean, np.uint8), memory.known | shown, noise, (*last, *kept, now),
+        found=found, found_at=found_at, shown=times, missed=missed,
+    )  # fmt: skip
 
 
 def _compare(before: _Reading, now: _Reading, mean: U8, noise: F32) -> tuple[U8, F32]:

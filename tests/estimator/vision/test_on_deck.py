@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
+from estimator.vision import about_pad
 from estimator.vision.about_pad import (
     MOVED_LASTS_S,
     STANDING_LASTS_S,
@@ -131,25 +134,43 @@ def test_what_was_taken_away_is_gone_and_what_left_the_view_still_counts() -> No
 
 WALKER = Bystander(at_s=0.0, forward_m=-1.0, right_m=0.9, to_forward_m=1.0, to_right_m=0.9, speed_m_s=0.7)
 WIDE = Deck(8.0, 5.0, (0.0, 0.0), 0.0, seed=3)
+CRATE = Bystander(at_s=0.0, thing="box", forward_m=0.1, right_m=0.75, width_m=0.4, height_m=0.4)
+FOOT = Bystander(at_s=0.0, forward_m=0.1, right_m=-0.8, to_forward_m=0.1, to_right_m=0.9, height_m=0.15, speed_m_s=0.8)
+CROSSING = {"forward_m": 1.0, "right_m": -1.5, "to_forward_m": -1.0, "to_right_m": 1.5, "speed_m_s": 3.0}
+BIRD = Bystander(at_s=0.0, thing="bird", width_m=0.5, height_m=1.5, **CROSSING)
+WIDE_DECK = Surroundings(WIDE)
+Memory = TypeVar("Memory", AroundMemory, PassMemory)
 
 
-def came_down_about(surroundings: Surroundings, *bodies: Bystander, light: Light = USUAL) -> AroundMemory:
-    """Return what is known after an approach from 4.5 m to 1.5 m, with errors of registration."""
-    renderer, effects = Renderer(CAMERA, PAD, surroundings, light), PictureEffects(CAMERA, PAD, light, 1)
-    rng, memory = np.random.default_rng(4), None
-    for k in range(14):
-        height_m = 4.5 - 3.0 * k / 13
-        R = Rotation.from_rpy(0.03 * math.sin(k), 0.02 * math.cos(k), 0.4)
+def came_down(
+    watch: Callable[[Memory | None, FrameView, PadPose, MonoNs], Memory],
+    from_m: float,
+    to_m: float,
+    *faults: Bystander | Glint,
+    scene: Surroundings = WIDE_DECK,
+    light: Light = BRIGHT,
+    gain: float = 1.0,
+    memory: Memory | None = None,
+    readings: range = range(14),
+) -> Memory:
+    """Return what is known after a way down of 13 readings, and a wait there.
+
+    It has swings, errors of registration, and an exposure that rises.
+    """
+    renderer, effects = Renderer(CAMERA, PAD, scene, light), PictureEffects(CAMERA, PAD, light, 1)
+    rng, (period_s, turn, off) = np.random.default_rng(5), (0.25, 1.0, 0.0) if watch is watch_around else (0.1, 0.25, 0.002)
+    for k in readings:
+        height_m = from_m + (to_m - from_m) * min(k, 13) / 13
+        R = Rotation.from_rpy(0.04 * math.sin(turn * k), 0.03 * math.cos(turn * k), 0.4)
         pad = np.array([0.0, 0.0, -0.6])
-        shot = Exposure(
-            0.25 * k, R, pad + np.array([0.06 * math.cos(k), 0.05 * math.sin(k), -height_m]), Rotation.identity(), pad
-        )
-        px = effects.drawn(renderer.render(shot, rng), bodies, shot, rng)
-        view, at = FrameView(Pyramid(px), CAMERA, PAD), MonoNs(10**9 + 250_000_000 * k)
-        memory = watch_around(memory, view, truth_of(shot, CAMERA), at)
+        aside = np.array([0.06 * math.cos(turn * k), 0.05 * math.sin(turn * k), -1.0]) * height_m
+        shot = Exposure(period_s * k, R, pad + aside, Rotation.identity(), pad)
+        px = effects.drawn(renderer.render(shot, rng), faults, shot, rng)
+        px = np.clip(px * gain ** (k / 12), 0, 255).astype(np.uint8)
+        true = truth_of(shot, CAMERA)
+        pose = PadPose(true.R_cam_pad @ Rotation.from_rotvec(rng.normal(0, off, 3)), true.t_cam_pad + rng.normal(0, off, 3))
+        memory = watch(memory, FrameView(Pyramid(px), CAMERA, PAD), pose, MonoNs(10**9 + round(1e9 * period_s * k)))
     assert memory is not None
-    far = PadPose(Rotation.identity(), np.array([0.0, 0.0, 40.0]))
-    assert not DeckMemory(None, memory, watch_passing(None, view, far, at)).is_due(MonoNs(at + 1), view, far), "too far to read"
     return memory
 
 
@@ -157,28 +178,31 @@ def came_down_about(surroundings: Surroundings, *bodies: Bystander, light: Light
     ("surroundings", "light"),
     [
         (Surroundings(WIDE, decals=(Decal("crate", (0.1, 0.75), 0.4, 0.3, "deck"),)), Light(drone_shadow=0.0)),
-        (Surroundings(WIDE), Light(drone_shadow=0.7, sun_elevation_deg=69.0)),
+        (WIDE_DECK, Light(drone_shadow=0.7, sun_elevation_deg=69.0)),
         (Surroundings(Deck(seed=2), Waves.draw(SEA_STATES[4], 3)), Light(drone_shadow=0.0)),
     ],
     ids=["something flat", "the drone's own shadow", "a small deck over waves"],
 )
 def test_what_lies_flat_and_what_is_light_or_sea_is_nothing(surroundings: Surroundings, light: Light) -> None:
-    memory = came_down_about(surroundings, light=light)
+    memory = came_down(watch_around, 4.5, 1.5, scene=surroundings, light=light)
     assert memory.began > 5
     assert memory.near(memory.at) is None
+    blank, far = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), PadPose(Rotation.identity(), np.array([0.0, 0.0, 40.0]))
+    view, at = FrameView(Pyramid(blank), CAMERA, PAD), MonoNs(memory.at + 1)
+    assert not DeckMemory(None, memory, watch_passing(None, view, far, memory.at)).is_due(at, view, far), "too far to read"
 
 
 @pytest.mark.parametrize(
     ("body", "height_m", "lasts_s"),
     [
-        (Bystander(at_s=0.0, thing="box", forward_m=0.1, right_m=0.75, width_m=0.4, height_m=0.4), (0.3, 0.5), STANDING_LASTS_S),
+        (CRATE, (0.3, 0.5), STANDING_LASTS_S),
         (Bystander(at_s=0.0, forward_m=-0.3, right_m=0.8), (0.4, 2.0), STANDING_LASTS_S),
         (WALKER, (0.0, 2.0), MOVED_LASTS_S),
     ],
     ids=["a crate", "a person stands", "a person walks"],
 )
 def test_what_is_about_the_pad_is_seen_with_its_height_for_a_time(body, height_m, lasts_s) -> None:
-    memory = came_down_about(Surroundings(WIDE), body)
+    memory = came_down(watch_around, 4.5, 1.5, body, light=USUAL)
     near, at = memory.near(memory.at), memory.found_at
     assert at is not None
     assert height_m[0] <= near.height_m <= height_m[1]
@@ -188,18 +212,28 @@ def test_what_is_about_the_pad_is_seen_with_its_height_for_a_time(body, height_m
     assert memory.near(MonoNs(at + round(1e9 * (lasts_s + 0.1)))) is None
 
 
-@pytest.mark.parametrize(("readings", "is_kept"), [(1, False), (3, False), (12, True)])
-def test_what_later_looks_at_its_place_do_not_confirm_fades_unless_many_did_before(readings: int, is_kept: bool) -> None:
-    """Corners that were followed wrongly agree once; what was seen all the way down counts for a drone that waits."""
-    crate = Bystander(at_s=0.0, thing="box", forward_m=0.1, right_m=0.75, width_m=0.4, height_m=0.4)
-    memory = dataclasses.replace(came_down_about(Surroundings(WIDE), crate), shown=readings)
-    renderer, rng = Renderer(CAMERA, PAD, Surroundings(WIDE), USUAL), np.random.default_rng(5)
-    pad, began = np.array([0.0, 0.0, -0.6]), memory.at
-    for k in range(1, 20):
-        shot = Exposure(4.0 + 0.25 * k, Rotation.identity(), pad - np.array([0.0, 0.0, 2.5]), Rotation.identity(), pad)
-        view, at = FrameView(Pyramid(renderer.render(shot, rng)), CAMERA, PAD), MonoNs(began + 250_000_000 * k)
-        memory = watch_around(memory, view, truth_of(shot, CAMERA), at)
+@pytest.mark.parametrize(
+    ("watch", "way", "body", "times", "is_kept"),
+    [(watch_around, (4.5, 1.5), CRATE, n, n > 5) for n in (1, 3, 12)]
+    + [(watch_passing, (2.6, 1.8), BIRD, n, n > 2) for n in (2, 3)],
+)
+def test_what_later_looks_at_its_place_do_not_confirm_fades_unless_many_did_before(watch, way, body, times, is_kept) -> None:
+    """Corners that were followed wrongly agree once, and light flashes; what was often seen counts for a drone that waits."""
+    memory = dataclasses.replace(came_down(watch, *way, body), shown=times)
+    memory = came_down(watch, *way, memory=memory, readings=range(14, 44))
     assert (memory.near(memory.at) is not None) is is_kept
+
+
+@pytest.mark.parametrize(("apart_m", "spread", "times"), [(0.0, 1.0, 4), (0.4, 1.0, 4), (0.6, 1.0, 1), (0.0, 2.5, 3)])
+def test_a_picture_confirms_a_finding_in_its_place_alone_and_not_if_it_is_registered_wrongly(
+    apart_m: float, spread: float, times: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory, heights = came_down(watch_around, 4.5, 1.5, CRATE), about_pad._heights
+    assert memory.found is not None
+    found = replace(memory.found, forward_m=memory.found.forward_m + apart_m)
+    monkeypatch.setattr(about_pad, "_heights", lambda *of: dataclasses.replace(heights(*of), flat=spread))
+    memory = dataclasses.replace(memory, found=found, shown=3)
+    assert came_down(watch_around, 4.5, 1.5, CRATE, memory=memory, readings=range(14, 15)).shown == times
 
 
 @pytest.mark.parametrize(
@@ -212,40 +246,7 @@ def test_a_camera_that_leans_and_swings_or_waits_over_glitter_sees_nothing_about
 
 
 def test_a_camera_that_leans_and_swings_sees_a_crate_beside_the_pad() -> None:
-    crate = Bystander(at_s=0.0, thing="box", forward_m=0.1, right_m=0.75, width_m=0.4, height_m=0.5)
-    assert approach(0, "plain", (), TrackerConfig(CAMERA, PAD, TrackerOptions()), (crate,), LEANS).near_m > 4.0
-
-
-FOOT = Bystander(at_s=0.0, forward_m=0.1, right_m=-0.8, to_forward_m=0.1, to_right_m=0.9, height_m=0.15, speed_m_s=0.8)
-CROSSING = {"forward_m": 1.0, "right_m": -1.5, "to_forward_m": -1.0, "to_right_m": 1.5, "speed_m_s": 3.0}
-BIRD = Bystander(at_s=0.0, thing="bird", width_m=0.5, height_m=1.5, **CROSSING)
-WIDE_DECK = Surroundings(WIDE)
-
-
-def came_down(
-    from_m: float,
-    to_m: float,
-    *faults: Bystander | Glint,
-    scene: Surroundings = WIDE_DECK,
-    light: Light = BRIGHT,
-    gain: float = 1.0,
-) -> PassMemory:
-    """Return what is known after 1.2 s on the way down, with swings, errors of registration, and an exposure that rises."""
-    renderer, effects = Renderer(CAMERA, PAD, scene, light), PictureEffects(CAMERA, PAD, light, 1)
-    rng, memory = np.random.default_rng(5), None
-    for k in range(13):
-        height_m = from_m + (to_m - from_m) * k / 12
-        R = Rotation.from_rpy(0.04 * math.sin(0.3 * k), 0.03 * math.cos(0.3 * k), 0.4)
-        pad = np.array([0.0, 0.0, -0.6])
-        aside = np.array([0.06 * math.cos(0.2 * k), 0.05 * math.sin(0.2 * k), -1.0]) * height_m
-        shot = Exposure(0.1 * k, R, pad + aside, Rotation.identity(), pad)
-        px = effects.drawn(renderer.render(shot, rng), faults, shot, rng)
-        px = np.clip(px * gain ** (k / 12), 0, 255).astype(np.uint8)
-        true = truth_of(shot, CAMERA)
-        off = type(true)(true.R_cam_pad @ Rotation.from_rotvec(rng.normal(0, 0.002, 3)), true.t_cam_pad + rng.normal(0, 0.002, 3))
-        memory = watch_passing(memory, FrameView(Pyramid(px), CAMERA, PAD), off, MonoNs(10**9 + 100_000_000 * k))
-    assert memory is not None
-    return memory
+    assert approach(0, "plain", (), TrackerConfig(CAMERA, PAD, TrackerOptions()), (CRATE,), LEANS).near_m > 4.0
 
 
 @pytest.mark.parametrize(
@@ -259,9 +260,10 @@ def came_down(
     ids=["a bird far below", "a bird close below", "a person", "a foot that comes in below during the commit"],
 )
 def test_what_crosses_the_pad_once_is_seen_where_it_is_and_for_a_time(from_m: float, to_m: float, body: Bystander) -> None:
-    memory = came_down(from_m, to_m, body)
+    memory = came_down(watch_passing, from_m, to_m, body)
     near, at = memory.near(memory.at), memory.found_at
     assert near.from_centre_m < PAD.disc_radius_m + 1.2
+    assert memory.shown >= 3 or from_m > 1.0, "low over the pad one look is enough"
     assert memory.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S - 0.1)))) == near
     assert memory.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S + 0.1)))) is None
 
@@ -278,6 +280,6 @@ def test_what_crosses_the_pad_once_is_seen_where_it_is_and_for_a_time(from_m: fl
     ids=["the drone's own shadow", "its shadow in low sun", "a changing exposure", "a small deck over waves"],
 )
 def test_light_and_waves_do_not_pass(scene: Surroundings, light: Light, gain: float, heights: tuple[float, float]) -> None:
-    memory = came_down(*heights, scene=scene, light=light, gain=gain)
+    memory = came_down(watch_passing, *heights, scene=scene, light=light, gain=gain)
     assert memory.near(memory.at) is None
     assert (memory.known > 0).any()
