@@ -253,7 +253,6 @@ def test_a_vehicle_that_goes_with_the_deck_against_its_commands_stands_on_it(dec
     speed = answered(command, 0.14, 0.12)
     stood = np.clip((t - 3.0) / 0.3, 0.0, 1.0)
     found = contacts(command, (1.0 - stood) * speed + stood * deck_m_s)
-    assert found
     assert 3.0 + HELD_S < found[0] < 3.7
 
 

@@ -124,7 +124,6 @@ def test_a_file_with_a_fault_is_named_and_not_used(text: bytes, tmp_path: Path, 
 async def test_a_folder_that_cannot_be_written_is_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     loop = Loop()
     keeper = keeper_of(loop.pilot, "v", {"STATE_DIRECTORY": str(tmp_path / "absent")}, no_modes)
-    assert keeper is not None
     for _ in range(60):
         loop.tick()
         keeper.on_decision(loop.pilot.decide(loop.now))

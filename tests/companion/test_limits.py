@@ -371,7 +371,6 @@ def test_a_drone_that_keeps_this_height_is_not_reached_by_a_swell_that_it_cannot
 
 def test_the_gate_stays_shut_and_the_drone_goes_up_before_such_a_sea_comes() -> None:
     o, rough = GuidanceOptions(), knowledge(forecast(swell(1.6)))
-    assert rough.relative is not None
     kept_shut = gate(ns(0.0), rough.relative, rough, InputQuality(), o.limits, o.cone, aligned=False)
     assert kept_shut.cause is ReasonCause.DECK_RISE
     assert "the deck will rise 0.95 m more than the drone can climb" in kept_shut.text

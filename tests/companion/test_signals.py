@@ -294,7 +294,6 @@ links = "udpin://127.0.0.1:0"
 def test_sigterm_at_any_moment_on_a_busy_machine(moment_s: float | None, rig: str) -> None:
     """End the service at a moment, or, if none is given, while it ends already."""
     with burners(2), started(decklander("run", "--config", rig), stderr=subprocess.PIPE) as process:
-        assert process.stderr is not None
         if moment_s is None:
             while "trying again" not in (words_of := process.stderr.readline()):
                 assert words_of

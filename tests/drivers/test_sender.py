@@ -185,7 +185,6 @@ async def test_a_sender_that_is_killed_or_stuck_is_replaced_and_the_drone_hovers
         fake.vx_mm_s = 100.0
         await steer(drone, fake)
         first = drone.sender_pid
-        assert first is not None
         os.kill(first, how)
         await until(lambda: not moving_command(fake))
         await until(lambda: drone.counters.at_senders == 2 and drone.sender_pid not in (None, first))
@@ -307,7 +306,6 @@ def test_only_the_same_user_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
     name = f"\0decklander-test/{os.getpid()}"
     claimed = sender_lock.claim(name, f"{name}/mark", replaces=False)
     listener, sequence = claimed
-    assert listener is not None
     assert sequence == 0
     with listener, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as stranger:
         stranger.connect(name)
@@ -329,7 +327,6 @@ async def test_a_service_that_has_lost_its_sender_gets_the_drone_back_before_a_n
         assert not newcomer.done()
         claimed = sender_lock.claim(name, f"{name}/mark", replaces=True)
         listener, _ = claimed
-        assert listener is not None
         with listener:
             await until(lambda: newcomer.done() or sender_lock.yield_to(listener, None))
             assert await newcomer is None

@@ -67,7 +67,6 @@ async def test_a_file_is_played_at_its_own_speed_to_its_end(tmp_path: Path) -> N
         with contextlib.suppress(CameraLost):
             async for frame in camera.frames:
                 frames.append(frame)
-        assert camera.down is not None
         assert "over" in camera.down
     assert [f.seq for f in frames] == sorted({f.seq for f in frames})
     assert frames[-1].seq == 19
@@ -298,7 +297,6 @@ async def test_a_camera_that_is_not_there_is_waited_for() -> None:
     options = CameraOptions(source="v4l2", device="/dev/v4l/by-id/no-such-camera", reconnect_first_s=0.01, reconnect_most_s=0.02)
     async with asyncio.timeout(60), open_camera(options, (W, H), CLOCK) as camera:
         await until(lambda: camera.counters.restarts["absent"] >= 3)
-        assert camera.down is not None
         assert "no-such-camera" in camera.down
 
 

@@ -52,8 +52,6 @@ async def drone(scenario: Path, truth: Path) -> AsyncIterator[dict[str, int]]:
         "--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0",
         cwd=ROOT, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
     )  # fmt: skip
-    assert process.stdin is not None
-    assert process.stdout is not None
     try:
         async with asyncio.timeout(60):
             ready = json.loads(await process.stdout.readline())

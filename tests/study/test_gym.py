@@ -174,7 +174,6 @@ def test_the_spread_counts_frames_without_an_estimate() -> None:
     for error in (0.01, 0.03):
         flown.sightings.append(Estimate(1.0, "arrow", np.array([error, 0.0, 1.0]), 0.1, np.array([0.0, 0.0, 1.0]), 0.0, 0.01))
     found = spread(flown, "arrow", "x")
-    assert found is not None
     assert found == pytest.approx((20.0, 10.0, 10.0, 30.0, 0.5))
     assert error_of(flown.sightings[0], "yaw") == pytest.approx(math.degrees(0.1))
     assert spread(flown, "corners", "x") is None

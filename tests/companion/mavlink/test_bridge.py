@@ -164,7 +164,6 @@ class Wire:
     async def say(self, *messages: Message | bytes) -> list[Message]:
         """Send these and return what has come back a little later."""
         counters, address = self._links.all[0].counters, self._links.all[0].local
-        assert address is not None
         for message in messages:
             data = message if isinstance(message, bytes) else self._codec.pack(message)
             expected = counters.bytes_in + len(data)

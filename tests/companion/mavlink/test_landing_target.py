@@ -179,7 +179,6 @@ def test_the_range_is_along_the_bodys_down_axis() -> None:
     for roll, pitch in ((0.0, 0.0), (0.3, -0.2), (-0.1, 0.35)):
         body = Rotation.from_rpy(roll, pitch, 1.0)
         reading = range_along_down(np.array([1.0, -2.0, 4.0]), body)
-        assert reading is not None
         assert (body @ np.array([0.0, 0.0, reading]))[2] == pytest.approx(4.0)
     assert range_along_down(np.array([0.0, 0.0, -1.0]), Rotation.identity()) is None
 

@@ -39,7 +39,6 @@ async def test_the_script_of_the_page_leads_the_drone_to_the_ship_and_nobody_wit
             *(sys.executable, str(ROOT / "examples/ship_reports.py"), *words, "deck", str(key_file)),
             stdin=asyncio.subprocess.PIPE,
         )
-        assert child.stdin is not None
         try:
             while not service.towards_ship():
                 child.stdin.write(line)

@@ -112,7 +112,6 @@ def test_the_rate_of_a_turn_is_learned_and_goes_on_out_of_sight() -> None:
     """Three degrees a second at 2 m/s: without a rate of turn the filter errs by two metres after 3 s."""
     scene = replace(QUICK, sea="turning", seed=4, speed_m_s=2.0, blind=((15.0, 18.0),), gaps=0)
     s = fly_voyage(scene, since_s=15.0, forecasts=False)
-    assert s.memory is not None
     assert abs(abs(math.degrees(newest(s.memory).x[TURN_RATE])) - 3.0) < 1.0
     gap = [e for t, e in zip(s.t, s.error_m, strict=True) if t < 18.2]
     assert max(gap) < 0.5

@@ -56,7 +56,6 @@ def estimate_sea(s: Setting) -> tuple[TruthFlight, Filter, list[float], dict[flo
             e = np.concatenate([state.d_body_pad_level - d, state.v_pad_level - v, [turn]])
             nees.append(float(e @ np.linalg.solve(state.cov, e)))
             forecast = ekf.forecast(ns(next_s), (1.0, 2.0, 3.0))
-            assert forecast is not None
             p, v, _ = flight.pad(next_s + np.array([1.0, 2.0, 3.0]))
             for probability, held in inside.items():
                 for name, true in (("deck_height_m", flight.p0[2] - p[:, 2]), ("rise_m_s", -v[:, 2])):
@@ -162,7 +161,6 @@ def test_half_a_heading_is_used_only_when_the_other_half_is_known(known_until_s:
             event = structs.replace(event, yaw_rad=math.remainder(event.yaw_rad + math.pi, math.tau), yaw_ambiguous=True)
         ekf.put([event])
     state = ekf.at(ns(4.9))
-    assert state is not None
     if known_until_s == 0.0:
         assert state.yaw_rad is None
     else:

@@ -42,7 +42,6 @@ def test_tilt_and_forward_offset_are_put_in(method: Method, pad: Pad) -> None:
     scene = PadPlacement((0.4, -0.25, 1.7), 0.8, math.radians(8.0), math.radians(8.0))
     frame = image(scene, camera, pad, blur_px=0.6)
     s = detect(frame, scene.attitude(), camera, pad, SIMULATOR).methods[method]
-    assert s is not None
     assert np.linalg.norm(errors(s, scene)[0]) < 0.01
     level = detect(frame, None, camera, pad, SIMULATOR).methods[method]
     off = errors(level, scene)[0]
@@ -245,7 +244,6 @@ def test_two_inner_corners_do_on_the_long_side_and_on_the_short_one(place, camer
     inner_seen = [tuple(xy) for xy in np.abs(found.marks.pad_xy_m).round(3).tolist()].count((0.02, 0.06))
     assert inner_seen == 2
     s = corners_of(scene, camera, pad)
-    assert s is not None
     d, yaw = errors(s, scene)
     assert np.linalg.norm(d) < 0.002
     assert abs(math.degrees(yaw)) < 0.3

@@ -86,7 +86,6 @@ def test_a_look_is_a_registration_an_alignment_and_their_evidence(camera: Camera
         pad = load_pad(("thesis", "printed", "icao", "h")[k % 4])
         height_m = math.exp(rng.uniform(math.log(0.25), math.log(20.0)))
         scene = pad_scene(rng, camera, pad, height_m, CONDITIONS[k % len(CONDITIONS)])
-        assert scene.truth is not None
         pyramid = Pyramid(scene.px)
         found = looked(scene.px, camera, pad, scene.truth, scene.R_level_body)
         one = register(scene.px, camera, pad, scene.truth, None if found is None else found.prior, CLOSE)
@@ -231,7 +230,6 @@ def seen_at(k: int, pad_name: str) -> tuple[Pad, Aimed, Registration]:
     """Return one of some frames from 0.3 to 9 m in all conditions, half through a bent lens, and what is seen."""
     pad, camera = load_pad(pad_name), BENT if k % 2 else sim_camera()
     scene = pad_scene(np.random.default_rng(k), camera, pad, 0.3 * 1.45**k, CONDITIONS[k % len(CONDITIONS)])
-    assert scene.truth is not None
     roll, pitch, _ = (scene.R_level_body or Rotation.identity()).rpy_rad
     orientation = Orientation(roll, pitch, np.array([[3e-4, 1e-4], [1e-4, 2e-4]]), 0.02, True)
     view = Aimed(scene.px, camera, orientation, scene.truth)

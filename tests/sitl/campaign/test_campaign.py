@@ -451,7 +451,6 @@ def worker_program(*args: str, ready: str, **env: str) -> Iterator[tuple[subproc
     """Run a program of Dask until the end of the context; the text is the line in which it says that it is ready."""
     more = {**os.environ, "PYTHONPATH": os.getcwd(), **env}
     child = subprocess.Popen([sys.executable, "-m", *args], stderr=subprocess.PIPE, text=True, env=more)
-    assert child.stderr is not None
     try:
         line = next((line for line in child.stderr if ready in line), "")
         assert line, f"{args} ended before it was ready"
