@@ -43,9 +43,7 @@ def test_what_is_announced_is_read_from_its_text(case: _Case) -> None:
         (Touch(3.0, 0.5), [(0.0, -3.0)], False),
     ],
 )
-def test_every_contact_is_to_be_within_the_announced_distance_of_the_announced_place(
-    touch: Touch, touched_m: list[tuple[float, float]], right: bool
-) -> None:
+def test_every_contact_is_to_be_within_the_announced_distance_of_the_announced_place(touch, touched_m, right):
     assert as_announced({"announced": touch.text, "below_m": (0.0, 2.0), "touched_m": touched_m}) is right
 
 

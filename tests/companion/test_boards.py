@@ -94,9 +94,7 @@ def check_same(pad: Pad, exposure: Exposure, px: np.ndarray, board: list[np.ndar
 
 
 @pytest.mark.parametrize("family", ["tag36h11", "tag25h9", "tag16h5"])
-def test_a_bundle_lies_where_apriltag_s_own_library_sees_it(
-    tmp_path: Path, family: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bundle_lies_where_apriltag_s_own_library_sees_it(tmp_path, family, capsys):
     """The library of apriltag_ros reads the painted pad; its bundle's pose is of the corners that tags.yaml itself says."""
     text = tags_yaml(rest="standalone_tags: [{id: 90, size: 0.3}]\n")
     pad = imported(tmp_path, "tags.yaml", text, "--target", "deck", "--family", family, "--size-mm", "900x950")
@@ -158,9 +156,7 @@ def test_a_node_of_ros_2_is_one_tag_and_a_board_is_turned_as_it_was_painted(tmp_
         ("a.yaml", "/**: {ros__parameters: {family: 36h11, size: 1, tag: {ids: [1, 2], sizes: [1]}}}", "no tags.yaml"),
     ],
 )  # fmt: skip
-def test_a_board_that_is_wrong_is_refused_in_one_line(
-    tmp_path: Path, name: str, text: str, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_board_that_is_wrong_is_refused_in_one_line(tmp_path, name, text, said, capsys):
     (tmp_path / name).write_text(text)
     assert main(["pad", "import", str(tmp_path / name), "--out", str(tmp_path / "pad.toml")]) == 2
     error = capsys.readouterr().err

@@ -258,9 +258,7 @@ def test_a_vehicle_that_goes_with_the_deck_against_its_commands_stands_on_it(dec
 
 @pytest.mark.parametrize(("delay_s", "lag_s"), [(0.14, 0.12), (0.28, 0.2), (0.1, 0.1), (0.12, 0.4)])
 @pytest.mark.parametrize("seed", range(4))
-def test_no_flight_over_a_heaving_deck_is_a_contact_by_the_speeds_over_the_ground_or_to_it(
-    seed: int, delay_s: float, lag_s: float
-) -> None:
+def test_no_flight_over_a_heaving_deck_is_a_contact_by_the_speeds_over_the_ground_or_to_it(seed, delay_s, lag_s):
     """Commands lead the deck by the vehicle's answer, as the law's do; ground effect holds up, the deck's speed is uncertain."""
     whole = heave(seed)
     assert contacts(whole, answered(whole, delay_s, lag_s, push_m_s=-0.1)) == []
@@ -312,9 +310,7 @@ def touch_in(commits: list[tuple[float, bool, float]]) -> tuple[Progress, list[R
     ],
     ids=["the same height twice", "once", "two heights", "in doubt", "unseen", "the newest two"],
 )
-def test_feet_that_touch_at_the_same_wrong_height_in_two_commits_are_named_and_end_the_tries(
-    commits: list[tuple[float, bool, float]], names: bool
-) -> None:
+def test_feet_that_touch_at_the_same_wrong_height_in_two_commits_are_named_and_end_the_tries(commits, names):
     p, ended = touch_in(commits)
     causes = [reason.cause for reason in ended]
     assert (ReasonCause.FEET in causes) is names

@@ -185,9 +185,7 @@ def test_the_place_of_a_fault_has_a_caret(text: str, message: str, row: int, mar
     assert "docs/configuration.md" in page
 
 
-def test_a_file_that_is_refused_as_a_whole_is_refused_in_one_line_on_a_terminal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_is_refused_as_a_whole_is_refused_in_one_line_on_a_terminal(tmp_path, monkeypatch, capsys):
     """WHY: the place of the fault was looked for in the file that is too large to be read."""
     (tmp_path / "rig.toml").write_text("#" * 1_000_001)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
@@ -217,9 +215,7 @@ def test_progress_stays_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, ca
 
 
 @pytest.mark.parametrize("columns", [40, 140])
-def test_progress_shows_no_height_on_the_deck(
-    columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_progress_shows_no_height_on_the_deck(columns, monkeypatch, capsys):
     """Nothing corrects the estimate there, and it drifts."""
     monkeypatch.setattr(kept_flight.ProgressObserver, "_columns", lambda self: columns)
     progress = kept_flight.ProgressObserver()

@@ -111,9 +111,7 @@ def test_a_lens_elsewhere_bars_no_persons_landing_and_is_told_with_its_spread() 
     st.sampled_from([0.0, 2.0]),
     st.sampled_from(["cone", "thesis", "targets"]),
 )
-def test_whatever_is_seen_and_felt_it_goes_down_until_a_person_ends_it(
-    looks: Any, ground: bool, silent: float, mission: Any
-) -> None:
+def test_whatever_is_seen_and_felt_it_goes_down_until_a_person_ends_it(looks, ground, silent, mission):
     o = guided(mission)
     p, t = landing(State.ABORTED, o=o), 0.0
     for d, age, ok, felt in looks * 20:
@@ -189,9 +187,7 @@ ONCE, HELD = (1.0, 1.1), (1.0, 99.0)
         ({"velocity": HELD}, 4.0, None),
     ],
 )
-def test_without_sight_it_takes_two_witnesses_to_stop_an_autopilots_motors_by_force(
-    felt: dict[str, Any], height_m: float | None, command: Any
-) -> None:
+def test_without_sight_it_takes_two_witnesses_to_stop_an_autopilots_motors_by_force(felt, height_m, command):
     """One that felt the deck once goes on down: LAND holds over the ground, and a ship under way slides on under it."""
     p, aim = landing(), None
     for k in range(500):
@@ -224,9 +220,7 @@ def test_without_sight_it_takes_two_witnesses_to_stop_an_autopilots_motors_by_fo
         ([0.24, 0.6, None], 1.2, -0.4, 0.4, False),
     ],
 )
-def test_without_sight_a_descent_has_ended_only_where_that_is_sure(
-    ranges_m: list[float | None], height_m: float, v_down: float, sigma: float, contact: bool
-) -> None:
+def test_without_sight_a_descent_has_ended_only_where_that_is_sure(ranges_m, height_m, v_down, sigma, contact):
     p = landing()
     for k in range(200):
         t, range_m = 0.02 * k, ranges_m[min(k // 20, len(ranges_m) - 1)]
@@ -293,9 +287,7 @@ def test_what_left_the_deck_again_goes_down_again_and_nothing_else_follows_a_lan
 
 @pytest.mark.hazard("H4")
 @pytest.mark.parametrize(("over_ground", "here", "stops"), [(True, True, True), (False, True, False), (True, False, False)])
-def test_an_autopilot_that_finds_the_ground_before_us_is_ordered_to_stop_its_motors(
-    over_ground: bool, here: bool, stops: bool
-) -> None:
+def test_an_autopilot_that_finds_the_ground_before_us_is_ordered_to_stop_its_motors(over_ground, here, stops):
     p, _ = take_status(landing(), status(1.0, flying=False), OPTIONS)
     p = p if here else structs.replace(p, here=None)
     assert p.state is State.LANDED

@@ -110,9 +110,7 @@ def test_settings_camera_pad_and_versions_travel_with_it(png_flight):
     assert recording.metadata["flight"] == {"scenario": "demo", "seed": "1"}
 
 
-def test_the_reference_reader_finds_an_indexed_file_whose_messages_keep_their_schemas(
-    png_flight: tuple[Path, ObservedCalls],
-) -> None:
+def test_the_reference_reader_finds_an_indexed_file_whose_messages_keep_their_schemas(png_flight):
     with png_flight[0].open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()

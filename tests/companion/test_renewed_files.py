@@ -48,9 +48,7 @@ async def certificate_of(port: int, name: str | None) -> bytes:
     return bytes(connection.getpeercert(binary_form=True))
 
 
-async def test_the_page_serves_a_renewed_certificate_and_keeps_it_where_the_next_one_is_broken(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_the_page_serves_a_renewed_certificate_and_keeps_it_where_the_next_one_is_broken(tmp_path, caplog):
     first = certify(tmp_path, "first")
     files = {"certificate_file": str(tmp_path / "page.crt"), "key_file": str(tmp_path / "page.key")}
     server = HttpServer(HttpSettings(endpoint="https", port=0, page=False, **files), Health(SystemClock()))

@@ -54,9 +54,7 @@ def replayed(path: Path, *words: str, capsys: pytest.CaptureFixture[str]) -> dic
     return out
 
 
-def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(
-    recorded_flight: tuple[Path, ObservedCalls],
-) -> None:
+def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(recorded_flight):
     recording = open_recording([recorded_flight[0]])
     settings = sim_settings()
     reported = ObservedCalls()

@@ -60,9 +60,7 @@ PAIRS: list[tuple[Settings, Settings, str]] = [
 
 
 @pytest.mark.parametrize(("first", "second", "shared"), PAIRS)
-def test_what_two_rigs_share_bars_the_second_and_what_they_do_not_share_does_not(
-    first: Settings, second: Settings, shared: str, tmp_path: Path
-) -> None:
+def test_what_two_rigs_share_bars_the_second_and_what_they_do_not_share_does_not(first, second, shared, tmp_path):
     file = tmp_path / ("a" * 60) / "first.toml"
     with ExitStack() as held:
         held.enter_context(sole_service(first, file))

@@ -38,9 +38,7 @@ def one_cycle(pilot: Pilot, t_s: float) -> Any:
     st.sampled_from(PARTS), st.sampled_from([*STOPS]), st.integers(0, 12), st.integers(0, 12),
     st.sampled_from([OperatorOrder.BEGIN, OperatorOrder.STAY, OperatorOrder.MANUAL, None]),
 )  # fmt: skip
-def test_no_fault_at_any_instant_holds_back_a_stop(
-    part: str, stop: OperatorOrder, fails_at: int, stops_at: int, before: OperatorOrder | None
-) -> None:
+def test_no_fault_at_any_instant_holds_back_a_stop(part, stop, fails_at, stops_at, before):
     pilot = make_pilot(SETTINGS)
     owner, name = part.split(".")
     one_cycle(pilot, 1.0)

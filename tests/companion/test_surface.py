@@ -45,9 +45,7 @@ def met_m_s(high_m: float, swell_m: float, period_s: float, phase: float, seed: 
 @pytest.mark.hazard("H3")
 @settings(max_examples=25)
 @given(st.floats(1.5, 8.0), st.floats(0.0, 1.5), st.floats(7.0, 14.0), st.floats(0.0, math.tau), st.integers(0, 99))
-def test_without_sight_a_swell_is_met_slowly_by_its_range(
-    high_m: float, swell_m: float, period_s: float, phase: float, seed: int
-) -> None:
+def test_without_sight_a_swell_is_met_slowly_by_its_range(high_m, swell_m, period_s, phase, seed):
     met, took_s = met_m_s(max(high_m, swell_m + 0.5), swell_m, period_s, phase, seed)
     assert met < 0.8
     assert took_s < 30.0

@@ -130,9 +130,7 @@ def stops_from_m_s(distance_m: float, brakes: float, jerk: float) -> float:
 
 @pytest.mark.parametrize("parameters", [{}, {"MPC_ACC_HOR": 5.0, "MPC_JERK_AUTO": 20.0}])
 @pytest.mark.parametrize("speed_m_s", [0.3, 1.5, 4.0])
-def test_a_steady_ship_is_led_by_what_px4_stays_behind_and_not_at_all_for_arducopter(
-    parameters: dict[str, float], speed_m_s: float
-) -> None:
+def test_a_steady_ship_is_led_by_what_px4_stays_behind_and_not_at_all_for_arducopter(parameters, speed_m_s):
     lead = Lead(lambda now: deck(1.0, (speed_m_s, 0.0, 0.3), (0.0, 0.0, 0.0)), 1.5)
     east = Rotation.from_rpy(0.1, -0.1, math.radians(90.0))
     ahead = lead.ahead(ns(1.0), east, view(Stack.PX4, **parameters))

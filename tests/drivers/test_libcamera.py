@@ -111,9 +111,7 @@ async def test_settings_that_the_camera_cannot_do_are_one_clear_error(world: Any
         ({"busy": True}, "", "failed", "resource busy (another program holds the camera"),
     ],
 )
-async def test_a_camera_that_is_absent_or_busy_is_tried_again(
-    world: Any, differs: Any, device: str, reason: str, words: str
-) -> None:
+async def test_a_camera_that_is_absent_or_busy_is_tried_again(world, differs, device, reason, words):
     world(**differs)
     async with asyncio.timeout(60), open_camera(pi_camera(device=device), SIZE, CLOCK) as camera:
         await until(lambda: camera.counters.restarts[reason] >= 2)

@@ -237,9 +237,7 @@ def test_a_frame_in_which_nothing_moves_is_left_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("noise_rad", [0.0, 2e-3])
-def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief_or_of_the_gyro(
-    noise_rad: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_camera_s_motion_is_that_of_the_attitude_and_the_belief_or_of_the_gyro(noise_rad, monkeypatch):
     """A body that turns about all axes and flies over a pad, its camera at the nose.
 
     The difference of two reported attitudes over 30 ms is noise: 0.1 rad/s for 2 mrad each.

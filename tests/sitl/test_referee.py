@@ -886,9 +886,7 @@ GRADES: list[tuple[FlightOutcome | None, str, str, AtEnd, Grade, str]] = [
 
 
 @pytest.mark.parametrize(("outcome", "surface", "expect", "end", "worth", "because"), GRADES)
-def test_a_flight_is_worth_what_its_scenario_expects(
-    outcome: FlightOutcome | None, surface: Any, expect: Any, end: AtEnd, worth: Grade, because: str
-) -> None:
+def test_a_flight_is_worth_what_its_scenario_expects(outcome, surface, expect, end, worth, because):
     contacts = [touched(surface)] if surface else []
     given, reason = grade(outcome, on_pad_m(contacts), unsafe_contacts(contacts, CONTACT, FRAME), expect, end)
     assert given is worth

@@ -16,9 +16,7 @@ def program(path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(("make", "demo", "failed"), [(0, 0, "none"), (2, 0, "3.12.9 (check)"), (0, 1, "3.12.9 (demo)")])
-def test_a_shim_that_does_not_run_is_no_python_and_each_other_is_checked_in_its_own_environment(
-    tmp_path: Path, make: int, demo: int, failed: str
-) -> None:
+def test_a_shim_that_does_not_run_is_no_python_and_each_other_is_checked_in_its_own_environment(tmp_path, make, demo, failed):
     (tmp_path / "pyproject.toml").write_text((ROOT / "pyproject.toml").read_text())
     done, path = tmp_path / "done", tmp_path / "bin"
     program(path / "python3.11", "exit 127")

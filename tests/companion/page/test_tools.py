@@ -505,9 +505,7 @@ def test_its_own_page_is_let_in_by_each_of_its_names_and_no_other(origin: str | 
         ("https://", {"Host": ""}, "another page"),
     ],
 )  # fmt: skip
-def test_a_proxy_passes_the_browser_s_host_on_or_the_header_is_named(
-    origin: str, headers: dict[str, str], said: str | None
-) -> None:
+def test_a_proxy_passes_the_browser_s_host_on_or_the_header_is_named(origin, headers, said):
     why = refused_origin({"Origin": origin, **headers}, NAMES)
     assert why is None if said is None else said in (why or "")
 

@@ -8,7 +8,6 @@ import sys
 import time
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -98,9 +97,7 @@ INSTALLED = pytest.param("rclpy", marks=pytest.mark.skipif(find_spec("tf2_msgs")
 
 
 @pytest.mark.parametrize("middleware", ["dds", INSTALLED])
-async def test_a_ros_program_sees_the_flight_and_its_orders_are_obeyed_or_refused(
-    middleware: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_ros_program_sees_the_flight_and_its_orders_are_obeyed_or_refused(middleware, tmp_path, monkeypatch):
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     peer = Peer()
     tf, poses = peer.reads("rt/tf", "TFMessage"), peer.reads("rt/decklander/dead_reckoning/pad_pose", "PoseWithCovarianceStamped")

@@ -88,9 +88,7 @@ def test_two_rangefinders_in_one_message_of_older_firmware(columns: str, values:
         ("RFND", "QBCBB", "TimeUS,Instance,Dist,Stat,Orient", (0, 3.0, 4, 25), (0, 3.0, 1, 25), Range),
     ],
 )
-def test_what_a_sensor_calls_bad_is_left_out(
-    name: str, form: str, columns: str, good: Any, bad: Any, kind: type, tmp_path: Path
-) -> None:
+def test_what_a_sensor_calls_bad_is_left_out(name, form, columns, good, bad, kind, tmp_path):
     rows: list[made.Row] = [(name, (at, *(bad if 20 <= n < 30 else good))) for n, at in enumerate(TIMES)]
     found, _ = read_log(tmp_path, {name: (made.KINDS[name][0], form, columns)}, rows, kind)
     assert len(found) == 40

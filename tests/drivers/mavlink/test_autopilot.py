@@ -226,9 +226,7 @@ async def reported_within_s(fake: MiniatureAutopilot, autopilot: Autopilot, take
 @pytest.mark.parametrize(("stack", "velocity", "land", "words"), [
     (Stack.ARDUPILOT, "guided", "land", "Battery Failsafe"), (Stack.PX4, "offboard", "auto.land", "critical battery"),
 ])  # fmt: skip
-async def test_a_failsafe_has_the_vehicle_and_its_words_follow_until_an_order(
-    stack: Stack, velocity: str, land: str, words: str
-) -> None:
+async def test_a_failsafe_has_the_vehicle_and_its_words_follow_until_an_order(stack, velocity, land, words):
     fake = MiniatureAutopilot(stack, mode="loiter" if stack is Stack.ARDUPILOT else "auto.loiter")
     async with autopilot_of(fake, prestream_s=0.1, landing="mode") as autopilot, asyncio.timeout(30):
 

@@ -263,9 +263,7 @@ def test_an_unanswered_request_is_repeated_with_a_growing_pause_for_ever() -> No
     assert len(streams.due(ns(400), TARGET)) == 1
 
 
-def test_a_stream_that_another_station_slows_or_stops_is_requested_again_and_that_is_logged_once(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_stream_that_another_station_slows_or_stops_is_requested_again_and_that_is_logged_once(caplog):
     streams, requests, each, obeys = Streams({"RAW_IMU": 100.0}), [], 1, True
     for n in range(12_000):
         now = ns(0.01 * n)
@@ -388,9 +386,7 @@ SECRET = bytes(range(100, 132))
         (SECRET, 0o600, "/dev/zero", "not a file, but a device"),
     ],
 )  # fmt: skip
-def test_a_key_is_of_three_forms_and_what_is_none_is_named_and_not_shown(
-    tmp_path: Path, content: bytes, mode: int, named: str, found: bytes | str
-) -> None:
+def test_a_key_is_of_three_forms_and_what_is_none_is_named_and_not_shown(tmp_path, content, mode, named, found):
     (file := tmp_path / "key").write_bytes(content)
     file.chmod(mode)
     environment = {"CREDENTIALS_DIRECTORY": str(tmp_path)}

@@ -188,9 +188,7 @@ def mixed(
         ("RAW_IMU", {"id": 2, "xgyro": 700}, Imu, lambda one: one.w_body[0] == pytest.approx(0.7)),
     ],
 )
-def test_of_two_sensors_in_one_message_one_is_used_and_the_other_one_reported(
-    name: str, second: dict[str, Any], kind: type, of: Any
-) -> None:
+def test_of_two_sensors_in_one_message_one_is_used_and_the_other_one_reported(name, second, kind, of):
     told: list[str] = []
     s = sampler(tell=told.append)
     seen = [of(one) for one in mixed(s, name, second, 0.0, 5.0) if type(one) is kind]

@@ -692,9 +692,7 @@ LEDS = [(Stack.ARDUPILOT, "land", "brake"), (Stack.PX4, "auto.precland", "auto.l
 
 
 @pytest.mark.parametrize(("stack", "lands", "holds"), LEDS)
-def test_where_modes_alone_may_leave_no_setpoint_does_and_the_landing_ends_in_the_autopilots_hold(
-    stack: Stack, lands: str, holds: str
-) -> None:
+def test_where_modes_alone_may_leave_no_setpoint_does_and_the_landing_ends_in_the_autopilots_hold(stack, lands, holds):
     flight = Flight(stack, authority=Authority.MODES, landing="velocity", mode_is_order=True)
     assert flight.periods(1.0, GO) + flight.periods(1.0, TakeOff()) + flight.periods(1.0, Hover()) == []
     assert asked(flight.periods(0.1, Land()), stack) == {lands}
@@ -726,9 +724,7 @@ def test_a_pilots_own_mode_is_never_touched(stack: Stack, lands: str, holds: str
 
 @pytest.mark.parametrize("authority", list(Authority))
 @pytest.mark.parametrize(("stack", "lands", "holds"), LEDS)
-def test_the_landing_mode_after_the_order_to_begin_takes_nothing_over_where_it_is_waited_for(
-    authority: Authority, stack: Stack, lands: str, holds: str
-) -> None:
+def test_the_landing_mode_after_the_order_to_begin_takes_nothing_over_where_it_is_waited_for(authority, stack, lands, holds):
     for mode, waited in ((lands, authority is not Authority.SETPOINTS), (holds, authority is Authority.NOTHING)):
         flight = Flight(stack, authority=authority)
         flight.streamer.engage()

@@ -44,9 +44,7 @@ def test_nothing_begins_without_a_way_down(event: Event) -> None:
 
 @pytest.mark.parametrize("size", [0.501, 1.0, 1.499])
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.3, -0.2), (-0.4, 0.5), (0.0, math.pi / 2), (3.0, -0.1)])
-def test_an_accelerometer_shows_which_way_is_down_and_north_is_where_the_body_points(
-    size: float, roll: float, pitch: float
-) -> None:
+def test_an_accelerometer_shows_which_way_is_down_and_north_is_where_the_body_points(size, roll, pitch):
     R, w = rpy_matrix(roll, pitch, 0.0), np.array([0.1, -0.2, 0.3])
     b, verdict = after(None, imu(AT_S, w, size * R.T @ REST))
     assert verdict is Verdict.FUSED

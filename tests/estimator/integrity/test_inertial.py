@@ -155,9 +155,7 @@ def test_an_axis_of_coarse_steps_that_repeats_itself_is_frozen_only_while_the_at
     ],
     ids=["along the thrust", "an axis that it does not have", "across", "across too", "still air", "still air too"],
 )
-def test_one_frozen_axis_is_a_frozen_half_in_a_third_of_a_second(
-    axis: int, value: Callable[[int], float], frozen_at: int | None
-) -> None:
+def test_one_frozen_axis_is_a_frozen_half_in_a_third_of_a_second(axis, value, frozen_at):
     rng, state, lost = np.random.default_rng(1), Inertial(), []
     for n in range(200):
         f = rng.standard_normal(3)

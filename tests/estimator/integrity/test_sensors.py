@@ -73,9 +73,7 @@ def test_what_no_vehicle_does_is_impossible(event: Reading, verdict: Verdict | N
     ],
     ids=["imu", "attitude", "velocity", "range", "baro", "vessel"],
 )
-def test_a_reading_that_holds_to_the_bit_is_frozen_after_its_time_and_in_flight_alone(
-    make: Callable[[float], Reading], frozen_s: float
-) -> None:
+def test_a_reading_that_holds_to_the_bit_is_frozen_after_its_time_and_in_flight_alone(make, frozen_s):
     n = round(min(frozen_s, 3.0) / 0.005)
     events = [make(0.005 * i) for i in range(n + 20)]
     found = judge(*events)

@@ -245,9 +245,7 @@ def corners(right_m: float, half_m: float = 1.8) -> NDArray[np.float64]:
         ((1.7, 0.2), 2.4, corners(0.0), corners(0.0), False),
     ],
 )
-def test_a_pad_that_left_the_picture_is_known_again_where_any_other_one_would_have_shown(
-    back: tuple[float, float], out_s: float, before: NDArray[np.float64] | None, after: NDArray[np.float64] | None, same: bool
-) -> None:
+def test_a_pad_that_left_the_picture_is_known_again_where_any_other_one_would_have_shown(back, out_s, before, after, same):
     there = follow(known((1.6, 0.0, 4.4)), place(1.98, (1.6, 0.0, 4.4)), ASSUMED, LIMITS, before)
     assert there is not None
     assert (follow(there, place(1.98 + out_s, (*back, 4.4)), ASSUMED, LIMITS, after) is not None) is same

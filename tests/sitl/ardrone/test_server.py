@@ -239,9 +239,7 @@ async def test_a_bug_inside_takes_the_body_down(world: PointMass, monkeypatch: p
             await asyncio.sleep(PATIENCE_S)
 
 
-async def test_wrong_stamps_late_frames_and_a_lost_link_reach_the_wire(
-    server: ArDroneServer, world: PointMass, peer: Peer, stack: ExitStack
-) -> None:
+async def test_wrong_stamps_late_frames_and_a_lost_link_reach_the_wire(server, world, peer, stack):
     watcher = Watcher(HOST, server.ports)
     stack.callback(watcher.close)
     peer.ask()
