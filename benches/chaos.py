@@ -33,7 +33,6 @@ from itertools import pairwise
 from mmap import mmap
 from pathlib import Path
 
-import av
 import numpy as np
 
 from benches.dead_man import drone
@@ -41,6 +40,7 @@ from benches.options import described, parsed
 from drivers.mavlink.dialect import mav
 from sitl.emulators.ardrone.truth_log import read as read_truth
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
+from tests.support.image_files import film
 from tests.support.processes import burners, decklander, started
 from tests.support.waiting import free_port
 
@@ -356,13 +356,7 @@ def shim() -> Path:
 def grey_video(path: Path) -> None:
     """Write a camera's video in which nothing is to be seen."""
     rng = np.random.default_rng(1)
-    with av.open(str(path), "w") as out:
-        stream = out.add_stream("mpeg4", rate=10)
-        stream.width, stream.height = 640, 360
-        for _ in range(100):
-            grey = rng.integers(110, 130, (360, 640, 1), dtype=np.uint8).repeat(3, 2)
-            out.mux(stream.encode(av.VideoFrame.from_ndarray(grey, format="bgr24")))
-        out.mux(stream.encode())
+    film(path, [rng.integers(110, 130, (360, 640, 1), dtype=np.uint8).repeat(3, 2) for _ in range(100)], "mpeg4", 10)
 
 
 def message_ids(data: bytes) -> Iterator[int]:

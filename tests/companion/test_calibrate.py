@@ -6,7 +6,6 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
-import av
 import cv2
 import msgspec
 import numpy as np
@@ -28,6 +27,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.vision.camera import Camera
 from tests.companion import calibration_flights as flights
 from tests.support.calibration_images import Studio, good_round, lens
+from tests.support.image_files import film
 
 CHARUCO = Board()
 CHESSBOARD = Board("chessboard", 8, 5, 0.025)
@@ -234,15 +234,8 @@ def test_a_mirrored_board_is_named() -> None:
 
 
 async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, Path], tmp_path: Path) -> None:
-    path = tmp_path / "live.mkv"
-    with av.open(str(path), "w") as out:
-        stream = out.add_stream("ffv1", rate=20)
-        stream.width, stream.height, stream.pix_fmt = 480, 320, "gray"
-        for name in ("00.png", "04.png", "08.png"):
-            px = cv2.imread(str(folders["charuco"] / name), cv2.IMREAD_GRAYSCALE)
-            for _ in range(20):
-                out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="gray")))
-        out.mux(stream.encode(None))
+    views = [cv2.imread(str(folders["charuco"] / name), cv2.IMREAD_GRAYSCALE) for name in ("00.png", "04.png", "08.png")]
+    path = film(tmp_path / "live.mkv", [px for px in views for _ in range(20)], "ffv1", 20, "gray")
     guide, reported = Guide(CHARUCO), list[GuideState]()
     live = CameraOptions(source="stream", device=str(path), repeat=True)
     await watch(live, None, guide, reported.append, timeout_s=3.5)

@@ -3,7 +3,6 @@
 import asyncio
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from estimator.contracts.samples import Range
 from estimator.vision.camera import Camera
 from tests.companion.test_daemon import FakeVehicle
 from tests.make import range_down
+from tests.support.image_files import film
 
 DOWN = Transform(Rotation.from_rpy(0.0, 0.0, np.pi / 2), np.zeros(3))
 BENT = (-0.21, 0.06, 0.0011, -0.0007, 0.0)
@@ -129,16 +129,10 @@ def test_controls_are_numbers_truth_values_or_labels() -> None:
 
 
 async def test_frames_are_the_cameras_and_the_rest_is_the_vehicles(tmp_path: Path) -> None:
-    path = tmp_path / "deck.mp4"
-    with av.open(str(path), "w") as out:
-        stream = out.add_stream("libx264", rate=50)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for _ in range(10):
-            out.mux(stream.encode(av.VideoFrame.from_ndarray(np.full((48, 64, 3), 90, np.uint8), format="bgr24")))
-        out.mux(stream.encode(None))
+    path = film(tmp_path / "deck.mp4", 10 * [np.full((48, 64, 3), 90, np.uint8)], rate=50)
     vehicle = FakeVehicle()
-    film = CameraOptions(source="stream", device=str(path))
-    async with asyncio.timeout(60), with_camera(vehicle.open, film, (64, 48), SystemClock())() as link:
+    options = CameraOptions(source="stream", device=str(path))
+    async with asyncio.timeout(60), with_camera(vehicle.open, options, (64, 48), SystemClock())() as link:
         frame = await link.frames.get()
         assert frame.px.shape == (48, 64, 3)
         vehicle.samples.offer(range_down(1.0, 2.0))

@@ -5,7 +5,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import av
 import cv2
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from companion.recording.reading import RecordedFrame, open_recording
 from estimator.vision.tracker import PadTracker
 from sitl.camera.camera import Renderer
 from tests.sitl.images import PLAIN, shot
-from tests.support.image_files import claiming
+from tests.support.image_files import claiming, film
 from tests.support.pad_images import PadPlacement, image, project
 from tests.support.shipped import shipped_camera, shipped_pad
 
@@ -125,16 +124,9 @@ def test_attitudes_take_the_tilt_out(album: Path, tmp_path: Path, capsys: pytest
 
 def test_a_video_is_read_frame_by_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     camera, pad = shipped_camera("sim"), shipped_pad("thesis")
-    path = tmp_path / "flight.mp4"
     heights = [1.5, 1.4, 1.3, 1.2]
-    with av.open(str(path), "w") as out:
-        stream = out.add_stream("libx264", rate=30)
-        stream.width, stream.height, stream.pix_fmt = 640, 360, "yuv420p"
-        stream.options = {"crf": "16", "preset": "ultrafast"}
-        for z in heights:
-            px = image(PadPlacement((0.15, 0.0, z), 0.4), camera, pad, blur_px=0.6).px
-            out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="bgr24")))
-        out.mux(stream.encode())
+    views = [image(PadPlacement((0.15, 0.0, z), 0.4), camera, pad, blur_px=0.6).px for z in heights]
+    path = film(tmp_path / "flight.mp4", views, rate=30, crf="16", preset="ultrafast")
     assert detect(path, "--camera", "sim", "--json") == 0
     seen = records(capsys)
     assert [r["index"] for r in seen] == [0, 1, 2, 3]

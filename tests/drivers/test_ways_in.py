@@ -34,6 +34,7 @@ from estimator.contracts.errors import DecklanderError
 from tests.companion.test_calibrate import CHARUCO
 from tests.drivers.test_v4l2_streams import camera_options, real
 from tests.drivers.test_video import clip
+from tests.support.image_files import film
 
 Cell = Callable[[Path], str] | str
 """A way's treatment of such pictures: a reader of an interlaced video that returns what was said, a test by name, or a reason."""
@@ -43,14 +44,8 @@ INTERLACED = {"flags": "+ilme+ildct", "x264-params": "tff=1:bframes=0", "preset"
 
 def video(path: Path, fields: bool = True, n: int = N) -> Path:
     """Write frames at 25 Hz, more than FFmpeg reads to find a format, interlaced unless they are of one instant."""
-    with av.open(str(path), "w") as out:
-        stream = out.add_stream("libx264", rate=25, options=INTERLACED if fields else {"preset": "ultrafast"})
-        stream.width, stream.height = W, H
-        for k in range(n):
-            px = np.full((H, W, 3), 4 * k, np.uint8)
-            out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="bgr24")))
-        out.mux(stream.encode(None))
-    return path
+    greys = [np.full((H, W, 3), 4 * k, np.uint8) for k in range(n)]
+    return film(path, greys, **(INTERLACED if fields else {"preset": "ultrafast"}))
 
 
 def units() -> list[bytes]:

@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
-from sitl.core.abi import DL_PAD_PAINTS
 
 from drivers.camera.exposure import TARGET, ExposureDrive, ExposureGovernor, ExposureSetting, Metered, meter_inside
 from drivers.camera.options import ExposureOptions
@@ -38,6 +37,7 @@ from sitl.camera.render.pad import PadPainter, Stroke, smear
 from sitl.camera.render_worker import render_worker
 from sitl.camera.settings import LampSettings, VideoSettings
 from sitl.camera.surroundings import Decal, DecalKind, Deck, Surroundings
+from sitl.core.abi import DL_PAD_PAINTS
 from sitl.core.library import SIM
 from sitl.emulators.autopilots.body import Body
 from sitl.scenario.scenario import load

@@ -10,12 +10,12 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
-from sitl.core.abi import DL_PAD_EDGE, DL_PAD_PAINTS
 
 from companion.settings.load import SHIPPED
 from estimator.contracts.geometry import F64, Rotation
 from estimator.core.library import Door
 from sitl.core import abi
+from sitl.core.abi import DL_PAD_EDGE, DL_PAD_PAINTS
 from sitl.core.library import SIM
 from sitl.sea.sea import SeaState, Waves
 from sitl.sensors.sensors import Sensors

@@ -9,7 +9,6 @@ import socket
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 import pytest
 
@@ -31,6 +30,7 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, defaults, run_doctor
+from tests.support.image_files import film
 from tests.support.waiting import answering, free_port, listening, until
 
 HOST = "127.0.0.1"
@@ -140,13 +140,7 @@ def rig_file(video: Path, **more: dict[str, Any]) -> Settings:
 
 
 async def test_a_camera_of_another_size_that_is_slow(tmp_path: Path) -> None:
-    video = tmp_path / "slow.mp4"
-    with av.open(str(video), "w") as out:
-        stream = out.add_stream("mpeg4", rate=8)
-        stream.width, stream.height = 320, 180
-        for _ in range(60):
-            out.mux(stream.encode(av.VideoFrame.from_ndarray(np.full((180, 320, 3), 99, np.uint8), format="bgr24")))
-        out.mux(stream.encode())
+    video = film(tmp_path / "slow.mp4", 60 * [np.full((180, 320, 3), 99, np.uint8)], "mpeg4", 8)
     service = await examine_service(rig_file(video), None, SystemClock(), seconds=1.0)
     assert service.frame_size == (320, 180)
     assert service.frame_rate_hz == pytest.approx(8.0, abs=2.0)

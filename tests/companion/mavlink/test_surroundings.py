@@ -13,7 +13,6 @@ from contextlib import asynccontextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
 
-import av
 import numpy as np
 import pytest
 
@@ -21,6 +20,7 @@ from companion.facts.records import LinkRecord
 from companion.recording.reading import open_recording
 from drivers.mavlink.dialect import mav
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
+from tests.support.image_files import film
 from tests.support.processes import ROOT, decklander, started
 from tests.support.waiting import free_port, until, wait_until
 
@@ -45,7 +45,7 @@ def drained(reading: int) -> str:
 
 async def test_it_flies_on_whatever_becomes_of_its_log_its_terminal_and_its_signals(tmp_path: Path) -> None:
     port, video, rig = free_port(), tmp_path / "grey.mp4", tmp_path / "rig.toml"
-    grey_video(video)
+    film(video, GREY, "mpeg4", 10)
     rig.write_text(RIG.format(port=port, video=video, folder=tmp_path / "kept"))
     reading, writing = os.pipe()
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
@@ -96,7 +96,7 @@ async def test_it_flies_on_whatever_becomes_of_its_log_its_terminal_and_its_sign
 
 def test_a_terminal_that_hangs_up_does_not_end_it_and_sigterm_does(tmp_path: Path) -> None:
     port, video, rig = free_port(), tmp_path / "grey.mp4", tmp_path / "rig.toml"
-    grey_video(video)
+    film(video, GREY, "mpeg4", 10)
     rig.write_text(RIG.format(port=port, video=video, folder=tmp_path / "kept"))
     number, terminal = pty.fork()
     if number == 0:
@@ -125,6 +125,8 @@ def test_a_terminal_that_hangs_up_does_not_end_it_and_sigterm_does(tmp_path: Pat
 
 
 US = 191
+GREY = 300 * [np.full((360, 640, 3), 120, np.uint8)]
+"""Half a minute of a camera that sees nothing."""
 RIG = """
 [vehicle]
 kind = "mavlink"
@@ -141,17 +143,6 @@ min_free_mb = 0.0
 [expert.recorder]
 flush_s = 0.2
 """
-
-
-def grey_video(path: Path) -> None:
-    """Make the video of a camera that sees nothing: half a minute of grey."""
-    with av.open(str(path), "w") as out:
-        stream = out.add_stream("mpeg4", rate=10)
-        stream.width, stream.height = 640, 360
-        frame = av.VideoFrame.from_ndarray(np.full((360, 640, 3), 120, np.uint8), format="bgr24")
-        for _ in range(300):
-            out.mux(stream.encode(frame))
-        out.mux(stream.encode())
 
 
 @asynccontextmanager
@@ -172,7 +163,7 @@ async def test_killed_in_flight_it_goes_on_unless_a_pilot_changed_the_mode_meanw
     port = free_port()
     rig, kept = tmp_path / "rig.toml", tmp_path / "kept"
     kept.mkdir()
-    grey_video(tmp_path / "grey.mp4")
+    film(tmp_path / "grey.mp4", GREY, "mpeg4", 10)
     rig.write_text(RIG.format(port=port, video=tmp_path / "grey.mp4", folder=kept))
     craft = MiniatureAutopilot()
 

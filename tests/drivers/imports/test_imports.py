@@ -24,6 +24,7 @@ from drivers.imports.stamps import Tell, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 from tests.support import flight_logs as made
+from tests.support.image_files import film
 
 DATA = Path(__file__).parents[3] / "../shared/data"
 ULOG, DATAFLASH = DATA / "mavlink/px4_sample.ulg", DATA / "mavlink/arducopter_flight.bin"
@@ -130,14 +131,9 @@ def test_attitude_tables_begin_at_zero_and_know_their_heading(tmp_path: Path) ->
 
 @pytest.mark.parametrize("form", ["h264", "mjpeg"])
 def test_a_raw_video_is_read_at_its_rate(tmp_path: Path, form: str) -> None:
-    path = tmp_path / f"flight.{form}"
-    with av.open(str(path), "w", format=form) as out:
-        video_stream = out.add_stream("libx264" if form == "h264" else "mjpeg", rate=25)
-        video_stream.width, video_stream.height = 64, 48
-        video_stream.pix_fmt = "yuv420p" if form == "h264" else "yuvj420p"
-        for i in range(10):
-            out.mux(video_stream.encode(av.VideoFrame.from_ndarray(np.full((48, 64, 3), 20 * i, np.uint8), format="bgr24")))
-        out.mux(video_stream.encode(None))
+    greys = [np.full((48, 64, 3), 20 * i, np.uint8) for i in range(10)]
+    coded = ("libx264", 25, "yuv420p") if form == "h264" else ("mjpeg", 25, "yuvj420p")
+    path = film(tmp_path / f"flight.{form}", greys, *coded)
     frames = list(pictures.video_frames(path))
     assert np.allclose([f.stamp.measured_at * 1e-9 for f in frames], np.arange(10) / 25, atol=1e-6)
 

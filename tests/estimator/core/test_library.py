@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from estimator.core.abi import DL_WRONG_SIZE
 from numpy.typing import NDArray
 
 from estimator.contracts.errors import SetupImpossible
 from estimator.core import abi
+from estimator.core.abi import DL_WRONG_SIZE
 from estimator.core.library import CORE, Door
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.native import checked, image_of, pad_shape, tracker_of

@@ -9,12 +9,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from estimator.core.abi import DL_DIRECTIONS, DL_MEMBERS
 from numpy.typing import NDArray
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, FusionResult, Pose6, Sighting
 from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.contracts.samples import Attitude
+from estimator.core.abi import DL_DIRECTIONS, DL_MEMBERS
 from estimator.core.library import CORE
 from estimator.ekf import Event, Filter
 from estimator.ekf.event import packed

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from estimator.core.abi import DL_ROWS_MAX
 from scipy.linalg import eigh
 
 from estimator.contracts.estimates import Pose6
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import Attitude
+from estimator.core.abi import DL_ROWS_MAX
 from estimator.ekf import EkfOptions, Event
 from estimator.ekf.params import CAMERA_MOUNT, POS_REL, FilterParams, N
 from tests.estimator.ekf import oracle

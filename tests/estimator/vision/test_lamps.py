@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from estimator.core.abi import DL_WRONG_SIZE
 
 from companion.tools.calibrate.flight_views import camera_pose
 from estimator.contracts.errors import BadInput
@@ -15,6 +14,7 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.core.abi import DL_WRONG_SIZE
 from estimator.core.library import CORE
 from estimator.vision.native import image_of, native_camera, native_prior
 from estimator.vision.pad import Pad
