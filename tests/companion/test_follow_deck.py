@@ -21,7 +21,6 @@ from companion.guidance.law.gains import (
     TiltWeights,
     chosen,
     exponential,
-    observer,
     observer_gains,
     regulator,
     tilt_gains,
@@ -487,14 +486,6 @@ TILT = TiltResponse(0.05, 9.0, 0.7, lag_s=0.08)
 def test_what_no_input_reaches_has_no_gains() -> None:
     with pytest.raises(ValueError, match="stabilised"):
         regulator(np.array([[1.1]]), np.array([[0.0]]), np.eye(1), np.eye(1))
-
-
-def test_the_observer_gain_is_that_of_the_scalar_filter() -> None:
-    """X' = x + w, z = x + v: P = (q + sqrt(q^2 + 4 q r)) / 2 before the measurement (Anderson & Moore 1979, sec. 4.4)."""
-    q, r = 0.04, 0.3
-    P = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r))
-    L = observer(np.eye(1), np.eye(1), np.array([[q]]), np.array([[r]]))
-    assert L[0, 0] == pytest.approx(P / (P + r))
 
 
 def test_the_exponential_turns() -> None:
