@@ -47,6 +47,7 @@ from drivers.nmea.sentences import REFUSED_FOR
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, file_errors, refused
 
+_SHOWN = 12
 _UNUSED = {"other_sentence": "of a kind that is not read", "other_message": "of a kind that is not read"}
 GivenLinks = tuple[AutopilotOptions, tuple[LinkOptions, ...]]
 
@@ -296,6 +297,8 @@ def run(args: argparse.Namespace, *, last: bool = True) -> int:
             sys.stdout.write(json.dumps({"source": one.name} | structs.asdict(one)) + "\n")
         for name, (value, default) in _differs(snapshot).items():
             sys.stdout.write(json.dumps({"differs": name, "value": value, "default": default}) + "\n")
+        for what, line in _unused(snapshot.autopilot):
+            sys.stdout.write(json.dumps({"unused": line, "why": what}) + "\n")
     else:
         sys.stdout.write(_page(snapshot, found) + (_next(args, found) if last and not args.fix else ""))
     if args.fix:
@@ -390,12 +393,30 @@ def _differs(snapshot: Snapshot) -> dict[str, tuple[float, float]]:
     return {} if snapshot.autopilot is None else snapshot.autopilot.differs
 
 
+def _unused(a: AutopilotSnapshot | None) -> list[tuple[str, str]]:
+    """Return what of a file of parameters was not used, each with its reason."""
+    if a is None:
+        return []
+    return [("not read", line) for line in a.unread] + [("misspelt, or known to no rule", name) for name in a.unjudged]
+
+
+def _unused_lines(a: AutopilotSnapshot) -> list[str]:
+    lines = [f"  {line}" for line in a.unread[:_SHOWN]]
+    if len(a.unread) > _SHOWN:
+        lines.append(f"  {len(a.unread) - _SHOWN} more lines")
+    if a.unjudged:
+        more = f" and {len(a.unjudged) - _SHOWN} more (--json names all)" if len(a.unjudged) > _SHOWN else ""
+        lines.append(f"  misspelt, or known to no rule: {', '.join(a.unjudged[:_SHOWN])}{more}")
+    return [f"not used of the file: {len(a.unread) + len(a.unjudged)} lines", *lines] if lines else []
+
+
 def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
     lines = []
     if (a := snapshot.autopilot) is not None:
         version = "" if a.firmware is None else " " + ".".join(map(str, a.firmware))
         if snapshot.log is None:
             lines.append(f"{a.stack}{version}, system {a.system}, mode {a.mode}, {len(a.parameters)} parameters read")
+            lines += _unused_lines(a)
         else:
             lines += _log_lines(f"{a.stack}{version}, system {a.system}", len(a.parameters), snapshot.log)
         lines += [f"  {name:<22} {rate:6.1f} Hz" for name, rate in sorted(a.rates_hz.items(), key=lambda i: -i[1])[:8]]

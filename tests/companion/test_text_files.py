@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from companion.cli.main import main
 from companion.settings.files import key
 from companion.settings.load import load
 from companion.tools.doctor.gather_outside import parameters_of
@@ -42,11 +41,3 @@ def test_what_is_no_text_is_named() -> None:
     for data, why in ((b"a\xff", "byte 1"), ("ab".encode("utf-16-le"), "UTF-16 without a byte order mark")):
         with pytest.raises(BadInput, match=why):
             text_of(data, "a.toml")
-
-
-@pytest.mark.parametrize("value", ["zzz", "nan", "1.2.3"])
-def test_a_parameter_without_a_number_is_named(tmp_path: Path, value: str, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "a.param"
-    path.write_text(f"PLND_ENABLED,1\nPLND_TYPE,1\nPLND_LAG,{value}\n")
-    assert main(["doctor", str(path)]) == 2
-    assert "PLND_LAG has no number as its value" in capsys.readouterr().err

@@ -45,7 +45,7 @@ def counted(p: Snapshot, found: int) -> str:
     }  # fmt: skip
     judged, left = [name for name, seen in parts.items() if any(one is not None for one in seen)], []
     if a is not None:
-        names = dict.fromkeys(names_in(PARAMETERS[a.stack], a.firmware))
+        names = dict.fromkeys(names_in(PARAMETERS[a.stack], a.firmware, a.parameters))
         unread = [name for name in names if name not in a.parameters and name not in a.absent]
         judged.append(f"{len(names) - len(unread)} of {len(names)} parameters")
         shown = ", ".join(unread[:_SHOWN]) + " ..." * (len(unread) > _SHOWN)

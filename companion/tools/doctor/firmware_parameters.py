@@ -81,14 +81,21 @@ def named_value(parameters: Mapping[str, float], name: str) -> NamedValue | None
     return NamedValue(later.name, round(parameters[later.name] / later.factor, 4), later.factor)
 
 
-def names_in(names: Iterable[str], firmware: Firmware | None) -> tuple[str, ...]:
-    """Return the names that a firmware has for these parameters; those of 4.5 where its version is not known."""
+def names_in(names: Iterable[str], firmware: Firmware | None, read: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the names that a firmware has for these parameters; those of 4.5 where its version is not known.
+
+    Args:
+        read: names that the autopilot or a file has, which decide before the release does.
+    """
     out = []
     for name in names:
         if firmware is not None and firmware < _SINCE.get(name, firmware):
             continue
         later = RENAMED.get(name)
-        out.append(name if later is None or firmware is None or firmware < later.since else later.name)
+        if later is None or name in read:
+            out.append(name)
+        else:
+            out.append(later.name if later.name in read or (firmware is not None and firmware >= later.since) else name)
     return tuple(out)
 
 
@@ -165,7 +172,7 @@ def defaults_of(stack: str, firmware: Firmware | None, read: Collection[str] = (
     if stack == "ArduPilot":
         out = {}
         for name, default in _ARDUPILOT.items():
-            (own,) = (name,) if name in read else names_in((name,), firmware) or (name,)
+            (own,) = names_in((name,), firmware, read) or (name,)
             out[own] = default if own == name else round(default * RENAMED[name].factor, 6)
         return out
     if stack != "PX4":

@@ -6,7 +6,6 @@ Of the service: its files, camera, broker, drone and ship, and its figures if it
 import asyncio
 import contextlib
 import difflib
-import math
 import re
 import ssl
 import sys
@@ -49,6 +48,7 @@ from estimator.contracts.time import Clock, seconds_between
 _MANY = 100
 """A log with this many parameters holds all of them: one that is missing is not in the firmware."""
 _COPTER = "ArduCopter"
+_SYSTEM = ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID")
 _ALIKE = 0.8
 """Least likeness of a misspelt word: none of 1,700 real files of ArduCopter's parameters has a name that is taken for another."""
 
@@ -61,7 +61,11 @@ def examine_log(path: Path) -> Snapshot:
     """
     kind, notes = kind_of(path), list[str]()
     if kind is FileKind.PARAMETERS:
-        return structs.replace(_log_snapshot(path, parameters_of(path)), log=None)
+        snapshot = _log_snapshot(path, file := parameters_of(path))
+        a = snapshot.autopilot
+        assert a is not None
+        unjudged = tuple(sorted(file.parameters.keys() - a.parameters.keys() - a.misspelt.keys() - set(_SYSTEM)))
+        return structs.replace(snapshot, log=None, autopilot=structs.replace(a, unread=file.history.notes, unjudged=unjudged))
     if kind is FileKind.ENCRYPTED:
         raise BadInput(f"{path}: {kind.value}: {DECRYPT}")
     if kind not in _HISTORIES:
@@ -82,8 +86,8 @@ _HISTORIES: dict[FileKind, Callable[[Path, Tell], AutopilotLog]] = {
 def _log_snapshot(path: Path, log: AutopilotLog) -> Snapshot:
     if log.vehicle not in (None, _COPTER):
         raise BadInput(f"{path}: it is a log of {log.vehicle}, and no rule knows that vehicle")
-    asked = names_in(PARAMETERS[log.stack], log.firmware)
-    system = next((int(log.parameters[n]) for n in ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID") if n in log.parameters), 1)
+    asked = names_in(PARAMETERS[log.stack], log.firmware, log.parameters)
+    system = next((int(log.parameters[n]) for n in _SYSTEM if n in log.parameters), 1)
     return Snapshot(
         0.0,
         autopilot=AutopilotSnapshot(
@@ -142,38 +146,46 @@ _OF_TABLE = re.compile(r"(\d+)\t(\d+)\t")
 _DECIMAL_COMMA = re.compile(r"(?:\d+\s+\d+\s+)?[A-Z]\w*[\s,;=]+\"?-?\d*,\d+(?:[eE][-+]?\d+)?\"?\s*(?:[\t;]\s*\d+\s*)?(?:#|$)")
 _TWO_VALUES = re.compile(r"\w+,\s*Value\b")
 """The head of a table that has another column of numbers behind the value."""
+_LARGEST = 3.4e38
+"""An autopilot keeps 32 bits of a value."""
 _ARDUPILOT_NAMES = re.compile(r"SYSID_|MAV_SYSID|FRAME_CLASS|(INS|EK3|ATC|PSC|PLND|GUID|LAND|WPNAV|ARMING|SERVO\d+|RC\d+)_")
 
 
 def parameters_of(path: Path) -> AutopilotLog:
     """Read a file of parameters as ground stations keep them: `NAME,VALUE`, `NAME;VALUE`, `NAME VALUE`, or QGroundControl's tabs.
 
-    Return a log that holds nothing else; the stack is given by the file, or by its names.
+    Return a log that holds nothing else but, as its notes, the lines that are not or not wholly taken; the stack is given by the
+    file, or by its names.
 
     Raises:
         BadInput: the file cannot be read, no line of it is a parameter, or a value is not clear: two of one name, two vehicles,
             decimal commas, a file that is included.
     """
     lines = utf8_of(bytes_of(path, Largest.TABLE)).decode("utf-8", "replace").splitlines()
-    parameters: dict[str, float] = {}
+    parameters, notes = dict[str, float](), list[str]()
     table = [row for line in lines if (row := _OF_TABLE.match(line)) is not None]
     if len({row[1] for row in table}) > 1:
         raise BadInput(f"{path}: it holds the parameters of several vehicles: save those of one")
     usual = Counter(row[2] for row in table).most_common(1)
     two_values = any(map(_TWO_VALUES.match, lines))
-    for line in lines:
+    for number, line in enumerate(lines, 1):
         if not two_values and _DECIMAL_COMMA.match(line):
             raise BadInput(f"{path}: decimal commas, or two values: {line.strip()[:60]!r}: save it with points")
         if line.startswith("@include"):
             raise BadInput(f"{path}: it includes another file ({line[8:].strip()}): give one with all parameters")
         if table and (row := _OF_TABLE.match(line)) is not None and row[2] != usual[0][0]:
-            continue  # another component, such as a gimbal
+            notes.append(f"line {number}: of component {row[2]}, such as a gimbal")
+            continue
         if (found := _parameter_in(line)) is not None:
-            name, value = found
+            name, value, further = found
             if value is None:
-                raise BadInput(f"{path}: {name} has no number as its value: {line.strip()[:60]!r}")
+                raise BadInput(f"{path}: {name} has no number as its value (of 32 bits): {line.strip()[:60]!r}")
             if parameters.setdefault(name, value) != value:
                 raise BadInput(f"{path}: {name} stands in it twice, as {parameters[name]:g} and as {value:g}")
+            if further and not two_values:
+                notes.append(f"line {number}: {line.strip()[:60]!r}: read is {name} {value:g}")
+        elif line.split("#")[0].strip() and not _TWO_VALUES.match(line):
+            notes.append(f"line {number}: {line.strip()[:60]!r}: no parameter")
     if not parameters:
         raise BadInput(f"{path}: no line of it is a parameter")
     comments = " ".join(line for line in lines[:40] if line.startswith("#"))
@@ -183,21 +195,22 @@ def parameters_of(path: Path) -> AutopilotLog:
     stack = output[1] if output is not None else "PX4" if px4 > ardupilot else "ArduPilot"
     version = re.search(r"Version:\s*(\d+)\.(\d+)\.(\d+)", comments)
     firmware = None if version is None else (int(version[1]), int(version[2]), int(version[3]))
-    return AutopilotLog(stack, None, firmware, dict(sorted(parameters.items())), (), (), LogHistory(0.0))
+    return AutopilotLog(stack, None, firmware, dict(sorted(parameters.items())), (), (), LogHistory(0.0, notes=tuple(notes)))
 
 
-def _parameter_in(line: str) -> tuple[str, float | None] | None:
-    """Return a line's name and value, None if that is no number; None if the line is no parameter's."""
+def _parameter_in(line: str) -> tuple[str, float | None, bool] | None:
+    """Return a line's name, its value (None if that is no number) and whether words follow; None if it is no parameter's."""
     words = re.split(r"[\s,;=]+", line.split("#")[0].strip())
     if len(words) >= 4 and words[0].isdigit() and words[1].isdigit():
-        words = words[2:]
+        words = words[2:4]
     if len(words) < 2 or re.fullmatch(r"[A-Z][A-Z0-9_]{0,15}", words[0]) is None:
         return None
     try:
         value = float(words[1])
     except ValueError:
-        return (words[0], None) if len(words) <= 3 and (_ARDUPILOT_NAMES.match(words[0]) or _PX4_NAMES.match(words[0])) else None
-    return (words[0], value if math.isfinite(value) else None)
+        ours = len(words) <= 3 and (_ARDUPILOT_NAMES.match(words[0]) or _PX4_NAMES.match(words[0]))
+        return (words[0], None, False) if ours else None
+    return words[0], value if abs(value) <= _LARGEST else None, len(words) > 2
 
 
 _FIRST_FRAME_S = 5.0

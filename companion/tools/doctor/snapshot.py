@@ -81,6 +81,10 @@ class AutopilotSnapshot(Struct, frozen=True):
     """Requested parameters that this firmware does not have."""
     misspelt: dict[str, str] = field(default_factory=dict)
     """Names in the file or log that are known ones but for a letter or two, each with the known one, which is not there."""
+    unread: tuple[str, ...] = ()
+    """Lines of a file of parameters that were not, or not wholly, taken, each with its number and the reason."""
+    unjudged: tuple[str, ...] = ()
+    """Names in a file of parameters that no rule knows."""
     rates_hz: dict[str, float] = field(default_factory=dict)
     """Measured rate of each message, Hz."""
     wanted_hz: dict[str, float] = field(default_factory=dict)

@@ -55,3 +55,13 @@ def test_a_file_of_an_examined_vehicle_holds_what_was_found_and_misspelt_names_a
     assert main(["doctor", str(given), "--write", str(out)]) == 1
     assert "takes it: FENCE_ACTOIN for FENCE_ACTION, WP_SPPD for WP_SPD [parameter-name]" in capsys.readouterr().out
     assert re.findall(r"^([A-Z_]+),(\S+)$", out.read_text(), re.MULTILINE) == [("GUID_OPTIONS", "16"), ("LAND_SPEED", "40")]
+
+
+def test_a_file_of_4_7_is_judged_and_mended_under_its_own_names_and_what_is_not_used_is_named(tmp_path: Path, capsys) -> None:
+    given, out = tmp_path / "mine.param", tmp_path / "fix.param"
+    given.write_text("PSC_JERK_NE,5\nRTL_ALT_FINAL_M,0\nATC_ANGLE_MAX,30\nFS_THR_ENABLE,1\nFOO\nGUID_TIMEOUT 3 extra\nMINE,1\n")
+    assert main(["doctor", str(given), "--write", str(out)]) == 1
+    page = capsys.readouterr().out
+    assert "  line 5: 'FOO': no parameter\n  line 6: 'GUID_TIMEOUT 3 extra': read is GUID_TIMEOUT 3\n" in page
+    assert "misspelt, or known to no rule: MINE\n" in page
+    assert re.findall(r"^([A-Z_]+),(\S+)$", out.read_text(), re.MULTILINE) == [("RTL_ALT_FINAL_M", "5"), ("PSC_JERK_NE", "20")]

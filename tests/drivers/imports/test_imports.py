@@ -343,6 +343,7 @@ def test_files_of_parameters_of_each_station_are_read(tmp_path: Path) -> None:
         ("1\t1\tGUID_TIMEOUT\t0,2\t9\n1\t1\tLAND_SPEED\t50\t9\n", "decimal commas"),
         ("# Vehicle-Id Component-Id Name Value Type\n1\t1\tPSC_D\t3,6e-05\t9\n", "decimal commas"),
         ("@include base.parm\nA_B 1\n", "base.parm"),
+        *((f"A_B,1\nPLND_LAG,{value}\n", "PLND_LAG has no number as its value") for value in ("zzz", "nan", "1.2.3", "1e39")),
     ):  # fmt: skip
         (tmp_path / "odd.param").write_text(text)
         if said:
