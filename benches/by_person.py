@@ -49,7 +49,8 @@ HEAD = (
     "vehicle", "ship, m/s", "at, m", "on the pad", "off centre, cm", "as announced", "within, cm", "along, m/s", "motors, s",
 )  # fmt: skip
 _PLACE = re.compile(
-    r"(?:(?P<pad>on the pad), within|(?P<beside>[\d.]+) m beside the pad, \+-) ?(?P<within>[\d.]+) (?P<unit>cm|m)"
+    r"(?:(?P<pad>on the pad, within|toward the pad, up to)|(?P<beside>[\d.]+) m beside the pad, \+-) ?"
+    r"(?P<within>[\d.]+) (?P<unit>cm|m)"
 )
 _UNSURE = re.compile("not sure|no pad is known")
 Row = dict[str, Any]

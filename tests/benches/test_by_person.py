@@ -23,7 +23,7 @@ class _Case:
     "case",
     [
         _Case(Touch(0.0, 0.12, 3.0), 0.0, 0.12),
-        _Case(Touch(0.0, 1.24, 3.0, "last seen 3 s ago"), 0.0, 1.2),
+        _Case(Touch(0.0, 1.24, 3.0, "last seen 3 s ago", stands_m=0.35), 0.0, 1.2),
         _Case(Touch(2.94, 0.3, None), 2.9, 0.3),
         _Case(Touch(), math.nan, math.inf),
     ],

@@ -86,6 +86,8 @@ class Touch(Struct, frozen=True):
     """The reason why the pad's place is not sure; empty in sight."""
     warnings: str = ""
     """The reasons why it may touch elsewhere, in words: a lens that is not where its file has it, and wind beyond its tilt."""
+    stands_m: float = math.inf
+    """Distance from the pad's centre up to which the vehicle then stands on the pad."""
 
     @property
     def on_pad(self) -> bool:
@@ -102,11 +104,13 @@ class Touch(Struct, frozen=True):
         if self.lateral_m is None:
             return f"where no pad is known: this may be deck, rail or water{self.unsure and f'; {self.unsure}'}"
         within = f"{100 * self.spread_m:.0f} cm" if self.spread_m < 1.0 else f"{self.spread_m:.1f} m"
-        where = f"on the pad, within {within} of its centre"
+        where, risk = f"on the pad, within {within} of its centre", ""
         if not self.on_pad:
             where = f"{self.lateral_m:.1f} m beside the pad, +-{within}"
+        elif self.spread_m > self.stands_m:
+            where, risk = f"toward the pad, up to {within} off its centre", ": this may be deck, rail or water"
         when = "" if self.seconds is None else f", in {self.seconds:.0f} s"
-        return f"{where}{when}{self.unsure and f'; the place of the pad is not sure: {self.unsure}'}"
+        return f"{where}{when}{risk}{self.unsure and f'; the place of the pad is not sure: {self.unsure}'}"
 
 
 class Surface(Struct, frozen=True):
@@ -191,7 +195,8 @@ def touch(s: GuidanceCycle, o: GuidanceOptions, here: Here | None = None) -> Tou
     warnings = [] if (lens := rules.lens_elsewhere(s)) is None else [lens.text]
     if wind is not None and wind.speed_m_s > wind.limit_m_s:
         warnings.append(Reason(ReasonCause.WIND, wind.speed_m_s, wind.limit_m_s, "carries it off").text)
-    return structs.replace(found, spread_m=found.spread_m + math.hypot(*off_m or (0.0, 0.0)), warnings="; ".join(warnings))
+    spread_m, stands_m = found.spread_m + math.hypot(*off_m or (0.0, 0.0)), limits.ON_PAD * o.limits.commit_error_m
+    return structs.replace(found, spread_m=spread_m, stands_m=stands_m, warnings="; ".join(warnings))
 
 
 def _touch(s: GuidanceCycle, o: GuidanceOptions, here: Here | None) -> Touch:

@@ -1,6 +1,7 @@
 """Command of the vehicle: every order in every situation, what no input of people may ever cause, and orders to a real pilot."""
 
 import itertools
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
@@ -581,7 +582,8 @@ def test_a_person_reads_where_a_landing_would_end() -> None:
     assert watch.state(page).below == "where no pad is known: this may be deck, rail or water"
     assert below(0.1) == ("on the pad, within 15 cm of its centre, in 3 s", True)
     text, sure = below(0.1, age_s=3.0)
-    assert text.endswith("of its centre, in 5 s; the place of the pad is not sure: last seen 3 s ago")
+    where = r"toward the pad, up to \d\.\d m off its centre, in 5 s: this may be deck, rail or water"
+    assert re.fullmatch(f"{where}; the place of the pad is not sure: last seen 3 s ago", text), text
     assert not sure
     assert below(2.9, ok=False)[0].startswith("where no pad is known")
     assert below(0.1, sigma_m=radius_m)[1] is False
