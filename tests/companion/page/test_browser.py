@@ -124,7 +124,7 @@ async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -
             await one.shows("phase", "landing where it is")
             await until(lambda: isinstance(service.command, Velocity) and service.command.v_level.item(2) > 0.0)
             assert "accepted" in await one.press("hold"), "another person's landing too"
-            await two.shows("answer", "^$")
+            await two.shows("answer", "^another page .* ordered: Hold$")
             await until(lambda: isinstance(service.command, Hover))
             assert "accepted" in await one.press("land")
             await two.shows("phase", "landing where it is")
@@ -243,10 +243,13 @@ async def test_every_order_is_in_sight_and_stays_in_its_place_by_day_in_metres_a
                     await one.page.click('[data-order="land"]')
                     await playwright.expect(one.page.locator("#asks")).to_be_visible(timeout=WAIT_MS)
                     await one.page.evaluate("[answer, reason, worst].forEach((e) => (e.textContent = 'over a line '.repeat(8)))")
-                for name in (*ORDER_BUTTONS, "#emergency"):
+                asks = [] if night or grow else ["#alarms-ask [value=on]"]
+                for name in (*ORDER_BUTTONS, "#emergency", *asks):
                     box = await one.page.locator(name).bounding_box()
                     assert least_px <= box["height"] <= box["y"] + box["height"] <= size["height"]
                     assert places.setdefault(f"{name} {size}", box) == box, "no button moves under a thumb or pointer"
+                hand = await one.page.locator("#by-hand").bounding_box()
+                assert places.setdefault(f"by hand {size}", hand) == hand
             shot = cv2.imdecode(np.frombuffer(await one.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
             assert (shot[..., :2].max() == 0) == night, "by night nothing but red"
             await one.page.keyboard.press("Escape")
@@ -261,6 +264,8 @@ async def test_every_order_is_in_sight_and_stays_in_its_place_by_day_in_metres_a
         await one.page.set_viewport_size(SIDEWAYS)
         await one.page.click("#by-hand")
         await playwright.expect(one.page.locator("#sticks")).to_be_visible(timeout=WAIT_MS)
+        await playwright.expect(one.page.locator("#flown")).to_be_in_viewport(timeout=WAIT_MS)
+        await one.shows("flown", "^height 6.6 ft, climb 0 ft/min$")
         stick = await one.page.locator(".stick").first.bounding_box()
         middle = (stick["x"] + stick["width"] / 2, stick["y"] + stick["height"] / 2)
         await one.page.mouse.move(*middle)
@@ -331,7 +336,7 @@ async def test_the_keyboard_alone_reaches_and_gives_every_order(tmp_path: Path) 
         await one.page.focus('[data-order="hold"]')
         await one.page.keyboard.press("Enter")
         await one.shows("answer", "Hold: accepted")
-        await until(lambda: isinstance(service.command, Hover))
+        await one.shows("by-hand", "Fly by hand")  # a change of the hand frees the slides
         await tab_to("emergency")
         await one.page.keyboard.press("ArrowRight")
         await one.page.keyboard.press("Escape")

@@ -122,8 +122,11 @@ export class Orders {
   // What is ordered by others makes an answer old; a connection begins with the newest events.
   event({ at_s, text }) {
     if (this.#state !== null && text.startsWith("you: ") && text.includes("not obeyed")) this.tell("fault", text.slice(5));
-    const stops = STOPS.some((order) => text.includes(`: ${words.orders[order]}: accepted`));
-    if (this.#state !== null && stops && !text.startsWith("you: ")) alarm("stopped");
+    const stop = STOPS.find((order) => text.includes(`: ${words.orders[order]}: accepted`));
+    if (this.#state !== null && stop && !text.startsWith("you: ")) {
+      this.tell("warning", `${text.split(": ")[0]} ordered: ${words.orders[stop]}`);
+      alarm("stopped");
+    }
     if (!text.endsWith(": accepted")) return;
     if (this.#kept !== null && at_s >= this.#kept.seen_s && text.endsWith(`: ${words.orders[this.#kept.order]}: accepted`)) {
       this.tell("info", `${words.orders[this.#kept.order]}: obeyed`);

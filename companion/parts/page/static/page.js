@@ -123,7 +123,7 @@ link.onLost = (why, ends) => {
 link.onRefused = (why) => {
   sessionStorage.removeItem(TOKEN);
   chip($("link"), "warning", "not connected");
-  askForToken(`Refused: ${why}.`);
+  askForToken(`Refused: ${why}. A demo that was started again has another: open the new link from its terminal.`);
 };
 
 const known = sessionStorage.getItem(TOKEN);

@@ -146,7 +146,7 @@ export class Side extends View {
       put(ghost, { x1: -half, x2: half, y1: 60 - up, y2: 60 - up, visibility: found ? "visible" : "hidden" });
     });
     const last = place.deck_m.find(([at]) => at >= AHEAD_S.at(-1) - 0.01);
-    ahead.textContent = last ? `deck in ${last[0]} s: ${inWords("length", last[1], "+")}, ± ${inWords("length", 1.96 * last[2])}` : "";
+    ahead.textContent = last?.[2] > 0 ? `deck in ${last[0]} s: ${inWords("length", last[1], "+")}, ± ${inWords("length", 1.96 * last[2])}` : "deck ahead: unknown";
     put(trail, { points: points(this.trail.map(([tx, , tz]) => [tx * k, 60 - tz * k])) });
     const half_sigma = 1.96 * place.sigma_z_m * k;
     put(sigma, { x1: x, x2: x, y1: y - half_sigma, y2: y + half_sigma });

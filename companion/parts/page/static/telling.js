@@ -1,6 +1,6 @@
 // What the page says in words and figures: phase and reason, who commands, figures, health and its causes, events.
 import { $, chip, part, words, write } from "./elements.js";
-import { figure, signed } from "./units.js";
+import { figure, inWords, signed } from "./units.js";
 
 const EVENTS = 100;
 const DEGREES = 180 / Math.PI;
@@ -33,6 +33,9 @@ export function state(message) {
   write("who", [situation, message.mode && `vehicle: ${message.mode.replaceAll("_", " ")}`].filter(Boolean).join(" · "));
   battery(message.battery_fraction);
   const place = message.place;
+  const [high, climbs] = [message.height_m === null ? "–" : inWords("length", message.height_m), place === null ? "–" : inWords("climb", place.v_m_s[2], "+")];
+  $("flown").hidden = !message.yours;
+  write("flown", `height ${high}, climb ${climbs}`);
   length("height", message.height_m);
   length("lateral", message.lateral_m);
   if (place === null) {
