@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from examples import make_data
+from examples import make_data, with_and_without_imu
 from examples.known_controllers import Lateral, Lqr, Mpc, integrators
-from tests.fly import record_to
+from tests.fly import record_to, simulate
 from tests.support.processes import ran
 
 ROOT = Path(__file__).parents[1]
@@ -100,3 +100,19 @@ def test_the_data_is_small_and_the_script_s_columns_are_the_file_s() -> None:
     assert set(sizes) == {"attitude.csv", "landing.csv", "pad.jpg"}
     assert max(sizes.values()) < LARGEST_BYTES
     assert (DATA / "landing.csv").read_text().splitlines()[0] == ",".join(make_data.HEADER)
+
+
+def test_the_imu_helps_where_the_pad_is_seen_rarely(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight = tmp_path / "flight.mcap"
+    assert simulate(capsys, "weather_3", "--record", str(flight), "--record-frames", "none", level="model")[0] == 0
+    rare = [looks for looks in with_and_without_imu.LOOKS if looks.name in ("1 a second", "hidden for 2 s")]
+    monkeypatch.setattr(with_and_without_imu, "LOOKS", rare)
+    with_and_without_imu.main(flight)
+    _, *rows = capsys.readouterr().out.splitlines()
+    errors_mm = np.array([[int(mm) for mm in re.findall(r"(\d+) mm", row)] for row in rows])
+    # With the IMU, without it; by camera and attitude, and then by every sensor.
+    assert (errors_mm[:, ::2] < 0.85 * errors_mm[:, 1::2]).all(), errors_mm
+    assert errors_mm.max() < 500
+    assert run_example("with_and_without_imu").returncode == 1
