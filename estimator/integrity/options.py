@@ -80,9 +80,10 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
     """The same as a fraction of the height, in addition (three degrees of attitude error)."""
     adopt_s: ClassVar[float] = 2.0
     """Time for which sightings must be at one other position, and none at the pad's, for the track to move there."""
-    pads_apart_m: ClassVar[float] = 0.78
-    """Least distance between the centres of two pads; what is found again nearer than half of it beside the expected position,
-    and seen for adopt_s, is the tracked pad (two of the thesis' pads side by side)."""
+    pads_apart_m: Annotated[
+        float, tuning("least distance between the centres of two pads; where there is one alone, a large one", "m", 0.1, 1000.0)
+    ] = 0.78
+    """A pad that is found again nearer than half of it beside the expected position, and seen for adopt_s, is the tracked one."""
 
     range_tolerance_m: Annotated[
         float, tuning("largest difference between range sensor and camera over the pad", "m", 0.01, 100.0)

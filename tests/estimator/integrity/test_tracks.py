@@ -26,7 +26,7 @@ from estimator.integrity.tracks import (
     follow,
     record_fused,
 )
-from tests.make import stamp, tuned
+from tests.make import stamp
 
 LIMITS = IntegrityOptions()
 ASSUMED = Attitude(stamp(0.0), Rotation.identity(), 0.01 * np.eye(3))
@@ -413,7 +413,7 @@ def test_a_slow_camera_s_pad_is_followed_from_the_first_looks_on_and_adopted_els
 
 
 def test_where_no_second_pad_is_near_an_unsure_belief_explains_as_far_as_it_is_unsure() -> None:
-    belief, alone = place(5, HERE, 0.6), tuned(IntegrityOptions, pads_apart_m=10.0)
+    belief, alone = place(5, HERE, 0.6), IntegrityOptions(pads_apart_m=10.0)
     of = [
         associate(known(), place(5, (1.5, 0.0, 2.0)), belief._replace(sigma_m=s), o)[1]
         for o in (LIMITS, alone)
