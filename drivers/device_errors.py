@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Literal
 
-Device = Literal["camera", "serial port", "network"]
+Device = Literal["camera", "serial port", "network", "broker"]
 
 _ANOTHER = "another program has it (fuser -v names it): end that one"
 _USB = "the USB transfer fails: look at the cable, the hub and its power"
@@ -52,6 +52,10 @@ DEVICE_ERRORS: Mapping[Device, Mapping[int, str]] = MappingProxyType(
             errno.ECONNREFUSED: "nothing listens there: start it, or check address and port",
             socket.EAI_NONAME: "there is no host of that name: write its address",
         },
+        "broker": {
+            errno.ECONNRESET: "it hung up: perhaps one end speaks TLS and the other plain TCP "
+            '(--plain-tcp; mqtt.transport = "tcp" or "tls")',
+        },
     }
 )
 """The words and the cure of each error. Source: errno(3); V4L2 and USB: linux/Documentation/driver-api/usb/error-codes.rst."""
@@ -59,4 +63,6 @@ DEVICE_ERRORS: Mapping[Device, Mapping[int, str]] = MappingProxyType(
 
 def device_fault(why: OSError, device: Device) -> str:
     """Return an error in one line: what it means of this device, with its cure; else the system's words."""
-    return DEVICE_ERRORS[device].get(why.errno or 0, why.strerror or str(why))
+    number, own = why.errno or 0, DEVICE_ERRORS[device]
+    fault = own.get(number) or (DEVICE_ERRORS["network"].get(number) if device == "broker" else None)
+    return fault or why.strerror or str(why)

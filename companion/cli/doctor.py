@@ -25,7 +25,7 @@ from companion.tools.doctor.diagnose import counted, diagnose
 from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather import examine, wait_until
 from companion.tools.doctor.gather_outside import examine_log, examine_service
-from companion.tools.doctor.parameter_file import stack_named, wanted_by_default, wanted_of, write_parameters_file
+from companion.tools.doctor.parameter_file import UP_TO_4_6, stack_named, wanted_by_default, wanted_of, write_parameters_file
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot, decode, encode
 from companion.tools.doctor.undo import (
     OnResult,
@@ -48,6 +48,7 @@ from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, file_errors, refused
 
 _SHOWN = 12
+_NONE_EXAMINED = "no autopilot was examined: nothing was written"
 _UNUSED = {"other_sentence": "of a kind that is not read", "other_message": "of a kind that is not read"}
 GivenLinks = tuple[AutopilotOptions, tuple[LinkOptions, ...]]
 
@@ -101,7 +102,7 @@ def fix(args: argparse.Namespace, snapshot: Snapshot, found: Sequence[Finding]) 
     autopilot = snapshot.autopilot
     offers = [] if autopilot is None else offered(autopilot, found)
     if autopilot is None or not offers:
-        _say(args, "nothing is wrong that a parameter fixes" if autopilot else "no autopilot was examined: nothing was written")
+        _say(args, "nothing is wrong that a parameter fixes" if autopilot else _NONE_EXAMINED)
         return _code(found, set())
     if autopilot.armed is not False:
         raise BadInput("--fix: no parameter is written while the vehicle is armed: land, disarm and begin again")
@@ -288,7 +289,8 @@ def run(args: argparse.Namespace, *, last: bool = True) -> int:
         with file_errors(f"--save {args.save}"):
             write_whole(args.save, encode(snapshot))
     found = diagnose(snapshot)
-    if args.write and (autopilot := snapshot.autopilot) is not None:
+    autopilot = snapshot.autopilot
+    if args.write and autopilot is not None:
         write_parameters_file(args.write, autopilot.stack, wanted_of(found), autopilot.system)
     if args.json:
         for finding in found:
@@ -303,6 +305,8 @@ def run(args: argparse.Namespace, *, last: bool = True) -> int:
         sys.stdout.write(_page(snapshot, found) + (_next(args, found) if last and not args.fix else ""))
     if args.fix:
         return fix(args, snapshot, found)
+    if args.write and autopilot is None:
+        _say(args, _NONE_EXAMINED)
     return 1 if any(f.severity is not Severity.ADVICE for f in found) else 0
 
 
@@ -320,9 +324,10 @@ def _next(args: argparse.Namespace, found: Sequence[Finding]) -> str:
 def _write_defaults(args: argparse.Namespace) -> int:
     stack = stack_named(args.write)
     wanted = wanted_by_default(stack, moving_pad=not args.still_pad)
-    write_parameters_file(args.write, stack, wanted)
+    release = UP_TO_4_6 if stack == "ArduPilot" else ""
+    write_parameters_file(args.write, stack, wanted, note=f"# {release}\n" if release else "")
     _say(args, f"{args.write}: " + "   ".join(f"{name} {value:g}" for name, (value, _) in wanted.items() if value is not None))
-    for why in (why for value, why in wanted.values() if value is None):
+    for why in (*(why for value, why in wanted.values() if value is None), *filter(None, (release,))):
         _say(args, why)
     _say(args, f"load it in a ground station, reboot, then examine the autopilot: {_command(args)} --link URL")
     return 0

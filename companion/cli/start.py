@@ -23,12 +23,13 @@ from companion.cli.page_link import certify, network_address, qr_code
 from companion.parts.page.access import make_token
 from companion.settings.load import find_file, pad_of_file, write_whole
 from companion.settings.operator import SwitchOptions
-from companion.tools.doctor.gather import seen_moving
+from companion.tools.doctor.gather import seen_moving, wait_until
 from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.navdata_channel import OPENING
 from drivers.camera.camera_process import libcamera_models
 from drivers.camera.v4l2 import cameras
 from drivers.clock import SystemClock
+from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
@@ -53,6 +54,7 @@ _NAVDATA_S = 1.5
 _UDP_PORTS = (14550, 14540)
 _SPEEDS = (921600, 57600, 115200)
 _FLIP_S = 20.0
+_STACKS = {"ArduPilot": "ardupilot", "PX4": "px4"}
 _UNIT_FOLDER, _UNIT_STORE = Path("/etc/decklander"), Path("/etc/credstore")
 """Folders of the unit's settings and of its credentials: it runs as a user of its own, who cannot read root's files."""
 _SERIAL = ("/dev/serial/by-id/*", "/dev/serial0", "/dev/ttyAMA0")
@@ -131,17 +133,21 @@ def _answers(args: argparse.Namespace) -> Answers:
     link = args.link or next((one.link for one in received if one.name == vehicle), "")
     if args.link and not flies_itself:
         with refused(f"--link {link}", ValueError):
-            AutopilotOptions(link)
+            options = AutopilotOptions(link)
+        there = "" if args.no_doctor else _STACKS.get(event_loop.run(_stack_at(options)), "")
+        if there and there != vehicle:
+            sys.stdout.write(f"at {link} is {VEHICLES[there]}, not {VEHICLES[vehicle]}: docs/{there}.md is its page\n")
+            vehicle = there
     if not link:
         own = {"sim": "127.0.0.1", "ardrone1": _ARDRONE[0], "ardrone2": _ARDRONE[0]}
         link = own.get(vehicle, "serial:///dev/ttyAMA0:921600")
         if not flies_itself:
             sys.stdout.write(f"no autopilot answers: the file names {link}; --link names another\n")
-    there = [] if flies_itself else [one for one in cameras() if one.index == 0]
+    usb = [] if flies_itself else [one for one in cameras() if one.index == 0]
     device = "vehicle" if flies_itself else args.camera or ""
     if not device:
         on_board = {f"libcamera:{model}": "a Raspberry Pi's own camera" for model in ([] if flies_itself else libcamera_models())}
-        names = on_board | {str(one.path): one.card for one in there} or {"usb": "the one USB camera, once it is plugged in"}
+        names = on_board | {str(one.path): one.card for one in usb} or {"usb": "the one USB camera, once it is plugged in"}
         device = ask("camera", names, next(iter(names)))
     if device.count(".") == 3 and not device.strip("0123456789.:"):
         raise BadInput(f"--camera {device} is no camera: a stream has an address as rtsp://{device}/PATH")
@@ -156,6 +162,13 @@ def _answers(args: argparse.Namespace) -> Answers:
     if channel is None:
         channel = _switch(link) if received and not args.yes else 0
     return Answers(vehicle, link, device, args.camera_file or shipped, pad, place, page, port, channel)
+
+
+async def _stack_at(options: AutopilotOptions, seconds: float = 1.5) -> str:
+    """Return the stack of the autopilot that sends on a link; empty if none does."""
+    async with open_autopilot(options, SystemClock()) as autopilot:
+        await wait_until(SystemClock(), seconds, lambda: autopilot.identity is not None)
+        return "" if autopilot.identity is None else autopilot.identity.stack.value
 
 
 def _switch(link: str) -> int:

@@ -503,7 +503,8 @@ class _Watch:
                     async for publication in connection.publications():
                         self._take(publication.topic, publication.payload)
             except (Recoverable, MqttError) as why:
-                self._troubled(f"{why}{self._hint}" if not self._reached else str(why))
+                explained = self._reached or isinstance(why.__cause__, OSError)
+                self._troubled(str(why) if explained else f"{why}{self._hint}")
             await asyncio.sleep(_BACK_OFF_S)
 
     def _silent(self) -> None:

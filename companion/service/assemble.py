@@ -400,9 +400,17 @@ async def live(daemon: Daemon, pilot: Pilot, *, stays: bool = False) -> FlightOu
             log.warning("thread %s", line)
         daemon.stop()
 
+    def end() -> None:
+        status = pilot.vehicle
+        flying = None if status is None else status.flying
+        hovers = "in the air: it hovers, unless a person or a mode of its own flies it"
+        left = hovers if flying else "on the ground" if flying is False else "as it is: it sends no status"
+        log.info("SIGTERM ends the service and leaves the vehicle %s", left)
+        daemon.stop()
+
     handlers: dict[signal.Signals, Callable[[], object]] = {
         signal.SIGINT: daemon.stop,
-        signal.SIGTERM: daemon.stop,
+        signal.SIGTERM: end,
         signal.SIGQUIT: quit_,
         signal.SIGUSR1: lambda: operator.order(OperatorOrder.BEGIN),
         signal.SIGUSR2: lambda: operator.order(OperatorOrder.HOLD),

@@ -157,12 +157,21 @@ def check_files(settings: Settings, environment: Mapping[str, str] = os.environ)
     return tuple(unchecked)
 
 
+def _require_stream(device: str) -> None:
+    """Refuse the path of a video file or pipe that is not there; whether an address answers is seen when it is opened."""
+    if "://" not in device and not Path(device).exists():
+        raise BadInput(f"camera.device: {device}: No such file or directory")
+
+
 def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Callable[[], object]]]:
     """Yield (settings key, file references, function that reads the files) for everything that is switched on."""
     for section, table in (("vehicle", settings.vehicle), ("bridge", settings.bridge)):
         if isinstance(table, MavlinkOptions) and table.links and table.signing_key_file:
             what = f"{section}.signing_key_file"
             yield what, (table.signing_key_file,), partial(files.signing_key, table.signing_key_file, what)
+    if settings.camera.source == "stream":
+        device = settings.camera.device
+        yield "camera.device", (device,), lambda: _require_stream(device)
     vision = settings.vision
     if vision.learned != "off":
         yield ("vision.learned_file", (vision.learned_file,), lambda: second_opinion(vision.learned_file, "vision.learned_file"))

@@ -107,6 +107,14 @@ def test_an_autopilot_on_the_network_is_found(copter: int) -> None:
     assert start.found_vehicles(1.0) == [start.FoundVehicle("px4", f"udpin://0.0.0.0:{copter}")]
 
 
+def test_a_px4_that_is_taken_for_an_ardupilot_is_named_with_its_page(copter: int, tmp_path: Path, capsys) -> None:
+    link = f"udpin://127.0.0.1:{copter}"
+    main(["start", "--yes", "--vehicle", "ardupilot", "--link", link, "--out", str(tmp_path / "rig.toml")])
+    output = capsys.readouterr().out
+    assert f"at {link} is a copter with PX4, not a copter with ArduPilot: docs/px4.md is its page\n" in output
+    assert "a pad on the ground below: docs/px4.md\n" in output
+
+
 @pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n", None, navdata.encode(navdata.Navdata(0, 1))])
 def test_an_ardrone_is_who_sends_navdata(answer: bytes | None, monkeypatch: pytest.MonkeyPatch, copter: int) -> None:
     """Routers have its address, and some answer on every port."""

@@ -8,6 +8,7 @@ are counted, because aiomqtt takes any answer for success.
 from __future__ import annotations
 
 import asyncio
+import errno
 import hashlib
 import logging
 import math
@@ -29,6 +30,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from companion.settings import files
 from companion.settings.links import MqttSettings
 from companion.settings.referenced_files import tls_context
+from drivers.device_errors import device_fault
 from drivers.wires import AddressInfo, resolve
 from estimator.contracts.errors import Recoverable
 
@@ -36,6 +38,8 @@ INCOMING = 64
 """The number of incoming messages that may wait before further ones are discarded."""
 _LARGEST_BYTES = 65_536
 _FAREWELL_S = 1.0
+_NO_TLS = ("WRONG_VERSION_NUMBER", "PACKET_LENGTH_TOO_LONG")
+"""OpenSSL's reasons where the other end answers in plain TCP."""
 _THREAD_S = 0.02
 _quiet = logging.getLogger("companion.parts.mqtt.paho")
 _quiet.setLevel(logging.CRITICAL)
@@ -293,6 +297,25 @@ class Connection(aiomqtt.Client):
         if self._disconnected.done() and not self._disconnected.cancelled():
             self._disconnected.exception()
 
+    def _on_socket_register_write(self, client: Any, userdata: Any, sock: Any) -> None:
+        """Watch the socket for room to write, unless it is closed by the time the loop gets to it.
+
+        The library hands the loop its number, which is then nobody's, or that of another socket.
+        """
+
+        def write() -> None:
+            try:
+                client.loop_write()
+            except Exception as why:
+                if not self._disconnected.done():
+                    self._disconnected.set_exception(why)
+
+        def watch() -> None:
+            if sock.fileno() >= 0:
+                self._loop.add_writer(sock.fileno(), write)
+
+        self._loop.call_soon_threadsafe(watch)
+
     def _on_publish(self, client: Any, userdata: Any, mid: int, reason_code: ReasonCode, properties: Properties) -> None:
         if reason_code.is_failure:
             self.refusals += 1
@@ -344,7 +367,7 @@ async def connect(
     try:
         failure = await _entered(connection)
         if failure is not None:
-            raise Recoverable(f"broker {endpoint.host}:{endpoint.port}: {failure}")
+            raise Recoverable(f"broker {endpoint.host}:{endpoint.port}: {_fault(failure)}") from failure
         try:
             yield connection
         finally:
@@ -355,7 +378,17 @@ async def connect(
         connection.abandon()
 
 
-async def _entered(connection: Connection) -> str | None:
+def _fault(failure: Exception) -> str:
+    """Return in one line why a broker was not reached; an end that speaks TLS to one that does not is as one that hangs up."""
+    crossed = isinstance(failure, ssl.SSLEOFError) or (isinstance(failure, ssl.SSLError) and failure.reason in _NO_TLS)
+    if crossed:
+        return device_fault(ConnectionResetError(errno.ECONNRESET, ""), "broker")
+    if isinstance(failure, OSError) and not isinstance(failure, ssl.SSLError):
+        return device_fault(failure, "broker")
+    return str(failure) or type(failure).__name__
+
+
+async def _entered(connection: Connection) -> Exception | None:
     """Connect, and return why that failed. When cancelled, end the connecting thread first: nobody else closes its socket."""
     async with asyncio.TaskGroup() as group:
         entering = group.create_task(_enter(connection))
@@ -371,10 +404,11 @@ async def _entered(connection: Connection) -> str | None:
             raise
 
 
-async def _enter(connection: Connection) -> str | None:
+async def _enter(connection: Connection) -> Exception | None:
     connection.dialling = True  # This is set before the thread can set it itself.
     try:
         await connection.__aenter__()
     except (aiomqtt.MqttError, OSError, ValueError) as why:
-        return str(why) or type(why).__name__
+        cause = why.__context__  # the library keeps the words of a system's error alone
+        return cause if isinstance(cause, OSError) else why
     return None

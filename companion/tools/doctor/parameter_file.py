@@ -62,6 +62,10 @@ def wanted_by_default(stack: Kept, firmware: Firmware | None = None, *, moving_p
     return dict(sorted(out.items()))
 
 
+UP_TO_4_6 = "names and units up to ArduPilot 4.6; for 4.7, which has others, give the autopilot (--link URL) or its file"
+"""The note on a list that is not of one release of ArduPilot."""
+
+
 def stack_named(path: Path) -> Kept:
     """Return the stack that a file's name says.
 
@@ -75,14 +79,14 @@ def stack_named(path: Path) -> Kept:
     raise BadInput(f"--write {path}: name it ardupilot.param or px4.params, or give the autopilot by --link or a LOG")
 
 
-def write_parameters_file(path: Path, stack: str, wanted: Wanted, system: int = 1) -> None:
-    """Write a file of parameters.
+def write_parameters_file(path: Path, stack: str, wanted: Wanted, system: int = 1, note: str = "") -> None:
+    """Write a file of parameters, below a note in comments.
 
     Raises:
         BadInput: the file cannot be written.
     """
     with file_errors(f"--write {path}"):
-        write_whole(path, "".join(_lines(stack, wanted, system)))
+        write_whole(path, note + "".join(_lines(stack, wanted, system)))
 
 
 def _lines(stack: str, wanted: Wanted, system: int) -> Sequence[str]:

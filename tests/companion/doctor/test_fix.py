@@ -112,8 +112,9 @@ def test_a_px4_s_integers_and_reals_are_written_as_they_are(tmp_path: Path, caps
         assert (fake.parameters["EKF2_GPS_CHECK"], fake.parameters["COM_OF_LOSS_T"]) == (245 | 512, 10.0)
 
 
-def test_where_nothing_listens_nothing_is_in_order(capsys: pytest.CaptureFixture[str]) -> None:
-    out = run_doctor(capsys, "--link", f"tcp://{HOST}:{free_port()}", "--fix", "--yes", "--seconds", "0.5")[1]
+@pytest.mark.parametrize("how", [("--fix", "--yes"), ("--write", "w.params")])
+def test_where_nothing_listens_nothing_is_in_order(how: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    out = run_doctor(capsys, "--link", f"tcp://{HOST}:{free_port()}", *how, "--seconds", "0.5")[1]
     assert out.endswith("no autopilot was examined: nothing was written\n")
 
 

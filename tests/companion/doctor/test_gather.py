@@ -147,6 +147,7 @@ async def test_a_camera_of_another_size_that_is_slow(tmp_path: Path) -> None:
     assert {f.rule for f in diagnose(Snapshot(0.0, service=service))} >= {"camera-size", "camera-slow"}
     gone = await examine_service(rig_file(tmp_path / "none.mp4"), None, SystemClock(), seconds=0.1)
     assert "none.mp4" in str(gone.device_fault)
+    assert str(gone.files_fault).endswith("none.mp4: No such file or directory")
 
 
 async def test_a_service_that_runs_is_queried() -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import socket
 import struct
 import sys
 import time
@@ -156,6 +157,15 @@ async def test_a_cancellation_that_comes_with_the_answer_is_not_swallowed(monkey
         saying.cancel()
         await asyncio.wait({saying})
     assert saying.cancelled()
+
+
+async def test_a_socket_that_closes_before_the_loop_watches_it_is_left_alone(caplog: pytest.LogCaptureFixture) -> None:
+    connection = Connection(BrokerEndpoint("nowhere", 1, None, None, None, True, 10, 5.0), "x", None, 1)
+    for end in socket.socketpair():
+        connection._on_socket_register_write(None, None, end)
+        end.close()
+    await asyncio.sleep(0.01)
+    assert caplog.messages == []
 
 
 STATUS = "decklander/v2/drone/status"

@@ -118,7 +118,7 @@ def undisturbed(flight: Flight) -> None:
     ("changes", "said"),
     [
         ({"user": "wrong"}, "ot authorized"), ({"user": "wrong", "protocol": "3.1.1"}, "ot authori"),
-        ({"ca": "stranger_ca.crt"}, "CERTIFICATE_VERIFY_FAILED"), ({"host": "127.0.0.2"}, "efused"),
+        ({"ca": "stranger_ca.crt"}, "CERTIFICATE_VERIFY_FAILED"), ({"host": "127.0.0.2"}, "check address and port"),
         ({"host": "no such host"}, ""), ({"transport": "tcp"}, ""),
     ],
 )  # fmt: skip
@@ -477,6 +477,7 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
                 daemon.kill()
             _, stderr = await daemon.communicate()
     assert daemon.returncode == 0, stderr.decode()
+    assert b"SIGTERM ends the service and leaves the vehicle as it is" in stderr
     assert events[0] == "service started"
     assert events[-1] == "service stopped"
     assert {"command hold accepted", "command abort accepted"} <= set(events)

@@ -27,7 +27,7 @@ from tests.companion.mqtt.conftest import broker, certificates
 from tests.support.mosquitto import Broker
 from tests.support.mqtt_service import SESSION, decision, running, vehicle_status
 from tests.support.mqtt_service import event as pending_event
-from tests.support.waiting import PATIENCE_S, until
+from tests.support.waiting import PATIENCE_S, free_port, until
 
 __all__ = ["broker", "certificates"]
 
@@ -172,6 +172,8 @@ def test_a_broker_that_does_not_answer_or_has_no_drones_is_reported(broker: Brok
     assert output.startswith(f"connecting to broker localhost:{broker.port} (plain TCP) ...\n")
     assert f"decklander: no answer from broker localhost:{broker.port} (plain TCP) within 0.7 s" in output
     assert "a broker that expects TLS does not answer plain TCP" in output
+    assert cli.main(["watch", "--host", "127.0.0.1", "--port", str(free_port()), "--plain-tcp", "--seconds", "0.7"]) == 1
+    assert capsys.readouterr().err.endswith("nothing listens there: start it, or check address and port\n")
     # A busy machine, on which not even the handshake is over in that time, is given more.
     assert any(cli.main(words_for(broker, "--seconds", seconds)) == 0 for seconds in ("0.7", "3", "12"))
     assert f"connected to broker localhost:{broker.port} (TLS), but no drone published anything" in capsys.readouterr().err
