@@ -10,8 +10,9 @@ processor time, medians, and as ratios to a floor measured in the same run: one 
 frame; the thesis' three share one time. A frame counts as found when the error is below a tenth of the height. An H alone
 leaves its heading open by half a turn, which is not counted as error. A method without a row finds nothing at that height.
 
-The last table is README's: ArUco, AprilTag, the thesis' methods and ours side by side by the median distance between the measured
-and the true place, and the time; below nine finds in ten frames it says how many. The thesis' cell has its best method's.
+The last table is README's, of the same run: ArUco, AprilTag, the thesis' methods and our whole look side by side by the median
+distance between the measured and the true place, where the first table has standard deviations and the bias apart, and the time;
+below nine finds in ten frames it says how many. The thesis' cell has its best method's.
 """
 
 import math
@@ -291,7 +292,7 @@ def cell(tallies: list[Tally]) -> str:
     if not found:
         return f"not found, {ms}"
     error_m, best = min(found, key=lambda pair: pair[0])
-    few = "" if 10 * len(best.d_m) >= 9 * best.tried else f", {100 * len(best.d_m) // best.tried} % found"
+    few = "" if 10 * len(best.d_m) >= 9 * best.tried else f", {100 * len(best.d_m) / best.tried:.0f} % found"
     return f"{1e3 * error_m:{'.0f' if error_m > 0.1 else '.2g'}} mm, {ms}{few}"
 
 
@@ -321,17 +322,17 @@ def main() -> None:
             print("  ".join(f"{cell:>14}" if i != 1 else f"{cell:<24}" for i, cell in enumerate(row)), flush=True)
     print("\n".join(peers), flush=True)
     if args.write is not None:
-        write(args.write, rows, args.frames)
+        write(args.write, rows, peers, args.frames)
 
 
-def write(folder: Path, rows: list[list[str]], frames: int) -> None:
+def write(folder: Path, rows: list[list[str]], peers: list[str], frames: int) -> None:
     lines = [
         "# Benchmarks: vision", "", f"Made by `python -m benches.vision --frames {frames} --write docs`.", "",
-        *(__doc__ or "").strip().splitlines()[4:-4], "",
+        *(__doc__ or "").strip().splitlines()[4:], "",
         "| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER),
         *("| " + " | ".join(row) + " |" for row in rows if row[2] != "0 %"), "",
         f"The machine's load meanwhile was {os.getloadavg()[2]:.1f} on {os.cpu_count()} cores; where it is above one a core, "
-        "processor times come out longer than on a machine at rest, ratios less so.", "",
+        "processor times come out longer than on a machine at rest, ratios less so.", "", *peers, "",
         OTHERS + (folder / "benchmarks.md").read_text(encoding="utf-8").split(OTHERS)[1],
     ]  # fmt: skip
     (folder / "benchmarks.md").write_text("\n".join(lines), encoding="utf-8")

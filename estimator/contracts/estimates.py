@@ -131,7 +131,7 @@ class Pose6(Struct, frozen=True, eq=False):
 
     def __post_init__(self) -> None:
         force_setattr(self, "d_body_pad_level", checked_vector("Pose6.d_body_pad_level", self.d_body_pad_level))
-        force_setattr(self, "cov", checked_covariance("Pose6.cov", self.cov, 6))
+        force_setattr(self, "cov", checked_covariance("Pose6.cov", self.cov, 6, estimated=True))
 
 
 _DRAWN_BGR = (255, 0, 255)
@@ -279,7 +279,7 @@ class RelativeState(Struct, frozen=True, eq=False):
     def __post_init__(self) -> None:
         force_setattr(self, "d_body_pad_level", checked_vector("RelativeState.d_body_pad_level", self.d_body_pad_level))
         force_setattr(self, "v_pad_level", checked_vector("RelativeState.v_pad_level", self.v_pad_level))
-        force_setattr(self, "cov", checked_covariance("RelativeState.cov", self.cov, 7))
+        force_setattr(self, "cov", checked_covariance("RelativeState.cov", self.cov, 7, estimated=True))
 
     @property
     def height_m(self) -> float:

@@ -32,8 +32,8 @@ class BodyMotion(Struct, frozen=True, eq=False):
     def __post_init__(self) -> None:
         force_setattr(self, "a_level", checked_vector("BodyMotion.a_level", self.a_level))
         force_setattr(self, "w_body", checked_vector("BodyMotion.w_body", self.w_body))
-        force_setattr(self, "cov_a_level", checked_covariance("BodyMotion.cov_a_level", self.cov_a_level, 3))
-        force_setattr(self, "cov_reported", checked_covariance("BodyMotion.cov_reported", self.cov_reported, 3))
+        force_setattr(self, "cov_a_level", checked_covariance("BodyMotion.cov_a_level", self.cov_a_level, 3, estimated=True))
+        force_setattr(self, "cov_reported", checked_covariance("BodyMotion.cov_reported", self.cov_reported, 3, estimated=True))
 
     @property
     def lean_m_s2(self) -> tuple[float, float]:
@@ -66,8 +66,8 @@ class DeckMotion(Struct, frozen=True, eq=False):
     def __post_init__(self) -> None:
         force_setattr(self, "v_level", checked_vector("DeckMotion.v_level", self.v_level))
         force_setattr(self, "a_level", checked_vector("DeckMotion.a_level", self.a_level))
-        force_setattr(self, "cov_level", checked_covariance("DeckMotion.cov_level", self.cov_level, 6))
-        force_setattr(self, "cov_tilt", checked_covariance("DeckMotion.cov_tilt", self.cov_tilt, 4))
+        force_setattr(self, "cov_level", checked_covariance("DeckMotion.cov_level", self.cov_level, 6, estimated=True))
+        force_setattr(self, "cov_tilt", checked_covariance("DeckMotion.cov_tilt", self.cov_tilt, 4, estimated=True))
 
     @property
     def tilt_rad(self) -> float:

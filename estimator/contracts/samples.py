@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from operator import mul
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
@@ -35,8 +36,11 @@ def checked_vector(name: str, value: F64) -> F64:
     raise ValueError(f"{name} needs finite numbers of shape (3,), got {value!r}")
 
 
-def checked_covariance(name: str, value: F64, n: int) -> F64:
+def checked_covariance(name: str, value: F64, n: int, *, estimated: bool = False) -> F64:
     """Return the value as an array (n, n) that nobody can change.
+
+    Args:
+        estimated: it is a result of the estimator, which no measurement may be refused for: it may be indefinite.
 
     Raises:
         ValueError: it has another shape, a number is not finite, or it is no covariance.
@@ -55,7 +59,31 @@ def checked_covariance(name: str, value: F64, n: int) -> F64:
     gap = 0.0 if alike else float(np.abs(a - a.T).max())
     if min(numbers[:: n + 1]) < 0.0 or (gap > 1e-9 and gap > 1e-9 * float(np.abs(a).max())):
         raise ValueError(f"{name} must be symmetric with a non-negative diagonal, got {value!r}")
+    if not estimated and _indefinite(numbers, n):
+        raise ValueError(f"{name} must be positive semi-definite: its errors are more alike than they are large, got {value!r}")
     return a
+
+
+_ROUNDED, _ROUNDED_OF_LARGEST = 1e-6, 1e-9
+"""Shares of a variance, and of the largest one, by which rounding may make a covariance indefinite."""
+
+
+def _indefinite(numbers: list[float], n: int) -> bool:
+    """Return whether a symmetric matrix (n, n), row by row, has a negative eigenvalue beyond rounding, by its Cholesky factor."""
+    variances = numbers[:: n + 1]
+    if sum(map(abs, numbers)) == sum(variances):
+        return False
+    least = _ROUNDED_OF_LARGEST * max(variances)
+    factor: list[list[float]] = []
+    for i, variance in enumerate(variances):
+        row: list[float] = []
+        for j, other in enumerate(factor):
+            row.append((numbers[i * n + j] - sum(map(mul, row, other))) / other[j])
+        left = variance + _ROUNDED * variance + least - sum(map(mul, row, row))
+        if not left > 0.0:
+            return True
+        factor.append([*row, math.sqrt(left)])
+    return False
 
 
 class Frame(Struct, frozen=True, eq=False):

@@ -58,6 +58,12 @@ _THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 8.0
 That is the air's drag: 5.7 m/s^2 where a tilt of 30 degrees holds against the wind, and its gusts.
 """
 _PERSISTS_GROSS = 2
+_FALLS = ((10, 5.0), (20, 3.0))
+"""Number of bins over which the attitude has the body accelerate downward so much, m/s^2, while its whole thrust is felt.
+
+No pilot leans by 50 degrees for a second, or by 45 for two: it would fall at 5 or 6 m/s.
+"""
+_FELT_LEAST, _FELT_MOST = 0.85 * G_M_S2, 1.5 * G_M_S2
 _ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
 """Least difference of the accelerometer: a filter takes less for its bias. A deck in a high sea accelerates by 2 m/s^2."""
 _USUAL_MIN = 15
@@ -293,12 +299,15 @@ def _judged_gyro(state: Inertial) -> Inertial:
     for name in ("gyro_fault", "attitude_fault"):
         fault: LyingHalf | None = getattr(state, name)
         if fault is not None:
-            agrees = _agree(bins[-_GYRO_WINDOWS[0][0] :])
+            agrees = not _falls(bins) and _agree(bins[-_GYRO_WINDOWS[0][0] :])
             well = fault.well if agrees is None else fault.well + 1 if agrees else 0
             if well < _WELL:
                 return replace(state, **{name: replace(fault, well=well)})
             # The attitude entered all estimates, the gyro's fault did not.
             return replace(state, **{name: None}, named=state.named + (name == "attitude_fault"))
+    if state.accel_fault is None and _falls(bins):
+        what = "leans so far that the body would fall, and the accelerometer feels that it flies: it may be in degrees"
+        return replace(state, attitude_fault=LyingHalf("attitude", what), named=state.named + 1)
     found = _swings_apart(state.parity)
     if found is not None and found.sensor != state.suspected:
         # The bin in which a difference begins holds a part of it alone, so the next one has to say the same.
@@ -307,6 +316,18 @@ def _judged_gyro(state: Inertial) -> Inertial:
     if found is None:
         return state if state.suspected is None else replace(state, suspected=None)
     return replace(state, **{f"{found.sensor}_fault": found}, named=state.named + 1)
+
+
+def _falls(bins: tuple[Bin, ...]) -> bool:
+    """Return whether the attitude has the body fall for a second or two in which the accelerometer feels its thrust."""
+    for n, least_m_s2 in _FALLS:
+        newest = bins[-n:]
+        felt_all = len(newest) == n and all(
+            _FELT_LEAST < math.hypot(*b.f) < _FELT_MOST and math.hypot(*b.f[:2]) < -0.5 * b.f[2] for b in newest
+        )
+        if felt_all and math.fsum(b.dv[2] for b in newest) > least_m_s2 * math.fsum(b.span_s for b in newest):
+            return True
+    return False
 
 
 def _agree(bins: tuple[Bin, ...]) -> bool | None:

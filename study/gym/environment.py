@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import gymnasium
 import numpy as np
@@ -20,6 +20,8 @@ from sitl.scenario.scenario import Scenario, camera_model, load
 from sitl.world.stage import renderer, sea_and_vessel
 from study.gym.training import ENDS, F32, TERMS, WEIGHTS, TrainingOptions, TrainingWorlds
 
+Perception = Literal["model", "truth"]
+Observation = Literal["estimate", "truth", "pixels"]
 Reward = Callable[[F32], F32]
 """Takes the terms (N, 8) of N worlds, in the order of `TERMS`, to their rewards (N,)."""
 _FLYING, _TIMED_OUT = ENDS.index("goes_on"), ENDS.index("timed_out")
@@ -48,6 +50,15 @@ def _worlds(scenario: str | Scenario, vehicle: str | None, count: int, threads: 
     if vehicle is not None:
         chosen = replace(chosen, vehicle=replace(chosen.vehicle, file=vehicle))
     return TrainingWorlds(chosen, count, TrainingOptions(**options), threads)
+
+
+def _check(perception: str, reward: Reward | None, observation: str = "estimate") -> None:
+    """Refuse what a world would fly without. Raises ValueError."""
+    for name, word, of in (("perception", perception, Perception), ("observation", observation, Observation)):
+        if word not in (words := get_args(of)):
+            raise ValueError(f"{name} must be one of {', '.join(words)}, got {word!r}")
+    if reward is not None and not callable(reward):
+        raise ValueError(f"reward must be a function of the terms, got {reward!r}")
 
 
 def _spaces() -> tuple[gymnasium.Space[Any], gymnasium.Space[Any]]:
@@ -79,6 +90,7 @@ class LandEnv(gymnasium.Env[Any, F32]):
 
     Raises:
         BadInput: there is no such scenario or vehicle, or its vessel keeps no steady course.
+        ValueError: a word is none of those allowed, or a number is outside its range.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": round(1.0 / STEP_S)}  # noqa: RUF012
@@ -88,12 +100,13 @@ class LandEnv(gymnasium.Env[Any, F32]):
         scenario: str | Scenario = "sea_state_4",
         *,
         vehicle: str | None = None,
-        perception: Literal["model", "truth"] = "model",
-        observation: Literal["estimate", "truth", "pixels"] = "estimate",
+        perception: Perception = "model",
+        observation: Observation = "estimate",
         reward: Reward | None = None,
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
+        _check(perception, reward, observation)
         seen = "truth" if perception == "truth" or observation == "truth" else "estimate"
         self.worlds = _worlds(scenario, vehicle, 1, 1, {"observation": seen, **options})
         self.observation_space, self.action_space = _spaces()
@@ -116,7 +129,7 @@ class LandEnv(gymnasium.Env[Any, F32]):
         return self._observed(self.worlds.views[0]), {}
 
     def step(self, action: F32) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Take one step of 20 ms."""
+        """Take one step of 20 ms. Raises ValueError for an action that is NaN."""
         w = self.worlds
         w.step(np.asarray(action, np.float32).reshape(1, DL_ACTION_NUMBERS))
         end = int(w.ends[0])
@@ -186,7 +199,7 @@ class LandVectorEnv(VectorEnv[F32, F32, Any]):
         scenario, vehicle, perception, observation, reward, options: as those of `LandEnv`, without pixels.
 
     Raises:
-        BadInput: as `LandEnv`.
+        BadInput, ValueError: as `LandEnv`.
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
@@ -197,11 +210,12 @@ class LandVectorEnv(VectorEnv[F32, F32, Any]):
         scenario: str | Scenario = "sea_state_4",
         *,
         vehicle: str | None = None,
-        perception: Literal["model", "truth"] = "model",
+        perception: Perception = "model",
         threads: int = 1,
         reward: Reward | None = None,
         **options: Any,
     ) -> None:
+        _check(perception, reward)
         seen = "truth" if perception == "truth" else "estimate"
         self.num_envs, self.render_mode = num_envs, None
         self.worlds = _worlds(scenario, vehicle, num_envs, threads, {"observation": seen, **options})
@@ -223,7 +237,7 @@ class LandVectorEnv(VectorEnv[F32, F32, Any]):
         return self.worlds.begin(seeds).copy(), {}
 
     def step(self, actions: F32) -> tuple[F32, F32, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Take one step of 20 ms in every world."""
+        """Take one step of 20 ms in every world. Raises ValueError for an action that is NaN, and no world takes it."""
         w = self.worlds
         w.step(actions)
         over, timed_out = w.ends != _FLYING, w.ends == _TIMED_OUT

@@ -11,12 +11,11 @@ from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.guidance.law.policy import STEP_S, TRIM_TIME_S
 from estimator.contracts.errors import BadInput
-from estimator.contracts.keys import number
+from estimator.contracts.keys import CheckedOptions, number
 from estimator.contracts.motion import G_M_S2
 from sitl.core.abi import DL_ACTION_NUMBERS, DL_HARMONICS_MAX, DL_REWARD_TERMS, DL_VIEW_NUMBERS, DL_VIEWS_MAX
 from sitl.core.library import SIM
@@ -51,7 +50,7 @@ _WRONG = tuple(name.removeprefix("DL_WRONG_").lower() for name in list(SIM.names
 """The differences of a wrong model that are drawn for each episode."""
 
 
-class EstimateErrors(Struct, frozen=True, kw_only=True):
+class EstimateErrors(CheckedOptions, frozen=True, kw_only=True):
     """The errors of the filter's estimate, as flights of sea state 4 by the model of perception show them."""
 
     place_m: Annotated[float, number("standard deviation of the pad's place at touchdown", "m", 0.0, 1.0)] = 0.006
@@ -65,26 +64,28 @@ class EstimateErrors(Struct, frozen=True, kw_only=True):
     delay_steps: Annotated[int, number("steps by which an observation is late", "1", 0, DL_VIEWS_MAX - 1)] = 1
 
 
-class TrainingOptions(Struct, frozen=True, kw_only=True):
+class TrainingOptions(CheckedOptions, frozen=True, kw_only=True):
     """The rules of the training worlds."""
 
     action: Actions = "tilt_thrust"
     observation: Observations = "estimate"
-    wrong_model: float = 1.0
-    """Differences of the vehicle from its file, in standard deviations (`sitl.vehicle.disturbances.SPREADS`); 0 for none."""
+    wrong_model: Annotated[float, number("differences of the vehicle from its file, in deviations", "1", 0.0, 10.0)] = 1.0
+    """0 for none; the standard deviations are those of `sitl.vehicle.disturbances.SPREADS`."""
     start_low: tuple[float, float, float, float] = (-2.0, -2.0, 2.0, -math.pi)
     """Least values of the start: the pad forward and right of the body, m; height over it, m; heading against the arrow, rad."""
     start_high: tuple[float, float, float, float] = (2.0, 2.0, 5.0, math.pi)
-    time_limit_s: float = 30.0
-    vertical_max_m_s: float = 1.0
-    """The fastest contact, downward, that counts as landed."""
-    lateral_max_m_s: float = 0.5
-    """The fastest contact along the deck that counts as landed."""
-    reach_m: float = 12.0
-    """An episode ends this far from the pad."""
-    velocity_max_m_s: float = 1.5
-    """The velocity of a full action, where actions are velocities."""
+    time_limit_s: Annotated[float, number("longest episode", "s", STEP_S, 3600.0)] = 30.0
+    vertical_max_m_s: Annotated[float, number("fastest contact, downward, that counts as landed", "m/s", 0.0, 20.0)] = 1.0
+    lateral_max_m_s: Annotated[float, number("fastest contact along the deck that counts as landed", "m/s", 0.0, 20.0)] = 0.5
+    reach_m: Annotated[float, number("distance from the pad at which an episode ends", "m", 0.1, 1e4)] = 12.0
+    velocity_max_m_s: Annotated[float, number("velocity of a full action, where actions are velocities", "m/s", 0.01, 50.0)] = 1.5
     errors: EstimateErrors = EstimateErrors()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for low, high in zip(self.start_low, self.start_high, strict=True):
+            if not -math.inf < low <= high < math.inf:
+                raise ValueError(f"TrainingOptions.start_low and start_high need finite numbers in order, got {low!r}, {high!r}")
 
 
 _HELD = ("_kept", "views", "last_views", "terms", "touchdowns", "ends")
@@ -109,10 +110,13 @@ class TrainingWorlds:
 
     Raises:
         BadInput: the scenario's vessel turns, or moves as recorded.
+        ValueError: there is no world or no thread.
     """
 
     def __init__(self, scenario: Scenario, count: int, options: TrainingOptions | None = None, threads: int = 1) -> None:
         refuse_gimbal(scenario)
+        if count < 1 or threads < 1:
+            raise ValueError(f"training worlds and their threads must be 1 or more, got {count!r} and {threads!r}")
         self.options = o = options or TrainingOptions()
         self.scenario, self.count, self._threads = scenario, count, threads
         self._rules = _rules(scenario, o)
@@ -181,8 +185,13 @@ class TrainingWorlds:
         """Take one step in every world; a world whose episode ends begins the next one.
 
         Args:
-            actions: (count, DL_ACTION_NUMBERS), each -1 to 1; more is cut off, and NaN is 0.
+            actions: (count, DL_ACTION_NUMBERS), each -1 to 1; more is cut off.
+
+        Raises:
+            ValueError: one is NaN, or they have another shape.
         """
+        if np.isnan(actions).any():
+            raise ValueError("an action is not a number (NaN): no world takes the step")
         self._actions[:] = actions
         waiting = [self._pool.submit(self._step, part) for part in self._parts[1:]] if self._pool else []
         self._step(self._parts[0])

@@ -11,8 +11,8 @@ import pytest
 
 from companion.cli import main as cli
 from companion.tools.replay.ship_sensors import SensorJudge
-from estimator.contracts.geometry import F64
-from estimator.contracts.samples import Sample, VesselMotion, VesselReport
+from estimator.contracts.geometry import F64, GeoPoint
+from estimator.contracts.samples import GeoFix, Sample, VesselMotion, VesselReport
 from estimator.contracts.time import Stamp
 from tests.drivers.nmea.test_sentences import line
 from tests.drivers.nmea.test_ship_sensors import PALMER, needs_palmer
@@ -65,6 +65,9 @@ def test_two_sensors_differ_by_their_offset_and_their_delay_and_gaps_are_counted
     a, b = sensors.verdicts()
     assert (a.gaps, b.gaps, a.rate_hz) == (0, 1, pytest.approx(5.0))
     assert b.longest_gap_s == pytest.approx(5.0, abs=0.3)
+    pairs = [t + late for t in T for late in (0.0, 2.4e-5)]
+    (twice,) = judge(GeoFix(measured(t), "vessel", GeoPoint(0.0, 0.0, 0.0), 1.0) for t in pairs).verdicts()
+    assert (twice.gaps, twice.rate_hz) == (0, pytest.approx(10.0, rel=0.01)), "both of each instant"
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

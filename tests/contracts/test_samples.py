@@ -59,11 +59,17 @@ def test_a_vector_that_is_not_finite_or_not_three_long_is_refused(make, bad):
 @pytest.mark.parametrize(("n", "make"), COVARIANCES.values(), ids=COVARIANCES)
 def test_what_is_no_covariance_is_refused(n, make):
     make(np.eye(n))
-    skewed, negative, nan = np.eye(n), np.eye(n), np.eye(n)
+    skewed, negative, nan, alike = np.eye(n), np.eye(n), np.eye(n), np.eye(n) + 1.001 * np.eye(n)[::-1]
     skewed[0, 1], negative[1, 1], nan[0, 0] = 0.5, -1.0, math.nan
-    for bad in (skewed, negative, nan, np.eye(n + 1), np.ones(n)):
-        with pytest.raises(ValueError, match=r"finite|symmetric"):
+    for bad in (skewed, negative, nan, np.eye(n + 1), np.ones(n), *([alike] if n in (3, 4) else [])):
+        with pytest.raises(ValueError, match=r"finite|symmetric|definite"):
             make(bad)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.floats(-6.0, 6.0))
+def test_rounding_makes_no_covariance_of_known_directions_a_wrong_one(seed, rank, size):
+    half = 10.0**size * np.random.default_rng(seed).standard_normal((4, rank))
+    any_sighting(cov=half @ half.T)
 
 
 @pytest.mark.parametrize(

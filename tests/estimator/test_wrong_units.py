@@ -14,7 +14,7 @@ DATA = Path(__file__).parents[2] / "configs/examples/landing.csv"
 Wrong = Callable[[F64, F64], tuple[F64, F64]]
 
 
-def fused(wrong: Wrong) -> tuple[float, dict[str, float]]:
+def fused(wrong: Wrong, angles: Callable[[F64], F64] = np.asarray) -> tuple[float, dict[str, float]]:
     """Return the median error, m, and the time from which each sentence about a lost sensor stood, s."""
     estimator, errors, lost = RelativeEstimator(), list[float](), dict[str, float]()
     with DATA.open(newline="") as file:
@@ -25,7 +25,7 @@ def fused(wrong: Wrong) -> tuple[float, dict[str, float]]:
             w, f = wrong(v[:3], v[3:6])
             estimator.on_imu(Imu(stamp, w_body=w, f_body=f))
         elif kind == "attitude":
-            estimator.on_attitude(Attitude(stamp, Rotation.from_rpy(*v[:3]), cov_body=np.eye(3) * np.radians(0.5) ** 2))
+            estimator.on_attitude(Attitude(stamp, Rotation.from_rpy(*angles(v[:3])), cov_body=np.eye(3) * np.radians(0.5) ** 2))
         elif kind == "sighting":
             estimator.on_sighting(Sighting(stamp, 0, "fused", v[:3], float(v[3]), False, np.diag(v[4:] ** 2), confidence=1.0))
         elif (state := estimator.at(stamp.measured_at)) is not None:
@@ -54,3 +54,9 @@ def test_other_units_or_axes_are_named_and_cost_little(wrong: Wrong, words: str)
 
 def test_a_right_sensor_is_not_accused() -> None:
     assert fused(lambda w, f: (w, f))[1] == {}
+
+
+def test_an_attitude_in_degrees_is_named_alone() -> None:
+    ((text, at_s),) = fused(lambda w, f: (w, f), np.degrees)[1].items()
+    assert text.startswith("the attitude leans")
+    assert at_s < 3.0

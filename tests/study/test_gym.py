@@ -89,7 +89,7 @@ def test_the_deck_moves_as_the_vessel_s_responses_say() -> None:
 
 
 def test_every_action_is_flown_and_every_episode_ends() -> None:
-    """Actions without bounds, and NaN, end no episode otherwise than as listed; observations stay finite."""
+    """Actions without bounds end no episode otherwise than as listed; observations stay finite."""
     worlds = TrainingWorlds(load("weather_5"), 16, TrainingOptions(time_limit_s=6.0, wrong_model=3.0))
     worlds.begin(range(32, 48))
     rng, seen = np.random.default_rng(1), set()
@@ -97,12 +97,15 @@ def test_every_action_is_flown_and_every_episode_ends() -> None:
         actions = (rng.standard_normal((16, 4)) * 10.0).astype(np.float32)
         actions[:4, 2] = 1.0
         actions[4:8, :3] = (0.0, 1.0, 0.3)
-        actions[8] = np.nan if step % 2 else np.inf
+        actions[8] = (-1.0) ** step * np.inf
         worlds.step(actions)
         seen |= {ENDS[end] for end in worlds.ends}
         assert np.isfinite(worlds.views).all()
         assert np.isfinite(worlds.terms).all()
     assert {"left", "timed_out"} < seen
+    actions[5, 2] = np.nan
+    with pytest.raises(ValueError, match="NaN"):
+        worlds.step(actions)
 
 
 @pytest.mark.parametrize(
@@ -152,9 +155,19 @@ def test_a_copy_flies_on_as_the_world_does_and_apart_from_it(copied, more) -> No
     assert np.array_equal(env.action_space.sample(), twin.action_space.sample())
 
 
-def test_a_vessel_that_turns_is_refused() -> None:
-    with pytest.raises(BadInput, match="steady course"):
-        TrainingWorlds(load("supply_ship_turning"), 2)
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"perception": "pixels"}, {"action": "thrust"}, {"observation": "image"}, {"num_envs": 2, "observation": "pixels"},
+        {"wrong_model": math.nan}, {"wrong_model": -1.0}, {"start_low": (math.nan,) * 4}, {"time_limit_s": 0.0}, {"reward": "x"},
+        {"num_envs": 0}, {"num_envs": 2, "threads": -1}, {"num_envs": 2, "perception": "Truth"},
+        {"scenario": "supply_ship_turning"},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_word_or_number_that_no_world_has_is_refused_and_named(bad) -> None:
+    with pytest.raises((ValueError, BadInput), match=f"{[*bad][-1]}|steady course|1 or more"):
+        (LandVectorEnv if "num_envs" in bad else LandEnv)(**bad)
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.1, 10), st.floats(-3.1, 3.1))

@@ -45,7 +45,7 @@ class SensorVerdict(Struct, frozen=True):
     sensor: str
     count: int
     rate_hz: float
-    """Number of reports by the usual interval between two of them."""
+    """Instants of reports in a second of the time without its gaps."""
     gaps: int
     """Number of intervals longer than three usual ones."""
     longest_gap_s: float
@@ -153,14 +153,15 @@ def _verdict(sensor: str, rows: list[tuple[float, dict[str, float]]]) -> SensorV
     series = {part: _series(rows, part) for part in dict.fromkeys(name for _, given in rows for name in given)}
     at = max(series.values(), key=len)[:, 0]
     between = np.diff(at) if len(at) > 1 else np.zeros(1)
-    usual_s = float(np.median(between))
-    gaps = between[between > _GAP * max(usual_s, 1e-3)]
+    # Two sources, or two messages of one receiver, come within one interval: the longer ones are usual.
+    gap_s = _GAP * max(float(np.percentile(between, 90.0)), 1e-3)
+    gaps, steady_s = between[between > gap_s], float(between[between <= gap_s].sum())
     parts = []
     for part, values in ((part, found[:, 1]) for part, found in series.items()):
         turning = np.unwrap(values, period=360.0) if part == "heading" else values
         steps = np.diff(np.unique(np.round(values, 7)))
         parts.append(Part(part, _UNITS[part], len(values), float(np.std(turning)), float(steps.min()) if len(steps) else None))
-    rate_hz = 1.0 / usual_s if usual_s > 0.0 else math.inf
+    rate_hz = (len(between) - len(gaps)) / steady_s if steady_s > 0.0 else math.inf
     longest_s = float(between.max())
     waves_m, wanders_m, fault = _heave(series.get(_HEAVE, np.empty((0, 2))))
     of_motion = {part.name for part in parts} <= {"roll", "pitch", _HEAVE}  # a ship's speed may stay the same, and a wind

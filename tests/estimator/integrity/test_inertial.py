@@ -97,6 +97,7 @@ FAULTS: dict[str, Change] = {
     "a third": lambda x: 0.334 * x,
     "frozen on an axis": lambda x: x * (np.arange(len(x)) != 0),
     "twice": lambda x: 2.0 * x,
+    "in degrees": np.degrees,
     "swapped": lambda x: x[[1, 0, *range(2, len(x))]],
 }
 
