@@ -33,6 +33,7 @@ SIZES = ((LAPTOP, 44), (PHONE, 44), (SIDEWAYS, 40), ({"width": 320, "height": 56
 TEXTS = [Reason(cause, 2.5, 1.25, "left").text for cause in ReasonCause] + [Touch(1.5, 0.15, 6.0, "known to 0.6 m").text]
 IN_FEET = "async (texts) => (await import('/units.js')).inUnits({ kind: 'event', texts }).texts"
 FIGURES = "async (values) => { const { figure } = await import('/units.js'); return values.map((v) => figure('length', v)); }"
+EVENT = "async () => (await import('/telling.js')).event({ kind: 'event', at_s: 0, level: 'info', text: '2.50 m off' })"
 FELT = """() => {
     window.felt = [];
     navigator.vibrate = ([first_ms]) => felt.push(first_ms);
@@ -230,7 +231,9 @@ async def test_every_order_is_in_sight_and_stays_in_its_place_by_day_in_metres_a
         places: dict[str, Any] = {}
         for night, (size, least_px) in [(night, one) for night in (False, True) for one in SIZES]:
             if night and size == LAPTOP:
+                await one.page.evaluate(EVENT)
                 await one.page.select_option("#units", "feet")
+                await one.shows("events", "8.2 ft off")
                 for button in ("#alarms", "#theme"):  # on and off; dark and night
                     await one.page.click(button, click_count=2)
                 await one.page.reload()

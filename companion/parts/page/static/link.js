@@ -79,9 +79,10 @@ export class Link {
       for (const handler of this.#handlers.get("picture")) handler(header, new Uint8Array(data, 4 + length));
       return;
     }
-    const message = inUnits(JSON.parse(data));
+    const given = JSON.parse(data);
+    const message = inUnits(given);
     if (message.kind === "refused") this.#said = message.text;
-    else for (const handler of this.#handlers.get(message.kind) ?? []) handler(message);
+    else for (const handler of this.#handlers.get(message.kind) ?? []) handler(message, given);
   }
 
   #watch() {

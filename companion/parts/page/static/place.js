@@ -62,11 +62,16 @@ class View {
   show(state) {
     const place = state.place;
     this.svg.classList.toggle("unknown", place === null);
-    if (place === null) return;
+    const [unit, size_m] = shown("length");
+    if (place === null) {
+      if (unit === this.unit) return;
+      this.unit = "";
+      for (const ring of this.svg.querySelectorAll(".ring")) ring.textContent = "";
+      return;
+    }
     this.trail.push([place.x_m, place.y_m, place.z_m]);
     if (this.trail.length > TRAIL) this.trail.shift();
     // Grow at once, shrink only when there is plenty of room: a scale that flickers cannot be read.
-    const [unit, size_m] = shown("length");
     const reach = this.reach(place, state);
     const scale = SCALES.find((s) => s * size_m >= 1.05 * reach) ?? SCALES.at(-1);
     const wanted = scale * size_m;

@@ -1,6 +1,6 @@
 // What the page says in words and figures: phase and reason, who commands, figures, health and its causes, events.
 import { $, chip, part, words, write } from "./elements.js";
-import { figure, inWords, signed } from "./units.js";
+import { figure, inUnits, inWords, signed } from "./units.js";
 
 const EVENTS = 100;
 const DEGREES = 180 / Math.PI;
@@ -85,11 +85,20 @@ export function health(message) {
   $("service").replaceChildren(...message.figures.flatMap(([name, value]) => [part("dt", name), part("dd", value)]));
 }
 
-export function event(message) {
+function listed(message, given) {
   const line = part("li", "", { "data-level": message.level });
   const tenths = Math.round(10 * message.at_s);
   line.append(part("time", `${Math.floor(tenths / 600)}:${((tenths % 600) / 10).toFixed(1).padStart(4, "0")}`), part("span", message.text, { "data-level": message.level }));
   if (message.advice) line.append(part("small", message.advice));
-  $("events").prepend(line);
+  line.given = given; // with its figures in metres
+  return line;
+}
+
+$("units").addEventListener("change", () => {
+  for (const line of [...$("events").children]) line.replaceWith(listed(inUnits(line.given), line.given));
+});
+
+export function event(message, given = message) {
+  $("events").prepend(listed(message, given));
   while ($("events").children.length > EVENTS) $("events").lastChild.remove();
 }
