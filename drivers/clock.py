@@ -1,4 +1,4 @@
-"""This host's monotonic clock as a port."""
+"""Clocks as ports: this host's monotonic one, and one that is set."""
 
 import asyncio
 import time
@@ -14,3 +14,16 @@ class SystemClock:
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
+
+
+class SetClock:
+    """A clock that stands until it is set: in virtual time, and in a recording's."""
+
+    def __init__(self, t: MonoNs) -> None:
+        self.t = t
+
+    def now(self) -> MonoNs:
+        return self.t
+
+    async def sleep(self, seconds: float) -> None:
+        raise RuntimeError("nothing sleeps where the clock is set")

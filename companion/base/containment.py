@@ -14,6 +14,7 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Generic, ParamSpec, Protocol, TypeVar
 
 from companion.base.health import Health
@@ -87,30 +88,36 @@ class CallGuard:
 
 
 class Audience(Relay):
-    """Passes each event to all observers, each method of each observer behind its own guard."""
+    """Passes each event to all observers, each method of each observer behind its own guard.
 
-    def __init__(self, observers: Sequence[Observer], health: Health) -> None:
+    Args:
+        guarded: False lets an observer's error through, as a simulated flight wants it.
+    """
+
+    def __init__(self, observers: Sequence[Observer], health: Health, *, guarded: bool = True) -> None:
+        def call_of(observer: Observer, method: str) -> Callable[..., object]:
+            call: Callable[..., object] = getattr(observer, method)
+            return partial(CallGuard(f"{name_of(observer)}.{method}", health).call, call) if guarded else call
+
         self._calls = {
-            method: [
-                (CallGuard(f"{name_of(o)}.{method}", health), getattr(o, method), o) for o in observers if _listens(o, method)
-            ]
+            method: [(call_of(o, method), o) for o in observers if _listens(o, method)]
             for method in ("on_sample", "on_fusion", "on_frame", "on_decision", "on_order")
         }
 
     @property
     def takes_fusion(self) -> bool:
         """True if an observer takes the results of measurements now."""
-        return not all(rests(o) for _, _, o in self._calls["on_fusion"])
+        return not all(rests(o) for _, o in self._calls["on_fusion"])
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
-        for guard, method, observer in self._calls["on_sample"]:
+        for call, observer in self._calls["on_sample"]:
             if not rests(observer):
                 for sample in samples:
-                    guard.call(method, sample)
+                    call(sample)
 
     def hand_on(self, method: str, *what: object) -> None:
-        for guard, call, _ in self._calls[method]:
-            guard.call(call, *what)
+        for call, _ in self._calls[method]:
+            call(*what)
 
 
 def _listens(observer: Observer, method: str) -> bool:

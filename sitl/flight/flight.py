@@ -15,10 +15,12 @@ import cv2
 import numpy as np
 from msgspec import Struct, structs
 
+from companion.base.containment import Audience
 from companion.base.health import Health
 from companion.base.mission import FLOWN
-from companion.base.observer import Observer, ProcessedFrame, listens
-from companion.base.orders import HandledOrder
+from companion.base.observer import Observer
+from companion.cycle.cycle import ATTITUDE_WAIT_S, Begun, Cycle
+from companion.cycle.pace import FramePace
 from companion.guidance.operator.precedence import ControlSituation
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings, ardrone_options
@@ -28,10 +30,12 @@ from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataOrder, NavdataSampler, SequencePlace
 from drivers.ardrone.setup import configuration_commands
+from drivers.clock import SetClock
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
-from estimator.contracts.estimates import FusionResult, Verdict
+from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, after, seconds_between
+from estimator.vision.detection import Detection
 from sitl.ardrone.drone import TICK_S, Drone, DroneClock
 from sitl.ardrone.state import GENERATIONS, refusal
 from sitl.ardrone.uvlc import ArrivingFrames, synced
@@ -71,19 +75,6 @@ class Timing(Struct, frozen=True):
     """Time that vision takes for a frame."""
     overtime_s: float = 0.0
     """Further time beyond the scenario's for a flight whose guidance is still trying to land."""
-
-
-class _VirtualClock:
-    """A clock that advances only when its time is set."""
-
-    def __init__(self, now: MonoNs) -> None:
-        self.t = now
-
-    def now(self) -> MonoNs:
-        return self.t
-
-    async def sleep(self, seconds: float) -> None:
-        raise RuntimeError("nothing sleeps in virtual time")
 
 
 class Flight:
@@ -132,7 +123,7 @@ class Flight:
         self._reporter = VesselReporter(self.world)
         self._views: dict[int, RenderedFrame] = {}
         self._observers = tuple(observers)
-        self._on_fusion = [o.on_fusion for o in observers if listens(o, "on_fusion")]
+        self._core_fraction = settings.vision.core_fraction
         self._timing = timing or Timing()
         self._limit_s = scenario.duration_limit_s
         self._options = ardrone_options(settings)
@@ -145,19 +136,21 @@ class Flight:
         self._link_rng, self._link_wander = np.random.default_rng([self.world.seed, 0x11A7]), 0.0
         self._sequence = self._ticks = 0
         start = self.world.now
-        self._clock = _VirtualClock(start)
+        self._clock = SetClock(start)
         streams = self.world.streams
         self._frames_under_way: InTransit[Callable[[], RenderedFrame]] = InTransit(streams.frames)
         self._navdata_under_way: InTransit[tuple[Navdata, MonoNs]] = InTransit(streams.navdata)
         self._commands_under_way: InTransit[bytes] = InTransit(streams.commands)
-        self._looking: tuple[MonoNs, ProcessedFrame] | None = None
+        self._looking: tuple[MonoNs, Begun, Detection] | None = None
+        self._lacking: tuple[MonoNs, Frame] | None = None
+        """A frame for whose samples is waited, and until when."""
         self._due_guidance = self._due_frame = self._due_command = start
         self._gone, self._phase = False, self.world.phase
-        self._begin_service(pilot)
         self.health = Health(self._clock)
         self.watched = True
         """False if nobody reads what the health says of samples: without observers either, their results are not asked for."""
         self._waiting: list[Sample] = []
+        self._begin_service(pilot)
         self._drone = Drone(self.world, DroneClock(start), generation=self._generation)
         for key, commands in configuration_commands(self._options):
             for command in [*commands, at.Ctrl(at.CTRL_ACK)]:
@@ -189,7 +182,7 @@ class Flight:
         observers received is that of the outcome.
         """
         world, later, going = self.world, Afterwards(self._grader, self.result()), True
-        self._observers, self._on_fusion = (), []
+        self._observers, self._cycle.audience = (), Audience((), self.health)
         while going and seconds_between(world.at, later.ends) >= TICK_S:
             if later.flies:
                 going = self._tick() is not None
@@ -286,17 +279,15 @@ class Flight:
         """Reset the state of the service's process to that of a new process."""
         now = self._clock.t
         self._pilot = pilot
-        pilot.operator.on_order = self._on_order
+        audience = Audience(self._observers, self.health, guarded=False)
+        self._cycle = Cycle(pilot, self.health, audience, FramePace(self._core_fraction, pilot.camera, self.health))
         self._streamer = CommandStreamer(self._options)
         self._sampler = NavdataSampler(self._options)
         self._due_guidance = self._due_frame = self._due_command = now
         self._navdata_order = NavdataOrder()
         self._frames_under_way.clear()
-        self._looking, self._waiting = None, []
-
-    def _on_order(self, handled: HandledOrder) -> None:
-        for observer in self._observers:
-            observer.on_order(handled)
+        self._looking = self._lacking = None
+        self._waiting = []
 
     def _encoded(self, command: at.AtCommand) -> bytes:
         self._sequence += 1
@@ -327,27 +318,13 @@ class Flight:
             if not _QUICK.issuperset(map(type, samples)):
                 self._catch_up()
             return
-        results = self._pilot.on_samples(samples)
-        for observer in self._observers:
-            for sample in samples:
-                observer.on_sample(sample)
-        self._count(samples, results)
+        self._cycle.samples(samples, self._clock.t)
 
     def _catch_up(self) -> None:
         """Give the pilot the samples that wait for the next look at what it makes of them: together they cost less."""
         if self._waiting:
             waiting, self._waiting = self._waiting, []
-            self._pilot.on_samples(waiting, wanted=False)
-
-    def _count(self, samples: Sequence[Sample], results: Sequence[tuple[FusionResult, ...]]) -> None:
-        """Report to health and observers what became of samples, as the daemon does."""
-        for sample, fused in zip(samples, results, strict=True):
-            if fused:
-                self.health.fused(sample, fused)
-        for on_fusion in self._on_fusion:
-            for sample, fused in zip(samples, results, strict=True):
-                for result in fused:
-                    on_fusion(sample.stamp.received_at, result)
+            self._cycle.samples(waiting, self._clock.t, wanted=False)
 
     def _film(self, now: MonoNs) -> None:
         if now < self._due_frame:
@@ -372,15 +349,38 @@ class Flight:
         return self._perception.expose(self.world, self.worker)
 
     def _process(self, now: MonoNs) -> None:
-        if self._looking is not None and now >= self._looking[0]:
-            self._catch_up()
-            self._conclude(self._looking[1])
-            self._looking = None
+        self._finish(now)
+        if self._lacking is None and self._looking is None:
+            self._receive(now)
+        if self._lacking is None:
+            return
+        self._catch_up()
+        until, frame = self._lacking
+        if now < until and self._cycle.awaits(frame.stamp, now):
+            return
+        self._lacking = None
+        begun = self._cycle.begin(frame, now)
+        if begun.look is None:
+            self._conclude(begun, None, now)
+            return
+        self._looking = after(now, self._timing.vision_s), begun, self._pilot.detect(begun.look)
+        self._finish(now)
+
+    def _finish(self, now: MonoNs) -> None:
+        """Conclude the frame that is being looked at, once vision has taken its time."""
+        if self._looking is None or now < self._looking[0]:
+            return
+        self._catch_up()
+        _, begun, seen = self._looking
+        self._looking = None
+        self._conclude(begun, seen, now)
+
+    def _receive(self, now: MonoNs) -> None:
+        """Take the newest frame that has arrived."""
         arrived: Frame | None = None
-        while self._looking is None and (packet := self._frames_under_way.arrived(now)) is not None:
+        while (packet := self._frames_under_way.arrived(now)) is not None:
             if arrived is not None:
-                self.health.frame(Verdict.REPLACED)
-                self._pilot.landing.on_verdict(Verdict.REPLACED)
+                self._cycle.judged(Verdict.REPLACED)
                 self._judge(arrived.seq, Verdict.REPLACED)
             received_at, exposed = packet
             image = exposed()
@@ -389,35 +389,19 @@ class Flight:
             arrived = self._arriving.frame(self._frames, image, received_at)
         if arrived is None:
             return
-        self._catch_up()
-        refused = self._pilot.estimator.admit(arrived)
-        if refused is not None:
-            self._conclude(ProcessedFrame(arrived, None, None, refused, now, now))
-            return
-        attitude = self._pilot.estimator.attitude_at(arrived.stamp)
-        done = after(now, self._timing.vision_s)
-        if attitude is None:
-            if (assumed := self._pilot.assumed_at(arrived.stamp)) is not None:
-                self._pilot.on_followed(self._pilot.detect(self._pilot.look_after(arrived, assumed)), assumed)
-            self._conclude(ProcessedFrame(arrived, None, None, Verdict.NO_ATTITUDE, now, now))
+        if self._cycle.admits(now):
+            self._lacking = after(now, ATTITUDE_WAIT_S), arrived
         else:
-            processed = self._pilot.detect(self._pilot.look_at(arrived, attitude))
-            self._looking = done, ProcessedFrame(arrived, attitude, processed, Verdict.NO_PAD, now, done)
+            self._judge(arrived.seq, Verdict.SKIPPED)
 
-    def _conclude(self, processed: ProcessedFrame) -> None:
-        if processed.detection is not None:
-            verdict, results = self._pilot.on_detection(processed.detection)
-            processed = structs.replace(processed, verdict=verdict, results=results)
-        self.health.frame(processed.verdict)
-        self._pilot.landing.on_verdict(processed.verdict)
+    def _conclude(self, begun: Begun, seen: Detection | None, now: MonoNs) -> None:
+        processed = structs.replace(self._cycle.conclude(begun, seen), done=now)
         self._judge(processed.frame.seq, processed.verdict)
-        self.health.delay("exposure_to_belief", seconds_between(processed.frame.stamp.measured_at, processed.done))
-        for result in processed.results:
-            self.health.fusion(result)
-        for observer in self._observers:
-            observer.on_frame(processed)
-            for result in processed.results:
-                observer.on_fusion(processed.done, result)
+        self._cycle.report(processed)
+        if begun.look is not None:
+            self._cycle.pace.looked(begun.at, seconds_between(begun.at, now))
+        if processed.detection is not None and self._cycle.reads_deck:
+            self._cycle.on_deck(self._pilot.search.read_deck(processed.detection))
 
     def _judge(self, seq: int, verdict: Verdict) -> None:
         self._grader.on_verdict(self._views.pop(seq), verdict)
@@ -425,14 +409,11 @@ class Flight:
     def _decide(self, now: MonoNs) -> None:
         self._catch_up()
         self._person.act(self._pilot.operator, now)
-        decision = self._pilot.decide(now)
+        decision = self._cycle.decide(now)
         self._grader.on_decision(decision)
-        if decision.command is not None:
-            self._streamer.take(decision.command, now)
         self.world.guidance_phase = decision.phase
-        self.health.decision(decision, self._pilot.vehicle)
-        for observer in self._observers:
-            observer.on_decision(decision)
+        self._cycle.carry_out(decision, lambda command: self._streamer.take(command, now))
+        self._cycle.pace.cycle(now, 0.0)
 
     def result(self) -> Ending:
         """Return the result of the flight: final if it has ended, else the result so far."""

@@ -24,11 +24,12 @@ from companion.base.http_server import HttpServer
 from companion.base.loop_lag import HELD_S, STOOD_S, Lags, LoopWatch, Manager, Pulse, stuck, watchdog_interval_s
 from companion.base.memory import GroundedCollector, no_full_collections
 from companion.base.observer import Decision, Observer
+from companion.cycle.pace import FramePace
 from companion.guidance.pilot import Look, Pilot
 from companion.parts.metrics.endpoint import MetricsEndpoint
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import open_recording
-from companion.service.daemon import Daemon, DaemonSetup, FramePace
+from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.links import HttpSettings
 from companion.settings.load import camera_model

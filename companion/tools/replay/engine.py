@@ -16,17 +16,22 @@ import msgspec
 import numpy as np
 from msgspec import Struct, structs
 
+from companion.base.containment import Audience
+from companion.base.health import Health
 from companion.base.mission import FLOWN, FlightOutcome, State
-from companion.base.observer import Decision, Observer, ProcessedFrame
+from companion.base.observer import Decision, Observer
 from companion.base.orders import HandledOrder, OperatorOrder
+from companion.cycle.cycle import Cycle
+from companion.cycle.pace import FramePace
 from companion.facts import encode
 from companion.facts.records import FusionRecord, HealthRecord, LinkRecord, OrderRecord, TruthRecord
 from companion.guidance.pilot import Pilot, make_pilot
 from companion.recording.channels import CAMERA, PAD
 from companion.recording.reading import Event, RecordedFrame, Recording, instant
 from companion.settings.load import Settings, load
+from drivers.clock import SetClock
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import FusionResult, PathName, Sighting, Verdict
+from estimator.contracts.estimates import PathName, Sighting, Verdict
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.vision.detection import Detection
@@ -76,7 +81,10 @@ class Replay:
         self._sightings = sightings
         self._period_s = 1.0 / rate_hz
         self._shift_ns = shift_ns
-        self._observers = tuple(observers)
+        self._clock = SetClock(MonoNs(0))
+        health = Health(self._clock)
+        pace = FramePace(1.0, pilot.camera, health)
+        self._cycle = Cycle(pilot, health, Audience(observers, health, guarded=False), pace)
         self._hash = hashlib.sha256()
         self._encoder = msgspec.json.Encoder()
         self._guided = False
@@ -107,7 +115,7 @@ class Replay:
         """
         self._guided = any(isinstance(event, Decision) for event in self._recording.events())
         for event in self._recording.events():
-            at = MonoNs(instant(event) + self._shift_ns)
+            at = self._clock.t = MonoNs(instant(event) + self._shift_ns)
             yield at, event
             try:
                 self._take(at, event)
@@ -142,60 +150,31 @@ class Replay:
     def _sample(self, recorded: Sample) -> None:
         sample = structs.replace(recorded, stamp=self._moved(recorded.stamp))
         self.counts.samples += 1
-        results = self._pilot.on_sample(sample)
-        for result in results:
+        for result in self._cycle.samples((sample,), sample.stamp.received_at)[0]:
             self._hash.update(f"{result.path} {type(sample).__name__} {result.verdict.value}".encode())
-        for observer in self._observers:
-            observer.on_sample(sample)
-            for result in results:
-                observer.on_fusion(sample.stamp.received_at, result)
 
     def _frame(self, recorded: RecordedFrame) -> None:
         size = self._pilot.camera.width, self._pilot.camera.height
-        frame = None if self._sightings else recorded.frame(size)
+        kept = None if self._sightings else recorded.frame(size)
         began, done = (MonoNs(t + self._shift_ns) for t in (recorded.record.began_ns, recorded.record.done_ns))
-        stamp = self._moved(recorded.stamp)
-        self.counts.frames += 1
+        frame = structs.replace(kept or _black(recorded), stamp=self._moved(recorded.stamp))
         attitude = recorded.attitude
-        attitude = (
-            self._pilot.estimator.attitude_at(stamp)
-            if attitude is None
-            else structs.replace(attitude, stamp=self._moved(attitude.stamp))
-        )
-        held = None if attitude is None else self._pilot.held_at(stamp, attitude)
-        detection: Detection | None = None
-        verdict = Verdict.NO_ATTITUDE
-        results: tuple[FusionResult, ...] = ()
-        if frame is None and not self._sightings and (recorded.record.width, recorded.record.height) != size:
-            frame, verdict = _black(recorded), Verdict.FAILED
-        elif frame is None:
+        attitude = None if attitude is None else structs.replace(attitude, stamp=self._moved(attitude.stamp))
+        self.counts.frames += 1
+        # An image that was not kept cannot be looked at again; one of another size is not one of this camera.
+        if kept is None and (self._sightings or (recorded.record.width, recorded.record.height) == size):
             self.counts.as_recorded += 1
-            detection = self._recorded_detection(recorded)
-            if detection is None:
-                verdict = Verdict(recorded.record.verdict)
-            else:
-                verdict, results = self._pilot.on_detection(detection)
-            frame = _black(recorded)
-        elif (refused := self._pilot.estimator.admit(structs.replace(frame, stamp=stamp))) is not None:
-            verdict = refused
-        elif attitude is not None and held is None and self._pilot.search.gimballed:
-            verdict = Verdict.NO_GIMBAL
-        elif attitude is not None:
-            self.counts.searched += 1
-            detection = self._pilot.detect(self._pilot.look_at(structs.replace(frame, stamp=stamp), attitude, held))
-            verdict, results = self._pilot.on_detection(detection)
-        elif (assumed := self._pilot.assumed_at(stamp)) is not None:
-            look = self._pilot.look_after(structs.replace(frame, stamp=stamp), assumed)
-            self._pilot.on_followed(self._pilot.detect(look), assumed)
-        self._pilot.landing.on_verdict(verdict)
-        seen = structs.replace(frame, stamp=stamp)
-        camera = self._pilot.search.camera_held(held)
-        processed = ProcessedFrame(seen, attitude, detection, verdict, began, done, results, recorded.times, camera)
+            seen = self._recorded_detection(recorded)
+            begun = self._cycle.known(frame, began, Verdict(recorded.record.verdict), attitude)
+        else:
+            begun = self._cycle.begin(frame, began, attitude)
+            self.counts.searched += begun.look is not None and begun.follows is None
+            seen = None if begun.look is None else self._pilot.detect(begun.look)
+        processed = structs.replace(self._cycle.conclude(begun, seen), done=done, times=recorded.times)
         self._hash.update(self._encoder.encode(encode.detection(processed)))
-        for observer in self._observers:
-            observer.on_frame(processed)
-            for result in results:
-                observer.on_fusion(done, result)
+        self._cycle.report(processed)
+        if begun.look is not None and processed.detection is not None and self._cycle.reads_deck:
+            self._cycle.on_deck(self._pilot.search.read_deck(processed.detection))
 
     def _recorded_detection(self, recorded: RecordedFrame) -> Detection | None:
         detection = recorded.detection()
@@ -220,8 +199,7 @@ class Replay:
             self._pilot.stay()
         elif handled.accepted and handled.order is OperatorOrder.BEGIN and self._pilot.landing.mission.stays:
             self._pilot.begin()
-        for observer in self._observers:
-            observer.on_order(handled)
+        self._cycle.audience.on_order(handled)
 
     def _follow_operator(self, phase: str) -> None:
         """Follow the operator's commands as they show in the phases: old recordings hold no orders."""
@@ -244,7 +222,7 @@ class Replay:
             self._due = after(self._due, self._period_s)
 
     def _decide(self, at: MonoNs) -> None:
-        decision = self._pilot.decide(at)
+        decision = self._cycle.decide(at)
         self.counts.decisions += 1
         # Without the path of the extra `compare`: the hash must not depend on what is installed.
         shadows = (shadow for shadow in decision.shadows if shadow.path != "constant_velocity")
@@ -252,8 +230,7 @@ class Replay:
             if belief is not None:
                 self._hash.update(self._encoder.encode(encode.belief(belief)))
         self._hash.update(self._encoder.encode(encode.decision(decision)))
-        for observer in self._observers:
-            observer.on_decision(decision)
+        self._cycle.carry_out(decision, lambda _: None)
 
 
 def _black(recorded: RecordedFrame) -> Frame:

@@ -1,0 +1,1 @@
+"""The service's cycle, which the daemon, the simulated flight and the replay drive."""
