@@ -225,7 +225,7 @@ def felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Impact | None:
         return None
     if impact.by != "velocity":
         return impact
-    least_m = 0.0 if s.estimate is None else sure_m(s, o, s.estimate)[0]
+    least_m = 0.0 if s.estimate is None else least_height_m(s, o, s.estimate)
     low = least_m < o.cone.feet_below_m + _HELD_UP_BELOW * o.cone.gate_height_m
     return impact if low and seconds_between(impact.at, s.at) <= HELD_S else None
 
@@ -250,11 +250,11 @@ def feet_elsewhere(p: Progress) -> Reason | None:
     return Reason(ReasonCause.FEET, 100.0 * sum(heights_m) / len(heights_m), len(heights_m))
 
 
-def sure_m(s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> tuple[float, float]:
-    """Return the least and the greatest height that the body surely has, m; a height that is seen counts as it is."""
+def least_height_m(s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> float:
+    """Return the least height that the body may have, m; a height that is seen counts as it is."""
     seen = estimate.age_s(s.at) <= o.limits.commit_sighting_age_s
     sigmas_m = 0.0 if seen else 3.0 * math.sqrt(max(0.0, estimate.cov.item(2, 2)))
-    return estimate.height_m - sigmas_m, estimate.height_m + sigmas_m
+    return estimate.height_m - sigmas_m
 
 
 def meets_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions, ordered_s: float) -> tuple[float, Impact | None]:

@@ -254,7 +254,7 @@ def _rate_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     cone, estimate, kept = o.cone, flown_by(s, o), _descent(p)
     if estimate is None or kept.committed_since is not None:
         return cone.commit_rate_m_s
-    height_m, error_m = contact.sure_m(s, o, estimate)[0], _error_m(p, s, estimate)
+    height_m, error_m = contact.least_height_m(s, o, estimate), _error_m(p, s, estimate)
     if kept.low_since is not None:
         return max(-o.tries.climb_m_s, min(cone.commit_rate_m_s, height_m - cone.gate_m))
     rate = min(cone.descent_rate_m_s, max(cone.commit_rate_m_s, height_m - cone.gate_m))
@@ -284,7 +284,7 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         here = structs.replace(here, at_pad=place(estimate, o))
     p = structs.replace(p, here=structs.replace(here, felt=felt_by(p, s, o, here)))
     low, committed = kept.low_since, kept.committed_since
-    if low is None and (estimate is None or contact.sure_m(s, o, estimate)[0] <= o.cone.gate_m + _AT_GATE_M):
+    if low is None and (estimate is None or contact.least_height_m(s, o, estimate) <= o.cone.gate_m + _AT_GATE_M):
         low = s.at
     if committed is None and low is not None:
         waited_s = seconds_between(low, s.at)
@@ -353,8 +353,7 @@ def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Event
     lasts = kept.stood_since is not None and seconds_between(kept.stood_since, s.at) >= _STOOD_S
     if estimate is not None and not estimate.alerts:
         # So high, with all that its covariance allows, it has met no deck. What is felt outweighs a height that has become vague.
-        least_m, _ = contact.sure_m(s, o, estimate)
-        high = least_m - o.cone.feet_below_m > contact.NEAR_M
+        high = contact.least_height_m(s, o, estimate) - o.cone.feet_below_m > contact.NEAR_M
         votes -= 0.5 if high and estimate.consistent and estimate.age_s(s.at) > o.limits.commit_sighting_age_s else 0.0
         lasts = lasts and (not high or kept.near)
     if votes >= contact.ENOUGH or lasts:

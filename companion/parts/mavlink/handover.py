@@ -41,7 +41,6 @@ class Journey(Struct):
     """One spell of one mode of the autopilot."""
 
     mode: str
-    since: MonoNs
     ran: bool = False
     """True once a mission ran in it."""
     ended: bool = False
@@ -63,7 +62,7 @@ class Handover:
 
     def __init__(self, options: HandoverOptions, pilot: Pilot, begin: Callable[[str, MonoNs], str | None]) -> None:
         self._o, self._pilot, self._begin = options, pilot, begin
-        self._journey = Journey("", MonoNs(0))
+        self._journey = Journey("")
         self._beat: MonoNs | None = None
         self._items: int | None = None
         self._reached: int | None = None
@@ -95,7 +94,7 @@ class Handover:
         before = self._journey
         left = before.ended or (before.last is not None and seconds_between(before.last, now) <= _LAST_S)
         ended = before.mode == "auto.mission" and mode == HOLD_MODE[Stack.PX4] and left
-        return Journey(mode, now, ended=ended, done=done)
+        return Journey(mode, ended=ended, done=done)
 
     def _on_mission(self, m: Message) -> None:
         journey, state = self._journey, getattr(m, "mission_state", 0)
