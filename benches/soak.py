@@ -68,31 +68,21 @@ class Reading(Struct, frozen=True):
     """Number of asyncio tasks; None without a loop."""
     cpu_s: float
     """CPU time so far, user and system, all threads, seconds."""
-    before_mib: float | None = None
-    """Resident memory before what is free was given back, MiB; None where it was not."""
 
 
-def give_back() -> float:
-    """Collect what nothing refers to and give free memory back to the system; return the resident memory before that, MiB.
+def give_back() -> None:
+    """Collect what nothing refers to and give free memory back to the system.
 
     Without this a reading says where the heap happened to be cut: the C library keeps free pages between blocks that are in use
     (some 25 MiB here), and now and then a frame's buffer that fits into none of the gaps makes the heap longer. That looks like
     a leak of some megabytes, and would hide a small one.
-
-    Raises:
-        SetupImpossible: there is no /proc.
     """
-    before_mib = read(0.0, 0, None).memory_mib
     gc.collect()
     memory.give_back()
-    return before_mib
 
 
-def read(at_s: float, flights: int, tasks: int | None, before_mib: float | None = None) -> Reading:
+def read(at_s: float, flights: int, tasks: int | None) -> Reading:
     """Take a reading now.
-
-    Args:
-        before_mib: what `give_back` returned just before; None where it was not called.
 
     Raises:
         SetupImpossible: there is no /proc.
@@ -104,7 +94,7 @@ def read(at_s: float, flights: int, tasks: int | None, before_mib: float | None 
         raise SetupImpossible(f"a soak reads /proc, which is not there: {why.strerror}") from why
     spent = resource.getrusage(resource.RUSAGE_SELF)
     cpu_s = spent.ru_utime + spent.ru_stime
-    return Reading(at_s, flights, pages * _PAGE / 2**20, descriptors, threads, tasks, cpu_s, before_mib)
+    return Reading(at_s, flights, pages * _PAGE / 2**20, descriptors, threads, tasks, cpu_s)
 
 
 class Trend(Struct, frozen=True):
@@ -123,11 +113,7 @@ class Trend(Struct, frozen=True):
 class Findings(Struct, frozen=True):
     """Trends of the readings after warm-up."""
 
-    duration_s: float
     warm_up_s: float
-    flights: int
-    readings: int
-    """Number of readings after warm-up."""
     cpu_share: float
     """CPU load after warm-up, in shares of one core."""
     memory_mib: Trend
@@ -174,10 +160,7 @@ def findings(readings: Sequence[Reading], warm_up_s: float) -> Findings | None:
     memory_mib = trend("memory_mib")
     assert memory_mib is not None
     return Findings(
-        duration_s=readings[-1].at_s,
         warm_up_s=warm_up_s,
-        flights=readings[-1].flights,
-        readings=len(after),
         cpu_share=(after[-1].cpu_s - after[0].cpu_s) / wall_s if wall_s > 0 else 0.0,
         memory_mib=memory_mib,
         counted={name: trend(name) for name in ("descriptors", "threads", "tasks")},
@@ -206,14 +189,11 @@ _DECIDED_S = 2
 class Flown(Struct, frozen=True):
     """One flight."""
 
-    at_s: float
-    """Wall time from the beginning of the soak to the end of the flight."""
     seed: int
     title: str
     """The scenario's title, with its fault behind a semicolon."""
     worth: Grade
     because: str
-    duration_s: float
 
 
 def fault_of(title: str) -> str:
@@ -222,7 +202,6 @@ def fault_of(title: str) -> str:
 
 
 def real(
-    at_s: float,
     said: dict[str, Any],
     outcome: FlightOutcome | None,
     frames: Counter[Verdict],
@@ -243,7 +222,7 @@ def real(
     load = Load(said["frames_due"], said["frames_sent"], said["stood_still_s"], frames, guidance_late_s)
     if worth is Grade.FAILED and (slow := load.starved()) is not None:
         worth, because = Grade.STARVED, f"{slow} ({because})"
-    return Flown(at_s, said["seed"], said["title"], worth, because, said["duration_s"])
+    return Flown(said["seed"], said["title"], worth, because)
 
 
 class Records(Generic[T]):
@@ -253,7 +232,7 @@ class Records(Generic[T]):
     half a kilobyte, some per cent of the process' memory.
 
     Args:
-        kind: the type of the records, a dataclass.
+        kind: the type of the records, a structure of msgspec.
     """
 
     def __init__(self, kind: type[T]) -> None:
@@ -296,13 +275,9 @@ class Tally(Struct):
         self.endings[ending] += 1
         self.flights.append(flight)
 
-    def take(self, tasks: int | None, before_mib: float | None = None) -> None:
-        """Take a reading of the process, and print a line about it every minute.
-
-        Args:
-            before_mib: what `give_back` returned just before; None where it was not called.
-        """
-        reading = read(time.monotonic() - self.began, len(self.flights), tasks, before_mib)
+    def take(self, tasks: int | None) -> None:
+        """Take a reading of the process, and print a line about it every minute."""
+        reading = read(time.monotonic() - self.began, len(self.flights), tasks)
         self.readings.append(reading)
         if reading.at_s - self._said >= _SAY_EACH_S:
             self._said = reading.at_s
@@ -398,12 +373,12 @@ def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings,
         ending = fly(args.scenario, wanted, seed, settings, args.perception, options=rarer)
         judged = ending.judged
         assert judged is not None
-        at_s = time.monotonic() - tally.began
-        flight = Flown(at_s, seed, wanted.title, judged.grade, judged.because, ending.duration_s)
+        flight = Flown(seed, wanted.title, judged.grade, judged.because)
         tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
         tally.flown_s += ending.duration_s
         del ending, judged, flight
-        tally.take(None, give_back())
+        give_back()
+        tally.take(None)
         seed += 1
 
 
@@ -457,7 +432,7 @@ async def _listen(lines: asyncio.StreamReader, tally: Tally, pilot: Pilot, healt
             frames = health.frames - before
             before = Counter(health.frames)
             late_s = late.quantiles(0.5)[0] if (late := health.delays.get("guidance_late")) is not None else None
-            tally.flown(printed["ended"], real(time.monotonic() - tally.began, printed, pilot.outcome, frames, late_s))
+            tally.flown(printed["ended"], real(printed, pilot.outcome, frames, late_s))
 
 
 async def _read(tally: Tally) -> None:

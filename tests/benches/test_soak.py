@@ -47,7 +47,6 @@ def test_what_grows_after_the_warm_up_is_reported(leak: dict[str, float], said: 
     ]
     found = findings(readings, 5.0)
     assert [fault[: len(said[0])] for fault in found.faults] == said
-    assert found.flights == 39
     assert found.cpu_share == pytest.approx(0.3)
     assert findings(readings[:12], 5.0) is None, "too few say nothing"
 
@@ -77,8 +76,9 @@ def test_it_sees_this_process_and_gives_free_memory_back_before() -> None:
     assert after.cpu_s >= before.cpu_s > 0.0
     blocks = [os.urandom(60_000) for _ in range(600)]
     del blocks[:-1]
-    before_mib = give_back()
-    assert read(1.0, 0, None, before_mib).memory_mib < before_mib - 20.0
+    before = read(1.0, 0, None)
+    give_back()
+    assert read(2.0, 0, None).memory_mib < before.memory_mib - 20.0
 
 
 AWAY: dict[str, Any] = {"ended": "time is up", "on_pad": False, "surface": None, "lateral_m": None}
@@ -105,7 +105,7 @@ FLIGHTS: list[tuple[FlightOutcome, dict[str, Any], Counter[Verdict], float, Grad
 
 @pytest.mark.parametrize(("outcome", "said", "frames", "late_s", "worth", "because"), FLIGHTS)
 def test_a_flight_in_real_time_is_good_failed_or_starved_by_the_machine(outcome, said, frames, late_s, worth, because):
-    flight = real(10.0, SAID | said, outcome, frames, late_s)
+    flight = real(SAID | said, outcome, frames, late_s)
     assert flight.worth is worth
     assert because in flight.because
     assert worth is not Grade.STARVED or "emergency" in flight.because, "what happened is reported beside"
@@ -113,7 +113,7 @@ def test_a_flight_in_real_time_is_good_failed_or_starved_by_the_machine(outcome,
 
 
 def flown(worth: Grade, seed: int = 1, title: str = "a; faults/b") -> Flown:
-    return Flown(60.0 * seed, seed, title, worth, "why", 30.0)
+    return Flown(seed, title, worth, "why")
 
 
 def test_failed_flights_and_a_starved_soak_are_faults_and_a_failed_flight_is_flown_again_by_fault_and_seed() -> None:
@@ -134,7 +134,7 @@ def test_failed_flights_and_a_starved_soak_are_faults_and_a_failed_flight_is_flo
 
 
 def record_number(n: int) -> Flown:
-    return Flown(30.0 * n, n, f"a ferry; faults/number_{n}", Grade.FAILED if n % 3 else Grade.ON_PAD, f"because of {n}", 12.5 + n)
+    return Flown(n, f"a ferry; faults/number_{n}", Grade.FAILED if n % 3 else Grade.ON_PAD, f"because of {n}")
 
 
 def test_a_day_of_records_takes_no_memory_and_more_may_come_while_one_reads() -> None:
