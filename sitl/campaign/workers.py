@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible, in_words, refused
 from sitl.campaign.plan import AnyPlan, Job, canonical, code_version, differences, unpacked
+from sitl.flight.afterwards import cpu_s
 from sitl.flight.one_flight import FlyOptions, Perception, fly
 from sitl.scenario.scenario import Scenario
 
@@ -83,14 +84,14 @@ def fly_order(order: Order) -> Flight:
         raise OtherCode(f"the worker on {platform.node()}, process {os.getpid()}, has other code: {other}")
     name, base, perception, model = unpacked(order.base)
     job = order.job
-    began_s = _cpu_s()
+    began_s = cpu_s()
     try:
         scenario, settings = base.with_values(job.point, "the campaign's point")
         flight = order.flyer(name, scenario, job.seed, settings, perception, model)
     except Exception as why:
         place = traceback.extract_tb(why.__traceback__)[-1]
         output = f"{type(why).__name__}: {in_words(why)} ({place.filename.rpartition('/')[2]}:{place.lineno})"
-        flight = failed(name, job, output, _cpu_s() - began_s)
+        flight = failed(name, job, output, cpu_s() - began_s)
     return finished(flight, job, perception)
 
 
@@ -141,11 +142,6 @@ def flight_hash(flight: Flight) -> str:
 def job_of(flight: Flight) -> Job:
     """Return the job of this result."""
     return Job(flight["seed"], tuple(flight.get("varied", {}).items()), flight["scenario"] if flight.get("in_set") else "")
-
-
-def _cpu_s() -> float:
-    spent = os.times()
-    return spent.user + spent.system
 
 
 _ORDERS_EACH = 2
