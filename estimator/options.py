@@ -7,8 +7,6 @@ from estimator.contracts.keys import CheckedOptions, choice, tuning
 from estimator.ekf.options import EkfOptions
 from estimator.integrity.options import IntegrityOptions
 
-_AR_DRONE = "AR.Drone 2.0"
-
 
 class DeadReckoningOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Carrying the last sighting on by the drone's own velocity and acceleration."""

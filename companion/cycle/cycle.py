@@ -20,7 +20,6 @@ from msgspec import Struct, structs
 from companion.base.containment import Audience, report
 from companion.base.health import SHIP_PLACE, Health
 from companion.base.observer import Decision, ProcessedFrame
-from companion.base.orders import HandledOrder
 from companion.cycle.pace import FramePace
 from companion.guidance.pilot import Look, Pilot
 from estimator.attitude_history import HeldCamera
@@ -67,7 +66,7 @@ class Cycle:
     def __init__(self, pilot: Pilot, health: Health, audience: Audience, pace: FramePace) -> None:
         self.pilot, self.health, self.audience, self.pace = pilot, health, audience, pace
         self._wrong_size_logged = False
-        pilot.operator.on_order = self._on_order
+        pilot.operator.on_order = lambda handled: self.audience.on_order(handled)
 
     def samples(self, samples: Sequence[Sample], now: MonoNs, *, wanted: bool = True) -> Sequence[tuple[FusionResult, ...]]:
         """Process samples in the order in which they were received.
@@ -218,10 +217,6 @@ class Cycle:
             raise why
         if self.health.contain(what) == 1:
             report("%s failed; a person's order is obeyed without it, further failures are only counted", what, why=why)
-
-    def _on_order(self, handled: HandledOrder) -> None:
-        log.log(logging.INFO if handled.accepted else logging.WARNING, "%s", handled)
-        self.audience.on_order(handled)
 
     def _fits(self, frame: Frame) -> bool:
         height, width = frame.px.shape[:2]

@@ -23,6 +23,7 @@ from companion.base.health import Health, missing_inputs
 from companion.base.memory import GroundedCollector, no_full_collections
 from companion.base.mission import FAULTS, FlightOutcome
 from companion.base.observer import Decision, FrameTimes, Observer, ProcessedFrame
+from companion.base.orders import HandledOrder
 from companion.base.service_log import ReportedOnce
 from companion.base.worker import Worker
 from companion.cycle.cycle import ATTITUDE_WAIT_S, Cycle
@@ -130,6 +131,7 @@ class Daemon:
         self.health = health or Health(clock)
         pace = FramePace(options.core_fraction, pilot.camera, self.health)
         self._cycle = Cycle(pilot, self.health, Audience(observers, self.health), pace)
+        pilot.operator.on_order = self._on_order
 
     async def run(self) -> FlightOutcome | None:
         """Run until the flight has ended (with `once`) or `stop` is called; return its outcome, or None if there is none yet.
@@ -301,6 +303,10 @@ class Daemon:
         if self._newest_fused is not None:
             self.health.delay("exposure_to_command", seconds_between(self._newest_fused.measured_at, given))
             self._newest_fused = None
+
+    def _on_order(self, handled: HandledOrder) -> None:
+        log.log(logging.INFO if handled.accepted else logging.WARNING, "%s", handled)
+        self._cycle.audience.on_order(handled)
 
     def _tell(self, decision: Decision) -> None:
         """Log each change of the mission's state, and the phase with its reason where these change by themselves."""
