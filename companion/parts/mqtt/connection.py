@@ -17,6 +17,7 @@ import ssl
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager, nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -168,6 +169,9 @@ class Connection(aiomqtt.Client):
         # These bound what paho leaves to the system or to the broker: the duration of connecting, the addresses (paho's own
         # look-up cannot be ended), and the size of a packet that an MQTT 3.1.1 broker sends.
         self._client._create_socket_connection = self._dial  # type: ignore[method-assign]
+        if endpoint.tls is not None:  # closes the socket where the handshake fails; paho leaves that to the garbage collector
+            secure = partial(endpoint.tls.wrap_socket, server_hostname=endpoint.host)
+            self._client._ssl_wrap_socket = secure  # type: ignore[method-assign]
         self._receive = self._client._sock_recv
         self._client._sock_recv = self._receive_bounded  # type: ignore[method-assign]
         self._client.connect_timeout = endpoint.timeout_s
