@@ -102,7 +102,7 @@ SHORT_landings := --runs 1 --scenarios weather_2 weather_4
 SHORT_real := --every 4
 SHORT_search := --frames 4
 SHORT_ship_sensors := --runs 1 --scenarios weather_3
-SHORT_soak := --virtual --hours 0.1
+SHORT_soak := --virtual --runs 12
 SHORT_verification_fit := --frames 200
 SHORT_vision := --frames 5
 
