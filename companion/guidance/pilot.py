@@ -220,6 +220,11 @@ class Pilot:
         self.engage()
 
     @property
+    def velocity_refused(self) -> bool:
+        """True while the vehicle's velocity is known to be wrong, and with it whatever was measured by it."""
+        return self.monitor.fault is not None or not self.estimator.guard.trusts_velocity
+
+    @property
     def lands_here(self) -> bool:
         """True while the vehicle lands where it is, which nothing of ours calls off."""
         return self.landing.mission.lands_here

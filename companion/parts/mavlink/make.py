@@ -92,6 +92,7 @@ class DeckVelocity:
     Args:
         believe: returns the belief about the pad at an instant.
         reported: returns the ship's own report of her velocity, (2,) m/s north and east; None if there is no fresh one.
+        trusted: returns whether the vehicle's velocity is trusted. While it is not, nothing that was measured by it counts.
     """
 
     def __init__(
@@ -99,8 +100,9 @@ class DeckVelocity:
         believe: Callable[[MonoNs], RelativeState | None],
         autopilot: Moving,
         reported: Callable[[MonoNs], F64 | None] = lambda now: None,
+        trusted: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._believe, self._autopilot, self._reported = believe, autopilot, reported
+        self._believe, self._autopilot, self._reported, self._trusted = believe, autopilot, reported, trusted
         self._velocity = np.zeros(3)
         self._known_s = 0.0
         self._at: MonoNs | None = None
@@ -109,7 +111,9 @@ class DeckVelocity:
 
     def __call__(self, now: MonoNs) -> F64:
         """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of pad and ship."""
-        measured, rested = self._measured(now), self._autopilot.rested
+        measured, rested = self._measured(now) if self._trusted() else None, self._autopilot.rested
+        if not self._trusted():
+            self._velocity, self._known_s, self._at, self._kept = np.zeros(3), 0.0, None, None
         if rested is not None and (self._kept is None or rested.at > self._kept[0]):
             self._kept = rested.at, rested.v_ned
         elif rested is not None and self._kept is not None and rested.at == self._kept[0] and not self._autopilot.steered:
@@ -264,7 +268,12 @@ class AutopilotPart:
             for watcher in self._watchers:
                 autopilot.add_listener(partial(watcher.on_message, autopilot))
             by = self._pilot.landing
-            autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot, lambda at: by.vessel_track.velocity_ned(at))
+            autopilot.deck_velocity = DeckVelocity(
+                self._pilot.belief,
+                autopilot,
+                lambda at: by.vessel_track.velocity_ned(at),
+                lambda: not self._pilot.velocity_refused,
+            )
             async with (
                 speaking(self.component, autopilot, self._clock),
                 showing(self._show, autopilot, self._clock),

@@ -261,6 +261,20 @@ def test_it_is_held_without_sight_then_kept_as_the_ship_s_way_and_forgotten_in_t
     assert np.all(run_for(way, scene, 2.0) == 0.0)
 
 
+def test_a_deck_measured_by_a_velocity_that_is_refused_moves_as_the_ship_reports_or_as_it_did_at_the_take_off() -> None:
+    """WHY: a bias of 4.6 m/s was taken for the way of a moored ship, and a drone that had given up flew after it for a minute."""
+    scene, trusted, reported = Scene(np.array([-3.8, 0.0, 0.0])), True, None
+    scene.rested = Rested(scene.now, np.array([0.4, 0.1, 0.0]), np.zeros(3))
+    way = DeckVelocity(scene.believe, scene, lambda now: reported, lambda: trusted)
+    assert run_for(way, scene, 60.0)[0] == pytest.approx(-3.8, abs=0.06)
+    trusted = False
+    assert run_for(way, scene, 1.0) == pytest.approx([0.4, 0.1, 0.0])
+    reported = np.array([1.0, 2.0])
+    assert run_for(way, scene, 1.0) == pytest.approx([1.0, 2.0, 0.0])
+    trusted = True
+    assert run_for(way, scene, 60.0)[0] == pytest.approx(-3.8, abs=0.06)
+
+
 def test_waves_are_averaged() -> None:
     scene = Scene(np.zeros(3))
     way = DeckVelocity(scene.believe, scene)
