@@ -27,9 +27,10 @@ import numpy as np
 from msgspec.structs import replace
 
 import examples.known_controllers  # noqa: F401 - offers lqr and mpc
-from benches.options import described, parsed
+from benches.options import described, failed, parsed
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.guidance.pilot import Pilot
+from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.campaign.plan import Overridable
@@ -149,7 +150,10 @@ def main(ways: Ways = CONTROLLERS, scenarios: Sequence[str] = WEATHERS) -> None:
             rows = list[Row]()
             for seed in range(args.seed, args.seed + args.runs):
                 if (row := known.get((way, name, seed, args.hidden))) is None:
-                    row = flown(way, ways[way], name, seed, args.hidden)
+                    try:
+                        row = flown(way, ways[way], name, seed, args.hidden)
+                    except BadInput as why:
+                        failed(f"{name}, {way}: {why}")
                     with args.write.open("a") as file:
                         file.write(json.dumps(row) + "\n")
                 sys.stderr.write(f"{name}, {way}, {seed}: {'; '.join(row['unsafe']) or row['outcome']}\n")
