@@ -23,9 +23,10 @@ from companion.cli.kept_flight import compared_paths, shown
 from companion.cli.options import check_seed, listening, named_wait, option, print_line, print_result
 from companion.cli.outputs import REPORT_FOLDER, output
 from companion.cli.page_link import certify, network_address, qr_code
-from companion.guidance.pilot import make_pilot
+from companion.guidance.pilot import Pilot, make_pilot
 from companion.parts.page.access import make_token
 from companion.service.assemble import live, make_daemon
+from companion.service.daemon import Daemon
 from companion.settings.links import HttpSettings, VideoStreamOptions, on_loopback
 from companion.settings.load import kept_folder, load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
@@ -111,39 +112,41 @@ async def _demo(args: argparse.Namespace, scenario: Scenario, place: HttpSetting
                     settings = structs.replace(settings, video_stream=VideoStreamOptions(to=args.video))
             pilot = make_pilot(settings, shadows=compared_paths())
             began = clock.now()
-            with (
-                kept_flight.keeping(args, settings, scenario.title, "pixels", {"kind": "demo"}, began, live=True) as kept,
-                shown(quiet=args.json) as progress,
-            ):
-                observers = [*kept.observers, *progress]
-                daemon = make_daemon(settings, pilot, clock=clock, observers=observers, once=args.page is None)
-                if kept.on_start is not None:
-                    kept.on_start(daemon.health)
-                try:
-                    async with (
-                        asyncio.timeout(None if args.page is not None else scenario.duration_limit_s),
-                        asyncio.TaskGroup() as group,
-                    ):
-                        announced = group.create_task(_announce(settings.http, token))
-                        outcome = await live(daemon, pilot)
-                        announced.cancel()
-                except TimeoutError:
-                    outcome = None
-                stopped = ending_signal() is not None
-                ended = clock.now()
-                await asyncio.sleep(_SETTLE_S)
-                await drone.aclose()
+            with kept_flight.keeping(args, settings, scenario.title, "pixels", {"kind": "demo"}, live=True) as kept:
+                limit_s = scenario.duration_limit_s if args.page is None else None
+                with shown(quiet=args.json) as progress:
+                    observers = [*kept.observers, *progress]
+                    daemon = make_daemon(settings, pilot, clock=clock, observers=observers, once=args.page is None)
+                    if kept.on_start is not None:
+                        kept.on_start(daemon.health)
+                    outcome = await _flown(daemon, pilot, settings.http, token, limit_s)
+                    stopped = ending_signal() is not None
+                    ended = clock.now()
+                    await asyncio.sleep(_SETTLE_S)
+                    await drone.aclose()
                 truth = read_truth(truth_path)
                 for line in (*truth[:-1:_KEEP_EACH], *truth[-1:]):
                     kept.keep(kept_flight.truth_from_log(line))
-    ending = _ending(args, outcome, seconds_between(began, ended), truth, daemon.health, child)
-    if stopped:
-        ending = structs.replace(ending, without_outcome="stopped by a person")
-    report = kept.write_report(ending, ending.duration_s, "real time")
+                ending = _ending(args, outcome, seconds_between(began, ended), truth, daemon.health, child)
+                if stopped:
+                    ending = structs.replace(ending, without_outcome="stopped by a person")
+                report = kept.end(ending, ending.duration_s, "real time")
     print_result(args, ending.as_json(), f"{ending.in_words()}\n{report}")
     if ending_signal() == signal.SIGTERM:
         check()
     return 0 if ending.on_pad and not kept.incomplete else 1
+
+
+async def _flown(daemon: Daemon, pilot: Pilot, http: HttpSettings, token: str, limit_s: float | None) -> FlightOutcome | None:
+    """Fly until the landing has ended; return its outcome, None if the time ran out or a person stopped it."""
+    try:
+        async with asyncio.timeout(limit_s), asyncio.TaskGroup() as group:
+            announced = group.create_task(_announce(http, token))
+            outcome = await live(daemon, pilot)
+            announced.cancel()
+    except TimeoutError:
+        return None
+    return outcome
 
 
 class _Child(Struct):

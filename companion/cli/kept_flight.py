@@ -1,4 +1,4 @@
-"""Show the progress of a flight, and keep the files of `--report` and `--record`.
+"""Show the progress of a flight, and record it for `--record` and `--report`.
 
 Progress is a line that is redrawn on a terminal, else a line now and then. Report and recorder are loaded where one is wanted.
 """
@@ -12,20 +12,21 @@ import os
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, get_args
 
 from companion.base.health import Health
 from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame, Relay
-from companion.base.version import version
 from companion.cli.options import ERASED, option, print_line, writing, written
 from companion.cli.outputs import RECORDING, output
 from companion.facts.records import ContactRecord, TruthRecord
-from companion.settings.load import body_camera, camera_model, pad_model
+from companion.settings.load import body_camera
 from companion.settings.model import Settings
 from companion.settings.service import FrameForm
 from estimator.contracts.estimates import PathName
@@ -34,7 +35,6 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 if TYPE_CHECKING:
     from companion.parts.recorder.recorder import Recorder
-    from companion.tools.report.flight_log import FlightLog
     from sitl.flight.ending import Ending
     from sitl.perception.port import Level
     from sitl.world.truth import Touchdown, Truth
@@ -75,8 +75,10 @@ class KeptFlight:
     """Kept records of one flight, while it is flown."""
 
     args: argparse.Namespace
+    title: str
     recorder: Recorder | None
-    log: FlightLog | None
+    path: Path
+    """The recording's file, which a report is read from; of a report alone it is removed afterwards."""
     observers: tuple[Observer, ...]
     """Observers of the service that receive the flight."""
     held_back: tuple[HeldBack, ...] = ()
@@ -84,7 +86,7 @@ class KeptFlight:
     shadows: tuple[PathName, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.shadows = () if self.log is None and self.recorder is None else compared_paths()
+        self.shadows = () if self.recorder is None else compared_paths()
 
     @property
     def incomplete(self) -> str:
@@ -102,25 +104,30 @@ class KeptFlight:
     @property
     def on_truth(self) -> Callable[[Truth], None] | None:
         """Takes the true states; None if nobody wants them."""
-        return None if self.log is None and self.recorder is None else self._keep
+        return None if self.recorder is None else self._keep
 
-    def write_report(self, ending: Ending, wall_s: float, time: str) -> str:
-        """Write the report if one is wanted, and return the lines that say where it and the recording are.
+    def end(self, ending: Ending, wall_s: float, time: str) -> str:
+        """End the recording, write the report of it if one is wanted, and return the lines that say where both are.
 
         Args:
             time: the time in which it was flown, in words.
         """
+        if self.recorder is None:
+            return ""
+        self.recorder.close()
         lacks = f", incomplete: {self.incomplete}" if self.incomplete else ""
-        recorded = "" if self.recorder is None else f"recording: {self.args.record}{lacks}\n"
-        if self.log is None:
+        recorded = "" if self.args.record is None else f"recording: {self.args.record}{lacks}\n"
+        if self.args.report is None or not self.recorder.files:
             return recorded
+        from companion.recording.reading import open_recording
+        from companion.tools.replay.recorded_log import log_of
         from companion.tools.report.page import PAGE, write_report
 
-        ending.write_into(self.log)
-        self.log.facts += [*ending.facts(), ("flown in", f"{wall_s:.1f} s, {time}"), ("scenario", self.args.scenario)]
-        self.log.facts += [("seed", str(self.args.seed)), ("decklander", version())]
+        log = log_of(open_recording([self.path]), self.title)
+        ending.write_into(log)
+        log.facts = [*ending.facts(), ("flown in", f"{wall_s:.1f} s, {time}"), *log.facts]
         with writing(self.args.report / PAGE, quiet=self.args.json) as watch:
-            return recorded + written(write_report(self.log, self.args.report, watch))
+            return recorded + written(write_report(log, self.args.report, watch))
 
     def _keep(self, truth: Truth) -> None:
         for observer in self.held_back:
@@ -131,10 +138,6 @@ class KeptFlight:
         """Keep the true state of one instant."""
         if self.recorder is not None:
             self.recorder.on_truth(record)
-        if self.log is not None:
-            from companion.tools.replay.recorded_log import add_truth
-
-            add_truth(self.log, record)
 
 
 @contextmanager
@@ -144,41 +147,37 @@ def keeping(
     title: str,
     perception: Level,
     facts: Mapping[str, str],
-    started: MonoNs,
     *,
     from_truth: bool = False,
     live: bool = False,
 ) -> Iterator[KeptFlight]:
-    """Keep what `--report` and `--record` request.
+    """Record the flight where `--report` or `--record` requests it.
+
+    The file begins with the first record: a flight that is refused leaves none, and an older file of that name as it is.
 
     Args:
         settings: those that the service flies with.
         facts: facts of the flight for the recording.
-        started: the zero of the report's time axes.
         from_truth: the flight begins with its first truth; of one that is over before, nothing is kept.
-        live: see `recording`.
+        live: place it in wall time, and never wait for the disk.
 
     Raises:
         BadInput: the recording's file cannot be made.
     """
-    if perception != "pixels":
-        args.record_frames = "none"
-    log, reported = None, list[Observer]()
-    if args.report is not None:
-        from companion.settings import schema
-        from companion.tools.report.flight_log import FlightLog, LogObserver
+    if args.record is None and args.report is None:
+        yield KeptFlight(args, title, None, Path(), ())
+        return
+    from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
+    from drivers.clock import SystemClock
 
-        log = FlightLog(
-            title, started=started, pad=pad_model(settings), camera=camera_model(settings), steering=settings.estimator.path,
-            settings=schema.toml(settings),
-        )  # fmt: skip
-        reported.append(LogObserver(log, keep_images=perception == "pixels"))
+    frames: FrameForm = args.record_frames if perception == "pixels" else "none"
     facts = {**facts, "scenario": args.scenario, "seed": str(args.seed), "perception": perception}
-    with recording(args, settings, facts, live=live) as recorder:
-        if recorder is not None:
-            reported.append(recorder)
-        held_back = tuple(HeldBack(observer) for observer in reported) if from_truth else ()
-        yield KeptFlight(args, recorder, log, held_back or tuple(reported), held_back)
+    described = about(settings, facts, wall_offset_ns(SystemClock()) if live else 0)
+    with ExitStack() as stack:
+        path = args.record or Path(stack.enter_context(TemporaryDirectory(prefix="decklander-"))) / "flight.mcap"
+        recorder = stack.enter_context(recorder_to_file(path, body_camera(settings), described, frames=frames, live=live))
+        held_back = (HeldBack(recorder),) if from_truth else ()
+        yield KeptFlight(args, title, recorder, path, held_back or (recorder,), held_back)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -187,29 +186,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(
         parser, "--record-frames", "encode recorded frames like this (default: jpeg)", choices=get_args(FrameForm), default="jpeg"
     )
-
-
-@contextmanager
-def recording(
-    args: argparse.Namespace, settings: Settings, flight: Mapping[str, str], *, live: bool
-) -> Iterator[Recorder | None]:
-    """Open the recorder, or yield None without `--record`. A `live` flight is placed in wall time and never waits for the disk.
-
-    The file begins with the first record: a flight that is refused leaves none, and an older file of that name as it is.
-
-    Raises:
-        BadInput: the file cannot be made.
-    """
-    if args.record is None:
-        yield None
-        return
-    from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
-    from drivers.clock import SystemClock
-
-    offset_ns = wall_offset_ns(SystemClock()) if live else 0
-    described = about(settings, flight, offset_ns)
-    with recorder_to_file(args.record, body_camera(settings), described, frames=args.record_frames, live=live) as recorder:
-        yield recorder
 
 
 def truth_record(truth: Truth) -> TruthRecord:

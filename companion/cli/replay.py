@@ -7,9 +7,10 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import AsyncExitStack, ExitStack, suppress
+from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, get_args
 
 from msgspec import to_builtins
@@ -29,12 +30,11 @@ from companion.parts.mavlink.component import Component, speaking
 from companion.parts.mavlink.outputs import Outputs
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
-from companion.recording.frame_encoder import VideoImage
 from companion.recording.reading import RecordedFrame, Recording, open_recording
 from companion.settings.load import Settings, load
 from companion.settings.overrides import key_and_text, leaves, plain, warn_of_idle, with_overrides
 from companion.tools.replay.engine import OWN, Replay, pilot_of, settings_of, with_files_of
-from companion.tools.replay.recorded_log import BeliefLogObserver, Difference, differences, recorded_beliefs
+from companion.tools.replay.recorded_log import Beliefs, Difference, differences, log_of, recorded_beliefs
 from companion.tools.replay.ship_sensors import SensorJudge
 from companion.tools.report.figures import DeckRow, ErrorRow, all_series, deck_rows, error_rows, innovation_series
 from companion.tools.report.flight_log import FlightLog
@@ -159,17 +159,18 @@ class Pass:
     """One replay and its results."""
 
     name: str
-    log_observer: BeliefLogObserver
+    log: FlightLog
+    beliefs: Beliefs
     replay: Replay
     wall_s: float
     flown_s: float
     ship: SensorJudge
 
     def errors(self) -> list[ErrorRow]:
-        return error_rows(self.log_observer.log, all_series(self.log_observer.log)) if self.log_observer.log.truth else []
+        return error_rows(self.log, all_series(self.log)) if self.log.truth else []
 
     def decks(self) -> list[DeckRow]:
-        return deck_rows(self.log_observer.log)
+        return deck_rows(self.log)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -186,9 +187,10 @@ def run(args: argparse.Namespace) -> int:
         return play(args, recording, settings)
     if not args.json:
         recording.watch = WorkProgress(f"replaying {recording.name}", "kB").take
-    passes = [_pass(args, recording, "as set", settings, _own(args), args.record)]
+    passes = [replayed(recording, settings, _own(args), args.path, sightings=args.sightings, record=args.record)]
     if args.against is not None:
-        passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), (), None))
+        other = settings_of(recording, args.against)
+        passes.append(replayed(recording, other, (), args.path, name=args.against, sightings=args.sightings))
     if recording.metadata.get("flight", {}).get("perception") == "truth":
         sys.stderr.write(f"decklander: {recording.name} was flown with --perception truth: its estimate was drawn, not fused\n")
     searched = passes[0].replay.counts.searched > 0
@@ -197,19 +199,21 @@ def run(args: argparse.Namespace) -> int:
         recording.watch = WorkProgress(f"comparing with the estimates in {recording.name}", "kB").take
     others = {"the recording": recorded_beliefs(recording)}
     if args.against is not None:
-        others[args.against] = passes[1].log_observer.beliefs
+        others[args.against] = passes[1].beliefs
     if args.compare is not None:
-        other = open_recording([args.compare])
-        of = [one.metadata.get("flight", {}) for one in (recording, other)]
+        beside = open_recording([args.compare])
+        of = [one.metadata.get("flight", {}) for one in (recording, beside)]
         if of[0] != of[1] and not any("of" in flight for flight in of):
             sys.stderr.write(f"decklander: {args.compare} is of another flight than {recording.name}\n")
-        others[str(args.compare)] = recorded_beliefs(other)
-    compared = {name: differences(passes[0].log_observer.beliefs, beliefs) for name, beliefs in others.items()}
+        others[str(args.compare)] = recorded_beliefs(beside)
+    compared = {name: differences(passes[0].beliefs, beliefs) for name, beliefs in others.items()}
     if args.report is not None:
+        images = {event.record.seq: event.image for event in recording.events() if isinstance(event, RecordedFrame)}
         for i, done in enumerate(passes):
+            done.log.add_images(images)
             folder = args.report if i == 0 else args.report / "against"
             with writing(folder / PAGE, quiet=args.json) as watch:
-                write_report(_finished(recording, done, compared), folder, watch)
+                write_report(_finished(done, compared), folder, watch)
     report = [] if args.report is None else [written(args.report / PAGE)]
     lossy = " (frames kept as JPEG or video: expected)" if searched and not (args.set or args.config) else ""
     print_result(
@@ -235,49 +239,56 @@ def _own(args: argparse.Namespace) -> list[str]:
     return [] if args.config else [name for name in OWN if f"{Path(name).stem}.file" not in chosen]
 
 
-def _pass(
-    args: argparse.Namespace, recording: Recording, name: str, settings: Settings, own: Sequence[str], record: Path | None
+def replayed(
+    recording: Recording,
+    settings: Settings,
+    own: Sequence[str] = OWN,
+    path: PathName | None = None,
+    *,
+    name: str = "as set",
+    sightings: bool = False,
+    record: Path | None = None,
 ) -> Pass:
-    path = args.path or settings.estimator.path
+    """Replay a recording into another one, and return what that holds.
+
+    Args:
+        own: files of the recording in place of those that the settings name.
+        path: the steering path; None for that of the settings.
+        sightings: see `Replay`.
+        record: where the replay is kept; None to remove it afterwards.
+    """
     with with_files_of(recording, settings, own) as used:
-        pilot = pilot_of(used, args.path)
+        pilot = pilot_of(used, path)
         described = about(used, {"kind": "replay", "of": recording.name}, named=settings)
-    log_observer = BeliefLogObserver(FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=path))
     ship = SensorJudge()
-    observers: list[Observer] = [log_observer, ship]
     began = time.monotonic()
-    with ExitStack() as stack:
-        recorder: Recorder | None = None
-        if record is not None:
-            recorder = stack.enter_context(recorder_to_file(record, pilot.camera, described, frames="none"))
-            observers.append(recorder)
-        replay = Replay(recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=observers)
-        flown_s = _feed(replay, log_observer, recorder, images=args.report is not None)
-    return Pass(name, log_observer, replay, time.monotonic() - began, flown_s, ship)
+    with TemporaryDirectory(prefix="decklander-") as folder:
+        file = record or Path(folder) / "replay.mcap"
+        with recorder_to_file(file, pilot.camera, described, frames="none") as recorder:
+            observers: list[Observer] = [recorder, ship]
+            replay = Replay(recording, pilot, sightings=sightings, rate_hz=settings.guidance.rate_hz, observers=observers)
+            first, last = _feed(replay, recorder)
+        wall_s, made = time.monotonic() - began, open_recording([file])
+        log = log_of(made, f"Replay of {recording.name}")
+        beliefs = recorded_beliefs(made)
+    log.started = first
+    log.outcome = "unfinished" if replay.outcome is None else replay.outcome.value
+    return Pass(name, log, beliefs, replay, wall_s, seconds_between(first, last), ship)
 
 
-def _feed(replay: Replay, log_observer: BeliefLogObserver, recorder: Recorder | None, *, images: bool) -> float:
-    """Run the replay to its end; return the length of the recording, seconds."""
+def _feed(replay: Replay, recorder: Recorder) -> tuple[MonoNs, MonoNs]:
+    """Run the replay to its end; return the instants of its first and its last event."""
     first = last = MonoNs(0)
-    image: bytes | VideoImage | None = None
     for at, event in replay.steps():
-        if not first:
-            log_observer.log.started = first = at
-        last = max(last, at)
-        log_observer.attach_image(image)
-        image = event.image if images and isinstance(event, RecordedFrame) else None
+        first, last = first or at, max(last, at)
         if isinstance(event, TruthRecord):
-            log_observer.on_truth(event)
-            if recorder is not None:
-                recorder.on_truth(event)
-    log_observer.attach_image(image)
-    return seconds_between(first, last)
+            recorder.on_truth(event)
+    return first, last
 
 
-def _finished(recording: Recording, done: Pass, compared: dict[str, list[Difference]]) -> FlightLog:
-    log, counts = done.log_observer.log, done.replay.counts
-    log.outcome = "unfinished" if done.replay.outcome is None else done.replay.outcome.value
-    log.facts += [("recording", recording.name), ("settings", done.name), ("outputs", done.replay.digest[:16])]
+def _finished(done: Pass, compared: dict[str, list[Difference]]) -> FlightLog:
+    log, counts = done.log, done.replay.counts
+    log.facts += [("settings", done.name), ("outputs", done.replay.digest[:16])]
     log.facts += [("frames searched again", str(counts.searched)), ("frames as recorded", str(counts.as_recorded))]
     for name, found in compared.items():
         log.facts += [(f"{d.path} against {name}", f"{_mm(d.d_median_m)} median, {_mm(d.d_max_m)} at most") for d in found]
@@ -292,7 +303,7 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
         out += [
             f"{done.name}: {done.flown_s:.1f} s in {done.wall_s:.1f} s ({pace:.1f} x real time), {c.samples} samples, {c.frames} "
             f"frames ({c.searched} searched again, {c.as_recorded} as recorded), {c.decisions} guidance cycles",
-            *_became_of(done.log_observer.log),
+            *_became_of(done.log),
             f"outputs: sha256 {done.replay.digest}",
         ]
         if rows := done.errors():

@@ -21,7 +21,6 @@ from companion.settings.load import find_file, shipped
 from companion.settings.overrides import finite
 from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
-from estimator.contracts.time import MonoNs
 from sitl.campaign.plan import Overridable
 from sitl.faults.carried import refuse_others
 from sitl.flight.ending import Ending
@@ -95,15 +94,13 @@ def run(args: argparse.Namespace) -> int:
     flight_options.warn(args, [settings])
     if args.faults is not None:
         scenario = with_random_faults(scenario, args.seed, perception)
-    with (
-        shown(quiet=args.json) as observers,
-        keeping(args, settings, scenario.title, perception, {"kind": "simulate"}, MonoNs(0)) as kept,
-    ):
+    with keeping(args, settings, scenario.title, perception, {"kind": "simulate"}) as kept:
         began = time.monotonic()
         how = FlyOptions(args.perception_model, kept.shadows, kept.on_start, kept.on_truth, render_beside=True)
-        ending = fly(args.scenario, scenario, args.seed, settings, perception, [*observers, *kept.observers], how)
-    wall_s = time.monotonic() - began
-    report, pace = kept.write_report(ending, wall_s, "virtual time"), ending.duration_s / max(1e-9, wall_s)
+        with shown(quiet=args.json) as observers:
+            ending = fly(args.scenario, scenario, args.seed, settings, perception, [*observers, *kept.observers], how)
+        wall_s = time.monotonic() - began
+        report, pace = kept.end(ending, wall_s, "virtual time"), ending.duration_s / max(1e-9, wall_s)
     words = f"{ending.in_words()}\n{ending.duration_s:.1f} s flown in {wall_s:.1f} s ({pace:.1f} x real time)\n{report}"
     print_result(args, ending.as_json(), words)
     return 0 if ending.good and not kept.incomplete else 1
@@ -132,20 +129,20 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     flight_options.warn(args, [settings], "a flight with an autopilot program")
     autopilot = AutopilotProgram(args.autopilot, binary, parameters(args.param), own=args.physics == "own", unaided=args.unaided)
     seen_by, began = perceive(perception, args.perception_model), time.monotonic()
-    with shown(quiet=args.json) as observers, _folder(args.keep) as folder:
-        flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, observers, seen_by)
+    with _folder(args.keep) as folder:
+        flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, (), seen_by)
         facts = {"kind": "simulate", "autopilot": args.autopilot, "binary": STAND_IN if binary is None else binary.name}
         flown = flight.service_settings(COMPANION_PORT)
-        with keeping(args, flown, scenario.title, perception, facts, flight.clock.started, from_truth=True) as kept:
-            flight.observers, flight.shadows = (*observers, *kept.observers), kept.shadows
-            flight.on_start, flight.on_truth = kept.on_start, kept.on_truth
-            end = event_loop.run(flight.fly())
-        texts = (f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
-        (folder / "texts.txt").write_text("".join(texts))
-    ending = replace(end.ending, scenario=args.scenario)
+        with keeping(args, flown, scenario.title, perception, facts, from_truth=True) as kept:
+            flight.shadows, flight.on_start, flight.on_truth = kept.shadows, kept.on_start, kept.on_truth
+            with shown(quiet=args.json) as observers:
+                flight.observers = (*observers, *kept.observers)
+                end = event_loop.run(flight.fly())
+            texts = (f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
+            (folder / "texts.txt").write_text("".join(texts))
+            ending, wall_s = replace(end.ending, scenario=args.scenario), time.monotonic() - began
+            report = kept.end(ending, wall_s, f"in lock step with {facts['binary']}")
     as_flown = replace(end, ending=ending)
-    wall_s = time.monotonic() - began
-    report = kept.write_report(ending, wall_s, f"in lock step with {facts['binary']}")
     lines = [*(silence.in_words() for silence in end.silences), end.failure or ending.in_words()]
     lines.append(f"{ending.duration_s:.1f} s from the order to land; {wall_s:.0f} s on the wall clock\n{report}")
     print_result(args, {**as_flown.as_json(), "autopilot": args.autopilot, "physics": args.physics}, "\n".join(lines))

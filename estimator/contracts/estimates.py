@@ -111,10 +111,13 @@ CENTRE = "centre"
 """The label of the feature that is the pad's centre."""
 
 
+FeatureKind = Literal["ellipse", "point", "line", "outline"]
+
+
 class Feature(Struct, frozen=True, eq=False):
     """A feature that a method detected, in pixels, for display and recording; no estimate is computed from it."""
 
-    kind: Literal["ellipse", "point", "line", "outline"]
+    kind: FeatureKind
     label: str
     uv_px: F64
     """Points, (N, 2); an ellipse is given as its outline."""

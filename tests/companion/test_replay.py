@@ -20,6 +20,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from companion.base.health import NIS_WINDOW, Health
 from companion.cli import main as cli
+from companion.cli import replay as cli_replay
 from companion.facts.records import FusionRecord
 from companion.guidance.pilot import make_pilot
 from companion.parts.metrics.endpoint import text
@@ -31,7 +32,7 @@ from companion.recording.reading import open_recording
 from companion.recording.rewriting import Cut, rewrite
 from companion.settings.load import SHIPPED, camera_model, pad_of_file, read_camera
 from companion.tools.replay.engine import Replay, pilot_of
-from companion.tools.replay.recorded_log import BeliefLogObserver, differences, log_of, recorded_beliefs
+from companion.tools.replay.recorded_log import differences, log_of, recorded_beliefs
 from companion.tools.report.figures import innovation_series
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.page import render
@@ -58,15 +59,15 @@ def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(re
     recording = open_recording([recorded_flight[0]])
     settings = sim_settings()
     reported = ObservedCalls()
-    pilot = pilot_of(settings, None)
-    log_observer = BeliefLogObserver(FlightLog("replay", MonoNs(0), pilot.pad, pilot.camera))
-    replay = Replay(recording, pilot, sightings=True, observers=[log_observer, reported])
+    replay = Replay(recording, pilot_of(settings, None), sightings=True, observers=[reported])
     replay.run()
+    again = cli_replay.replayed(recording, settings, sightings=True)
+    assert again.replay.digest == replay.digest
     assert replay.counts.as_recorded == replay.counts.frames == len(recorded_flight[1].frames) > 20
     orders = ["terminal 1: record on: accepted", "terminal 1: clear: refused, nothing is seen that bars a landing"]
-    for log in (log_observer.log, log_of(recording, "as recorded")):
+    for log in (again.log, log_of(recording, "as recorded")):
         assert [str(each) for each in log.orders] == orders
-    found = {d.path: d for d in differences(log_observer.beliefs, recorded_beliefs(recording))}
+    found = {d.path: d for d in differences(again.beliefs, recorded_beliefs(recording))}
     assert {"dead_reckoning", "median_mean"} <= set(found)
     for difference in found.values():
         assert difference.both == difference.identical > 40

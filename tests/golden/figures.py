@@ -12,14 +12,10 @@ from pathlib import Path
 
 import msgspec
 
-from companion.facts.records import TruthRecord
+from companion.cli.replay import replayed
 from companion.recording.reading import open_recording
 from companion.settings.load import load
-from companion.tools.replay.engine import Replay, pilot_of, with_files_of
-from companion.tools.replay.recorded_log import BeliefLogObserver
 from companion.tools.report.figures import all_series, error_rows
-from companion.tools.report.flight_log import FlightLog
-from estimator.contracts.time import MonoNs
 
 HERE = Path(__file__).parent
 FIGURES, REASONS = HERE / "figures.toml", HERE / "REASONS.md"
@@ -34,16 +30,11 @@ def measured(name: str) -> Figures:
     recording = open_recording([HERE / f"{name}.mcap"])
     settings = load("sim")
     settings = msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="fused"))
-    with with_files_of(recording, settings) as used:
-        pilot = pilot_of(used, None)
-    log_observer = BeliefLogObserver(FlightLog(name, MonoNs(0), pilot.pad, pilot.camera))
-    for _, event in Replay(recording, pilot, observers=[log_observer]).steps():
-        if isinstance(event, TruthRecord):
-            log_observer.on_truth(event)
+    log = replayed(recording, settings).log
     assert recording.cut == {}
     assert recording.skipped == {}, f"{name}.mcap is no longer understood: {dict(recording.skipped)}"
     # A handful of frames says what vision sees in each; what a path makes of five of them says nothing.
-    rows = [row for row in error_rows(log_observer.log, all_series(log_observer.log)) if not (name == "frames" and row.is_path)]
+    rows = [row for row in error_rows(log, all_series(log)) if not (name == "frames" and row.is_path)]
     return {row.name: {field: round(float(getattr(row, field)), 5) for field in FIELDS} for row in rows}
 
 

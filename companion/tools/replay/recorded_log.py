@@ -1,4 +1,4 @@
-"""The logs of a recorded flight for figures and report: as it was decided then, and as a replay decides."""
+"""Read the log of a recorded flight for figures and report, and compare the estimates of two recordings."""
 
 import math
 from pathlib import Path
@@ -8,25 +8,24 @@ from msgspec import Struct, structs
 
 from companion.base.loop_lag import in_words
 from companion.base.mission import ENDED, State
-from companion.base.observer import Decision, ProcessedFrame
+from companion.base.observer import Decision
 from companion.facts import encode
 from companion.facts.records import ContactRecord, FusionRecord, HealthRecord, OrderRecord, TruthRecord
 from companion.recording import decode
 from companion.recording.channels import SETTINGS
-from companion.recording.frame_encoder import VideoImage
 from companion.recording.reading import RecordedFrame, Recording, instant, open_recording
 from companion.tools.report.figures import body_over_pad
-from companion.tools.report.flight_log import FlightLog, FrameRecord, LoggedContact, LogObserver, StageTime, TruthSample
+from companion.tools.report.flight_log import FlightLog, FrameRecord, LoggedContact, StageTime, TruthSample
 from companion.tools.report.overlay import less_innovation
 from companion.tools.report.page import Report
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import FusionResult, PathName, RelativeState, Verdict
+from estimator.contracts.estimates import Feature, FusionResult, PathName, RelativeState, Verdict
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
 
-def add_truth(log: FlightLog, truth: TruthRecord) -> None:
+def _add_truth(log: FlightLog, truth: TruthRecord) -> None:
     """Append the truth of one instant, and its newest contact if that is another one than before."""
     d, v = np.array(truth.d_body_pad_level), np.array(truth.v_pad_level)
     p = None if truth.p_pad_ned is None else np.array(truth.p_pad_ned)
@@ -87,9 +86,9 @@ def log_of(recording: Recording, title: str, *, images: bool = True) -> FlightLo
                 if result.source == "sighting":
                     compared[result.path, result.measured_at] = result
             case Decision():
-                _decided(log, event)
+                log.add_decision(event)
             case TruthRecord():
-                add_truth(log, event)
+                _add_truth(log, event)
             case OrderRecord():
                 log.orders.append(encode.handled(event))
             case VehicleStatus():
@@ -100,8 +99,9 @@ def log_of(recording: Recording, title: str, *, images: bool = True) -> FlightLo
         raise BadInput(f"{recording.name}: holds no event")
     if late.keys() >= {"lag_worst_s", "lag_p999_s", "held"}:
         log.facts.append(("event loop", in_words(late)))
+    features = recording.features() if images else {}
     for frame in frames:
-        _framed(log, frame, compared)
+        _add_frame(log, frame, compared, features.get(frame.stamp.measured_at, {}))
     log.outcome = _outcome(log, flying)
     return log
 
@@ -118,13 +118,12 @@ def _outcome(log: FlightLog, flying: bool | None) -> str:
     return last.value if last in ENDED else f"unfinished: {last.value}"
 
 
-def _decided(log: FlightLog, decision: Decision) -> None:
-    log.add_decision(decision)
-    if log.steering is None and decision.belief is not None:
-        log.steering = decision.belief.path
-
-
-def _framed(log: FlightLog, frame: RecordedFrame, compared: dict[tuple[str, MonoNs], FusionResult]) -> None:
+def _add_frame(
+    log: FlightLog,
+    frame: RecordedFrame,
+    compared: dict[tuple[str, MonoNs], FusionResult],
+    features: dict[str, tuple[Feature, ...]],
+) -> None:
     verdict, at = Verdict(frame.record.verdict), frame.stamp.measured_at
     attitude, detection = frame.attitude, frame.detection()
     level = None if attitude is None else attitude.R_ned_body.without_heading()
@@ -136,41 +135,20 @@ def _framed(log: FlightLog, frame: RecordedFrame, compared: dict[tuple[str, Mono
     log.frames.append(FrameRecord(at, frame.record.seq, verdict, level, place, frame.R_body_cam, frame.image))
     log.verdicts[verdict] += 1
     if detection is not None:
-        log.add_detection(detection, at)
+        sightings = detection.methods.items()
+        methods = {name: one and structs.replace(one, features=features.get(name, ())) for name, one in sightings}
+        log.add_detection(structs.replace(detection, methods=methods), at)
     stages = [("camera and link", frame.stamp.delay_s)]
     if frame.times is not None:
         stages += frame.times.by_stage()
+    elif detection is not None:
+        stages.append(("vision", seconds_between(MonoNs(frame.record.began_ns), frame.done)))
     for name, seconds in stages:
         log.stages.setdefault(name, []).append(StageTime(at, seconds))
     log.delays.append(StageTime(at, seconds_between(at, frame.done)))
 
 
 Beliefs = dict[tuple[PathName, MonoNs], RelativeState]
-
-
-class BeliefLogObserver(LogObserver):
-    """An observer that fills a log and keeps every belief by path and instant."""
-
-    def __init__(self, log: FlightLog) -> None:
-        super().__init__(log, decisions_each=1, keep_images=False)
-        self.beliefs: Beliefs = {}
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        super().on_frame(processed)
-        self.log.verdicts[processed.verdict] += 1
-
-    def on_decision(self, decision: Decision) -> None:
-        super().on_decision(decision)
-        self.beliefs |= _beliefs(decision)
-
-    def on_truth(self, truth: TruthRecord) -> None:
-        """Keep the truth from a simulator or motion capture."""
-        add_truth(self.log, truth)
-
-    def attach_image(self, image: bytes | VideoImage | None) -> None:
-        """Attach the recorded image to the newest frame."""
-        if image is not None and self.log.frames:
-            self.log.frames[-1] = structs.replace(self.log.frames[-1], image=image)
 
 
 class Difference(Struct, frozen=True):

@@ -1,17 +1,16 @@
-"""The log of a flight for its report, and the observer that fills it while the flight goes on."""
+"""The log of a flight for its report."""
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 
-import cv2
 from msgspec import Struct, field, structs
 
 from companion.base.mission import StateChange
-from companion.base.observer import Decision, NullObserver, ProcessedFrame, ThingReport, things_of
+from companion.base.observer import Decision, ThingReport, things_of
 from companion.base.orders import HandledOrder
 from companion.recording.frame_encoder import VideoImage
-from companion.tools.report.overlay import expected_in_body
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import FusionResult, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation
@@ -189,19 +188,8 @@ class FlightLog(Struct, eq=False):
         """The contact that it landed with; None without one."""
         return self.contacts[-1] if self.contacts else None
 
-    def add_frame(self, processed: ProcessedFrame, image: bytes | None = None) -> None:
-        """Keep the outcome of a frame, what was seen in it, and how long it took."""
-        level = None if processed.attitude is None else processed.attitude.R_ned_body.without_heading()
-        expected = expected_in_body(processed, self.steering)
-        place = None if level is None or expected is None else level @ expected
-        at, held = processed.frame.stamp.measured_at, None if processed.camera is None else processed.camera.T_body_cam.R
-        self.frames.append(FrameRecord(at, processed.frame.seq, processed.verdict, level, place, held, image))
-        if processed.detection is not None:
-            self.add_detection(processed.detection, at)
-        self.add_times(processed)
-
-    def add_decision(self, decision: Decision, *, whole: bool = True) -> None:
-        """Keep a decision; of one that is not whole only what it changes and what it forecasts."""
+    def add_decision(self, decision: Decision) -> None:
+        """Keep the estimates, the command, the changes and the forecast of a decision."""
         if not self.phases or self.phases[-1].phase != decision.phase:
             self.phases.append(PhaseChange(decision.at, decision.phase))
         self.transitions += decision.transitions
@@ -210,22 +198,11 @@ class FlightLog(Struct, eq=False):
             for row in decision.ahead.rows():
                 if row[0] in HORIZONS_KEPT_S:
                     self.decks.append(DeckSample(MonoNs(at + round(row[0] * NS_PER_S)), at, *row[1:]))
-        if whole:
-            self.estimates += [b for b in (decision.belief, *decision.shadows) if b is not None]
-            if decision.command is not None:
-                self.commands.append(CommandRecord(decision.at, decision.command))
-
-    def add_times(self, processed: ProcessedFrame) -> None:
-        """Keep how long a frame was under way and how long its stages took; as recorded, where a replay hands it on."""
-        stamp = processed.frame.stamp
-        stages = [("camera and link", stamp.delay_s)]
-        if processed.times is not None:
-            stages += processed.times.by_stage()
-        elif processed.detection is not None:
-            stages.append(("vision", seconds_between(processed.began, processed.done)))
-        for name, seconds in stages:
-            self.stages.setdefault(name, []).append(StageTime(stamp.measured_at, seconds))
-        self.delays.append(StageTime(stamp.measured_at, seconds_between(stamp.measured_at, processed.done)))
+        self.estimates += [b for b in (decision.belief, *decision.shadows) if b is not None]
+        if decision.command is not None:
+            self.commands.append(CommandRecord(decision.at, decision.command))
+        if self.steering is None and decision.belief is not None:
+            self.steering = decision.belief.path
 
     def add_detection(self, detection: Detection, at: MonoNs) -> None:
         """Keep things, the sighting of every method, the selected one where it is another, and what was surer elsewhere."""
@@ -243,38 +220,11 @@ class FlightLog(Struct, eq=False):
             else:
                 known.last, known.seen = at, thing
 
+    def add_images(self, images: Mapping[int, bytes | VideoImage | None]) -> None:
+        """Give the frames the images of these numbers, as of the recording that was replayed."""
+        self.frames = [structs.replace(frame, image=images.get(frame.seq)) for frame in self.frames]
+
     def add_result(self, result: FusionResult) -> None:
         """Keep a result. Results of accepted IMU samples are left out: they are compared with nothing."""
         if result.source != "imu" or result.verdict is not Verdict.FUSED:
             self.results.append(result)
-
-
-class LogObserver(NullObserver):
-    """Fills `log` as the flight goes on. Frames are kept as JPEG, about 40 kB each.
-
-    Args:
-        decisions_each: keep each n-th round of guidance; a change of phase is always kept.
-    """
-
-    def __init__(self, log: FlightLog, *, decisions_each: int = 2, keep_images: bool = True) -> None:
-        self.log = log
-        self._decisions_each = decisions_each
-        self._keep_images = keep_images
-        self._rounds = 0
-
-    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        self.log.add_result(result)
-
-    def on_frame(self, processed: ProcessedFrame) -> None:
-        image: bytes | None = None
-        if self._keep_images:
-            ok, packed = cv2.imencode(".jpg", processed.frame.px, [cv2.IMWRITE_JPEG_QUALITY, 88])
-            image = packed.tobytes() if ok else None
-        self.log.add_frame(processed, image)
-
-    def on_order(self, handled: HandledOrder) -> None:
-        self.log.orders.append(handled)
-
-    def on_decision(self, decision: Decision) -> None:
-        self._rounds += 1
-        self.log.add_decision(decision, whole=self._rounds % self._decisions_each == 0)
