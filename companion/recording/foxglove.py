@@ -10,10 +10,10 @@ from collections.abc import Iterable
 from itertools import pairwise, starmap
 
 import numpy as np
-from msgspec import Struct, convert
+from msgspec import Struct
 
 from companion.recording.palette import colour
-from estimator.contracts.estimates import Feature, FeatureKind, RelativeState
+from estimator.contracts.estimates import Feature, RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
@@ -295,22 +295,6 @@ def image_annotations(at_ns: int, features: Iterable[tuple[str, Feature]], capti
         points.append(PointsAnnotation(t, _POINT_TYPES[feature.kind], uv, ink, [], _CLEAR, 2.0, notes))
     text = TextAnnotation(t, Point2(8.0, 20.0), caption, 14.0, Color(1.0, 1.0, 1.0, 1.0), Color(0.0, 0.0, 0.0, 0.5))
     return ImageAnnotations(t, [], points, [text])
-
-
-def features_of(annotations: ImageAnnotations) -> tuple[int, dict[str, tuple[Feature, ...]]]:
-    """Return the exposure that `image_annotations` was given, ns, and the features of each method.
-
-    Raises:
-        ValidationError: a feature is of no known kind.
-    """
-    found: dict[str, tuple[Feature, ...]] = {}
-    for drawn in annotations.points:
-        notes = {note.key: note.value for note in drawn.metadata}
-        method, kind = notes.get("method", ""), convert(notes.get("kind"), FeatureKind)
-        uv = np.array([(point.x, point.y) for point in drawn.points]).reshape(-1, 2) - 0.5
-        found[method] = (*found.get(method, ()), Feature(kind, notes.get("label", ""), uv))
-    t = annotations.timestamp
-    return t.sec * NS + t.nsec, found
 
 
 def log_line(at_ns: int, level: int, name: str, message: str) -> Log:

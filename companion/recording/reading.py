@@ -37,7 +37,7 @@ from companion.settings.load import Settings, from_file
 from drivers.camera import images
 from drivers.files import Largest, opened
 from estimator.contracts.errors import BadInput, refused
-from estimator.contracts.estimates import Feature, RelativeState, Verdict
+from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
@@ -298,7 +298,7 @@ class Recording(Struct, eq=False):
     def _events(self, path: Path, stream: IO[bytes]) -> Iterator[Event]:
         assembled = EventAssembly()
         instants = _Instants()
-        for topic, data in self._messages(path, stream):
+        for topic, data in self.messages(path, stream):
             self.counts[topic] += 1
             try:
                 event = assembled.event(topic, data)
@@ -310,7 +310,8 @@ class Recording(Struct, eq=False):
             if event is not None:
                 yield event
 
-    def _messages(self, path: Path, stream: IO[bytes]) -> Iterator[tuple[str, bytes]]:
+    def messages(self, path: Path, stream: IO[bytes]) -> Iterator[tuple[str, bytes]]:
+        """Yield the topic and the bytes of each message of one of the files."""
         topics: dict[int, str] = {}
         for record in records(stream, path, self.cut):
             if isinstance(record, Channel):
@@ -319,19 +320,6 @@ class Recording(Struct, eq=False):
                 if record.channel_id not in topics and path in self.cut:
                     topics = _summary(path)[0] | topics  # the chunk that names them is damaged
                 yield topics.setdefault(record.channel_id, ""), record.data
-
-    def features(self) -> dict[MonoNs, dict[str, tuple[Feature, ...]]]:
-        """Return the features that each method found in a frame, by the frame's exposure, to a tenth of a pixel."""
-        found: dict[MonoNs, dict[str, tuple[Feature, ...]]] = {}
-        decoder, offset_ns = msgspec.json.Decoder(fox.ImageAnnotations), self.offset_ns()
-        for path in self.paths:
-            with opened(path, Largest.RECORDING) as stream:
-                for topic, data in self._messages(path, stream):
-                    with suppress(*NOT_UNDERSTOOD):
-                        if topic == channels.ANNOTATIONS:
-                            exposed_ns, features = fox.features_of(decoder.decode(data))
-                            found[MonoNs(exposed_ns - offset_ns)] = features
-        return found
 
     def offset_ns(self) -> int:
         """Return the offset from the recording's instants to the time axis of its file, ns.

@@ -523,14 +523,10 @@ def test_a_part_of_a_flight_and_strange_files(tmp_path: Path, capsys: pytest.Cap
 
 def test_what_each_method_found_in_a_frame_is_drawn_from_the_recording(recorded_flight) -> None:
     log = log_of(open_recording([recorded_flight[0]]), "features")
-    flown = [one.detection for one in recorded_flight[1].frames if one.detection is not None]
-    for detection in flown:
-        for method, seen in detection.methods.items():
-            if seen is None:
-                continue
-            (kept,) = (one for one in log.sightings if (one.seq, one.method) == (seen.seq, method))
-            for ours, theirs in zip(kept.features, seen.features, strict=True):
-                assert (ours.kind, ours.label) == (theirs.kind, theirs.label)
-                known = theirs.uv_px[np.isfinite(theirs.uv_px).all(axis=1)]
-                np.testing.assert_allclose(ours.uv_px, known, atol=0.051)
-    assert any(one.features for one in log.sightings)
+    kept = {(one.seq, one.method): one.features for one in log.sightings}
+    flown = [one for frame in recorded_flight[1].frames if frame.detection for one in frame.detection.methods.values() if one]
+    pairs = [pair for seen in flown for pair in zip(kept[seen.seq, seen.method], seen.features, strict=True)]
+    assert len(pairs) > 20
+    for ours, theirs in pairs:
+        assert (ours.kind, ours.label) == (theirs.kind, theirs.label)
+        np.testing.assert_allclose(ours.uv_px, theirs.uv_px[np.isfinite(theirs.uv_px).all(axis=1)], atol=0.051)

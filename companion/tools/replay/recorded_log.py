@@ -1,10 +1,11 @@
 """Read the log of a recorded flight for figures and report, and compare the estimates of two recordings."""
 
 import math
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from msgspec import Struct, structs
+from msgspec import MsgspecError, Struct, convert, json, structs
 
 from companion.base.loop_lag import in_words
 from companion.base.mission import ENDED, State
@@ -12,17 +13,19 @@ from companion.base.observer import Decision
 from companion.facts import encode
 from companion.facts.records import ContactRecord, FusionRecord, HealthRecord, OrderRecord, TruthRecord
 from companion.recording import decode
-from companion.recording.channels import SETTINGS
+from companion.recording import foxglove as fox
+from companion.recording.channels import ANNOTATIONS, SETTINGS
 from companion.recording.reading import RecordedFrame, Recording, instant, open_recording
 from companion.tools.report.figures import body_over_pad
 from companion.tools.report.flight_log import FlightLog, FrameRecord, LoggedContact, StageTime, TruthSample
 from companion.tools.report.overlay import less_innovation
 from companion.tools.report.page import Report
+from drivers.files import Largest, opened
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import Feature, FusionResult, PathName, RelativeState, Verdict
+from estimator.contracts.estimates import Feature, FeatureKind, FusionResult, PathName, RelativeState, Verdict
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import VehicleStatus
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 
 
 def _add_truth(log: FlightLog, truth: TruthRecord) -> None:
@@ -99,11 +102,36 @@ def log_of(recording: Recording, title: str, *, images: bool = True) -> FlightLo
         raise BadInput(f"{recording.name}: holds no event")
     if late.keys() >= {"lag_worst_s", "lag_p999_s", "held"}:
         log.facts.append(("event loop", in_words(late)))
-    features = recording.features() if images else {}
+    features = _features(recording) if images else {}
     for frame in frames:
         _add_frame(log, frame, compared, features.get(frame.stamp.measured_at, {}))
     log.outcome = _outcome(log, flying)
     return log
+
+
+def _features(recording: Recording) -> dict[MonoNs, dict[str, tuple[Feature, ...]]]:
+    """Return the features that each method found in a frame, by the frame's exposure, as `fox.image_annotations` keeps them."""
+    found: dict[MonoNs, dict[str, tuple[Feature, ...]]] = {}
+    decoder, offset_ns = json.Decoder(fox.ImageAnnotations), recording.offset_ns()
+    for path in recording.paths:
+        with opened(path, Largest.RECORDING) as stream:
+            for topic, data in recording.messages(path, stream):
+                if topic == ANNOTATIONS:
+                    with suppress(MsgspecError):
+                        drawn = decoder.decode(data)
+                        at = MonoNs(drawn.timestamp.sec * NS_PER_S + drawn.timestamp.nsec - offset_ns)
+                        for points in drawn.points:
+                            method, feature = _feature(points)
+                            by_method = found.setdefault(at, {})
+                            by_method[method] = (*by_method.get(method, ()), feature)
+    return found
+
+
+def _feature(drawn: fox.PointsAnnotation) -> tuple[str, Feature]:
+    """Return a feature and the method that found it. Raises ValidationError for an unknown kind."""
+    notes = {note.key: note.value for note in drawn.metadata}
+    uv_px = np.array([(point.x, point.y) for point in drawn.points]).reshape(-1, 2) - 0.5
+    return notes.get("method", ""), Feature(convert(notes.get("kind"), FeatureKind), notes.get("label", ""), uv_px)
 
 
 def _outcome(log: FlightLog, flying: bool | None) -> str:
