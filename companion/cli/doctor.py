@@ -27,15 +27,7 @@ from companion.tools.doctor.gather import examine, wait_until
 from companion.tools.doctor.gather_outside import examine_log, examine_service
 from companion.tools.doctor.parameter_file import UP_TO_4_6, stack_named, wanted_by_default, wanted_of, write_parameters_file
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot, decode, encode
-from companion.tools.doctor.undo import (
-    OnResult,
-    PlannedWrite,
-    UndoFile,
-    WriteResult,
-    same,
-    why_not_written,
-    write_parameters,
-)
+from companion.tools.doctor.undo import OnResult, PlannedWrite, UndoFile, WriteResult, same, why_not_written, write_parameters
 from drivers.clock import SystemClock
 from drivers.files import Largest, bytes_of
 from drivers.imports.log_history import LogHistory

@@ -119,7 +119,7 @@ def _info(args: argparse.Namespace) -> int:
         first, last = (at if first is None else min(first, at)), max(last, at)
         if isinstance(event, RecordedFrame):
             images += event.image is not None
-            verdicts[event.record.verdict] += 1
+            verdicts[event.record.verdict.value] += 1
     seconds = 0.0 if first is None else (last - first) * 1e-9
     out: dict[str, Any] = {"seconds": round(seconds, 3), "messages": dict(recording.counts), "frames": images}
     out |= {"verdicts": dict(verdicts), "cut": {str(p): why for p, why in recording.cut.items()}, **recording.metadata}

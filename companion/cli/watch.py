@@ -223,7 +223,7 @@ def _details(drone: DroneModel, now_s: float, width: int, paint: Paint) -> list[
         lines.append(f"phase    {paint(_clean(state.decision.phase), _BOLD)}{old}")
         lines.append(f"pad      {_where(drone)}")
         if state.belief is not None:
-            path, cov, v = _clean(state.belief.path), state.belief.cov, state.belief.v_pad_level
+            path, cov, v = state.belief.path, state.belief.cov, state.belief.v_pad_level
             beside_cm, height_cm = (100 * math.sqrt(max(0.0, var)) for var in (max(cov[0], cov[8]), cov[16]))
             yaw = "--" if state.belief.yaw_rad is None else f"{math.degrees(state.belief.yaw_rad):+.0f} deg"
             alert = "" if state.belief.consistent else paint("   inconsistent", _RED)
@@ -236,7 +236,7 @@ def _details(drone: DroneModel, now_s: float, width: int, paint: Paint) -> list[
     if drone.sighting is not None:
         frame = drone.sighting.detection
         seen = ", ".join(name for name in _METHODS if getattr(frame, name) is not None) or "nothing"
-        lines.append(f"frame    {frame.seq}: {_clean(frame.verdict)}; seen by {seen}")
+        lines.append(f"frame    {frame.seq}: {frame.verdict.value}; seen by {seen}")
     rates = "   ".join(f"{kind} {_rate(a.rate_hz(now_s))}" for kind, a in sorted(drone.arrivals.items()) if kind != "status")
     lines.append(f"rates    {rates}")
     if drone.missing or drone.copies or drone.malformed:

@@ -1,7 +1,7 @@
 """Encode what the service passes to its observers as records, and decode the two that it encodes again."""
 
 import math
-from typing import TypeVar, get_args
+from typing import TypeVar
 
 import numpy as np
 from msgspec import Struct
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from companion.base.health import HealthSnapshot
 from companion.base.mission import StateChange
 from companion.base.observer import Decision, DeckOutlook, ProcessedFrame, ResponseInUse
-from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
+from companion.base.orders import HandledOrder, OrderSender
 from companion.facts import records as rec
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import FusionResult, Pose6, RelativeState, Sighting
@@ -27,10 +27,7 @@ COMMANDS: dict[type[Command], str] = {
 }  # fmt: skip
 
 
-_SAMPLES: dict[type[Sample], type[rec.SampleRecord]] = dict(zip(get_args(Sample), get_args(rec.SampleRecord), strict=True))
-
-
-def sample(of: Sample) -> rec.SampleRecord:
+def sample(of: Sample) -> Struct:
     """Return the record of a sample of any kind."""
     if isinstance(of, Attitude):
         return attitude(of)
@@ -38,7 +35,7 @@ def sample(of: Sample) -> rec.SampleRecord:
         latitude_deg, longitude_deg = math.degrees(of.place.latitude_rad), math.degrees(of.place.longitude_rad)
         v_ned = None if of.v_ned is None else of.v_ned.tolist()
         return rec.FixRecord(stamp(of.stamp), of.whose, latitude_deg, longitude_deg, of.sigma_m, of.place.height_m, v_ned)
-    return _as(_SAMPLES[type(of)], of)
+    return _as(rec.SAMPLES[type(of)], of)
 
 
 def _as(kind: type[R], of: object) -> R:
@@ -85,7 +82,7 @@ def detection(of: ProcessedFrame) -> rec.DetectionRecord:
         of.frame.exposure_s,
         width,
         height,
-        of.verdict.value,
+        of.verdict,
         int(of.began),
         int(of.done),
         None if of.attitude is None else attitude(of.attitude),
@@ -147,7 +144,7 @@ def fusion(at: MonoNs, of: FusionResult) -> rec.FusionRecord:
         int(at),
         of.path,
         of.source,
-        of.verdict.value,
+        of.verdict,
         int(of.measured_at),
         int(of.received_at),
         list(of.components),
@@ -190,7 +187,7 @@ def response(of: ResponseInUse | None) -> rec.ResponseRecord | None:
     """Return the record of a vehicle's response."""
     if of is None:
         return None
-    return rec.ResponseRecord(of.state.value, of.delay_s, of.sigma_s, of.longer_s, **of.shape._asdict())
+    return rec.ResponseRecord(of.state, of.delay_s, of.sigma_s, of.longer_s, **of.shape._asdict())
 
 
 def transition(of: StateChange) -> rec.TransitionRecord:
@@ -206,7 +203,7 @@ def transition(of: StateChange) -> rec.TransitionRecord:
 def order(of: HandledOrder) -> rec.OrderRecord:
     """Return the record of a person's order and its answer."""
     sender = of.sender
-    return rec.OrderRecord(int(of.at), sender.source.value, sender.name, of.order.value, of.accepted, of.refusal, of.detail)
+    return rec.OrderRecord(int(of.at), sender.source, sender.name, of.order, of.accepted, of.refusal, of.detail)
 
 
 def health(at: MonoNs, of: HealthSnapshot) -> rec.HealthRecord:
@@ -250,8 +247,6 @@ def held_rotation(of: rec.DetectionRecord) -> Rotation | None:
 
 
 def handled(of: rec.OrderRecord) -> HandledOrder:
-    """Return the order of a record, with its answer. Raises ValueError for an order or a way that does not exist."""
+    """Return the order of a record, with its answer."""
     refusal = None if of.accepted else of.refusal or ""
-    return HandledOrder(
-        MonoNs(of.at_ns), OrderSender(OrderSource(of.source), of.sender), OperatorOrder(of.order), refusal, of.detail
-    )
+    return HandledOrder(MonoNs(of.at_ns), OrderSender(of.source, of.sender), of.order, refusal, of.detail)

@@ -4,11 +4,18 @@ Vectors and matrices (row by row) are lists of numbers in SI units and radians, 
 whole nanoseconds of the recording host's monotonic clock. Unknown values are left out.
 """
 
-from typing import Annotated
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin
 
-from msgspec import Meta, Struct
+from msgspec import NODEFAULT, Meta, Struct, defstruct, structs
 
 from companion.base.health import FARTHEST_NS, Count, FlowRecord, PartRecord
+from companion.base.observer import ResponseState
+from companion.base.orders import OperatorOrder, OrderSource
+from estimator.contracts.estimates import SOURCES, Method, PathName, Source, Verdict
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude, GeoFix, Sample, VehicleStatus
+from estimator.contracts.time import Stamp, StampSource
 
 Instant = Annotated[int, Meta(ge=-FARTHEST_NS, le=FARTHEST_NS)]
 """An instant, ns."""
@@ -23,15 +30,7 @@ class StampRecord(Struct, frozen=True):
     measured_at_ns: Instant
     received_at_ns: Instant
     sigma_s: float
-    source: str
-
-
-class ImuRecord(Struct, frozen=True):
-    """A rate (3,) in rad/s and a specific force (3,) in m/s², both in `body`."""
-
-    stamp: StampRecord
-    w_body: list[float]
-    f_body: list[float]
+    source: StampSource
 
 
 class AttitudeRecord(Struct, frozen=True):
@@ -45,61 +44,16 @@ class AttitudeRecord(Struct, frozen=True):
     yaw_deg: float
 
 
-class GimbalRecord(Struct, frozen=True):
-    """A gimbal's attitude as a matrix (9,) in the frame that it names, and its covariance (9,)."""
-
-    stamp: StampRecord
-    frame: str
-    R_frame_gimbal: list[float]
-    cov_gimbal: list[float]
-
-
-class VelocityRecord(Struct, frozen=True):
-    """A velocity (3,) in `level`, m/s, and its covariance (9,)."""
-
-    stamp: StampRecord
-    v_level: list[float]
-    cov_level: list[float]
-
-
-class RangeRecord(Struct, frozen=True):
-    """A distance along the body's down axis and its standard deviation, metres."""
-
-    stamp: StampRecord
-    range_m: float
-    sigma_m: float
-
-
-class BaroRecord(Struct, frozen=True):
-    """A barometric height and its standard deviation, metres."""
-
-    stamp: StampRecord
-    height_m: float
-    sigma_m: float
-
-
-class VesselRecord(Struct, frozen=True, omit_defaults=True):
-    """A vessel's velocity (3,) in `ned`, m/s, with covariance (9,), its heading and rate of turn; what is unknown is left out."""
-
-    stamp: StampRecord
-    v_vessel_ned: list[float] | None = None
-    cov_v_ned: list[float] | None = None
-    heading_rad: float | None = None
-    sigma_heading_rad: float | None = None
-    turn_rad_s: float | None = None
-    sigma_turn_rad_s: float | None = None
-
-
 class FixRecord(Struct, frozen=True, omit_defaults=True):
     """The place of the vehicle or of the vessel in WGS-84, and its velocity (3,) in `ned`, m/s; what is unknown is left out."""
 
     stamp: StampRecord
-    whose: str
+    whose: Literal["vehicle", "vessel"]
     latitude_deg: float
     longitude_deg: float
     sigma_m: float
     height_m: float | None = None
-    v_ned: list[float] | None = None
+    v_ned: Vector3 | None = None
 
 
 class StatusRecord(Struct, frozen=True, omit_defaults=True):
@@ -119,44 +73,10 @@ class StatusRecord(Struct, frozen=True, omit_defaults=True):
     """The vehicle's own limit of its tilt."""
 
 
-class MotionRecord(Struct, frozen=True, omit_defaults=True):
-    """Roll and pitch, rad, and heave down, m, by a ship's motion sensor; what is unknown is left out."""
-
-    stamp: StampRecord
-    sensor: str
-    roll_rad: float | None = None
-    pitch_rad: float | None = None
-    sigma_tilt_rad: float = 0.0
-    heave_down_m: float | None = None
-    sigma_heave_m: float = 0.0
-    acceleration_m_s2: float | None = None
-
-
-class WindRecord(Struct, frozen=True):
-    """A report of the ship's anemometer: direction that the wind blows from, rad, and its speed over the ground, m/s."""
-
-    stamp: StampRecord
-    sensor: str
-    from_rad: float
-    speed_m_s: float
-
-
-class BaselineRecord(Struct, frozen=True, omit_defaults=True):
-    """A vector (3,) from the ship's antenna to the drone's in `ned`, m, covariance (9,), kind of its fix, and the antennas."""
-
-    stamp: StampRecord
-    fix: str
-    d_ned: list[float]
-    cov_ned: list[float]
-    antenna_body: list[float]
-    antenna_vessel: list[float]
-    alone: bool = False
-
-
 class Pose6Record(Struct, frozen=True):
     """A pose in six degrees of freedom: vector (3,), rotation (9,) and covariance (36,)."""
 
-    d_body_pad_level: list[float]
+    d_body_pad_level: Vector3
     R_level_pad: list[float]
     cov: list[float]
 
@@ -164,8 +84,8 @@ class Pose6Record(Struct, frozen=True):
 class SightingRecord(Struct, frozen=True, omit_defaults=True):
     """The sighting of one method; its stamp and number are those of the detection that contains it."""
 
-    method: str
-    d_body_pad_level: list[float]
+    method: Method
+    d_body_pad_level: Vector3
     cov: list[float]
     confidence: float
     yaw_ambiguous: bool
@@ -189,9 +109,9 @@ class PadCheckRecord(Struct, frozen=True, omit_defaults=True):
     """Exposure of the newest frame that was read."""
     seen: float
     """Share of the pad's known surface that was read lately, 0..1."""
-    thing: list[float] | None = None
+    thing: Vector3 | None = None
     """Width of the largest thing on the pad, m, and its place along the arrow and to starboard of it; left out without one."""
-    near: list[float] | None = None
+    near: Vector3 | None = None
     """Place of the nearest thing about the pad along the arrow and to starboard of it, m, and its height over the deck, 0 for
     what moves; left out without one."""
     glare: float = 0.0
@@ -206,14 +126,14 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     exposure_s: float
     width: Pixels
     height: Pixels
-    verdict: str
+    verdict: Verdict
     began_ns: Instant
     done_ns: Instant
     attitude: AttitudeRecord | None = None
     """The vehicle's attitude at the exposure."""
-    tried: list[str] | None = None
+    tried: list[Method] | None = None
     """Methods that were tried; left out if vision did not run."""
-    chosen: str | None = None
+    chosen: Method | None = None
     selected: SightingRecord | None = None
     ellipse: SightingRecord | None = None
     arrow: SightingRecord | None = None
@@ -248,7 +168,7 @@ class BeliefRecord(Struct, frozen=True, omit_defaults=True):
     """An estimate of one path."""
 
     at_ns: Instant
-    path: str
+    path: PathName
     d_body_pad_level: Vector3
     v_pad_level: Vector3
     cov: Annotated[list[float], Meta(min_length=49, max_length=49)]
@@ -272,9 +192,9 @@ class FusionRecord(Struct, frozen=True, omit_defaults=True):
 
     at_ns: Instant
     """Instant at which the service processed the measurement."""
-    path: str
-    source: str
-    verdict: str
+    path: PathName
+    source: Source
+    verdict: Verdict
     measured_at_ns: Instant
     received_at_ns: Instant
     components: list[str] = []
@@ -305,7 +225,7 @@ class TransitionRecord(Struct, frozen=True, omit_defaults=True):
 class ResponseRecord(Struct, frozen=True, omit_defaults=True):
     """The vehicle's response as a flight has come to know it."""
 
-    state: str
+    state: ResponseState
     """assumed, known, or identified where the flight contradicts the response file."""
     delay_s: float
     sigma_s: float | None = None
@@ -361,10 +281,10 @@ class OrderRecord(Struct, frozen=True, omit_defaults=True):
     """An order of a person and its answer."""
 
     at_ns: Instant
-    source: str
+    source: OrderSource
     """Way on which it arrived: gamepad, terminal, mavlink, mqtt, signal; or limits."""
     sender: str
-    order: str
+    order: OperatorOrder
     accepted: bool
     refusal: str | None = None
     detail: str = ""
@@ -386,8 +306,8 @@ class TruthRecord(Struct, frozen=True, omit_defaults=True):
     """The true pose of the pad, known only to a simulator or motion capture."""
 
     at_ns: Instant
-    d_body_pad_level: list[float]
-    v_pad_level: list[float]
+    d_body_pad_level: Vector3
+    v_pad_level: Vector3
     yaw_rad: float
     phase: str | None = None
     """Phase of the flight as the simulated vehicle knows it."""
@@ -396,7 +316,7 @@ class TruthRecord(Struct, frozen=True, omit_defaults=True):
     """True attitude of the vehicle, (3, 3) row by row."""
     R_ned_pad: list[float] | None = None
     """True attitude of the pad, (3, 3) row by row."""
-    p_pad_ned: list[float] | None = None
+    p_pad_ned: Vector3 | None = None
     """True place of the pad's centre, (3,) m from the simulator's origin."""
 
 
@@ -453,17 +373,31 @@ class HealthRecord(Struct, frozen=True):
     """Sign that this computer does not keep up, with the cure; empty while it does."""
 
 
-SampleRecord = (
-    ImuRecord
-    | AttitudeRecord
-    | GimbalRecord
-    | VelocityRecord
-    | RangeRecord
-    | BaroRecord
-    | VesselRecord
-    | FixRecord
-    | StatusRecord
-    | MotionRecord
-    | WindRecord
-    | BaselineRecord
-)
+_LISTS = {Stamp: StampRecord, Rotation: list[float], F64: list[float]}
+"""The types of fields of samples that are lists in a record."""
+_FOUND_LATER = "gyro_lost_s", "accel_lost_s"
+"""Fields that the estimator fills, and no driver."""
+
+
+def _record_of(sample: type[Sample], name: str) -> type[Struct]:
+    """Return the record of a kind of sample, with the sample's own fields; one that may be None is left out then."""
+    members: list[tuple[str, Any] | tuple[str, Any, Any]] = []
+    for one in structs.fields(sample):
+        optional = None in get_args(one.type) or NoneType in get_args(one.type)
+        given = next((kind for kind in get_args(one.type) if kind is not NoneType), one.type) if optional else one.type
+        kind = _LISTS.get(given, str if get_origin(given) is Literal else given)
+        if optional:
+            members.append((one.name, kind | None, None))
+        elif one.default is NODEFAULT or kind is not given:
+            members.append((one.name, kind))
+        elif one.name not in _FOUND_LATER:
+            members.append((one.name, kind, one.default))
+    return defstruct(f"{name.capitalize()}Record", members, frozen=True, omit_defaults=True, module=__name__)
+
+
+_OTHERWISE: dict[type[Sample], type[Struct]] = {Attitude: AttitudeRecord, GeoFix: FixRecord, VehicleStatus: StatusRecord}
+"""Kinds of samples that viewers read in other units or another order."""
+SAMPLES: dict[type[Sample], type[Struct]] = {
+    kind: _OTHERWISE.get(kind) or _record_of(kind, SOURCES[kind]) for kind in get_args(Sample)
+}
+"""The record of each kind of sample."""

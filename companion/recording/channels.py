@@ -13,7 +13,7 @@ from msgspec import inspect
 from companion.facts import records as rec
 from companion.recording import foxglove as fox
 from companion.recording.foxglove import SceneUpdate
-from estimator.contracts.estimates import PathName, Source
+from estimator.contracts.estimates import SOURCES, PathName, Source
 from estimator.contracts.samples import Sample
 
 SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"
@@ -47,14 +47,10 @@ def pose(path: str) -> str:
     return f"/pose/{path}"
 
 
-_SAMPLE_NAMES = (
-    *("imu", "attitude", "gimbal", "velocity", "range", "baro", "vessel", "fix", "status"),
-    *("motion", "wind", "baseline"),
-)
-SAMPLES: dict[type[Sample], str] = {kind: f"/sample/{name}" for kind, name in zip(get_args(Sample), _SAMPLE_NAMES, strict=True)}
-"""The topic of each kind of sample, in the order of `SampleRecord`."""
+SAMPLES: dict[type[Sample], str] = {kind: f"/sample/{SOURCES[kind]}" for kind in rec.SAMPLES}
+"""The topic of each kind of sample."""
 TOPICS: dict[str, type[msgspec.Struct]] = {
-    **dict(zip(SAMPLES.values(), get_args(rec.SampleRecord), strict=True)),
+    **{SAMPLES[kind]: record for kind, record in rec.SAMPLES.items()},
     DETECTION: rec.DetectionRecord,
     **{belief(path): rec.BeliefRecord for path in PATHS},
     **{fusion(source): rec.FusionRecord for source in get_args(Source)},
@@ -112,7 +108,7 @@ def _schema(of: inspect.Type) -> dict[str, Any]:
                 return _schema(kinds[0])
         case inspect.BytesType():
             return {"type": "string", "contentEncoding": "base64"}
-        case inspect.StrType():
+        case inspect.StrType() | inspect.LiteralType() | inspect.EnumType():
             return {"type": "string"}
         case inspect.BoolType():
             return {"type": "boolean"}

@@ -2,42 +2,32 @@
 
 import math
 from types import MappingProxyType
-from typing import Any, Literal, cast, get_args
+from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
-from companion.base.observer import DeckOutlook, FrameTimes, ResponseInUse, ResponseState, TiltShape
+from companion.base.observer import DeckOutlook, FrameTimes, ResponseInUse, TiltShape
 from companion.facts import records as rec
 from companion.facts.encode import COMMANDS
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
-from estimator.contracts.estimates import (
-    FusionResult,
-    IntegrityAlert,
-    Method,
-    PathName,
-    Pose6,
-    RelativeState,
-    Sighting,
-    Source,
-    Verdict,
-)
+from estimator.contracts.estimates import FusionResult, IntegrityAlert, Pose6, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, GeoPoint, Rotation
 from estimator.contracts.samples import Attitude, GeoFix, Sample
-from estimator.contracts.time import MonoNs, Stamp, StampSource
+from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
 
-_SAMPLES: dict[type[rec.SampleRecord], type[Sample]] = dict(zip(get_args(rec.SampleRecord), get_args(Sample), strict=True))
+_SAMPLES = {record: kind for kind, record in rec.SAMPLES.items()}
 
 
-def sample(of: rec.SampleRecord) -> Sample:
+def sample(of: Struct) -> Sample:
     """Return the sample of a record. Raises ValueError if the sample does not accept its numbers."""
     if isinstance(of, rec.AttitudeRecord):
         return attitude(of)
     if isinstance(of, rec.FixRecord):
         place = GeoPoint.of_degrees(of.latitude_deg, of.longitude_deg, of.height_m)
-        v = None if of.v_ned is None else _vector(of.v_ned)
-        return GeoFix(stamp(of.stamp), cast("Literal['vehicle', 'vessel']", of.whose), place, of.sigma_m, v)
+        return GeoFix(stamp(of.stamp), of.whose, place, of.sigma_m, None if of.v_ned is None else np.array(of.v_ned))
     return _SAMPLES[type(of)](**{name: _value(name, getattr(of, name)) for name in of.__struct_fields__})
 
 
@@ -49,18 +39,12 @@ def _value(name: str, value: Any) -> Any:
         return value
     if name.startswith("R_"):
         return Rotation(_matrix(value, 3))
-    return _matrix(value, 3) if name.startswith("cov_") else _vector(value)
+    return _matrix(value, 3) if name.startswith("cov_") else np.array(value)
 
 
 def stamp(of: rec.StampRecord) -> Stamp:
-    """Return the stamp of a record.
-
-    Raises:
-        ValueError: the source of the stamp is unknown.
-    """
-    if of.source not in get_args(StampSource):
-        raise ValueError(f"no such source of a stamp: {of.source!r}")
-    return Stamp(MonoNs(of.measured_at_ns), MonoNs(of.received_at_ns), of.sigma_s, cast("StampSource", of.source))
+    """Return the stamp of a record."""
+    return Stamp(MonoNs(of.measured_at_ns), MonoNs(of.received_at_ns), of.sigma_s, of.source)
 
 
 def attitude(of: rec.AttitudeRecord) -> Attitude:
@@ -78,19 +62,12 @@ def detection(of: rec.DetectionRecord) -> Detection | None:
         found: rec.SightingRecord | None = getattr(of, name)
         return None if found is None else sighting(found, t, of.seq)
 
-    methods = {_method(name): seen(name) for name in of.tried}
-    chosen = None if of.chosen is None else _method(of.chosen)
     on_pad = None if of.on_pad is None else _pad_check(of.on_pad)
-    return Detection(
-        seen("selected"), chosen, MappingProxyType(methods), elsewhere=seen("elsewhere"), on_pad=on_pad, unfinished=of.unfinished
-    )
+    methods = MappingProxyType({name: seen(name) for name in of.tried})
+    return Detection(seen("selected"), of.chosen, methods, elsewhere=seen("elsewhere"), on_pad=on_pad, unfinished=of.unfinished)
 
 
 def _pad_check(of: rec.PadCheckRecord) -> PadCheck:
-    if of.thing is not None and len(of.thing) != 3:
-        raise ValueError(f"a thing on the pad has width and place, got {len(of.thing)} numbers")
-    if of.near is not None and len(of.near) != 3:
-        raise ValueError(f"a thing about the pad has place and height, got {len(of.near)} numbers")
     thing, near = (None if of.thing is None else PadThing(*of.thing)), (None if of.near is None else NearThing(*of.near))
     return PadCheck(MonoNs(of.at_ns), of.seen, thing, near, of.glare)
 
@@ -101,39 +78,27 @@ def frame_times(of: rec.DetectionRecord) -> FrameTimes | None:
     return None if t is None else FrameTimes(t.decode_s, t.wait_s, t.look_s, t.filter_s)
 
 
-def _method(name: str) -> Method:
-    if name not in get_args(Method):
-        raise ValueError(f"no such method of vision: {name!r}")
-    return cast("Method", name)
-
-
 def sighting(of: rec.SightingRecord, t: Stamp, seq: int) -> Sighting:
     """Return the sighting of a record, at the stamp and with the number of its frame.
 
     Raises:
-        ValueError: the method is unknown, or a matrix has a wrong number of elements.
+        ValueError: a matrix has a wrong number of elements.
     """
     pose6 = None
     if of.pose6 is not None:
         p = of.pose6
-        pose6 = Pose6(_vector(p.d_body_pad_level), Rotation(_matrix(p.R_level_pad, 3)), _matrix(p.cov, 6))
-    d, cov = _vector(of.d_body_pad_level), _matrix(of.cov, 4)
-    return Sighting(t, seq, _method(of.method), d, of.yaw_rad, of.yaw_ambiguous, cov, of.confidence, pose6)
+        pose6 = Pose6(np.array(p.d_body_pad_level), Rotation(_matrix(p.R_level_pad, 3)), _matrix(p.cov, 6))
+    d, cov = np.array(of.d_body_pad_level), _matrix(of.cov, 4)
+    return Sighting(t, seq, of.method, d, of.yaw_rad, of.yaw_ambiguous, cov, of.confidence, pose6)
 
 
 def belief(of: rec.BeliefRecord) -> RelativeState:
-    """Return the estimate of a record.
-
-    Raises:
-        ValueError: the path or an alert is unknown, or a matrix has a wrong number of elements.
-    """
-    if of.path not in get_args(PathName):
-        raise ValueError(f"no such estimator path: {of.path!r}")
+    """Return the estimate of a record. Raises ValueError if an alert is unknown."""
     return RelativeState(
         MonoNs(of.at_ns),
-        cast("PathName", of.path),
-        _vector(of.d_body_pad_level),
-        _vector(of.v_pad_level),
+        of.path,
+        np.array(of.d_body_pad_level),
+        np.array(of.v_pad_level),
         of.yaw_rad,
         _matrix(of.cov, 7),
         MonoNs(of.sighted_ns),
@@ -146,18 +111,14 @@ def belief(of: rec.BeliefRecord) -> RelativeState:
 
 
 def fusion(of: rec.FusionRecord) -> FusionResult:
-    """Return the result of a record. Raises ValueError if names or shapes are not those of a result."""
-    if of.path not in get_args(PathName):
-        raise ValueError(f"no such estimator path: {of.path!r}")
-    if of.source not in get_args(Source):
-        raise ValueError(f"no such source of measurements: {of.source!r}")
+    """Return the result of a record. Raises ValueError if it has not a number for each component."""
     m = len(of.components)
     if of.innovation is not None and len(of.innovation) != m:
         raise ValueError(f"an innovation of {m} components has {m} numbers, got {len(of.innovation)}")
     return FusionResult(
-        cast("PathName", of.path),
-        cast("Source", of.source),
-        Verdict(of.verdict),
+        of.path,
+        of.source,
+        of.verdict,
         MonoNs(of.measured_at_ns),
         MonoNs(of.received_at_ns),
         None if of.innovation is None else np.array(of.innovation, dtype=float),
@@ -181,7 +142,7 @@ def command(of: rec.DecisionRecord) -> Command | None:
         return None
     kind = {name: kind for kind, name in COMMANDS.items()}.get(of.command)
     if kind is Velocity and of.v_level is not None and of.yaw_rate_rad_s is not None:
-        return Velocity(_vector(of.v_level), of.yaw_rate_rad_s)
+        return Velocity(np.array(of.v_level), of.yaw_rate_rad_s)
     if kind is Lean and None not in (of.a_level, of.trim_level, of.v_level, of.yaw_rate_rad_s):
         return Lean(np.array(of.a_level), np.array(of.trim_level), np.array(of.v_level), float(of.yaw_rate_rad_s or 0.0))
     for simple in (Hover, TakeOff, Land, CutMotors, LeaveEmergency):
@@ -191,11 +152,11 @@ def command(of: rec.DecisionRecord) -> Command | None:
 
 
 def response(of: rec.ResponseRecord | None) -> ResponseInUse | None:
-    """Return a recorded response of the vehicle. Raises ValueError if there is no such state."""
+    """Return a recorded response of the vehicle."""
     if of is None:
         return None
     shape = TiltShape(of.frequency, of.damping, of.softer, of.sigma)
-    return ResponseInUse(ResponseState(of.state), of.delay_s, of.sigma_s, of.longer_s, shape)
+    return ResponseInUse(of.state, of.delay_s, of.sigma_s, of.longer_s, shape)
 
 
 def deck(of: rec.DeckRecord | None, at: MonoNs) -> DeckOutlook | None:
@@ -224,21 +185,11 @@ def transition(of: rec.TransitionRecord) -> StateChange:
 
 def truth(of: rec.TruthRecord) -> None:
     """Check a record of truth. Raises ValueError if its numbers are not valid."""
-    _vector(of.d_body_pad_level)
-    _vector(of.v_pad_level)
-    if of.p_pad_ned is not None:
-        _vector(of.p_pad_ned)
     for rows in (of.R_ned_body, of.R_ned_pad):
         if rows is not None:
             Rotation(_matrix(rows, 3))
     if not -math.pi < of.yaw_rad <= math.pi:
         raise ValueError(f"the true heading must lie in (-pi, pi], got {of.yaw_rad}")
-
-
-def _vector(numbers: list[float]) -> F64:
-    if len(numbers) != 3:
-        raise ValueError(f"a vector has 3 numbers, got {len(numbers)}")
-    return np.array(numbers, dtype=float)
 
 
 def _matrix(numbers: list[float], n: int) -> F64:

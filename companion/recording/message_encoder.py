@@ -129,7 +129,7 @@ class MessageEncoder:
             if detection.selected is not None:
                 forward, right, down = detection.selected.d_body_pad_level
                 where = f"{detection.chosen}: {forward:.2f} forward, {right:.2f} right, {down:.2f} m down"
-            yield channels.ANNOTATIONS, t, fox.image_annotations(exposed_at, features, f"{record.verdict}  {where}")
+            yield channels.ANNOTATIONS, t, fox.image_annotations(exposed_at, features, f"{record.verdict.value}  {where}")
 
     def _decision(self, t: int, decision: Decision) -> Iterator[Message]:
         if self._repeated is None or seconds_between(self._repeated, decision.at) >= _REPEAT_S:

@@ -37,7 +37,7 @@ from companion.settings.load import Settings, from_file
 from drivers.camera import images
 from drivers.files import Largest, opened
 from estimator.contracts.errors import BadInput, refused
-from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
@@ -191,8 +191,7 @@ class RecordedFrame(Struct, frozen=True, eq=False):
         return None if self.record.attitude is None else decode.attitude(self.record.attitude)
 
     def check(self) -> None:
-        """Check the frame and its detection. Raises ValueError if numbers or names are not valid."""
-        Verdict(self.record.verdict)
+        """Check the frame and its detection. Raises ValueError if numbers are not valid."""
         _ = self.stamp, self.attitude, self.detection(), self.R_body_cam
 
     def detection(self) -> Detection | None:
@@ -441,13 +440,10 @@ class EventAssembly:
             case rec.FusionRecord():
                 decode.fusion(message)
                 return message
-            case rec.OrderRecord():
-                encode.handled(message)
-                return message
-            case rec.LinkRecord() | rec.HealthRecord():
+            case rec.OrderRecord() | rec.LinkRecord() | rec.HealthRecord():
                 return message
             case _:
-                return decode.sample(cast(rec.SampleRecord, message))
+                return decode.sample(message)
 
     def _decision(self, message: rec.DecisionRecord) -> Decision:
         beliefs, self._beliefs = [b for b in self._beliefs if b.at == message.at_ns], []

@@ -320,7 +320,7 @@ Source = Literal[
     "imu", "attitude", "gimbal", "velocity", "range", "baro", "vessel", "fix", "status", "motion", "wind", "baseline", "sighting"
 ]  # fmt: skip
 
-_SOURCES: dict[type[Sample] | type[Sighting], Source] = {
+SOURCES: dict[type[Sample] | type[Sighting], Source] = {
     Imu: "imu",
     Attitude: "attitude",
     GimbalAttitude: "gimbal",
@@ -391,7 +391,7 @@ def source_of(event: Sample | Sighting) -> Source:
         TypeError: the object is no measurement.
     """
     try:
-        return _SOURCES[type(event)]
+        return SOURCES[type(event)]
     except KeyError:
         raise TypeError(f"a measurement is a sample or a sighting, not {type(event).__name__}") from None
 

@@ -14,18 +14,7 @@ from msgspec import Struct, field
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.flight.hands import Decides, HandsWatch, descent_m, heights_m
-from sitl.flight.limits import (
-    AWAY_M,
-    ENDING,
-    KNEE_M,
-    LOW_M,
-    ON_DECK_M,
-    OURS,
-    STOPS_S,
-    CountLimit,
-    Errand,
-    limits_of,
-)
+from sitl.flight.limits import AWAY_M, ENDING, KNEE_M, LOW_M, ON_DECK_M, OURS, STOPS_S, CountLimit, Errand, limits_of
 from sitl.vehicle.airframe import Airframe, ContactSettings, Feet
 from sitl.vehicle.vehicle import MOTORS_TURN, VehiclePhase
 from sitl.vessel.contact import DeckShape

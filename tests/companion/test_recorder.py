@@ -83,7 +83,7 @@ def test_everything_reported_reads_back_the_same_to_the_bit(png_flight):
     frames = [e for e in events if isinstance(e, RecordedFrame)]
     assert len(frames) == len(reported.frames) > 20
     for read, seen in zip(frames, reported.frames, strict=True):
-        assert read.record.verdict == seen.verdict.value
+        assert read.record.verdict is seen.verdict
         assert same_bits(read.attitude, seen.attitude)
         back = read.frame((640, 360))
         assert same_bits(back, seen.frame)

@@ -450,11 +450,9 @@ def test_the_log_of_a_recording_is_that_of_the_flight(flights: list[Path]) -> No
     assert contact.on_pad
     assert np.hypot(*contact.p_pad_m) == pytest.approx(contact.lateral_m, abs=0.02)
     assert contact.lateral_m == log.touchdown.lateral_m
-    ahead = {round(seconds_between(one.made_at, one.at), 3) for one in log.decks}
-    assert ahead == {0.0, 1.0, 2.0}
+    assert {round(seconds_between(one.made_at, one.at), 3) for one in log.decks} == {0.0, 1.0, 2.0}
     assert all(one.p_pad_ned is not None and one.R_ned_pad is not None for one in log.truth)
-    first, last = log.truth[0], log.truth[-1]
-    assert seconds_between(first.at, last.at) > 5.0
+    assert seconds_between(log.truth[0].at, log.truth[-1].at) > 5.0
     assert sum(log.verdicts.values()) == len(log.frames)
     assert [change.target.name for change in log.transitions][-1] in ("DOWN", "LANDED")
 
@@ -488,10 +486,9 @@ def test_two_flights_are_laid_over_each_other_from_where_their_landings_began(fl
         assert any(abs(when) < 1e-3 for when, _ in data["flights"]["AB".index(name)]["phases"]), "a phase begins at zero"
     assert {mark["label"] for mark in data["views"][0]["marks"]} == {"A1", "B1"}
     assert "A landed, B landed" in text
-    rows = re.findall(
+    (row,) = re.findall(
         r"<tr><td>off centre at touchdown</td><td>([\d.]+) cm</td><td>([\d.]+) cm</td><td>([-+][\d.]+) cm</td>", text
     )
-    (row,) = rows
     assert float(row[1]) - float(row[0]) == pytest.approx(float(row[2]), abs=0.011)
     assert "<td>guidance.cone.gate_height_m</td>" in text, "the settings that differ"
     assert text.count("<td>guidance.") == 1

@@ -31,7 +31,7 @@ from companion.recording.reading import Event, RecordedFrame, Recording, instant
 from companion.settings.load import Settings, load
 from drivers.clock import SetClock
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import PathName, Sighting, Verdict
+from estimator.contracts.estimates import PathName, Sighting
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.vision.detection import Detection
@@ -165,7 +165,7 @@ class Replay:
         if kept is None and (self._sightings or (recorded.record.width, recorded.record.height) == size):
             self.counts.as_recorded += 1
             seen = self._recorded_detection(recorded)
-            begun = self._cycle.known(frame, began, Verdict(recorded.record.verdict), attitude)
+            begun = self._cycle.known(frame, began, recorded.record.verdict, attitude)
         else:
             begun = self._cycle.begin(frame, began, attitude)
             self.counts.searched += begun.look is not None and begun.follows is None

@@ -22,7 +22,7 @@ from companion.tools.report.overlay import less_innovation
 from companion.tools.report.page import Report
 from drivers.files import Largest, opened
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import Feature, FeatureKind, FusionResult, PathName, RelativeState, Verdict
+from estimator.contracts.estimates import Feature, FeatureKind, FusionResult, PathName, RelativeState
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
@@ -152,7 +152,7 @@ def _add_frame(
     compared: dict[tuple[str, MonoNs], FusionResult],
     features: dict[str, tuple[Feature, ...]],
 ) -> None:
-    verdict, at = Verdict(frame.record.verdict), frame.stamp.measured_at
+    verdict, at = frame.record.verdict, frame.stamp.measured_at
     attitude, detection = frame.attitude, frame.detection()
     level = None if attitude is None else attitude.R_ned_body.without_heading()
     place: F64 | None = None
