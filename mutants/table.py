@@ -119,6 +119,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "sitl/flight/limits.py": ("tests/sitl/test_referee.py",),
     "sitl/flight/referee.py": ("tests/sitl/test_referee.py",),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_custody.py", _STREAMER),
+    "drivers/ardrone/landing_watch.py": ("tests/drivers/test_custody.py", _STREAMER),
     "drivers/ardrone/velocity_loop.py": ("tests/drivers/test_custody.py", _STREAMER),
     "drivers/ardrone/custody.py": ("tests/drivers/test_custody.py", _STREAMER),
     "drivers/mavlink/setpoint_streamer.py": (

@@ -7,98 +7,16 @@ Without a service a drone that is low climbs before it hovers, because a deck in
 and drags it along. It climbs by its own ultrasound; a drone that was being steered and does not report its height climbs by
 time. Both end: an ultrasound that reads one value for ever is not believed beyond twice the height.
 
-The firmware lands a drone that has received no command for a while, over deck or water alike. A service that comes back calls
-such a landing off (`LandingWatch`); it never calls off one that a person, a low battery or a fault began. Near the ground no
-landing is called off: the bit that calls it off starts the motors of a drone that has touched down in the meantime.
-
-A service sends its orders to the sender as lines of JSON over a stream socket; the sender answers each command of a period with
-`UP`.
+The firmware lands a drone that has received no command for a while. A service that comes back calls such a landing off
+(`LandingWatch`).
 """
 
-import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 
-from msgspec import Struct, json
-
-from drivers.ardrone.at import REF_BASE, REF_TAKE_OFF, AtCommand, ComWdg, Pcmd, Ref, arguments
+from drivers.ardrone.at import REF_BASE, REF_TAKE_OFF, AtCommand, ComWdg, Pcmd, Ref
+from drivers.ardrone.landing_watch import FRESH_S, LandingWatch
 from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from estimator.contracts.time import MonoNs, seconds_between
-
-GAP_S = 1.0
-"""Navdata gap, or time without received commands by the drone's report, after which a landing can have begun for our silence.
-
-Somebody else began any other landing, and the drone received the commands for it.
-"""
-FRESH_S = 0.2
-"""A report older than this is no evidence that the drone is still in the air."""
-SILENT_ABOVE_M = 0.5
-"""An unordered landing, or one that guidance no longer requests, is called off above this height and finished below it."""
-ORDERED_ABOVE_M = 0.15
-"""A landing that guidance takes back by another command is called off above this height."""
-_UNHEARD = NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST
-_NOT_FOR_SILENCE = (
-    NavdataState.BATTERY_LOW
-    | NavdataState.USER_EMERGENCY
-    | NavdataState.MOTOR_PROBLEM
-    | NavdataState.CUTOUT
-    | NavdataState.ANGLES_OUT_OF_RANGE
-    | NavdataState.EMERGENCY
-)
-
-
-class Cause(Enum):
-    """The party that began the present landing."""
-
-    OURS = "ours"
-    SILENCE = "silence"
-    """The firmware began the landing, because it received no commands."""
-    OTHERS = "others"
-    """A person, a low battery or a fault began the landing."""
-
-
-class LandingWatch:
-    """Follows the reports and remembers who began the present landing."""
-
-    def __init__(self) -> None:
-        self._newest: tuple[Navdata, MonoNs] | None = None
-        """The newest report, and when it was received."""
-        self._unheard_since: MonoNs | None = None
-        """The first of the newest reports that all say that the drone receives no commands; None if the newest does not."""
-        self.cause: Cause | None = None
-        """The cause of the present landing; None while the drone is not landing."""
-
-    def on_report(self, report: Navdata, now: MonoNs, *, ordered: bool) -> None:
-        """Take the newest report; `ordered` says whether we are asking the drone to land."""
-        gap = self._newest is None or seconds_between(self._newest[1], now) > GAP_S
-        self._newest = report, now
-        if not report.state & _UNHEARD:
-            self._unheard_since = None
-        elif self._unheard_since is None:
-            self._unheard_since = now
-        if report.control_state is None:
-            return
-        if not (report.flying and report.control_state is ControlState.LANDING):
-            self.cause = None
-        elif self.cause is None:
-            silent = self._unheard_since is not None and (gap or seconds_between(self._unheard_since, now) > GAP_S)
-            if ordered:
-                self.cause = Cause.OURS
-            elif silent and not report.state & _NOT_FOR_SILENCE:
-                self.cause = Cause.SILENCE
-            else:
-                self.cause = Cause.OTHERS
-
-    def calls_off(self, now: MonoNs, above_m: float = SILENT_ABOVE_M) -> bool:
-        """Return whether the present landing, which guidance does not request, is to be called off at this height."""
-        if self._newest is None or self.cause not in (Cause.OURS, Cause.SILENCE):
-            return False
-        report, received_at = self._newest
-        if report.state & _NOT_FOR_SILENCE or seconds_between(received_at, now) > FRESH_S or report.altitude_m is None:
-            return False
-        return report.altitude_m >= above_m
-
 
 HOVER = Pcmd(0, 0.0, 0.0, 0.0, 0.0)
 STAY_UP = REF_BASE | REF_TAKE_OFF
@@ -234,73 +152,3 @@ class CommandArbiter:
         self._lost = True
         if self.latest is not None:
             self.latest = replace(self.latest, until=min(self.latest.until, MonoNs(now - 1)))
-
-
-LINE_MAX = 1 << 16
-UP = b"up"
-"""The line of a sender that runs."""
-BUSY = b"busy"
-"""The line of a sender that ends at once, because another service, which is alive, flies this drone."""
-
-TextCommand = tuple[str, str]
-"""A command as text: its name, and its arguments as they follow the sequence number."""
-
-
-class SenderOptions(Struct, frozen=True):
-    """The options that the service gives its sender at the start, as JSON on its command line."""
-
-    host: str
-    at_port: int
-    navdata_port: int
-    period_s: float
-    hold_s: float
-    climb_m_s: float
-    on_service_lost: tuple[TextCommand, ...] = ()
-    """The commands that are sent once the service is gone or silent."""
-    on_service_back: tuple[TextCommand, ...] = ()
-    """The commands that undo `on_service_lost`; they are sent when the service is back, or the drone is on the ground."""
-    replaces: bool = False
-    """True if an earlier sender of the same service flew the drone, which waits for commands while this one starts."""
-
-    @property
-    def name(self) -> str:
-        """The name of the abstract socket of the process that sends to this drone: one for each user, host and port."""
-        return f"\0decklander-sender/{os.getuid()}/{self.host}:{self.at_port}"
-
-    @property
-    def marked(self) -> str:
-        """The name of the abstract socket by which a service marks this drone as the one that it flies."""
-        return f"\0decklander-service/{os.getuid()}/{self.host}:{self.at_port}"
-
-
-class SenderOrder(Struct, frozen=True, omit_defaults=True):
-    """One line of the service: at most one of the fields is set, `until` beside `commands`."""
-
-    latest: TimedCommand | None = None
-    """The command of the period."""
-    commands: tuple[TextCommand, ...] = ()
-    """Further commands."""
-    until: MonoNs | None = None
-    """The instant after which `commands` are dropped."""
-    reopen: bool = False
-    """Open the AT socket again, which then takes this host's present address."""
-    end: TimedCommand | None = None
-    """The final command, after which the sender ends."""
-
-
-def as_text(commands: Sequence[AtCommand]) -> tuple[TextCommand, ...]:
-    """Return the commands as text.
-
-    Raises:
-        ValueError: an argument cannot be encoded.
-    """
-    return tuple((command.NAME, arguments(command)) for command in commands)
-
-
-def pack(order: SenderOrder) -> bytes:
-    """Return an order as it is sent."""
-    return json.encode(order) + b"\n"
-
-
-order_of = json.Decoder(SenderOrder).decode
-"""Parse a line of the service; raises `msgspec.DecodeError`."""

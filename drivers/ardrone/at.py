@@ -17,7 +17,9 @@ from drivers.ardrone.counters import Refusal
 REF_BASE = 0x11540000
 """Bits 18, 20, 22, 24, 28, which are always set. A flying drone lands when REF comes without `REF_TAKE_OFF`."""
 REF_TAKE_OFF = 1 << 9
+"""Bit of REF that keeps the drone in the air, and starts its motors if it is on the ground."""
 REF_EMERGENCY = 1 << 8
+"""Bit of REF whose rising edge toggles the emergency state."""
 PCMD_PROGRESSIVE = 1
 """Fly by the sticks; without it the drone holds its place by itself."""
 CTRL_CONFIGURATION = 4
@@ -25,6 +27,7 @@ CTRL_CONFIGURATION = 4
 CTRL_ACK = 5
 """Clear the command acknowledge bit of navdata."""
 CTRL_CUSTOM_IDS = 6
+"""Mode of a CTRL command that lists the identifiers of sessions, users and applications."""
 DATAGRAM_MAX = 1024
 """The size of the drone's buffer for one datagram of commands, bytes."""
 
@@ -36,6 +39,8 @@ Int = Annotated[int, _INT]
 Float = Annotated[float, _FLOAT]
 Text = Annotated[str, _TEXT]
 MaybeInt = Annotated[int | None, _MAYBE_INT]
+_DIGITS_MOST = 10
+"""Number of digits of the longest argument, 4294967295."""
 
 
 class Ref(Struct, frozen=True):
@@ -166,7 +171,6 @@ _START = b"AT*"
 _COMMAND = re.compile(rb"AT\*([A-Z_]{2,16})=(\d{1,10})(?:,(.*))?", re.DOTALL)
 _ARGUMENTS = re.compile(rb'"[^"]*"|[^,"]*')
 _SINGLE, _BITS, _SIGNED_BITS = struct.Struct("<f"), struct.Struct("<I"), struct.Struct("<i")
-_DIGITS_MOST = 10
 _CLEAN_TEXT = re.compile(r'[^"\x00-\x1f\x7f]*')
 
 

@@ -16,19 +16,21 @@ from typing import Self
 import msgspec
 
 import drivers
-from drivers.ardrone.arbiter import BUSY, HOVER, LINE_MAX, STAY_UP, SenderOptions, SenderOrder, TimedCommand, as_text, pack
+from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
 from drivers.ardrone.at import AtCommand, encode
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.sender_lock import mark
+from drivers.ardrone.sender_wire import BUSY, READ_MAX, SenderOptions, SenderOrder, as_text, pack
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 
 _COMMANDS_S = 0.5
 """Further commands, those passed to `SenderClient.send`, are dropped when they have waited this long."""
 _READY_S = 5.0
+"""A new sender that has not sent its first status for this long is replaced."""
 _SILENT_S = 0.1
 """A sender answers each command with its status; if none arrives for this long, hover is sent to the drone directly."""
 _SILENT_PERIODS = 3.5
@@ -36,9 +38,11 @@ _SILENT_PERIODS = 3.5
 _STUCK_S = 0.5
 """A sender that has not sent its status for this long is replaced."""
 _END_S = 2.0
+"""Time that a sender gets to end by itself before it is killed."""
 _GONE_S = 0.02
 """A process whose socket has closed needs this long to end."""
 _BURST = 3
+"""Number of datagrams that repeat a hover sent directly, as one may be lost."""
 _LEFT: list[subprocess.Popen[bytes]] = []
 """The senders that were left to a successor and may have ended since."""
 _START = "import sys; sys.path += sys.argv[1:3]; from drivers.ardrone.sender import main; sys.exit(main(sys.argv[3:]))"
@@ -176,7 +180,7 @@ class SenderClient:
 
     def _read(self) -> None:
         try:
-            output = self._socket.recv(LINE_MAX)
+            output = self._socket.recv(READ_MAX)
         except BlockingIOError:
             return
         except OSError:

@@ -20,14 +20,27 @@ from types import MappingProxyType
 
 from msgspec import Struct
 
-from drivers.ardrone.arbiter import FRESH_S, HOVER, ORDERED_ABOVE_M, SILENT_ABOVE_M, STAY_UP, Cause, LandingWatch, TimedCommand
+from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
 from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, Pcmd
+from drivers.ardrone.landing_watch import FRESH_S, ORDERED_ABOVE_M, SILENT_ABOVE_M, Cause, LandingWatch
 from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import VelocityLoop
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.time import MonoNs, after, seconds_between
 from estimator.contracts.total_table import total
+
+_TOGGLE_PERIODS = 3
+"""The drone acts on the rising edge; three periods survive a lost datagram."""
+_CUT_AGAIN_S = 0.3
+"""Time after which the emergency bit is sent again to a drone that reports, later than that, that it still flies."""
+_CUT_SILENT_S = 1.0
+"""Silence of the drone after which the emergency bit is sent again."""
+_TOGGLE_S = 2.0
+"""Time after which the emergency bit is sent again in all other cases, as a toggle that is only late would be undone by another
+one. A second one never starts motors that the first has stopped: no take-off bit goes with it."""
+_ORDER_LATE_S = 0.5
+"""Time after our order to land in which a landing is our own: order and report are under way."""
 
 
 class Custody(Enum):
@@ -106,16 +119,6 @@ _REF: Mapping[Custody, int | None] = MappingProxyType({
 Beyond a take-off the take-off bit needs a fresh report that the drone flies; `CALLED_OFF` and `SILENCED` need their height too.
 """
 
-_TOGGLE_PERIODS = 3
-"""The drone acts on the rising edge; three periods survive a lost datagram."""
-_CUT_AGAIN_S, _CUT_UNHEARD_S, _TOGGLE_S = 0.3, 1.0, 2.0
-"""Time after which the emergency bit is sent again: if the drone reports later than that that it still flies; while it is silent;
-and in all other cases, as a toggle that is only late would be undone by another one.
-
-A second one never starts motors that the first has stopped: no take-off bit goes with it.
-"""
-_ORDER_LATE_S = 0.5
-"""Time after our order to land in which a landing is our own: order and report are under way."""
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, None)
 _NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LANDED)
 DEAD_OR_CUT = (Custody.CUT, Custody.DEAD, Custody.LEAVING)
@@ -268,7 +271,7 @@ class CustodyKeeper:
             return True
         toggled_at, cuts = self._toggled[0], self.state is Custody.CUT
         heard_at = toggled_at if self._heard is None else max(self._heard, toggled_at)
-        if cuts and seconds_between(heard_at, now) > _CUT_UNHEARD_S:
+        if cuts and seconds_between(heard_at, now) > _CUT_SILENT_S:
             return True
         again_s = _CUT_AGAIN_S if cuts and self._report is not None and self._report.flying else _TOGGLE_S
         return seconds_between(toggled_at, heard_at) >= again_s

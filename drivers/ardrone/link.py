@@ -32,7 +32,9 @@ from estimator.contracts.samples import SAMPLE_QUEUE_ITEMS, Frame, Sample, Vehic
 from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
 
 _READ = 1 << 16
+"""Bytes of the video stream that are read at once."""
 _MS = 1_000_000
+"""Nanoseconds of a millisecond, the unit of the stream's timestamps."""
 OPENING = b"\x01\x00\x00\x00"
 """The datagram that requests the video; it is sent again when there is none."""
 P264 = (
@@ -40,6 +42,7 @@ P264 = (
     'set video:video_codec to 32 (UVLC), as vehicle.model = "1.0" does, and end whatever else configures the drone'
 )
 _NUMBERS = 1 << 32
+"""Frame numbers are counted modulo this number."""
 _LATE = 64
 """A picture that is up to this many counts older than the newest one arrived late; one that is older comes from a drone that has
 restarted."""

@@ -18,11 +18,17 @@ from msgspec import Struct
 from drivers.ardrone.counters import Refusal
 
 MAGIC = 0x55667788
+"""First word of a navdata datagram."""
 CHECKSUM_TAG = 0xFFFF
+"""Tag of the last option, which holds the sum of the bytes before it."""
 _HEADER = struct.Struct("<IIII")
 _OPTION_HEADER = struct.Struct("<HH")
 """The tag, and the size in bytes of the whole option with this header."""
 _CHECKSUM = struct.Struct("<HHI")
+_OLD_GPS_BYTES = 8
+"""Size of the body of option 27 of firmware up to 2.3, without GPS."""
+_OUTLINES_MOST = 16
+"""Outlines of datagrams that are kept; one more, and all are dropped."""
 
 
 class NavdataState(IntEnum):
@@ -211,8 +217,6 @@ The letters are those of the `struct` module. Units are in the names; attitudes 
 alone gives; motors count from the front left one clockwise; `time_capture_ms` is plain milliseconds of the drone's clock;
 `vz_mm_s` was 0 in every flight seen.
 """
-_OLD_GPS_BYTES = 8
-"""Size of the body of option 27 of firmware up to 2.3, without GPS."""
 
 
 class OptionLayout:
@@ -253,7 +257,6 @@ class _Outline(NamedTuple):
     """Returns the values of `_READ`."""
 
 
-_OUTLINES_MOST = 16
 _outlines: dict[int, _Outline] = {}
 """The newest good outline by a datagram's size: where it fits, one comparison stands for the walk along the options."""
 

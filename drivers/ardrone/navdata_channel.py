@@ -33,12 +33,19 @@ from estimator.contracts.samples import (
 from estimator.contracts.time import NS_PER_S, Clock, MonoNs, Stamp, after, seconds_between
 
 _M_S2_PER_MG = 1e-3 * G_M_S2
+"""Factor from thousandths of g to m/s^2."""
 _SATELLITES_LEAST = 5
 """Number of satellites below which a place is not taken: four give one without any check."""
 _COMMAND_ACK = int(NavdataState.COMMAND_ACK)
 DEFAULT = ArDroneOptions()
 AS_REPORTED = ArDroneOptions(velocity_scale=1.0, sigma_velocity_fraction=0.2)
 """Options that take velocities as the drone reports them; the covariance covers the uncertainty of their scale."""
+_REORDER = 64
+"""A datagram this far behind the newest was not overtaken on its way: the drone has restarted."""
+_LOOK_S = 0.05
+"""Time between two checks for silence at most; a quarter of the permitted silence if that is shorter."""
+_UNREQUESTED_S = 0.04
+"""Time after which the channel itself takes what nobody requested."""
 
 
 def _of_every_datagram(r: Navdata, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
@@ -198,10 +205,6 @@ Each has a key that changes when the sensor has a new reading; None where the da
 """
 
 
-_REORDER = 64
-"""A datagram this far behind the newest was not overtaken on its way: the drone has restarted."""
-
-
 class SequencePlace(Enum):
     """The place of a datagram in its stream."""
 
@@ -240,9 +243,6 @@ class NavdataOrder:
 
 OPENING = b"\x01\x00\x00\x00"
 """The datagram that requests the unicast stream."""
-_LOOK_S = 0.05
-_UNASKED_S = 0.04
-"""Time after which the channel itself takes what nobody requested."""
 
 
 class NavdataChannel:
@@ -309,7 +309,7 @@ class NavdataChannel:
         while True:
             await self._clock.sleep(min(_LOOK_S, self._o.navdata_silence_s / 4))
             now = self._clock.now()
-            if seconds_between(socket.taken_at, now) >= _UNASKED_S:
+            if seconds_between(socket.taken_at, now) >= _UNREQUESTED_S:
                 socket.take()
             socket.check()
             received_at = max(opened, self.received_at or opened)

@@ -33,11 +33,17 @@ _FIELDS = (
 """The fields of a header behind its magic, in the order of the wire."""
 HEADER_SIZE_MIN = _FIXED.size
 HEADER_SIZE_MAX = 256
+"""The largest header accepted, bytes."""
 PAYLOAD_MAX = 1 << 20
 """The largest payload accepted, bytes; a 720p key frame is below 200 kB, so a larger size means a damaged header."""
 CODEC_H264 = 4
+"""Codec number of H.264."""
 CONTROL_ADVERTISEMENT = 1
+"""Bit of a header that announces a frame; no payload follows."""
 CONTROL_LAST_FRAME = 2
+"""Bit of the last frame of a stream."""
+MAX_PIXELS = 1920 * 1088
+"""The largest frame decoded: 1080p in whole macroblocks."""
 
 
 class FrameType(IntEnum):
@@ -257,9 +263,6 @@ class PaveParser:
     def _move(self, at: int) -> None:
         self._clean = False
         self._at = self._floor = self._searched = at
-
-
-MAX_PIXELS = 1920 * 1088
 
 
 def unit_decoder() -> AccessUnitDecoder:

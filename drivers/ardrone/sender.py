@@ -17,22 +17,12 @@ from contextlib import suppress
 
 import msgspec
 
-from drivers.ardrone.arbiter import (
-    BUSY,
-    HOVER,
-    LINE_MAX,
-    UP,
-    CommandArbiter,
-    SenderOptions,
-    SenderOrder,
-    TextCommand,
-    as_text,
-    order_of,
-)
+from drivers.ardrone.arbiter import HOVER, CommandArbiter
 from drivers.ardrone.at import numbered
 from drivers.ardrone.counters import Refusal
 from drivers.ardrone.navdata import decode
 from drivers.ardrone.sender_lock import claim, yield_to
+from drivers.ardrone.sender_wire import BUSY, READ_MAX, UP, SenderOptions, SenderOrder, TextCommand, as_text, order_of
 from estimator.contracts.time import MonoNs
 
 PARTING = 5
@@ -46,10 +36,12 @@ _ALONE_DATAGRAMS = 5
 """Number of datagrams that repeat the commands for a lost or returned service, as nobody waits for an acknowledgement then."""
 _STATUS_S = 0.02
 """Least time between two statuses; shorter than the usual period, as the service expects a status for each command."""
-_ASK_AGAIN_S = 0.5
+_REQUEST_AGAIN_S = 0.5
+"""Time between two requests for navdata, and between two refusals of one port that belong together."""
 _REFUSED_S = 2.0
 """A port that refuses for so long belongs to a simulated drone that has ended: a real one out of reach does not answer."""
 _NS = 1_000_000_000
+"""Nanoseconds of a second."""
 
 
 class Sender:
@@ -112,7 +104,7 @@ class Sender:
         """Read the service's lines; only its newest command counts, and an expired one is not flown."""
         assert self._service is not None
         try:
-            output = self._service.recv(LINE_MAX)
+            output = self._service.recv(READ_MAX)
         except OSError:
             output = b""
         if not output:
@@ -180,7 +172,7 @@ class Sender:
             self._at.send(b"".join(parts))
         except ConnectionRefusedError:
             now = time.monotonic_ns()
-            if self._refused is None or now - self._refused[1] > _ASK_AGAIN_S * _NS:
+            if self._refused is None or now - self._refused[1] > _REQUEST_AGAIN_S * _NS:
                 self._refused = (now, now)
             self._refused = (self._refused[0], now)
         except BlockingIOError:
@@ -227,7 +219,7 @@ class Sender:
             if self._navdata is None:
                 self._navdata = _connect(self._o.host, self._o.navdata_port)
                 self._asked = 0
-            if now - self._asked > _ASK_AGAIN_S * _NS:
+            if now - self._asked > _REQUEST_AGAIN_S * _NS:
                 self._asked = now
                 self._navdata.send(_NAVDATA_OPENING)
         except OSError:

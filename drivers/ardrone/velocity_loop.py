@@ -31,6 +31,13 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, BodyVelocity, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 
+_HELD_S = 2.0
+"""Time over which a tilt that holds against the wind is averaged, s: gusts are shorter."""
+_LEANS_FAR_M_S2 = G_M_S2 * math.tan(math.radians(20.0))
+"""Acceleration of a lean that no reversal of a tilt passes for long, m/s^2."""
+_LEVELS_M_S = 0.3
+"""Rate of climb that leaves the rotors thrust to turn the drone level, m/s."""
+
 
 class Sticks(Struct, frozen=True):
     """Stick positions, -1..1 with PCMD's signs: roll + right, pitch + backward (nose up), gaz + up, yaw + clockwise."""
@@ -39,10 +46,6 @@ class Sticks(Struct, frozen=True):
     pitch: float = 0.0
     gaz: float = 0.0
     yaw: float = 0.0
-
-
-_HELD_S = 2.0
-"""Time over which a tilt that holds against the wind is averaged, s: gusts are shorter."""
 
 
 class LoopState(Struct, frozen=True):
@@ -142,12 +145,6 @@ def sticks_of(accelerate: F64, descend_m_s: float, yaw_rate_rad_s: float, option
         gaz=unit(-descend_m_s / options.vz_max_m_s),
         yaw=unit(yaw_rate_rad_s / options.yaw_rate_max_rad_s),
     )
-
-
-_LEANS_FAR_M_S2 = G_M_S2 * math.tan(math.radians(20.0))
-"""Acceleration of a lean that no reversal of a tilt passes for long, m/s^2."""
-_LEVELS_M_S = 0.3
-"""Rate of climb that leaves the rotors thrust to turn the drone level, m/s."""
 
 
 def levelling(sticks: Sticks, a_level: F64, options: ArDroneOptions) -> Sticks:

@@ -14,9 +14,10 @@ from msgspec.structs import replace
 
 from drivers.ardrone import at
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.arbiter import CLEAR_M, HOVER, STAY_UP, Cause, CommandArbiter, LandingWatch, TimedCommand
+from drivers.ardrone.arbiter import CLEAR_M, HOVER, STAY_UP, CommandArbiter, TimedCommand
 from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, REF_TAKE_OFF
 from drivers.ardrone.custody import DEAD_OR_CUT, TABLE, Custody, CustodyEvent, CustodyKeeper
+from drivers.ardrone.landing_watch import Cause, LandingWatch
 from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import RESET, LoopState, Sticks, VelocityLoop, held, lean, step

@@ -16,11 +16,12 @@ import pytest
 
 from drivers.ardrone import at, sender_lock
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.arbiter import HOVER, STAY_UP, SenderOptions, SenderOrder, TimedCommand, as_text, order_of, pack
+from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
 from drivers.ardrone.command_channel import SenderClient
 from drivers.ardrone.counters import Refusal
 from drivers.ardrone.link import open_ardrone
 from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.sender_wire import SenderOptions, SenderOrder, as_text, order_of, pack
 from drivers.clock import SystemClock
 from estimator.contracts.commands import TakeOff
 from estimator.contracts.time import MonoNs, after
