@@ -48,7 +48,8 @@ def serve(rig: str, how: str) -> None:
     from companion.guidance.pilot import Pilot
     from companion.parts.mavlink.component import Component
     from drivers.camera import v4l2
-    from drivers.camera.v4l2_device import Buffer, FrameLayout
+    from drivers.camera.v4l2_device import Buffer
+    from drivers.camera.v4l2_frames import FrameLayout
 
     begin_thread, on_frame = threading.Thread._bootstrap_inner, Component.on_frame  # type: ignore[attr-defined]
     ms = list[float]()

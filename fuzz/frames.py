@@ -11,7 +11,7 @@ import numpy as np
 
 from companion.guidance.pilot import tracker
 from companion.settings.load import SHIPPED, load, read_toml
-from drivers.camera.v4l2_device import FrameLayout, H264Decoder, to_bgr
+from drivers.camera.v4l2_frames import FrameLayout, H264Decoder, to_bgr
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame

@@ -26,7 +26,8 @@ from companion.service.daemon import OpenLink, VehicleLink
 from companion.settings.load import camera_model
 from companion.settings.model import Settings, ardrone_options
 from drivers.ardrone.link import open_ardrone
-from drivers.camera.exposure import ExposureDrive, ExposureGovernor
+from drivers.camera.exposure import ExposureDrive
+from drivers.camera.exposure_law import ExposureGovernor
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions, ExposureOptions, Lens, Size, check_size
 from drivers.camera.source import VideoSource

@@ -42,11 +42,16 @@ _FIRST_S = 10.0
 _BEHIND_MOST = 8
 """Number of frames that may be skipped at a time to reach the newest."""
 _PIPE_BYTES = 1 << 20
+"""Size of the pipe from the camera's process, which holds a frame or several."""
 _PADDING_MOST = 256
 """The bytes that may follow the pixels of a row: an image processor aligns rows."""
 log = logging.getLogger(__name__)
 _PREDICTING = re.compile(r"h26[345]|x26[45]|hevc|vp[89]|av1|mpeg[24]|decodebin")
 """Names of codec elements that predict frames from one another, or of any codec."""
+_SET_FRAMES = 12
+"""Frames after which a setting counts as what the camera makes of it: the newest requests that it holds, and its delay."""
+_SAME = 0.05
+"""Part by which a setting may differ from what was wanted: exposures are whole rows, gains a sensor's steps."""
 
 
 class _Library(Struct, frozen=True):
@@ -182,12 +187,6 @@ class ProcessChannel:
         frame = Frame(stamp, self._seq, image.px, exposure_s, image.gain if o.exposure.driven else 0.0, self._coded)
         self._seq += 1
         counters.frames_replaced += self._camera.frames.offer(frame) is not None
-
-
-_SET_FRAMES = 12
-"""Frames after which a setting counts as what the camera makes of it: the newest requests that it holds, and its delay."""
-_SAME = 0.05
-"""Part by which a setting may differ from what was wanted: exposures are whole rows, gains a sensor's steps."""
 
 
 class _LibcameraExposure:

@@ -33,6 +33,7 @@ from typing import Any
 HEADER = struct.Struct("<4sIqqff")
 READY, FRAME, FAULT, DAMAGED = b"DLok", b"DLfr", b"DLno", b"DLbd"
 UNKNOWN = -1
+"""Stamp or number of a frame that has none."""
 NO_BINDINGS = 3
 """Exit code: this Python cannot load the library."""
 WRONG_SETTINGS = 4
@@ -43,7 +44,15 @@ MOST_TEXT = 2000
 """Largest length of a fault's text, bytes."""
 
 _PR_SET_PDEATHSIG = 1
+"""Request to Linux for a signal when the parent process ends (prctl.h)."""
 _POLL_NS = 100_000_000
+"""Longest wait for a frame before errors are checked."""
+_MANUAL = 0
+"""AfModeManual of libcamera."""
+_DAYLIGHT = 5
+"""AwbDaylight of libcamera."""
+_FIRST_US = 5000
+"""Exposure time with which a driven camera begins."""
 
 
 def stride_of(width: int) -> int:
@@ -154,10 +163,6 @@ def _words(gst: Any, message: Any, width: int, height: int) -> str:
 
 _GLOBAL_SHUTTERS = ("imx296", "ov2311", "ov7251", "ov9281", "ov9282")
 """Sensors whose rows are all exposed at the same time, as libcamera names them."""
-_MANUAL, _DAYLIGHT = 0, 5
-"""AfModeManual and AwbDaylight of libcamera."""
-_FIRST_US = 5000
-"""Exposure time with which a driven camera begins."""
 
 
 def _capture(picamera2: Any, out: int, o: dict[str, Any], size: tuple[int, int]) -> int:

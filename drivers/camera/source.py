@@ -12,6 +12,17 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 
+_DAMAGE_OVER_S = 5.0
+"""The time over which damaged frames are counted before they are reported."""
+_DAMAGE_AGAIN_S = 60.0
+"""The time after which damaged frames are reported again."""
+_DAMAGE_SHARE = 0.02
+"""The share of damaged frames from which they are reported."""
+_OLDEST_S = 2.0
+"""A frame whose stamp is older than this was not stamped by this host's monotonic clock."""
+_AHEAD_S = 0.005
+"""A driver that stamps by the kernel's tick may be ahead by one tick; a stamp further ahead is refused."""
+
 
 @dataclass(slots=True)
 class CameraCounters:
@@ -49,11 +60,6 @@ class CameraCounters:
                 out[f.name] = value
         return out
 
-
-_DAMAGE_OVER_S, _DAMAGE_AGAIN_S = 5.0, 60.0
-"""The time over which damaged frames are counted before they are reported, and that until they are reported again."""
-_DAMAGE_SHARE = 0.02
-"""The share of damaged frames from which they are reported."""
 
 log = logging.getLogger(__name__)
 
@@ -108,12 +114,6 @@ class VideoSource:
         if self._reported_at is None or seconds_between(self._reported_at, now) >= _DAMAGE_AGAIN_S:
             self._reported_at = now
             log.warning("%s", self.damage)
-
-
-_OLDEST_S = 2.0
-"""A frame whose stamp is older than this was not stamped by this host's monotonic clock."""
-_AHEAD_S = 0.005
-"""A driver that stamps by the kernel's tick may be ahead by one tick; a stamp further ahead is refused."""
 
 
 def stamp_of(

@@ -22,7 +22,8 @@ from drivers.camera.exposure import ExposureDrive, ExposureSetting
 from drivers.camera.images import claimed_size
 from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource, stamp_of
-from drivers.camera.v4l2_device import Buffer, FrameLayout, H264Decoder, KernelDevice, to_bgr
+from drivers.camera.v4l2_device import Buffer, KernelDevice
+from drivers.camera.v4l2_frames import FrameLayout, H264Decoder, to_bgr
 from drivers.device_errors import device_fault
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
@@ -32,6 +33,12 @@ log = logging.getLogger(__name__)
 
 BY_NAME = (Path("/dev/v4l/by-id"), Path("/dev/v4l/by-path"))
 SYSFS = Path("/sys/class/video4linux")
+_WRAP = 1 << 32
+"""Frames are counted modulo this number."""
+_UNPACKED = ("YUYV", "NV12", "GREY")
+"""Formats whose small frames are decoded sooner than a thread for it begins."""
+_SMALL_PX = 640 * 480
+"""Pixels of the largest such frame."""
 
 
 class CaptureDevice(Struct, frozen=True):
@@ -160,10 +167,6 @@ class ExposureSetter:
         if self._drive is not None:
             self._drive.closed()
 
-
-_WRAP = 1 << 32
-_UNPACKED, _SMALL_PX = ("YUYV", "NV12", "GREY"), 640 * 480
-"""Formats, and the largest size, px, that are decoded sooner than a thread for it begins."""
 
 OpenDevice = Callable[[str, CameraOptions, Size], KernelDevice]
 

@@ -9,11 +9,28 @@ import errno
 import fcntl
 from collections.abc import Iterator
 from ctypes import Structure, Union, c_char, c_int32, c_int64, c_long, c_uint8, c_uint32, c_uint64, c_void_p, sizeof
+from enum import IntEnum
 
-CAPTURE, MMAP = 1, 1
-"""V4L2_BUF_TYPE_VIDEO_CAPTURE, V4L2_MEMORY_MMAP."""
-CAP_CAPTURE, CAP_CAPTURE_MPLANE, CAP_STREAMING = 0x00000001, 0x00001000, 0x04000000
-FLAG_ERROR, STAMP_MASK, STAMP_MONOTONIC, SOURCE_MASK, SOURCE_START = 0x0040, 0xE000, 0x2000, 0x70000, 0x10000
+CAPTURE = 1
+"""V4L2_BUF_TYPE_VIDEO_CAPTURE."""
+MMAP = 1
+"""V4L2_MEMORY_MMAP."""
+CAP_CAPTURE = 0x00000001
+"""V4L2_CAP_VIDEO_CAPTURE."""
+CAP_CAPTURE_MPLANE = 0x00001000
+"""V4L2_CAP_VIDEO_CAPTURE_MPLANE: each plane of a picture in a buffer of its own."""
+CAP_STREAMING = 0x04000000
+"""V4L2_CAP_STREAMING."""
+FLAG_ERROR = 0x0040
+"""V4L2_BUF_FLAG_ERROR: the buffer's content is damaged."""
+STAMP_MASK = 0xE000
+"""V4L2_BUF_FLAG_TIMESTAMP_MASK: the clock of a buffer's stamp."""
+STAMP_MONOTONIC = 0x2000
+"""V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC."""
+SOURCE_MASK = 0x70000
+"""V4L2_BUF_FLAG_TSTAMP_SRC_MASK: the instant that a buffer's stamp is of."""
+SOURCE_START = 0x10000
+"""V4L2_BUF_FLAG_TSTAMP_SRC_SOE: the start of the exposure."""
 PROGRESSIVE = 1
 """V4L2_FIELD_NONE."""
 INTERLACED = {
@@ -21,11 +38,26 @@ INTERLACED = {
     8: "interlaced, top field first", 9: "interlaced, bottom field first",
 }  # fmt: skip
 """Orders of fields (enum v4l2_field) in which a picture is of two instants, or of every other line."""
-INTEGER, BOOLEAN, MENU, BUTTON, INTEGER64, CONTROL_CLASS, INTEGER_MENU = 1, 2, 3, 4, 5, 6, 9
-"""Kinds of controls (enum v4l2_ctrl_type)."""
-_DISABLED, _NEXT_CONTROL, _TIME_PER_FRAME = 0x0001, 0x80000000, 0x1000
+_DISABLED = 0x0001
+"""V4L2_CTRL_FLAG_DISABLED."""
+_NEXT_CONTROL = 0x80000000
+"""V4L2_CTRL_FLAG_NEXT_CTRL: a query's answer is the next control."""
+_TIME_PER_FRAME = 0x1000
+"""V4L2_CAP_TIMEPERFRAME: the frame rate can be set."""
 _PARTS = 1000
 """Frame rates are set in parts of one hertz."""
+
+
+class ControlType(IntEnum):
+    """The kind of a control's value (enum v4l2_ctrl_type)."""
+
+    INTEGER = 1
+    BOOLEAN = 2
+    MENU = 3
+    BUTTON = 4
+    INTEGER64 = 5
+    CONTROL_CLASS = 6
+    INTEGER_MENU = 9
 
 
 class Capability(Structure):
@@ -254,7 +286,7 @@ def controls(fd: int) -> Iterator[VideoControl]:
                 return
             raise
         number = asked.id
-        if asked.type != CONTROL_CLASS and not asked.flags & _DISABLED:
+        if asked.type != ControlType.CONTROL_CLASS and not asked.flags & _DISABLED:
             yield asked
 
 
@@ -273,18 +305,18 @@ def menu(fd: int, control: VideoControl) -> dict[str, int]:
     return found
 
 
-def control_value(fd: int, number: int, kind: int = INTEGER) -> int:
+def control_value(fd: int, number: int, kind: int = ControlType.INTEGER) -> int:
     """Return what a control holds."""
-    if kind == INTEGER64:
+    if kind == ControlType.INTEGER64:
         return _wide(fd, G_EXT_CTRLS, number, 0)
     asked = ControlValue(id=number)
     fcntl.ioctl(fd, G_CTRL, asked)
     return int(asked.value)
 
 
-def set_control(fd: int, number: int, value: int, kind: int = INTEGER) -> None:
+def set_control(fd: int, number: int, value: int, kind: int = ControlType.INTEGER) -> None:
     """Set a control."""
-    if kind == INTEGER64:
+    if kind == ControlType.INTEGER64:
         _wide(fd, S_EXT_CTRLS, number, value)
     else:
         fcntl.ioctl(fd, S_CTRL, ControlValue(id=number, value=value))

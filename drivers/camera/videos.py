@@ -26,9 +26,11 @@ _PID_LEAST = 16
 _MARGIN = 4
 """Frames may have this many times the expected pixels: one of a wrong size is better named by whoever knows the camera."""
 
-_INTERLACED_LEAST, _INTERLACED_SHARE = 5, 0.2
-"""A video with this many interlaced frames, and this share of them, is interlaced: of film on television two of five are. A torn
-header claims it of one."""
+_INTERLACED_LEAST = 5
+"""Interlaced frames after which their share is checked."""
+_INTERLACED_SHARE = 0.2
+"""Share of interlaced frames from which a video is interlaced: of film on television two of five are. A torn header
+claims it of one frame."""
 
 
 def most_pixels(size: tuple[int, int] | None) -> int:

@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.exposure import TARGET, ExposureGovernor, meter_inside
+from drivers.camera.exposure_law import ExposureGovernor
+from drivers.camera.metering import TARGET, meter_inside
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions, ExposureOptions, Size
 from drivers.camera.v4l2 import cameras

@@ -25,7 +25,8 @@ from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, from_mapping, load, pad_model
 from companion.settings.model import CameraSettings
 from companion.settings.service import RestartOptions
-from drivers.camera.exposure import TARGET, ExposureDrive, ExposureRange, ExposureSetting
+from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
+from drivers.camera.metering import TARGET
 from drivers.camera.options import ExposureOptions
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line

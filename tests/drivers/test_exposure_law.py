@@ -10,18 +10,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.camera.exposure import (
-    TARGET,
-    ExposureDrive,
-    ExposureGovernor,
-    ExposureRange,
-    ExposureSetting,
-    LawMemory,
-    Metered,
-    meter_inside,
-    meter_whole,
-    step,
-)
+from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
+from drivers.camera.exposure_law import ExposureGovernor, LawMemory, step
+from drivers.camera.metering import TARGET, Metered, meter_inside, meter_whole
 from drivers.camera.options import ExposureOptions
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame

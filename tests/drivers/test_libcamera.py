@@ -13,7 +13,7 @@ import pytest
 
 from drivers.camera import camera_process
 from drivers.camera.camera_process import libcamera_models
-from drivers.camera.exposure import ExposureGovernor
+from drivers.camera.exposure_law import ExposureGovernor
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions, ExposureOptions
 from drivers.clock import SystemClock

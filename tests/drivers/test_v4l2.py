@@ -30,7 +30,9 @@ from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSettin
 from drivers.camera.options import CameraOptions, ExposureOptions, Size
 from drivers.camera.source import CameraCounters, CameraLost, VideoSource
 from drivers.camera.v4l2 import CaptureDevice, V4l2Channel, cameras, find, kernel_stamp
-from drivers.camera.v4l2_device import Buffer, FrameLayout, H264Decoder, KernelDevice, KernelExposure, stands_alone, to_bgr
+from drivers.camera.v4l2_device import Buffer, KernelDevice
+from drivers.camera.v4l2_exposure import KernelExposure
+from drivers.camera.v4l2_frames import FrameLayout, H264Decoder, stands_alone, to_bgr
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame

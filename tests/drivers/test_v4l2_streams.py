@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 
 from drivers.camera import camera_program as wire
 from drivers.camera.camera_process import PYTHONS, ProcessChannel
+from drivers.camera.live_bytes import Arrival, JpegSplitter
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions
 from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.video_source import Arrival, JpegSplitter
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Frame

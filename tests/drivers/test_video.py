@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from drivers.ardrone.pave import CONTROL_ADVERTISEMENT, FrameType, PaveFrame, PaveHeader, PaveParser, VideoDecoder
 from drivers.camera.images import MOST_PIXELS, ImageRefused, claimed_size, decode
-from drivers.camera.v4l2_device import FrameLayout, H264Decoder, to_bgr
+from drivers.camera.v4l2_frames import FrameLayout, H264Decoder, to_bgr
 from drivers.camera.videos import open_video
 from drivers.imports import pictures
 from estimator.contracts.errors import BadInput

@@ -26,7 +26,7 @@ from drivers.ardrone.pave import VideoDecoder
 from drivers.camera.images import ImageRefused
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions
-from drivers.camera.v4l2_device import FrameLayout, H264Decoder
+from drivers.camera.v4l2_frames import FrameLayout, H264Decoder
 from drivers.camera.videos import WholeFrames
 from drivers.clock import SystemClock
 from drivers.imports.pictures import video_frames

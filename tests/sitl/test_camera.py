@@ -19,7 +19,9 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from drivers.camera.exposure import TARGET, ExposureDrive, ExposureGovernor, ExposureSetting, Metered, meter_inside
+from drivers.camera.exposure import ExposureDrive, ExposureSetting
+from drivers.camera.exposure_law import ExposureGovernor
+from drivers.camera.metering import TARGET, Metered, meter_inside
 from drivers.camera.options import ExposureOptions
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
