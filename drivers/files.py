@@ -1,23 +1,23 @@
 """The one door for files that others made: plain files alone, none larger than its kind has a use for, opened without a wait.
 
 A device may have no end and a pipe no beginning; a file of some kilobytes may unpack to gigabytes, or keep a library at work for
-days. What is bounded by no size alone runs in a child process that has its own bounds of time and memory (`in_child`), and a
-whole process that reads such files leaves a part of the machine's memory to others (`confine`).
+days. What is bounded by no size alone is read in a process of its own (`drivers/confined.py`).
 
 What is packed, wrapped or empty is named here, before a reader of what should be in it sees it.
 """
 
 import os
 import re
-import resource
 import stat
 import sys
-from collections.abc import Callable, Mapping
 from enum import Enum
 from io import BufferedReader
 from pathlib import Path
 
 from estimator.contracts.errors import BadInput, file_errors, refused
+
+_HEAD = 512
+"""Bytes at the begin of a file that show what it is."""
 
 
 class Largest(Enum):
@@ -39,7 +39,6 @@ class Largest(Enum):
         return self.value[0]
 
 
-_HEAD = 512
 _UNPACK = "unpack it first, and give what is in it"
 _WRAPPED = (
     (rb"\x1f\x8b", f"it is packed (gzip): {_UNPACK}"),
@@ -140,65 +139,3 @@ def _check(found: os.stat_result, largest: Largest, where: str) -> None:
 
 def _too_large(size: int, largest: Largest, where: str) -> BadInput:
     return BadInput(f"{where}: {size} bytes; such a file has at most {largest.most_bytes}")
-
-
-CHILD_S, CHILD_BYTES = 60.0, 1 << 30
-"""Time and memory of a child process: tens of times what the largest honest drawing or board took."""
-_FREE = 0.25
-"""Part of the machine's memory that a process that reads files of others leaves to all else."""
-
-
-def in_child(module: str, task: str, data: bytes, where: str, *, most_s: float = CHILD_S, most_bytes: int = CHILD_BYTES) -> bytes:
-    """Return what a module of ours prints when it is run with a task and given these bytes, in a process of its own.
-
-    The module calls `confined_task`, which has its half of the agreement.
-
-    Args:
-        where: the file that the bytes are of, for errors.
-        most_s: time for all of it.
-        most_bytes: memory.
-
-    Raises:
-        BadInput: it takes more time or memory, its library ended it, or it refused the bytes; the text says which.
-    """
-    import subprocess  # few files need a child
-
-    words = [sys.executable, "-P", "-m", module, task, str(round(most_s) + 1), str(most_bytes)]
-    try:
-        done = subprocess.run(words, input=data, capture_output=True, timeout=most_s, check=False)
-    except subprocess.TimeoutExpired as why:
-        raise BadInput(f"{where}: not read within {most_s:g} s: it is made to take long, or far too intricate") from why
-    if done.returncode == _REFUSED:
-        raise BadInput(f"{where}: {done.stderr.decode(errors='replace').strip()}")
-    if done.returncode:
-        raise BadInput(f"{where}: reading it takes more than {most_bytes >> 20} MiB of memory, or ends the library that reads it")
-    return done.stdout
-
-
-_REFUSED, _MADE_MOST = 3, 128 << 20
-"""Exit code of a child that refuses its bytes, and the most that it gives back, bytes."""
-
-
-def confined_task(tasks: Mapping[str, Callable[[bytes], bytes]]) -> int:
-    """Run the task that `in_child` asks this process for, within its bounds; return the exit code."""
-    task, most_s, most_bytes = sys.argv[1:]
-    resource.setrlimit(resource.RLIMIT_CPU, (int(most_s), int(most_s)))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_DATA, (int(most_bytes), int(most_bytes)))
-    try:
-        if len(made := tasks[task](sys.stdin.buffer.read())) > _MADE_MOST:
-            raise BadInput(f"it unpacks to {len(made)} bytes")
-        sys.stdout.buffer.write(made)
-    except BadInput as why:
-        sys.stderr.write(str(why))
-        return _REFUSED
-    return 0
-
-
-def confine() -> None:
-    """Bound the memory of this process, so that a file that takes all of it ends this process and not another.
-
-    What is mapped from files does not count, so recordings of any size are read.
-    """
-    most = round((1.0 - _FREE) * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    resource.setrlimit(resource.RLIMIT_DATA, (most, resource.getrlimit(resource.RLIMIT_DATA)[1]))

@@ -31,6 +31,7 @@ _BEGIN = b"\xb5\x62\x01\x3c"
 _FRAME_BYTES = {0: 48, 1: 72}
 """Length of a whole message by its version."""
 _WEEK_NS = 604_800 * NS_PER_S
+"""Period of the receiver's time of week."""
 _HELD_S = 10.0
 """Silence after which datagrams of another sender are taken."""
 AGE_MAX_S = 0.7
@@ -41,7 +42,9 @@ FLOOR_M: dict[BaselineFix, tuple[float, float, float]] = {"fixed": (0.01, 0.01, 
 _EXTRAPOLATED_M = 0.03
 """Standard deviation beside it where observations of the base are missing, and older ones are carried on, m."""
 _HEADING_FLOOR_RAD = math.radians(0.2)
+"""Standard deviation of a heading that no receiver states (assumed)."""
 _SIGMA_MAX_M = 30.0
+"""A solution with a larger standard deviation is refused."""
 
 
 class RelposOptions(Struct, frozen=True):

@@ -21,8 +21,10 @@ _DEPTH = 10
 _TRIGGER = "std_srvs/srv/Trigger"
 _BY_NAMES = "<Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>"
 """Compare types by their names, as ROS does: what Fast DDS says of bytes is not what this library has for them."""
-_CDR_HEAD, _CLIENT = b"\x00\x01\x00\x00", 16
-"""The header of CDR in little-endian order, and the bytes of a client and its request's number behind it."""
+_CDR_HEAD = b"\x00\x01\x00\x00"
+"""The header of CDR in little-endian order."""
+_CLIENT = 16
+"""Bytes of a client and its request's number behind that header."""
 
 
 class Request(NamedTuple):

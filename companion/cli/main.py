@@ -137,7 +137,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         try:
             if sys.argv[1:2] and sys.argv[1] in _READS_FILES_OF_OTHERS:
-                from drivers.files import confine
+                from drivers.confined import confine
 
                 confine()
             signals.install()

@@ -19,8 +19,16 @@ from estimator.contracts.errors import SetupImpossible
 EVENT = struct.Struct("llHHi")
 """Seconds, microseconds, type, code, value; the first two have the size of the kernel's long."""
 
-EV_SYN, EV_KEY, EV_ABS = 0x00, 0x01, 0x03
-SYN_REPORT, SYN_DROPPED = 0, 3
+EV_SYN = 0x00
+"""Kind of an event that ends or interrupts a report (input-event-codes.h)."""
+EV_KEY = 0x01
+"""Kind of an event of a button."""
+EV_ABS = 0x03
+"""Kind of an event of an axis."""
+SYN_REPORT = 0
+"""Code of an EV_SYN that ends a report."""
+SYN_DROPPED = 3
+"""Code of an EV_SYN after which events are missing."""
 
 AXES: dict[str, int] = {
     "ABS_X": 0x00, "ABS_Y": 0x01, "ABS_Z": 0x02, "ABS_RX": 0x03, "ABS_RY": 0x04, "ABS_RZ": 0x05,
@@ -34,6 +42,14 @@ BUTTONS: dict[str, int] = {
     "BTN_BASE": 0x126, "BTN_BASE2": 0x127, "BTN_BASE3": 0x128, "BTN_BASE4": 0x129, "BTN_BASE5": 0x12A, "BTN_BASE6": 0x12B,
 }  # fmt: skip
 _NAMES = {EV_ABS: {code: name for name, code in AXES.items()}, EV_KEY: {code: name for name, code in BUTTONS.items()}}
+_READ_EVENTS = 64
+"""Events that are read at once."""
+_KEYS_BYTES = 96
+"""Size of the kernel's bit set of buttons, KEY_CNT / 8."""
+_AXES_BYTES = 8
+"""Size of the kernel's bit set of axes, ABS_CNT / 8."""
+_NAME_BYTES = 256
+"""Longest name of a device that is read."""
 
 
 class InputEvent(NamedTuple):
@@ -56,9 +72,6 @@ def events_in(data: bytes) -> tuple[list[InputEvent], bytes]:
 
 
 FOLDER = Path("/dev/input")
-_READ_EVENTS = 64
-_KEYS_BYTES, _AXES_BYTES, _NAME_BYTES = 96, 8, 256
-"""Sizes of the kernel's bit sets: KEY_CNT / 8 and ABS_CNT / 8."""
 
 
 class AxisRange(NamedTuple):

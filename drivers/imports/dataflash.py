@@ -1,43 +1,26 @@
-"""Read an ArduPilot dataflash log through pymavlink: its samples, and its parameters, texts and events.
+"""Read the samples of an ArduPilot dataflash log.
 
-Source: ArduPilot's log message documentation, Copter 3.2 to 4.6, and the values of LogEvent and LogErrorSubsystem in AP_Logger.
-Angles are in degrees, velocities NED; the time is `TimeUS`, in logs of 2014 `TimeMS`.
+Source: ArduPilot's log message documentation, Copter 3.2 to 4.6. Angles are in degrees, velocities NED.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
-import os
-import re
-import struct
-import tempfile
-import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from msgspec import structs
 
-# DFReader loads a dialect that it does not use. An installed service has only this one (requirements/slim.sh).
-os.environ.setdefault("MAVLINK_DIALECT", "common")
-os.environ.setdefault("MAVLINK20", "1")
-from pymavlink import DFReader
-
-from drivers.files import Largest, opened
 from drivers.imports.columns import DATAFLASH, cell, unknown
-from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment
+from drivers.imports.dataflash_log import LogEvent, open_log, time_us
 from drivers.imports.stamps import Tell, attitude, in_level, quiet, stamp, timeline
-from estimator.contracts.errors import BadInput, DecklanderError
+from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
 
-MAGIC = b"\xa3\x95"
-TEXT_HEAD = 4096
 _DOWN = 25
 """The orientation of a rangefinder that looks down (MAV_SENSOR_ROTATION_PITCH_270)."""
 _VELOCITIES = ("XKF1", "NKF1", "EKF1")
@@ -46,8 +29,6 @@ _PRIMARIES = {"XKF4": "XKF1", "NKF4": "NKF1"}
 """The messages that name the core that flies, for those of its velocity."""
 _ACTIVE = {2: "NKF1", 3: "XKF1"}
 """The velocity message by the estimator that flies (AHRS_EKF_TYPE)."""
-_LANDED, _NOT_LANDED = (17, 18), 28
-"""The values of LogEvent for "land complete maybe" and "land complete", and for "not landed"."""
 
 
 def read(path: Path, tell: Tell = quiet) -> list[Sample]:
@@ -66,149 +47,6 @@ def read(path: Path, tell: Tell = quiet) -> list[Sample]:
     if not any(isinstance(s, Imu) or type(s).__name__ == "Attitude" for s in samples):
         raise BadInput(f"{path}: holds neither IMU nor ATT messages")
     return sorted(samples, key=lambda s: s.stamp.received_at)
-
-
-def open_log(path: Path, tell: Tell = quiet) -> PartedLog:
-    """Open a log; `close` it, or `give_up` after an error.
-
-    Raises:
-        BadInput: the file cannot be read or is no dataflash log.
-    """
-    try:
-        with opened(path, Largest.LOG) as file:
-            head = file.read(TEXT_HEAD)
-        log = None
-        if head[:2] == MAGIC or is_text(head):
-            log = PartedLog(path, tell, is_text=head[:2] != MAGIC)
-    except DecklanderError:
-        raise
-    except Exception as why:  # pymavlink lets any error of its parser through
-        raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
-    if log is None:
-        raise BadInput(f"{path}: not a dataflash log")
-    return log
-
-
-def is_text(head: bytes) -> bool:
-    """Return whether a file begins as the text form of a log, as ground stations write it."""
-    return any(re.match(rb"FMT, ?\d+, ?\d+, ?\w+", line) for line in head.splitlines()[:20])
-
-
-_FMT, _FMT_SIZE = MAGIC + b"\x80", 89
-_FMT_FIELDS = struct.Struct("<BB4s16s64s")
-
-
-def parts_of(data: bytes | mmap) -> list[bytes]:
-    """Return the parts of a binary log between descriptions that replace others; an empty list without such.
-
-    Each part but the first begins with the descriptions that hold there. pymavlink reads a whole file by its last ones.
-    """
-    known: dict[int, bytes] = {}
-    cuts, at = list[tuple[int, bytes]](), data.find(_FMT)
-    while at >= 0:
-        described = data[at : at + _FMT_SIZE]
-        number = _number_of(described)
-        if number is None:
-            at = data.find(_FMT, at + 1)
-            continue
-        if known.get(number, described) != described:
-            cuts.append((at, b"".join(known.values())))
-        known[number] = described
-        at = data.find(_FMT, at + _FMT_SIZE)
-    if not cuts:
-        return []
-    begins, ends = [(0, b""), *cuts], [*(at for at, _ in cuts), len(data)]
-    return [head + data[begin:end] for (begin, head), end in zip(begins, ends, strict=True)]
-
-
-def _number_of(described: bytes) -> int | None:
-    """Return the number of the message that a FMT describes; None if it is none."""
-    if len(described) < _FMT_SIZE:
-        return None
-    number, size, name, form, columns = _FMT_FIELDS.unpack_from(described, len(_FMT))
-    try:
-        packed = "<" + "".join(DFReader.FORMAT_TO_STRUCT[letter][0].lstrip("<") for letter in form.rstrip(b"\0").decode())
-        plain = (name.rstrip(b"\0") + columns.rstrip(b"\0").replace(b",", b"")).decode("ascii").isprintable()
-        return int(number) if plain and struct.calcsize(packed) + 3 == size else None
-    except (KeyError, UnicodeDecodeError):
-        return None
-
-
-class PartedLog:
-    """A log that pymavlink reads, part by part.
-
-    What pymavlink prints about damage is given to `tell` as one note.
-    """
-
-    def __init__(self, path: Path, tell: Tell, *, is_text: bool) -> None:
-        self._tell, self._printed = tell, io.StringIO()
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
-        paths, parts = [path], list[bytes]()
-        if not is_text:
-            with opened(path, Largest.LOG) as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
-                parts = parts_of(data)
-        if parts:
-            self._folder = tempfile.TemporaryDirectory(prefix="decklander-")
-            paths = [Path(self._folder.name) / f"{n}.bin" for n in range(len(parts))]
-            for part, described in zip(paths, parts, strict=True):
-                part.write_bytes(described)
-        self._reader = DFReader.DFReader_text if is_text else DataflashLog
-        self._paths = paths
-        self._log: Any = None
-        try:
-            self._next()
-        except BaseException as why:
-            self.give_up(why)
-            raise
-
-    def _next(self) -> None:
-        # A reader whose file cannot be read is at hand all the same, to be closed.
-        self._log = self._reader.__new__(self._reader)
-        with contextlib.redirect_stdout(self._printed), contextlib.redirect_stderr(self._printed):
-            self._log.__init__(str(self._paths.pop(0)))
-
-    def recv_match(self, type: list[str]) -> Any:
-        """Return the next message of these types, None at the end."""
-        while True:
-            with contextlib.redirect_stdout(self._printed), contextlib.redirect_stderr(self._printed):
-                message = self._log.recv_match(type=type)
-            if message is not None or not self._paths:
-                return message
-            _close(self._log)
-            self._next()
-
-    def close(self) -> None:
-        """Close the files, and report damage."""
-        _close(self._log)
-        if self._folder is not None:
-            self._folder.cleanup()
-        if lines := [line for line in self._printed.getvalue().splitlines() if line.strip()]:
-            self._tell(f"damaged: {len(lines)} notes of its parser, the first: {lines[0]}")
-
-    def give_up(self, why: BaseException) -> None:
-        """Close the files after an error whose stack frames still refer to them."""
-        traceback.clear_frames(why.__traceback__)
-        _close(self._log)
-        if self._folder is not None:
-            self._folder.cleanup()
-
-
-def _close(log: Any) -> None:
-    """Close the files of a reader of pymavlink, which leaves some open."""
-    for name in ("filehandle", "data_map"):
-        if (opened := getattr(log, name, None)) is not None:
-            opened.close()
-
-
-class DataflashLog(DFReader.DFReader_binary):  # type: ignore[misc]
-    """A reader that ends at a message of length 0, at which pymavlink's own loops forever."""
-
-    def _parse_next(self) -> Any:
-        before = self.offset
-        message = super()._parse_next()
-        if message is not None and self.offset <= before:
-            raise ValueError(f"a message of no length at byte {before}")
-        return message
 
 
 class _Reader:
@@ -308,9 +146,9 @@ class _Reader:
 
     def _event(self, m: Any, at: int) -> Sample | None:
         event = _cell(m, "Id")
-        if event not in (*_LANDED, _NOT_LANDED):
+        if event not in (LogEvent.LAND_COMPLETE_MAYBE, LogEvent.LAND_COMPLETE, LogEvent.NOT_LANDED):
             return None
-        flying = event == _NOT_LANDED
+        flying = event == LogEvent.NOT_LANDED
         return VehicleStatus(stamp(at), flying, "flying" if flying else "landed", None, False, True)
 
 
@@ -351,145 +189,3 @@ def _first(made: Sequence[tuple[int, str, Sample]], kind: type, name: str, tell:
     if number != "0":
         tell(f"the {name} is that of number {number}: of number 0 it holds {readings['0']} readings, of that {most}")
     return number
-
-
-def time_us(m: Any) -> int | None:
-    """Return a message's time since the start of the autopilot, microseconds; None if it has none."""
-    if hasattr(m, "TimeUS"):
-        return int(m.TimeUS)
-    return int(m.TimeMS) * 1000 if hasattr(m, "TimeMS") else None
-
-
-_ARMED, _DISARMED, _LAND_COMPLETE = 10, 11, 18
-"""Values of LogEvent."""
-_BAD_VARIANCE, _GLITCH = 2, 2
-_ERRORS: dict[int, str | dict[int, str]] = {
-    3: "compass failed", 5: "failsafe: remote control lost", 6: "failsafe: battery", 8: "failsafe: station lost",
-    9: "failsafe: fence", 11: {_GLITCH: "GNSS glitch"}, 12: {1: "crash detected: motors stopped", 2: "loss of control"},
-    16: {_BAD_VARIANCE: "EKF check: variances too large"}, 17: "failsafe: EKF", 18: {_GLITCH: "barometer glitch"},
-    23: "failsafe: terrain", 25: "loss of thrust", 26: "failsafe: sensors", 29: "vibration failsafe",
-    30: "internal error", 31: "failsafe: dead reckoning",
-}  # fmt: skip
-"""LogErrorSubsystem to a name; error code 0 says that it is over. Where only some codes are an error, they are named."""
-_RATIOS = {"velocity": ("SV",), "position": ("SP",), "height": ("SH",), "compass": ("SM", "SMX", "SMY", "SMZ")}
-_ESTIMATORS = ("XKF4", "NKF4", "EKF4")
-_VEHICLE = re.compile(r"(?:APM:|Ardu)?(Copter|Plane|Rover|Sub|Tracker|Blimp)\s+V(\d+)\.(\d+)(?:\.(\d+))?")
-_TEXTS_MAX = 1000
-
-
-def read_history(path: Path, tell: Tell = quiet) -> AutopilotLog:
-    """Return what the log says besides its samples.
-
-    Raises:
-        BadInput: the file cannot be read, is no dataflash log, or is damaged before its first parameter.
-    """
-    log = open_log(path, tell)
-    reader, messages = _HistoryReader(), list[Any]()
-    try:
-        while (message := log.recv_match(type=list(reader.makers))) is not None:
-            messages.append(message)
-    except Exception as why:  # pymavlink lets any error of its parser through
-        log.give_up(why)
-        if not any(message.get_type() == "PARM" for message in messages):
-            raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
-        tell(f"it is damaged and was read up to there: {why}")
-    else:
-        log.close()
-    timed = [(time_us(message), message) for message in messages]
-    times = iter(timeline([at for at, _ in timed if at is not None], tell))
-    for at_us, message in timed:
-        reader.take(message, None if at_us is None else next(times), lost=at_us is not None)
-    if not reader.parameters:
-        raise BadInput(f"{path}: holds no parameters (no PARM message)")
-    return reader.log()
-
-
-class _HistoryReader(HistoryMeter):
-    def __init__(self) -> None:
-        super().__init__("ArduPilot")
-        self.parameters: dict[str, float] = {}
-        self._defaults: dict[str, float] = {}
-        self._texts: list[str] = []
-        self._text_times_s: list[float] = []
-        self._vehicle: str | None = None
-        self._firmware: tuple[int, int, int] | None = None
-        self._acquired = False
-        self.makers: dict[str, Callable[[Any], None]] = {
-            "PARM": self._parameter, "MSG": self._text, "EV": self._event, "ERR": self._error, "VIBE": self._vibe,
-            "PL": self._target, **dict.fromkeys(_ESTIMATORS, self._estimator),
-        }  # fmt: skip
-
-    def take(self, message: Any, at_ns: int | None, *, lost: bool) -> None:
-        """Take one message; one whose fields are missing or are text is left out, and one without a time that has a stamp.
-
-        Parameters and texts are taken with any stamp.
-        """
-        if at_ns is not None:
-            self.now_s = max(self.now_s, 1e-9 * at_ns)
-        elif lost and message.get_type() not in ("PARM", "MSG"):
-            return
-        try:
-            self.makers[message.get_type()](message)
-        except (AttributeError, TypeError, ValueError, OverflowError):
-            return
-
-    def log(self) -> AutopilotLog:
-        """Return all that was taken."""
-        return AutopilotLog(
-            "ArduPilot", self._vehicle, self._firmware, dict(sorted(self.parameters.items())), tuple(self._texts), (),
-            self.history(self.now_s), tuple(self._text_times_s), self._defaults,
-        )  # fmt: skip
-
-    def _parameter(self, m: Any) -> None:
-        value = float(m.Value)
-        if math.isfinite(value):
-            self.parameters[str(m.Name)] = value
-            default = float(getattr(m, "Default", math.nan))
-            if math.isfinite(default):
-                self._defaults[str(m.Name)] = default
-
-    def _text(self, m: Any) -> None:
-        text = str(m.Message)
-        if self._vehicle is None and (found := _VEHICLE.search(text)) is not None:
-            self._vehicle = f"Ardu{found[1]}"
-            self._firmware = (int(found[2]), int(found[3]), int(found[4] or 0))
-        if len(self._texts) < _TEXTS_MAX:
-            self._texts.append(text)
-            self._text_times_s.append(round(self.now_s, 2))
-
-    def _event(self, m: Any) -> None:
-        if m.Id == _ARMED:
-            self.armed = True
-        elif m.Id == _DISARMED:
-            self.armed = False
-            self.landings.disarmed(self.now_s)
-        elif m.Id == _LAND_COMPLETE:
-            self.landings.landed(self.now_s)
-        elif m.Id == _NOT_LANDED:
-            self.landings.flying(self.now_s)
-
-    def _error(self, m: Any) -> None:
-        named = _ERRORS.get(int(m.Subsys))
-        what = named.get(int(m.ECode)) if isinstance(named, dict) else named if int(m.ECode) else None
-        if what is not None:
-            self.failsafes.append(LoggedMoment(round(self.now_s, 2), what))
-
-    def _estimator(self, m: Any) -> None:
-        core = getattr(m, "C", 0)
-        if core != getattr(m, "PI", core if core == 0 else -1):
-            return
-        for name, fields in _RATIOS.items():
-            self.ratio(name, max(float(getattr(m, field, 0.0)) for field in fields))
-
-    def _vibe(self, m: Any) -> None:
-        imu = getattr(m, "IMU", 0)
-        if imu == 0:
-            self.vibration(max(float(m.VibeX), float(m.VibeY), float(m.VibeZ)))
-        fields = {str(imu): "Clip"} if hasattr(m, "Clip") else {str(n): f"Clip{n}" for n in range(3)}
-        for name, count in {name: float(getattr(m, field)) for name, field in fields.items()}.items():
-            self.clips(name, count)
-
-    def _target(self, m: Any) -> None:
-        acquired = bool(m.TAcq)
-        self.targets_lost += self._acquired and not acquired and self.armed is not False
-        self._acquired = acquired

@@ -5,19 +5,24 @@ from enum import Enum
 from pathlib import Path
 
 from drivers.files import Largest, opened, seen_in
-from drivers.imports import ardrone_capture, dataflash, px4_ulog
+from drivers.imports import ardrone_capture, dataflash_log, px4_ulog
 from drivers.imports.network import LINE
 from drivers.imports.sentences import SENTENCE
 from estimator.contracts.errors import refused
 from estimator.contracts.text import utf8_of
 
 _HEAD = 1 << 16
+"""Bytes at the begin of a file that show what it is."""
 _TLOG_STAMP = 8
-_TLOG_BEGAN_US, _TLOG_ENDS_US = 1_000_000_000_000_000, 4_000_000_000_000_000
-"""A telemetry log's stamps: Unix time from 2001 to 2096, us, before each frame."""
+"""Length of a telemetry log's stamp before each frame, bytes."""
+_TLOG_BEGAN_US = 1_000_000_000_000_000
+"""Earliest stamp of a telemetry log, Unix time of 2001, us."""
+_TLOG_ENDS_US = 4_000_000_000_000_000
+"""Latest stamp of a telemetry log, Unix time of 2096, us."""
 _FRAMES = {0xFE: 8, 0xFD: 12}
 """Bytes around the payload of an unsigned frame of MAVLink, by its first byte."""
 _IN_A_ROW = 4
+"""Frames in a row from which bytes are MAVLink."""
 _MCAP = b"\x89MCAP"
 _TEXT = frozenset(range(32, 127)) | frozenset(b"\t\r\n\f\b\x1b\x02\x03") | frozenset(range(128, 256))
 """Bytes of a text; STX and ETX stand about the lines of some instruments."""
@@ -73,7 +78,7 @@ def kind_of(path: Path) -> FileKind:
     for magic, kind in _MAGICS:
         if head.startswith(magic):
             return kind
-    if dataflash.is_text(head):
+    if dataflash_log.is_text(head):
         return FileKind.DATAFLASH
     if _is_tlog(head):
         return FileKind.TLOG
@@ -86,7 +91,7 @@ def kind_of(path: Path) -> FileKind:
 
 _MAGICS = (
     (px4_ulog.MAGIC, FileKind.ULOG), (b"ULogEnc", FileKind.ENCRYPTED), (b"ULogKey", FileKind.ENCRYPTED),
-    (dataflash.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA), (b"PaVE", FileKind.PAVE),
+    (dataflash_log.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA), (b"PaVE", FileKind.PAVE),
     (b"#ROSBAG V", FileKind.ROS_BAG), (b"SQLite format 3", FileKind.DATABASE),
 )  # fmt: skip
 _HEADLESS = (".ulgc", ".ulgk")

@@ -35,9 +35,12 @@ _UNIT = re.compile(r"(?:^|[\[(_ ])(m|u|n)?s(?:ec|ecs|econds)?[\])]?$")
 _TIME = re.compile(r"time|stamp|^t\b|^(?:[mun]?s|[mun]?secs?|seconds)$")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _UNIX_DIGITS = 10
+"""Digits of a Unix time in seconds."""
 _DATE = re.compile(
     r"(?<!\d)(?:19|20)\d\d[-_.]?\d\d[-_.]?\d\d[-_.T ]?\d\d[-_.:h]?\d\d[-_.:m]?\d\d(?:[.,]\d+|\d{3}|\d{6,9})?(?!\d)"
 )
+_PAUSE_S = 600.0
+"""A video that goes on after a longer pause was not paused."""
 
 
 def folder_frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell = quiet) -> Iterator[Frame]:
@@ -191,8 +194,6 @@ def _in_us(value: Decimal | datetime, unit: str) -> int | None:
 
 
 HEADER = ("time_s", "roll_deg", "pitch_deg")
-_PAUSE_S = 600.0
-"""A video that goes on after a longer pause was not paused."""
 
 
 def attitudes(path: Path, tell: Tell = quiet) -> list[Sample]:

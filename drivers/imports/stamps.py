@@ -12,7 +12,9 @@ from estimator.contracts.time import MonoNs, Stamp
 SIGMA_S = 0.002
 """The standard deviation assumed for a log's time stamps, seconds."""
 SIGMA_TILT_RAD = math.radians(0.5)
+"""Usual standard deviation of roll and pitch in an autopilot's estimate."""
 SIGMA_YAW_RAD = math.radians(3.0)
+"""Usual standard deviation of its heading."""
 FRAME_DELAY_S = 0.05
 """The assumed delay from a frame's exposure to its arrival, so that the attitude around its exposure is known by then."""
 

@@ -12,20 +12,23 @@ from msgspec import Struct
 from drivers.files import Largest, bytes_of
 from drivers.imports.log_history import AutopilotLog, LogHistory
 from drivers.imports.stamps import Tell, quiet, timeline
+from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.requests import parameter_value
 from drivers.mavlink.samples import MavlinkSampler
-from drivers.mavlink.timesync import BootClock, TimeSync
+from drivers.mavlink.timesync import TimeSync
 from drivers.mavlink.vehicle import is_autopilot, stack_of
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
 
 _STAMP = 8
+"""Length of the stamp before each frame, bytes."""
 _HEADS = {0xFE: (8, 0), 0xFD: (12, 13)}
 """The bytes around the payload by the marker: those of every frame, and those of a signature."""
 _TEXTS_MAX = 1000
+"""Texts that are kept."""
 
 
 class _Received(Struct, frozen=True):

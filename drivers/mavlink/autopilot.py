@@ -10,13 +10,16 @@ from msgspec import Struct, field
 
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessLevel, NamedSenders, Source
+from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.custody import LEFT_ALONE, Authority, Hand, HandEvent
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.failsafe import UNNAMED
+from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.origins import Origins
 from drivers.mavlink.requests import RATES_HZ, Parameters, RateLimit, Streams, VersionRequest, is_for
-from drivers.mavlink.roster import Bound, IdConflict, Origins, Roster
+from drivers.mavlink.roster import Bound, IdConflict, Roster
 from drivers.mavlink.samples import (
     SAMPLE_PARAMETERS,
     LocalPosition,
@@ -25,20 +28,10 @@ from drivers.mavlink.samples import (
     jerk_max_m_s3,
     tilt_max_deg,
 )
-from drivers.mavlink.setpoint import Rested
 from drivers.mavlink.setpoint_streamer import SetpointStreamer
-from drivers.mavlink.timesync import BootClock, TimeSync, answer_to
-from drivers.mavlink.vehicle import (
-    VELOCITY_MODE,
-    Condition,
-    Identity,
-    JoinedTexts,
-    Stack,
-    Version,
-    is_autopilot,
-    stack_of,
-    version_of,
-)
+from drivers.mavlink.take_off import Rested
+from drivers.mavlink.timesync import TimeSync, answer_to
+from drivers.mavlink.vehicle import VELOCITY_MODE, Condition, Identity, Stack, Version, is_autopilot, stack_of, version_of
 from drivers.reconnect import running_beside
 from estimator.contracts.commands import Command, CutMotors, Hover, Lean, LeaveEmergency, Velocity
 from estimator.contracts.errors import Recoverable
@@ -48,25 +41,30 @@ from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 _log = logging.getLogger(__name__)
 
-_KNOCK_S = 1.0
-_UNASKED_S, _TIMED_S, _TIMED_FOR_S = 0.02, 0.006, 1.0
-"""Time after which messages are handled that nobody asked for, and for how long it is shorter after a request for the time.
-
-PX4 requests it ten times a second, and drops round trips of TIMESYNC above 10 ms.
-"""
+_PROBE_S = 1.0
+"""Interval of messages to a silent address: a listening peer does not know this program's before it receives one."""
+_UNREQUESTED_S = 0.02
+"""Time after which messages are handled that no part of the service has taken."""
+_TIMED_S = 0.006
+"""The same after a request for the time: PX4 drops round trips of TIMESYNC above 10 ms."""
+_TIMED_FOR_S = 1.0
+"""Time after such a request for which it holds: PX4 requests the time ten times a second."""
 _WARNING = 4
 """MAV_SEVERITY_WARNING; what is graver has a lower number."""
-_BEFORE_S, _AFTER_S = 5.0, 2.0
-"""Time before and after the vehicle was taken in which the autopilot's texts are about it, s: PX4 waits 5 s in Hold."""
+_BEFORE_S = 5.0
+"""Time before the vehicle was taken from which on the autopilot's texts are about it: PX4 waits 5 s in Hold."""
+_AFTER_S = 2.0
+"""Time after the vehicle was taken up to which they are."""
 _AGAIN_S = 5.0
 """The shortest time between two rounds of requests, whatever the autopilot does."""
-_REQUESTS_HZ, _REQUESTS_MAX = 20.0, 100
-"""Requests for streams and parameters a second, and at once."""
-_MOVED_S, _OVERTAKEN_S = 0.1, 0.05
-"""Time for which an autopilot must send from another port of its host alone to count as moved.
-
-The second is the time by which a message of the old port may be late.
-"""
+_REQUESTS_HZ = 20.0
+"""Requests for streams and parameters a second."""
+_REQUESTS_MAX = 100
+"""Requests for streams and parameters at once."""
+_MOVED_S = 0.1
+"""Time for which an autopilot must send from another port of its host alone to count as moved."""
+_OVERTAKEN_S = 0.05
+"""Time by which a message of the old port may be late."""
 _HOLDER = {Hand.NOBODY: "nobody", Hand.PERSON: "a person", Hand.CUT: "nobody, its motors are cut,"}
 _BY_ITSELF = (HandEvent.FAILSAFE, HandEvent.RESTS)
 _BEAT_S = 5.0
@@ -304,7 +302,7 @@ class Autopilot:
         while self.links.waits:
             now = self._clock.now()
             timed = self._timed_at is not None and seconds_between(self._timed_at, now) < _TIMED_FOR_S
-            most_s = _TIMED_S if timed else _UNASKED_S
+            most_s = _TIMED_S if timed else _UNREQUESTED_S
             if (waits_s := most_s - seconds_between(self._taken_at, now)) <= 0.0:
                 self._take_waiting()
             await self._clock.sleep(waits_s if waits_s > 0.0 else most_s)
@@ -557,7 +555,7 @@ class Autopilot:
             if known is not None:
                 # What came while this process stood still is not read yet: that is no silence of the autopilot.
                 self._period(known, now, listened=seconds_between(before, now) < 0.5 * self._o.silence_s)
-            elif self._knocked is None or seconds_between(self._knocked, now) >= _KNOCK_S:
+            elif self._knocked is None or seconds_between(self._knocked, now) >= _PROBE_S:
                 # A listening peer does not know this program's address before it has received something.
                 self._knocked = now
                 self.links.send(TimeSyncV2(0, now))

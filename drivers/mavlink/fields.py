@@ -10,7 +10,10 @@ from msgspec import Struct
 
 from drivers.mavlink.dialect import Message, mav
 
-U8, U16 = 0xFF, 0xFFFF
+U8 = 0xFF
+"""Largest value of a byte, which stands for "not known"."""
+U16 = 0xFFFF
+"""Largest value of two bytes, which stands for "not known"."""
 I16, I32 = (-0x8000, 0x7FFF), (-0x80000000, 0x7FFFFFFF)
 """The ends of a wire type: placeholders, and where a value that did not fit was cut off."""
 

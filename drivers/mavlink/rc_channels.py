@@ -10,8 +10,10 @@ RATE_HZ = 10.0
 BANDS_US = ((800, 1300), (1400, 1600), (1700, 2200))
 """Pulse widths of the low, the middle and the high position, microseconds."""
 POSITIONS = ("low", "middle", "high")
-FIRST, LAST = 5, 18
-"""The channels that may be a switch: those before are the sticks."""
+FIRST = 5
+"""First channel that may be a switch: those before are the sticks."""
+LAST = 18
+"""Last channel that RC_CHANNELS holds."""
 _THROTTLE_LOST_US = 950
 """Throttle at or below which a receiver says by it that its transmitter is lost: autopilots take 975 and less for that."""
 

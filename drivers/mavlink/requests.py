@@ -32,6 +32,12 @@ _VALUES_MAX = 4096
 """Largest number of parameters kept of an autopilot; ArduPilot has about 1,500."""
 _INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
 """MAV_PARAM_TYPE to struct layout, for integers that travel as bytes in a float."""
+_POLL_INTERVALS = 0.75
+"""Age at which a polled message is requested where its stream is refused, in its intervals."""
+_LATE_INTERVALS = 1.5
+"""Age at which it is requested where its stream is too slow, in its intervals."""
+_POLL_AGES = 0.2
+"""Least pause between requests, in parts of its age: none arrives where requests cannot."""
 
 
 def parameter_value(stack: Stack, wire: float, kind: int) -> float:
@@ -84,9 +90,6 @@ RATES_HZ: dict[Stack, dict[str, float]] = {
 """Message rates, Hz, to request on a new link. Until then ArduPilot sends only HEARTBEAT and TIMESYNC."""
 POLLED = "HEARTBEAT"
 """The message that is requested one by one where its stream is refused or slower than asked for."""
-_POLL_INTERVALS, _LATE_INTERVALS, _POLL_AGES = 0.75, 1.5, 0.2
-"""Ages at which a polled message is requested, in its intervals: where its stream is refused, and where it is too slow. The
-third is the least pause in parts of its age: none arrives where requests cannot."""
 INSTEAD = {"ATTITUDE_QUATERNION": "ATTITUDE", "GIMBAL_DEVICE_ATTITUDE_STATUS": "MOUNT_ORIENTATION"}
 """The message to request if the first is refused: ArduCopter 4.0 does not stream the quaternion, nor older mounts theirs."""
 

@@ -21,7 +21,8 @@ import numpy as np
 from drivers.mavlink.custody import LEFT_ALONE, TABLE, Authority, Hand, HandEvent, ModeRequests
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.setpoint import SHOWN_S, Rested, RestVelocity, TakingOff, level_setpoint, velocity_setpoint
+from drivers.mavlink.setpoint import level_setpoint, velocity_setpoint
+from drivers.mavlink.take_off import SHOWN_S, Rested, RestVelocity, TakingOff
 from drivers.mavlink.vehicle import (
     HOLD_MODE,
     LAND_MODE,
@@ -43,11 +44,26 @@ FORCE = 21196.0
 """Parameter 2 of COMPONENT_ARM_DISARM that disarms whatever the autopilot takes itself to do (mavlink.io)."""
 OUTLIVE_S = 0.5
 """Time for which setpoints go on after the report that the motors stand, s."""
-_TURNS_RAD, _TURN_DEG_S = math.radians(3.0), 30.0
-"""Turn from which on a landing's heading is requested, and its rate."""
-_EACH_S, _SLOW_S = 0.2, 1.0
+_TURNS_RAD = math.radians(3.0)
+"""Turn from which on a landing's heading is requested."""
+_TURN_DEG_S = 30.0
+"""Rate of that turn."""
+_EACH_S = 0.2
+"""Time between two requests to stop the motors at first."""
+_SLOW_S = 1.0
+"""Time between two such requests later, and between two requests for a heading."""
 _QUICK_S = 5.0
 """Time after which requests are rarer, s."""
+_PLACE_S = 2.0
+"""Age of the vehicle's place beyond which nothing is done by it, s."""
+_REACHED_M = 3.0
+"""Distance from another place at which the vehicle is there, m."""
+_MEAN_S = 1.0
+"""The time over which the velocity that a landing continues with is averaged."""
+_GAP_S = 0.5
+"""Gap between two setpoints with which PX4 takes the stream to have ended, s."""
+_ARMS_S = 1.2
+"""Time after a request to arm for which the motors may turn though no report says so, s: some autopilots report each second."""
 
 
 def disarm(target: tuple[int, int], *, forced: bool) -> Message:
@@ -88,18 +104,8 @@ class MotorStop:
 
 
 STILL = Velocity(np.zeros(3), 0.0)
-_PLACE_S = 2.0
-"""Age of the vehicle's place beyond which nothing is done by it, s."""
-_REACHED_M = 3.0
-"""Distance from another place at which the vehicle is there, m."""
-_MEAN_S = 1.0
-"""The time over which the velocity that a landing continues with is averaged."""
-_GAP_S = 0.5
-"""Gap between two setpoints with which PX4 takes the stream to have ended, s."""
 _OF_OTHERS = (HandEvent.OTHER_MODE, HandEvent.MODE_SINCE, HandEvent.ARMED, HandEvent.DISARMED)
 """Events that others cause."""
-_ARMS_S = 1.2
-"""Time after a request to arm for which the motors may turn though no report says so, s: some autopilots report each second."""
 
 
 class Tries:

@@ -24,6 +24,7 @@ _log = logging.getLogger(__name__)
 EPOCH_S = 1_420_070_400
 """2015-01-01 00:00 GMT as Unix time."""
 TICKS_PER_S = 100_000
+"""Signing times are counted in units of 10 us."""
 Stream = tuple[int, int, int]
 """(link id, system, component) of a sender."""
 
@@ -34,7 +35,9 @@ _LATEST = 2**47
 _SAVE_S = 5.0
 """Interval between two writes; messages received for so long before a crash could be replayed after it."""
 _STREAMS_MAX = 256
+"""Streams whose newest signing time is kept."""
 _CLOSE_S = 0.3
+"""Time that the end of the service waits for the signing time on disk."""
 
 
 class SigningTimes:

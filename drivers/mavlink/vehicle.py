@@ -5,15 +5,18 @@ in all chunks of a text and 0 in a text of one message; `chunk_seq` counts from 
 """
 
 import math
-import re
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.failsafe import Failsafe
 from drivers.mavlink.options import TARGET_MODES, VELOCITY_MODES
 from estimator.contracts.geometry import GeoPoint
+
+_FIXED_WING = 1
+"""MAV_TYPE of a QuadPlane, as ArduPlane reports it unless Q_MAV_TYPE says otherwise."""
+_VTOLS = frozenset(range(19, 26))
+"""MAV_TYPEs of a QuadPlane by Q_MAV_TYPE."""
 
 
 class Stack(Enum):
@@ -32,8 +35,6 @@ class Stack(Enum):
         return self in (Stack.ARDUPILOT, Stack.PLANE)
 
 
-_FIXED_WING, _VTOLS = 1, frozenset(range(19, 26))
-"""MAV_TYPEs of a QuadPlane: ArduPlane reports a fixed wing unless Q_MAV_TYPE says otherwise."""
 MULTICOPTERS = frozenset({2, 3, 4, 13, 14, 15, 19, 20, 21, 22, 23, 24, 25, 29, 35})
 """MAV_TYPEs that can hover: multicopters, helicopters and convertibles."""
 
@@ -202,55 +203,3 @@ def flying_of(landed_state: int, system_status: int, armed: bool) -> bool | None
     if not armed or system_status == mav.MAV_STATE_STANDBY:
         return False
     return True if system_status == mav.MAV_STATE_ACTIVE else None
-
-
-CHUNK = 50
-"""Characters in a full chunk."""
-_CHUNKS_MAX = 20
-LOST = "..."
-"""Placeholder for a chunk that did not arrive."""
-
-
-class _Begun(NamedTuple):
-    """A text with some chunks received."""
-
-    number: int
-    severity: int
-    chunks: dict[int, str]
-
-    def whole(self, last: int) -> str:
-        return "".join(self.chunks.get(k, LOST) for k in range(last + 1))
-
-
-ARMING_REFUSAL = re.compile(r"^(?:\[[^\]]*\]\s*)?(?:PreArm|Arm|Preflight Fail|Arming denied)[:!]\s*(.+)$", re.IGNORECASE)
-"""A STATUSTEXT of either stack that says why it does not arm."""
-
-
-class JoinedTexts:
-    """Joins the texts of any number of senders; each has at most one text that is not complete."""
-
-    def __init__(self) -> None:
-        self._begun: dict[tuple[int, int], _Begun] = {}
-
-    def on_message(self, message: Message, sender: tuple[int, int]) -> list[tuple[int, str]]:
-        """Take a STATUSTEXT; return the texts that it completes, each as (severity, text).
-
-        A text whose last chunk was lost is returned with what has come of it when its sender begins another one.
-
-        Args:
-            sender: system and component.
-        """
-        text, number, at = str(message.text), int(getattr(message, "id", 0)), int(getattr(message, "chunk_seq", 0))
-        begun = self._begun.pop(sender, None)
-        out = []
-        if begun is not None and begun.number != number:
-            out.append((begun.severity, begun.whole(max(begun.chunks)) + LOST))
-            begun = None
-        if number == 0 or at >= _CHUNKS_MAX:
-            return [*out, (int(message.severity), text)]
-        begun = begun or _Begun(number, int(message.severity), {})
-        begun.chunks[at] = text
-        if len(text) < CHUNK:
-            return [*out, (begun.severity, begun.whole(at))]
-        self._begun[sender] = begun
-        return out

@@ -12,7 +12,9 @@ from estimator.contracts.geometry import F64, GeoPoint
 from estimator.contracts.time import NS_PER_S
 
 KNOT_M_S = 1852.0 / 3600.0
+"""One knot, m/s."""
 SPEED_MAX_KN = 102.0
+"""Faster is no ship: the largest speed that AIS can state."""
 COURSE_FROM_M_S = 0.3
 """Speed below which a receiver may leave the course out."""
 _MINUTE_M = 1852.0

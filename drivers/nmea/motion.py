@@ -17,13 +17,22 @@ import numpy as np
 from drivers.nmea.fields import KNOT_M_S, Refused, checked, heading_deg, number, rounding, text, within
 from estimator.contracts.geometry import F64
 
-TILT_MAX_DEG, HEAVE_MAX_M, WIND_MAX_M_S, TURN_MAX_DEG_S = 60.0, 20.0, 100.0, 60.0
-"""Numbers beyond these are of no ship."""
+TILT_MAX_DEG = 60.0
+"""Roll or pitch beyond this is of no ship."""
+HEAVE_MAX_M = 20.0
+"""Heave beyond this is of no ship."""
+WIND_MAX_M_S = 100.0
+"""Wind beyond this is of no ship."""
+TURN_MAX_DEG_S = 60.0
+"""Rate of turn beyond this is of no ship."""
 _ANGLE, _HEAVE = re.compile(r"(?:(ROLL|HEEL)|(?:PITCH|PTCH)).*"), re.compile(r"HEAVE?\b.*")
 _TSS1 = re.compile(r":([0-9A-F]{2})[0-9A-F]{4} ([ -]\d{4})([UGHF])([ -]\d{4}) ([ -]\d{4})", re.ASCII | re.IGNORECASE)
 _TSS1_M_S2 = 0.03835
 """Last digit of its horizontal acceleration, m/s^2: 9.8 m/s^2 by two hexadecimal digits."""
-_EM_SIZE, EM_SYNC = 10, 0x90
+_EM_SIZE = 10
+"""Length of a record of EM3000, bytes."""
+EM_SYNC = 0x90
+"""Second byte of such a record."""
 _EM_VALID = (0x00, *range(0x90, 0x9A))
 """First bytes of a record of EM1000, and of EM3000 at full or reduced accuracy."""
 _EM_STATES = (*_EM_VALID, *range(0x9A, 0xB0))

@@ -18,7 +18,9 @@ from estimator.contracts.errors import Recoverable, refused
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 DATAGRAM_MAX = 65_535
+"""The largest datagram, bytes."""
 LINES_MAX = 800
+"""Sentences that are given on at once."""
 _log = logging.getLogger(__name__)
 
 HELD_S = 30.0
@@ -28,6 +30,7 @@ _CUT_S = 2.0
 _CUT_MAX = 512
 """Bytes of a sentence without its end; NMEA 0183 allows 82, and a TAG block before them."""
 _SENDERS_MAX = 16
+"""Senders whose begun lines are kept."""
 _BEGINS = (b"$", b"!", b"\\", b":")
 _TAG = re.compile(rb"\\[^\\]+\\")
 _ENDS = re.compile(rb"((\\[^\\]*\\)?[^\\]*\*[0-9A-Fa-f]{2}|:[0-9A-Fa-f]{6}[-\w ]{18})\s*")

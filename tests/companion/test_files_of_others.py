@@ -19,7 +19,8 @@ from companion.cli.main import main
 from companion.tools.calibrate import guide
 from companion.tools.pads import foreign
 from companion.tools.pads.trace import read_svg
-from drivers.files import Largest, bytes_of, in_child, opened, refuse_special, seen_in
+from drivers.confined import in_child
+from drivers.files import Largest, bytes_of, opened, refuse_special, seen_in
 from estimator.contracts.errors import BadInput
 
 COMMANDS = {

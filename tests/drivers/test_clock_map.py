@@ -5,8 +5,9 @@ from hypothesis import strategies as st
 from msgspec import Struct
 
 from drivers.clock_map import ClockMap, ClockMapOptions
+from drivers.mavlink.boot_clock import BootClock, boot_ms, boot_us
 from drivers.mavlink.dialect import TimeSyncV2
-from drivers.mavlink.timesync import BootClock, TimeSync, answer_to, boot_ms, boot_us
+from drivers.mavlink.timesync import TimeSync, answer_to
 from estimator.contracts.time import MonoNs, Stamp
 
 S = 1_000_000_000

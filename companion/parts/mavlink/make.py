@@ -37,7 +37,7 @@ from drivers.mavlink.gimbal import Gimbal, tending
 from drivers.mavlink.links import Links, Tap
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.samples import LocalPosition
-from drivers.mavlink.setpoint import Rested
+from drivers.mavlink.take_off import Rested
 from drivers.reconnect import running_beside
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import RelativeState

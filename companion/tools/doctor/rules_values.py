@@ -12,7 +12,7 @@ from msgspec import Struct
 from companion.tools.doctor.finding import Finding, ParameterChange, Row, Rule, Severity, warning
 from companion.tools.doctor.firmware_parameters import NamedValue, named_value
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
-from drivers.mavlink.vehicle import ARMING_REFUSAL
+from drivers.mavlink.joined_texts import ARMING_REFUSAL
 
 # Both stacks return to the place of the take-off over the ground. A ship under way has left it, so a return must end in a
 # hover, in which a person can take over.

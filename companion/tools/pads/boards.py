@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import Struct
 
 from companion.tools.pads import foreign
-from drivers.files import in_child
+from drivers.confined import in_child
 from estimator.contracts.errors import BadInput, refused
 from estimator.vision.camera import shown
 from estimator.vision.fiducial import PaintedFiducial, dictionary_names

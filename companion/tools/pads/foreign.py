@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from drivers.files import confined_task
+from drivers.confined import confined_task
 from estimator.contracts.errors import BadInput
 
 PX_IN_INCH = 96.0

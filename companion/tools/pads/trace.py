@@ -20,7 +20,7 @@ from msgspec import Struct, convert, structs
 from numpy.typing import NDArray
 
 from companion.tools.pads import foreign
-from drivers.files import in_child
+from drivers.confined import in_child
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import SMALLEST_M, check_polygon, is_simple

@@ -29,8 +29,9 @@ from drivers.camera.exposure import ExposureSetting
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import mav
+from drivers.mavlink.joined_texts import ARMING_REFUSAL
 from drivers.mavlink.links import LinkOptions, Links, open_links
-from drivers.mavlink.vehicle import ARMING_REFUSAL, LAND_MODE, TARGET_MODE, Stack
+from drivers.mavlink.vehicle import LAND_MODE, TARGET_MODE, Stack
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import ned_between

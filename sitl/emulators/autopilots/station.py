@@ -14,9 +14,10 @@ import numpy as np
 from msgspec import Struct, field
 
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.joined_texts import JoinedTexts
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.setpoint_streamer import disarm
-from drivers.mavlink.vehicle import ARMED, HOLD_MODE, VELOCITY_MODE, JoinedTexts, Stack, mode_name, set_mode
+from drivers.mavlink.vehicle import ARMED, HOLD_MODE, VELOCITY_MODE, Stack, mode_name, set_mode
 from estimator.contracts.commands import Velocity
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between

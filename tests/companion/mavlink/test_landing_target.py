@@ -30,7 +30,7 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.samples import LocalPosition
-from drivers.mavlink.setpoint import Rested
+from drivers.mavlink.take_off import Rested
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.commands import Velocity
 from estimator.contracts.estimates import RelativeState

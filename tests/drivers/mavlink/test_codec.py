@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from companion.settings.files import signing_key
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, TargetRelative, TimeSyncV2, crc_extra_of, mav
+from drivers.mavlink.joined_texts import CHUNK, LOST, JoinedTexts
 from drivers.mavlink.requests import Parameters, RateLimit, Streams, VersionRequest, is_for, parameter_value, wire_value
 from drivers.mavlink.signing import EPOCH_S, TICKS_PER_S, Signing, SigningKey, SigningTimes
-from drivers.mavlink.vehicle import CHUNK, LOST, JoinedTexts, Stack
+from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
 from tests.make import ns
 

@@ -7,14 +7,15 @@ import msgspec
 import numpy as np
 import pytest
 
+from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.failsafe import event_id
 from drivers.mavlink.fields import FIELDS, Read
-from drivers.mavlink.gimbal import GimbalSampler
+from drivers.mavlink.gimbal_reports import GimbalSampler
 from drivers.mavlink.options import GimbalOptions
 from drivers.mavlink.samples import MavlinkSampler
-from drivers.mavlink.timesync import BootClock, TimeSync
+from drivers.mavlink.timesync import TimeSync
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.samples import Attitude, BodyVelocity, GeoFix, Imu, Range, Sample, VesselReport
 from estimator.contracts.time import MonoNs

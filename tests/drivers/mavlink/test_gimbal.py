@@ -12,11 +12,14 @@ from hypothesis import strategies as st
 from drivers.clock import SystemClock
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
+from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, MountStatus, mav
-from drivers.mavlink.gimbal import Gimbal, GimbalPointer, GimbalSampler, Step
+from drivers.mavlink.gimbal import Gimbal
+from drivers.mavlink.gimbal_pointer import GimbalPointer, Step
+from drivers.mavlink.gimbal_reports import GimbalSampler
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.options import GimbalOptions, GimbalReport, TimeSyncOptions
-from drivers.mavlink.timesync import BootClock, TimeSync
+from drivers.mavlink.timesync import TimeSync
 from drivers.mavlink.vehicle import Identity, Stack
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import GimbalAttitude
@@ -177,7 +180,7 @@ def test_a_refusal_is_counted_and_requested_again_later(caplog: pytest.LogCaptur
         pointer.on_ack(1001, 2, instant(t + 0.1))
         assert requested(pointer, t + 3.0, None) is None
         assert pointer.counts["refused"] == n + 1
-    assert [r.getMessage() for r in caplog.records] == ["gimbal 1: its manager refuses control (result 2); asking again"]
+    assert [r.getMessage() for r in caplog.records] == ["gimbal 1: its manager refuses control (result 2); requesting it again"]
     assert requested(pointer, 20.0, None) is not None
     pointer.on_ack(1001, 3, instant(20.1))
     assert requested(pointer, 20.2, None) is not None

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.samples import MavlinkSampler, inertial_delay_s, tilt_max_deg
-from drivers.mavlink.timesync import BootClock, TimeSync
+from drivers.mavlink.timesync import TimeSync
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Baro, GeoFix, Range, VehicleStatus, VesselReport

@@ -16,13 +16,14 @@ from hypothesis import strategies as st
 from drivers.clock import SystemClock
 from drivers.endpoint import Address
 from drivers.mavlink import autopilot as autopilot_module
-from drivers.mavlink import roster
+from drivers.mavlink import origins
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.roster import FIRST_S, MOVED_S, Bound, Origins, Roster
+from drivers.mavlink.origins import Origins
+from drivers.mavlink.roster import FIRST_S, MOVED_S, Bound, Roster
 from estimator.contracts.commands import Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import NS_PER_S, MonoNs
@@ -440,7 +441,7 @@ async def test_another_program_with_our_ids_is_named_and_an_echo_is_none() -> No
 
 
 async def test_requests_are_few_however_often_an_autopilot_boots(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(roster, "_REBOOT_S", 0.02)
+    monkeypatch.setattr(origins, "_REBOOT_S", 0.02)
     monkeypatch.setattr(autopilot_module, "_AGAIN_S", 0.3)
     fake = MiniatureAutopilot()
     async with routed() as (autopilot, _, url), fake.talking_to(url):

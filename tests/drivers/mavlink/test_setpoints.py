@@ -12,8 +12,9 @@ from pymavlink import mavutil
 from drivers.mavlink.custody import Authority, Hand
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
-from drivers.mavlink.setpoint import RestVelocity, level_setpoint, velocity_setpoint
+from drivers.mavlink.setpoint import level_setpoint, velocity_setpoint
 from drivers.mavlink.setpoint_streamer import SetpointStreamer
+from drivers.mavlink.take_off import RestVelocity
 from drivers.mavlink.vehicle import (
     COPTER_MODES,
     PLANE_MODES,
