@@ -22,8 +22,7 @@ from itertools import pairwise
 
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, StampSource
 
-_SIGMA_MAX_S = 0.999
-"""Largest standard deviation of a stamp; samples refuse one of a second."""
+_SIGMA_MAX_S = 0.999  # largest standard deviation of a stamp; samples refuse one of a second
 _MEMORY = 200
 """The number of messages over which the usual delay above the floor is averaged."""
 _FADE = 0.95
@@ -32,24 +31,18 @@ _PRIOR = 5
 """The number of messages whose weight `unknown_s` has."""
 _BACK_S = 0.02
 """The step back from which a clock may have been set; stamps of several sensors in one stream are out of order by less."""
-_BACK_FOR = 5
-"""Messages whose stamps stay back before the clock counts as set: one late datagram is no step."""
-_BACK_FOR_S = 2.0
-"""Time for which they do."""
-_BLOCK_S = 0.5
-"""Length of a block, of which the least difference counts."""
+_BACK_FOR = 5  # messages whose stamps stay back before the clock counts as set: one late datagram is no step
+_BACK_FOR_S = 2.0  # time for which they do
+_BLOCK_S = 0.5  # length of a block, of which the least difference counts
 _BLOCKS = 8
 """Steps that give a rate and have to agree. A link whose queue fills looks like a slow clock for a while, and its stamps are
 right; no queue fills evenly for so long."""
-_LONG = 4
-"""Blocks in each of these steps; a claimed rate is refused by steps of one block, too."""
+_LONG = 4  # blocks in each of these steps; a claimed rate is refused by steps of one block, too
 _BLOCK_NS = round(_BLOCK_S * NS_PER_S)
 _PROOF = 5
 """The blocks whose least differences have to be alike before a claimed rate counts."""
-_RATE_OFF = 0.01
-"""Disagreement of the rates from which a source is not trusted. Crystals differ by 1e-4."""
-_RATE_AGREES = 0.003
-"""Disagreement of the rates below which a source is trusted again."""
+_RATE_OFF = 0.01  # disagreement of the rates from which a source is not trusted. Crystals differ by 1e-4
+_RATE_AGREES = 0.003  # disagreement of the rates below which a source is trusted again
 
 log = logging.getLogger(__name__)
 

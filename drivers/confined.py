@@ -13,10 +13,8 @@ CHILD_BYTES = 1 << 30
 """Memory of a child process, likewise."""
 _FREE = 0.25
 """Part of the machine's memory that a process that reads files of others leaves to all else."""
-_REFUSED = 3
-"""Exit code of a child that refuses its bytes."""
-_MADE_MOST = 128 << 20
-"""The most that a child gives back, bytes."""
+_REFUSED = 3  # exit code of a child that refuses its bytes
+_MADE_MOST = 128 << 20  # the most that a child gives back, bytes
 
 
 def in_child(module: str, task: str, data: bytes, where: str, *, most_s: float = CHILD_S, most_bytes: int = CHILD_BYTES) -> bytes:

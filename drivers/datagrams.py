@@ -13,18 +13,15 @@ from estimator.contracts.time import NS_PER_S, Clock, MonoNs
 
 Taken = Callable[[bytes, MonoNs, Any], None]
 """A function that takes a datagram, the instant of its reception and its sender's address."""
-_DATAGRAM_MAX = 1 << 16
-"""The largest datagram, bytes."""
+_DATAGRAM_MAX = 1 << 16  # the largest datagram, bytes
 _MOST_AT_ONCE = 64
 """The number of datagrams that are taken at once: a flood of them must not keep the event loop."""
 _SO_TIMESTAMPNS = 35
 """The option of Linux that gives each datagram the wall time at which it was received (socket(7))."""
 _TIMESPEC = struct.Struct("@ll")
 _ANCILLARY_MAX = socket.CMSG_SPACE(_TIMESPEC.size)
-_TRIES = 3
-"""Readings of the two clocks at most, until the thread was not interrupted between them."""
-_APART_NS = 100_000
-"""Time between two readings from which the thread was interrupted."""
+_TRIES = 3  # readings of the two clocks at most, until the thread was not interrupted between them
+_APART_NS = 100_000  # time between two readings from which the thread was interrupted
 _WALL_STEP_NS = 1_000_000
 """A wall clock that moved by more than this against the monotonic one between two looks was set meanwhile."""
 

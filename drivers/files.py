@@ -16,8 +16,7 @@ from pathlib import Path
 
 from estimator.contracts.errors import BadInput, file_errors, refused
 
-_HEAD = 512
-"""Bytes at the begin of a file that show what it is."""
+_HEAD = 512  # bytes at the begin of a file that show what it is
 
 
 class Largest(Enum):

@@ -11,16 +11,11 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 SILENT_S = 3.0
 """Silence of the chosen source after which another one takes its place."""
-_SILENT_GAPS = 3.0
-"""Such a silence of one that reports seldom, in its own intervals."""
-_SILENT_MAX_S = 30.0
-"""Such a silence at most."""
-_BETTER = 0.6
-"""Share of the chosen source's sigma below which another one is better."""
-_BETTER_FOR_S = 3.0
-"""Time for which another source has to be better."""
-_SOURCES_MAX = 16
-"""Sources that are kept."""
+_SILENT_GAPS = 3.0  # such a silence of one that reports seldom, in its own intervals
+_SILENT_MAX_S = 30.0  # such a silence at most
+_BETTER = 0.6  # share of the chosen source's sigma below which another one is better
+_BETTER_FOR_S = 3.0  # time for which another source has to be better
+_SOURCES_MAX = 16  # sources that are kept
 
 
 class _Source(Struct):

@@ -30,8 +30,7 @@ _BEGIN = b"\xb5\x62\x01\x3c"
 """Sync characters, class and id of the one message that is read; all others of a stream are passed over."""
 _FRAME_BYTES = {0: 48, 1: 72}
 """Length of a whole message by its version."""
-_WEEK_NS = 604_800 * NS_PER_S
-"""Period of the receiver's time of week."""
+_WEEK_NS = 604_800 * NS_PER_S  # period of the receiver's time of week
 _HELD_S = 10.0
 """Silence after which datagrams of another sender are taken."""
 AGE_MAX_S = 0.7
@@ -41,10 +40,8 @@ FLOOR_M: dict[BaselineFix, tuple[float, float, float]] = {"fixed": (0.01, 0.01, 
 """Standard deviation of what no receiver states, north, east and down, by the kind of the solution, m (assumed)."""
 _EXTRAPOLATED_M = 0.03
 """Standard deviation beside it where observations of the base are missing, and older ones are carried on, m."""
-_HEADING_FLOOR_RAD = math.radians(0.2)
-"""Standard deviation of a heading that no receiver states (assumed)."""
-_SIGMA_MAX_M = 30.0
-"""A solution with a larger standard deviation is refused."""
+_HEADING_FLOOR_RAD = math.radians(0.2)  # standard deviation of a heading that no receiver states (assumed)
+_SIGMA_MAX_M = 30.0  # a solution with a larger standard deviation is refused
 
 
 class RelposOptions(Struct, frozen=True):

@@ -23,8 +23,7 @@ _BY_NAMES = "<Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformat
 """Compare types by their names, as ROS does: what Fast DDS says of bytes is not what this library has for them."""
 _CDR_HEAD = b"\x00\x01\x00\x00"
 """The header of CDR in little-endian order."""
-_CLIENT = 16
-"""Bytes of a client and its request's number behind that header."""
+_CLIENT = 16  # bytes of a client and its request's number behind that header
 
 
 class Request(NamedTuple):

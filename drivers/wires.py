@@ -37,25 +37,20 @@ _asking: dict[tuple[str, int, int], asyncio.Future[list[AddressInfo]]] = {}
 """The look-ups that a thread still makes: one thread each, however many callers wait and however often they retry."""
 QUEUE_S = 0.2
 """Age at which a message that waits for its line is dropped: a velocity is flown for 0.25 s."""
-_QUEUE_MAX = 512
-"""Messages that wait for a line at most; the oldest is dropped."""
-_SERIAL_S = 0.1
-"""Age of the oldest byte in the kernel's queue of a serial line at which no more is given to it."""
+_QUEUE_MAX = 512  # messages that wait for a line at most; the oldest is dropped
+_SERIAL_S = 0.1  # age of the oldest byte in the kernel's queue of a serial line at which no more is given to it
 _TCP_S = 0.5
 """Age of the oldest byte in the kernel's queue of a TCP connection at which no more is given to it: bytes are acknowledged over a
 network."""
 _STILL_S = 0.3
 """Age of a byte that waits for a serial line at which the line counts as standing still, and the kernel's queue is emptied."""
-_PUMP_S = 0.02
-"""Time to the next look at a kernel's queue that takes no more."""
-_CONNECT_TIMEOUT_S = 3.0
-"""Time to resolve a name, and to connect over TCP."""
+_PUMP_S = 0.02  # time to the next look at a kernel's queue that takes no more
+_CONNECT_TIMEOUT_S = 3.0  # time to resolve a name, and to connect over TCP
 SILENT_S = 10.0
 """Silence after which a TCP peer is connected to again, and the name of a UDP peer looked up again: ten heartbeats."""
 _REFUSED_S = 2.0
 """Time after which the name of a UDP peer that refuses is looked up again, s."""
-_WATCH_S = 0.5
-"""Interval at which a peer's silence is checked."""
+_WATCH_S = 0.5  # interval at which a peer's silence is checked
 
 
 async def resolve(host: str, port: int, timeout_s: float, kind: int = socket.SOCK_STREAM) -> list[AddressInfo]:

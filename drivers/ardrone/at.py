@@ -39,8 +39,7 @@ Int = Annotated[int, _INT]
 Float = Annotated[float, _FLOAT]
 Text = Annotated[str, _TEXT]
 MaybeInt = Annotated[int | None, _MAYBE_INT]
-_DIGITS_MOST = 10
-"""Number of digits of the longest argument, 4294967295."""
+_DIGITS_MOST = 10  # number of digits of the longest argument, 4294967295
 
 
 class Ref(Struct, frozen=True):

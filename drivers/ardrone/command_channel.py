@@ -29,20 +29,17 @@ from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 
 _COMMANDS_S = 0.5
 """Further commands, those passed to `SenderClient.send`, are dropped when they have waited this long."""
-_READY_S = 5.0
-"""A new sender that has not sent its first status for this long is replaced."""
+_READY_S = 5.0  # a new sender that has not sent its first status for this long is replaced
 _SILENT_S = 0.1
 """A sender answers each command with its status; if none arrives for this long, hover is sent to the drone directly."""
 _SILENT_PERIODS = 3.5
 """Longest silence of the sender in command periods, for commands that are sent more slowly."""
 _STUCK_S = 0.5
 """A sender that has not sent its status for this long is replaced."""
-_END_S = 2.0
-"""Time that a sender gets to end by itself before it is killed."""
+_END_S = 2.0  # time that a sender gets to end by itself before it is killed
 _GONE_S = 0.02
 """A process whose socket has closed needs this long to end."""
-_BURST = 3
-"""Number of datagrams that repeat a hover sent directly, as one may be lost."""
+_BURST = 3  # number of datagrams that repeat a hover sent directly, as one may be lost
 _LEFT: list[subprocess.Popen[bytes]] = []
 """The senders that were left to a successor and may have ended since."""
 _START = "import sys; sys.path += sys.argv[1:3]; from drivers.ardrone.sender import main; sys.exit(main(sys.argv[3:]))"

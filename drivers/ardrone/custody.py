@@ -34,8 +34,7 @@ _TOGGLE_PERIODS = 3
 """The drone acts on the rising edge; three periods survive a lost datagram."""
 _CUT_AGAIN_S = 0.3
 """Time after which the emergency bit is sent again to a drone that reports, later than that, that it still flies."""
-_CUT_SILENT_S = 1.0
-"""Silence of the drone after which the emergency bit is sent again."""
+_CUT_SILENT_S = 1.0  # silence of the drone after which the emergency bit is sent again
 _TOGGLE_S = 2.0
 """Time after which the emergency bit is sent again in all other cases, as a toggle that is only late would be undone by another
 one. A second one never starts motors that the first has stopped: no take-off bit goes with it."""

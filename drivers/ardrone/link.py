@@ -31,18 +31,15 @@ from estimator.contracts.pictures import CodedPicture, PictureDecoder, PictureRe
 from estimator.contracts.samples import SAMPLE_QUEUE_ITEMS, Frame, Sample, VehicleStatus
 from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
 
-_READ = 1 << 16
-"""Bytes of the video stream that are read at once."""
-_MS = 1_000_000
-"""Nanoseconds of a millisecond, the unit of the stream's timestamps."""
+_READ = 1 << 16  # bytes of the video stream that are read at once
+_MS = 1_000_000  # nanoseconds of a millisecond, the unit of the stream's timestamps
 OPENING = b"\x01\x00\x00\x00"
 """The datagram that requests the video; it is sent again when there is none."""
 P264 = (
     "the drone sends pictures that build on earlier ones, which only its codec P264 does: "
     'set video:video_codec to 32 (UVLC), as vehicle.model = "1.0" does, and end whatever else configures the drone'
 )
-_NUMBERS = 1 << 32
-"""Frame numbers are counted modulo this number."""
+_NUMBERS = 1 << 32  # frame numbers are counted modulo this number
 _LATE = 64
 """A picture that is up to this many counts older than the newest one arrived late; one that is older comes from a drone that has
 restarted."""

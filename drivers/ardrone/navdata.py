@@ -27,8 +27,7 @@ _OPTION_HEADER = struct.Struct("<HH")
 _CHECKSUM = struct.Struct("<HHI")
 _OLD_GPS_BYTES = 8
 """Size of the body of option 27 of firmware up to 2.3, without GPS."""
-_OUTLINES_MOST = 16
-"""Outlines of datagrams that are kept; one more, and all are dropped."""
+_OUTLINES_MOST = 16  # outlines of datagrams that are kept; one more, and all are dropped
 
 
 class NavdataState(IntEnum):

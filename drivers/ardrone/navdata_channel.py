@@ -32,8 +32,7 @@ from estimator.contracts.samples import (
 )
 from estimator.contracts.time import NS_PER_S, Clock, MonoNs, Stamp, after, seconds_between
 
-_M_S2_PER_MG = 1e-3 * G_M_S2
-"""Factor from thousandths of g to m/s^2."""
+_M_S2_PER_MG = 1e-3 * G_M_S2  # factor from thousandths of g to m/s^2
 _SATELLITES_LEAST = 5
 """Number of satellites below which a place is not taken: four give one without any check."""
 _COMMAND_ACK = int(NavdataState.COMMAND_ACK)
@@ -42,8 +41,7 @@ AS_REPORTED = ArDroneOptions(velocity_scale=1.0, sigma_velocity_fraction=0.2)
 """Options that take velocities as the drone reports them; the covariance covers the uncertainty of their scale."""
 _REORDER = 64
 """A datagram this far behind the newest was not overtaken on its way: the drone has restarted."""
-_LOOK_S = 0.05
-"""Time between two checks for silence at most; a quarter of the permitted silence if that is shorter."""
+_LOOK_S = 0.05  # time between two checks for silence at most; a quarter of the permitted silence if that is shorter
 _UNREQUESTED_S = 0.04
 """Time after which the channel itself takes what nobody requested."""
 

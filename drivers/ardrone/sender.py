@@ -36,12 +36,10 @@ _ALONE_DATAGRAMS = 5
 """Number of datagrams that repeat the commands for a lost or returned service, as nobody waits for an acknowledgement then."""
 _STATUS_S = 0.02
 """Least time between two statuses; shorter than the usual period, as the service expects a status for each command."""
-_REQUEST_AGAIN_S = 0.5
-"""Time between two requests for navdata, and between two refusals of one port that belong together."""
+_REQUEST_AGAIN_S = 0.5  # time between two requests for navdata, and between two refusals of one port that belong together
 _REFUSED_S = 2.0
 """A port that refuses for so long belongs to a simulated drone that has ended: a real one out of reach does not answer."""
-_NS = 1_000_000_000
-"""Nanoseconds of a second."""
+_NS = 1_000_000_000  # nanoseconds of a second
 
 
 class Sender:

@@ -15,16 +15,12 @@ import sys
 import time
 
 _ASK, _BUSY = b"yield\n", b"busy\n"
-_ANSWER_S = 0.5
-"""Time that a living sender gets to answer a successor."""
-_BIND_S = 1.0
-"""Time that the system gets to free a name whose process has ended."""
+_ANSWER_S = 0.5  # time that a living sender gets to answer a successor
+_BIND_S = 1.0  # time that the system gets to free a name whose process has ended
 _REPLACED_S = 2.0
 """A living service replaces a sender that is lost or stuck within this time, also on a busy machine."""
-_CLAIM_AGAIN_S = 0.001
-"""Time between two attempts to take a name."""
-_RECEIVE_TIMEOUT_S = 0.05
-"""Time that a successor gets to send its request."""
+_CLAIM_AGAIN_S = 0.001  # time between two attempts to take a name
+_RECEIVE_TIMEOUT_S = 0.05  # time that a successor gets to send its request
 _CREDENTIALS = struct.Struct("3i")
 """The layout of struct ucred: process, user, group."""
 

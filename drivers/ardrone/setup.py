@@ -20,14 +20,10 @@ from estimator.contracts.time import Clock, MonoNs, seconds_between
 _log = logging.getLogger(__name__)
 _AGAIN_S = 0.1
 """A command of the handshake is repeated after this long without effect."""
-_LOOK_S = 0.005
-"""Time between two looks at what the drone has reported meanwhile."""
-_TEXT_MAX = 1 << 16
-"""Longest list of settings that is read, bytes."""
-_SILENCE_S = 0.5
-"""A list of settings has ended when nothing has come for this long."""
-_MORE_S = 0.1
-"""Time for which the control port is read at once while it is held open."""
+_LOOK_S = 0.005  # time between two looks at what the drone has reported meanwhile
+_TEXT_MAX = 1 << 16  # longest list of settings that is read, bytes
+_SILENCE_S = 0.5  # a list of settings has ended when nothing has come for this long
+_MORE_S = 0.1  # time for which the control port is read at once while it is held open
 _FIRMWARE = "general:num_version_soft"
 _TRIES = 3
 """The number of times that the drone is configured again because a key reads back wrongly."""

@@ -41,8 +41,7 @@ _FIRST_S = 10.0
 """Longest time from the start to the first frame: GStreamer lists its plug-ins, and a sensor starts."""
 _BEHIND_MOST = 8
 """Number of frames that may be skipped at a time to reach the newest."""
-_PIPE_BYTES = 1 << 20
-"""Size of the pipe from the camera's process, which holds a frame or several."""
+_PIPE_BYTES = 1 << 20  # size of the pipe from the camera's process, which holds a frame or several
 _PADDING_MOST = 256
 """The bytes that may follow the pixels of a row: an image processor aligns rows."""
 log = logging.getLogger(__name__)

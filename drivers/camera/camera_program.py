@@ -43,12 +43,9 @@ NO_CAMERA = 5
 MOST_TEXT = 2000
 """Largest length of a fault's text, bytes."""
 
-_PR_SET_PDEATHSIG = 1
-"""Request to Linux for a signal when the parent process ends (prctl.h)."""
-_POLL_NS = 100_000_000
-"""Longest wait for a frame before errors are checked."""
-_MANUAL = 0
-"""AfModeManual of libcamera."""
+_PR_SET_PDEATHSIG = 1  # request to Linux for a signal when the parent process ends (prctl.h)
+_POLL_NS = 100_000_000  # longest wait for a frame before errors are checked
+_MANUAL = 0  # AfModeManual of libcamera
 _DAYLIGHT = 5
 """AwbDaylight of libcamera."""
 _FIRST_US = 5000

@@ -24,10 +24,8 @@ from estimator.contracts.samples import Frame
 
 _DAMPING = 0.6
 """Part of the measured error that one step corrects."""
-_ENTER_EV = 0.4
-"""Error, stops, from which the law corrects."""
-_LEAVE_EV = 0.15
-"""Error, stops, below which the law stops correcting."""
+_ENTER_EV = 0.4  # error, stops, from which the law corrects
+_LEAVE_EV = 0.15  # error, stops, below which the law stops correcting
 _CUT_EV = 1.5
 """Error, stops, from which the law corrects while the frame's edge cuts the pad.
 
@@ -43,8 +41,7 @@ _DWELL = 8
 """Pictures with one exposure before the other's turn: a quarter of a second at 30 Hz, enough for several looks of the search."""
 _APART_EV = 1.0
 """Stops between the two from which they take turns."""
-_FARTHEST_EV = 3.0
-"""Stops between the two at most."""
+_FARTHEST_EV = 3.0  # stops between the two at most
 
 
 class LawMemory(Struct, frozen=True):

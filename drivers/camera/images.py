@@ -22,12 +22,10 @@ PICTURES = frozenset({
     ".tif", ".tiff", ".webp", ".ppm", ".pgm", ".pbm", ".pnm", ".jp2", ".ras", ".sr",
 })  # fmt: skip
 """The endings of image files in a folder."""
-_HEAD = 1 << 16
-"""Bytes of a file that hold its format, size and tables."""
+_HEAD = 1 << 16  # bytes of a file that hold its format, size and tables
 _BEFORE_MOST = 64
 """The bytes that a bridge may put before a JPEG."""
-_WHITE = 255.0
-"""Grey value of white in eight bits."""
+_WHITE = 255.0  # grey value of white in eight bits
 _FLOAT_MOST = 2.0
 """Floats go from 0 to 1 and a highlight above it, or they are a camera's whole numbers."""
 _GAP = bytes(24)
@@ -38,18 +36,13 @@ _UNITS = {"444": (8, 8), "422": (16, 8), "420": (16, 16), "440": (8, 16), "411":
 """Width and height of what a JPEG codes at once, px, by its subsampling."""
 _STEP_LEAST = 6.0
 """A step of brightness or colour by this many levels between two rows of units counts whole."""
-_STEP_ALL = 0.75
-"""Mean of the steps along a whole row of units at least."""
-_STEP_PART = 0.6
-"""Mean of the steps along either part of it at least."""
-_STEP_NONE = 0.4
-"""Mean of the steps along the parts that must have none at most."""
+_STEP_ALL = 0.75  # mean of the steps along a whole row of units at least
+_STEP_PART = 0.6  # mean of the steps along either part of it at least
+_STEP_NONE = 0.4  # mean of the steps along the parts that must have none at most
 _STEP_MAYBE = 0.6
 """The mean along a whole row at which a closer look follows."""
-_ROWS_LEAST = 2
-"""Rows of units from which a picture is searched for a step."""
-_COLUMNS_LEAST = 6
-"""Columns of units from which it is."""
+_ROWS_LEAST = 2  # rows of units from which a picture is searched for a step
+_COLUMNS_LEAST = 6  # columns of units from which it is
 _TABLE = 65
 """The bytes of a table of quantization with its number."""
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}

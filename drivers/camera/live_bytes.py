@@ -20,12 +20,10 @@ from drivers.camera.videos import (
 )  # fmt: skip
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
-_AT_ONCE = 1 << 16
-"""Bytes that are read at once."""
+_AT_ONCE = 1 << 16  # bytes that are read at once
 _HEAD_MOST = 1024
 """The bytes that may precede a stream's first JPEG: the head of its part."""
-_WAITED_S = 0.001
-"""A read that took longer than this found the buffer empty, and waited."""
+_WAITED_S = 0.001  # a read that took longer than this found the buffer empty, and waited
 _SOI = b"\xff\xd8\xff"
 _MARK = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)
 """A mark that ends coded data: neither a stuffed byte nor a restart."""

@@ -26,8 +26,7 @@ _BRIGHT = 0.97
 """Share of a pad's pixels that are no brighter than its level: every pad has more than 3 % of bright paint."""
 _BRIGHTEST = 0.995
 """Share of a whole picture's pixels that are no brighter than its level: a pad in it may be small."""
-_DARKEST = 0.02
-"""Share of a whole picture's pixels that are its darkest parts."""
+_DARKEST = 0.02  # share of a whole picture's pixels that are its darkest parts
 _SHADOWS = 0.03
 """Light from which the darkest parts show what is in them: a grey value of 48. By day the sea is about as bright when white paint
 is rightly exposed."""

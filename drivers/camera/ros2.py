@@ -36,8 +36,7 @@ _COLOURS: Final[Mapping[str, tuple[int, type, int | None]]] = {
     "bayer_grbg8": (1, np.uint8, cv2.COLOR_BayerGRBG2BGR),
 }  # fmt: skip
 """Values of a pixel, their type and the conversion, by the encoding's name in sensor_msgs/image_encodings."""
-_WHITE_16 = 257.0
-"""Factor from eight to sixteen bits of white."""
+_WHITE_16 = 257.0  # factor from eight to sixteen bits of white
 
 
 def image_px(message: Any, size: Size | None = None) -> NDArray[np.uint8]:

@@ -12,10 +12,8 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 
-_DAMAGE_OVER_S = 5.0
-"""The time over which damaged frames are counted before they are reported."""
-_DAMAGE_AGAIN_S = 60.0
-"""The time after which damaged frames are reported again."""
+_DAMAGE_OVER_S = 5.0  # the time over which damaged frames are counted before they are reported
+_DAMAGE_AGAIN_S = 60.0  # the time after which damaged frames are reported again
 _DAMAGE_SHARE = 0.02
 """The share of damaged frames from which they are reported."""
 _OLDEST_S = 2.0

@@ -33,12 +33,10 @@ log = logging.getLogger(__name__)
 
 BY_NAME = (Path("/dev/v4l/by-id"), Path("/dev/v4l/by-path"))
 SYSFS = Path("/sys/class/video4linux")
-_WRAP = 1 << 32
-"""Frames are counted modulo this number."""
+_WRAP = 1 << 32  # frames are counted modulo this number
 _UNPACKED = ("YUYV", "NV12", "GREY")
 """Formats whose small frames are decoded sooner than a thread for it begins."""
-_SMALL_PX = 640 * 480
-"""Pixels of the largest such frame."""
+_SMALL_PX = 640 * 480  # pixels of the largest such frame
 
 
 class CaptureDevice(Struct, frozen=True):

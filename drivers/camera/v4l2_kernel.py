@@ -38,12 +38,9 @@ INTERLACED = {
     8: "interlaced, top field first", 9: "interlaced, bottom field first",
 }  # fmt: skip
 """Orders of fields (enum v4l2_field) in which a picture is of two instants, or of every other line."""
-_DISABLED = 0x0001
-"""V4L2_CTRL_FLAG_DISABLED."""
-_NEXT_CONTROL = 0x80000000
-"""V4L2_CTRL_FLAG_NEXT_CTRL: a query's answer is the next control."""
-_TIME_PER_FRAME = 0x1000
-"""V4L2_CAP_TIMEPERFRAME: the frame rate can be set."""
+_DISABLED = 0x0001  # V4L2_CTRL_FLAG_DISABLED
+_NEXT_CONTROL = 0x80000000  # V4L2_CTRL_FLAG_NEXT_CTRL: a query's answer is the next control
+_TIME_PER_FRAME = 0x1000  # V4L2_CAP_TIMEPERFRAME: the frame rate can be set
 _PARTS = 1000
 """Frame rates are set in parts of one hertz."""
 

@@ -26,8 +26,7 @@ _PID_LEAST = 16
 _MARGIN = 4
 """Frames may have this many times the expected pixels: one of a wrong size is better named by whoever knows the camera."""
 
-_INTERLACED_LEAST = 5
-"""Interlaced frames after which their share is checked."""
+_INTERLACED_LEAST = 5  # interlaced frames after which their share is checked
 _INTERLACED_SHARE = 0.2
 """Share of interlaced frames from which a video is interlaced: of film on television two of five are. A torn header
 claims it of one frame."""

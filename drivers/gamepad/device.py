@@ -42,14 +42,10 @@ BUTTONS: dict[str, int] = {
     "BTN_BASE": 0x126, "BTN_BASE2": 0x127, "BTN_BASE3": 0x128, "BTN_BASE4": 0x129, "BTN_BASE5": 0x12A, "BTN_BASE6": 0x12B,
 }  # fmt: skip
 _NAMES = {EV_ABS: {code: name for name, code in AXES.items()}, EV_KEY: {code: name for name, code in BUTTONS.items()}}
-_READ_EVENTS = 64
-"""Events that are read at once."""
-_KEYS_BYTES = 96
-"""Size of the kernel's bit set of buttons, KEY_CNT / 8."""
-_AXES_BYTES = 8
-"""Size of the kernel's bit set of axes, ABS_CNT / 8."""
-_NAME_BYTES = 256
-"""Longest name of a device that is read."""
+_READ_EVENTS = 64  # events that are read at once
+_KEYS_BYTES = 96  # size of the kernel's bit set of buttons, KEY_CNT / 8
+_AXES_BYTES = 8  # size of the kernel's bit set of axes, ABS_CNT / 8
+_NAME_BYTES = 256  # longest name of a device that is read
 
 
 class InputEvent(NamedTuple):

@@ -15,16 +15,12 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame, Sample
 
 NAVDATA_MAGIC = b"\x88\x77\x66\x55"
-_NAVDATA_WRAP_US = 2048 * 1_000_000
-"""Period of the time in navdata: eleven bits of seconds."""
+_NAVDATA_WRAP_US = 2048 * 1_000_000  # period of the time in navdata: eleven bits of seconds
 _NAVDATA_PERIOD_S = 0.005
 """The period assumed for datagrams without a time: full navdata are sent 200 times a second."""
-_PAUSE_MS = 600_000
-"""A video that goes on after a longer time was not paused: the drone's clock began again."""
-_FRAME_MS = 33
-"""Time between two frames at 30 Hz."""
-_CHECKSUM_TAG = 0xFFFF
-"""Tag of the last option of a navdata datagram."""
+_PAUSE_MS = 600_000  # a video that goes on after a longer time was not paused: the drone's clock began again
+_FRAME_MS = 33  # time between two frames at 30 Hz
+_CHECKSUM_TAG = 0xFFFF  # tag of the last option of a navdata datagram
 _OPTION = struct.Struct("<HH")
 
 

@@ -16,8 +16,7 @@ from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment
 from drivers.imports.stamps import Tell, quiet, timeline
 from estimator.contracts.errors import BadInput
 
-_TEXTS_MAX = 1000
-"""Texts that are kept."""
+_TEXTS_MAX = 1000  # texts that are kept
 _ERRORS: dict[int, str | dict[int, str]] = {
     3: "compass failed", 5: "failsafe: remote control lost", 6: "failsafe: battery", 8: "failsafe: station lost",
     9: "failsafe: fence", 11: {2: "GNSS glitch"}, 12: {1: "crash detected: motors stopped", 2: "loss of control"},

@@ -31,8 +31,7 @@ TEXT_HEAD = 4096
 """Bytes that show whether a file is a log in text."""
 _FMT = MAGIC + b"\x80"
 """Begin of a message that describes another one."""
-_FMT_SIZE = 89
-"""Its length, bytes."""
+_FMT_SIZE = 89  # its length, bytes
 
 
 class LogEvent(IntEnum):

@@ -11,18 +11,13 @@ from drivers.imports.sentences import SENTENCE
 from estimator.contracts.errors import refused
 from estimator.contracts.text import utf8_of
 
-_HEAD = 1 << 16
-"""Bytes at the begin of a file that show what it is."""
-_TLOG_STAMP = 8
-"""Length of a telemetry log's stamp before each frame, bytes."""
-_TLOG_BEGAN_US = 1_000_000_000_000_000
-"""Earliest stamp of a telemetry log, Unix time of 2001, us."""
-_TLOG_ENDS_US = 4_000_000_000_000_000
-"""Latest stamp of a telemetry log, Unix time of 2096, us."""
+_HEAD = 1 << 16  # bytes at the begin of a file that show what it is
+_TLOG_STAMP = 8  # length of a telemetry log's stamp before each frame, bytes
+_TLOG_BEGAN_US = 1_000_000_000_000_000  # earliest stamp of a telemetry log, Unix time of 2001, us
+_TLOG_ENDS_US = 4_000_000_000_000_000  # latest stamp of a telemetry log, Unix time of 2096, us
 _FRAMES = {0xFE: 8, 0xFD: 12}
 """Bytes around the payload of an unsigned frame of MAVLink, by its first byte."""
-_IN_A_ROW = 4
-"""Frames in a row from which bytes are MAVLink."""
+_IN_A_ROW = 4  # frames in a row from which bytes are MAVLink
 _MCAP = b"\x89MCAP"
 _TEXT = frozenset(range(32, 127)) | frozenset(b"\t\r\n\f\b\x1b\x02\x03") | frozenset(range(128, 256))
 """Bytes of a text; STX and ETX stand about the lines of some instruments."""

@@ -34,8 +34,7 @@ _BY_DIGITS = {10: "s", 13: "ms", 16: "us", 19: "ns"}
 _UNIT = re.compile(r"(?:^|[\[(_ ])(m|u|n)?s(?:ec|ecs|econds)?[\])]?$")
 _TIME = re.compile(r"time|stamp|^t\b|^(?:[mun]?s|[mun]?secs?|seconds)$")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
-_UNIX_DIGITS = 10
-"""Digits of a Unix time in seconds."""
+_UNIX_DIGITS = 10  # digits of a Unix time in seconds
 _DATE = re.compile(
     r"(?<!\d)(?:19|20)\d\d[-_.]?\d\d[-_.]?\d\d[-_.T ]?\d\d[-_.:h]?\d\d[-_.:m]?\d\d(?:[.,]\d+|\d{3}|\d{6,9})?(?!\d)"
 )

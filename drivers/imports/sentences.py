@@ -33,8 +33,7 @@ _TIME = re.compile(
 )
 _OWN = re.compile(r"\$..(?:GGA|ZDA|RMC|GLL),(\d{6}(?:\.\d+)?)", re.IGNORECASE)
 _TAG_TIME = re.compile(rb"c:(\d{9,13})")
-_DAY_S = 86_400.0
-"""Length of a day."""
+_DAY_S = 86_400.0  # length of a day
 _MS_FROM = 1e11
 """Unix times above this are in milliseconds."""
 

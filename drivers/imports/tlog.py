@@ -23,12 +23,10 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
 
-_STAMP = 8
-"""Length of the stamp before each frame, bytes."""
+_STAMP = 8  # length of the stamp before each frame, bytes
 _HEADS = {0xFE: (8, 0), 0xFD: (12, 13)}
 """The bytes around the payload by the marker: those of every frame, and those of a signature."""
-_TEXTS_MAX = 1000
-"""Texts that are kept."""
+_TEXTS_MAX = 1000  # texts that are kept
 
 
 class _Received(Struct, frozen=True):

@@ -5,8 +5,7 @@ from collections.abc import Mapping
 
 from drivers.imports.stamps import Tell
 
-_HEAD = 16
-"""Length of the file's header, bytes."""
+_HEAD = 16  # length of the file's header, bytes
 _MESSAGE = struct.Struct("<HB")
 """Size and type of a message."""
 _IN_ORDER = 3

@@ -24,8 +24,7 @@ _log = logging.getLogger(__name__)
 Source = tuple[int, Address | None]
 """Number of a link, and the peer on it; None where the link has only one."""
 
-_UNKNOWN_MAX = 64
-"""Unknown senders that are remembered."""
+_UNKNOWN_MAX = 64  # unknown senders that are remembered
 _UNKNOWN_AFTER_S = 3.0
 """A sender that is unknown for this long is logged: an autopilot becomes known with its first HEARTBEAT."""
 

@@ -41,30 +41,21 @@ from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 _log = logging.getLogger(__name__)
 
-_PROBE_S = 1.0
-"""Interval of messages to a silent address: a listening peer does not know this program's before it receives one."""
-_UNREQUESTED_S = 0.02
-"""Time after which messages are handled that no part of the service has taken."""
-_TIMED_S = 0.006
-"""The same after a request for the time: PX4 drops round trips of TIMESYNC above 10 ms."""
-_TIMED_FOR_S = 1.0
-"""Time after such a request for which it holds: PX4 requests the time ten times a second."""
+_PROBE_S = 1.0  # interval of messages to a silent address: a listening peer does not know this program's before it receives one
+_UNREQUESTED_S = 0.02  # time after which messages are handled that no part of the service has taken
+_TIMED_S = 0.006  # the same after a request for the time: PX4 drops round trips of TIMESYNC above 10 ms
+_TIMED_FOR_S = 1.0  # time after such a request for which it holds: PX4 requests the time ten times a second
 _WARNING = 4
 """MAV_SEVERITY_WARNING; what is graver has a lower number."""
-_BEFORE_S = 5.0
-"""Time before the vehicle was taken from which on the autopilot's texts are about it: PX4 waits 5 s in Hold."""
-_AFTER_S = 2.0
-"""Time after the vehicle was taken up to which they are."""
+_BEFORE_S = 5.0  # time before the vehicle was taken from which on the autopilot's texts are about it: PX4 waits 5 s in Hold
+_AFTER_S = 2.0  # time after the vehicle was taken up to which they are
 _AGAIN_S = 5.0
 """The shortest time between two rounds of requests, whatever the autopilot does."""
-_REQUESTS_HZ = 20.0
-"""Requests for streams and parameters a second."""
-_REQUESTS_MAX = 100
-"""Requests for streams and parameters at once."""
+_REQUESTS_HZ = 20.0  # requests for streams and parameters a second
+_REQUESTS_MAX = 100  # requests for streams and parameters at once
 _MOVED_S = 0.1
 """Time for which an autopilot must send from another port of its host alone to count as moved."""
-_OVERTAKEN_S = 0.05
-"""Time by which a message of the old port may be late."""
+_OVERTAKEN_S = 0.05  # time by which a message of the old port may be late
 _HOLDER = {Hand.NOBODY: "nobody", Hand.PERSON: "a person", Hand.CUT: "nobody, its motors are cut,"}
 _BY_ITSELF = (HandEvent.FAILSAFE, HandEvent.RESTS)
 _BEAT_S = 5.0

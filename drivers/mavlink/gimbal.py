@@ -20,8 +20,7 @@ from drivers.reconnect import running_beside
 from estimator.contracts.samples import GimbalAttitude
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
-_TICK_S = 0.1
-"""Interval at which requests and commands are checked."""
+_TICK_S = 0.1  # interval at which requests and commands are checked
 _SILENT_S = 3.0
 """Time of silence after which the gimbal may report over another link or from another peer."""
 

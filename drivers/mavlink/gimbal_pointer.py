@@ -16,14 +16,10 @@ _log = logging.getLogger(__name__)
 
 OFF_RAD = math.radians(10.0)
 """Angle from the vertical beyond which the gimbal has left: less than what a stabilizing gimbal lags behind in a gust."""
-_REPEAT_S = 1.0
-"""Time to the next command after one that was not answered."""
-_REFUSED_S = 5.0
-"""Time to the next command after one that was refused."""
-_SETTLE_S = 4.0
-"""Time to the next command after one that was accepted: the gimbal moves."""
-_KEEP = -1.0
-"""Parameter that leaves secondary control unchanged."""
+_REPEAT_S = 1.0  # time to the next command after one that was not answered
+_REFUSED_S = 5.0  # time to the next command after one that was refused
+_SETTLE_S = 4.0  # time to the next command after one that was accepted: the gimbal moves
+_KEEP = -1.0  # parameter that leaves secondary control unchanged
 _CONTROL = int(mav.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE)
 _POINT = int(mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW)
 _DONE = frozenset({int(mav.MAV_RESULT_ACCEPTED), int(mav.MAV_RESULT_IN_PROGRESS)})

@@ -35,8 +35,7 @@ _FAILURES = int(
 """Failures with which the reported attitude need not be the camera's. At a limit of its travel a gimbal still knows its own."""
 _LENGTH_OFF = 0.05
 """Largest difference of a quaternion's length from one."""
-_ANGLE_MAX_DEG = 720.0
-"""Angles beyond this are damaged."""
+_ANGLE_MAX_DEG = 720.0  # angles beyond this are damaged
 _ARRIVAL_SIGMA_S = 0.02
 """Standard deviation of the instant of a report without a stamp, which has the time of its arrival."""
 _OLDER_AFTER_S = 1.0

@@ -7,8 +7,7 @@ from drivers.mavlink.dialect import Message
 
 CHUNK = 50
 """Characters in a full chunk."""
-_CHUNKS_MAX = 20
-"""Chunks of the longest text."""
+_CHUNKS_MAX = 20  # chunks of the longest text
 LOST = "..."
 """Placeholder for a chunk that did not arrive."""
 

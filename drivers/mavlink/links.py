@@ -35,12 +35,9 @@ _log = logging.getLogger(__name__)
 _Result = TypeVar("_Result")
 _NEWEST_ONLY = frozenset({"SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET", "LANDING_TARGET"})
 """Messages whose newest alone is worth sending over a line that is slow."""
-_ECHO_S = 10.0
-"""Time for which a message of ours is recognized when it comes back."""
-_PLACES_MAX = 256
-"""Places of errors, and addresses of senders, that are counted apart."""
-_QUIET_S = 10.0
-"""Shortest time between two log lines about one place."""
+_ECHO_S = 10.0  # time for which a message of ours is recognized when it comes back
+_PLACES_MAX = 256  # places of errors, and addresses of senders, that are counted apart
+_QUIET_S = 10.0  # shortest time between two log lines about one place
 _RECEIVED_MOST = 4096
 """Messages that may wait for the reader of `Links.received` before the oldest are dropped."""
 

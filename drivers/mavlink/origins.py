@@ -15,28 +15,22 @@ from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 
 _ROOM_NS = NS_PER_S
 """Largest difference of a time since boot from the expected one: messages are late and overtake one another."""
-_DRIFT_PPM = 200
-"""Rate at which the least delay of an autopilot's clock may change, parts per million."""
+_DRIFT_PPM = 200  # rate at which the least delay of an autopilot's clock may change, parts per million
 _NEXT_WITHIN = 8
 """Sequence numbers that may be lost between two messages of one autopilot."""
 _REACHED_WITHIN = 64
 """Sequence numbers that another autopilot may have used since its last message with a time."""
 _HELD_S = 0.5
 """Time for which a message waits until its sender is known."""
-_REBOOT_S = 1.0
-"""Silence after which another clock is taken for the autopilot's, because it rebooted."""
-_REPLACED_S = 10.0
-"""Silence after which it is, where two autopilots ran beside one another."""
-_BELIEVED = 3
-"""Messages or HEARTBEATs in order from which a clock counts as an autopilot's."""
+_REBOOT_S = 1.0  # silence after which another clock is taken for the autopilot's, because it rebooted
+_REPLACED_S = 10.0  # silence after which it is, where two autopilots ran beside one another
+_BELIEVED = 3  # messages or HEARTBEATs in order from which a clock counts as an autopilot's
 _BESIDE_S = 0.5
 """Time for which two clocks must both have run on to be those of two autopilots."""
 _SLOWEST = 0.2
 """Pace of a simulated autopilot's clock, as a part of ours, at which it still counts as a clock."""
-_OTHERS_MAX = 4
-"""Other clocks under one id that are kept."""
-_SEEN_MAX = 4096
-"""Messages that are kept to recognize those that come over a second link."""
+_OTHERS_MAX = 4  # other clocks under one id that are kept
+_SEEN_MAX = 4096  # messages that are kept to recognize those that come over a second link
 ALIVE_S = 5.0
 """Time for which a system counts as there after a HEARTBEAT."""
 

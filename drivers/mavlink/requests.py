@@ -32,12 +32,9 @@ _VALUES_MAX = 4096
 """Largest number of parameters kept of an autopilot; ArduPilot has about 1,500."""
 _INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
 """MAV_PARAM_TYPE to struct layout, for integers that travel as bytes in a float."""
-_POLL_INTERVALS = 0.75
-"""Age at which a polled message is requested where its stream is refused, in its intervals."""
-_LATE_INTERVALS = 1.5
-"""Age at which it is requested where its stream is too slow, in its intervals."""
-_POLL_AGES = 0.2
-"""Least pause between requests, in parts of its age: none arrives where requests cannot."""
+_POLL_INTERVALS = 0.75  # age at which a polled message is requested where its stream is refused, in its intervals
+_LATE_INTERVALS = 1.5  # age at which it is requested where its stream is too slow, in its intervals
+_POLL_AGES = 0.2  # least pause between requests, in parts of its age: none arrives where requests cannot
 
 
 def parameter_value(stack: Stack, wire: float, kind: int) -> float:

@@ -23,24 +23,15 @@ FIRST_S = 5.0
 """Time for which an autopilot flies alone until another that flies makes it doubtful no more who is meant."""
 MOVED_S = 5.0
 """Silence of the autopilot, since it counts as lost, after which another id may be its new one."""
-_UID_S = 15.0
-"""Time for which an answer about the hardware counts."""
-_UIDS_MAX = 4
-"""Serial numbers of hardware that are kept."""
-_NAMED_S = 10.0
-"""Time within which messages under our own id show another program that has it."""
-_DIFFERENT = 3
-"""HEARTBEATs of another state from which one id is that of two systems."""
-_NAMESAKES = 3
-"""Messages under our own id from which another program has it."""
-_SYSTEMS_MAX = 32
-"""Systems that are kept."""
-_CHECKED_S = 0.2
-"""Interval at which conflicts of ids are looked for."""
-_LOGGED_S = 60.0
-"""Shortest time between two log lines about one conflict."""
-_LOGGED_MAX = 64
-"""Conflicts whose log lines are remembered."""
+_UID_S = 15.0  # time for which an answer about the hardware counts
+_UIDS_MAX = 4  # serial numbers of hardware that are kept
+_NAMED_S = 10.0  # time within which messages under our own id show another program that has it
+_DIFFERENT = 3  # HEARTBEATs of another state from which one id is that of two systems
+_NAMESAKES = 3  # messages under our own id from which another program has it
+_SYSTEMS_MAX = 32  # systems that are kept
+_CHECKED_S = 0.2  # interval at which conflicts of ids are looked for
+_LOGGED_S = 60.0  # shortest time between two log lines about one conflict
+_LOGGED_MAX = 64  # conflicts whose log lines are remembered
 
 
 _IN_THE_AIR = (int(mav.MAV_STATE_ACTIVE), int(mav.MAV_STATE_CRITICAL), int(mav.MAV_STATE_EMERGENCY))

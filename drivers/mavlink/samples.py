@@ -36,20 +36,13 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 
 DOWN = 25
 """MAV_SENSOR_ROTATION_PITCH_270: looking down."""
-_ACC_AND_GYRO = 0b111111
-"""Bits of HIGHRES_IMU's fields_updated for the six inertial values."""
-_PRESSURE = 1 << 9
-"""Bit of HIGHRES_IMU's fields_updated for the absolute pressure."""
-_HEADING_MAX_CDEG = 36_000
-"""Largest heading, hundredths of a degree."""
-_ANGLE_MAX_RAD = 4.0 * math.pi
-"""Limit of roll and pitch."""
-_YAW_MAX_RAD = 1000.0 * math.pi
-"""Limit of a yaw, which may count turns."""
-_TURN_MAX_RAD_S = 100.0
-"""Rate beyond what a multicopter's gyros can measure: 4,000 degrees/s is the widest range there is."""
-_FORCE_MAX_M_S2 = 400.0
-"""Specific force beyond what its accelerometers can measure: 32 g is the widest range there is."""
+_ACC_AND_GYRO = 0b111111  # bits of HIGHRES_IMU's fields_updated for the six inertial values
+_PRESSURE = 1 << 9  # bit of HIGHRES_IMU's fields_updated for the absolute pressure
+_HEADING_MAX_CDEG = 36_000  # largest heading, hundredths of a degree
+_ANGLE_MAX_RAD = 4.0 * math.pi  # limit of roll and pitch
+_YAW_MAX_RAD = 1000.0 * math.pi  # limit of a yaw, which may count turns
+_TURN_MAX_RAD_S = 100.0  # rate beyond what a multicopter's gyros can measure: 4,000 degrees/s is the widest range there is
+_FORCE_MAX_M_S2 = 400.0  # specific force beyond what its accelerometers can measure: 32 g is the widest range there is
 _RESTART_NS = NS_PER_S
 """A stamp that is this much older than the newest is that of an autopilot that has booted, as `BootClock` has it."""
 _AGES_S = {"HEARTBEAT": 5.0, "EXTENDED_SYS_STATE": 5.0, "SYS_STATUS": 15.0}
@@ -61,17 +54,12 @@ _LANDED_STATE_WITHIN_S = 3.0
 """Time from the first heartbeat: every PX4 sends EXTENDED_SYS_STATE by then, also over a slow link."""
 _SHIP_CLOCK = ClockMapOptions(resolution_s=0.001, floor_sigma_s=0.05, window_s=600.0, jump_s=5.0, name="the ship")
 """The ship's clock over a radio link. The window is long, so that a link that becomes slow is reported as late reports."""
-_HAS_PLACE = 1 << 0
-"""Bit of FOLLOW_TARGET's est_capabilities."""
-_HAS_VELOCITY = 1 << 1
-"""Bit of FOLLOW_TARGET's est_capabilities."""
-_PLACE_MAX_M = 1e6
-"""Distances from the origin beyond this are damaged."""
-_SPEED_MAX_M_S = 150.0
-"""Speeds beyond this are damaged."""
+_HAS_PLACE = 1 << 0  # bit of FOLLOW_TARGET's est_capabilities
+_HAS_VELOCITY = 1 << 1  # bit of FOLLOW_TARGET's est_capabilities
+_PLACE_MAX_M = 1e6  # distances from the origin beyond this are damaged
+_SPEED_MAX_M_S = 150.0  # speeds beyond this are damaged
 _PRESSURE_HPA = (100.0, 1200.0)
-_M_S2_PER_MG = 1e-3 * G_M_S2
-"""Factor from thousandths of g to m/s^2."""
+_M_S2_PER_MG = 1e-3 * G_M_S2  # factor from thousandths of g to m/s^2
 
 _CUTOFF_HZ, _INTERVALS_HZ = "INS_GYRO_FILTER", "IMU_INTEG_RATE"
 _JERKS_M_S3 = ("PSC_JERK_XY", "PSC_JERK_NE", "Q_P_JERK_XY")

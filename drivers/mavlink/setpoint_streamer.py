@@ -44,14 +44,10 @@ FORCE = 21196.0
 """Parameter 2 of COMPONENT_ARM_DISARM that disarms whatever the autopilot takes itself to do (mavlink.io)."""
 OUTLIVE_S = 0.5
 """Time for which setpoints go on after the report that the motors stand, s."""
-_TURNS_RAD = math.radians(3.0)
-"""Turn from which on a landing's heading is requested."""
-_TURN_DEG_S = 30.0
-"""Rate of that turn."""
-_EACH_S = 0.2
-"""Time between two requests to stop the motors at first."""
-_SLOW_S = 1.0
-"""Time between two such requests later, and between two requests for a heading."""
+_TURNS_RAD = math.radians(3.0)  # turn from which on a landing's heading is requested
+_TURN_DEG_S = 30.0  # rate of that turn
+_EACH_S = 0.2  # time between two requests to stop the motors at first
+_SLOW_S = 1.0  # time between two such requests later, and between two requests for a heading
 _QUICK_S = 5.0
 """Time after which requests are rarer, s."""
 _PLACE_S = 2.0

@@ -34,10 +34,8 @@ _LATEST = 2**47
 """The year 2059. A time has 48 bits: who has used them up can sign no more."""
 _SAVE_S = 5.0
 """Interval between two writes; messages received for so long before a crash could be replayed after it."""
-_STREAMS_MAX = 256
-"""Streams whose newest signing time is kept."""
-_CLOSE_S = 0.3
-"""Time that the end of the service waits for the signing time on disk."""
+_STREAMS_MAX = 256  # streams whose newest signing time is kept
+_CLOSE_S = 0.3  # time that the end of the service waits for the signing time on disk
 
 
 class SigningTimes:

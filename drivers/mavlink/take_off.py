@@ -15,8 +15,7 @@ REST_S = 8.0
 """Time over which the velocity on deck is averaged, s: it keeps the ship's way and removes the waves."""
 _RESET_M_S = 0.5
 """Step between two of the autopilot's velocities that is its filter's: what was averaged before was wrong."""
-_LIFTED_M = 0.3
-"""Climb from which the vehicle has left the deck."""
+_LIFTED_M = 0.3  # climb from which the vehicle has left the deck
 SHOWN_S = 0.5
 """Time from a request or an answer to a HEARTBEAT that surely is later, s."""
 

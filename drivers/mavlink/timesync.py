@@ -15,12 +15,9 @@ from drivers.mavlink.dialect import Message, TimeSyncV2
 from drivers.mavlink.options import TimeSyncOptions
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 
-_LOCKED_AFTER = 5
-"""Answers that agree from which the clocks are compared."""
-_JUMPS_TO_BELIEVE = 3
-"""Answers in a row that disagree from which the autopilot's clock was set."""
-_SLACK_S = 0.002
-"""Disagreement that answers may have beside what delay and drift explain."""
+_LOCKED_AFTER = 5  # answers that agree from which the clocks are compared
+_JUMPS_TO_BELIEVE = 3  # answers in a row that disagree from which the autopilot's clock was set
+_SLACK_S = 0.002  # disagreement that answers may have beside what delay and drift explain
 
 
 class _Answer(Struct, frozen=True):

@@ -13,8 +13,7 @@ from drivers.mavlink.failsafe import Failsafe
 from drivers.mavlink.options import TARGET_MODES, VELOCITY_MODES
 from estimator.contracts.geometry import GeoPoint
 
-_FIXED_WING = 1
-"""MAV_TYPE of a QuadPlane, as ArduPlane reports it unless Q_MAV_TYPE says otherwise."""
+_FIXED_WING = 1  # MAV_TYPE of a QuadPlane, as ArduPlane reports it unless Q_MAV_TYPE says otherwise
 _VTOLS = frozenset(range(19, 26))
 """MAV_TYPEs of a QuadPlane by Q_MAV_TYPE."""
 

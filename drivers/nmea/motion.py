@@ -29,8 +29,7 @@ _ANGLE, _HEAVE = re.compile(r"(?:(ROLL|HEEL)|(?:PITCH|PTCH)).*"), re.compile(r"H
 _TSS1 = re.compile(r":([0-9A-F]{2})[0-9A-F]{4} ([ -]\d{4})([UGHF])([ -]\d{4}) ([ -]\d{4})", re.ASCII | re.IGNORECASE)
 _TSS1_M_S2 = 0.03835
 """Last digit of its horizontal acceleration, m/s^2: 9.8 m/s^2 by two hexadecimal digits."""
-_EM_SIZE = 10
-"""Length of a record of EM3000, bytes."""
+_EM_SIZE = 10  # length of a record of EM3000, bytes
 EM_SYNC = 0x90
 """Second byte of such a record."""
 _EM_VALID = (0x00, *range(0x90, 0x9A))

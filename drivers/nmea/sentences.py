@@ -44,29 +44,20 @@ from estimator.contracts.geometry import F64, GeoPoint, ned_between
 from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, after, seconds_between
 
-_LINE_MAX = 1024
-"""Longest sentence that is read, characters; the standard permits 82."""
-_RATE_MAX = 1000.0
-"""Sentences that are read each second."""
-_BURST_MAX = 2.0 * LINES_MAX
-"""Sentences that are read at once."""
+_LINE_MAX = 1024  # longest sentence that is read, characters; the standard permits 82
+_RATE_MAX = 1000.0  # sentences that are read each second
+_BURST_MAX = 2.0 * LINES_MAX  # sentences that are read at once
 _SOURCE_MAX = 0.25
 """Share of both that one source may have: a storm of one kind by one talker leaves time for the others, and one of all kinds
 leaves time for the flight."""
-_NAMES_MAX = 64
-"""Sources that are counted apart."""
-_TALKERS_MAX = 16
-"""Receivers that are kept."""
-_DAY_NS = 86_400 * NS_PER_S
-"""Period of a time of day."""
-_MINUTE_NS = 60 * NS_PER_S
-"""Period of the seconds of a minute in AIS."""
+_NAMES_MAX = 64  # sources that are counted apart
+_TALKERS_MAX = 16  # receivers that are kept
+_DAY_NS = 86_400 * NS_PER_S  # period of a time of day
+_MINUTE_NS = 60 * NS_PER_S  # period of the seconds of a minute in AIS
 _ARRIVAL_SIGMA_S = 0.2
 """Standard deviation of the instant of a sentence without a time."""
-_BURST_S = 0.5
-"""Time after the sentence with a time in which others belong to its instant."""
-_BURST_SHARE = 0.5
-"""The same as a share of the time between two."""
+_BURST_S = 0.5  # time after the sentence with a time in which others belong to its instant
+_BURST_SHARE = 0.5  # the same as a share of the time between two
 _FIX_SIGMA_M = 2.5
 """Standard deviation of a place at a dilution of precision of 1."""
 _DILUTION = 2.0
@@ -105,8 +96,7 @@ COV_SPEED = np.diag([0.2**2, 0.2**2, UNKNOWN_VAR])
 COV_SPEED.setflags(write=False)
 _AIS_NO_PLACE = {61: "typed_in", 63: "no_fix"}
 """Seconds of the minute that stand for a place that was typed in, or for none."""
-_AIS_RECKONED = 62
-"""Seconds of the minute that stand for a place by dead reckoning."""
+_AIS_RECKONED = 62  # seconds of the minute that stand for a place by dead reckoning
 _AIS_REPORTS = (1, 2, 3, 18, 19)
 
 _INDIRECT = 2.0
@@ -115,14 +105,10 @@ WIND_RANK = {"R": 0.4, "N": 0.7, "T": 1.0}
 """Order of winds: made here of the apparent one and her way, by her own from north, by her own from the bow (over the water)."""
 _WAY_S = 5.0
 """Age up to which her heading and velocity make a wind over the ground of an apparent one, and her velocity joins places."""
-_OWNS = 0.25
-"""Share of the motions whose heading is a talker's own from which they are of its device."""
-_MOTIONS = 60.0
-"""Number of motions after which old ones count half."""
-_QUALITY_S = 3.0
-"""Age beyond which the quality of a motion no longer counts."""
-_NOT_VALID = 2
-"""Quality of a value that is not valid."""
+_OWNS = 0.25  # share of the motions whose heading is a talker's own from which they are of its device
+_MOTIONS = 60.0  # number of motions after which old ones count half
+_QUALITY_S = 3.0  # age beyond which the quality of a motion no longer counts
+_NOT_VALID = 2  # quality of a value that is not valid
 
 REFUSED_FOR = {
     "no_fix": "the receiver has no fix",

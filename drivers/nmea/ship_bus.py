@@ -42,26 +42,20 @@ _TEXTS = {
 _FRAMES = ("ydwg02", "candump")
 """Formats of single CAN frames; the others hold whole messages, and `plain` either."""
 _DLE_STX = b"\x10\x02"
-_LINE_MAX = 4096
-"""Longest line that is read, characters."""
+_LINE_MAX = 4096  # longest line that is read, characters
 _TORN_S = 0.75
 """Age at which the frames of a long message wait no longer for the next one (ISO 11783-3 waits as long)."""
-_ARRIVAL_SIGMA_S = 0.05
-"""Standard deviation of a stamp by arrival."""
+_ARRIVAL_SIGMA_S = 0.05  # standard deviation of a stamp by arrival
 _OF_DAY = ClockMapOptions(wrap_ns=86_400 * NS_PER_S, resolution_s=0.001, floor_sigma_s=_ARRIVAL_SIGMA_S, jump_s=5.0)
-_CLOCKS_MAX = 64
-"""Senders whose times of day are mapped."""
+_CLOCKS_MAX = 64  # senders whose times of day are mapped
 _CLOCK = re.compile(r"(?<!\d)([01]\d|2[0-3]):?([0-5]\d):?([0-5]\d\.\d{1,6})")
-_TURN_RAD = 2.0 * math.pi
-"""A larger direction shows that the source sends degrees."""
+_TURN_RAD = 2.0 * math.pi  # a larger direction shows that the source sends degrees
 _DIRECTIONS = ("heading", "cog", "windangle", "yaw")
 _ANGLES = (*_DIRECTIONS, "roll", "pitch", "rate", "deviation", "variation")
 _SURE = 5
 """Directions with more digits than a degree has in canboat's JSON, after which its angles count as radians."""
-_PAIR_S = 1.0
-"""Age up to which one message's values complete another's."""
-_ADDRESS_MAX = 251
-"""The highest address of a device."""
+_PAIR_S = 1.0  # age up to which one message's values complete another's
+_ADDRESS_MAX = 251  # the highest address of a device
 _NAMES_MAX = 252
 """NAMEs that are kept."""
 _NEW_S = 10.0

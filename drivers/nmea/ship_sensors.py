@@ -24,36 +24,28 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 Samples = list[GeoFix | VesselReport | VesselMotion | VesselWind]
 Values = Mapping[str, Any]
 
-_SOURCES_MAX = 256
-"""Kinds times sources that are kept apart; an NMEA 2000 network has fewer."""
+_SOURCES_MAX = 256  # kinds times sources that are kept apart; an NMEA 2000 network has fewer
 _FORGET_S = 0.05
 """Least time between two that are forgotten for new ones, so that invented names push none out that reports each ten seconds."""
-_STEP_TILT_RAD = 1e-4 / math.sqrt(12.0)
-"""Standard deviation that the resolution of PGN 127257 leaves."""
-_STEP_HEAVE_M = 0.01 / math.sqrt(12.0)
-"""Standard deviation that the resolution of PGN 127252 leaves."""
+_STEP_TILT_RAD = 1e-4 / math.sqrt(12.0)  # standard deviation that the resolution of PGN 127257 leaves
+_STEP_HEAVE_M = 0.01 / math.sqrt(12.0)  # standard deviation that the resolution of PGN 127252 leaves
 _SIGMA_TURN_RAD_S = 0.005
 """Standard deviation of a rate of turn; the noise of two sets on a small boat was 0.0003 and 0.004 rad/s."""
 _SIGMA_PLACE_M = 5.0
 """Standard deviation of a place whose receiver does not say how it has it."""
 _NOWHERE_DEG = 1e-6
 """A place so near to 0 N 0 E is all zeros or all ones, which a receiver without a fix sends."""
-_TILT_MAX_RAD = math.radians(TILT_MAX_DEG)
-"""Roll or pitch beyond this is of no ship."""
-_TURN_MAX_RAD_S = math.radians(TURN_MAX_DEG_S)
-"""Rate of turn beyond this is of no ship."""
-_WAY_S = 2.0
-"""Age beyond which her heading and way do not make a wind true."""
-_QUALITY_S = 5.0
-"""Age beyond which the quality of a fix says nothing."""
+_TILT_MAX_RAD = math.radians(TILT_MAX_DEG)  # roll or pitch beyond this is of no ship
+_TURN_MAX_RAD_S = math.radians(TURN_MAX_DEG_S)  # rate of turn beyond this is of no ship
+_WAY_S = 2.0  # age beyond which her heading and way do not make a wind true
+_QUALITY_S = 5.0  # age beyond which the quality of a fix says nothing
 _OF_METHOD: Mapping[str, float | str] = {
     "gnss fix": 2.5, "dgnss fix": 2.5, "precise gnss": 2.5, "rtk fixed integer": 0.5, "rtk float": 1.0,
     "estimated (dr) mode": 50.0, "no gnss": "no_fix", "no gps": "no_fix", "error": "no_fix",
     "manual input": "typed_in", "simulate mode": "simulated", "simulator mode": "simulated",
 }  # fmt: skip
 """Standard deviation of a place at a dilution of 1 by the method of PGN 129029 and Signal K, m, or why it is refused."""
-_NEVER_NS = 3600 * NS_PER_S
-"""Time before the host's start at which what has not come yet is put, so that it is old."""
+_NEVER_NS = 3600 * NS_PER_S  # time before the host's start at which what has not come yet is put, so that it is old
 _OVER_GROUND = ("true (ground referenced to north)", "magnetic (ground referenced to magnetic north)")
 
 

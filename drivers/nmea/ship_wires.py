@@ -21,14 +21,10 @@ if TYPE_CHECKING:
 
 _BITRATE = 250_000
 """The rate of every NMEA 2000 network, bit/s; an interface of Linux has it from its own setup."""
-_RECV_S = 0.2
-"""Longest wait for a frame of the CAN bus."""
-_AT_ONCE = 256
-"""Frames of the CAN bus that are read at once."""
-_SIGNALK_S = 5.0
-"""Time to connect to a Signal K server, and interval of its heartbeat."""
-_DELTA_MAX = 1 << 18
-"""Longest message of a Signal K server, bytes."""
+_RECV_S = 0.2  # longest wait for a frame of the CAN bus
+_AT_ONCE = 256  # frames of the CAN bus that are read at once
+_SIGNALK_S = 5.0  # time to connect to a Signal K server, and interval of its heartbeat
+_DELTA_MAX = 1 << 18  # longest message of a Signal K server, bytes
 
 Offer = Callable[[Samples], None]
 

@@ -29,8 +29,7 @@ _CUT_S = 2.0
 """Age at which the begin of a sentence waits no longer for its end."""
 _CUT_MAX = 512
 """Bytes of a sentence without its end; NMEA 0183 allows 82, and a TAG block before them."""
-_SENDERS_MAX = 16
-"""Senders whose begun lines are kept."""
+_SENDERS_MAX = 16  # senders whose begun lines are kept
 _BEGINS = (b"$", b"!", b"\\", b":")
 _TAG = re.compile(rb"\\[^\\]+\\")
 _ENDS = re.compile(rb"((\\[^\\]*\\)?[^\\]*\*[0-9A-Fa-f]{2}|:[0-9A-Fa-f]{6}[-\w ]{18})\s*")
