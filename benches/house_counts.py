@@ -13,9 +13,9 @@ FLIES = "what flies"
 OWNERS: Mapping[str, tuple[str, ...]] = {
     FLIES: (
         "companion/base/", "companion/cycle/", "companion/facts/", "companion/guidance/", "companion/recording/",
-        "companion/service/", "companion/settings/", "drivers/camera/", "drivers/clock", "drivers/datagrams.py",
-        "drivers/device_errors.py", "drivers/endpoint.py", "drivers/files.py", "drivers/mailbox.py", "drivers/mavlink/",
-        "drivers/one_source.py", "drivers/pyav.py", "drivers/reconnect.py", "drivers/wires.py", "estimator/",
+        "companion/service/", "companion/settings/", "drivers/camera/", "drivers/clock", "drivers/confined.py",
+        "drivers/datagrams.py", "drivers/device_errors.py", "drivers/endpoint.py", "drivers/files.py", "drivers/mailbox.py",
+        "drivers/mavlink/", "drivers/one_source.py", "drivers/pyav.py", "drivers/reconnect.py", "drivers/wires.py", "estimator/",
     ),
     "AR.Drone": (
         "companion/parts/mavlink/bridge.py", "drivers/ardrone/", "estimator/core/video/", "estimator/uvlc.py", "sitl/ardrone/",

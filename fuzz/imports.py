@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.imports import ardrone_capture, dataflash, dataflash_history, px4_history, px4_ulog, tlog
+from drivers.imports import ardrone_capture, dataflash, px4_ulog, tlog
 from drivers.mavlink.dialect import mav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
@@ -139,8 +139,8 @@ def tlog_seeds() -> Iterator[bytes]:
 
 
 TARGETS = {
-    "dataflash": Target(reader("log.bin", dataflash.read, lambda path: [dataflash_history.read_history(path)]), dataflash_seeds),
-    "ulog": Target(reader("log.ulg", px4_ulog.read, lambda path: [px4_history.read_history(path)]), ulog_seeds),
+    "dataflash": Target(reader("log.bin", dataflash.read, lambda path: [dataflash.read_history(path)]), dataflash_seeds),
+    "ulog": Target(reader("log.ulg", px4_ulog.read, lambda path: [px4_ulog.read_history(path)]), ulog_seeds),
     "tlog": Target(reader("x.tlog", tlog.read, lambda path: [tlog.read_history(path)]), tlog_seeds),
     "ardrone_capture": Target(reader("x", ardrone_capture.samples, ardrone_capture.frames), capture_seeds, 8192),
 }

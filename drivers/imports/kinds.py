@@ -5,7 +5,7 @@ from enum import Enum
 from pathlib import Path
 
 from drivers.files import Largest, opened, seen_in
-from drivers.imports import ardrone_capture, dataflash_log, px4_ulog
+from drivers.imports import ardrone_capture, dataflash, px4_ulog
 from drivers.imports.network import LINE
 from drivers.imports.sentences import SENTENCE
 from estimator.contracts.errors import refused
@@ -73,7 +73,7 @@ def kind_of(path: Path) -> FileKind:
     for magic, kind in _MAGICS:
         if head.startswith(magic):
             return kind
-    if dataflash_log.is_text(head):
+    if dataflash.is_text(head):
         return FileKind.DATAFLASH
     if _is_tlog(head):
         return FileKind.TLOG
@@ -86,7 +86,7 @@ def kind_of(path: Path) -> FileKind:
 
 _MAGICS = (
     (px4_ulog.MAGIC, FileKind.ULOG), (b"ULogEnc", FileKind.ENCRYPTED), (b"ULogKey", FileKind.ENCRYPTED),
-    (dataflash_log.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA), (b"PaVE", FileKind.PAVE),
+    (dataflash.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA), (b"PaVE", FileKind.PAVE),
     (b"#ROSBAG V", FileKind.ROS_BAG), (b"SQLite format 3", FileKind.DATABASE),
 )  # fmt: skip
 _HEADLESS = (".ulgc", ".ulgk")

@@ -31,7 +31,7 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.open_camera import open_camera
 from drivers.endpoint import NMEA2000, parse_bus, require_ship
 from drivers.files import Largest, bytes_of
-from drivers.imports import dataflash_history, px4_history, tlog
+from drivers.imports import dataflash, px4_ulog, tlog
 from drivers.imports.kinds import DECRYPT, FileKind, kind_of
 from drivers.imports.log_history import AutopilotLog, LogHistory
 from drivers.imports.stamps import Tell
@@ -79,7 +79,7 @@ def examine_log(path: Path) -> Snapshot:
 
 
 _HISTORIES: dict[FileKind, Callable[[Path, Tell], AutopilotLog]] = {
-    FileKind.ULOG: px4_history.read_history, FileKind.DATAFLASH: dataflash_history.read_history, FileKind.TLOG: tlog.read_history,
+    FileKind.ULOG: px4_ulog.read_history, FileKind.DATAFLASH: dataflash.read_history, FileKind.TLOG: tlog.read_history,
 }  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.tools.doctor.gather_outside import parameters_of
-from drivers.imports import ardrone_capture, dataflash, dataflash_history, pictures, px4_history, px4_ulog, tlog
+from drivers.imports import ardrone_capture, dataflash, pictures, px4_ulog, tlog
 from drivers.imports.kinds import FileKind, kind_of
 from drivers.imports.stamps import Tell, timeline
 from estimator.contracts.errors import BadInput
@@ -232,7 +232,7 @@ def test_both_forms_of_a_dataflash_log_give_the_height_below_and_not_the_wall_ah
     assert np.diff(at) == pytest.approx(0.1)
     assert sum(isinstance(s, Imu) for s in samples) == 50
     assert reported == ""
-    assert dataflash_history.read_history(tmp_path / "log").parameters["GUID_TIMEOUT"] == pytest.approx(0.2)
+    assert dataflash.read_history(tmp_path / "log").parameters["GUID_TIMEOUT"] == pytest.approx(0.2)
 
 
 def test_of_two_that_look_down_the_better_one_is_read(tmp_path: Path) -> None:
@@ -283,7 +283,7 @@ def test_a_log_whose_clock_steps_goes_on_and_reports_it(times: list[int], lasts_
     assert all(np.diff(at) > 0)
     assert at[-1] - at[0] == pytest.approx(lasts_s, abs=0.35)
     assert said in reported
-    assert dataflash_history.read_history(tmp_path / "log").history.lasted_s <= lasts_s + 0.1
+    assert dataflash.read_history(tmp_path / "log").history.lasted_s <= lasts_s + 0.1
 
 
 @given(st.lists(st.one_of(st.integers(0, 10**9), st.integers(-(2**63), 2**64)), max_size=60))
@@ -301,7 +301,7 @@ def test_a_px4_log_begins_where_its_header_says_and_reads_the_sensor_that_looks_
     assert (at[0], at[-1]) == pytest.approx((0.0, 4.9))
     assert not any(isinstance(s, VehicleStatus) for s in samples)
     assert reported == ""
-    assert px4_history.read_history(tmp_path / "log").history.lasted_s == pytest.approx(4.9, abs=0.01)
+    assert px4_ulog.read_history(tmp_path / "log").history.lasted_s == pytest.approx(4.9, abs=0.01)
     lost = made.px4_flight(BEGAN, foreign=made.ULOG_GAP)
     assert "0.70 s are lost, the first after 2.5 s" in heard(px4_ulog.read, tmp_path / "log", lost)[1]
 
@@ -391,8 +391,7 @@ FILES = {
     FileKind.OTHER: b"\0\0\0\x1cftypisom\0\0\2\0",
 }
 READERS = {
-    FileKind.DATAFLASH: (dataflash.read, dataflash_history.read_history),
-    FileKind.ULOG: (px4_ulog.read, px4_history.read_history),
+    FileKind.DATAFLASH: (dataflash.read, dataflash.read_history), FileKind.ULOG: (px4_ulog.read, px4_ulog.read_history),
     FileKind.TLOG: (tlog.read, tlog.read_history), FileKind.NAVDATA: (ardrone_capture.samples,),
 }  # fmt: skip
 

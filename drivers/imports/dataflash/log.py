@@ -35,7 +35,7 @@ _FMT_SIZE = 89  # its length, bytes
 
 
 class LogEvent(IntEnum):
-    """What an EV message reports (LogEvent in AP_Logger)."""
+    """The report of an EV message (LogEvent in AP_Logger)."""
 
     ARMED = 10
     DISARMED = 11

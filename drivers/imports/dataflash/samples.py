@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import structs
 
 from drivers.imports.columns import DATAFLASH, cell, unknown
-from drivers.imports.dataflash_log import LogEvent, open_log, time_us
+from drivers.imports.dataflash.log import LogEvent, open_log, time_us
 from drivers.imports.stamps import Tell, attitude, in_level, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from drivers.imports.dataflash_log import LogEvent, open_log, time_us
+from drivers.imports.dataflash.log import LogEvent, open_log, time_us
 from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment
 from drivers.imports.stamps import Tell, quiet, timeline
 from estimator.contracts.errors import BadInput
