@@ -20,7 +20,8 @@ from sitl.ardrone.config import Configuration, tilting
 from sitl.ardrone.state import HOVER, SECOND, DroneState, Generation, RefAction
 from sitl.sensors.sensors import GnssErrors
 from sitl.vehicle.vehicle import VehiclePhase
-from sitl.world.world import Stick, World
+from sitl.world.drives import Stick
+from sitl.world.world import World
 
 
 class DroneClock(Struct, frozen=True):

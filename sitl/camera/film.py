@@ -127,9 +127,9 @@ class Film:
         """The light on the scene."""
         return self._renderer.light
 
-    def order(self, shot: Exposure, rng: np.random.Generator) -> Callable[[], U8]:
-        """Put a frame in the order, and return the function that renders it, after those ordered before."""
-        made = cache(lambda: self.render(shot, rng))
+    def order(self, shot: Exposure, rng: np.random.Generator, taken: Taken = _AS_IT_IS) -> Callable[[], U8]:
+        """Put a frame in the order, as `render`, and return the function that renders it, after those ordered before."""
+        made = cache(lambda: self.render(shot, rng, taken))
         self._ordered.append(made)
 
         def image() -> U8:

@@ -11,7 +11,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from estimator.contracts.time import MonoNs, after
-from sitl.faults.fault import Corrupted, FaultTimer, Signal
+from sitl.faults.fault import Corrupted, Corruptions, Fault, FaultTimer, Signal
 from sitl.faults.kinds import KIND_OF_STREAM, STREAMS, Stream
 
 _T = TypeVar("_T")
@@ -94,6 +94,17 @@ class VehicleStreams:
 
     def __init__(self, faults: FaultTimer, seed: int) -> None:
         self.frames, self.navdata, self.commands = (FaultyStream(faults, stream, seed) for stream in STREAMS)
+
+
+class FlightFaults(FaultTimer):
+    """The faults of one flight, with its streams and signals."""
+
+    def __init__(self, faults: tuple[Fault, ...], seed: int = 0) -> None:
+        super().__init__(faults, seed)
+        self.streams = VehicleStreams(self, seed)
+        """Fate of samples, frames and commands, for the code that carries them."""
+        self.corruptions = Corruptions(self, seed)
+        """Corrupted values of signals."""
 
 
 class InTransit(Generic[_T]):

@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import Protocol
 
 from msgspec.structs import replace
 
@@ -17,7 +16,6 @@ from drivers.ardrone.at import AtCommand
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.picture_effects import Solid
-from sitl.faults.fault import Corruptions, FaultTimer
 from sitl.faults.kinds import Bystander, ObjectOnPad
 from sitl.flight.ending import AtEnd, Ending, FlightGrade, Grade, grade, on_pad_m, outside_commit
 from sitl.flight.hands import Decides, of_at
@@ -26,6 +24,7 @@ from sitl.flight.referee import Referee
 from sitl.scenario.scenario import Scenario, pad_model, ship_model, vehicle_model
 from sitl.world.stage import deck_shape
 from sitl.world.truth import RenderedFrame, Truth
+from sitl.world.world import World
 
 GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
 """The phases of guidance that end an attempt by climbing."""
@@ -48,32 +47,6 @@ _BLAMES = frozenset(
     }
 )
 """Alerts that name a sensor; the other ones say that two disagree, or that no sensor is meant."""
-
-
-class GradedWorld(Protocol):
-    """Interface of a flight's world that the grader and the ship's reports need."""
-
-    scenario: Scenario
-    seed: int
-    started: MonoNs
-    faults: FaultTimer
-    corruptions: Corruptions
-    guidance_phase: str | None
-
-    @property
-    def now(self) -> MonoNs: ...
-
-    @property
-    def at(self) -> MonoNs:
-        """Instant of the newest step of the physics."""
-        ...
-
-    @property
-    def reached(self) -> bool:
-        """True if commands reach the vehicle."""
-        ...
-
-    def truth(self) -> Truth: ...
 
 
 _ROUNDED = 0.005
@@ -127,7 +100,7 @@ class FlightGrader:
         com_watchdog_s: time for which the vehicle flies on with its last command when nothing reaches it.
     """
 
-    def __init__(self, world: GradedWorld, settings: Settings, com_watchdog_s: float) -> None:
+    def __init__(self, world: World, settings: Settings, com_watchdog_s: float) -> None:
         self.world, scenario = world, world.scenario
         vehicle = vehicle_model(scenario)
         self.feet = vehicle.airframe().feet

@@ -11,8 +11,8 @@ import numpy as np
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
-from sitl.flight.grader import GradedWorld
 from sitl.scenario.scenario import ship_model, wind_of
+from sitl.world.world import World
 
 STEP_S = 0.02
 """Time between the samples that a motion sensor takes inside."""
@@ -40,7 +40,7 @@ _ARRIVAL_SIGMA_S = 0.2
 class ShipAt:
     """The true motion of the ship's places at the newest step."""
 
-    def __init__(self, world: GradedWorld) -> None:
+    def __init__(self, world: World) -> None:
         self._world = world
         self._R_pad_vessel = Rotation.from_rpy(0.0, 0.0, -math.radians(world.scenario.vessel.pad_yaw_deg))
 
@@ -65,7 +65,7 @@ class ShipAt:
 class MotionSensor:
     """A motion reference unit: its heave is a second-order high-pass of its own displacement, which leads at long periods."""
 
-    def __init__(self, world: GradedWorld) -> None:
+    def __init__(self, world: World) -> None:
         self._world, self._ship, self._of = world, ShipAt(world), world.scenario.vessel
         self._rng = rng = np.random.default_rng([world.seed, 0x6E57])
         self._rng_a = np.random.default_rng([world.seed, 0x6E5A])
@@ -109,7 +109,7 @@ class MotionSensor:
 class TurnSensor:
     """A gyrocompass with its rate of turn."""
 
-    def __init__(self, world: GradedWorld) -> None:
+    def __init__(self, world: World) -> None:
         self._world, self._ship = world, ShipAt(world)
         self._rng = np.random.default_rng([world.seed, 0x6E58])
         self._bias_rad = _COMPASS_BIAS_RAD * self._rng.standard_normal()
@@ -127,7 +127,7 @@ class TurnSensor:
 class Anemometer:
     """An anemometer on the mast: the ship's flow distorts it, the mast's swing is in it, and single gusts pass it by."""
 
-    def __init__(self, world: GradedWorld) -> None:
+    def __init__(self, world: World) -> None:
         self._world, self._ship = world, ShipAt(world)
         self._rng = rng = np.random.default_rng([world.seed, 0x6E59])
         self._phases_rad = rng.uniform(0.0, math.tau, 2)

@@ -13,10 +13,10 @@ from estimator.contracts.samples import Baseline, GeoFix, OfVessel, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
 from sitl.faults.fault import RtkSolution
 from sitl.faults.kinds import VesselReports
-from sitl.flight.grader import GradedWorld
 from sitl.flight.ship_sensors import Anemometer, MotionSensor, ShipAt, TurnSensor
 from sitl.sensors.rtk import RtkErrors
 from sitl.sensors.sensors import SIGMA_M, GnssErrors
+from sitl.world.world import World
 
 _DELAY_S, _WIND_DELAY_S = 0.2, 1.0
 """Delays from the ship's receiver and anemometer to the service (assumed)."""
@@ -61,7 +61,7 @@ class _Stream:
 class RtkPair:
     """Makes the baselines that reach the service."""
 
-    def __init__(self, world: GradedWorld) -> None:
+    def __init__(self, world: World) -> None:
         self._world, self._of = world, world.scenario.rtk
         self._ship = ShipAt(world)
         self._errors = RtkErrors(self._of, [world.seed, 0x6E60])
@@ -118,7 +118,7 @@ class RtkPair:
 class VesselReporter:
     """Makes the reports that reach the service; none where the scenario's ship sends none."""
 
-    def __init__(self, world: GradedWorld) -> None:
+    def __init__(self, world: World) -> None:
         self._world, ship = world, world.scenario.vessel
         self._ship = ShipAt(world)
         self._rng = np.random.default_rng([world.seed, 0x6E55])

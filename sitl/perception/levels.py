@@ -31,7 +31,8 @@ from sitl.faults.fault import Fault
 from sitl.faults.kinds import FrameStream, VesselReports
 from sitl.perception.model import DrawingPilot, Model, detection_table, model_for, root_of, symmetric
 from sitl.perception.parameters import EstimateModel, PerceptionModel
-from sitl.perception.port import LEVELS, Level, PerceivedWorld, Perception
+from sitl.perception.port import LEVELS, Level, Perception
+from sitl.world.world import World
 
 SIGMA_ACCEL_M_S2, ACCEL_TIME_S = 0.06, 4.0
 """Levelled acceleration: the tilt that the filter errs by, times g, and how fast it changes."""
@@ -60,7 +61,7 @@ for _cov in (_COV_ACCEL, _COV_DECK, _COV_TILT):
 class TrueMotion:
     """Draws the motion that guidance receives. One generator; the errors are Gauss-Markov processes."""
 
-    def __init__(self, world: PerceivedWorld, rng: np.random.Generator) -> None:
+    def __init__(self, world: World, rng: np.random.Generator) -> None:
         self._world, self._rng = world, rng
         self._standard = rng.standard_normal(_CHANNELS)
         self._at: MonoNs | None = None
@@ -193,7 +194,7 @@ class TruthLevel(Model):
     """The estimate is the truth with an error model of the filter."""
 
     level: Level = "truth"
-    world: PerceivedWorld
+    world: World
     """The world of the flight, from its beginning on."""
     _rng: np.random.Generator
 
@@ -215,7 +216,7 @@ class TruthLevel(Model):
                     "use --perception model"
                 )
 
-    def begin(self, world: PerceivedWorld) -> None:
+    def begin(self, world: World) -> None:
         """Begin a flight in this world."""
         super().begin(world)
         self.world = world

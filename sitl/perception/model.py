@@ -40,8 +40,9 @@ from sitl.camera.render_worker import RenderWorker
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import FocalLength, LightFalls, PadCovered, PictureFault, light_stops
 from sitl.perception.parameters import DetectionCell, DetectionModel, Factor, PerceptionModel, load
-from sitl.perception.port import Level, PerceivedWorld, Perception
+from sitl.perception.port import Level, Perception
 from sitl.world.truth import RenderedFrame
+from sitl.world.world import World
 
 _POINTS = 61
 """Number of places on the disc that are tested for being in the image: the fraction is known to 2 %."""
@@ -270,7 +271,7 @@ class Scenes:
     checks of frozen frames compare; two exposures never share it, and a repeated frame repeats it.
     """
 
-    def __init__(self, camera: Camera, world: PerceivedWorld) -> None:
+    def __init__(self, camera: Camera, world: World) -> None:
         self._viewer, self._world = Viewer(camera, world.pad), world
         self._shape = (camera.height, camera.width, 3)
         self._rest_of_row = bytes(camera.width - _TOKEN)
@@ -334,12 +335,12 @@ class Model(Perception):
             if isinstance(fault, PictureFault) and not isinstance(fault, MODELLED):
                 raise BadInput(f"the fault {fault.kind} is seen in rendered frames only; use --perception pixels")
 
-    def begin(self, world: PerceivedWorld) -> None:
+    def begin(self, world: World) -> None:
         """Begin a flight in this world."""
         super().begin(world)
         self.scenes = Scenes(world.camera, world)
 
-    def expose(self, world: PerceivedWorld, worker: RenderWorker | None = None) -> Callable[[], RenderedFrame]:
+    def expose(self, world: World, worker: RenderWorker | None = None) -> Callable[[], RenderedFrame]:
         """Keep the scene as it is now."""
         return world.expose(camera=self.scenes.expose)
 

@@ -106,6 +106,9 @@ class Vehicle:
     extra_wind = Numbers("params", "extra_wind")
     current = Numbers("params", "current")
     flow_works = Number("params", "flow_works")
+    _motor_driven = Number("params", "motor_driven")
+    _driven_n = Number("state", "driven_n")
+    _driven_n_m = Numbers("state", "driven_n_m")
     _q = Numbers("state", "q")
     _R = Numbers("state", "R")
     _rotor_health = Numbers("params", "rotor_health")
@@ -205,6 +208,10 @@ class Vehicle:
     def command(self, roll: float, pitch: float, gaz: float, yaw: float, progressive: bool) -> None:
         """Stick fractions -1..1 with PCMD's signs: right, nose up, up, clockwise; ignored without `progressive` (hover)."""
         self.state.command = (*(min(max(x, -1.0), 1.0) for x in (roll, pitch, gaz, yaw)), progressive)
+
+    def drive(self, thrust_n: float, torque_n_m: Sequence[float]) -> None:
+        """Fly by thrust, N, and torques about the body's axes, (3,) N m, from now on, in place of its own loops."""
+        self._motor_driven, self._driven_n, self._driven_n_m = 1, thrust_n, torque_n_m
 
     def take_off(self) -> None:
         """Take off if it is landed with its motors off."""

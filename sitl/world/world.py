@@ -1,4 +1,4 @@
-"""One vehicle over one vessel on one sea, in fixed steps: the same scenario and seed give the same flight to the bit.
+"""One vehicle over one vessel on one sea, in fixed steps: the same scenario, seed and commands give the same flight to the bit.
 
     world = World(load("demo"), seed=1)
     world.advance(MonoNs(40_000_000))
@@ -11,26 +11,28 @@ Commands take effect at the next step; requesting readings, frames or truth chan
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from msgspec import Struct
+from msgspec import structs
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, known_rotation
-from estimator.contracts.time import NS_PER_S, MonoNs
+from estimator.contracts.time import NS_PER_S, MonoNs, after
 from sitl.camera.camera import Exposure, Renderer
-from sitl.camera.film import Film
+from sitl.camera.film import Film, SimulatedExposure, Taken
+from sitl.camera.gimbal import SimulatedGimbal
 from sitl.camera.picture_effects import PictureEffects
 from sitl.camera.render_worker import RenderWorker
 from sitl.core.abi import DL_EFFECT_NOISE, DL_FLIGHT_NOISE, DL_SENSOR_NOISE
 from sitl.core.library import SIM
-from sitl.faults.fault import Corruptions, FaultTimer
-from sitl.faults.faulty_streams import VehicleStreams
+from sitl.faults.faulty_streams import FlightFaults
 from sitl.faults.kinds import (
+    Failsafe,
     FramesMisstamped,
     FramesShifted,
     Gust,
+    LightFalls,
     LowBattery,
     OtherPad,
     PictureFault,
@@ -38,18 +40,20 @@ from sitl.faults.kinds import (
     WeakRotor,
     charge_left,
 )
-from sitl.scenario.scenario import Scenario, pad_model, refuse_gimbal, sea_of
+from sitl.scenario.scenario import Scenario, pad_model, sea_of
 from sitl.sea.sea import Waves
 from sitl.sensors.sensors import FaultySensors, Readings, Sensors
 from sitl.vehicle.airframe import StickLimits, rotors
-from sitl.vehicle.vehicle import MOTORS_TURN, Vehicle, VehiclePhase
+from sitl.vehicle.vehicle import Vehicle, VehiclePhase
 from sitl.vessel.contact import Ground
 from sitl.vessel.vessel import Manoeuvre, Mounted
+from sitl.world.drives import Drive, Stick, StickDrive
 from sitl.world.stage import (
     air,
     airframe,
     deck_shape,
     drift_of,
+    film,
     flight_seeds,
     limits,
     place,
@@ -63,8 +67,8 @@ from sitl.world.truth import RenderedFrame, Touchdown, Truth, touchdown_of
 
 _NOISE_WIDTHS = (DL_FLIGHT_NOISE, DL_FLIGHT_NOISE, DL_EFFECT_NOISE, DL_SENSOR_NOISE)
 """Numbers of a step's rows of noise, in the order in which the core takes them."""
-_SEA_EVERY = 5
-"""Steps from one look at the water's level to the next; in between it moves with its velocity."""
+_SEA_S = 0.02
+"""Time from one look at the water's level to the next; in between it moves with its velocity."""
 
 
 class Physics:
@@ -80,7 +84,7 @@ class Physics:
         self._air = v.air_noise or v.noise
         self._effects = v.effect_noise or v.noise
         self._noises = tuple(dict.fromkeys((v.noise, self._air, self._effects, s.noise)))
-        self._sea, core_waves = SIM.new("dl_sim_water", every=_SEA_EVERY), waves.packed()
+        self._sea, core_waves = SIM.new("dl_sim_water", every=max(1, round(_SEA_S / vehicle.step_s))), waves.packed()
         self._flight = SIM.new(
             "dl_sim_flight", vehicle_params=v.params, vehicle=v.state, sensor_params=s.params, sensors=s.state,
             water=self._sea, waves=core_waves, harmonics=len(core_waves),
@@ -91,6 +95,12 @@ class Physics:
         """The next rows of noise, as the core takes them."""
         self._ready = self._taken = 0
         """Number of these rows that lie ready, and of those that were taken since they were asked for."""
+
+    @property
+    def sea_z(self) -> float:
+        """Level of the water under the vehicle, down in ned, m."""
+        sea = self._sea
+        return float(sea.z + sea.vz * (sea.tick % sea.every) * self._vehicle.step_s)
 
     def run(self, decks: NDArray[Any], first: int, at_most: int) -> int:
         """Take steps over a deck, up to a contact with deck or water after flight; return how many.
@@ -128,51 +138,54 @@ def decks_of(pads: Mounted) -> NDArray[Any]:
     return decks
 
 
-STEP_NS = 4_000_000
-"""Step of the physics: 250 Hz, some fifteen steps to a radian of the stiffest spring."""
-
 _ORIGIN = MonoNs(0)
-_CHUNK = 250
-"""Steps of deck motion computed at once: those of a second."""
+_CHUNK_S = 1.0
+"""Time over which the deck's motion is computed at once."""
 _PHASES = tuple(VehiclePhase)
-
-
-class Stick(Struct, frozen=True):
-    """Stick fractions -1..1 with PCMD's signs. Without `progressive` the vehicle hovers and ignores the fractions."""
-
-    roll: float = 0.0
-    """Roll to the right."""
-    pitch: float = 0.0
-    """Pitch with the nose up, which flies backward."""
-    gaz: float = 0.0
-    """Climb, upward positive."""
-    yaw: float = 0.0
-    """Yaw, clockwise from above."""
-    progressive: bool = False
 
 
 class World:
     """A simulated flight.
 
     Args:
-        start: this host's instant at which the flight begins.
+        start: this host's instant at which the world begins.
+        drive: what commands the vehicle; None for sticks (`stick`), with which the flight begins at once.
+        faults: those of a flight whose program was started again, in a new world; None for those of the scenario.
+        stands: whether the vehicle stands on the pad first, from which it is flown to the scenario's start.
 
     Raises:
-        BadInput: as `sitl.scenario.scenario.refuse_gimbal`.
+        BadInput: the drive does not fit the scenario.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, start: MonoNs = _ORIGIN) -> None:
-        refuse_gimbal(scenario)
-        self.scenario, self.seed, self.started = scenario, seed, start
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        start: MonoNs = _ORIGIN,
+        drive: Drive | None = None,
+        faults: FlightFaults | None = None,
+        *,
+        stands: bool = False,
+    ) -> None:
+        self.scenario, self.seed = scenario, seed
+        self.started = start
+        """Instant at which the flight began: faults and contacts count from it on."""
+        self._zero = start
+        """Instant of the world's second 0."""
         self.pad, self.camera = pad_model(scenario), true_camera(scenario)
-        self._step_s = STEP_NS / NS_PER_S
-        seeds = flight_seeds(seed)
+        self.faults = faults or FlightFaults(scenario.faults, seed)
+        """The faults that are active now."""
+        self.streams, self.corruptions = self.faults.streams, self.faults.corruptions
+        self._sticks = StickDrive(self.corruptions)
+        self._drive = drive or self._sticks
+        self._step_s = self._drive.step_ns / NS_PER_S
+        self._chunk = round(_CHUNK_S / self._step_s)
+        seeds, frame = flight_seeds(seed), airframe(scenario)
+        self._drive.fits(scenario, frame)
         self._camera_seed = seeds.camera
         self.waves, self.vessel = sea_and_vessel(scenario, [seeds.sea])
         shape = deck_shape(self.vessel.hull, math.radians(scenario.vessel.pad_yaw_deg))
-        self.vehicle = Vehicle(
-            airframe(scenario), shape, self._step_s, seeds.flight, wind(scenario), air(scenario, self.vessel.hull)
-        )
+        self.vehicle = Vehicle(frame, shape, self._step_s, seeds.flight, wind(scenario), air(scenario, self.vessel.hull))
         """The vehicle; it takes orders at any time."""
         self.vehicle.limits = limits(scenario)
         self.vehicle.current = sea_of(scenario).current_ne_m_s
@@ -190,18 +203,13 @@ class World:
         """The same as the core reads it: the next row is `_deck_next`, and those before `_deck_end` hold."""
         self._deck_next = self._deck_end = 0
         drift = drift_of(self.vessel) if scenario.vessel.motion else np.zeros(2)
-        place(scenario, self.vehicle, Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w), at, drift)
-        self.faults = FaultTimer(scenario.faults, seed)
-        """The faults that are active now."""
+        first = structs.replace(scenario.start, where="pad") if stands else scenario.start
+        there = structs.replace(scenario, start=first)
+        place(there, self.vehicle, Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w), at, drift)
         self.guidance_phase: str | None = None
         """Phase of guidance if the flight's runner sets it, for faults that begin in a phase."""
-        self.streams = VehicleStreams(self.faults, seed)
-        """Fate of samples, frames and commands, for the code that carries them."""
-        self._has_faults = bool(self.faults)
-        self.corruptions = Corruptions(self.faults, seed)
-        """Corrupted values of signals."""
+        self._began_s, self._has_faults = 0.0, False
         self._faulty = FaultySensors(self.faults, seed, self.corruptions, scenario.sensors.battery_life_s)
-        self._stick = Stick()
         self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
         self._contacts: list[Touchdown] = []
         self._touched_s = math.nan
@@ -211,6 +219,19 @@ class World:
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
         self._picture_effects: PictureEffects | None = None
         self._renderer: Renderer | Film | None = None
+        self.exposure: SimulatedExposure | None = None
+        """The exposure of the camera where the service drives it."""
+        self.gimbal = SimulatedGimbal(scenario.gimbal, self._step_s) if scenario.gimbal.given else None
+        """Gimbal of the camera; None for a camera that is fixed on the vehicle."""
+        self.on_failsafe: Callable[[Literal["land", "hold"]], None] = lambda takes: None
+        """Receives the mode that an autopilot's own failsafe takes."""
+        if drive is None:
+            self.begin()
+
+    def begin(self) -> None:
+        """Begin the flight now: faults act and contacts count from here on."""
+        self.started, self._began_s, self._has_faults = self.at, self.t_s, bool(self.faults)
+        self._contacts.clear()
         self._apply_faults()
 
     @property
@@ -226,12 +247,21 @@ class World:
     @property
     def at(self) -> MonoNs:
         """Instant of the newest step of the physics."""
-        return MonoNs(self.started + self._tick * STEP_NS)
+        return MonoNs(self._zero + self._tick * self._drive.step_ns)
+
+    def wait(self, seconds: float) -> None:
+        """Let a time pass in which nothing moves."""
+        self._zero, self.now = after(self._zero, seconds), after(self.now, seconds)
 
     def stick(self, stick: Stick) -> None:
         """Apply a stick command, which holds until the next one."""
-        self._stick = stick
-        self._command()
+        self._sticks.newest = stick
+        self._sticks.arrive(self.vehicle, self.at)
+
+    @property
+    def contacts(self) -> tuple[Touchdown, ...]:
+        """Every contact since the flight began, in order."""
+        return tuple(self._contacts)
 
     @property
     def reached(self) -> bool:
@@ -240,7 +270,7 @@ class World:
 
     def advance(self, to: MonoNs) -> None:
         """Run the physics up to `to`; an instant in the past changes nothing."""
-        while (left := (to - self.started) // STEP_NS - self._tick) > 0:
+        while (left := (to - self._zero) // self._drive.step_ns - self._tick) > 0:
             if self._deck_next == self._deck_end:
                 self._move_deck()
             if self._has_faults:
@@ -249,8 +279,8 @@ class World:
                 self._run(1)
             else:
                 self._tick += self._run(left)
-        if self.battery <= 0.0 and self.vehicle.phase in MOTORS_TURN:
-            self.vehicle.cut_motors()
+        if self.battery <= 0.0:
+            self._drive.stop(self.vehicle)
         self.now = max(self.now, to)
 
     @property
@@ -272,7 +302,8 @@ class World:
     def renderer(self) -> Renderer | Film:
         """The renderer of the bottom camera."""
         if self._renderer is None:
-            self._renderer = renderer(self.scenario, self.waves, self.vessel, self._camera_seed)
+            made = renderer(self.scenario, self.waves, self.vessel, self._camera_seed)
+            self._renderer = made if self.exposure is None else film(self.scenario, made, self._camera_seed)
         return self._renderer
 
     @property
@@ -294,18 +325,22 @@ class World:
                 and returns the image at once.
         """
         at, exposure_s = self.at, self.scenario.camera.exposure_s
+        taken = Taken() if self.exposure is None else self.exposure.expose()
+        gain = 0.0
+        if taken.setting is not None:
+            exposure_s, gain = taken.setting.exposure_s, taken.setting.gain
         error_s = self.scenario.wrong_model.video_delay_s + sum(fault.by_s for fault, _ in self.faults.on(FramesMisstamped))
         if "frame_stamps" in self.corruptions.signals:
-            error_s += self.corruptions.of("frame_stamps", (self._seconds,), at)[0] - self._seconds
+            error_s += self.corruptions.of("frame_stamps", (self.t_s,), at)[0] - self.t_s
         freezes = any(fault.error == "frozen" for fault, _ in self.corruptions.active("frames"))
         frozen = (freezes or self.faults.active("frames_frozen")) and self._newest_image is not None
-        image, true_view = (self._newest_image, False) if frozen else self._image(worker, camera)
+        image, true_view = (self._newest_image, False) if frozen else self._image(worker, camera, taken)
         assert image is not None
         self._newest_image = image
-        return lambda: RenderedFrame(image(), at, exposure_s, error_s, true_view)
+        return lambda: RenderedFrame(image(), at, exposure_s, error_s, true_view, gain)
 
     def _image(
-        self, worker: RenderWorker | None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None
+        self, worker: RenderWorker | None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None, taken: Taken
     ) -> tuple[Callable[[], NDArray[np.uint8]], bool]:
         """Return the function that makes the image of the present scene, and whether that is the camera's true view."""
         covered = self.faults.active("lens_covered")
@@ -322,8 +357,14 @@ class World:
             seen = camera(shot, self._tick)
             return lambda: seen, aside is None
         rng = np.random.default_rng([self._camera_seed, self._tick])
-        made = worker.order(shot, rng) if worker is not None else self.renderer.order(shot, rng)
         wrong = [fault for fault, _ in self.faults.on(PictureFault)]
+        if isinstance(self.renderer, Film) and self.exposure is not None:
+            # A driven exposure meets the light that is left.
+            lights = [fault.fraction for fault in wrong if isinstance(fault, LightFalls)]
+            wrong = [fault for fault in wrong if not isinstance(fault, LightFalls)]
+            made = self.renderer.order(shot, rng, structs.replace(taken, light_fraction=math.prod(lights)))
+        else:
+            made = worker.order(shot, rng) if worker is not None else self.renderer.order(shot, rng)
         if not wrong:
             return cache(made), aside is None
         own, effects = np.random.default_rng([self._camera_seed, self._tick, 3]), self._effects
@@ -337,8 +378,8 @@ class World:
         if aside is not None:
             # The scene stays where it is and the camera looks from beside its true place: every part is seen shifted alike.
             p_body_ned = p_body_ned - pad.R_ned @ aside
-        return Exposure(
-            t_s=self._seconds,
+        shot = Exposure(
+            t_s=self.t_s,
             R_ned_body=known_rotation(v.R_ned_body),
             p_body_ned=p_body_ned,
             R_ned_pad=known_rotation(pad.R_ned),
@@ -348,6 +389,7 @@ class World:
             v_pad_ned=pad.v_ned,
             w_pad=pad.w,
         )
+        return shot if self.gimbal is None else self.gimbal.turned(shot, self.camera.T_body_cam.t)
 
     def _aside(self) -> F64 | None:
         """Return the offset (3,) m in the pad frame by which a frame exposed now is shifted; None if it is not."""
@@ -387,8 +429,8 @@ class World:
 
     def pad_ahead(self, ahead_s: F64) -> Mounted:
         """Return the pad's true motion at (H,) s after the newest step."""
-        times: F64 = self._seconds + ahead_s
-        return self._manoeuvre.pad_ahead(self._seconds, times) if self._manoeuvre else self.vessel.pad(times)
+        times: F64 = self.t_s + ahead_s
+        return self._manoeuvre.pad_ahead(self.t_s, times) if self._manoeuvre else self.vessel.pad(times)
 
     def pad_motion(self) -> Mounted:
         """Return the pad's true motion at the newest step, with shapes (3,) and (3, 3)."""
@@ -396,7 +438,8 @@ class World:
         return Mounted(pads.p_ned[0, n], pads.v_ned[0, n], pads.a_ned[0, n], pads.R_ned[0, n], pads.w[0, n])
 
     @property
-    def _seconds(self) -> float:
+    def t_s(self) -> float:
+        """Seconds since the world began."""
         return self._tick * self._step_s
 
     def _run(self, at_most: int) -> int:
@@ -411,16 +454,18 @@ class World:
 
     def _move_deck(self) -> None:
         """Compute the deck's motion at the next steps, many at once."""
-        times = self._step_s * np.arange(self._tick + 1, self._tick + 1 + _CHUNK, dtype=np.float64)
+        times = self._step_s * np.arange(self._tick + 1, self._tick + 1 + self._chunk, dtype=np.float64)
         self._pads = pads = self._manoeuvre.pad(times) if self._manoeuvre else self.vessel.pad(times)
         self._decks = decks_of(pads)
-        self._pads_at, self._deck_next, self._deck_end = self._tick, 0, _CHUNK
+        self._pads_at, self._deck_next, self._deck_end = self._tick, 0, self._chunk
 
     def _apply_faults(self) -> None:
         faults, v = self.faults, self.vehicle
-        for begun in faults.update(self._seconds, self._height_m(), self.guidance_phase):
+        for begun in faults.update(self.t_s - self._began_s, self.over_deck_m, self.guidance_phase):
             self._faulty.begin(begun, self._sensors.read(self.at))
-            if self._manoeuvre.begin(begun, self._seconds):
+            if isinstance(begun, Failsafe):
+                self.on_failsafe(begun.takes)
+            if self._manoeuvre.begin(begun, self.t_s):
                 self._deck_end = min(self._deck_end, self._deck_next + 1)
         gusts = [_gust(fault, since_s) for fault, since_s in faults.on(Gust)]
         health = {rotor.name: 1.0 for rotor in rotors(v.airframe)}
@@ -430,20 +475,13 @@ class World:
         v.rotor_health = tuple(health.values())
         v.flow_works = not faults.active("flow_blind")
         if "commands" in self.corruptions.signals:
-            self._command()
+            self._drive.arrive(v, self.at)
         tilts = [math.radians(fault.to_deg) for fault, _ in faults.on(TiltLimited)]
         v.tilt_max_rad = min([v.airframe.loops.tilt_max_rad, *tilts])
 
-    def _command(self) -> None:
-        """Give the vehicle the newest stick, as it arrives."""
-        roll, pitch, gaz = self._stick.roll, self._stick.pitch, self._stick.gaz
-        # Whole packets are late or doubled on their way here (`FaultyStream`).
-        if any(fault.error not in ("late", "doubled") for fault, _ in self.corruptions.active("commands")):
-            pitch, roll, gaz = self.corruptions.of("commands", (pitch, roll, gaz), self.at)
-        self.vehicle.command(roll, pitch, gaz, self._stick.yaw, self._stick.progressive)
-
-    def _height_m(self) -> float:
-        """Height of the body's origin over the deck's plane."""
+    @property
+    def over_deck_m(self) -> float:
+        """Height of the body's origin over the deck's plane, m."""
         pad = self.pad_motion()
         p, g, R = self.vehicle.p, pad.p_ned.tolist(), pad.R_ned.tolist()
         return -float(sum(R[i][2] * (p[i] - g[i]) for i in range(3)))
@@ -451,7 +489,7 @@ class World:
     def _contact(self) -> Touchdown:
         """Return the contact of the newest step of the physics."""
         v = self.vehicle
-        at, phase = MonoNs(self.started + round(v.touched_s * NS_PER_S)), _PHASES[int(v.touched_phase)]
+        at, phase = MonoNs(self._zero + round(v.touched_s * NS_PER_S)), _PHASES[int(v.touched_phase)]
         motors = phase not in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
         return touchdown_of(v, at, self.pad.disc_radius_m, phase, self.guidance_phase, motors=motors)
 

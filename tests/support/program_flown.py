@@ -78,7 +78,7 @@ class Vehicle:
 
     @property
     def height_m(self) -> float:
-        return float(self._body.p_pad_ned[2] - self._body.state().p_ned[2])
+        return float(self._body.pad_motion().p_ned[2] - self._body.state().p_ned[2])
 
     @property
     def flying(self) -> bool:
@@ -129,7 +129,7 @@ class ProgramFlown(OrderedFlight):
         self._stack, self._binary, self.seed = stack, binary, seed
         scenario = load("calm")
         start = replace(scenario.start, where="pad", height_m=HEIGHT_M, pad_forward_m=0.0, pad_right_m=0.0)
-        self._scenario = replace(scenario, start=start)
+        self._scenario = replace(scenario, start=start, wrong_model=scenario.wrong_model.drawn(seed))
         self.starts = 0
         """Number of starts of the program: a vehicle that turned over is not flown on."""
         self._links: Links | None = None
@@ -178,7 +178,7 @@ class ProgramFlown(OrderedFlight):
         self.guidance.command = Velocity(np.array([0.0, 0.0, 1.0]), 0.0)
         self.until(lambda: self.toy.height_m < 1.0)
         self.guidance.command, began_s = Land(), self.body.t_s
-        self.until(lambda: (contact := self.body.landing()) is not None and contact.at > 1e9 * began_s)
+        self.until(lambda: (contact := self.body.landing) is not None and contact.at > 1e9 * began_s)
 
     # The world
 

@@ -24,12 +24,13 @@ from drivers.mailbox import Latest
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.motion import G_M_S2
-from sitl.emulators.autopilots.body import Body, BodyState, Motors, Settle, at_once
+from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
 from sitl.emulators.autopilots.follow import OwnBody
 from sitl.emulators.autopilots.program import parameters_of
 from sitl.scenario.scenario import wind_of
 from sitl.sensors.sensors import ORIGIN
 from sitl.vehicle.airframe import Airframe
+from sitl.world.drives import Motors
 
 PORT = 9002
 _MAGIC = {18458: 16, 29569: 32}

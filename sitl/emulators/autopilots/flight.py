@@ -35,7 +35,7 @@ from drivers.mavlink.vehicle import LAND_MODE, TARGET_MODE, Stack
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import ned_between
-from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
+from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.film import SimulatedExposure
 from sitl.emulators.autopilots import arducopter, px4
 from sitl.emulators.autopilots.arducopter import CURVE, STEP_S, JsonBackend, serve_json
@@ -43,7 +43,6 @@ from sitl.emulators.autopilots.beside import FlightDaemon, KillableService, besi
 from sitl.emulators.autopilots.body import Body, Silence, view_of
 from sitl.emulators.autopilots.follow import OwnBody, OwnVehicle
 from sitl.emulators.autopilots.lock_step import FaultyLink, LockStepCamera, LockStepClock
-from sitl.emulators.autopilots.observed_body import GradedBody
 from sitl.emulators.autopilots.program import Program, reserved_port, running
 from sitl.emulators.autopilots.px4 import HilBackend, serve_hil
 from sitl.emulators.autopilots.stand_in import base as in_process
@@ -52,9 +51,9 @@ from sitl.emulators.autopilots.stand_in.base import GimbalLink, StandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import STATION, GroundStation, Task
 from sitl.emulators.autopilots.telemetry import CorruptedTelemetry
+from sitl.emulators.autopilots.watch import FlightWatch
 from sitl.faults.carried import refuse_others
-from sitl.faults.fault import Fault
-from sitl.faults.kinds import Failsafe
+from sitl.faults.faulty_streams import FlightFaults
 from sitl.flight.afterwards import Afterwards, cpu_s
 from sitl.flight.ending import Ending
 from sitl.flight.person import SimulatedPerson
@@ -111,7 +110,7 @@ class FlightEnd(Struct, frozen=True):
     silences: tuple[Silence, ...] = ()
     """Flight of the vehicle while the service was killed."""
     tracking_m: float | None = None
-    """Distance from the pad on the way down (`GradedBody.tracking_m`); None for a flight that did not come so far."""
+    """Distance from the pad on the way down (`FlightWatch.tracking_m`); None for a flight that did not come so far."""
     elsewhere_m: float | None = None
     """Horizontal distance in which a refused vehicle ended from the place at which it was to land; None for another end."""
 
@@ -159,7 +158,8 @@ class AutopilotFlight:
     stand_in: StandIn | None = None
     """The stand-in that is flown; None while a program is."""
     station: GroundStation = field(init=False)
-    graded: GradedBody = field(init=False)
+    faults: FlightFaults = field(init=False)
+    watch: FlightWatch = field(init=False)
     link: FaultyLink = field(init=False)
     _camera: LockStepCamera | None = None
     _own: OwnVehicle | None = None
@@ -167,8 +167,8 @@ class AutopilotFlight:
     _service: KillableService | None = None
     _silences: list[Silence] = field(default_factory=list)
     _stepped_at: float = 0.0
-    _stopped_s: float | None = None
-    """Time when the motors stopped, by the physics' time."""
+    _stopped: MonoNs | None = None
+    """Instant when the motors stopped."""
     _told: MonoNs | None = None
     """Instant of the newest truth that `on_truth` got."""
     _told_exposures: int = 0
@@ -183,11 +183,13 @@ class AutopilotFlight:
         self.station = self._station()
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
         unaided = self.autopilot.unaided
-        self.graded = GradedBody(self.scenario, self.seed, self.settings, self.clock, watchdog_s, unaided=unaided)
-        self.graded.on_begun = self._on_begun
-        told = CorruptedTelemetry(self.graded.corruptions, self.clock)
-        self.link = FaultyLink(self.graded.streams, self.clock, self.graded.on_sent, self.graded.on_arrived, told)
-        self._reporter = VesselReporter(self.graded)
+        # The order to land comes in the air, wherever the scenario's vehicle starts.
+        start, wrong = msgspec.structs.replace(self.scenario.start, where="air"), self.scenario.wrong_model.drawn(self.seed)
+        self.scenario = msgspec.structs.replace(self.scenario, start=start, wrong_model=wrong)
+        self.faults = FlightFaults(self.scenario.faults, self.seed)
+        self.watch = FlightWatch(self.settings, self.clock, watchdog_s, unaided=unaided)
+        told = CorruptedTelemetry(self.faults.corruptions, self.clock)
+        self.link = FaultyLink(self.faults.streams, self.clock, self.watch.on_sent, self.watch.on_arrived, told)
 
     def _station(self, ground_m: float = 0.0) -> GroundStation:
         stack = {"arducopter": Stack.ARDUPILOT, "arduplane": Stack.PLANE, "px4": Stack.PX4}[self.autopilot.name]
@@ -230,10 +232,11 @@ class AutopilotFlight:
         link = LinkOptions(parse_endpoint(f"udpin://{HOST}:{to_station}"))
         failed: Recoverable | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
-            frames = self.graded.streams.frames
+            frames = self.faults.streams.frames
             camera = self._camera = LockStepCamera(
                 self.clock, service.offer, service.concluded, service.looking, pool, frames, expose=self.perception.expose
             )
+            camera.shown = self.watch.on_shown
             self._expose_by(service.now, camera)
             async with AsyncExitStack() as stack:
                 links = await stack.enter_async_context(
@@ -265,7 +268,7 @@ class AutopilotFlight:
     def _serving(self, settings: Settings) -> FlightDaemon:
         """Return a daemon that knows nothing yet."""
         pilot = self.perception.pilot(settings, self.shadows)
-        side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.graded), once=False)
+        side = FlightDaemon(settings, pilot, self.clock, (*self.observers, self.watch), once=False)
         if self.on_start is not None:
             self.on_start(side.daemon.health)
         return side
@@ -280,7 +283,7 @@ class AutopilotFlight:
 
     async def _conduct(self, links: Links, service: KillableService, group: asyncio.TaskGroup) -> FlightEnd:
         station, began_s = self.station, cpu_s()
-        person = SimulatedPerson(self.graded.faults, by_remote=lambda act: self._by_remote(act, links))
+        person = SimulatedPerson(self.faults, by_remote=lambda act: self._by_remote(act, links))
         while station.task is not Task.FAILED:
             await self._act(links, service, group, person)
             if self.body is None:
@@ -295,16 +298,17 @@ class AutopilotFlight:
                 station.failure = "it turned over or fell into the water before the landing was ordered"
                 break
         health = service.now.daemon.health
-        ending = self.graded.result(self._outcome(service), service.now.pilot, health)
-        if (grader := self.graded.grader) is not None:
+        assert self.body is not None
+        ending = self.watch.ending(self.body, self._outcome(service), service.now.pilot, health)
+        if (grader := self.watch.grader) is not None:
             # A program that simulates its vehicle by itself does not know that it stands on our deck.
             later = Afterwards(grader, ending)
             while not self._touched and self.clock.now() < later.ends:
                 await self._act(links, service, group, person)
                 later.step()
             ending = later.ending(cpu_s() - began_s, stands=not self._touched)
-        landing = None if self.body is None or station.began is None else self.body.landing()
-        stopped = None if landing is None or self._stopped_s is None else max(self._stopped_s - landing.at / NS_PER_S, 0.0)
+        landing = None if station.began is None else self.body.landing
+        stopped = None if landing is None or self._stopped is None else max(seconds_between(landing.at, self._stopped), 0.0)
         return FlightEnd(
             ending,
             health,
@@ -312,7 +316,7 @@ class AutopilotFlight:
             station.failure,
             stopped,
             tuple(self._silences),
-            self.graded.tracking_m,
+            self.watch.tracking_m,
             self._from_elsewhere_m(service),
         )
 
@@ -328,12 +332,12 @@ class AutopilotFlight:
             links.send(message)
         if self.autopilot.unaided and station.task is Task.ORDER:
             self.link.muted = True
-        if service.gone and not self.graded.faults.active("service_killed"):
+        if service.gone and not self.faults.active("service_killed"):
             await service.restart(group)
             self._expose_by(service.now, camera)
             self.link.cut = False
             if station.began is None:  # else the new service goes on with the landing that was ordered
-                station.again(self.clock.now(), self.graded.height_m)
+                station.again(self.clock.now(), self.body.over_deck_m)
         if station.began is not None and not service.gone:
             person.act(service.now.pilot.operator, self.clock.now())
 
@@ -342,24 +346,19 @@ class AutopilotFlight:
         if self._touched:
             return FlightOutcome.LANDED
         if self.autopilot.unaided:
-            stands = self.body is not None and self.body.upright and not self.body.flying and self.body.landing() is not None
+            stands = self.body is not None and self.body.upright and not self.body.flying and self.body.landing is not None
             return FlightOutcome.LANDED if stands else None
         return service.now.pilot.outcome
-
-    def _on_begun(self, fault: Fault) -> None:
-        """Let a failsafe of the stand-in act."""
-        if isinstance(fault, Failsafe) and self.stand_in is not None:
-            self.stand_in.acts_by_failsafe(fault.takes)
 
     def _by_remote(self, act: str, links: Links) -> None:
         """Act as a pilot with a remote control does: choose the autopilot's mode that holds, or stop the motors."""
         links.send(self.station.holds() if act == "mode" else self.station.disarms())
-        self.graded.on_remote(act)
+        self.watch.on_remote(act)
 
     @property
     def _touched(self) -> bool:
         """True if a vehicle that the program simulates by itself has touched our deck, which the program does not know."""
-        return self.autopilot.own and self.body is not None and self.body.landing() is not None
+        return self.autopilot.own and self.body is not None and self.body.landing is not None
 
     def _flown(self, service: KillableService) -> bool:
         """Return whether the landing that was ordered has ended by itself."""
@@ -397,15 +396,17 @@ class AutopilotFlight:
                 )
 
     def _make(self, step_s: float, curve: float) -> Body:
-        on_pad = msgspec.structs.replace(self.scenario, start=msgspec.structs.replace(self.scenario.start, where="pad"))
+        start = self.clock.now()
         if self.autopilot.own:
-            body = self.body = OwnBody(on_pad, self.seed, self.clock, self.graded.faults)
-            self.station = self._station(-float(body.p_pad_ned[2]))
+            body = self.body = OwnBody(self.scenario, self.seed, start, self.faults)
+            self.station = self._station(-float(body.pad_motion().p_ned[2]))
             around = arducopter.around if self.autopilot.name != "px4" else lambda body: []
             self._own = OwnVehicle(body, self._stepped, self._settle, around)
             self.link.ahead_s = self._own.ahead_s
         else:
-            self.body = Body(on_pad, self.seed, step_s, curve, self.clock, self.graded.faults)
+            self.body = Body(self.scenario, self.seed, step_s, curve, start, self.faults, stands=True)
+        self.watch.body, self._reporter = self.body, VesselReporter(self.body)
+        self.body.on_failsafe = self._on_failsafe
         self.perception.begin(self.body)
         return self.body
 
@@ -413,12 +414,13 @@ class AutopilotFlight:
         if isinstance(body, OwnBody):
             body.begun = self.station.task not in (Task.MEET, Task.ARM, Task.TAKE_OFF)
         self._stepped_at = time.monotonic()
-        if body.flying:
-            self._stopped_s = None
-        elif self._stopped_s is None:
-            self._stopped_s = body.t_s
         self.clock.advance(body.step_s)
-        self.graded.stepped(body, self.station.began)
+        if body.flying:
+            self._stopped = None
+        elif self._stopped is None:
+            self._stopped = body.at
+        if self.station.began is not None:
+            self.watch.stepped(body)
         self._leave_alone(body)
         self._report()
         self.link.deliver()
@@ -428,7 +430,7 @@ class AutopilotFlight:
             exposed = self._camera.exposures
             if exposed > self._told_exposures or self._told is None or seconds_between(self._told, self.clock.now()) >= _TRUTH_S:
                 self._told, self._told_exposures = self.clock.now(), exposed
-                self.on_truth(self.graded.truth())
+                self.on_truth(body.truth())
 
     def _report(self) -> None:
         """Give the service what the ship reports."""
@@ -436,19 +438,24 @@ class AutopilotFlight:
             for report in self._reporter.reports(self.clock.now()):
                 self._service.report(report)
             if (located := self._reporter.located) is not None:
-                self.graded.on_located(located)
+                self.watch.on_located(located)
 
     def _leave_alone(self, body: Body) -> None:
         """Kill the service when its time has come, and note what the vehicle does without one."""
-        if self._service is None or not self.graded.faults.active("service_killed"):
+        if self._service is None or not self.faults.active("service_killed"):
             return
-        now_s, height_m = seconds_between(self.graded.started, self.clock.now()), self.graded.height_m
+        now_s, height_m = seconds_between(body.started, body.at), body.over_deck_m
         if not self._service.gone:
             self._service.kill()
             self.link.cut = True
-            self._silences.append(Silence(now_s, self.graded.guidance_phase, height_m))
+            self._silences.append(Silence(now_s, body.guidance_phase, height_m))
         silence = self._silences[-1]
-        silence.step(now_s - silence.at_s, body.state(), height_m, self.station.mode, len(self.graded.contacts))
+        silence.step(now_s - silence.at_s, body.state(), height_m, self.station.mode, len(body.contacts))
+
+    def _on_failsafe(self, takes: Literal["land", "hold"]) -> None:
+        """Let a failsafe of the stand-in act."""
+        if self.stand_in is not None:
+            self.stand_in.acts_by_failsafe(takes)
 
     async def _settle(self) -> None:
         assert self._camera is not None

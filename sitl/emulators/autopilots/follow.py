@@ -36,17 +36,18 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, GeoPoint, Rotation, moved, ned_between, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
-from estimator.contracts.time import NS_PER_S, Clock, MonoNs, Stamp, seconds_between
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 from sitl.camera.camera import Exposure
 from sitl.core.library import SIM
 from sitl.emulators.autopilots.beside import FlightDaemon, beside_autopilot
-from sitl.emulators.autopilots.body import Body, Motors, Settle
+from sitl.emulators.autopilots.body import Body, Settle
 from sitl.emulators.autopilots.program import Program
-from sitl.faults.fault import FaultTimer
+from sitl.faults.faulty_streams import FlightFaults
 from sitl.scenario.scenario import Scenario, pad_model
 from sitl.sensors.sensors import ORIGIN
 from sitl.vehicle.airframe import Airframe, ardrone2
 from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world.drives import Motors
 from sitl.world.stage import flight_seeds, renderer, sea_and_vessel
 from sitl.world.truth import RenderedFrame, Surface, Touchdown
 
@@ -98,27 +99,27 @@ def true_state(m: Message) -> TrueState | None:
 class OwnBody(Body):
     """A body that another simulator moves. Our physics makes the air around it and finds its contact with our deck."""
 
-    def __init__(self, scenario: Scenario, seed: int, clock: Clock, faults: FaultTimer) -> None:
-        super().__init__(scenario, seed, STEP_S, 0.0, clock, faults)
+    def __init__(self, scenario: Scenario, seed: int, start: MonoNs, faults: FlightFaults) -> None:
+        super().__init__(scenario, seed, STEP_S, 0.0, start, faults, stands=True)
         self.begun = False
         """False while the ship waits for the vehicle to take off."""
         self._p: F64 | None = None
-        SIM.fill(self._vehicle.state, tied=0, phase=VehiclePhase.FLYING, airborne_s=1.0)
+        SIM.fill(self.vehicle.state, tied=0, phase=VehiclePhase.FLYING, airborne_s=1.0)
 
     @property
     def home(self) -> GeoPoint:
         """The place of the program's vehicle at its start: below the pad, on the still water."""
-        north, east, _ = self._ground.p
+        north, east, _ = self.pad_motion().p_ned
         return moved(ORIGIN, np.array([north, east, 0.0]))
 
     @property
     def airframe(self) -> Airframe:
         """The scenario's vehicle as it is flown."""
-        return self._vehicle.airframe
+        return self.vehicle.airframe
 
     @property
     def height_m(self) -> float:
-        return super().height_m if self.begun else -float(self._vehicle.p[2])
+        return super().height_m if self.begun else -float(self.vehicle.p[2])
 
     @property
     def v_pad_ned(self) -> F64:
@@ -127,8 +128,8 @@ class OwnBody(Body):
     @property
     def air_ned(self) -> F64:
         """Velocity (3,) of the air, m/s."""
-        v = self._vehicle
-        return np.add(v.air_ned, v.gust)
+        v = self.vehicle
+        return np.add(v.air_ned, v.gust) + v.extra_wind
 
     def move(self, state: TrueState, *, reported: bool) -> None:
         """Advance by one step to a state, unless a foot has touched the deck.
@@ -136,11 +137,13 @@ class OwnBody(Body):
         Args:
             reported: whether the place is that of this step; else it is reckoned from the place before.
         """
-        if self.landing() is not None:
+        if self.landing is not None:
             return
         if self.begun:
             self.step(_TURNING)
-        self._truth, v, now_m_s, place = None, self._vehicle, np.array(state.v_ned), ned_between(ORIGIN, state.place)
+        else:
+            self.wait(STEP_S)
+        self._truth, v, now_m_s, place = None, self.vehicle, np.array(state.v_ned), ned_between(ORIGIN, state.place)
         if self._p is None:
             self._p, self._v = place, now_m_s
         v.a = ((now_m_s - self._v) / STEP_S).tolist()

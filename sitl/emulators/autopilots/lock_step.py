@@ -109,8 +109,10 @@ class LockStepCamera:
         self._clock, self._offer, self._pool = clock, offer, pool
         self._concluded, self._looking = concluded, looking
         self._timing, self._expose = timing or CameraTiming(), expose
+        self.shown: Callable[[int, RenderedFrame], None] = lambda number, view: None
+        """Receives the number of each frame that has arrived, and what it truly shows."""
         self._due: MonoNs | None = None
-        self._on_the_way: InTransit[tuple[MonoNs, asyncio.Future[RenderedFrame]]] = InTransit(stream)
+        self._on_the_way: InTransit[asyncio.Future[RenderedFrame]] = InTransit(stream)
         self._looking_until: MonoNs | None = None
 
     @property
@@ -126,8 +128,8 @@ class LockStepCamera:
         self._due = after(self._due or now, self._timing.period_s)
         self.exposures += 1
 
-        def exposed() -> tuple[MonoNs, asyncio.Future[RenderedFrame]]:
-            return now, asyncio.get_running_loop().run_in_executor(self._pool, self._expose(body))
+        def exposed() -> asyncio.Future[RenderedFrame]:
+            return asyncio.get_running_loop().run_in_executor(self._pool, self._expose(body))
 
         self._on_the_way.send(exposed, now, self._timing.delay_s)
 
@@ -135,10 +137,11 @@ class LockStepCamera:
         """Wait until every due frame has arrived and every frame due to be processed was processed."""
         now = self._clock.now()
         while (arrived := self._on_the_way.arrived(now)) is not None:
-            measured_at, developing = arrived[1]
-            image = await developing
+            image = await arrived[1]
             self.frames += 1
-            stamp = Stamp(measured_at, now, _STAMP_SIGMA_S, "sim")
+            self.shown(self.frames, image)
+            claimed_at = after(image.exposed_at, image.stamp_error_s)
+            stamp = Stamp(claimed_at, max(claimed_at, now), _STAMP_SIGMA_S, "sim")
             self._offer(Frame(stamp, self.frames, image.px, image.exposure_s, image.gain))
             self._looking_until = after(now, self._timing.vision_s)
         if self._looking_until is None or now < self._looking_until:

@@ -23,9 +23,10 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.geometry import GeoPoint, moved, pressure_of_height_pa
-from sitl.emulators.autopilots.body import Body, BodyState, Motors, Settle, at_once
+from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
 from sitl.emulators.autopilots.program import GUIDE, parameters_of
 from sitl.sensors.sensors import ORIGIN
+from sitl.world.drives import Motors
 
 PHYSICS_PORT = 4560
 MAVLINK_PORTS = (14540, 14550)

@@ -19,11 +19,14 @@ from drivers.endpoint import parse_endpoint
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import LinkOptions, open_links
 from estimator.contracts.geometry import GeoPoint, Rotation, moved
-from sitl.emulators.autopilots.body import BodyState, Motors, MotorVehicle
+from estimator.contracts.time import MonoNs
+from sitl.emulators.autopilots.body import BodyState
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.vehicle.airframe import ardrone2
+from sitl.vehicle.vehicle import Vehicle
 from sitl.vessel.contact import DeckShape, Ground
+from sitl.world.drives import MotorDrive, Motors
 
 HOST = "127.0.0.1"
 STEP_S = 0.004
@@ -48,7 +51,7 @@ class OwnVehicle:
         latitude, longitude, *_ = map(float, home.split(","))
         self._home, self.t_s = GeoPoint.of_degrees(latitude, longitude, 0.0), 0.0
         around = DeckShape(1e3, 1e3, 1e3, 1e3, 0.0)
-        self._vehicle = MotorVehicle(ardrone2(), around, STEP_S, np.random.SeedSequence(1))
+        self._drive, self._vehicle = MotorDrive(STEP_S), Vehicle(ardrone2(), around, STEP_S, np.random.SeedSequence(1))
         self._ground = Ground.of(np.zeros(3), np.zeros(3), np.eye(3), np.zeros(3))
         self._ground.sea_z = 9.0
         self._vehicle.stand(self._ground, np.array([0.0, 0.0, -self._vehicle.airframe.feet.below_m]), 0.0)
@@ -56,7 +59,8 @@ class OwnVehicle:
     def step(self, motors: Motors) -> dict[str, Any]:
         """Advance, and return the state as our physics' line of JSON has it."""
         v = self._vehicle
-        v.motors = motors
+        self._drive.newest = motors
+        self._drive.arrive(v, MonoNs(0))
         v.step(self._ground)
         self.t_s += STEP_S
         imu = {"gyro": v.w, "accel_body": v.f_body.tolist()}

@@ -261,7 +261,7 @@ async def test_it_does_not_descend_while_the_gimbal_reports_nothing(tmp_path: Pa
     assert end.ending.outcome is not FlightOutcome.LANDED
     assert end.health.frames[Verdict.NO_GIMBAL] > 50
     assert end.health.frames[Verdict.FUSED] == 0
-    assert landing.body.p_pad_ned[2] - landing.body.state().p_ned[2] > 1.8, "of 2.5 m"
+    assert landing.body.pad_motion().p_ned[2] - landing.body.state().p_ned[2] > 1.8, "of 2.5 m"
 
 
 STAND_IN_OF_TRUTH = ["--autopilot", "px4", "--binary", "stand-in", "--perception", "truth"]

@@ -24,7 +24,7 @@ from estimator.contracts.geometry import F64, GeoPoint, ned_between
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs
 from sitl.emulators.autopilots.arducopter import CURVE, JsonBackend, decode
-from sitl.emulators.autopilots.body import Body, BodyState, Motors, wrench
+from sitl.emulators.autopilots.body import Body, BodyState
 from sitl.emulators.autopilots.px4 import HilBackend, SensorNoise, gnss, motors_of, sensors, serve_hil
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import STEP_S, StandIn
@@ -32,6 +32,7 @@ from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.scenario.scenario import Scenario, load
 from sitl.sensors.sensors import ORIGIN
 from sitl.vehicle.airframe import ardrone2
+from sitl.world.drives import Motors, wrench
 
 ARM = (mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
 DISARM = (mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
@@ -51,7 +52,8 @@ class Deck:
         if wind_m_s is not None:
             scenario = replace(scenario, weather=replace(scenario.weather, wind_m_s=wind_m_s, from_deg=from_deg))
         vessel = scenario.vessel if speed_m_s is None else replace(scenario.vessel, speed_m_s=speed_m_s, moored=False)
-        scenario = replace(scenario, start=replace(scenario.start, where="pad"), vessel=vessel)
+        start, wrong = replace(scenario.start, where="pad"), scenario.wrong_model.drawn(3)
+        scenario = replace(scenario, start=start, vessel=vessel, wrong_model=wrong)
         self.body = Body(scenario, 3, STEP_S, CURVE if stack is Stack.ARDUPILOT else 0.0)
         self.pilot: StandIn = (
             CopterStandIn(self, parameters, STEP_S) if stack is Stack.ARDUPILOT else Px4StandIn(self, parameters)
@@ -107,11 +109,11 @@ class Deck:
 
     @property
     def height_m(self) -> float:
-        return float(self.body.p_pad_ned[2] - self.body.state().p_ned[2])
+        return float(self.body.pad_motion().p_ned[2] - self.body.state().p_ned[2])
 
     @property
     def aside_m(self) -> float:
-        return math.hypot(*(self.body.state().p_ned - self.body.p_pad_ned)[:2])
+        return math.hypot(*(self.body.state().p_ned - self.body.pad_motion().p_ned)[:2])
 
     @property
     def texts(self) -> list[Message]:
@@ -273,8 +275,8 @@ def turned_deg(from_deg: float, *, level: bool) -> float:
     """
     deck = Deck("weather_4", Stack.ARDUPILOT, {"PSC_JERK_XY": 20.0}, wind_m_s=11.0, from_deg=from_deg)
     deck.up(1.0)
-    before = deck.body.landing()
-    while (landing := deck.body.landing()) == before:
+    before = deck.body.landing
+    while (landing := deck.body.landing) == before:
         deck.fly(0.04, 0.35 + deck.body.v_pad_ned[2])
         assert deck.body.t_s < 30.0
     assert landing is not None
@@ -329,7 +331,7 @@ def test_arducopter_follows_a_target_with_the_ship_only_if_its_setting_says_that
         deck.mode("land")
         for _ in range(110):
             s = deck.body.state()
-            x, y, z = (float(c) for c in s.R_ned_body.inv @ (deck.body.p_pad_ned - s.p_ned))
+            x, y, z = (float(c) for c in s.R_ned_body.inv @ (deck.body.pad_motion().p_ned - s.p_ned))
             target = mav.MAVLink_landing_target_message(
                 0, 0, 12, 0, 0, math.sqrt(x * x + y * y + z * z), 0, 0, x, y, z, [1, 0, 0, 0], 3, 1
             )
@@ -495,7 +497,7 @@ def test_a_body_stands_on_a_moving_deck_and_goes_with_it() -> None:
     for _ in range(2000):
         body.step(REST)
     state = body.state()
-    assert np.linalg.norm(state.p_ned - body.p_pad_ned) < 0.1
+    assert np.linalg.norm(state.p_ned - body.pad_motion().p_ned) < 0.1
     assert np.linalg.norm(state.v_ned - body.v_pad_ned) < 0.1
     assert state.range_m < 0.1
     assert np.linalg.norm(state.f_body) == pytest.approx(9.81, abs=1.5)

@@ -233,7 +233,7 @@ async def filmed(timing: CameraTiming, eyes_s: float | None, seconds: float) -> 
     """Return a camera over the deck; eyes that take so long of wall time for each frame, or wait for the time to go on."""
     clock, frames, done = LockStepClock(), [], [0]
     scenario = load("calm")
-    body = Body(replace(scenario, start=replace(scenario.start, height_m=1.0)), 1, STEP_S)
+    body = Body(replace(scenario, start=replace(scenario.start, height_m=1.0)), 1, STEP_S, start=clock.now())
     loop = asyncio.get_running_loop()
 
     def offer(frame: Frame) -> None:

@@ -17,10 +17,11 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import Clock
 from sitl.emulators.autopilots import arducopter
 from sitl.emulators.autopilots.arducopter import CURVE
-from sitl.emulators.autopilots.body import BodyState, Motors
+from sitl.emulators.autopilots.body import BodyState
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.emulators.autopilots.stand_in.cascade import COPTER_GAINS, Cascade
 from sitl.vehicle.airframe import ardrone2
+from sitl.world.drives import Motors
 
 _ROOT = math.sqrt(2.0)
 

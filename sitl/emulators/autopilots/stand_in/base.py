@@ -32,9 +32,10 @@ from drivers.mavlink.vehicle import ARMED, HOLD_MODE, LAND_MODE, Stack, custom_m
 from estimator.contracts.geometry import F64, GeoPoint, Rotation, moved, ned_between
 from estimator.contracts.time import Clock
 from sitl.camera.gimbal import SimulatedGimbal
-from sitl.emulators.autopilots.body import Body, BodyState, Motors
+from sitl.emulators.autopilots.body import Body, BodyState
 from sitl.emulators.autopilots.lock_step import LockStepClock
 from sitl.sensors.sensors import ORIGIN
+from sitl.world.drives import Motors
 
 _REPORT_S, _STATUS_S = 0.2, 0.2
 """Interval of reports that nobody has requested otherwise, and of the manager's status."""

@@ -7,8 +7,9 @@ from msgspec import Struct, field
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2
-from sitl.emulators.autopilots.body import BodyState, Motors
+from sitl.emulators.autopilots.body import BodyState
 from sitl.vehicle.airframe import Airframe
+from sitl.world.drives import Motors
 
 _TORQUE_MAX_N_M = 1.0
 _YAW_MAX_N_M = 0.15

@@ -16,11 +16,12 @@ from estimator.contracts.geometry import F64, GeoPoint, ned_between
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import Clock
 from sitl.emulators.autopilots import px4
-from sitl.emulators.autopilots.body import BodyState, Motors
+from sitl.emulators.autopilots.body import BodyState
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.emulators.autopilots.stand_in.cascade import PX4_GAINS, Cascade
 from sitl.sensors.sensors import ORIGIN
 from sitl.vehicle.airframe import ardrone2
+from sitl.world.drives import Motors
 
 DEFAULTS: dict[str, float] = {
     "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_DISARM_LAND": 2.0, "COM_DISARM_PRFLT": 10.0, "COM_SPOOLUP_TIME": 1.0,

@@ -1,7 +1,6 @@
-"""A body that an autopilot program flies as the grader sees a world, with the faults of the streams around it and its wires."""
+"""Watch a flight of an autopilot for its grader: the wires, a person's acts, and what became of each frame."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from msgspec.structs import replace
@@ -17,15 +16,12 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 from sitl.emulators.autopilots.body import Body
-from sitl.faults.fault import Corruptions, Fault, FaultTimer
-from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import OperatorActs
 from sitl.flight.ending import Ending
 from sitl.flight.grader import FlightGrader
 from sitl.flight.hands import STOPS, Asks, SentPacket
 from sitl.flight.limits import ON_DECK_M
-from sitl.scenario.scenario import Scenario
-from sitl.world.truth import RenderedFrame, Touchdown, Truth
+from sitl.world.truth import RenderedFrame
 
 _WATCH_EACH_S = 0.05
 _LANDS = frozenset({*mavlink.LAND_MODE.values(), *mavlink.RETURN_MODE.values()})
@@ -127,8 +123,8 @@ class MavlinkWires:
         return None
 
 
-class GradedBody(NullObserver):
-    """The world of one flight with an autopilot program, and its faults, which begin by the time since the order to land.
+class FlightWatch(NullObserver):
+    """Watches the flight of an autopilot's vehicle for its grader, from the order to land on.
 
     As an observer of the daemon it learns guidance's phase, in which faults may begin, and what became of each frame.
 
@@ -138,79 +134,41 @@ class GradedBody(NullObserver):
         unaided: whether the program lands by its own mode, and nobody else has it.
     """
 
-    def __init__(
-        self, scenario: Scenario, seed: int, settings: Settings, clock: Clock, com_watchdog_s: float, *, unaided: bool = False
-    ) -> None:
-        # The order to land comes in the air, wherever the scenario's vehicle starts.
-        start, wrong = replace(scenario.start, where="air"), scenario.wrong_model.drawn(seed)
-        self.scenario, self.seed = replace(scenario, start=start, wrong_model=wrong), seed
-        self.faults = FaultTimer(scenario.faults, seed)
-        self.streams = VehicleStreams(self.faults, seed)
-        self.corruptions = Corruptions(self.faults, seed)
-        self.guidance_phase: str | None = None
-        """Phase of guidance; None before its first decision."""
-        self.height_m = 0.0
-        """Height over the deck's plane at the newest step, where faults are watched."""
+    def __init__(self, settings: Settings, clock: Clock, com_watchdog_s: float, *, unaided: bool = False) -> None:
         self._settings, self._com_watchdog_s, self._unaided = settings, com_watchdog_s, unaided
         self.grader: FlightGrader | None = None
         """Watches from the order to land on; None before it."""
         self._wires = MavlinkWires()
         self._clock = clock
-        self.started = clock.now()
-        """Instant of the order to land."""
-        self.on_begun: Callable[[Fault], None] = lambda fault: None
-        """Receives each fault that begins."""
-        self._body: Body | None = None
-        self._contacts: list[Touchdown] = []
-        self._newest: Touchdown | None = None
+        self.body: Body | None = None
+        """The newest world; None before the program has one."""
+        self._graded: Body | None = None
+        """The world that is graded."""
+        self._views: dict[int, RenderedFrame] = {}
+        """The true content of the frames that have arrived, by their number."""
         self._watched: MonoNs | None = None
         self._followed, self._beside_m2 = 0, 0.0
 
-    @property
-    def now(self) -> MonoNs:
-        """The flight's time."""
-        return self._clock.now()
-
-    at = now
-
-    @property
-    def contacts(self) -> tuple[Touchdown, ...]:
-        """Every contact since the order to land."""
-        return tuple(self._contacts)
-
-    @property
-    def reached(self) -> bool:
-        """True if a service's commands reach the vehicle."""
-        return not (self.streams.commands.silent or self.faults.active("service_killed"))
-
-    def stepped(self, body: Body, began: MonoNs | None) -> None:
-        """Note a step of the physics, and begin the faults that are due.
-
-        Args:
-            began: instant of the order to land; nothing is wrong, graded or counted as a contact before it.
-        """
-        self._body = body
-        if began is None:
-            return
-        self.started, now, landing = began, self._clock.now(), body.landing()
-        if self.faults.active("service_killed"):
-            self.guidance_phase = None
-        if landing is not None and (self._newest is None or landing.at != self._newest.at):
-            self._newest = landing
-            self._contacts.append(body.touchdown(now, self.guidance_phase))
-        if self.guidance_phase in _FOLLOWS and not self._contacts and body.height_m < _NEAR_M:
-            beside = (body.p_pad_ned - body.state().p_ned)[:2]
+    def stepped(self, body: Body) -> None:
+        """Note a step of the physics after the order to land; nothing is wrong, graded or counted as a contact before it."""
+        if self._graded is not body:
+            self._begin(body)
+        assert self.grader is not None
+        if body.faults.active("service_killed"):
+            body.guidance_phase = None
+        if body.guidance_phase in _FOLLOWS and not body.contacts and body.height_m < _NEAR_M:
+            beside = (body.pad_motion().p_ned - body.vehicle.p_ned)[:2]
             self._followed, self._beside_m2 = self._followed + 1, self._beside_m2 + float(beside @ beside)
-        if self.grader is None:
-            self.grader = FlightGrader(self, self._settings, self._com_watchdog_s)
-            if self._unaided:
-                self.grader.referee.hands.acts("landing mode", now)
-        self.height_m = float(body.R_ned_pad.matrix[:, 2] @ (body.p_pad_ned - body.state().p_ned))
-        for fault in self.faults.update(seconds_between(began, now), self.height_m, self.guidance_phase):
-            self.on_begun(fault)
-        if self._watched is None or seconds_between(self._watched, now) >= _WATCH_EACH_S:
-            self._watched = now
+        if self._watched is None or seconds_between(self._watched, body.at) >= _WATCH_EACH_S:
+            self._watched = body.at
             self.grader.step()
+
+    def _begin(self, body: Body) -> None:
+        """Begin the flight that is graded, again in the world of a program that was started again."""
+        body.begin()
+        self._graded, self.grader = body, FlightGrader(body, self._settings, self._com_watchdog_s)
+        if self._unaided:
+            self.grader.referee.hands.acts("landing mode", body.at)
 
     @property
     def tracking_m(self) -> float | None:
@@ -219,17 +177,18 @@ class GradedBody(NullObserver):
 
     def on_sent(self, data: bytes) -> None:
         """Note a datagram that the service sent."""
-        for packet in self._wires.to_vehicle(data, self.now):
+        for packet in self._wires.to_vehicle(data, self._clock.now()):
             if self.grader is not None:
                 self.grader.referee.hands.sent(packet)
 
     def on_arrived(self, data: bytes) -> None:
         """Note a datagram that reached the service: an act that shows before commands reach the vehicle is its failsafe's."""
-        act = self._wires.from_vehicle(data, self.now)
-        if self.grader is None or act is None or not self.reached:
+        now = self._clock.now()
+        act = self._wires.from_vehicle(data, now)
+        if self.grader is None or act is None or not self.grader.world.reached:
             return
-        if act != "disarm" or self.height_m - self.grader.feet.below_m > ON_DECK_M:
-            self.grader.referee.hands.acts(act, self.now)
+        if act != "disarm" or self.grader.world.over_deck_m - self.grader.feet.below_m > ON_DECK_M:
+            self.grader.referee.hands.acts(act, now)
 
     def on_located(self, at: MonoNs) -> None:
         """Note a true baseline of an instant that has arrived."""
@@ -238,36 +197,35 @@ class GradedBody(NullObserver):
 
     def on_order(self, handled: HandledOrder) -> None:
         if self.grader is not None:
-            acting = self.faults.on(OperatorActs)
+            acting = self.grader.world.faults.on(OperatorActs)
             sticks, late_s = (acting[-1][0].sticks, acting[-1][0].late_s) if acting else (CENTRED, 0.0)
             self.grader.on_act(handled, sticks, late_s)
 
     def on_remote(self, act: str) -> None:
         """Note an act of the remote control that the vehicle obeys at once, before it reports it."""
         if self.grader is not None and act in STOPS:
-            self.grader.referee.hands.acts(act, self.now)
+            self.grader.referee.hands.acts(act, self._clock.now())
 
-    def result(self, outcome: FlightOutcome | None, pilot: Pilot, health: Health) -> Ending:
+    def ending(self, body: Body, outcome: FlightOutcome | None, pilot: Pilot, health: Health) -> Ending:
         """Return how the flight ended, or the result so far; nothing is judged without an order to land."""
         if self.grader is None:
-            return Ending(self.scenario.title, self.seed, outcome, self.contacts, 0.0, health.frames, self.started)
-        ending = self.grader.result(outcome, pilot.operator.situation(self.now), health)
-        if self._body is not None and not self._body.upright:
+            return Ending(body.scenario.title, body.seed, outcome, body.contacts, 0.0, health.frames, body.started)
+        ending = self.grader.result(outcome, pilot.operator.situation(body.at), health)
+        if not body.upright:
             ending = replace(ending, without_outcome="turned over or fell into the water")
-        return replace(ending, started=self.started)
+        return replace(ending, started=body.started)
 
-    def truth(self) -> Truth:
-        """Return the true state at the newest step; call it after one."""
-        assert self._body is not None
-        contacts, newest = self.contacts, self._contacts[-1] if self._contacts else None
-        return replace(self._body.truth(), at=self._clock.now(), touchdown=newest, contacts=contacts)
+    def on_shown(self, number: int, view: RenderedFrame) -> None:
+        """Note the true content of a frame that has arrived."""
+        self._views[number] = replace(view, px=_NO_PIXELS)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
-        stamp = processed.frame.stamp
+        view = self._views.pop(processed.frame.seq)
         if self.grader is not None:
-            self.grader.on_verdict(RenderedFrame(_NO_PIXELS, stamp.measured_at, processed.frame.exposure_s), processed.verdict)
+            self.grader.on_verdict(view, processed.verdict)
 
     def on_decision(self, decision: Decision) -> None:
         if self.grader is not None:
             self.grader.on_decision(decision)
-        self.guidance_phase = decision.phase
+        if self.body is not None:
+            self.body.guidance_phase = decision.phase
