@@ -419,9 +419,9 @@ class AutopilotFlight:
             self._stopped = None
         elif self._stopped is None:
             self._stopped = body.at
+        self._leave_alone(body)
         if self.station.began is not None:
             self.watch.stepped(body)
-        self._leave_alone(body)
         self._report()
         self.link.deliver()
         assert self._camera is not None
