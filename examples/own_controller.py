@@ -12,8 +12,7 @@ import numpy as np
 from estimator import Attitude, Imu, PadTracker, RelativeEstimator, RelativeState, Rotation, Stamp
 from sitl.scenario.scenario import load
 from sitl.vehicle.vehicle import VehiclePhase
-from sitl.world.drives import Stick
-from sitl.world.world import World
+from sitl.world.world import Stick, World
 
 STEP_S, FRAME_STEPS = 0.01, 5  # IMU at 100 Hz, camera at 20 Hz
 LEVEL_SIGMA_RAD = math.radians(0.5)

@@ -20,8 +20,7 @@ from sitl.ardrone.config import Configuration, tilting
 from sitl.ardrone.state import HOVER, SECOND, DroneState, Generation, RefAction
 from sitl.sensors.sensors import GnssErrors
 from sitl.vehicle.vehicle import VehiclePhase
-from sitl.world.drives import Stick
-from sitl.world.world import World
+from sitl.world.world import Stick, World
 
 
 class DroneClock(Struct, frozen=True):

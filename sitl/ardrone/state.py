@@ -23,7 +23,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
 from sitl.ardrone.config import KEYS, LIMIT_KEYS, Answer, Configuration, Ids, Key, Scope
 from sitl.vehicle.vehicle import VehiclePhase
-from sitl.world.drives import Stick
+from sitl.world.world import Stick
 
 Name = Literal["1.0", "2.0"]
 UVLC, P264 = "32", "64"

@@ -47,7 +47,8 @@ from sitl.vehicle.airframe import StickLimits, rotors
 from sitl.vehicle.vehicle import Vehicle, VehiclePhase
 from sitl.vessel.contact import Ground
 from sitl.vessel.vessel import Manoeuvre, Mounted
-from sitl.world.drives import Drive, Stick, StickDrive
+from sitl.world.drives import Drive, StickDrive
+from sitl.world.drives import Stick as Stick
 from sitl.world.stage import (
     air,
     airframe,
@@ -356,20 +357,27 @@ class World:
         if camera is not None:
             seen = camera(shot, self._tick)
             return lambda: seen, aside is None
-        rng = np.random.default_rng([self._camera_seed, self._tick])
-        wrong = [fault for fault, _ in self.faults.on(PictureFault)]
-        if isinstance(self.renderer, Film) and self.exposure is not None:
-            # A driven exposure meets the light that is left.
-            lights = [fault.fraction for fault in wrong if isinstance(fault, LightFalls)]
-            wrong = [fault for fault in wrong if not isinstance(fault, LightFalls)]
-            made = self.renderer.order(shot, rng, structs.replace(taken, light_fraction=math.prod(lights)))
-        else:
-            made = worker.order(shot, rng) if worker is not None else self.renderer.order(shot, rng)
+        made, wrong = self._developed(shot, worker, taken)
         if not wrong:
             return cache(made), aside is None
         own, effects = np.random.default_rng([self._camera_seed, self._tick, 3]), self._effects
         hidden = any(isinstance(fault, OtherPad) and fault.instead for fault in wrong)
         return cache(lambda: effects.drawn(made(), wrong, shot, own)), aside is None and not hidden
+
+    def _developed(
+        self, shot: Exposure, worker: RenderWorker | None, taken: Taken
+    ) -> tuple[Callable[[], NDArray[np.uint8]], list[PictureFault]]:
+        """Return the function that renders a scene, and the faults that are drawn into its image."""
+        rng = np.random.default_rng([self._camera_seed, self._tick])
+        wrong = [fault for fault, _ in self.faults.on(PictureFault)]
+        if worker is not None:
+            return worker.order(shot, rng), wrong
+        if self.exposure is None or not isinstance(self.renderer, Film):
+            return self.renderer.order(shot, rng), wrong
+        # A driven exposure meets the light that is left.
+        left = math.prod(fault.fraction for fault in wrong if isinstance(fault, LightFalls))
+        others = [fault for fault in wrong if not isinstance(fault, LightFalls)]
+        return self.renderer.order(shot, rng, structs.replace(taken, light_fraction=left)), others
 
     def _scene(self, aside: F64 | None) -> Exposure:
         """Return the scene of the camera, `aside` (3,) m in the pad frame beside its true place."""

@@ -12,8 +12,7 @@ from estimator.contracts.time import MonoNs, after
 from sitl.faults.fault import FACTS, Corrupted, Corruptions, FaultTimer
 from sitl.scenario.scenario import from_mapping, load
 from sitl.scenario.with_fault import with_random_faults
-from sitl.world.drives import Stick
-from sitl.world.world import World
+from sitl.world.world import Stick, World
 from tests.sitl.test_faults import CALM
 
 Values = tuple[float, ...]

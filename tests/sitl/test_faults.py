@@ -43,9 +43,8 @@ from sitl.perception.model import MODELLED
 from sitl.scenario.scenario import from_mapping, load, pad_model, shipped_scenarios
 from sitl.sensors.sensors import Readings
 from sitl.vehicle.vehicle import VehiclePhase
-from sitl.world.drives import Stick
 from sitl.world.truth import RenderedFrame
-from sitl.world.world import World
+from sitl.world.world import Stick, World
 from tests.fly import ObservedCalls, fly_for, near, new_flight
 from tests.make import change, tuned
 

@@ -19,8 +19,7 @@ from sitl.flight.vessel_reports import VesselReporter
 from sitl.scenario.scenario import Scenario, from_mapping, load, ship_model, vehicle_model
 from sitl.sea.sea import Sea
 from sitl.vessel.file import VesselSettings
-from sitl.world.drives import Stick
-from sitl.world.world import World
+from sitl.world.world import Stick, World
 from tests.sitl.test_faults import CALM, at
 
 UNDER_WAY = msgspec.structs.replace(

@@ -13,8 +13,7 @@ from sitl.camera.camera import Exposure
 from sitl.faults.fault import Fault, RtkSolution
 from sitl.faults.kinds import STREAMS, OperatorActs, PictureFault, ServiceKilled, VesselReports
 from sitl.scenario.scenario import FAULTS, Scenario, load, shipped_scenarios
-from sitl.world.drives import Stick
-from sitl.world.world import World
+from sitl.world.world import Stick, World
 from tests.fly import fly_for
 from tests.sitl.test_faults import CALM
 

@@ -17,8 +17,7 @@ import pytest
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 from sitl.scenario.scenario import load
-from sitl.world.drives import Stick
-from sitl.world.world import World
+from sitl.world.world import Stick, World
 
 KEPT: dict[str, list[list[float]]] = json.loads(Path(__file__).with_name("unchanged_flights.json").read_text())
 

@@ -20,8 +20,7 @@ from sitl.vehicle.airframe import Airframe, Avionics, Loops, StickLimits, Vehicl
 from sitl.vehicle.disturbances import Wind
 from sitl.vehicle.vehicle import DECK, SEA, Vehicle, VehiclePhase
 from sitl.vessel.contact import DeckShape, Ground
-from sitl.world.drives import Stick
-from sitl.world.world import World
+from sitl.world.world import Stick, World
 
 DT = 0.004
 SHAPE = DeckShape(fore_m=3.0, aft_m=2.0, port_m=1.4, starboard_m=1.4)

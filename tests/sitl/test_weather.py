@@ -17,10 +17,9 @@ from sitl.flight.one_flight import FlyOptions, settings_for
 from sitl.scenario.scenario import WeatherSettings, load, raised_sea, raising_wind_m_s, sea_of, wind_of
 from sitl.vehicle.disturbances import SPREADS, EffectSettings, WrongModel
 from sitl.vessel.file import read_log
-from sitl.world.drives import Stick
 from sitl.world.stage import airframe, true_camera
 from sitl.world.truth import Truth
-from sitl.world.world import World
+from sitl.world.world import Stick, World
 from tests.drivers.nmea.test_sentences import line
 from tests.fly import land, near
 from tests.make import change

@@ -25,10 +25,9 @@ from sitl.vehicle.vehicle import MOTORS_TURN, Vehicle, VehiclePhase
 from sitl.vessel.contact import DeckShape
 from sitl.vessel.file import VesselSettings
 from sitl.vessel.vessel import Mounted
-from sitl.world.drives import Stick
 from sitl.world.stage import airframe
 from sitl.world.truth import RenderedFrame, Truth
-from sitl.world.world import Physics, World, decks_of
+from sitl.world.world import Physics, Stick, World, decks_of
 from tests.fly import near
 from tests.make import change
 

@@ -23,8 +23,8 @@ from sitl.scenario.scenario import Scenario
 from sitl.sensors.sensors import Readings
 from sitl.vehicle.airframe import StickLimits
 from sitl.vehicle.vehicle import VehiclePhase
-from sitl.world.drives import Stick
 from sitl.world.truth import RenderedFrame, Truth
+from sitl.world.world import Stick
 
 ASK = b"\x01\x00\x00\x00"
 

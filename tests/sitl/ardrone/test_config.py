@@ -17,7 +17,7 @@ from sitl.ardrone.config import KEYS, Answer, Configuration, Ids, tilting
 from sitl.ardrone.state import HOVER, LOST_COM, DroneState, RefAction
 from sitl.emulators.ardrone.wire_pictures import IDR_EVERY, Encoder, front_view, split_annex_b
 from sitl.vehicle.vehicle import VehiclePhase
-from sitl.world.drives import Stick
+from sitl.world.world import Stick
 from tests.drivers.captures import CAPTURES, needs_captures
 from tests.make import ns
 from tests.sitl.test_vehicle import shipped_vehicle

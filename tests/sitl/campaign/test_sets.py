@@ -283,14 +283,7 @@ def test_an_autopilots_faults_are_those_that_act_beside_it() -> None:
     every = [fault for faults in drawn for fault in faults]
     for faults in drawn:
         refuse_others("drawn", faults, stand_in=True)
-    assert {fault.kind for fault in every} > {
-        "failsafe",
-        "corrupted",
-        "operator",
-        "service_killed",
-        "low_battery",
-        "lens_covered",
-    }
+    assert {fault.kind for fault in every} > {"failsafe", "corrupted", "operator", "service_killed", "low_battery"}
     assert {f.takes for f in every if isinstance(f, Failsafe)} == {"land", "hold"}
     assert {f.order for f in every if isinstance(f, OperatorActs)} > {"mode", "disarm", "land"}
     assert {f.signal for f in every if isinstance(f, Corrupted)} > TELEMETRY
