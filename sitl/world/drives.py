@@ -22,7 +22,7 @@ _SPINS = 0.01
 
 
 class Drive(Protocol):
-    """What commands the vehicle of a world."""
+    """The side that commands the vehicle of a world."""
 
     step_ns: int
     """Step of the physics, ns."""
