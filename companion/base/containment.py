@@ -32,8 +32,12 @@ T = TypeVar("T")
 
 FAILURES_IN_A_ROW = 20
 """Failures in a row after which a callee is disabled: each call costs the flight time, and the next would likely fail too."""
-BACK_OFF_FIRST_S, BACK_OFF_CAP_S = 10.0, 300.0
-"""First and longest back-off before the callee is tried again; each is twice the last. Memory or descriptors may free up."""
+BACK_OFF_FIRST_S = 10.0
+"""First back-off before the callee is tried again. Memory or descriptors may free up."""
+BACK_OFF_CAP_S = 300.0
+"""Longest back-off; each is twice the last."""
+CLOSE_S = 1.0
+"""Time that the parts beside the flight have to end, once the vital ones have ended."""
 
 
 class CallGuard:
@@ -190,9 +194,6 @@ class RestartablePart(Relay, Generic[Made]):
 
 
 Body = Callable[[], Awaitable[None]]
-
-CLOSE_S = 1.0
-"""Time that the parts beside the flight have to end, once the vital ones have ended."""
 
 
 def _back_off(policy: RestartOptions) -> BackOff:

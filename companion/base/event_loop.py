@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 Handler = Callable[[], object]
-_SHORTEST_S = 0.05
+_SHORTEST_S = 0.05  # least time that tasks and generators get to end
 _SLACK_S = 0.002
 """Time by which a timer may come early, with another one: each wake-up of the loop costs more than most of what it is for."""
 _heeded: dict[int, Handler] = {}

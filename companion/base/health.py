@@ -29,8 +29,10 @@ NORMALIZED_NIS_MAX = 20.0
 
 SILENT_S = 2.0
 """An input that has not arrived for this long counts as missing; the slowest one, the vehicle's status, comes at 1 Hz."""
-SHIP_PLACE, SHIP_SILENT_S = "ShipPlace", 15.0
-"""The flow of the ship's places, where a source of them is set. AIS reports come every 10 s from a ship that lies still."""
+SHIP_PLACE = "ShipPlace"
+"""The flow of the ship's places, where a source of them is set."""
+SHIP_SILENT_S = 15.0
+"""Its longest silence: AIS reports come every 10 s from a ship that lies still."""
 GIMBAL = "GimbalAttitude"
 """The flow of the gimbal's attitudes, where a gimbal carries the camera."""
 _NEEDED = {

@@ -36,9 +36,28 @@ SAMPLE_KINDS = ("Attitude", "Imu", "BodyVelocity", "VehicleStatus")
 """Flows that keep arriving while the vehicle is in reach."""
 
 
-GUIDANCE_S, FRAME_S, SAMPLES_S = 1.0, 3.0, 10.0
-"""The longest time between two guidance cycles, that vision may spend on one frame, and without a sample from a vehicle that last
-reported flying, s; what takes longer counts as stuck. A landed or unknown vehicle may be off."""
+GUIDANCE_S = 1.0
+"""Time between two guidance cycles that counts as stuck."""
+FRAME_S = 3.0
+"""Time of vision on one frame that counts as stuck."""
+SAMPLES_S = 10.0
+"""Time without a sample from a vehicle that last reported flying that counts as stuck. A landed or unknown vehicle may be off."""
+
+_EVERY = 4
+"""Number of pings within one watchdog interval: systemd requests two, and a guidance cycle may be late."""
+_STATUS_S = 1.0
+"""Time between two status lines if there is no watchdog, seconds."""
+PERIOD_S = 0.02
+"""Time between two looks of the task: that of a guidance cycle."""
+HELD_S = 0.2
+"""A hold above this is reported: a command every 0.04 s has been left out five times."""
+_SUSPECT_S = 0.08  # time without the loop after which the thread looks at what the loop runs
+STOOD_S = 2.0
+"""Time without the loop after which a flying vehicle is commanded to hold; it has held by itself since about the first second."""
+_SET_S = 1.0
+"""Smallest step of the wall clock that is reported, s: a time server's own steps are smaller once it has the time."""
+_ENDLESS_S = 1.0
+"""Time without the loop after which the thread reports it itself: it may never come back."""
 
 
 def stuck(health: HealthSnapshot, flying: bool) -> str | None:
@@ -67,11 +86,6 @@ def stuck(health: HealthSnapshot, flying: bool) -> str | None:
 
 
 log = logging.getLogger(__name__)
-
-_EVERY = 4
-"""Number of pings within one watchdog interval: systemd requests two, and a guidance cycle may be late."""
-_STATUS_S = 1.0
-"""Time between two status lines if there is no watchdog, seconds."""
 
 
 class Manager:
@@ -180,22 +194,10 @@ def watchdog_interval_s(environment: Mapping[str, str] = os.environ, pid: int | 
     return int(text) * 1e-6
 
 
-PERIOD_S = 0.02
-"""Time between two looks of the task: that of a guidance cycle."""
-HELD_S = 0.2
-"""A hold above this is reported: a command every 0.04 s has been left out five times."""
-_SUSPECT_S = 0.08
-"""Time without the loop after which the thread looks where it is."""
-STOOD_S = 2.0
-"""Time without the loop after which a flying vehicle is commanded to hold; it has held by itself since about the first second."""
-_SET_S = 1.0
-"""Smallest step of the wall clock that is reported, s: a time server's own steps are smaller once it has the time."""
 STAGE = "loop_lag"
 """The stage of health that has each lag."""
 _EDGES_S = tuple(1e-4 * 1.05**n for n in range(260))
 """Upper edges of the buckets, s, from 0.1 ms to half a minute: a quantile is known to 5 %."""
-_ENDLESS_S = 1.0
-"""Time without the loop after which the thread reports it itself: it may never come back."""
 _OURS = ("companion", "drivers", "estimator", "sitl")
 
 

@@ -17,8 +17,10 @@ from estimator.contracts.time import MonoNs, seconds_between
 # What exists when the service has started is moved out of the collector's sight. Young objects are collected as ever; the
 # oldest generation only while the vehicle is not known to fly.
 
-_PERIOD_S = 60.0
-_NEVER = 2**30
+_PERIOD_S = 60.0  # time between two full collections on the ground
+_NEVER = 2**30  # threshold that no number of collections reaches
+_M_ARENA_MAX = -8
+"""The option of glibc's `mallopt` (malloc.h)."""
 
 
 class GroundedCollector:
@@ -55,10 +57,6 @@ def no_full_collections() -> Iterator[None]:
     finally:
         gc.set_threshold(*before)
         gc.unfreeze()
-
-
-_M_ARENA_MAX = -8
-"""The option of glibc's `mallopt` (malloc.h)."""
 
 
 def share_one_arena() -> None:

@@ -27,7 +27,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 LINES_A_MINUTE = 60
 """The most lines of one kind in a minute."""
-_MINUTE_S = 60.0
+_MINUTE_S = 60.0  # time in which a kind of line has its number of lines
 _WAITING_MAX = 1000
 """Lines that may wait for a reader: some hours of a healthy flight."""
 _TELL_S = 1.0
@@ -39,7 +39,7 @@ _LINE_MAX = 2000
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 """Control characters and line separators in texts from a peer: they could begin a new line or control a terminal."""
 _NUMBER = re.compile(r"\d+(\.\d+)?")
-_AWAY_S = 30.0
+_AWAY_S = 30.0  # time without a text after which it is new again
 _OURS = ("companion", "drivers", "estimator", "sitl")
 _OTHERS = {"pymavlink": logging.CRITICAL, "paho": logging.CRITICAL, "mqtt": logging.CRITICAL, "libav": logging.ERROR}
 """Log levels of other people's loggers; WARNING if not named. Our drivers count and log what these report."""

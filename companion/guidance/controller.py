@@ -22,6 +22,9 @@ from estimator.contracts.samples import checked_vector
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Forecast
 
+SWELL_RAD_S = math.tau / 12.0
+"""Circular frequency of a swell that is not known yet: a long one asks for the most height."""
+
 
 class FieldOfView(NamedTuple):
     """The camera's field, in the body's axes."""
@@ -36,9 +39,6 @@ class FieldOfView(NamedTuple):
 
 HORIZONS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """Horizons of the forecast that guidance requests, s."""
-
-SWELL_RAD_S = math.tau / 12.0
-"""Circular frequency of a swell that is not known yet: a long one asks for the most height."""
 
 
 class Impact(Struct, frozen=True):

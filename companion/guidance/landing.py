@@ -73,7 +73,7 @@ _TILT_LEFT_DEG = 2.0
 """Distance that is kept from an autopilot's own limit of the tilt, deg: its loops overshoot."""
 _FORECAST_S = 0.2
 """Time between two forecasts of the deck, s: they cost more than the rest of a guidance cycle, and change slowly."""
-_NIS_WEIGHT = 0.1
+_NIS_WEIGHT = 0.1  # weight of the newest frame in the mean of the normalized innovation
 _IMPOSSIBLE_S = 1.0
 """Time for which an impossible motion of the deck stands against the estimate, s."""
 _UNFELT_S = 1.0
@@ -99,8 +99,8 @@ _UNPICTURED_S = 0.5
 """Time since the newest sighting by the camera from which a baseline's delay and agreement are those of the sight, s."""
 _LATE_VIDEO_S = 0.15
 """Delay of the camera from which the operator sees its cost, s."""
-_SAYS_CHARGE, _SAYS_S = 0.15, 240.0
-"""Charge over the last one, and time until none is left, from which on the operator reads what becomes of the drone."""
+_REPORTS_CHARGE = 0.15  # charge over the last one from which on the operator reads what becomes of the drone
+_REPORTS_S = 240.0  # time until none is left from which on the operator reads it
 _WAITS = HELD_BY_PERSON | {State.STAY, State.TAKEN}
 """States that last for as long as a person likes."""
 
@@ -244,7 +244,7 @@ class LandingGuidance:
         battery, left_s, o, p = self._charge.fraction, self._charge.left_s(self._now), self._guidance, self.mission
         if battery is None or p.state not in _WAITS:
             return ""
-        if battery >= o.last_charge + _SAYS_CHARGE and (left_s is None or left_s > _SAYS_S):
+        if battery >= o.last_charge + _REPORTS_CHARGE and (left_s is None or left_s > _REPORTS_S):
             return ""
         here, last = f"at {100.0 * o.limits.battery:.0f} % it lands on a pad in sight", f"at {100.0 * o.last_charge:.0f} %"
         ends = {
@@ -294,7 +294,7 @@ class LandingGuidance:
     def _lands_here(self) -> Reason | None:
         """Return that a drone that refused will land where it is, once its charge comes near to that."""
         battery, last = self._charge.fraction, self._guidance.last_charge
-        if battery is None or battery >= last + _SAYS_CHARGE or not ends_here(self.mission, self._guidance, self.hold):
+        if battery is None or battery >= last + _REPORTS_CHARGE or not ends_here(self.mission, self._guidance, self.hold):
             return None
         return Reason(ReasonCause.LANDS_HERE, 100.0 * battery, 100.0 * last)
 

@@ -44,8 +44,8 @@ POSITION_M_S = 1.0
 """Difference from the velocity by two positions beyond which the velocity is wrong, m/s: a stamp that is 0.2 s late makes 0.3."""
 STICK_M_S = 3.0
 """Error by which no stick is flown on the velocity, m/s: more than most ships make, whose deck ends below the drone."""
-_SETTLES_S, _MEAN_S = 1.5, 2.0
-"""Time in which a vehicle stops that begins to hold, and over which its velocity is averaged then, s."""
+_SETTLES_S = 1.5  # time in which a vehicle stops that begins to hold
+_MEAN_S = 2.0  # time over which its velocity is averaged then
 _SHOWS_S = 0.7
 """Time of a hold after which what the velocity says counts as its error, s: it may be the vehicle's own, still stopping."""
 _HELD_SIGMA_M_S = 0.2
@@ -54,9 +54,9 @@ _DRIFT_M_S2 = 0.1
 """Rate at which the error may have grown since a witness, m/s^2."""
 _KNOWN_M_S = 0.1
 """Error of a velocity that nothing contradicts, by which a place becomes uncertain, m/s: an AR.Drone's scale and offset."""
-_SIGHT_S, _POSITION_S = 0.5, 3.0
-"""Time constant of the velocity's difference from sight, and the least time between two positions that are compared, s."""
-_GAP_S = 0.5
+_SIGHT_S = 0.5  # time constant of the velocity's difference from sight
+_POSITION_S = 3.0  # least time between two positions that are compared
+_GAP_S = 0.5  # longest gap between two cycles that errors grow over
 _WAITS_S = 10.0
 """Time without a velocity to fly by after which guidance refuses, s: the sight may come back."""
 

@@ -46,6 +46,8 @@ _SECOND_PAD_S = 1.0
 """Time between two searches for a second pad beside the tracked one, s: each takes some times as long as a look."""
 _DOWNWARD = 0.5
 """Cosine of the largest angle between the axis of a camera on a gimbal and the vertical: beyond it no pad is looked for."""
+_MOUNT_LEAST_RAD = math.radians(0.1)
+"""The least standard deviation of a calibrated mount: it bends by as much from flight to flight."""
 
 
 class Look(Struct, frozen=True):
@@ -431,10 +433,6 @@ class Pilot:
         said = () if belief is None else (*(alert.value for alert in belief.alerts), *belief.lost)
         alerts = (*said, *self.estimator.lost)
         return "; ".join(dict.fromkeys(filter(None, (self.landing.reason, *alerts))))
-
-
-_MOUNT_LEAST_RAD = math.radians(0.1)
-"""The least standard deviation of a calibrated mount: it bends by as much from flight to flight."""
 
 
 def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Callable[..., Pilot] = Pilot) -> Pilot:

@@ -19,8 +19,8 @@ _OLD_S = 3.0
 """Age of what a screen showed from which its order is refused, s; it has reported by then that no answer came."""
 _RANGE_S = 1.0
 """Age up to which a range stands for a height that is not seen, s."""
-_SURE_S, _LOWER_M = 1.0, 0.5
-"""Age of the newest sight up to which a vehicle that stands knows its place, s, and depth of what is no deck of hers, m."""
+_SURE_S = 1.0  # age of the newest sight up to which a vehicle that stands knows its place
+_LOWER_M = 0.5  # depth below the deck from which on what is below is no deck of hers
 
 
 class Operated(Protocol):

@@ -61,6 +61,18 @@ _LONGEST_S = 0.6
 """Longest delay that a response may have, s."""
 _STEP_S = 0.01
 """Delays are distinguished in steps of this, s."""
+_GAP_MAX_S = 0.5
+"""A silence longer than this restarts the observer at the measurement; it keeps its estimate of the wind."""
+_CYCLE_S = 2.0  # time over which the length of a cycle is measured
+_CYCLE_MAX_S = 0.18  # mean length of a cycle beyond which the vehicle hovers by itself (docs/guidance.md)
+_LATE_S = 0.04  # time by which a cycle may be longer without a loss of the position's weight
+_SOFTER_PER_LATE_S = 60.0  # that loss for each second more
+_ROUGH_M_S2 = 0.8
+"""Noise of a rough accelerometer, which has an observer of its own. Vibration of 0.5 m/s^2 stays below; PX4's simulated
+quadcopter (SIH) has 0.5 to 1.7, by axis, as its source gives it."""
+_ROUGH_S = 1.0  # time over which that noise is measured
+_JOLT_M_S2 = 4.0
+"""Largest change of a cycle that counts: a contact with the deck is no noise."""
 
 
 class TuningChoice(NamedTuple):
@@ -154,25 +166,8 @@ class TiltTuning:
         return self
 
 
-_GAP_MAX_S = 0.5
-"""A silence longer than this restarts the observer at the measurement; it keeps its estimate of the wind."""
-
-
-_CYCLE_S, _CYCLE_MAX_S = 2.0, 0.18
-"""Time over which the length of a cycle is measured, and the mean beyond which the vehicle hovers by itself, s."""
-_LATE_S, _SOFTER_PER_LATE_S = 0.04, 60.0
-"""Time by which a cycle may be longer without a loss of the position's weight, and its loss for each second more."""
 _PERIODS = (1, 2, 3, 4, 6, 8, 12, 16, 24)
 """Lengths of a cycle for which there are gains, in guidance periods."""
-
-
-_ROUGH_M_S2, _ROUGH_S = 0.8, 1.0
-"""Noise of a rough accelerometer, which has an observer of its own, and the time over which it is measured. Vibration of
-0.5 m/s^2 stays below; PX4's simulated quadcopter (SIH) has 0.5 to 1.7, by axis, as its source gives it."""
-
-
-_JOLT_M_S2 = 4.0
-"""Largest change of a cycle that counts: a contact with the deck is no noise."""
 
 
 class FollowDeckMemory(Struct, frozen=True, eq=False):

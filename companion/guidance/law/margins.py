@@ -39,9 +39,9 @@ _LATE_M_S2 = 0.6
 
 The median error of 20 flights of sea_state_4 with video 0.26 s late was 3.2 cm, of 20 with 0.09 s 2.2 cm.
 """
-_SIGMA_P_M = 0.01
-_PHASE_LEAST_DEG, _PEAK_MOST = 30.0, 2.0
-"""Margins that gains for an identified response keep."""
+_SIGMA_P_M = 0.01  # standard deviation of the place whose observer gains the margins are computed with
+_PHASE_LEAST_DEG = 30.0  # phase margin that gains for an identified response keep
+_PEAK_MOST = 2.0  # peak of the sensitivity that they keep
 _FEW = 120
 """Number of frequencies that tell them within half a degree and 0.02."""
 _AXIS, _MEASURED = ("p", "w", "d", "b", "lean", "rate", "lag"), ("p", "w", "lean", "rate", "a_body")

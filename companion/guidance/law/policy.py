@@ -29,8 +29,10 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 F32 = NDArray[np.float32]
 
-OBSERVED, ACTIONS = 21, 4
-"""Numbers of an observation and of an action."""
+OBSERVED = 21
+"""Numbers of an observation."""
+ACTIONS = 4
+"""Numbers of an action."""
 PLACE, VELOCITY, LEAN, TRIM = slice(0, 2), slice(3, 5), slice(6, 8), slice(8, 10)
 """The horizontal parts of an observation, in the order of `view_number` in sitl/core/decklander_sim.h."""
 ARRAYS = ("w0", "b0", "w1", "b1", "w2", "b2", "linear", "mean", "scale")
@@ -42,7 +44,14 @@ STEP_S = 0.02
 _FAR = 10.0
 """A network sees no number farther from its mean than so many standard deviations."""
 _FULL = ("acceleration_m_s2", "place_m")
-_UNPACKED_MAX = 4_000_000
+_UNPACKED_MAX = 4_000_000  # largest size of a policy's file when unpacked, bytes
+_OTHER = 0.3
+"""A vehicle whose delay or frequency differs by this share from those of the training is another one."""
+_AGE_MAX_S = 5.0  # age of the estimate that is observed at most
+_VIEW_FROM_M = 0.6  # height from which on the pad is kept in view, as in the law (`keep_in_view` in estimator/core/law/law.c)
+_LEAN_LEAST_M_S2 = 0.6  # lean that it always has, as in the law
+_OUT_RAD = 0.1  # angle outside the view from which on the pad is lost anyway, as in the law
+_ANGLE_MOST_RAD = 1.2  # largest angle of a lean that keeps it in view, as in the law
 
 
 class Policy:
@@ -162,13 +171,6 @@ _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.r
 def kept_share(seconds: float) -> float:
     """Return the share of the trim that is kept over so many seconds."""
     return math.exp(-min(1.0, max(0.0, seconds)) / TRIM_TIME_S)
-
-
-_OTHER = 0.3
-"""A vehicle whose delay or frequency differs by this share from those of the training is another one."""
-_AGE_MAX_S = 5.0
-_VIEW_FROM_M, _LEAN_LEAST_M_S2, _OUT_RAD, _ANGLE_MOST_RAD = 0.6, 0.6, 0.1, 1.2
-"""Limits as in the law (`keep_in_view` in estimator/core/law/law.c)."""
 
 
 class PolicyMemory(Struct, frozen=True, eq=False):

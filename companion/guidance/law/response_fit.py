@@ -27,14 +27,14 @@ from estimator.contracts.geometry import F64
 STEP_S = 0.02
 """Step of a course, s."""
 _C128 = NDArray[np.complex128]
-_DELAY_MAX_S = 0.6
-_PRIOR_DELAY_S = 0.25
+_DELAY_MAX_S = 0.6  # longest delay that is searched
+_PRIOR_DELAY_S = 0.25  # standard deviation of the prior of the delay
 _PRIOR_SHAPE = 0.5
 """Standard deviation of the prior of frequency, damping and lag, as a natural logarithm."""
-_PRIOR_GAIN = 0.2
-_STEPS = 12
-_TILT_BLOCK_S, _CLIMB_BLOCK_S = 1.0, 2.0
-"""Length of a stretch that the jackknife leaves out: the residuals of the climb last longer, s."""
+_PRIOR_GAIN = 0.2  # standard deviation of the prior of the gain
+_STEPS = 12  # steps of the search at most
+_TILT_BLOCK_S = 1.0  # length of a stretch that the jackknife leaves out of a tilt's course (docs/decisions/response.md)
+_CLIMB_BLOCK_S = 2.0  # the same of a climb's, whose residuals last longer
 _LEAST_S = 4.0
 """A shorter course is no flight to identify from, s."""
 _NEAR_S = 0.15

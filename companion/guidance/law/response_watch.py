@@ -40,6 +40,32 @@ _GAP_S = 0.25
 """Longest time between two commands or two reports, s: between those of late cycles nobody knows what was flown."""
 _SETTLING_S = 1.2
 """Time after which the response to what came before the first command is over, s."""
+CONTRADICTION_S = 0.04
+"""A difference of the delay up to this is ignored, s: the margins tolerate it."""
+DELAY_MAX_S = 0.4
+"""Longest delay that is flown with, s: the margin of 60 ms is kept up to it."""
+_SURELY = 2.0
+"""Standard deviations that a delay has to be beyond it."""
+_WINDOW_S = 12.0  # length of the newest course that is fitted
+_EACH_S = 1.0  # time between two fits
+_EACH_KNOWN_S = 2.0  # the same while delay and frequency are known and not doubted
+_STEPS = 2
+"""Steps of the search in each fit: the next one goes on from there."""
+_APART_S = 0.008
+"""Reports that follow closer than this are left out, s."""
+_REPORTS_MAX = 500
+"""Number of reports that are kept between two fits."""
+_LATE_S = 1.0
+"""Reports that are older than this on arrival are left out, s."""
+_EXPLAINED = 0.7
+"""Least share of the reported motion that a fit has to explain."""
+_GAIN_OFF = 0.35
+"""A vehicle that flies so much less or more than commanded is at a limit of its own, or uses other units."""
+_COURSE_OFF_S = 0.15
+"""A tilt that follows by this much slower or quicker than what is flown by, beside the delay, tells no delay, s."""
+_SHAPE_SURELY = 2.5  # standard deviations that a shape has to be beyond the one that is flown by
+_BETTER = 0.5
+"""A shape that is known this much better is looked at again: its gains may be stiffer."""
 
 
 class Track(NamedTuple):
@@ -157,38 +183,12 @@ def _softer(given: TiltResponse, shape: TiltShape) -> float:
     return next((one for one in _SOFTER[:-1] if keeps_margins(assumed, believed, one)), _SOFTER[-1])
 
 
-CONTRADICTION_S = 0.04
-"""A difference of the delay up to this is ignored, s: the margins tolerate it."""
-DELAY_MAX_S = 0.4
-"""Longest delay that is flown with, s: the margin of 60 ms is kept up to it."""
-_SURELY = 2.0
-"""Standard deviations that a delay has to be beyond it."""
-_WINDOW_S = 12.0
-_EACH_S, _EACH_KNOWN_S = 1.0, 2.0
-"""Time between two fits, and the same while delay and frequency are known and not doubted, s."""
-_STEPS = 2
-"""Steps of the search in each fit: the next one goes on from there."""
-_APART_S = 0.008
-"""Reports that follow closer than this are left out, s."""
-_REPORTS_MAX = 500
-"""Number of reports that are kept between two fits."""
-_LATE_S = 1.0
-"""Reports that are older than this on arrival are left out, s."""
-_EXPLAINED = 0.7
-"""Least share of the reported motion that a fit has to explain."""
-_GAIN_OFF = 0.35
-"""A vehicle that flies so much less or more than commanded is at a limit of its own, or uses other units."""
-_COURSE_OFF_S = 0.15
-"""A tilt that follows by this much slower or quicker than what is flown by, beside the delay, tells no delay, s."""
 _SHAPE_SIGMAS = np.array([0.1, 0.2])
 """Standard deviations up to which frequency and damping are known, as natural logarithms."""
 _SHAPE_OFF = np.array([0.12, 0.3])
 """Differences up to which they are ignored: the margins tolerate them."""
 _SHAPE_MOST = np.log([2.5, 2.5])
 """A vehicle beyond these is not of the file's kind at all."""
-_SHAPE_SURELY = 2.5
-_BETTER = 0.5
-"""A shape that is known this much better is looked at again: its gains may be stiffer."""
 
 
 class ResponseWatch(Struct, frozen=True, eq=False):

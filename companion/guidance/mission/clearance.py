@@ -24,7 +24,8 @@ SWELL_MEAN_S = 30.0
 """Time constant of the swell's deviations, s."""
 _KNOWN_S = 5.0
 """Time of watching from which on they count, s."""
-_SLOWEST_RAD_S, _FASTEST_RAD_S = math.tau / 16.0, math.tau / 5.0
+_SLOWEST_RAD_S = math.tau / 16.0  # slowest circular frequency of a deck's motion
+_FASTEST_RAD_S = math.tau / 5.0  # fastest circular frequency of it
 _SWELL_S = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 """Times after the forecast's end at which it is."""
 

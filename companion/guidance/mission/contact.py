@@ -41,8 +41,10 @@ LEAST_M_S2 = 3.0
 """Push beyond the mean that counts, m/s^2; gusts and commanded climbs stay below."""
 LEAST_M_S = 0.1
 """Velocity that the push must have taken away, m/s."""
-TOUCH_M_S, TOUCH_M_S2 = 0.035, 4.5
-"""The same and the peak of the push of one foot that touches before the others: the vehicle pivots about it, m/s and m/s^2."""
+TOUCH_M_S = 0.035
+"""Velocity that the push of one foot takes away that touches before the others, m/s: the vehicle pivots about it."""
+TOUCH_M_S2 = 4.5
+"""Peak of such a push, m/s^2."""
 TURNED_RAD_S = 0.3
 """Change of the turn rate beyond its mean, rad/s: it turns about a foot that the deck holds. Gusts make a third of it."""
 WITHIN_S = 0.08
@@ -62,26 +64,34 @@ ENOUGH = 1.0
 """Votes that are a contact."""
 NEAR_M = 0.12
 """Height of the feet up to which a push may be the deck, m; doubtful above."""
-_BENEATH_M, _WRONG_M = -0.08, -0.3
-"""Heights of the feet beneath which nothing can be, and beneath which the height is wrong, m."""
+_BENEATH_M = -0.08  # height of the feet beneath which nothing can be
+_WRONG_M = -0.3  # height of the feet beneath which the height is wrong
 SIGMA_MOST_M = 0.15
 """Standard deviation of the height beyond which it is not used, m."""
 _STILL_M_S = 0.15
 """Vertical speed against the deck that counts as zero, m/s; the commit commands more than twice as much."""
 _GOES_ON = 0.75
 """Share of the commit's rate from which on a descent goes on as ordered."""
-_ORDERED_S, _AFTER_S = 0.3, 0.1
-"""Time in the commit, and after a push, before standing still differs from not having begun to move, s."""
+_ORDERED_S = 0.3  # time in the commit before standing still differs from not having begun to move
+_AFTER_S = 0.1  # the same after a push
 _HELD_UP_BELOW = 0.75
 """Share of the gate's height below which being held up is a contact."""
 _TOUCH_S = 0.3
 """Time for which the push of one foot counts, s."""
 _TOUCHES_MOST = 4
 """Number of bounces after which a contact in a state that none belongs to no longer makes it press on."""
-_TOUCHES_SAME, _SAME_M = 2, 0.06
-"""Number of commits whose touches at the same height are no jolts, and how far their heights may differ, m."""
-_RANGE_NEAR_M, _RANGE_FAR_M = 0.08, 0.3
-"""Range beyond the feet's own up to which the deck is there, and from which it is not, m."""
+_TOUCHES_SAME = 2  # number of commits whose touches at the same height are no jolts
+_SAME_M = 0.06  # how far their heights may differ
+_RANGE_NEAR_M = 0.08  # range beyond the feet's own up to which the deck is there
+_RANGE_FAR_M = 0.3  # range beyond the feet's own from which on it is not
+ANSWERED_S = 0.7
+"""Time within which the slowest vehicle has answered a command, delay and twice the lag, s (configs/responses)."""
+ANSWERS_S = 0.3
+"""Time by which commands lead the deck that they follow: delay and lag of a vehicle, s."""
+_HELD_LEAST_M_S = 0.3
+"""Least upward excess over the commanded speed, m/s. Ground effect close to a deck makes 0.15."""
+HELD_S = 0.25
+"""Duration of the excess, s."""
 
 
 class ContactWatch(Struct, frozen=True):
@@ -313,16 +323,6 @@ def _of_impact(felt: Impact | None, *, feels: bool) -> float:
 
 def _sigma_m(s: GuidanceCycle) -> float:
     return math.inf if s.estimate is None else math.sqrt(max(0.0, s.estimate.cov.item(2, 2)))
-
-
-ANSWERED_S = 0.7
-"""Time within which the slowest vehicle has answered a command, delay and twice the lag, s (configs/responses)."""
-ANSWERS_S = 0.3
-"""Time by which commands lead the deck that they follow: delay and lag of a vehicle, s."""
-_HELD_LEAST_M_S = 0.3
-"""Least upward excess over the commanded speed, m/s. Ground effect close to a deck makes 0.15."""
-HELD_S = 0.25
-"""Duration of the excess, s."""
 
 
 class HeldUp(Struct, frozen=True):

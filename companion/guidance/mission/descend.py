@@ -26,7 +26,7 @@ INSIDE = 1.2
 """The share of the descent rate on the axis, which is limited to 1: near the axis the rate does not depend on the error."""
 _TAPER_1_S = 1.0
 """Rate per metre of height left over the gate."""
-_AT_GATE_M = 0.08
+_AT_GATE_M = 0.08  # height over the gate's at which the descent ends
 
 
 def inside(error_m: float, height_m: float, options: ConeOptions) -> bool:

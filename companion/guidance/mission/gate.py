@@ -21,7 +21,7 @@ from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs, seconds_between
 
-_OVER_GATE_M = 0.3
+_OVER_GATE_M = 0.3  # height over the gate's at which the gate is left again
 _TILTS_FAR = 3.0
 """Tilt of the deck over the gate's limit beyond which the attempts end with the present one."""
 _REASON_STANDS_S = 2.0

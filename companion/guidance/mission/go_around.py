@@ -25,14 +25,14 @@ from estimator.contracts.commands import Command, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert
 from estimator.contracts.motion import G_M_S2
 
-_CLIMB_PATIENCE, _CLIMB_PATIENCE_S = 3.0, 10.0
-"""A go-around that takes this many times the expected time plus this many seconds is not climbing."""
+_CLIMB_PATIENCE = 3.0  # a go-around that takes this many times the expected time and `_CLIMB_PATIENCE_S` is not climbing
+_CLIMB_PATIENCE_S = 10.0  # time beyond the expected one
 _TOUCHES_M = 0.04
 """Height of the feet up to which a push is the deck and not the climb's own thrust, m."""
 _LIFT_M = 0.3
 """Height of the feet below which it only climbs, m."""
-_BRAKES_M, _LEAN_LEAST_RAD = 0.1, math.radians(5.0)
-"""Height of the lowest foot from which on it leans further than it does, m, and the least lean that it may have."""
+_BRAKES_M = 0.1  # height of the lowest foot from which on it leans further than it does
+_LEAN_LEAST_RAD = math.radians(5.0)  # lean that it may always have
 
 
 def clear(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:

@@ -35,12 +35,12 @@ _FORGETS_S = 5.0
 """Time constant with which a difference is forgotten, s: it goes by the last seconds, and no swell or weather adds up."""
 _BARO_S = 0.5
 """Time constant of the barometer's mean, s: its noise is half a metre."""
-_SETTLES_S, _LEAST_S = 1.5, 3.0
-"""Time of orders since a gap before which nothing is counted, and of all orders before which nothing is concluded, s: the
-barometer's mean begins with one reading, which errs by a metre, and the estimate with half of that."""
-_FASTEST_M_S, _JUMP_M = 2.0, 4.0
-"""Largest difference from the ordered rate that counts, m/s, and a step of a height that no vehicle flies within a cycle, m: what
-changes faster is the sensor's."""
+_SETTLES_S = 1.5
+"""Time of orders since a gap before which nothing is counted: the barometer's mean begins with one reading, which errs by a
+metre, and the estimate with half of that."""
+_LEAST_S = 3.0  # time of all orders before which nothing is concluded
+_FASTEST_M_S = 2.0  # largest difference from the ordered rate that counts
+_JUMP_M = 4.0  # step of a height that no vehicle flies within a cycle: it is the sensor's
 
 
 class HeldCourse(Struct, frozen=True):

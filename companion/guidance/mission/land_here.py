@@ -35,18 +35,18 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 _SLOWEST = 0.5
 """Least rate beside the place, of the commit's: a gust must not keep it up."""
-_STEADIES_S, _LOOSER_S = 8.0, 4.0
-"""Longest wait at the gate's height until it is over the place and still, and the time in which these limits double, s."""
+_STEADIES_S = 8.0  # longest wait at the gate's height until it is over the place and still
+_LOOSER_S = 4.0  # time in which these limits double
 _COMES_DOWN_S = 3.0
 """Time constant of the way down to a surface that is ranged out of sight, s."""
 _SILENT_S = 1.0
 """Time without a sample of the vehicle after which it lands by itself, s."""
 _AT_GATE_M = 0.08
 """Height over the gate up to which it is there, m."""
-_LANDS_BY_ITSELF_S, _WAY_MOST_M = 10.0, 10.0
-"""Time beyond three times that of the way down after which it lands by itself, s, and the way where no height is known, m."""
-_STOOD_S, _STANDS = 1.0, 0.5
-"""Time for which an ordered descent does not go on after which it stands on the deck, s, and the share of it that is none."""
+_LANDS_BY_ITSELF_S = 10.0  # time beyond three times that of the way down after which it lands by itself
+_WAY_MOST_M = 10.0  # the way down where no height is known
+_STOOD_S = 1.0  # time for which an ordered descent does not go on after which it stands on the deck
+_STANDS = 0.5  # share of the ordered descent that is none
 _NEAR_M = 0.2
 """Height of the feet by a range from which that descent ends at the deck in this time, m; closer an ultrasound reads nothing."""
 _PLACED_SIGMA_M = 0.06
@@ -57,17 +57,18 @@ _WITHIN = 2.45
 """Standard deviations of one axis within which 95 % of the places on a plane lie (Rayleigh)."""
 _SURGE_M_S2 = 0.1
 """Acceleration along the deck by which a ship out of sight departs from her course, m/s^2."""
-_FLOW_S, _BLIND_SIGMA_M_S = 3.0, 0.2
-"""Time for which an error of a flow's speed over the deck lasts, s, and the least standard deviation of a speed without sight,
-m/s: the estimator's own rises to that within the first seconds (`benches.by_person --blind`)."""
+_FLOW_S = 3.0  # time for which an error of a flow's speed over the deck lasts
+_BLIND_SIGMA_M_S = 0.2
+"""Least standard deviation of a speed without sight: the estimator's own rises to it within the first seconds (`benches.by_person
+--blind`)."""
 _SPEED_SIGMA_M_S = 0.5
 """Standard deviation of the speed along the deck up to which it is flown by the estimate without sight, m/s."""
 _RANGE_S = 0.15
 """Time constant of range and rate, s: far below the period of a swell."""
 _LEAP_M = 0.5
 """Difference from the expected range that is another surface, m."""
-_LAG_S, _GAP_S = 0.3, 0.2
-"""Lag of a climb whose vehicle's file says nothing, and the longest time between two cycles, s."""
+_LAG_S = 0.3  # lag of a climb whose vehicle's file says nothing
+_GAP_S = 0.2  # longest time between two cycles
 _MOST_M_S = 2.0
 """Fastest order down and up where no law says how fast the vehicle climbs, m/s. With less up than down it would meet a deck that
 comes up, with less down it would never come down."""

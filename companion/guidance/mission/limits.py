@@ -24,12 +24,54 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 DWELL_S = 3.0
 """Time for which every report has to be low, s: a climb against a gust or a wave loads a battery for less."""
-_STEP, _STEPS, _STEPS_LEAST, _CHANGED = 0.01, 5, 3, 0.05
-"""Fall of the charge that counts as a step, steps that are kept and that the least rate is of, and rise of another battery."""
+_STEP = 0.01  # fall of the charge that counts as a step
+_STEPS = 5  # steps that are kept
+_STEPS_LEAST = 3  # steps from which the least rate is known
+_CHANGED = 0.05  # rise of the charge that shows another battery
 _LOOSER = 1.5
 """Growth of the limits of place, speed and tilt and of the way down for a battery that ends: what feet bear at the contact."""
-_TRIES, _TIME_S = 100, 36000.0
-"""Tries and time, s, of a landing that nothing but the battery ends."""
+_TRIES = 100  # tries of a landing that nothing but the battery ends
+_TIME_S = 36000.0  # time of such a landing
+_MOTORS_STOP_S = 0.2
+"""Time in contact after which a vehicle's own landing stops the motors, s."""
+_DECK_M_S = 5.0
+"""Vertical speed of a pad that no vessel reaches. Over the shipped vessels (configs/vessels) on the seas of the shipped scenarios
+the largest standard deviation is 1.3 m/s (`research_vessel`, 94 m in a swell of 4 m; her record has 2.7 m/s within five minutes
+30 m from the middle)."""
+_DECK_M_S2 = 5.0  # vertical acceleration of a pad that no vessel reaches: 0.9 m/s^2 there, and 2.4 m/s^2 in the record
+_DECK_RAD_S = math.radians(40.0)
+"""Rate of a deck's tilt that no vessel reaches: 3.1 deg/s (ferry in 0.3 m waves), and room for a roll of 12 degrees in 3 s (25
+deg/s)."""
+_DECK_SIGMAS = 2.0
+"""Standard deviations that a motion of the deck has to be beyond them."""
+_FRICTION = 0.5
+"""Friction between feet and deck, of its weight; wet steel has less, rubber more."""
+_COMMIT_SPEED = 1.5
+"""Error and speed along the deck at the contact to come that end a commit while it can, over the gate's limits."""
+SIGMAS_AHEAD = 2.0
+"""Standard deviations of the place at the contact that count."""
+_LATER_TRY = 0.25  # growth of the limits of place and tilt with each go-around
+_LATER_MOST = 1.5  # the largest growth
+_REACHED_M = 0.05
+"""Height of the feet at which the deck is reached, m."""
+_GUST_S = 2.0
+"""Time for which a gust lasts, s."""
+_USUAL_SIGMA_M_S = 0.15
+"""1-sigma of the speed along the deck that the filter has without an IMU, too, m/s; a ship that brakes makes it greater."""
+_STEERS_M_S2 = 2.5  # docs/decisions/ship-manoeuvres.md: acceleration until the contact of a ship that is seen to brake or turn
+_JOLTED_M_S2 = 10.0  # the same of one whose own sensors show its begin
+_DECIDES_M = 0.05
+"""Height over the least one for a climb from which on that ends the commit, m: two frames of 30 a second and more."""
+LEANS_MORE_M_S2 = 2.0
+"""Further lean, ahead and aside together, that a vehicle has before it follows the order to go around, m/s^2."""
+_CLIMB_LEAST = 0.2
+"""Least part of the climb that counts against a deck that rises."""
+ON_PAD = 1.4
+"""Share of the commit's limit beside the centre at which a vehicle that touches the deck may come to stand: a rim remains."""
+OUT = 2.0
+"""(error / radius)^2 beyond which the drone comes back over the pad before it descends further."""
+_LEAST_HEIGHT_M = 0.15
+"""Height up to which the cone is as wide as at this one, m."""
 
 
 class ChargeWatch(Struct, frozen=True):
@@ -86,48 +128,6 @@ def last_landing(options: GuidanceOptions) -> GuidanceOptions:
         tries=structs.replace(o.tries, go_arounds_max=_TRIES, landing_s=_TIME_S, another_pad="automatic"),
     )
 
-
-_MOTORS_STOP_S = 0.2
-"""Time in contact after which a vehicle's own landing stops the motors, s."""
-
-_DECK_M_S, _DECK_M_S2, _DECK_RAD_S = 5.0, 5.0, math.radians(40.0)
-"""Vertical speed and acceleration of a pad, m/s and m/s^2, and rate of a deck's tilt, rad/s, that no vessel reaches.
-
-Over the shipped vessels (configs/vessels) on the seas of the shipped scenarios the largest standard deviations are 1.3 m/s and
-0.9 m/s^2 (`research_vessel`, 94 m in a swell of 4 m; her record has 2.7 m/s and 2.4 m/s^2 within five minutes 30 m from the
-middle) and 3.1 deg/s (ferry in 0.3 m waves): four and five of them, and room for a roll of 12 degrees in 3 s (25 deg/s).
-"""
-_DECK_SIGMAS = 2.0
-"""Standard deviations that a motion of the deck has to be beyond them."""
-_FRICTION = 0.5
-"""Friction between feet and deck, of its weight; wet steel has less, rubber more."""
-_COMMIT_SPEED = 1.5
-"""Error and speed along the deck at the contact to come that end a commit while it can, over the gate's limits."""
-SIGMAS_AHEAD = 2.0
-"""Standard deviations of the place at the contact that count."""
-_LATER_TRY, _LATER_MOST = 0.25, 1.5
-"""Growth of the limits of place and tilt with each go-around, and the largest growth."""
-_REACHED_M = 0.05
-"""Height of the feet at which the deck is reached, m."""
-_GUST_S = 2.0
-"""Time for which a gust lasts, s."""
-_USUAL_SIGMA_M_S = 0.15
-"""1-sigma of the speed along the deck that the filter has without an IMU, too, m/s; a ship that brakes makes it greater."""
-_STEERS_M_S2, _JOLTED_M_S2 = 2.5, 10.0
-"""Acceleration until the contact of a ship that is seen to brake or turn, and of one whose own sensors show its begin, m/s^2."""
-_DECIDES_M = 0.05
-"""Height over the least one for a climb from which on that ends the commit, m: two frames of 30 a second and more."""
-LEANS_MORE_M_S2 = 2.0
-"""Further lean, ahead and aside together, that a vehicle has before it follows the order to go around, m/s^2."""
-_CLIMB_LEAST = 0.2
-"""Least part of the climb that counts against a deck that rises."""
-ON_PAD = 1.4
-"""Share of the commit's limit beside the centre at which a vehicle that touches the deck may come to stand: a rim remains."""
-
-OUT = 2.0
-"""(error / radius)^2 beyond which the drone comes back over the pad before it descends further."""
-_LEAST_HEIGHT_M = 0.15
-"""Height up to which the cone is as wide as at this one, m."""
 
 Comparison = tuple[ReasonCause, float | None, float]
 """The name of a limit, what is measured, and the limit."""

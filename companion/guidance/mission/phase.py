@@ -44,7 +44,7 @@ Aim = Target | Command | None
 Aimed = tuple[Progress, Aim]
 """The memory after a guidance cycle, and its aim."""
 
-_HOLD_SPEED_M_S = 0.5
+_HOLD_SPEED_M_S = 0.5  # speed of the way back to the place that is held
 _FREE_M = 1.0
 """Height over the held one from which a held vehicle climbs no more with its deck, m."""
 _CLIMBS_WHERE_HELD = frozenset({State.COMMIT, State.ANOTHER_PAD})
@@ -54,16 +54,16 @@ _ADRIFT = 5.0
 """Factor on the deviation up to which it flies by an estimate whose pad the ship swung out of sight."""
 _SIGMA_MAX_RAD = math.radians(20.0)
 """Uncertainty of the heading beyond which nothing turns by it."""
-_LOOK_M_S, _LEG_S = 0.4, 35.0
-"""Speed upwind and to lee of a search in wind, m/s, and the time of each way, s."""
+_LOOK_M_S = 0.4  # speed upwind and to lee of a search in wind
+_LEG_S = 35.0  # time of each way of such a search
 _STEPS_M = (2.0, -4.0, 6.0, -8.0, 4.0)
 """Steps aside of its ways back, in turn, m: each time farther to the other side, and then to the middle again."""
-_TURN_1_S, _TURN_MOST_RAD_S = 0.8, 0.5
-"""Rate of a turn for each radian that is left, 1/s, and the most of it, rad/s."""
+_TURN_1_S = 0.8  # rate of a turn for each radian that is left, 1/s
+_TURN_MOST_RAD_S = 0.5  # rate of a turn at most
 
 
-_STOPS_S, _STANDS_M_S = 3.0, 0.1
-"""Time after a hold in which the place that is held goes with the drone, while it moves faster than this over the deck."""
+_STOPS_S = 3.0  # time after a hold in which the place that is held goes with the drone
+_STANDS_M_S = 0.1  # speed over the deck from which on it does
 
 
 def usable(s: GuidanceCycle, o: GuidanceOptions) -> RelativeState | None:

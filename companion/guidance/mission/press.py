@@ -33,19 +33,19 @@ _PRESS_IN_WIND = 0.5
 """Share of the time for which it presses on that is left in wind."""
 _FELT_M_S = 1.0
 """Rate against the deck that an autopilot is ordered on a deck that is felt, so that the feet soon carry the weight, m/s."""
-_TURN_1_S, _TURN_MOST_RAD = 6.0, 0.25
-"""Rate of the turn back to the arrow there for each radian that is left, 1/s, and the most that counts, rad."""
+_TURN_1_S = 6.0  # rate of the turn back to the arrow there for each radian that is left, 1/s
+_TURN_MOST_RAD = 0.25  # turn that counts at most
 _RISES_M_S = 0.1
 """Speed from the deck at which a drone has left it, m/s; one that stands is estimated to move by half of that."""
 _BELOW_DECK_M = 0.6
 """A drone on deck without sight may be estimated some decimetres away from it."""
-_CONFIRMED_S, _AT_LAST_S = 3.0, 60.0
-"""Time for which a landing where it is presses until it is felt, s, then the autopilot's own is better where it is held up; and
-time from its order after which that is better in any case."""
+_CONFIRMED_S = 3.0
+"""Time for which a landing where it is presses until it is felt; then the autopilot's own is better where it is held up."""
+_AT_LAST_S = 60.0  # time from its order after which that is better in any case
 _STAYS_HELD_S = 1.0
 """Time for which it stays held up after the contact that an updraft does not last, s."""
-_OFF_DECK_M, _OFF_DECK_SIGMAS = 0.1, 2.0
-"""A height this far over the gate's, by this many standard deviations, is too high for a vehicle that stands on the deck."""
+_OFF_DECK_M = 0.1  # height over the gate's that is too high for a vehicle that stands on the deck
+_OFF_DECK_SIGMAS = 2.0  # standard deviations by which it has to be
 _FRESH_S = 0.2
 """Age of a sighting up to which it shows that the drone has left the deck, s."""
 

@@ -23,11 +23,22 @@ from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs, seconds_between
 
-_FRAMES_LEAST = 10
+_FRAMES_LEAST = 10  # frames from which on their verdicts give a reason
 _UNFLOWN_S = 0.15
 """Age of the vehicle's newest sample, s, from which on its own hover is expected: an AR.Drone hovers at .25 s."""
 _LANDS_M_S = 0.3
 """Speed of a deck that falls up to which the vehicle's own landing, at 0.4 m/s, presses on it."""
+SIGHT_HOLDS_S = 5.0
+"""Unbroken sight for this long resets the time without sight, seconds."""
+STARVED_S = 0.25
+"""Gap between two guidance cycles in which a vehicle has flown blindly on."""
+_STARVED_MOST_S = 2.0  # how much of it an attempt may have
+_GAP_MAX_S = 1.0
+"""Longest time that one guidance cycle adds, seconds, even if the machine was not called for longer."""
+JUMP_RAD = math.radians(90.0)
+"""Change of the estimated heading within one guidance cycle that no vehicle makes."""
+BOUNCES_MOST = 2
+"""Number of bounces after which it stays down: it lands by the vehicle's own landing, off the deck again or not."""
 
 
 class InputQuality(Struct, frozen=True):
@@ -202,14 +213,6 @@ def of_frames(frames: Mapping[Verdict, int]) -> Reason | None:
     return Reason(ReasonCause.FRAMES, 100.0 * share, 50.0, verdict)
 
 
-SIGHT_HOLDS_S = 5.0
-"""Unbroken sight for this long resets the time without sight, seconds."""
-STARVED_S, _STARVED_MOST_S = 0.25, 2.0
-"""Gap between two guidance cycles in which a vehicle has flown blindly on, and how much of it an attempt may have, seconds."""
-_GAP_MAX_S = 1.0
-"""Longest time that one guidance cycle adds, seconds, even if the machine was not called for longer."""
-
-
 class Attempt(Struct, frozen=True):
     """Time and retries that a landing attempt has used so far. A go-around or an order begins another."""
 
@@ -278,12 +281,6 @@ class Attempt(Struct, frozen=True):
 def _counted_s(since_last_s: float) -> float:
     """Return the time that a guidance cycle adds, s."""
     return min(max(0.0, since_last_s), _GAP_MAX_S)
-
-
-JUMP_RAD = math.radians(90.0)
-"""Change of the estimated heading within one guidance cycle that no vehicle makes."""
-BOUNCES_MOST = 2
-"""Number of bounces after which it stays down: it lands by the vehicle's own landing, off the deck again or not."""
 
 
 def arrow_turned(last_rad: float | None, estimate: RelativeState) -> Reason | None:

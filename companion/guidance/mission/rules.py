@@ -25,8 +25,8 @@ _SPENT_WAIT_S = 8.0
 """Time for which it waits out of sight where the lean takes all of the tilt, s: the gust may pass, but the drone is blown off."""
 _WIND_DWELL_S = 2.0
 """Time for which the wind must be too strong before anything is done about it, s."""
-_ENDS_S, _SANK_M = 0.4, 0.1
-"""Time that a way down takes to end at a height that is kept, and the least that the drone has sunk below that."""
+_ENDS_S = 0.4  # time that a way down takes to end at a height that is kept
+_SANK_M = 0.1  # least that the drone has sunk below that height
 _DEVIATES_MOST = 0.12
 """Standard deviation of a height, m, or its rate, m/s, that counts at most: a path without the IMU hardly knows them."""
 

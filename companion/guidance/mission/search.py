@@ -29,8 +29,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 _LOOKS_S = 10.0
 """Time for which it looks for the pad with a charge too low to begin, s: that may be the nearest place to land."""
-_GAIN_1_S = 0.4
-_CORNER_REACHED_M = 0.7
+_GAIN_1_S = 0.4  # speed toward a corner for each metre that is left, 1/s
+_CORNER_REACHED_M = 0.7  # distance from a corner at which it is reached
 _LOW_M = 0.5
 """A height that is at most this far below the wanted one counts as reached, metres."""
 _ROUND_RAD = math.radians(50.0)

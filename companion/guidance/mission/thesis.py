@@ -17,9 +17,9 @@ from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import seconds_between
 
-_RISEN_M = 0.4
-_ASIDE_M = 0.3
-_BLIND_MARGIN_M = 0.1
+_RISEN_M = 0.4  # rise that ends the vehicle's own landing
+_ASIDE_M = 0.3  # distance beside the pad, over that of the last way point, that ends it
+_BLIND_MARGIN_M = 0.1  # margin of the height below which the pad leaves the view
 
 
 def ways(cone: Mapping[State, Row]) -> Mapping[State, Row]:

@@ -28,8 +28,9 @@ BEYOND = 1.5
 """The same as a multiple of the largest tilt that guidance commands: an attitude loop overshoots by less."""
 HELD_M_S2 = 6.0
 """Least force across the thrust, or against it, that is no drag, m/s^2: that is 5.7 where 30 degrees hold against the wind."""
-_WEIGHT, _TURNS_RAD_S, _BINS = 0.8, 1.5, 10
-"""Least share of the weight along the vertical, largest turn, and number of bins of a tenth of a second."""
+_WEIGHT = 0.8  # least share of the weight along the vertical
+_TURNS_RAD_S = 1.5  # largest turn
+_BINS = 10  # number of bins of a tenth of a second
 _FELT_S = 10.0
 """Time before it lies there within which the contact was felt, s: a rotor that touches turns a vehicle over within two."""
 

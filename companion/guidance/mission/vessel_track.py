@@ -23,15 +23,15 @@ from estimator.contracts.geometry import F64, ned_between, rotated
 from estimator.contracts.samples import Attitude, GeoFix, VesselReport
 from estimator.contracts.time import MonoNs, seconds_between
 
-_SIGMAS = 3.0
-_VEHICLE_SPEED_MAX_M_S = 40.0
+_SIGMAS = 3.0  # standard deviations that a place may be from the expected one
+_VEHICLE_SPEED_MAX_M_S = 40.0  # speed that no multicopter's places may show
 _VEHICLE_MAY_MOVE_M_S = 3.0
 """Standard deviation of the velocity of a vehicle that does not report it."""
-_OWN_AGE_MAX_S = 2.0
-_HEADING_AGE_MAX_S = 10.0
-_YAW_AGE_MAX_S = 1.0
-_TURN_AGE_MAX_S, _TURN_MAX_RAD_S = 2.0, 0.2
-"""Age from which on a rate of turn says nothing any more, as a turn ends, and the fastest that a drone is flown round by."""
+_OWN_AGE_MAX_S = 2.0  # age up to which the vehicle's own place counts
+_HEADING_AGE_MAX_S = 10.0  # age up to which the ship's heading counts
+_YAW_AGE_MAX_S = 1.0  # age up to which the vehicle's heading counts
+_TURN_AGE_MAX_S = 2.0  # age from which on a rate of turn says nothing any more, as a turn ends
+_TURN_MAX_RAD_S = 0.2  # the fastest that a drone is flown round by
 _COURSE_FROM_M_S = 0.7
 """Speed over the ground from which the course counts as the heading, if no compass reports."""
 _VELOCITY_SIGMA_M_S = 2.0

@@ -27,21 +27,24 @@ from estimator.contracts.time import MonoNs, seconds_between
 MEAN_S = 5.0
 """Time constant of mean and gusts, and the time before either counts, s."""
 GUST_SIGMAS = 2.5
+"""Standard deviations of the gusts that are kept for them of the tilt limit."""
 _SMOOTH_S = 0.3
 """Time constant that takes the accelerometer's noise from the tilt, s: gusts last longer."""
 _QUICK_S = 0.1
 """Time constant that shows a gust which has just begun, s."""
-_BEGINS_SIGMAS, _BEGINS_M_S2 = 6.0, 1.0
-"""Standard deviations of the gusts, and the least push, beyond which the air's push is another gust than those before."""
-_GAP_MAX_S = 0.5
+_BEGINS_SIGMAS = 6.0  # standard deviations of the gusts beyond which the air's push is another gust than those before
+_BEGINS_M_S2 = 1.0  # the least such push
+_GAP_MAX_S = 0.5  # longest gap between two cycles that the push is averaged over
 _DRAGGED_M = 0.06
 """Distance by which a vehicle is dragged over the deck, by the tangent of its tilt, m (docs/decisions/wind.md)."""
 _FAR_RAD = math.radians(8.0)
+"""Lean from which on the nose turns for the view, and push from which on a level vehicle is dragged over the deck."""
 _TURNS_S = 1.0
 """Time of watching after which the drone turns, and looks for the pad upwind, s."""
-_REPORT_AGE_S = 10.0
-_REPORT_SIGMA, _REPORT_GUSTS = 0.15, 0.1
-"""Standard deviation of an anemometer's speed by the ship's own flow and by the height, and its gusts, as shares of the speed."""
+_REPORT_AGE_S = 10.0  # age up to which a ship's wind counts
+_REPORT_SIGMA = 0.15
+"""Standard deviation of an anemometer's speed by the ship's own flow and by the height, as a share of the speed."""
+_REPORT_GUSTS = 0.1  # its gusts, as a share of the speed
 _SPENT = 0.95
 """Share of the tilt limit beyond which a steady tilt leaves nothing to hold the place with."""
 

@@ -36,7 +36,7 @@ _CALL_OFF_S = 0.1
 """The time for which the end of a landing or of a take-off is repeated, and the least of a landing; sticks count after it."""
 _OBEYED_S = 2.0
 """Time for which a cut of the motors or its end may be unconfirmed until its sender is warned, s; some report once a second."""
-_LIMIT_GAP_S = 1.0
+_LIMIT_GAP_S = 1.0  # gap up to which a limit that changes commands counts as lasting
 _WAITED_S = 1.0
 """Time after a standstill of this service in which orders still come that waited meanwhile, s."""
 NEVER_OLD = (OperatorOrder.ABORT, OperatorOrder.HOLD, OperatorOrder.RELEASE)

@@ -16,9 +16,21 @@ from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Ra
 from estimator.contracts.time import MonoNs, seconds_between
 
 Corners = tuple[tuple[float, float], ...]
-_ON_THE_LINE_M = 1e-6
+_ON_THE_LINE_M = 1e-6  # distance below which a place lies on a fence's line
 _TANGENT_S = 0.1
 """More than half the period of commands keeps a vehicle that flies along a circle inside it."""
+_GAP_S = 0.5
+"""The longest gap between two velocities that the position is integrated over."""
+_RANGE_S = 0.5  # age up to which a range counts
+_BARO_S = 2.5  # age up to which a barometric height counts: an autopilot sends one a second
+_FIX_AGE_S = 2.0
+"""Age up to which a position counts, s."""
+_SIGMA_MAX_M = 5.0
+"""The standard deviation of the pad's position above which the fence of a ship does not know where it is."""
+_SEEN_GAIN_1_S = 1.5
+"""Acceleration for each m/s that the velocity differs from the wanted one by sight, 1/s."""
+_CLIMB_S = 1.0
+"""The rate of climb is at most the height that is left over this time."""
 
 
 def margin(p: F64, radius_m: float, corners: Corners) -> tuple[float, F64]:
@@ -85,20 +97,6 @@ def within(v: F64, p: F64, radius_m: float, corners: Corners, brake_s: float, sp
         v = v - max(0.0, float(v @ n_later)) * n_later
         later_m, _ = margin(p + brake_s * v, radius_m, corners)
     return v if later_m >= spread_m - _ON_THE_LINE_M else np.zeros(2)
-
-
-_GAP_S = 0.5
-"""The longest gap between two velocities that the position is integrated over."""
-_RANGE_S, _BARO_S = 0.5, 2.5
-"""Ages up to which a range and a barometric height count, s: an autopilot sends one of these a second."""
-_FIX_AGE_S = 2.0
-"""Age up to which a position counts, s."""
-_SIGMA_MAX_M = 5.0
-"""The standard deviation of the pad's position above which the fence of a ship does not know where it is."""
-_SEEN_GAIN_1_S = 1.5
-"""Acceleration for each m/s that the velocity differs from the wanted one by sight, 1/s."""
-_CLIMB_S = 1.0
-"""The rate of climb is at most the height that is left over this time."""
 
 
 class Limit(Enum):
