@@ -14,15 +14,17 @@ from companion.guidance import targets
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, FieldOfView, Impact, Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.flight_memory import FlightMemory, carried_on, memory_of, resumed_by
+from companion.guidance.law.flown_course import reported_lean
 from companion.guidance.law.margins import expected_error_m
-from companion.guidance.law.response_watch import ResponseIdentifier, reported_lean
+from companion.guidance.law.response_watch import ResponseIdentifier
 from companion.guidance.mission import land_here, limits
+from companion.guidance.mission.charge import ChargeWatch, battery_ends
 from companion.guidance.mission.clearance import SwellWatch, watched_swell
-from companion.guidance.mission.contact import ContactWatch, HeldUp, watched
+from companion.guidance.mission.contact import ContactWatch, watched
 from companion.guidance.mission.gate import gate_of
 from companion.guidance.mission.held_course import OFF_M, ClimbWatch
+from companion.guidance.mission.held_up import HeldUp
 from companion.guidance.mission.hold_blind import keep_up
-from companion.guidance.mission.limits import ChargeWatch, battery_ends
 from companion.guidance.mission.machine import allowed, mission_step, take, take_order, take_status
 from companion.guidance.mission.out_of_reach import flown_by_others
 from companion.guidance.mission.progress import (

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from msgspec.structs import replace
 
 from companion.base.mission import CONDITIONS, Event, Reason, ReasonCause, State
-from companion.guidance.mission import limits, rules
+from companion.guidance.mission import charge, limits, rules
 from companion.guidance.mission.gate import Gate
 from companion.guidance.mission.phase import CALLED_OFF, LANDING, Aimed, Phase, turn_rad, waits_m
 from companion.guidance.mission.progress import GuidanceCycle, Progress
@@ -132,7 +132,7 @@ def _offers(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Event
     if s.mode in MODES and not p.stays:
         yield Event.GATE_OPEN, Reason(ReasonCause.PILOT_LANDS, detail=s.mode)
     yield from rules.try_ends(p, s, o)
-    if limits.battery_ends(s.battery, o):
+    if charge.battery_ends(s.battery, o):
         yield Event.NO_CONDITIONS, Reason(ReasonCause.BATTERY, 100.0 * (s.battery or 0.0), 100.0 * o.limits.battery)
     offered_s = p.in_state_s(s.at)
     if o.mode_changes and not p.stays and offered_s >= _OFFERED_S and _bars(p, s, o) is None:

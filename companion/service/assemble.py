@@ -19,11 +19,12 @@ from companion.base import memory
 from companion.base.containment import Body, RestartablePart
 from companion.base.event_loop import heeded
 from companion.base.health import SHIP_PLACE, Health
-from companion.base.loop_lag import LoopWatch, Manager, Pulse, watchdog_interval_s
+from companion.base.loop_lag import LoopWatch
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.base.signals import PROCESS, threads
+from companion.base.watchdog import Manager, Pulse, watchdog_interval_s
 from companion.base.worker import Worker
 from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot

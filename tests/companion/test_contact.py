@@ -8,8 +8,9 @@ from msgspec import structs
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Impact, Knowledge
-from companion.guidance.mission.contact import ENOUGH, HELD_S, ContactWatch, HeldUp, reason_of, votes, watched
+from companion.guidance.mission.contact import ENOUGH, ContactWatch, reason_of, votes, watched
 from companion.guidance.mission.contact import way_s as contact_way_s
+from companion.guidance.mission.held_up import HELD_S, HeldUp
 from companion.guidance.mission.machine import mission_step, take_order
 from companion.guidance.mission.progress import GuidanceCycle, Progress
 from companion.guidance.mission.wind import WindOverDrone

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
-from companion.base.loop_lag import Pulse
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
+from companion.base.watchdog import Pulse
 from companion.parts.live.part import LiveFeed
 from companion.parts.mavlink.bridge import BridgePart
 from companion.parts.mqtt.part import MqttPart

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
 from companion.guidance.landing import LandingGuidance, PilotOptions
-from companion.guidance.mission.limits import ChargeWatch
+from companion.guidance.mission.charge import ChargeWatch
 from companion.guidance.mission.machine import PHASES, mission_step, take_order
 from companion.guidance.mission.progress import HELD_BY_PERSON, VehicleHold, entered
 from companion.settings.guidance import GuidanceOptions

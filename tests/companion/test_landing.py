@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from companion.base.mission import Event, FlightOutcome, Reason, ReasonCause, State
 from companion.guidance.controller import Knowledge
 from companion.guidance.landing import LandingGuidance, PilotOptions
+from companion.guidance.mission.charge import DWELL_S
 from companion.guidance.mission.gate import Gate
-from companion.guidance.mission.limits import DWELL_S
 from companion.guidance.mission.machine import mission_step
 from companion.guidance.mission.progress import VesselPosition
 from companion.guidance.pilot import Pilot

@@ -19,7 +19,8 @@ from companion.base.mission import DESCENDS, ENDED, Event, ReasonCause, State, S
 from companion.base.observer import ResponseInUse
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.law.pid import Pid, PidController
-from companion.guidance.mission.limits import DWELL_S, ChargeWatch, last_landing, of_try
+from companion.guidance.mission.charge import DWELL_S, ChargeWatch, last_landing
+from companion.guidance.mission.limits import of_try
 from companion.guidance.mission.machine import mission_step, take_order, take_status
 from companion.guidance.mission.phase import Aim
 from companion.guidance.mission.progress import GuidanceCycle, Progress, VehicleHold, unfit

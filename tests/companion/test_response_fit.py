@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from companion.guidance.law.flown_course import Track, asked_descent, asked_lean, course_of, joined, reported_lean
 from companion.guidance.law.gains import tilt_model
 from companion.guidance.law.margins import margins
 from companion.guidance.law.response_fit import STEP_S, FlightCourse, TiltFit, fit_climb, fit_tilt, text
-from companion.guidance.law.response_watch import Track, asked_descent, asked_lean, course_of, joined, reported_lean
 from companion.settings.guidance import ClimbResponse, Response, TiltResponse, response_from_mapping
 from companion.settings.load import shipped_response
 from companion.tools.calibrate.flight_result import ResponseCost, tilt_of_file, tilt_of_sigma

@@ -18,6 +18,7 @@ from msgspec.structs import replace
 from companion.base.mission import Event, State
 from companion.base.observer import AS_FILED, ResponseInUse, ResponseState  # fmt: skip
 from companion.guidance.controller import Knowledge, Target
+from companion.guidance.law.flown_course import course_of, track
 from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory, TuningChoice, chosen_tuning, tuned
 from companion.guidance.law.gains import TiltWeights, tilt_model
 from companion.guidance.law.margins import (
@@ -38,12 +39,10 @@ from companion.guidance.law.response_watch import (
     ResponseWatch,
     asked,
     begun,
-    course_of,
     judged,
     landed,
     reported,
     shaped,
-    track,
 )
 from companion.guidance.pilot import make_pilot
 from companion.settings.guidance import ClimbResponse, FollowDeckOptions, GuidanceOptions, Response, TiltResponse

@@ -21,9 +21,10 @@ from companion.base import event_loop
 from companion.base.containment import contain, keep_alive, run
 from companion.base.health import Health
 from companion.base.http_server import HttpServer
-from companion.base.loop_lag import HELD_S, STOOD_S, Lags, LoopWatch, Manager, Pulse, stuck, watchdog_interval_s
+from companion.base.loop_lag import HELD_S, STOOD_S, Lags, LoopWatch
 from companion.base.memory import GroundedCollector, no_full_collections
 from companion.base.observer import Decision, Observer
+from companion.base.watchdog import Manager, Pulse, stuck, watchdog_interval_s
 from companion.cycle.pace import FramePace
 from companion.guidance.pilot import Look, Pilot
 from companion.parts.metrics.endpoint import MetricsEndpoint
@@ -421,7 +422,7 @@ async def test_ready_once_then_pings_then_stopping(systemd: Systemd) -> None:
 
 
 async def test_an_image_that_vision_never_gives_back_ends_the_pings(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("companion.base.loop_lag.FRAME_S", 0.2)
+    monkeypatch.setattr("companion.base.watchdog.FRAME_S", 0.2)
     vehicle, pilot, begun, held = FakeVehicle(), pilot_of(), threading.Event(), threading.Event()
     look = pilot.detect
 

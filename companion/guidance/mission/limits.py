@@ -1,20 +1,15 @@
-"""The limits of gate and commit: the first one that does not hold, as a reason with its numbers; and the battery's.
-
-The charge that decides is the highest of the last seconds' reports, so that a voltage that dips under load decides nothing.
-"""
+"""The limits of gate and commit: the first one that does not hold, as a reason with its numbers."""
 
 import math
 from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from msgspec import Struct, structs
 
 from companion.base.mission import Reason, ReasonCause
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission.clearance import rise_beyond_climb_m
 from companion.guidance.mission.progress import InputQuality
-from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions, LandingLimits
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
@@ -22,16 +17,6 @@ from estimator.contracts.keys import grown
 from estimator.contracts.motion import G_M_S2, DeckMotion
 from estimator.contracts.time import MonoNs, seconds_between
 
-DWELL_S = 3.0
-"""Time for which every report has to be low, s: a climb against a gust or a wave loads a battery for less."""
-_STEP = 0.01  # fall of the charge that counts as a step
-_STEPS = 5  # steps that are kept
-_STEPS_LEAST = 3  # steps from which the least rate is known
-_CHANGED = 0.05  # rise of the charge that shows another battery
-_LOOSER = 1.5
-"""Growth of the limits of place, speed and tilt and of the way down for a battery that ends: what feet bear at the contact."""
-_TRIES = 100  # tries of a landing that nothing but the battery ends
-_TIME_S = 36000.0  # time of such a landing
 _MOTORS_STOP_S = 0.2
 """Time in contact after which a vehicle's own landing stops the motors, s."""
 _DECK_M_S = 5.0
@@ -72,61 +57,6 @@ OUT = 2.0
 """(error / radius)^2 beyond which the drone comes back over the pad before it descends further."""
 _LEAST_HEIGHT_M = 0.15
 """Height up to which the cone is as wide as at this one, m."""
-
-
-class ChargeWatch(Struct, frozen=True):
-    """The charge by the vehicle's reports. A single report is never confirmed: only a later one ends the dwell."""
-
-    since: MonoNs | None = None
-    """Time of the first report."""
-    highest: tuple[tuple[MonoNs, float], ...] = ()
-    """Times and charges, 0 to 1, of the newest report and of those before that no later one reached, within the dwell."""
-
-    falls: tuple[tuple[MonoNs, float], ...] = ()
-    """Times and charges of the last reports that were lower than all before, each by a step."""
-
-    def reported(self, at: MonoNs, charge: float | None) -> "ChargeWatch":
-        """Return the memory after a report; None forgets all."""
-        if charge is None:
-            return ChargeWatch()
-        kept = [(t, c) for t, c in self.highest if c > charge and seconds_between(t, at) <= DWELL_S]
-        falls = self.falls if self.falls and charge < self.falls[-1][1] + _CHANGED else ()
-        if not falls or charge <= falls[-1][1] - _STEP:
-            # The first report lies somewhere within its step.
-            inside = len(falls) == 1 and falls[0][0] == self.since
-            falls = ((at, charge),) if inside else (*falls[-_STEPS:], (at, charge))
-        return ChargeWatch(at if self.since is None else self.since, (*kept, (at, charge)), falls)
-
-    def left_s(self, now: MonoNs) -> float | None:
-        """Return the time until the charge is used up at the rate of the last steps, s; None until there are some."""
-        if len(self.falls) < _STEPS_LEAST:
-            return None
-        (first, most), (last, least) = self.falls[0], self.falls[-1]
-        return max(0.0, least * seconds_between(first, last) / (most - least) - seconds_between(last, now))
-
-    @property
-    def fraction(self) -> float | None:
-        """The highest charge that was reported within the dwell; None while that is not over, or nothing is reported."""
-        if self.since is None or seconds_between(self.since, self.highest[-1][0]) < DWELL_S:
-            return None
-        return self.highest[0][1]
-
-
-def battery_ends(charge: float | None, options: GuidanceOptions) -> bool:
-    """Return whether the battery ends: a charge, 0 to 1, with which no landing begins; None if it is not known."""
-    return charge is not None and charge < options.limits.battery
-
-
-@lru_cache(maxsize=2)
-def last_landing(options: GuidanceOptions) -> GuidanceOptions:
-    """Return the options of a landing whose battery ends: a contact that is less good, or another pad, is better than to fall."""
-    o = options
-    return structs.replace(
-        o,
-        limits=grown(o.limits, _LOOSER, ("error_m", "relative_speed_m_s", "deck_tilt_gate_deg", "deck_tilt_commit_deg")),
-        cone=grown(o.cone, _LOOSER, ("slope", "descent_rate_m_s")),
-        tries=structs.replace(o.tries, go_arounds_max=_TRIES, landing_s=_TIME_S, another_pad="automatic"),
-    )
 
 
 Comparison = tuple[ReasonCause, float | None, float]

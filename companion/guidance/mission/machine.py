@@ -29,7 +29,7 @@ no return, below which a climb would touch the deck.
 
 **Why a refusal is no failure.** Deck, wind or late answers make some landings impossible. REFUSED names the condition with its
 number, GAVE_UP says that the pad was not found or the attempts are used up. Both hold the drone until a person begins again or
-takes it. Where its battery ends a landing is the last one (`limits.last_landing`): a bad contact is better than to fall.
+takes it. Where its battery ends a landing is the last one (`charge.last_landing`): a bad contact is better than to fall.
 """
 
 from collections.abc import Mapping
@@ -55,8 +55,8 @@ from companion.guidance.mission import (
     thesis,
     waiting,
 )
+from companion.guidance.mission.charge import battery_ends, last_landing
 from companion.guidance.mission.held_course import HeldCourse
-from companion.guidance.mission.limits import battery_ends, last_landing
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
 from companion.guidance.mission.phase import Aim, Aimed, Phase
 from companion.guidance.mission.progress import GuidanceCycle, Here, Progress, arrow_turned, entered, unfit

@@ -19,7 +19,7 @@ from msgspec import Struct, structs
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
-from companion.guidance.mission import contact, limits, rules, thesis
+from companion.guidance.mission import contact, held_up, limits, rules, thesis
 from companion.guidance.mission.land_here import felt_by, sees_heave, trusted
 from companion.guidance.mission.phase import AROUND, CALLED_OFF, LANDING, Aimed, Phase, descending
 from companion.guidance.mission.progress import BOUNCES_MOST, GuidanceCycle, Progress, unfit
@@ -72,7 +72,7 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
 
 def _is_held(s: GuidanceCycle) -> bool:
     impact = s.knowledge.impact
-    return impact is not None and impact.by == "velocity" and seconds_between(impact.at, s.at) <= contact.HELD_S
+    return impact is not None and impact.by == "velocity" and seconds_between(impact.at, s.at) <= held_up.HELD_S
 
 
 def _stays_held(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:

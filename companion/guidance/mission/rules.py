@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.law.response_watch import DELAY_MAX_S
-from companion.guidance.mission import limits
+from companion.guidance.mission import charge, limits
 from companion.guidance.mission.clearance import SWELL_MEAN_S
 from companion.guidance.mission.held_course import LASTS_S
 from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
@@ -136,7 +136,7 @@ def bars_commit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | N
 
 def conditions_count(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether wind and waves can end the tries: with a battery that ends, a pad in sight is the nearest way down."""
-    return not limits.battery_ends(s.battery, o) or unfit_here(p, s, o) is not None
+    return not charge.battery_ends(s.battery, o) or unfit_here(p, s, o) is not None
 
 
 def too_windy(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:

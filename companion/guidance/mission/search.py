@@ -17,7 +17,7 @@ from msgspec import Struct, structs
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.mission import out_of_reach, rules
-from companion.guidance.mission.limits import battery_ends
+from companion.guidance.mission.charge import battery_ends
 from companion.guidance.mission.phase import LANDING, Aimed, Phase, climbs, looks_upwind, still
 from companion.guidance.mission.progress import GuidanceCycle, Progress, VehicleHold, VesselPosition, of_frames
 from companion.guidance.mission.rules import EventWithReason

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
-from companion.guidance.mission import limits, rules
+from companion.guidance.mission import charge, limits, rules
 from companion.guidance.mission.phase import TRY, Phase, lower_if_agreed, over_pad, waits_m
 from companion.guidance.mission.progress import SIGHT_HOLDS_S, GuidanceCycle, Progress
 from companion.settings.guidance import GuidanceOptions
@@ -31,7 +31,7 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
 def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[rules.EventWithReason]:
     yield from rules.other_pad(p, s, o)
     yield from rules.try_ends(p, s, o)
-    if s.battery is not None and limits.battery_ends(s.battery, o):
+    if s.battery is not None and charge.battery_ends(s.battery, o):
         yield Event.HOPELESS, Reason(ReasonCause.BATTERY, 100.0 * s.battery, 100.0 * o.limits.battery)
     if (limit := rules.try_over(p, s, o) or rules.sank(p, s, o)) is not None:
         yield Event.LIMIT, limit

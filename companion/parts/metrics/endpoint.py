@@ -14,7 +14,7 @@ from prometheus_client.registry import Collector, CollectorRegistry
 
 from companion.base.health import EDGES_S, Health, HealthSnapshot, MissionHealth, missing_inputs
 from companion.base.http_server import HttpServer
-from companion.base.loop_lag import stuck
+from companion.base.watchdog import stuck
 
 __all__ = ["CONTENT_TYPE", "text"]
 

@@ -21,10 +21,10 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from companion.base.health import HealthSnapshot, missing_inputs
-from companion.base.loop_lag import stuck
 from companion.base.mission import FAULTS, FLOWN
 from companion.base.observer import Decision, DeckOutlook, NullObserver, ProcessedFrame, ThingReport, things_of
 from companion.base.orders import WORDS, HandledOrder, OperatorOrder, OrderSender, OrderSource
+from companion.base.watchdog import stuck
 from companion.base.worker import Worker
 from companion.facts import encode as facts
 from companion.facts.wire import OrderRequest, SticksRequest

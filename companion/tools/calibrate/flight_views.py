@@ -12,8 +12,8 @@ from msgspec import Struct, field
 
 from companion.base.mission import State
 from companion.base.observer import Decision
+from companion.guidance.law.flown_course import asked_descent, asked_lean, course_of, joined, reported_lean, track
 from companion.guidance.law.response_fit import FlightCourse
-from companion.guidance.law.response_watch import asked_descent, asked_lean, course_of, joined, reported_lean, track
 from companion.guidance.operator.arbiter import BY_HAND
 from companion.recording.reading import RecordedFrame, Recording
 from companion.settings.model import VisionSettings

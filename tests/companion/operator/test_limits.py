@@ -10,16 +10,8 @@ from hypothesis import strategies as st
 
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.guidance.controller import Knowledge
-from companion.guidance.operator.command_limits import (
-    Limit,
-    PlaceMemory,
-    Unmeasured,
-    limited,
-    margin,
-    place_step,
-    within,
-    without_velocity,
-)
+from companion.guidance.operator.command_limits import Limit, PlaceMemory, Unmeasured, limited, place_step, without_velocity
+from companion.guidance.operator.fence import margin, within
 from companion.guidance.pilot import make_pilot
 from companion.settings.load import load
 from companion.settings.operator import LimitOptions

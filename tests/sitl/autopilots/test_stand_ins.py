@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.guidance.law.flown_course import course_of, reported_lean, track
 from companion.guidance.law.response_fit import fit_tilt
-from companion.guidance.law.response_watch import course_of, reported_lean, track
 from companion.settings.load import shipped_response
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.setpoint import level_setpoint, velocity_setpoint
