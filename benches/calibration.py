@@ -16,7 +16,7 @@ from companion.tools.calibrate.guide import assess
 from companion.tools.calibrate.solve import Solution, distance_errors, solve
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from tests.support.calibration_images import Studio, lens
 
 BENT = (-0.14, 0.07, 0.0009, -0.0006, 0.0)

@@ -36,7 +36,9 @@ from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import PadCheck
 from estimator.vision.options import TrackerOptions
 from estimator.vision.srgb import LUMA, linear_light
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Sensor
 from sitl.camera.picture_effects import PictureEffects

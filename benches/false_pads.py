@@ -22,10 +22,12 @@ from benches.real import STAMP
 from benches.search import SIGMA_ATTITUDE_RAD
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.samples import Attitude, Frame
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pad import Pad
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.pad.pad import Pad
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from tests.support.hard_light import HARD, Hard
 from tests.support.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad, ring_scene
 

@@ -30,9 +30,11 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.pad import Pad
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from tests.support.mocap_flight import FLYING_S, load, run, sightings
 from tests.support.pad_scenes import DATA, load_camera, load_pad, pad_scene
 

@@ -25,13 +25,14 @@ from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import PadPose
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pad import Pad
-from estimator.vision.pose import PadPose
+from estimator.vision.pad.pad import Pad
 from estimator.vision.srgb import LINEAR_LIGHT
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from estimator.vision.tracker_config import FRAME_WORK
+from estimator.vision.track.config import FRAME_WORK, TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from sitl.camera.light import Light, Sensor
 from tests.support.deck_images import CLAIM_RANGE, CLAIM_RANGE_PX
 from tests.support.hard_light import HARD, THESIS, U8, compressed, defocused, dusk, grey, haze, shifted

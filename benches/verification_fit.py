@@ -22,10 +22,10 @@ from benches.options import described, mapping, parsed
 from benches.real import STAMP
 from benches.search import SIGMA_ATTITUDE_RAD, SIGMA_DECK_RAD
 from estimator.contracts.samples import Attitude
+from estimator.vision.camera.pose import Orientation
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import FEATURES, FITTED
-from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation
+from estimator.vision.pad.pad import Pad
 from estimator.vision.register.registration import RegistrationOptions, look
 from tests.support.deck_images import keeps_claim
 from tests.support.pad_scenes import CONDITIONS, PadScene, acquire, empty_scene, load_camera, load_pad, pad_scene

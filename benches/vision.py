@@ -38,14 +38,16 @@ from benches.search import floor_ms  # noqa: E402
 from estimator.contracts.estimates import Method, Sighting  # noqa: E402
 from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
-from estimator.vision.camera import Camera  # noqa: E402
+from estimator.vision.camera.camera import Camera  # noqa: E402
+from estimator.vision.camera.pose import PadPose  # noqa: E402
 from estimator.vision.options import TrackerOptions  # noqa: E402
-from estimator.vision.pose import PadPose  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
 from estimator.vision.srgb import LINEAR_LIGHT  # noqa: E402
 from estimator.vision.thesis.detection import detect  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
+from estimator.vision.track.config import TrackerConfig  # noqa: E402
+from estimator.vision.track.memory import TrackerMemory  # noqa: E402
+from estimator.vision.track.tracker import track  # noqa: E402
 from sitl.camera.camera import Exposure  # noqa: E402
 from sitl.camera.light import Sensor  # noqa: E402
 from tests.support.bound import information, sigmas  # noqa: E402

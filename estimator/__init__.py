@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from estimator.contracts.time import MonoNs, Stamp
     from estimator.options import EstimatorOptions
     from estimator.pipeline import RelativeEstimator
-    from estimator.vision.camera import Camera
+    from estimator.vision.camera.camera import Camera
     from estimator.vision.detection import Detection
-    from estimator.vision.pad import Pad
-    from estimator.vision.tracker import PadTracker
+    from estimator.vision.pad.pad import Pad
+    from estimator.vision.track.tracker import PadTracker
 
 __all__ = [
     "Attitude",
@@ -55,10 +55,10 @@ _HOMES = {
     "contracts.time": ("MonoNs", "Stamp"),
     "options": ("EstimatorOptions",),
     "pipeline": ("RelativeEstimator",),
-    "vision.camera": ("Camera",),
-    "vision.pad": ("Pad",),
+    "vision.camera.camera": ("Camera",),
+    "vision.pad.pad": ("Pad",),
     "vision.detection": ("Detection",),
-    "vision.tracker": ("PadTracker",),
+    "vision.track.tracker": ("PadTracker",),
 }
 _HOME_OF = {name: f"{__name__}.{home}" for home, names in _HOMES.items() for name in names}
 

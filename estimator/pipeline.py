@@ -43,8 +43,8 @@ from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, P
 from estimator.ship_motion import ShipMotion, ShipMotionOptions
 
 if TYPE_CHECKING:
-    from estimator.vision.camera import Camera
-    from estimator.vision.rolling import CameraMotion
+    from estimator.vision.camera.camera import Camera
+    from estimator.vision.camera.rolling import CameraMotion
 
 _MOMENT_S = 1.0
 """Longest time since a pad was seen after which a frame without an attitude is looked at for it."""
@@ -256,7 +256,7 @@ class RelativeEstimator:
             estimate: the pad's at the exposure.
             held: how a gimbal held the camera then; None of one that is fixed on the body.
         """
-        from estimator.vision.rolling import CameraMotion  # it loads OpenCV, which an estimator alone does not need
+        from estimator.vision.camera.rolling import CameraMotion
 
         aside_s = max(0.5 * abs(camera.readout_s), _READOUT_LEAST_S)
         earlier, later = _beside(stamp, -aside_s), _beside(stamp, aside_s)

@@ -16,12 +16,16 @@ from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
 from estimator.vision.detection import Detection
 from estimator.vision.options import TrackerMethod
-from estimator.vision.pad import Pad, places_of
-from estimator.vision.pose import Orientation, PadPose
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, detect_lamps, track
+from estimator.vision.pad.lamps import places_of
+from estimator.vision.pad.pad import Pad
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.lamps import detect_lamps
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from fuzz.target import Choices, Target, block
 from sitl.emulators.ardrone.wire_pictures import Encoder
 from sitl.scenario.scenario import load as load_scenario

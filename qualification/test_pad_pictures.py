@@ -15,8 +15,8 @@ from msgspec import structs
 from companion.cli.main import main
 from companion.tools.pads.pictures import check_pictures
 from companion.tools.pads.price import CAMERA, planted, random_pose, view
-from estimator.vision.pad import Pad
-from estimator.vision.regions import part_of
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.shapes import part_of
 from tests.support.pad_scenes import DATA, load_pad
 
 THESIS = load_pad("thesis")

@@ -12,9 +12,11 @@ from companion.settings.load import read_toml
 from companion.tools.pads.price import CAMERA, VIEWS, kind_of, planted, price, view
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Frame
-from estimator.vision.pad import RARE, Pad
-from estimator.vision.pose import PadPose
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.camera.pose import PadPose
+from estimator.vision.pad.pad import RARE, Pad
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from tests.support.users_pads import STAMP, USERS, trust, user_s
 
 ODD_VIEWS = [("octagon", 0.6, 0.3, 60.0, -1.6), ("octagon", 0.1, 0.0, 80.0, 0.2), ("ring_and_panels", 1.1, 0.0, 60.0, -1.6)]

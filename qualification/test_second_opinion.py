@@ -11,12 +11,14 @@ from companion.settings.referenced_files import SHIPPED_NETWORK, second_opinion
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import Frame
+from estimator.vision.camera.pose import PadPose
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.verification import confidence as confidence_of
 from estimator.vision.learned.second_opinion import CHANNELS, SIDE, SecondOpinion, inputs, patch_of
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pose import PadPose
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from tests.support.pad_images import STAMP, PadPlacement, image
 from tests.support.pad_scenes import pad_scene
 from tests.support.shipped import shipped_camera, shipped_pad

@@ -17,7 +17,7 @@ from estimator.contracts.estimates import FusionResult, RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Forecast
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import Detection
 
 

@@ -18,8 +18,8 @@ from companion.settings.load import complete, from_file, read_camera, read_text,
 from companion.tools.pads.boards import FAMILY, fiducial, painted
 from companion.tools.pads.trace import file_text
 from estimator.contracts.errors import BadInput, file_errors, refused
-from estimator.vision.fiducial import PaintedFiducial
-from estimator.vision.pad import Pad
+from estimator.vision.pad.fiducial import PaintedFiducial
+from estimator.vision.pad.pad import Pad
 
 _WHY = {
     "width height": "the camera file has the size of the frames",

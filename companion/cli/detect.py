@@ -39,13 +39,14 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.text import text_of
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 from estimator.vision.thesis.segmentation import COLOUR_SETS
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from estimator.vision.tracker_config import FRAME_WORK
+from estimator.vision.track.config import FRAME_WORK, TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 
 U8 = NDArray[np.uint8]
 

@@ -36,11 +36,14 @@ from drivers.files import Largest, bytes_of
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.contracts.geometry import F64
 from estimator.contracts.text import text_of
-from estimator.vision.camera import Camera
-from estimator.vision.drawing import EdgeKind, edges_of
-from estimator.vision.pad import CENTRE_PX, LARGEST_M, RARE, SMALLEST_M, Calibration, LampAccuracy, Pad, lamp_accuracy
-from estimator.vision.pad_information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
-from estimator.vision.regions import outlines_of, part_of
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.drawing import EdgeKind, edges_of
+from estimator.vision.pad.file import LARGEST_M, SMALLEST_M, Calibration
+from estimator.vision.pad.geometry import outlines_of
+from estimator.vision.pad.information import NOISE, PadAccuracy, accuracy, alike_headings, confusable_turns
+from estimator.vision.pad.lamps import CENTRE_PX, LampAccuracy, lamp_accuracy
+from estimator.vision.pad.pad import RARE, Pad
+from estimator.vision.pad.shapes import part_of
 from estimator.vision.srgb import LUMA, linear_light
 
 

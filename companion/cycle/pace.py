@@ -5,7 +5,7 @@ import logging
 from companion.base.health import Health
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, after, seconds_between
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 
 _WEIGHT = 0.2
 """Weight of the newest look in the mean: five frames distinguish a slow machine from one slow look."""

@@ -34,13 +34,13 @@ from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.integrity.parity import leaps
 from estimator.options import EstimatorOptions
 from estimator.pipeline import RelativeEstimator
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import Detection
-from estimator.vision.tracker_config import FRAME_WORK, TrackerConfig
+from estimator.vision.track.config import FRAME_WORK, TrackerConfig
 
 if TYPE_CHECKING:
     from estimator.vision.learned.second_opinion import SecondOpinion
-    from estimator.vision.tracker import TrackerMemory
+    from estimator.vision.track.memory import TrackerMemory
 
 _SECOND_PAD_S = 1.0
 """Time between two searches for a second pad beside the tracked one, s: each takes some times as long as a look."""
@@ -99,7 +99,7 @@ class PadSearch:
 
     def rehearse(self) -> None:
         """Look at a drawn frame, so that the first real one takes no longer than the others. This may run on another thread."""
-        from estimator.vision.tracker import rehearse
+        from estimator.vision.track.rehearsal import rehearse
 
         rehearse(replace(self._tracker, camera=self.camera))
 
@@ -135,7 +135,9 @@ class PadSearch:
 
     def detect(self, look: Look) -> Detection:
         """Search a frame for the pad. This may run on another thread, one call at a time: it writes only its own memory."""
-        from estimator.vision.tracker import TrackerMemory, alone_in, sight
+        from estimator.vision.track.memory import TrackerMemory
+        from estimator.vision.track.second_pad import alone_in
+        from estimator.vision.track.tracker import sight
 
         before = self._memory or TrackerMemory()
         seen, self._memory = sight(look.tracker, before, look.frame, look.attitude, look.expected)
@@ -154,7 +156,7 @@ class PadSearch:
 
     def read_deck(self, seen: Detection) -> Detection:
         """Return the newest detection with what its frame shows on the pad and about it; threads as for `detect`."""
-        from estimator.vision.by_paint import read_deck
+        from estimator.vision.track.read_deck import read_deck
 
         if self._memory is not None:
             seen, self._memory = read_deck(seen, self._memory)

@@ -15,18 +15,10 @@ from msgspec import Struct
 from companion.recording.palette import colour
 from estimator.contracts.estimates import Feature, RelativeState
 from estimator.contracts.geometry import F64, Rotation
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.regions import (
-    PaintedArrowhead,
-    PaintedDisc,
-    PaintedRing,
-    Region,
-    borders_of,
-    convex_pieces_of,
-    is_slanted,
-    sides_of,
-)
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.geometry import convex_pieces_of, is_slanted, sides_of
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.shapes import PaintedArrowhead, PaintedDisc, PaintedRing, Region, borders_of
 
 NS = 1_000_000_000
 POINTS, LINE_LOOP, LINE_STRIP = 1, 2, 3

@@ -12,7 +12,7 @@ import msgspec
 from mcap.writer import CompressionType, IndexType, Writer
 
 from companion.recording.channels import TOPICS, json_schema, schema_name
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 
 CHUNK_BYTES = 4 << 20
 

@@ -19,9 +19,9 @@ from companion.settings.service import FrameForm
 from estimator.contracts.estimates import FusionResult, RelativeState
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import Detection
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 
 Message = tuple[str, int, Struct]
 _TF_PERIOD_S, _REPEAT_S, _ELLIPSOID_S = 0.02, 1.0, 0.1

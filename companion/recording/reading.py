@@ -41,9 +41,9 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import Detection
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 
 MAGIC = b"\x89MCAP0\r\n"
 MOST_RECORD_BYTES = 128 << 20

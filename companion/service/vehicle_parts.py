@@ -40,8 +40,8 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame, Imu, Sample
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 from estimator.uvlc import UvlcDecoder
-from estimator.vision.camera import Camera
-from estimator.vision.pose import Orientation
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation
 
 if TYPE_CHECKING:
     from companion.parts.mavlink.camera_component import ShowCamera

@@ -32,9 +32,10 @@ from estimator.attitude_history import DOWN
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.contracts.text import text_of
-from estimator.vision.camera import Camera
-from estimator.vision.camera_files import foreign_camera
-from estimator.vision.pad import Calibration, Pad
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.files import foreign_camera
+from estimator.vision.pad.file import Calibration
+from estimator.vision.pad.pad import Pad
 
 __all__ = [
     "Settings", "body_camera", "camera_model", "complete", "find_file", "from_file", "from_mapping", "load", "pad_model",

@@ -20,7 +20,7 @@ from drivers.ardrone.counters import Refusal
 from drivers.ardrone.navdata import ControlState, NavdataState
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from sitl.ardrone.config import KEYS, LIMIT_KEYS, Answer, Configuration, Ids, Key, Scope
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import Stick

@@ -17,8 +17,8 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.pad import Pad
 from sitl.camera.light import FULL_SCALE, I16, U16, Development, Light, PadBlur, PadInImage, Sensor, counts, scene_of
 from sitl.camera.projection import F32, SHIFT, fixed_point, lens_of
 from sitl.camera.render.deck import DeckPainter, Part, bounds, draw, drone_shadow, hull_side, on_water

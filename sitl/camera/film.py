@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
 from drivers.pyav import require_pyav
 from estimator.contracts.geometry import F64
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.srgb import linear_light
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Development, Light, Sensor, planck_rgb

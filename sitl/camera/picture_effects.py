@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from companion.settings.load import find_file, read_toml
 from estimator.contracts.geometry import F64
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.regions import outlines_of
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.geometry import outlines_of
+from estimator.vision.pad.pad import Pad
 from estimator.vision.srgb import linear_light
 from sitl.camera.camera import Exposure, pose_at
 from sitl.camera.light import Light, srgb_values

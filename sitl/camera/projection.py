@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from sitl.core.abi import DL_CELL_PX
 from sitl.core.library import SIM
 

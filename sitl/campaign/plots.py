@@ -15,8 +15,9 @@ from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import PercentFormatter
 
 from estimator.contracts.geometry import F64
-from estimator.vision.pad import Pad
-from estimator.vision.regions import outlines_of, part_of
+from estimator.vision.pad.geometry import outlines_of
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.shapes import part_of
 from sitl.campaign.figures import SuccessMap, unmoved, wilson
 
 INK, FAINT = "#010203", "#040506"

@@ -10,7 +10,7 @@ from typing import Any
 
 from companion.tools.report.page_parts import cards, document, header, table
 from estimator.contracts.errors import BadInput
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 from sitl.campaign.figures import (
     HEADINGS,
     PAIRS_LEAST,

@@ -30,11 +30,11 @@ from estimator.contracts.estimates import Method, PathName, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
 from estimator.vision.detection import Detection
-from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation, PadPose
-from estimator.vision.register.registration import sighting_of
+from estimator.vision.pad.pad import Pad
+from estimator.vision.register.sighting import sighting_of
 from sitl.camera.camera import Exposure
 from sitl.camera.render_worker import RenderWorker
 from sitl.faults.fault import Fault

@@ -24,8 +24,8 @@ from companion.settings.schema import explain
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from estimator.contracts.motion import G_M_S2
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.pad import Pad
 from sitl.camera.settings import DropSettings, GimbalSettings, LampSettings, LightSettings, VideoSettings
 from sitl.faults.fault import SIGNALS, Corrupted, Fault, RtkSolution, Signal
 from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, ShipSpeed, ShipTurn, VesselReports, WeakRotor

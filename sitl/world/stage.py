@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64, Rotation, Transform
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from sitl.camera.camera import Drops, Renderer
 from sitl.camera.film import Automatics, Film
 from sitl.camera.light import Light, Sensor

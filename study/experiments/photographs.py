@@ -12,9 +12,9 @@ from estimator.contracts.errors import BadInput, file_errors
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.tracker import PadTracker
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.pad import Pad
+from estimator.vision.track.tracker import PadTracker
 
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "arrival")
 _TILT_SIGMA_RAD = math.radians(0.3)

@@ -21,9 +21,9 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation
+from estimator.vision.pad.pad import Pad
 from sitl.perception.model import View, Viewer
 from sitl.scenario.scenario import Scenario, load
 

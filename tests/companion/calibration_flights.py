@@ -16,10 +16,10 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.contracts.samples import Attitude, Frame, Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
 from estimator.vision.detection import Detection
-from estimator.vision.pose import Orientation, PadPose
-from estimator.vision.register.registration import sighting_of
+from estimator.vision.register.sighting import sighting_of
 
 GYRO_HZ, VIEW_HZ = 100.0, 10.0
 LEVEL_SIGMA_RAD = math.radians(0.5)

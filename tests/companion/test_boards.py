@@ -16,8 +16,10 @@ from companion.settings.load import pad_of_file
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pad import Pad
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.pad.pad import Pad
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from sitl.camera.camera import Exposure, Renderer
 from tests.sitl.images import PLAIN, shot
 from tests.support.pad_images import STAMP

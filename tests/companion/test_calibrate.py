@@ -24,7 +24,7 @@ from companion.tools.calibrate.solve import distance_errors, solve
 from drivers.camera.options import CameraOptions
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.geometry import Rotation
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from tests.companion import calibration_flights as flights
 from tests.support.calibration_images import Studio, good_round, lens
 from tests.support.image_files import film

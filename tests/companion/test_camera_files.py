@@ -18,7 +18,7 @@ from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.samples import Range
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from tests.companion.test_daemon import FakeVehicle
 from tests.make import range_down
 from tests.support.image_files import film

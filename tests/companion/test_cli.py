@@ -340,7 +340,7 @@ def test_a_manager_that_is_not_understood_does_not_keep_the_service_down(variabl
     assert "the service manager is not notified" in caplog.text
 
 
-LATER = ("av", "cv2", "email", "importlib.metadata", "msgspec.inspect", "numpy.ma", "estimator.vision.tracker")
+LATER = ("av", "cv2", "email", "importlib.metadata", "msgspec.inspect", "numpy.ma", "estimator.vision.track.tracker")
 """Modules that take long to load and that no guidance cycle needs."""
 PROBE = """
 import sys

@@ -8,7 +8,7 @@ import pytest
 
 from companion.cli.main import main
 from companion.settings.load import camera_model, load, pad_model
-from estimator.vision.fiducial import PaintedFiducial
+from estimator.vision.pad.fiducial import PaintedFiducial
 
 CONF = """[Defaults]
 connect=udp:127.0.0.1:14572

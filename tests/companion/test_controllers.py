@@ -19,7 +19,7 @@ from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.motion import G_M_S2
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from tests.make import body, deck, estimate, ns, status
 
 SETTINGS = load("sim")

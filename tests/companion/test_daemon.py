@@ -36,11 +36,11 @@ from estimator.contracts.estimates import FusionResult, RelativeState, Verdict
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, after, seconds_between
 from estimator.options import EstimatorOptions
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pad import Pad
-from estimator.vision.tracker import TrackerConfig
+from estimator.vision.pad.pad import Pad
+from estimator.vision.track.config import TrackerConfig
 from tests.fly import ObservedCalls
 from tests.make import attitude, estimate, imu, processed_frame, stamp_at, status
 from tests.support.clocks import PatientClock

@@ -12,7 +12,7 @@ import pytest
 from companion.cli.main import main
 from companion.recording.palette import bgr, colour
 from companion.recording.reading import RecordedFrame, open_recording
-from estimator.vision.tracker import PadTracker
+from estimator.vision.track.tracker import PadTracker
 from sitl.camera.camera import Renderer
 from tests.sitl.images import PLAIN, shot
 from tests.support.image_files import claiming, film

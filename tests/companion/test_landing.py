@@ -34,7 +34,7 @@ from estimator.contracts.samples import GeoFix
 from estimator.integrity.parity import Parity
 from estimator.options import EstimatorOptions
 from estimator.vision.detection import NearThing, PadCheck, PadThing
-from estimator.vision.tracker import drawn
+from estimator.vision.track.rehearsal import drawn
 from tests.companion.test_daemon import EYES
 from tests.companion.test_limits import forecast, swell
 from tests.companion.test_mission_flights import guided

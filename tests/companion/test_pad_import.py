@@ -24,10 +24,11 @@ from companion.tools.print_pad.sheets import pad_drawing, sheets, svg
 from drivers.camera.images import ImageRefused, as_shown
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from estimator.vision.drawing import edges_of
-from estimator.vision.pad import RARE, Pad
-from estimator.vision.pose import PadPose
-from estimator.vision.regions import PaintedArrowhead, PaintedPolygon, PaintedRing, convex_pieces_of, covers, depth_in
+from estimator.vision.camera.pose import PadPose
+from estimator.vision.pad.drawing import edges_of
+from estimator.vision.pad.geometry import convex_pieces_of, covers, depth_in
+from estimator.vision.pad.pad import RARE, Pad
+from estimator.vision.pad.shapes import PaintedArrowhead, PaintedPolygon, PaintedRing
 from tests.support.shipped import shipped_pad
 from tests.support.users_pads import trust, user_s
 

@@ -16,7 +16,7 @@ from companion.cli.main import main
 from companion.settings.load import SHIPPED, read_toml
 from companion.tools.calibrate.board import Board
 from companion.tools.print_pad.sheets import Disc, Polygon, board_drawing, pad_drawing, sheets
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 from tests.support.shipped import shipped_pad
 
 PAD = Pad.from_mapping(read_toml(SHIPPED / "pads" / "thesis.toml"))

@@ -20,7 +20,7 @@ from estimator.contracts.estimates import COMPONENTS, FusionResult, Source, Verd
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import NearThing, PadCheck, PadThing
 from tests import make
 from tests.companion.test_recorder import numbered_frame

@@ -46,9 +46,10 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import Rotation, Transform
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import Detection, PadCheck, PadThing
-from estimator.vision.regions import PaintedDisc, PaintedRing, outlines_of
+from estimator.vision.pad.geometry import outlines_of
+from estimator.vision.pad.shapes import PaintedDisc, PaintedRing
 from tests.fly import record_to
 from tests.make import ns
 from tests.support.shipped import shipped_pad

@@ -28,7 +28,7 @@ from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
 from estimator.vision.detection import Detection, PadCheck
 from estimator.vision.options import TrackerOptions
-from estimator.vision.tracker import TrackerConfig
+from estimator.vision.track.config import TrackerConfig
 from tests.make import attitude, deck, imu, range_down, stamp_at, status, velocity
 
 SIM = load("sim")

@@ -35,7 +35,7 @@ from companion.settings.service import RestartOptions
 from estimator.contracts.commands import Command, CutMotors, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp, after
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 from tests.companion import calibration_flights
 from tests.companion.virtual_flight import TICK_S, FakeFlight, SeeingPilot, VirtualClock, settled
 from tests.support.processes import ran, started

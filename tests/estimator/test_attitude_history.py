@@ -17,7 +17,7 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
 from estimator.paths import VARIANCE_RATIO, MedianMean, circular_median
 from estimator.pipeline import RelativeEstimator
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from tests.make import attitude, gimbal, ns, stamp
 
 # The body

@@ -36,9 +36,9 @@ from estimator import (
 )
 from estimator.contracts.estimates import Feature
 from estimator.contracts.samples import Frame
+from estimator.vision.camera.pose import SIGMA_DECK_RAD
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pose import SIGMA_DECK_RAD
-from estimator.vision.tracker import TrackerConfig
+from estimator.vision.track.config import TrackerConfig
 from tests.make import sighting
 
 ROOT = Path(__file__).parents[2]
@@ -159,21 +159,21 @@ def test_the_tracker_hands_on_its_options_and_counts_no_find_below_its_confidenc
         given.append((config, frame))
         return SimpleNamespace(selected=pad_sighting(0.0, confidence=0.2), elsewhere=None), memory
 
-    monkeypatch.setattr("estimator.vision.tracker.track", found)
+    monkeypatch.setattr("estimator.vision.track.tracker.track", found)
     image = np.zeros((360, 640, 3), np.uint8)
     for least, counts in ((0.0, True), (0.2, True), (0.21, False)):
         assert (PadTracker(CAMERA, PAD, min_confidence=least).track(image) is not None) is counts
     assert PadTracker(CAMERA, PAD).track(image) is not None, "by default the least is 0.2"
     below = SimpleNamespace(selected=pad_sighting(0.0, confidence=0.19), elsewhere=None)
-    monkeypatch.setattr("estimator.vision.tracker.track", lambda *of: (below, of[1]))
+    monkeypatch.setattr("estimator.vision.track.tracker.track", lambda *of: (below, of[1]))
     assert PadTracker(CAMERA, PAD).track(image) is None
     there = SimpleNamespace(selected=below.selected, elsewhere=pad_sighting(0.0, confidence=0.9))
-    monkeypatch.setattr("estimator.vision.tracker.track", lambda *of: (there, of[1]))
+    monkeypatch.setattr("estimator.vision.track.tracker.track", lambda *of: (there, of[1]))
     assert PadTracker(CAMERA, PAD).track(image) is there.elsewhere, "the estimator judges it"
     (config, frame), *_ = given
     assert config.options == TrackerOptions("registration", "indoor", math.degrees(SIGMA_DECK_RAD))
     assert (frame.seq, frame.stamp) == (0, Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival"))
-    monkeypatch.setattr("estimator.vision.tracker.track", found)
+    monkeypatch.setattr("estimator.vision.track.tracker.track", found)
     PadTracker(CAMERA, PAD, method="thesis", colours="outdoor", sigma_deck_rad=0.1).track(image)
     assert given[-1][0].options == TrackerOptions("thesis", "outdoor", math.degrees(0.1))
 

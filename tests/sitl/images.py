@@ -9,10 +9,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from estimator.contracts.geometry import F64, Rotation, Transform
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.pose import PadPose
-from estimator.vision.regions import part_of
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import PadPose
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.shapes import part_of
 from sitl.camera.camera import Exposure
 
 CONFIGS = Path(__file__).parents[2] / "configs"

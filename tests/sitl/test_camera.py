@@ -26,9 +26,10 @@ from drivers.camera.options import ExposureOptions
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.regions import covers, part_of
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.geometry import covers
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.shapes import part_of
 from estimator.vision.srgb import linear_light
 from sitl.camera import light
 from sitl.camera.camera import Exposure, Renderer

@@ -13,12 +13,14 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import BodyMotion
 from estimator.contracts.samples import Attitude, Frame
-from estimator.vision.camera import Camera
-from estimator.vision.pose import Orientation, PadPose
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
+from estimator.vision.camera.rolling import CameraMotion, at_one_instant
 from estimator.vision.register.registration import register
-from estimator.vision.rolling import CameraMotion, at_one_instant
 from estimator.vision.srgb import linear_light
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from sitl.camera.camera import Drop, Drops, Exposure, Renderer, wet_lens
 from sitl.camera.light import FULL_SCALE, Development, Light, Sensor, counts, planck_rgb
 from sitl.camera.settings import DropSettings, LampSettings

@@ -15,8 +15,8 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.pose import Orientation, PadPose
-from estimator.vision.register.registration import sighting_of
+from estimator.vision.camera.pose import Orientation, PadPose
+from estimator.vision.register.sighting import sighting_of
 from sitl.faults.kinds import KINDS
 from sitl.flight.one_flight import settings_for
 from sitl.perception import parameters

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from companion.tools.calibrate.board import Board
 from estimator.contracts.geometry import F64, Rotation, Transform
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 
 FINE = 2
 """Rays a pixel, each way."""

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.pose import PadPose
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import PadPose
+from estimator.vision.pad.pad import Pad
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light
 from sitl.camera.surroundings import Decal, Deck, Surroundings

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.pad import Pad
 from tests.support.pad_scenes import PadScene, load_pad, pad_scene
 
 U8 = NDArray[np.uint8]

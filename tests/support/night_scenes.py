@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad, places_of
-from estimator.vision.pose import Orientation, PadPose
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
+from estimator.vision.pad.lamps import places_of
+from estimator.vision.pad.pad import Pad
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Sensor
 from sitl.camera.settings import LampSettings

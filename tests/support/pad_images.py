@@ -12,9 +12,9 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, Rotation, Transform, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.pad_information import paint_at
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.information import paint_at
+from estimator.vision.pad.pad import Pad
 from estimator.vision.srgb import LINEAR_LIGHT, linear_light
 
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")

@@ -13,11 +13,11 @@ import pytest
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import PadPose
 from estimator.vision.detect.acquire import SURE, PadCandidate, search
 from estimator.vision.detect.pyramid import FrameView, Pyramid
-from estimator.vision.pad import Pad
-from estimator.vision.pose import PadPose
+from estimator.vision.pad.pad import Pad
 from estimator.vision.srgb import LINEAR_LIGHT
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Sensor

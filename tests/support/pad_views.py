@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation, PadPose
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
+from estimator.vision.pad.pad import Pad
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light, Sensor
 from sitl.camera.surroundings import Decal, Deck, Surroundings

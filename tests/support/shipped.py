@@ -3,8 +3,8 @@
 import tomllib
 from pathlib import Path
 
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.pad import Pad
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

@@ -10,10 +10,12 @@ from companion.settings.load import read_toml
 from companion.tools.pads.price import CAMERA
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.pose import PadPose
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import PadPose
+from estimator.vision.pad.pad import Pad
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 
 USERS = sorted((Path(__file__).parents[1] / "pads_of_users").glob("*.toml"))
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")

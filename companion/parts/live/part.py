@@ -31,8 +31,8 @@ from drivers.mailbox import Line
 from estimator.contracts.estimates import FusionResult, Verdict
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import Clock, MonoNs, seconds_between
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.pad import Pad
 
 # What viewers are shown: events are taken on the flight's loop, encoded on a thread of its own, and dropped when that is
 # behind.

@@ -24,7 +24,7 @@ from drivers.mavlink.dialect import Message, mav, ms_since_boot
 from drivers.mavlink.links import ReceivedMessage
 from drivers.reconnect import running_beside
 from estimator.contracts.time import Clock, MonoNs
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 
 COMPONENT = int(mav.MAV_COMP_ID_CAMERA)
 _NAME = "Decklander"

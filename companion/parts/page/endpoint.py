@@ -59,8 +59,8 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.ekf import Forecast
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.pad import Pad
 
 log = logging.getLogger(__name__)
 

@@ -33,7 +33,7 @@ from drivers.mailbox import Latest
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 
 NO_CALIBRATION_IN_FLIGHT = "the vehicle flies: the camera is calibrated on the ground"
 TOOK_OFF = "the vehicle took off, which ends the calibration"

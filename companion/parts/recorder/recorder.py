@@ -40,7 +40,7 @@ from estimator.contracts.errors import Recoverable, refused
 from estimator.contracts.estimates import FusionResult, Verdict
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 
 MB = 1_000_000
 _STARTED = "%Y%m%dT%H%M%SZ"

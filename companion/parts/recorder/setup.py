@@ -17,7 +17,7 @@ from companion.settings.load import body_camera, find_file, pad_model
 from companion.settings.model import Settings
 from companion.settings.service import FrameForm, RecorderOptions
 from estimator.contracts.time import Clock, MonoNs
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 
 _PACKAGES = ("decklander", "numpy", "opencv-python-headless", "av", "mcap")
 

@@ -22,8 +22,8 @@ from estimator.contracts.errors import Recoverable, refused
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import Clock, MonoNs, seconds_between
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.pad import Pad
 
 # Send pictures as H.264 by RTP over UDP (RFC 6184), as ground stations expect it.
 #

@@ -4,7 +4,7 @@ import math
 
 from companion.tools.calibrate.solve import Solution
 from estimator.contracts.errors import BadInput
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 
 FOREIGN = ("ros", "opencv", "kalibr")
 """The other kinds of camera file that are written; `companion.settings.load` reads them back."""

@@ -33,11 +33,11 @@ from companion.tools.calibrate.mount_fit import DELAY, GYRO, LEVEL, MOUNT, READO
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Frame
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.pose import PadPose
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import PadPose
+from estimator.vision.camera.rolling import CameraMotion, at_one_instant
+from estimator.vision.pad.pad import Pad
 from estimator.vision.register.registration import RegistrationOptions, register
-from estimator.vision.rolling import CameraMotion, at_one_instant
 
 LAST_SIGHTING_M = 0.4
 DELAY_SPEED_M_S = 0.9

@@ -23,8 +23,8 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, skew
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, GimbalAttitude, Imu
-from estimator.vision.camera import Camera
-from estimator.vision.pose import Orientation, tilt_axes
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, tilt_axes
 
 _APART_S = 5.0
 """A longer time without a command parts two flights, s."""

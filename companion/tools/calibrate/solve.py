@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from companion.tools.calibrate.board import Board, BoardView
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, Transform
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 
 LEAST_VIEWS = 4
 """Fewest views that can be solved."""

@@ -21,10 +21,10 @@ from msgspec import Struct
 from companion.tools.pads import foreign
 from drivers.confined import in_child
 from estimator.contracts.errors import BadInput, refused
-from estimator.vision.camera import shown
-from estimator.vision.fiducial import PaintedFiducial, dictionary_names
-from estimator.vision.pad import LARGEST_M, SMALLEST_M
-from estimator.vision.pad_rules import check_marker, quiet_square
+from estimator.vision.camera.camera import shown
+from estimator.vision.pad.fiducial import PaintedFiducial, dictionary_names
+from estimator.vision.pad.fiducial_rules import check_marker, quiet_square
+from estimator.vision.pad.file import LARGEST_M, SMALLEST_M
 
 FAMILY, BOARD_FILES = "tag36h11", (".json", ".yaml", ".yml")
 """The family where nothing says it; endings of the files."""

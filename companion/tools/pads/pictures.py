@@ -20,18 +20,19 @@ from msgspec import Struct, structs
 from companion.tools.pads.price import registered
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.vision.by_paint import WORTH_A_TRY
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import PadPose
 from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
 from estimator.vision.detect.template import F32
-from estimator.vision.pad import Pad
-from estimator.vision.pad_information import paint_at
-from estimator.vision.pad_rules import check_regions
-from estimator.vision.pose import PadPose
-from estimator.vision.regions import PaintedDisc, PaintedRing, borders_of, covers, part_of
+from estimator.vision.pad.geometry import covers
+from estimator.vision.pad.information import paint_at
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.rules import check_regions
+from estimator.vision.pad.shapes import PaintedDisc, PaintedRing, borders_of, part_of
+from estimator.vision.register.verified import SURE
 from estimator.vision.srgb import LINEAR_LIGHT
-from estimator.vision.tracker_config import IMAGE_WORK
-from estimator.vision.verified import SURE
+from estimator.vision.track.config import IMAGE_WORK
+from estimator.vision.track.register import WORTH_A_TRY
 
 _POINTS, _ACROSS_PX, _APART_PX = 240, 1.5, 4.0
 """Points on a border, distance from it at which light is compared, and least distance from the next border at other sizes, px."""

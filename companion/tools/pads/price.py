@@ -25,18 +25,19 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.by_paint import WORTH_A_TRY
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
 from estimator.vision.detect.acquire import search
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import support_log_odds
-from estimator.vision.pad import RARE, TOLD, Calibration, Pad
-from estimator.vision.pad_information import paint_at
-from estimator.vision.pose import Orientation, PadPose
-from estimator.vision.regions import covers
+from estimator.vision.pad.file import Calibration
+from estimator.vision.pad.geometry import covers
+from estimator.vision.pad.information import paint_at
+from estimator.vision.pad.pad import RARE, SUPPORT, Pad
+from estimator.vision.register.verified import Verified, verify
 from estimator.vision.srgb import linear_light
-from estimator.vision.tracker_config import FRAME_WORK
-from estimator.vision.verified import Verified, verify
+from estimator.vision.track.config import FRAME_WORK
+from estimator.vision.track.register import WORTH_A_TRY
 
 WIDTH, HEIGHT = 320, 180
 VIEWS = 504
@@ -261,7 +262,7 @@ def planted(px: U8, camera: Camera, pad: Pad, pose: PadPose, rng: np.random.Gene
     H = K @ np.column_stack([pose.R_cam_pad.matrix[:, :2], pose.t_cam_pad]) @ to_pad
     fine = 2
     S = np.array([[fine, 0.0, 0.5 * (fine - 1)], [0.0, fine, 0.5 * (fine - 1)], [0.0, 0.0, 1.0]])
-    shrunk = max(1.0, 0.5 * _FINE / max(1.0, fine * 1.4 * pose.disc_px(camera, pad)))
+    shrunk = max(1.0, 0.5 * _FINE / max(1.0, fine * 1.4 * pose.px_of(pad.disc_radius_m, camera)))
     source = cv2.GaussianBlur(drawing, (0, 0), 0.5 * shrunk) if shrunk > 1.0 else drawing
     size = fine * camera.width, fine * camera.height
     seen = cv2.warpPerspective(source, S @ H, size, flags=cv2.INTER_LINEAR)
@@ -335,7 +336,7 @@ def price(
     tail = _Tail.of(clutter, pad.markings.is_searched_by_parts, 0.5 * fewest)
     shown = {r: [seen_in(_planted_finds(bare, bare, r, 100 * i + k)) for k in range(_EACH)] for i, r in enumerate(_RADII_PX)}
     clear = [max(find.support for find in finds) for r in _RADII_PX if r >= _CLEAR_PX for finds in shown[r] if finds]
-    most = max(TOLD, _BELOW * float(np.quantile(clear or [0.0], _MISSED)))
+    most = max(SUPPORT, _BELOW * float(np.quantile(clear or [0.0], _MISSED)))
     places = 2.0 * FRAMES if pad.reversible else FRAMES
     least = float(np.clip(tail.exceeded(RARE / places), fewest, max(fewest, most)))
     sure = {r: float(np.mean(_surest(finds, least) >= 0.0)) for r, finds in shown.items()}

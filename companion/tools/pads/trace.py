@@ -23,9 +23,10 @@ from companion.tools.pads import foreign
 from drivers.confined import in_child
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64
-from estimator.vision.pad import SMALLEST_M, check_polygon, is_simple
-from estimator.vision.pad_rules import SIDES_MOST, Rgb
-from estimator.vision.regions import PaintedPolygon, Region, borders_of, circle
+from estimator.vision.pad.file import SMALLEST_M, check_polygon, is_simple
+from estimator.vision.pad.markings import Rgb
+from estimator.vision.pad.rules import SIDES_MOST
+from estimator.vision.pad.shapes import PaintedPolygon, Region, borders_of, circle
 
 U8 = NDArray[np.uint8]
 _PX = {"": 1.0, "px": 1.0, "in": 96.0, "cm": 96 / 2.54, "mm": 96 / 25.4, "q": 24 / 25.4, "pt": 96 / 72, "pc": 16.0}

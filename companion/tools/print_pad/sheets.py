@@ -12,8 +12,10 @@ from msgspec import Struct
 from companion.tools.calibrate.board import Board
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.vision.pad import Pad, places_of
-from estimator.vision.regions import PaintedDisc, outlines_of
+from estimator.vision.pad.geometry import outlines_of
+from estimator.vision.pad.lamps import places_of
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.shapes import PaintedDisc
 
 Rgb = tuple[int, int, int]
 BLACK: Rgb = (0, 0, 0)

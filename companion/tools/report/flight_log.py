@@ -16,9 +16,9 @@ from estimator.contracts.estimates import FusionResult, PathName, RelativeState,
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import checked_vector
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import Detection
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 
 HORIZONS_KEPT_S = (0.0, 1.0, 2.0)
 """Horizons at which the deck's forecast is kept, s; 0 is the deck as the filter has it."""

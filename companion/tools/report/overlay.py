@@ -12,8 +12,8 @@ from companion.base.observer import ProcessedFrame
 from companion.recording.palette import OUTLINE, bgr, colour
 from estimator.contracts.estimates import Feature, PathName, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.pad import Pad
 
 U8 = NDArray[np.uint8]
 

@@ -14,8 +14,8 @@ from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.plots import BAND, Columns, Section, steering_path, steering_states, thinned, times
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.vision.pad import Pad
-from estimator.vision.regions import outlines_of
+from estimator.vision.pad.geometry import outlines_of
+from estimator.vision.pad.pad import Pad
 
 _NEAR = 1.35
 """The half width of the view of the pad, in radii of its disc."""

@@ -22,7 +22,7 @@ from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import NS_PER_S, MonoNs
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 
 # The axes of ROS (REP-103): x forward, y left, z up on a body, and east, north, up on the Earth.
 #

@@ -2,323 +2,39 @@
 
 Hypotheses come from the fiducials of a pad that has some, from circles of edges in luminance, at several sizes of the frame, from
 the outlines of small areas that stand out, from the strokes of the H, and from circles in the measure of the disc's colour where
-there is colour. A pad that has fiducials and not
-disc, ring and lettering besides is searched by its fiducials alone, as nothing else distinguishes it from other markings.
+there is colour. A pad that has fiducials and not disc, ring and lettering besides is searched by its fiducials alone, as nothing
+else distinguishes it from other markings.
 
 A frame may have a budget of work, which all that is done in it counts against; what is left of a search goes on with the next
 frame. The core counts work and not time (`native.work_done`), so that the same frames give the same results.
-
-To be verified, the whole drawing is aligned with the frame: pose and paints are estimated together, by Gauss-Newton on the pixels
-(dense alignment). The frame near the pad is modelled as a mixture of four paints (H, orange, disc, surroundings). The drawing
-gives the coverage of each paint in every pixel. Light is additive, so for a given pose the paints follow by linear least squares
-under any illumination. The pose then follows the model's gradient (Lucas and Kanade 1981, as compositional alignment with the
-drawing as template, and with Cauchy weights against occlusion and glare). The result is near enough for edge-based registration
-to start, and it holds the inputs of the confidence classifier.
-
-Where something covers a part of a pad, a towel, a hatch or a vehicle beside it, that is one region with a border. About the pad
-this border is taken for straight, and what lies beyond it counts as little as what lies beyond the frame's edge: neither
-alignment nor registration nor verification sees it. Nothing is then assumed of the hidden part, and the rest has to fit as well
-as a pad at the frame's edge has to.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from functools import lru_cache
-from itertools import combinations
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from msgspec import Struct, field
-from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.core.library import CORE
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import PadPose
+from estimator.vision.detect.alignment import (
+    SIGMA_TILT_FREE_RAD,
+    SIGMA_TILT_RAD,
+    AlignedTemplate,
+    align,
+    align_uncovered,
+    turned_uncovered,
+)
+from estimator.vision.detect.fiducials import WINDOWS_PX, WORK_FIDUCIALS, fiducial_poses
 from estimator.vision.detect.guesses import Guess, Plane
 from estimator.vision.detect.hypotheses import FULL_PIXELS, WORK_COARSE, Kind, kinds
 from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.detect.template import FRESH, PaintMemory
 from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, confidence, log_odds
-from estimator.vision.fiducial import PaintedFiducial, cells_apart, dictionary_of
-from estimator.vision.native import checked, count_work, native_pose, pose_of, tracker_of
-from estimator.vision.pad import Pad
-from estimator.vision.pose import PadPose
-
-U8 = NDArray[np.uint8]
-
-WINDOWS_PX = (5, 13, 23)
-"""Sides of the neighbourhood whose mean divides light from dark, in the order in which they are tried: the least one is quickest
-and reads the smallest cells, larger ones stand more blur and noise.
-"""
-WORK_FIDUCIALS = 3.0
-"""Work of reading the fiducials of one dictionary with one window; see `hypotheses.Kind`."""
-_POSES = 3
-"""Largest number of poses of one frame: two pads in view, or a pose and its mirror image."""
-_CORNER_PX = 0.7
-"""Standard deviation of a corner's place as the detector finds it."""
-_TILT_RAD = math.radians(4.0)
-"""Standard deviation of the tilt between the deck and a vehicle of known attitude."""
-_SAME_SIDES = 0.25
-"""Largest distance of a fiducial's corners from their place by another fiducial's pose, in its sides in the frame."""
-_MIRRORED = 6.0
-"""Difference of two squared errors, in variances, below which a pose and its mirror image are both tried."""
-_UNIT = np.eye(3)
-
-
-class _Read(Struct, frozen=True, eq=False):
-    """A fiducial as read in a frame."""
-
-    p_pad: F64
-    """Its corners on the pad, (4, 3) m."""
-    uv_px: F64
-    """Its corners in the frame, (4, 2) px."""
-
-    @property
-    def side_px(self) -> float:
-        return float(np.linalg.norm(self.uv_px - np.roll(self.uv_px, 1, axis=0), axis=1).min())
-
-
-class FiducialPose(NamedTuple):
-    """A pose from fiducials."""
-
-    pose: PadPose
-    off_px: float
-    """Largest error of the pad's farthest visible edge by errors of the corners alone, px."""
-
-
-def fiducial_poses(grey: U8, camera: Camera, pad: Pad, plane: Plane, window_px: int) -> list[FiducialPose]:
-    """Return poses of a pad from its fiducials, best supported first; empty if none is read.
-
-    Args:
-        grey: (H, W) luminance.
-        plane: the plane that the pad is taken to lie in.
-        window_px: one of `WINDOWS_PX`.
-    """
-    left = sorted(_read(grey, pad, window_px), key=lambda read: -read.side_px)
-    found: list[tuple[int, list[FiducialPose]]] = []
-    while left and len(found) < _POSES:
-        agreeing = left[:1]
-        poses = _solved(agreeing, camera, plane)
-        if poses:
-            agreeing += [read for read in left[1:] if any(_agrees(read, pose, camera) for pose in poses)]
-            poses = _solved(agreeing, camera, plane) or poses
-            found.append((len(agreeing), [FiducialPose(pose, _off_px(agreeing, pose, camera, pad)) for pose in poses]))
-        left = [read for read in left if not any(read is other for other in agreeing)]
-    found.sort(key=lambda of: -of[0])
-    return [pose for _, poses in found for pose in poses][:_POSES]
-
-
-def _read(grey: U8, pad: Pad, window_px: int) -> list[_Read]:
-    """Return the pad's fiducials that the detector reads."""
-    found = []
-    for detector, fiducials in _detectors(pad.markings.fiducials, window_px):
-        corners, numbers, _ = detector.detectMarkers(grey)
-        for uv, number in zip(corners, [] if numbers is None else np.ravel(numbers), strict=True):
-            p_pad = np.pad(fiducials[int(number)].corners_read(), ((0, 0), (0, 1)))
-            found.append(_Read(p_pad, np.asarray(uv, float).reshape(4, 2)))
-    return found
-
-
-@lru_cache(maxsize=16)
-def _detectors(
-    fiducials: tuple[PaintedFiducial, ...], window_px: int
-) -> list[tuple[cv2.aruco.ArucoDetector, list[PaintedFiducial]]]:
-    """Return a detector for each dictionary, which knows these fiducials alone, and the fiducials by the number that it gives."""
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    parameters.errorCorrectionRate = 1.0
-    parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = window_px
-    out = []
-    for name in dict.fromkeys(f.dictionary for f in fiducials):
-        of, own = dictionary_of(name), [f for f in fiducials if f.dictionary == name]
-        known = cv2.aruco.Dictionary(of.bytesList[[f.id for f in own]], of.markerSize, _correctable(own))
-        out.append((cv2.aruco.ArucoDetector(known, parameters), own))
-    return out
-
-
-def _correctable(fiducials: list[PaintedFiducial]) -> int:
-    """Return how many wrong cells leave each of a pad's own markers the nearest one.
-
-    That is more than the dictionary allows, whose other markers are not there. What is read wrongly is refused by the drawing.
-    """
-    cells = [fiducial.cells() for fiducial in fiducials]
-    turned_itself = [cells_apart(own, own, (1, 2, 3)) for own in cells]
-    return (min([*turned_itself, *(cells_apart(a, b) for a, b in combinations(cells, 2))]) - 1) // 2
-
-
-def _off_px(reads: list[_Read], pose: PadPose, camera: Camera, pad: Pad) -> float:
-    """Return what the farthest edge in view may be off by: the corners' error times the pad's size over that of what is read."""
-    uv = np.concatenate([read.uv_px for read in reads])
-    radius_px = float(np.linalg.norm(uv - uv.mean(axis=0), axis=1).max())
-    pad_px = pose.disc_px(camera, pad)
-    return _CORNER_PX * min(pad_px, 0.5 * math.hypot(camera.width, camera.height)) / max(radius_px, 1.0)
-
-
-def _agrees(read: _Read, pose: PadPose, camera: Camera) -> bool:
-    p_cam = pose.points(read.p_pad)
-    if float(p_cam[:, 2].min()) < 0.01:
-        return False
-    off = np.linalg.norm(camera.project(p_cam) - read.uv_px, axis=1)
-    return bool(off.max() < _SAME_SIDES * read.side_px)
-
-
-def _solved(reads: list[_Read], camera: Camera, plane: Plane) -> list[PadPose]:
-    """Return the likeliest pose, and its mirror image if that is about as likely."""
-    p_pad, uv = (np.concatenate(all_of) for all_of in ([r.p_pad for r in reads], [r.uv_px for r in reads]))
-    rays = camera.rays(uv)
-    if not np.isfinite(rays).all():
-        return []
-    _, turns, places, errors = cv2.solvePnPGeneric(p_pad, rays, _UNIT, np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
-    rated: list[tuple[float, PadPose]] = []
-    for turn, place, error in zip(turns, places, np.ravel(errors).tolist(), strict=True):
-        R, t = np.asarray(cv2.Rodrigues(turn)[0], float), np.asarray(place, float)[:, 0]
-        if not (np.isfinite(R).all() and np.isfinite(t).all() and t[2] > 0.0 and R[2, 2] > 0.0):
-            continue
-        # The error is the root mean square over both coordinates of all corners.
-        off = 2.0 * len(uv) * (error * camera.fx / _CORNER_PX) ** 2
-        if plane.known:
-            off += (math.acos(min(1.0, float(R[:, 2] @ plane.R_cam_plane[:, 2]))) / _TILT_RAD) ** 2
-        rated.append((off, PadPose(Rotation(R), t)))
-    rated.sort(key=lambda of: of[0])
-    return [pose for off, pose in rated if off < rated[0][0] + _MIRRORED]
-
-
-UNCUT = np.zeros(3)
-"""The cut that hides nothing. A cut (3,) is a line across the frame: rays (x, y) with `a x + b y + c < 0` do not count."""
-UNCUT.setflags(write=False)
-
-SIGMA_TILT_RAD = math.radians(3.0)
-"""Standard deviation of the tilt between the deck and a vehicle of measured attitude."""
-SIGMA_TILT_FREE_RAD = math.radians(15.0)
-"""Standard deviation of the tilt if neither attitude is known."""
-
-
-class ArrowPlace(NamedTuple):
-    """The measurements at one of the two places where an arrowhead may be."""
-
-    found: float
-    """Strength of the arrowhead there times the fraction of the variation it explains, 0..1."""
-    seen: float
-    """Fraction of the place inside the frame; 0 if the pixels are too coarse."""
-    clear: float
-    """Confidence, 0..1, that only disc, ring and perhaps an arrowhead are there."""
-
-
-class AlignedTemplate(Struct, frozen=True, eq=False):
-    """The drawing as aligned with one frame."""
-
-    pose: PadPose
-    paints: F64
-    """Linear light of H, orange, disc and surroundings, (4, 3), 0..1, in blue, green, red."""
-    in_view: float
-    """Fraction of the disc's area inside the frame."""
-    arrow: tuple[ArrowPlace, ArrowPlace]
-    """Support for the arrowhead at its place, and at the place where it would be with the drawing turned by 180 degrees."""
-    features: F64
-    """Inputs of the confidence classifier, in the order of `verification.FEATURES`."""
-
-    @property
-    def arrow_support(self) -> float:
-        """Support for the heading, -1..1: 1 for an orange arrowhead at its place, -1 for one at the opposite place.
-
-        The value is 0 if neither, both or nothing of the kind is in view.
-        """
-        fore, aft = self.arrow
-        return fore.found * fore.seen - aft.found * aft.seen
-
-
-def align(
-    view: FrameView,
-    pose: PadPose,
-    sigma_tilt_rad: float,
-    steps: int = 4,
-    *,
-    local: bool = False,
-    side: F64 | None = None,
-    cut: F64 = UNCUT,
-) -> AlignedTemplate | None:
-    """Align the drawing with the frame from a rough pose.
-
-    Args:
-        sigma_tilt_rad: standard deviation of the tilt of the start pose's normal.
-        steps: number of Gauss-Newton steps; the first half uses a drawing blurred twice as much. With 0 the pose is unchanged.
-        local: use the light minus its mean in the neighbourhood, against glare and shadows; the reach is a little shorter.
-        side: (2,) unit direction in x and y of the pad: use only the half of the disc on this side, because the other is covered.
-        cut: the line beyond which something covers the pad, (3,); see `UNCUT`.
-
-    Returns:
-        The aligned template; None if too little of the pad is in view, or if the pose diverges.
-    """
-    at, out = native_pose(pose), np.zeros((), CORE.dtype("dl_aligned_pad"))
-    how = CORE.ffi.new("dl_alignment *", {
-        "steps": steps, "local": local, "one_side": side is not None, "sigma_tilt_rad": sigma_tilt_rad, "cut": cut.tolist(),
-        "side": (0.0, 0.0) if side is None else side.tolist(),
-    })  # fmt: skip
-    pyramid, camera, pad = view
-    if not checked(CORE.lib.dl_align(tracker_of(camera, pad), pyramid.native, how, at, CORE.array("dl_aligned_pad", out))):
-        return None
-    found, arrow = pose_of(at) if steps > 0 else pose, out["arrow"].tolist()
-    places = ArrowPlace(*arrow[:3]), ArrowPlace(*arrow[3:])
-    return AlignedTemplate(found, out["paints"].reshape(4, 3), out["in_view"].item(), places, out["features"])
-
-
-COVERED_LOG_ODDS = -1.0
-"""Prior of a partly covered drawing, for `verification.confidence`: the line is chosen so that the
-rest fits best.
-"""
-_TURNS = 6
-"""Headings in half a turn that a covered pad may have; alignment reaches half of the way to the next."""
-_LEAST_GAIN, _MOST_LEFT = 0.7, 0.6
-"""Least gain of a cover, and the largest share of the light's variation beside it that the drawing may leave. At the true poses
-of 90 half-covered pads at 5 to 15 m the gain was 1.0 and more, and 0.56 was left at most.
-"""
-
-
-def cut_at(view: FrameView, pose: PadPose) -> F64 | None:
-    """Return the cut beyond which something covers the pad that lies about at a pose; None if nothing seems to.
-
-    A cut is a line across the frame; see `alignment.UNCUT`. There is always a best one unless too little of the pad is in view;
-    its gain, the mean fall of the logarithm of the residuals' variance, and what the drawing leaves say what it is worth.
-    """
-    pyramid, camera, pad = view
-    how, out = CORE.ffi.new("dl_alignment *", {"cover": 1}), CORE.ffi.new("dl_aligned_pad *")
-    if not checked(CORE.lib.dl_align(tracker_of(camera, pad), pyramid.native, how, native_pose(pose), out)):
-        return None
-    line = out.cover
-    return None if line.gain < _LEAST_GAIN or line.left > _MOST_LEFT else np.array(list(line.cut))
-
-
-def align_uncovered(view: FrameView, pose: PadPose, sigma_tilt_rad: float, steps: int) -> tuple[AlignedTemplate, F64] | None:
-    """Align the drawing with what nothing covers, from a rough pose; return it with the cut, None if nothing seems to be covered.
-
-    Args:
-        sigma_tilt_rad, steps: as for `alignment.align`.
-    """
-    cut = cut_at(view, pose)
-    if cut is None:
-        return None
-    aligned = align(view, pose, sigma_tilt_rad, steps, local=True, cut=cut)
-    if aligned is None:
-        return None
-    again = cut_at(view, aligned.pose)
-    if again is None:
-        return None
-    better = align(view, aligned.pose, sigma_tilt_rad, 0, cut=again)
-    return None if better is None else (better, again)
-
-
-def turned_uncovered(view: FrameView, at: AlignedTemplate, cut: F64, sigma_tilt_rad: float, steps: int) -> AlignedTemplate | None:
-    """Return the drawing aligned from the heading that fits best to what nothing covers; None if that is the one it has.
-
-    What covers a half of a distant pad has more pixels than its H, and turns the heading that a guess has.
-    """
-    turned = [align(view, at.pose.turned(k * math.pi / _TURNS), sigma_tilt_rad, 0, cut=cut) for k in range(1, _TURNS)]
-    best = max((one for one in turned if one is not None), key=lambda one: log_odds(one.features), default=None)
-    if best is None or log_odds(best.features) < log_odds(at.features):
-        return None
-    return align(view, best.pose, sigma_tilt_rad, steps, local=True, cut=cut)
-
+from estimator.vision.native import count_work
 
 SURE, ENOUGH = 0.9, 0.5
 """Confidence at which no further hypotheses are tried, and confidence at which no further kinds of hypotheses are tried."""
@@ -531,7 +247,7 @@ class _Search(Struct, eq=False):
             return None
         aligned, cut = uncovered
         found = _candidate(aligned, aligned.arrow_support < _ARROW_SEEN, cut)
-        is_small = aligned.pose.disc_px(self.view.camera, self.view.pad) < _SMALL_PX
+        is_small = aligned.pose.px_of(self.view.pad.disc_radius_m, self.view.camera) < _SMALL_PX
         if found is not None and (found.score >= ENOUGH or self.left < _WORK_TURNED or not is_small):
             return found
         turned = turned_uncovered(self.view, aligned, cut, sigma_tilt_rad, steps)

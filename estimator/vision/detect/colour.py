@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 from estimator.vision.srgb import LINEAR_LIGHT
 
 U8 = NDArray[np.uint8]

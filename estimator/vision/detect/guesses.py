@@ -6,11 +6,7 @@ surroundings as a whole: its area gives the centre, and the ellipse of the area'
 
 A heading is found by comparing the drawing at all headings at once. The frame is sampled in polar cells around the candidate's
 centre. For a given heading every cell belongs to one paint, and the score is the fraction of the variance between the paints
-(one-way analysis of variance).
-
-From afar the pad is some pixels across, and a belief that is off by two of them starts neither alignment nor the search for what
-covers a part. A pad in glare or half covered is looked for at each place about the expected one, with the whole disc and with
-each half of it (`pose_about`). The native core computes all of this (`estimator/core/vision/search`).
+(one-way analysis of variance). The native core computes all of this (`estimator/core/vision/search`).
 """
 
 from __future__ import annotations
@@ -30,12 +26,27 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation
 from estimator.core.abi import DL_NONE, DL_SEARCH_BLOCK, DL_SEARCH_LEVELS
 from estimator.core.library import CORE
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import PadPose
 from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
 from estimator.vision.detect.template import F32, disc_edge_m
 from estimator.vision.native import checked, image_of, native_pose, tracker_of
-from estimator.vision.pad import Pad
-from estimator.vision.pose import PadPose
+from estimator.vision.pad.pad import Pad
+
+_MOST_AREAS = 16
+"""Largest number of outlines of areas. Of 280 pads at 10 and 15 m in any light nine in ten are among the first eight."""
+
+MOST = 20
+"""Largest number of guesses from the circles of one kind."""
+_SAME_SHADE = 12.0
+"""Difference in luminance between two paints below which either may be the brighter."""
+_BY_SUPPORT, _BY_FILLED = 0.3, 0.1
+"""Weight of a circle's support beside the drawing's score: from afar the drawing alone is weak evidence. The outline of an area
+is one more often, whatever the area is.
+"""
+
+_HEADING_PX = 28.0
+"""Smallest radius of the disc in the frame that a heading is searched in."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,20 +82,6 @@ class Plane:
         """Return the pose of a pad whose circle of `radius_m` appears as this circle."""
         depth = radius_m / radius
         return PadPose(Rotation(self.R_cam_plane), self.R_cam_plane @ np.array([centre[0] * depth, centre[1] * depth, depth]))
-
-
-_MOST_AREAS = 16
-"""Largest number of outlines of areas. Of 280 pads at 10 and 15 m in any light nine in ten are among the first eight."""
-
-
-MOST = 20
-"""Largest number of guesses from the circles of one kind."""
-_SAME_SHADE = 12.0
-"""Difference in luminance between two paints below which either may be the brighter."""
-_BY_SUPPORT, _BY_FILLED = 0.3, 0.1
-"""Weight of a circle's support beside the drawing's score: from afar the drawing alone is weak evidence. The outline of an area
-is one more often, whatever the area is.
-"""
 
 
 class Circle(NamedTuple):
@@ -229,7 +226,7 @@ def guesses_from(
     counts = np.array([DL_NONE if rows is None else len(rows) for rows in known], np.int64)
     some = [rows for rows in known if rows is not None and len(rows)]
     native, before = np.concatenate([circle.native for circle in circles]), np.concatenate(some) if some else None
-    out = _compared(native, counts, before, of, view, plane, most)
+    out = compared(native, counts, before, of, view, plane, most)
     n, first = len(out), 0
     for circle, count in zip(circles, counts.tolist(), strict=True):
         if count < 0 or first + count > n:
@@ -239,7 +236,7 @@ def guesses_from(
     return guesses_of(out, _BY_FILLED if of is Outline.AREA else _BY_SUPPORT)
 
 
-def _compared(
+def compared(
     circles: U8, counts: NDArray[np.int64], before: U8 | None, of: Outline, view: FrameView, plane: Plane, most: int
 ) -> U8:
     """Return the core's guesses from circles in bytes, (n, bytes); `counts` says how many each has, and then how many it got."""
@@ -295,82 +292,13 @@ def _circles(pad: Pad, of: Outline) -> tuple[tuple[float, ...], tuple[float, ...
     return radii, signs
 
 
-_REACH_PX, _STEP_PX = 4.0, 1.5
-"""Largest and smallest shifts at which the drawing is compared with the expected place; alignment starts within a pixel."""
-_SIDES = 4
-"""Directions of the half that is taken for the one in view."""
-_OUTLINE = 3
-"""Points of a half's outline, which give the direction."""
-_MOST_TURNED_RAD = 0.5
-"""Largest heading of a guess relative to the expected one, modulo half a turn."""
-
-
-def pose_about(view: FrameView, plane: Plane, expected: PadPose) -> tuple[PadPose, float] | None:
-    """Return the pose about an expected one that the drawing explains best, and the fraction of the variance that it explains.
-
-    Args:
-        plane: of a measured attitude.
-        expected: its distance and heading are taken for about right.
-
-    Returns:
-        None if the lens does not show the expected place, or no heading near the expected one fits best anywhere.
-    """
-    _, camera, pad = view
-    middle = camera.project(expected.t_cam_pad[None])[0]
-    if not np.isfinite(middle).all():
-        return None
-    circles = _circles_about(middle, camera, pad, plane, expected)
-    counts = np.full(len(circles), DL_NONE, np.int64)
-    native = _compared(circles.view(np.uint8), counts, None, Outline.DISC, view, plane, len(circles))
-    drawing = np.ndarray((len(native),), CORE.dtype("dl_guess"), native)["drawing"]
-    for k in np.argsort(-drawing, kind="stable").tolist():
-        guess = guesses_of(native[k : k + 1])[0]
-        yaw = float((expected.R_cam_pad.inv @ guess.pose.R_cam_pad).rpy_rad[2])
-        turn = math.remainder(yaw, math.pi)
-        if abs(turn) < _MOST_TURNED_RAD:
-            return PadPose(expected.R_cam_pad, np.array(guess.t_cam_pad)).turned(turn), guess.drawing
-    return None
-
-
-@lru_cache(maxsize=1)
-def _offsets_px() -> F64:
-    """Return places about the middle, and for each the direction of the half in view, (N, 4): nan where it is the whole disc."""
-    most = math.floor(_REACH_PX / _STEP_PX)
-    steps = _STEP_PX * np.arange(-most, most + 1)
-    angles = 2.0 * math.pi * np.arange(_SIDES) / _SIDES
-    sides = [(math.nan, math.nan), *zip(np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True)]
-    out = np.array([(u, v, *side) for u in steps for v in steps if math.hypot(u, v) <= _REACH_PX for side in sides])
-    out.setflags(write=False)
-    return out
-
-
-def _circles_about(middle: F64, camera: Camera, pad: Pad, plane: Plane, expected: PadPose) -> NDArray[Any]:
-    """Return the core's circles of the disc at each place about the middle, px: the whole, and with an outline on one side."""
-    offsets = _offsets_px()
-    rays = camera.rays(middle + offsets[:, :2])
-    on_plane = np.c_[rays, np.ones(len(rays))] @ plane.R_cam_plane
-    radius_px = expected.disc_px(camera, pad)
-    depth = float((plane.R_cam_plane.T @ expected.t_cam_pad)[2])
-    out, half = np.zeros(len(offsets), CORE.dtype("dl_circle")), np.isfinite(offsets[:, 2])
-    out["bright_inside"] = 1
-    out["points"] = np.where(half, _OUTLINE, 0)
-    out["centre"] = on_plane[:, :2] / on_plane[:, 2:]
-    out["radius"] = disc_edge_m(pad) / depth
-    out["support"] = np.where(half, 0.5, 1.0)
-    turns = np.arctan2(offsets[:, 3], offsets[:, 2])[:, None] + np.array([-1.0, 0.0, 1.0])
-    outline = (middle + offsets[:, :2])[:, None] + radius_px * np.stack([np.cos(turns), np.sin(turns)], axis=2)
-    out["outline_px"][:, : 2 * _OUTLINE] = np.nan_to_num(outline.reshape(len(offsets), -1))
-    return out
-
-
-_HEADING_PX = 28.0
-"""Smallest radius of the disc in the frame that a heading is searched in."""
-
-
 def heading(view: FrameView, pose: PadPose) -> Any:
     """Return the core's `dl_polar_fit` of the best heading of the drawing at a pose; None if hardly any of it is in view."""
     pyramid, camera, pad = view
-    level, out = max(0, math.floor(math.log2(max(pose.disc_px(camera, pad), 1.0) / _HEADING_PX))), CORE.ffi.new("dl_polar_fit *")
+    level, out = (
+        max(0, math.floor(math.log2(max(pose.px_of(pad.disc_radius_m, camera), 1.0) / _HEADING_PX))),
+        CORE.ffi.new("dl_polar_fit *"),
+    )
     image, pose_at = image_of(pyramid[level]), native_pose(pose)
     found = CORE.lib.dl_search_heading(tracker_of(camera, pad), image, 1 << level, pose_at, CORE.ffi.NULL, out)
     return out if checked(found) else None

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from estimator.core.abi import DL_FRAME_LEVELS
 from estimator.core.library import CORE
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.detect.colour import in_grey
 from estimator.vision.native import checked, count_work, put_image, work_done
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 
 U8 = NDArray[np.uint8]
 _HALVING_WORK = 3

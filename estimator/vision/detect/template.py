@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.core.abi import DL_POLAR_ANGLES, DL_POLAR_RADII, DL_TEMPLATE_ONE
-from estimator.vision.pad import Pad
-from estimator.vision.regions import Lettering, covers, is_slanted, rectangles_of
+from estimator.vision.pad.geometry import covers, is_slanted, rectangles_of
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.shapes import Lettering
 from estimator.vision.srgb import LUMA, linear_light
 
 F32 = NDArray[np.float32]

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import UNCUT
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import PadPose
+from estimator.vision.detect.alignment import UNCUT
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.template import BLURS_M, REACH
-from estimator.vision.pad import Pad
-from estimator.vision.pad_information import paint_at
-from estimator.vision.pose import PadPose
+from estimator.vision.pad.information import paint_at
+from estimator.vision.pad.pad import Pad
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]

@@ -19,11 +19,13 @@ from msgspec.structs import replace
 from estimator.contracts.estimates import CENTRE, Feature, Method, Sighting
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import SIGMA_DECK_RAD, Marks, Orientation, OrientedCamera, sighting, solve
 from estimator.vision.detection import Detection
-from estimator.vision.pad import Pad
-from estimator.vision.pose import SIGMA_DECK_RAD, Marks, Orientation, OrientedCamera, sighting, solve
-from estimator.vision.thesis.right_angles import Cue, find_arrow, find_corners
+from estimator.vision.pad.pad import Pad
+from estimator.vision.thesis.arrow import find_arrow
+from estimator.vision.thesis.corners import find_corners
+from estimator.vision.thesis.cue import Cue
 from estimator.vision.thesis.segmentation import ColourSet, Segmentation, segment
 
 _POINTS = 120

@@ -17,21 +17,10 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.regions import (
-    PaintedArrowhead,
-    PaintedDisc,
-    PaintedPanel,
-    PaintedRing,
-    PaintedTriangle,
-    Rectangle,
-    Region,
-    convex_pieces_of,
-    is_slanted,
-    part_of,
-    rectangles_of,
-)
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.geometry import Rectangle, convex_pieces_of, is_slanted, rectangles_of
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.shapes import PaintedArrowhead, PaintedDisc, PaintedPanel, PaintedRing, PaintedTriangle, Region, part_of
 from sitl.camera.light import I16, U16, PadInImage
 from sitl.camera.projection import F32, Lens, planes_from_rays
 from sitl.core.abi import (

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.vision.pad import Lamp
+from estimator.vision.pad.lamps import Lamp
 from sitl.camera.light import U16, Light, Mast, planck_rgb, scene_of
 from sitl.camera.projection import F32, Lens
 from sitl.camera.render.deck import foam, ripples, soft_shadow

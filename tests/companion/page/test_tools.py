@@ -50,7 +50,7 @@ from estimator.contracts.estimates import FusionResult, RelativeState, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT, defaults
 from tests.make import seen

@@ -14,7 +14,8 @@ from estimator.core import abi
 from estimator.core.abi import DL_WRONG_SIZE
 from estimator.core.library import CORE, Door
 from estimator.vision.detect.pyramid import Pyramid
-from estimator.vision.native import checked, image_of, pad_shape, tracker_of
+from estimator.vision.native import checked, image_of, tracker_of
+from estimator.vision.pad.shape import pad_shape
 from sitl.core import abi as sim_abi
 from sitl.core.library import SIM
 from supply import core

@@ -2,8 +2,8 @@
 
 import pytest
 
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.pad import Pad
 from tests.support.shipped import shipped_camera, shipped_pad
 
 

@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
 from estimator.core.library import CORE
-from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import SIGMA_TILT_RAD, align
-from estimator.vision.detect.guesses import Circle, Outline, Plane, Radii, blob_circles, edge_circles, guesses_from, pose_about
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, align
+from estimator.vision.detect.guesses import Circle, Outline, Plane, Radii, blob_circles, edge_circles, guesses_from
+from estimator.vision.detect.pose_about import pose_about
 from estimator.vision.detect.pyramid import FrameView, Pyramid
-from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation, PadPose
-from estimator.vision.regions import circle, outlines_of
-from estimator.vision.verified import SURE, verify
+from estimator.vision.pad.geometry import outlines_of
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.shapes import circle
+from estimator.vision.register.verified import SURE, verify
 from tests.support.deck_images import shown
 from tests.support.hard_light import HARD, hard_scene
 from tests.support.pad_images import sim_camera

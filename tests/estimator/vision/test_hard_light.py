@@ -13,27 +13,19 @@ from benches.search import expected
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import (
-    SIGMA_TILT_RAD,
-    UNCUT,
-    SearchMemory,
-    align,
-    align_at,
-    align_uncovered,
-    cut_at,
-    search,
-    turned_uncovered,
-)
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
+from estimator.vision.detect.acquire import SearchMemory, align_at, search
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, UNCUT, align, align_uncovered, cut_at, turned_uncovered
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import FEATURES
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation, PadPose
+from estimator.vision.pad.pad import Pad
 from estimator.vision.register.registration import register
-from estimator.vision.tracker import TrackerMemory, track
-from estimator.vision.tracker_config import FRAME_WORK, TrackerConfig
-from estimator.vision.verified import CLOSE, SURE, verify
+from estimator.vision.register.verified import CLOSE, SURE, verify
+from estimator.vision.track.config import FRAME_WORK, TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from sitl.camera.light import Light
 from tests.support.deck_images import keeps_claim, shown
 from tests.support.hard_light import HARD, U8, grey, hard_scene

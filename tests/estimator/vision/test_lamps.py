@@ -16,10 +16,13 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.core.abi import DL_WRONG_SIZE
 from estimator.core.library import CORE
+from estimator.vision.camera.pose import Orientation, PadPose
 from estimator.vision.native import image_of, native_camera, native_prior
-from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation, PadPose
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, detect_lamps, pattern_of, track
+from estimator.vision.pad.pad import Pad
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.lamps import detect_lamps, pattern_of
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from tests.support.night_scenes import NIGHTS, NightCondition, NightScene, night_scene
 from tests.support.pad_scenes import ROOT, load_camera, load_pad, pad_scene
 

@@ -17,22 +17,18 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
-from estimator.vision import about_pad
-from estimator.vision.about_pad import (
-    MOVED_LASTS_S,
-    STANDING_LASTS_S,
-    AroundMemory,
-    DeckMemory,
-    PassMemory,
-    watch_around,
-    watch_passing,
-)
-from estimator.vision.clear_deck import LASTS_S, SurfaceMemory, check_surface
+from estimator.vision.camera.pose import PadPose
+from estimator.vision.deck import around as about_pad
+from estimator.vision.deck.above import MOVED_LASTS_S, STANDING_LASTS_S
+from estimator.vision.deck.around import AroundMemory, watch_around
+from estimator.vision.deck.clear_deck import LASTS_S, SurfaceMemory, check_surface
+from estimator.vision.deck.memory import DeckMemory
+from estimator.vision.deck.passing import PassMemory, watch_passing
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detection import PadCheck
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pose import PadPose
-from estimator.vision.tracker import TrackerConfig, TrackerMemory
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import Light
 from sitl.camera.picture_effects import PictureEffects

@@ -17,21 +17,25 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
-from estimator.vision import by_paint
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
 from estimator.vision.detect.acquire import PadCandidate
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.verification import confidence
-from estimator.vision.drawing import EdgeKind
-from estimator.vision.fiducial import PaintedFiducial, dictionary_of
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pad import Pad
-from estimator.vision.pad_information import alike_headings, confusable_turns, paint_at
-from estimator.vision.pose import Orientation, PadPose
-from estimator.vision.regions import depth_in, outlines_of, rectangles_of
-from estimator.vision.register.registration import RegistrationOptions, cells_log_odds, look, register
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from estimator.vision.verified import heading_z_scores, verify
+from estimator.vision.pad.drawing import EdgeKind
+from estimator.vision.pad.fiducial import PaintedFiducial, dictionary_of
+from estimator.vision.pad.geometry import depth_in, outlines_of, rectangles_of
+from estimator.vision.pad.information import alike_headings, confusable_turns, paint_at
+from estimator.vision.pad.pad import Pad
+from estimator.vision.register.doubts import cells_log_odds
+from estimator.vision.register.headings import heading_z_scores
+from estimator.vision.register.registration import RegistrationOptions, look, register
+from estimator.vision.register.verified import verify
+from estimator.vision.track import by_paint
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from sitl.camera.camera import Renderer
 from sitl.camera.light import Light
 from sitl.camera.surroundings import Decal

@@ -11,21 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
-from estimator.vision.drawing import edges_of
-from estimator.vision.pad import Pad
-from estimator.vision.regions import (
-    PaintedLetter,
-    PaintedPolygon,
-    PaintedStroke,
-    PaintedTriangle,
-    Region,
-    convex_pieces_of,
-    covers,
-    depth_in,
-    is_slanted,
-    outlines_of,
-    rectangles_of,
-)
+from estimator.vision.pad.drawing import edges_of
+from estimator.vision.pad.geometry import convex_pieces_of, covers, depth_in, is_slanted, outlines_of, rectangles_of
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.shapes import PaintedLetter, PaintedPolygon, PaintedStroke, PaintedTriangle, Region
 from tests.support.shipped import CONFIGS, shipped_pad
 
 THESIS, HOSPITAL, FAA = (

@@ -14,11 +14,13 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, Rotation, Transform, rpy_matrix, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera, ray_map
-from estimator.vision.pad import Pad
-from estimator.vision.pose import SIGMA_LEVEL_ASSUMED_RAD, Marks, Orientation, OrientedCamera, PadPose, point_modes, solve
-from estimator.vision.register.registration import sighting_of
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
+from estimator.vision.camera.camera import Camera, ray_map
+from estimator.vision.camera.pose import SIGMA_LEVEL_ASSUMED_RAD, Marks, Orientation, OrientedCamera, PadPose, point_modes, solve
+from estimator.vision.pad.pad import Pad
+from estimator.vision.register.sighting import sighting_of
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from sitl.camera.projection import lens_of
 from tests.estimator.ekf import oracle
 from tests.support.pad_images import STAMP, PadPlacement, project, sim_camera

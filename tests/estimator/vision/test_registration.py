@@ -14,13 +14,16 @@ from drivers.ardrone.pave import unit_decoder
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Frame
-from estimator.vision.camera import Camera
-from estimator.vision.drawing import EdgeKind
-from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation, PadPose
-from estimator.vision.register.registration import Registration, RegistrationOptions, register, sighting_of
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
-from estimator.vision.verified import CODED_PX
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
+from estimator.vision.pad.drawing import EdgeKind
+from estimator.vision.pad.pad import Pad
+from estimator.vision.register.registration import Registration, RegistrationOptions, register
+from estimator.vision.register.sighting import sighting_of
+from estimator.vision.register.verified import CODED_PX
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.tracker import track
 from sitl.camera.camera import Exposure, Renderer
 from sitl.camera.light import I16, U16, Light, Sensor
 from sitl.camera.projection import F32

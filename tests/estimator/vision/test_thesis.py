@@ -12,12 +12,13 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Method, Sighting
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, OrientedCamera
 from estimator.vision.detection import fuse
-from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation, OrientedCamera
+from estimator.vision.pad.pad import Pad
+from estimator.vision.thesis.corners import find_corners
 from estimator.vision.thesis.detection import Ellipse, detect, fit_ellipse, with_heading_of
-from estimator.vision.thesis.right_angles import candidates, find_corners, refine
+from estimator.vision.thesis.right_angles import candidates, refine
 from estimator.vision.thesis.segmentation import COLOUR_SETS, INDOOR, SIMULATOR, segment
 from tests.support.pad_images import STAMP, PadPlacement, errors, image, project, sim_camera
 from tests.support.pad_scenes import no_pads, photographs

@@ -17,11 +17,14 @@ from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sightin
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.options import TrackerMethod, TrackerOptions
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 from estimator.vision.srgb import LINEAR_LIGHT, light_of_tone
-from estimator.vision.tracker import TrackerConfig, TrackerMemory, rehearse, track
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
+from estimator.vision.track.rehearsal import rehearse
+from estimator.vision.track.tracker import track
 from sitl.camera.camera import Renderer
 from sitl.camera.light import Light, Sensor
 from sitl.camera.surroundings import Decal, Surroundings

@@ -16,7 +16,7 @@ import pytest
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame
-from estimator.vision.tracker import detect_lamps
+from estimator.vision.track.lamps import detect_lamps
 from tests.estimator.vision.test_verification import BENT, seen_at
 from tests.support.night_scenes import NIGHTS, night_scene
 from tests.support.pad_images import STAMP, sim_camera

@@ -14,21 +14,16 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision import native
-from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import SIGMA_TILT_RAD, AlignedTemplate, align, search
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import Orientation, PadPose
+from estimator.vision.detect.acquire import search
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, align
 from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.template import FRESH, PaintMemory, fade
 from estimator.vision.detect.verification import SEARCHED, calibrate, confidence, log_odds
-from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation, PadPose
-from estimator.vision.register.registration import (
-    Registration,
-    RegistrationOptions,
-    look,
-    register,
-    sighting_of,
-    sighting_of_look,
-)
+from estimator.vision.pad.pad import Pad
+from estimator.vision.register.registration import Registration, RegistrationOptions, look, register
+from estimator.vision.register.sighting import sighting_of, sighting_of_look
 from sitl.camera.light import Light
 from tests.support.deck_images import covered, disc_of, keeps_claim, shown
 from tests.support.pad_images import STAMP, sim_camera
@@ -259,7 +254,7 @@ def test_a_frame_upside_down_has_the_same_pose_covariance_and_sighting(k: int, p
     assert (other.dense, other.yaw_ambiguous) == (found.dense, found.yaw_ambiguous)
     for kind, edges in found.edges.items():
         assert other.edges[kind].inliers == pytest.approx(edges.inliers, abs=2e-3)
-    if view.start.disc_px(view.camera, pad) < 0.3 * view.camera.height:
+    if view.start.px_of(pad.disc_radius_m, view.camera) < 0.3 * view.camera.height:
         assert other.evidence == pytest.approx(found.evidence, abs=1e-3)
         assert other.log_odds == pytest.approx(found.log_odds, abs=2e-3)
 

@@ -1,4 +1,4 @@
-/* Take from cells of one paint what light can make of it: the docs of `estimator.vision.clear_deck` say what that is. */
+/* Take from cells of one paint what light can make of it: the docs of `estimator.vision.deck.clear_deck` say what that is. */
 
 #include <math.h>
 #include <string.h>

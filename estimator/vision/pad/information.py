@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.vision.camera import Camera
-from estimator.vision.pad import Pad
-from estimator.vision.regions import covers, reach_of
+from estimator.vision.camera.camera import Camera
+from estimator.vision.pad.geometry import covers, reach_of
+from estimator.vision.pad.pad import Pad
 from estimator.vision.srgb import LUMA, linear_light
 
 NOISE, BLUR_PX = 0.01, 0.8

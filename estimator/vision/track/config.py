@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from estimator.integrity.options import IntegrityOptions
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pad import Pad
+from estimator.vision.pad.pad import Pad
 
 if TYPE_CHECKING:
+    from estimator.vision.camera.rolling import CameraMotion
     from estimator.vision.learned.second_opinion import SecondOpinion
-    from estimator.vision.rolling import CameraMotion
 
 FRAME_WORK = 14.0
 """Work in one frame of a flight, in floors, at which its search goes on with the next frame.

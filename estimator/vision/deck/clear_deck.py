@@ -13,7 +13,6 @@ leaves the same share of both. What has the paint's own hue and hides no marking
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -23,52 +22,56 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.core.abi import DL_TEMPLATE_ONE
 from estimator.core.library import CORE
+from estimator.vision.camera.pose import PadPose
+from estimator.vision.deck.cells import ACROSS, PAINTS, cells_of, known_paints, markings_in, shares_of
 from estimator.vision.detect.pyramid import FrameView
-from estimator.vision.detect.template import BLURS_M, F32, STEP_M, template
+from estimator.vision.detect.template import BLURS_M, F32
 from estimator.vision.detection import PadCheck, PadThing
 from estimator.vision.native import checked
-from estimator.vision.pad import Pad
-from estimator.vision.pose import PadPose
-from estimator.vision.srgb import LINEAR_LIGHT, linear_light
+from estimator.vision.pad.pad import Pad
+from estimator.vision.srgb import LINEAR_LIGHT
 
-ACROSS = 48
-"""Cells across the disc: 1.6 cm on a pad of 78 cm."""
-_PAINTS = 3
-"""Paints that are compared: lettering, ring and arrowhead, and disc, in the order of `template`."""
-_PURE, _LEAK = 0.9, 0.03
-"""Least coverage of a cell by one paint at which the drawing knows it, blurred as the frame is. Second: the most light of other
-paints in it, as a share of its own."""
 _CELL_PX_LEAST = 1.2
 """Width of a cell in the frame below which it is too far away."""
 _LEAST_CELLS = 10
 """Least number of cells of a paint in view."""
-PERIOD_S, _AVERAGE_S, LASTS_S = 0.24, 1.0, 10.0
-"""Time between two frames that are read, of the average, and for which a cell that has left the view counts, s."""
+PERIOD_S = 0.24
+"""Time between two frames that are read, s."""
+_AVERAGE_S = 1.0
+"""Time constant of the average, s."""
+LASTS_S = 10.0
+"""Time for which a cell that has left the view counts, s."""
 _ENOUGH = 3.0
 """Frames' weight in the average from which on a cell counts."""
 _BRIGHT = 245
 """Value of a pixel from which on a channel is clipped, or its neighbour is."""
-_LEAST, _SPREADS = 0.17, 6.0
-"""Difference of a cell that is none of the paint: of the paint's light, and in spreads of the paint's own cells."""
-_CELLS_LEAST, _SHARP = 14, 0.7
-"""Least number of cells of something on the pad, and how far the difference falls within two cells of its rim, of its largest:
-glare and puddles end softly."""
+_LEAST = 0.17
+"""Least difference of a cell that is none of the paint, of the paint's light."""
+_SPREADS = 6.0
+"""Such a difference in spreads of the paint's own cells."""
+_CELLS_LEAST = 14
+"""Least number of cells of something on the pad."""
+_SHARP = 0.7
+"""Part of its largest difference that is lost within two cells of its rim: glare and puddles end softly."""
 _ABOUT = 7
 """Width of the square, in cells, in which a marking's ground is looked for."""
-_MARK, _OTHER, _GROUND, _GROUND_CELLS = 0.35, 0.05, 0.9, 4
-"""Coverage of a cell by a marking and by another one, and of its ground by the ground's paint; least number of ground cells."""
-_DARKEST, _NOMINAL, _UNEVEN = 0.1, 0.25, 0.15
-"""Deepest shade. Second: contrast of the whole marking, in parts of that of the drawing, below which it is hidden altogether.
-Third: spread of the ground's light about a marking, in its contrast, from which on its ground is not known."""
-_HIDDEN, _HIDDEN_CELLS, _SEEN_OFTEN = 0.25, 5, 2.0
-"""Contrast of a marking, in parts of that of the whole, that something hides; least number of such cells, and frames' weight."""
-_HIDES_M, _HIDES = 0.15, 0.6
-"""Width of a place in which something may lie unseen, and the share of its ground that is clipped there."""
-
-_DECK_LIGHT = np.full(3, 0.3)
-"""Light of the deck about the pad, 1 for white."""
+_GROUND_CELLS = 4
+"""Least number of ground cells about a marking."""
+_DARKEST = 0.1
+"""Deepest shade, in parts of the ground's usual light."""
+_UNEVEN = 0.15
+"""Spread of the ground's light about a marking, in its contrast, from which on its ground is not known."""
+_HIDDEN = 0.25
+"""Contrast of a marking, in parts of that of the whole, below which something hides it."""
+_HIDDEN_CELLS = 5
+"""Least number of such cells."""
+_SEEN_OFTEN = 2.0
+"""Frames' weight from which on a cell's contrast counts."""
+_HIDES_M = 0.15
+"""Width of a place in which something may lie unseen, m."""
+_HIDES = 0.6
+"""Share of the ground of such a place that is clipped."""
 _NONE = 1e3
 """Difference of a cell that is not known."""
 _LIGHT = LINEAR_LIGHT.astype(np.float32)
@@ -90,68 +93,6 @@ class SurfaceMemory:
     marks: F32
     """Weighted sums over frames, (cells, 3): contrast of a marking, contrast of the whole marking, and the frames' weight."""
     check: PadCheck
-
-
-@lru_cache(maxsize=8)
-def _cells(pad: Pad) -> tuple[F64, NDArray[np.int64]]:
-    """Return the cells' centres within the disc, (cells, 3) m, and their numbers in the square of `ACROSS` by `ACROSS`."""
-    step = 2.0 * pad.disc_radius_m / ACROSS
-    side = (np.arange(ACROSS) + 0.5) * step - pad.disc_radius_m
-    x, y = np.meshgrid(side, side, indexing="ij")
-    inside = np.flatnonzero(np.hypot(x, y).ravel() < pad.disc_radius_m)
-    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)[inside], inside
-
-
-@lru_cache(maxsize=16)
-def _shares(pad: Pad, blur: int) -> F32:
-    """Return the coverage of each cell by each paint, (cells, 4), at one of `BLURS_M`."""
-    maps = template(pad).coverage[blur]
-    at = np.rint(_cells(pad)[0] / STEP_M).astype(int) + len(maps) // 2
-    return np.asarray(maps[at[:, 0], at[:, 1]], np.float32) / np.float32(DL_TEMPLATE_ONE)
-
-
-def _nominal(pad: Pad) -> F64:
-    """Return the light of the compared paints in the drawing, (3, 3) in blue, green, red."""
-    colours = pad.markings.colours
-    return np.array([linear_light(rgb)[::-1] for rgb in (colours.h, colours.ring, colours.disc)])
-
-
-@lru_cache(maxsize=16)
-def _known(pad: Pad, blur: int) -> NDArray[np.int8]:
-    """Return the paint of each cell, (cells,), at one of `BLURS_M`; -1 where the drawing does not know it."""
-    share = _shares(pad, blur)
-    light = np.linalg.norm([*_nominal(pad), _DECK_LIGHT], axis=1)
-    own = share[:, :_PAINTS].argmax(axis=1)
-    most = share[np.arange(len(own)), own]
-    leak = share @ light - most * light[own]
-    return np.where((most >= _PURE) & (leak <= _LEAK * light[own]), own, -1).astype(np.int8)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Marking:
-    """Cells in which a marking shows, beside no other one."""
-
-    at: NDArray[np.intp]
-    own: F32
-    """The marking's coverage of them."""
-    way: F32
-    """Direction of its light from that of the ground, (3,)."""
-    least: float
-    """Contrast below which it is hidden altogether, in parts of the ground's light."""
-
-
-@lru_cache(maxsize=16)
-def _markings(pad: Pad, blur: int) -> tuple[NDArray[np.intp], F32, tuple[_Marking, ...]]:
-    """Return the cells of the markings' ground, the direction of its light, and the markings, at one of `BLURS_M`."""
-    share, nominal = _shares(pad, blur), _nominal(pad)
-    bright, out = float(np.linalg.norm(nominal[2])), []
-    for one in range(_PAINTS - 1):
-        way = nominal[one] - nominal[2]
-        size = float(np.linalg.norm(way))
-        at = np.flatnonzero((share[:, one] >= _MARK) & (share[:, 1 - one] <= _OTHER) & (share[:, 3] <= _OTHER))
-        if size >= 0.1 * bright:
-            out.append(_Marking(at, share[at, one], (way / size).astype(np.float32), _NOMINAL * size / bright))
-    return np.flatnonzero(share[:, 2] >= _GROUND), (nominal[2] / bright).astype(np.float32), tuple(out)
 
 
 def is_near(view: FrameView, pose: PadPose) -> bool:
@@ -177,7 +118,7 @@ def check_surface(
     px_m = pose.range_m / camera.fx
     cell_px = 2.0 * pad.disc_radius_m / ACROSS / px_m
     level = max(0, math.floor(math.log2(cell_px / 3.0)))
-    px, points = pyramid[level], pose.points(_cells(pad)[0])
+    px, points = pyramid[level], pose.points(cells_of(pad)[0])
     on_level = ((camera.project(points) + 0.5) / (1 << level) - 0.5).astype(np.float32)
     values = cv2.remap(px, on_level[None], np.empty(0, np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
     (h, w), (u, v) = px.shape[:2], on_level.T
@@ -193,7 +134,7 @@ def _after(
     blur = next((k for k, each_m in enumerate(BLURS_M) if each_m >= 1.3 * blur_m), len(BLURS_M) - 1)
     nearest = int(np.abs(np.log(BLURS_M) - math.log(max(blur_m, 1e-4))).argmin())
     bright = np.maximum(np.maximum(values[:, 0], values[:, 1]), values[:, 2]) >= _BRIGHT
-    clear = shown & (cv2.dilate(_square(pad, bright), np.ones((3, 3), np.uint8)).ravel()[_cells(pad)[1]] == 0)
+    clear = shown & (cv2.dilate(_square(pad, bright), np.ones((3, 3), np.uint8)).ravel()[cells_of(pad)[1]] == 0)
     light = _LIGHT.take(values)
     difference, seen = _differences(light, clear, pad, blur)
     contrast = _contrasts(light, clear, pad, nearest)
@@ -209,7 +150,7 @@ def _after(
     marks = memory.marks * np.where(contrast[:, 2:] > 0, fades, np.float32(1.0)) + contrast
     seen_at = np.where(seen | (contrast[:, 2] > 0), now_s, memory.seen_at)
     # Markings are brighter: where they alone are clipped, what would hide them is seen.
-    glare_at = np.where(shown & bright & (_known(pad, blur) == _PAINTS - 1), now_s, memory.glare_at)
+    glare_at = np.where(shown & bright & (known_paints(pad, blur) == PAINTS - 1), now_s, memory.glare_at)
     check = _judge(pad, total, weight, marks, now_s - seen_at, at)
     unread = (now_s - glare_at <= LASTS_S) & ~((weight >= _ENOUGH) & (now_s - seen_at <= LASTS_S))
     return SurfaceMemory(at, total, weight, seen_at, glare_at, marks, replace(check, glare=_hiding(pad, unread)))
@@ -222,10 +163,10 @@ def _differences(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> t
         light: of the cells, (cells, 3).
         clear: which of them are in the frame and not clipped.
     """
-    xy, paint = _cells(pad)[0][:, :2], _known(pad, blur)
-    seen, letters = clear & (paint >= 0), clear & (_shares(pad, blur)[:, 0] >= 0.6)
+    xy, paint = cells_of(pad)[0][:, :2], known_paints(pad, blur)
+    seen, letters = clear & (paint >= 0), clear & (shares_of(pad, blur)[:, 0] >= 0.6)
     out = np.zeros_like(light)
-    cells = [np.flatnonzero(seen & (paint == one)) for one in range(_PAINTS)]
+    cells = [np.flatnonzero(seen & (paint == one)) for one in range(PAINTS)]
     # Lettering that is hidden or clipped leaves the camera's own white.
     white = median(light[letters]) if np.count_nonzero(letters) >= _LEAST_CELLS else np.ones(3, np.float32)
     for of in cells:
@@ -243,7 +184,7 @@ def _contrasts(light: F32, clear: NDArray[np.bool_], pad: Pad, blur: int) -> F32
         light: of the cells, (cells, 3).
         clear: which of them are in the frame and not clipped.
     """
-    inside, (on_ground, hue, markings) = _cells(pad)[1], _markings(pad, blur)
+    inside, (on_ground, hue, markings) = cells_of(pad)[1], markings_in(pad, blur)
     out, ground = np.zeros((len(light), 3), np.float32), on_ground[clear[on_ground]]
     if len(ground) < _LEAST_CELLS:
         return out
@@ -310,20 +251,20 @@ def _from_paint(light: F32, place: F32, white: F32) -> F32:
 
 def _judge(pad: Pad, total: F32, weight: F32, marks: F32, age_s: F64, at: MonoNs) -> PadCheck:
     """Return what the averages say."""
-    fresh, paint = age_s <= LASTS_S, _known(pad, 0)
+    fresh, paint = age_s <= LASTS_S, known_paints(pad, 0)
     counts = (weight >= _ENOUGH) & fresh
     share = float(np.count_nonzero(counts & (paint >= 0))) / max(1, int(np.count_nonzero(paint >= 0)))
     mean = np.sqrt(np.einsum("ij,ij->i", total, total)) / np.maximum(weight, 1e-6)
     odd = np.zeros(len(mean), bool)
-    for one in range(_PAINTS):
+    for one in range(PAINTS):
         of = counts & (paint == one)
         if np.count_nonzero(of) >= _LEAST_CELLS:
             odd |= of & (mean > max(_LEAST, _SPREADS * _median(mean[of])))
     sharp = _sharp(pad, odd, np.where(counts & (paint >= 0), mean, _NONE).astype(np.float32))
     # Together with its neighbours: strokes are painted narrower or wider than drawn, and a registration is off by part of a cell.
     square = np.zeros((ACROSS * ACROSS, 2), np.float32)
-    square[_cells(pad)[1]] = marks[:, :2]
-    about = cv2.blur(square.reshape(ACROSS, ACROSS, 2), (3, 3), borderType=cv2.BORDER_CONSTANT).reshape(-1, 2)[_cells(pad)[1]]
+    square[cells_of(pad)[1]] = marks[:, :2]
+    about = cv2.blur(square.reshape(ACROSS, ACROSS, 2), (3, 3), borderType=cv2.BORDER_CONSTANT).reshape(-1, 2)[cells_of(pad)[1]]
     hidden = fresh & (marks[:, 2] >= _SEEN_OFTEN) & (about[:, 0] < _HIDDEN * about[:, 1])
     return PadCheck(at, share, _largest(pad, sharp, _patches(pad, hidden, 3, _HIDDEN_CELLS)))
 
@@ -342,7 +283,7 @@ def _median(of: F32, part: float = 0.5) -> float:
 
 def _square(pad: Pad, of: NDArray[np.bool_]) -> NDArray[np.uint8]:
     square = np.zeros(ACROSS * ACROSS, np.uint8)
-    square[_cells(pad)[1]] = of
+    square[cells_of(pad)[1]] = of
     return square.reshape(ACROSS, ACROSS)
 
 
@@ -365,7 +306,7 @@ def _hiding(pad: Pad, unread: NDArray[np.bool_]) -> float:
     """
     if np.count_nonzero(unread) < _CELLS_LEAST:
         return 0.0
-    ground = _known(pad, 0) == _PAINTS - 1
+    ground = known_paints(pad, 0) == PAINTS - 1
     across = max(5, 2 * int(_HIDES_M * ACROSS / pad.disc_radius_m / 8.0) + 1)
     circle = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, across)).astype(np.float32)
     hidden, whole = (
@@ -387,7 +328,7 @@ def _sharp(pad: Pad, odd: NDArray[np.bool_], mean: F32) -> NDArray[np.uint8]:
     if not square.any():
         return square
     off = np.full((ACROSS, ACROSS), _NONE, np.float32)
-    np.put(off, _cells(pad)[1], mean)
+    np.put(off, cells_of(pad)[1], mean)
     falls = off - cv2.erode(off, np.ones((5, 5), np.uint8))
     # Edges of the drawing, which no cell knows, divide what lies across them.
     count, labels = cv2.connectedComponents(cv2.morphologyEx(square, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)), connectivity=8)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, skew
-from estimator.vision.camera import Camera
-from estimator.vision.pose import PadPose
+from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.pose import PadPose
 
 _BLOCK_PX = 8
 """Size of the squares of the frame within which the displacement is interpolated."""

@@ -10,10 +10,11 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
-from estimator.vision.fiducial import PaintedFiducial
-from estimator.vision.pad import Pad
-from estimator.vision.pad_rules import BARE, Markings, Rgb
-from estimator.vision.regions import Lettering, PaintedPanel, PaintedTriangle, depth_in, sides_of
+from estimator.vision.pad.fiducial import PaintedFiducial
+from estimator.vision.pad.geometry import depth_in, sides_of
+from estimator.vision.pad.markings import BARE, Markings, Rgb
+from estimator.vision.pad.pad import Pad
+from estimator.vision.pad.shapes import Lettering, PaintedPanel, PaintedTriangle
 from estimator.vision.srgb import LUMA, linear_light
 
 _SPACING_M = 0.004

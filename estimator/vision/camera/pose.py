@@ -18,9 +18,8 @@ from msgspec.structs import force_setattr
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, Method, Sighting
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
-from estimator.vision.camera import Camera
+from estimator.vision.camera.camera import Camera
 from estimator.vision.options import TrackerOptions
-from estimator.vision.pad import Pad
 
 
 class PadPose(Struct, frozen=True, eq=False):
@@ -46,9 +45,9 @@ class PadPose(Struct, frozen=True, eq=False):
         """Distance from the lens to the pad's centre, metres."""
         return math.sqrt(float(self.t_cam_pad.dot(self.t_cam_pad)))
 
-    def disc_px(self, camera: Camera, pad: Pad) -> float:
-        """Return the radius of the pad's disc in the frame as if it faced the camera, px."""
-        return camera.fx * pad.disc_radius_m / float(self.t_cam_pad[2])
+    def px_of(self, length_m: float, camera: Camera) -> float:
+        """Return the length in the frame, px, of something at the pad that faces the camera."""
+        return camera.fx * length_m / float(self.t_cam_pad[2])
 
     def points(self, p_pad: F64) -> F64:
         """Transform (N, 3) points from `pad` to `cam`, m."""

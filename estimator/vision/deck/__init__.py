@@ -1,0 +1,1 @@
+"""Detect what lies on the pad, stands about it or moves there."""
