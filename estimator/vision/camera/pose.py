@@ -53,6 +53,10 @@ class PadPose(Struct, frozen=True, eq=False):
         """Transform (N, 3) points from `pad` to `cam`, m."""
         return np.asarray(p_pad @ self.R_cam_pad.matrix.T + self.t_cam_pad)
 
+    def rays(self) -> F64:
+        """Return the matrix, (3, 3), that takes a place on the pad, x, y and 1, to its ray, times its depth."""
+        return np.column_stack([self.R_cam_pad.matrix[:, :2], self.t_cam_pad])
+
     def turned(self, yaw_rad: float) -> PadPose:
         """Return the pose at the same position with the drawing turned about the pad's own z axis by `yaw_rad`."""
         return PadPose(self.R_cam_pad @ Rotation.from_rpy(0.0, 0.0, yaw_rad), self.t_cam_pad)

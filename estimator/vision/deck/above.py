@@ -1,7 +1,9 @@
 """Draw the deck about the pad as seen from straight above, and remember what was found there."""
 
+from __future__ import annotations
+
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -16,8 +18,10 @@ from estimator.vision.native import checked, image_of
 
 _LEVEL_MOST = 3
 """Smallest size of the frame that is read: of smaller ones too much is lost where the frame ends."""
-MOVED_LASTS_S, STANDING_LASTS_S = 10.0, 60.0
-"""Times for which a finding counts, s. What stands is measured on the way down alone; a drone that waits must not forget it."""
+MOVED_LASTS_S = 10.0
+"""Time for which what moves counts, s."""
+STANDING_LASTS_S = 60.0
+"""Time for which what stands counts, s. It is measured on the way down alone; a drone that waits must not forget it."""
 
 
 @lru_cache(maxsize=8)
@@ -56,24 +60,29 @@ def from_above(view: FrameView, pose: PadPose, reach_m: float, step_m: float, me
     return above, shown
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Found:
-    """What was found lately, and how often it was shown."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """The newest thing that was found, and how often it was shown."""
 
-    found: NearThing | None = None
-    """The newest finding."""
-    found_at: MonoNs | None = None
+    thing: NearThing | None = None
+    at: MonoNs | None = None
+    """Exposure of the newest frame that showed it."""
     shown: int = 0
-    """Number of readings that showed the thing that was found."""
+    """Number of readings that showed it."""
     missed: int = 0
     """Number of those since that showed its place without it."""
 
     def near(self, at: MonoNs) -> NearThing | None:
         """Return what was found lately."""
-        if self.found is None or self.found_at is None:
+        if self.thing is None or self.at is None:
             return None
-        lasts_s = STANDING_LASTS_S if self.found.height_m > 0.0 else MOVED_LASTS_S
-        return self.found if seconds_between(self.found_at, at) <= lasts_s else None
+        lasts_s = STANDING_LASTS_S if self.thing.height_m > 0.0 else MOVED_LASTS_S
+        return self.thing if seconds_between(self.at, at) <= lasts_s else None
+
+    def without(self, most: int) -> Finding:
+        """Return it after a reading of its place that does not show it; nothing after so many."""
+        missed = self.missed + 1
+        return replace(self, missed=missed) if missed < most else Finding(shown=self.shown, missed=missed)
 
 
 def is_shown(thing: NearThing, shown: U8, step_m: float) -> bool:

@@ -9,8 +9,10 @@ cone, q = c + r + s h, and count for nothing. So does what seems to be below the
 must agree.
 """
 
+from __future__ import annotations
+
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -19,70 +21,68 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera.pose import PadPose
-from estimator.vision.deck.above import Found, from_above, is_shown
-from estimator.vision.deck.clear_deck import PERIOD_S, median
+from estimator.vision.deck.above import Finding, from_above, is_shown
+from estimator.vision.deck.clear_deck import PERIOD_S
+from estimator.vision.deck.heights import CLUSTER_M, COLUMNS, STANDS_REACH_M, Heights, heights_of, reading_of
 from estimator.vision.detect.pyramid import U8, FrameView
 from estimator.vision.detection import NearThing
 
 _GAP_S = 0.7
-"""Longest time that a corner is followed across, s."""
-_STEP_M, _MESH = 0.016, 10
-"""Size of a pixel of the picture from above, and of the mesh on which it is drawn, in such pixels."""
-_FAR_PX_M, _RING_M = 0.03, 0.15
-"""Size of the frame's pixels on the deck from which on it is too far away, and width of the ring that is worth a reading, m."""
-_CORNERS, _APART_PX, _WINDOW = 80, 6, (13, 13)
-"""Number of corners, their least distance, and the window that is followed, px."""
-_BACK_PX, _MARGIN = 0.4, 8
-"""Largest difference after following a corner back, and least distance from where the frame ends, px."""
-_KEY_S, _LOWER, _LEFT = 5.0, 0.5, 0.4
-"""Longest time that the same picture is followed, least height in that of the picture, and least share of corners left."""
-_STANDS_REACH_M, _MOVES_REACH_M, _OFF_DISC = 0.8, 1.5, 1.08
-"""Distances beyond the disc within which what stands out (rotor and margin) and what moves counts; the ring's start, in radii."""
-_SIGMA_PX, _SIGMA_M, _SIGMA_AWAY = 0.3, 0.004, 0.003
-"""Standard deviation of a corner's place on the deck: in the frame's pixels, fixed, and in parts of its distance from the pad."""
-_READS, _READS_STANDS = 4, 3
-"""Least number of readings of a corner, and of one that stands high."""
-_STANDS_M, _STANDS_SIGMAS = 0.15, 6.0
-"""Least height of what stands out, and in standard deviations."""
-_FLAT_LEAST, _SIGMAS_ARE, _MAD = 12, (0.4, 1.0), 1.4826
-"""Least number of corners that say what a standard deviation is worth, and between which limits."""
+"""Longest time that a corner is followed across."""
+_STEP_M = 0.016
+"""Size of a pixel of the picture from above."""
+_MESH = 10
+"""Size of the mesh on which that is drawn, in such pixels."""
+_FAR_PX_M = 0.03
+"""Size of the frame's pixels on the deck from which on it is too far away."""
+_RING_M = 0.15
+"""Width of the ring about the pad that is worth a reading."""
+_OFF_DISC = 1.08
+"""Start of that ring, in radii of the disc."""
+_MOVES_REACH_M = 1.5
+"""Distance beyond the disc within which what moves counts."""
+_CORNERS = 80
+"""Number of corners that are followed."""
+_APART_PX = 6
+"""Least distance of two corners."""
+_QUALITY = 0.02
+"""Least quality of a corner, of the best one's (Shi and Tomasi)."""
+_WINDOW = (13, 13)
+"""Window of a corner that is followed, px."""
+_BACK_PX = 0.4
+"""Largest difference after following a corner back."""
+_MARGIN = 8
+"""Least distance from where the frame ends, px."""
+_KEY_S = 5.0
+"""Longest time that the same picture is followed."""
+_LEFT = 0.4
+"""Least part of a picture's corners that is followed on."""
+_GROWN_KEEPS = (0.65, 1.3)
+"""Heights, in parts of that of the picture, between which the picture is kept."""
+_GROWN_FOLLOWS = (0.5, 1.5)
+"""Heights between which its corners can be followed at all."""
 _ASTRAY = 2.0
-"""Such a spread from which on a reading confirms nothing: in the picture that is followed the pad was registered wrongly."""
-_BELOW = 0.8
-"""Largest height of what stands, in parts of the camera's."""
-_STAYS, _STAYS_PART, _STAYS_M = 4.0, 0.3, 0.06
-"""Largest mean square that is left of a corner that stands: in variances, and of a high one more, in parts of what the height
-explains, up to so many metres."""
-_MOVES_M, _MOVES_TIMES = 0.12, 6.0
-"""Least deviation from the best place and height that is a motion, m, and in standard deviations."""
-_OWN, _OWN_M, _OWN_SIGMA_M = 1.0, 0.4, 0.3
-"""Part that the drone's own shadow leaves of the deviation where it is that; how far a part of it is from its middle at most, and
-the standard deviation that is assumed of that."""
-_AGREE, _FOLLOWED, _CLUSTER_M, _LOST_S = 3, 2, 0.5, 1.5
-"""Least number of corners that agree, and of those that are still followed, within this distance. Fourth: time for which one that
-was lost agrees with others."""
-_SURE, _MOVED_SURE, _FADES = 6, 2, 12
-"""Number of readings that show a standing thing from which on it counts for its whole time, and of one that moves. Third: number
-of readings of its place without it after which one that was shown less often is nothing. Wrongly followed corners agree once."""
-_LEVEL_M, _LEVEL_PART = 0.05, 0.5
-"""Largest difference in height of corners that agree, m, and in parts of it: a thing's top, a person's head and shoulders."""
+"""Spread about the deck from which on a reading confirms nothing: in its picture the pad was registered wrongly."""
+_AGREE = 3
+"""Least number of corners that agree."""
+_FOLLOWED = 2
+"""Least number of those that are still followed."""
+_LOST_S = 1.5
+"""Time for which a corner that was lost agrees with others."""
+_SURE = 6
+"""Number of readings that show a standing thing from which on it counts for its whole time."""
+_MOVED_SURE = 2
+"""The same of one that moves."""
+_FADES = 12
+"""Readings of a place without a thing after which one that was shown less is nothing: wrongly followed corners agree once."""
+_LEVEL_M = 0.05
+"""Largest difference in height of corners that agree."""
+_LEVEL_PART = 0.5
+"""The same in parts of their height: a thing's top, a person's head and shoulders."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Heights:
-    """The best place and height of each corner, and what it is."""
-
-    place: F64
-    z: F64
-    stays: NDArray[np.bool_]
-    stands: NDArray[np.bool_]
-    moves: NDArray[np.bool_]
-    flat: float
-    """Spread of most about the deck, in standard deviations."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AroundMemory(Found):
+class AroundMemory:
     """Corners about the pad, with the sums of their readings."""
 
     at: MonoNs
@@ -96,13 +96,49 @@ class AroundMemory(Found):
     uv: F64
     """Their places in the last frame that was read, (N, 2) px from above."""
     sums: F64
-    """(N, 16) weighted sums of each: 1, q (2), a (2), a q, a a, q q, h (q - c) (2), h h, (q - c)^2, h, q - c (2); and number of
-    readings."""
-    of: _Heights
+    """Sums of the readings of each, (N, COLUMNS), as `heights.SUMS`."""
+    of: Heights
     began: int
     """Number of corners when the picture was taken."""
     stood: F64
     """Corners that were lost and stood out of the deck, (N, 4): place (2) m, height m, and time of the loss, s."""
+    finding: Finding = field(default_factory=Finding)
+
+    def keeps_picture(self, height_m: float) -> bool:
+        """Return whether enough of its picture's corners are followed, and it is not too old or too different."""
+        is_young = seconds_between(self.key_at, self.at) <= _KEY_S
+        return len(self.uv) > _LEFT * self.began and is_young and _lies(height_m / self.key_height_m, _GROWN_KEEPS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """One frame's picture of the deck from above."""
+
+    at: MonoNs
+    above: U8
+    shown: U8
+    below: F64
+    """Place of the camera over the deck, (2,) m."""
+    height_m: float
+    px_m: float
+    """Size of the frame's pixels on the deck."""
+    disc_radius_m: float
+
+    @staticmethod
+    def of(view: FrameView, pose: PadPose, at: MonoNs) -> _Look:
+        """Draw it."""
+        above, shown = from_above(view, pose, view.pad.disc_radius_m + _MOVES_REACH_M, _STEP_M, _MESH, 1)
+        camera = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
+        px_m = pose.range_m / view.camera.fx
+        return _Look(at, above, shown, camera[:2], float(-camera[2]), px_m, view.pad.disc_radius_m)
+
+    def places(self, uv: F64) -> F64:
+        """Return the places on the deck, (N, 2) m, of corners, (N, 2) px."""
+        return (uv - (len(self.above) - 1) / 2) * _STEP_M
+
+    def read(self, uv: F64) -> F64:
+        """Return the sums of one reading of corners."""
+        return reading_of(self.places(uv), self.below, self.height_m, self.px_m)
 
 
 def shows_ring(view: FrameView, pose: PadPose) -> bool:
@@ -114,52 +150,74 @@ def shows_ring(view: FrameView, pose: PadPose) -> bool:
 
 def watch_around(memory: AroundMemory | None, view: FrameView, pose: PadPose, at: MonoNs) -> AroundMemory:
     """Return the memory with what a frame shows about the pad, whose registered pose is `pose`."""
-    since_s = math.inf if memory is None else seconds_between(memory.at, at)
-    if memory is not None and (0.0 <= since_s < PERIOD_S or not shows_ring(view, pose)):
+    if memory is None:
+        return _new_picture(_Look.of(view, pose, at), np.empty((0, 2)), np.empty((0, COLUMNS)), np.empty((0, 4)), Finding())
+    since_s = seconds_between(memory.at, at)
+    if 0.0 <= since_s < PERIOD_S or not shows_ring(view, pose):
         return memory
-    centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
-    height_m, px_m = float(-centre[2]), pose.range_m / view.camera.fx
-    above, shown = from_above(view, pose, view.pad.disc_radius_m + _MOVES_REACH_M, _STEP_M, _MESH, 1)
-    found, found_at = (None, None) if memory is None else (memory.found, memory.found_at)
-    times, missed = (0, 0) if memory is None else (memory.shown, memory.missed)
-    uv, sums, stood = np.empty((0, 2)), np.empty((0, 16)), np.empty((0, 4)) if memory is None else memory.stood
-    key_s, grown = (0.0, 0.0) if memory is None else (seconds_between(memory.key_at, at), height_m / memory.key_height_m)
-    if memory is not None and len(memory.uv) and 0.0 <= since_s <= _GAP_S and key_s < 2.0 * _KEY_S and _LOWER < grown < 1.5:
-        uv, kept = _follow(memory, above, shown)
-        q = (uv - (len(above) - 1) / 2) * _STEP_M
-        sums = memory.sums[kept] + _reading(q, centre[:2], height_m, px_m)
-        is_lost = memory.of.stands.copy()
-        is_lost[kept] = False
-        rows = np.column_stack([memory.of.place[is_lost], memory.of.z[is_lost], np.full(is_lost.sum(), memory.at * 1e-9)])
-        stood = np.concatenate([stood[at * 1e-9 - stood[:, 3] < _LOST_S], rows])
-        of = _heights(sums, view.pad.disc_radius_m)
-        new, known = _nearest_of(of, q, stood, view.pad.disc_radius_m), memory.near(at)
-        if new is not None and (known is None or new.height_m > 0.0 or known.height_m == 0.0):
-            place = known or new
-            apart_m = math.hypot(place.forward_m - new.forward_m, place.right_m - new.right_m)
-            again = known is not None and (known.height_m > 0.0) == (new.height_m > 0.0)
-            in_place = apart_m < _CLUSTER_M or times >= _SURE or new.height_m == 0.0
-            times = times if again and in_place else 0
-            times = max(1, times + (of.flat < _ASTRAY))
-            found, found_at, missed = new, at, 0
-        elif known is not None and times < (_SURE if known.height_m > 0.0 else _MOVED_SURE) and is_shown(known, shown, _STEP_M):
-            missed += 1
-            found, found_at = (None, None) if missed >= _FADES else (found, found_at)
-        if len(uv) > _LEFT * memory.began and key_s <= _KEY_S and 0.65 < grown < 1.3:
-            corners = memory.corners[kept]
-            return replace(
-                memory, at=at, corners=corners, uv=uv, sums=sums, of=of, stood=stood,
-                found=found, found_at=found_at, shown=times, missed=missed,
-            )  # fmt: skip
-        # Corners that stay go on in the new picture: a longer way down shows a lower thing. What moves is seen without.
-        uv, sums = uv[of.stays], sums[of.stays]
-    more = _corners(above, shown, view.pad.disc_radius_m, uv)
-    q, uv = (more - (len(above) - 1) / 2) * _STEP_M, np.concatenate([uv, more])
-    sums = np.concatenate([sums, np.zeros((len(q), 16)) + _reading(q, centre[:2], height_m, px_m)])
-    of = _heights(sums, view.pad.disc_radius_m)
-    return AroundMemory(
-        at, at, above, height_m, uv, uv, sums, of, len(uv), stood, found=found, found_at=found_at, shown=times, missed=missed
-    )
+    look = _Look.of(view, pose, at)
+    if not (len(memory.uv) and 0.0 <= since_s <= _GAP_S and _can_follow(memory, look)):
+        return _new_picture(look, np.empty((0, 2)), np.empty((0, COLUMNS)), memory.stood, memory.finding)
+    followed = _followed(memory, look)
+    if followed.keeps_picture(look.height_m):
+        return followed
+    # Corners that stay go on in the new picture: a longer way down shows a lower thing. What moves is seen without.
+    stay = followed.of.stays
+    return _new_picture(look, followed.uv[stay], followed.sums[stay], followed.stood, followed.finding)
+
+
+def _can_follow(memory: AroundMemory, look: _Look) -> bool:
+    is_young = seconds_between(memory.key_at, look.at) < 2.0 * _KEY_S
+    return is_young and _lies(look.height_m / memory.key_height_m, _GROWN_FOLLOWS)
+
+
+def _lies(value: float, limits: tuple[float, float]) -> bool:
+    return limits[0] < value < limits[1]
+
+
+def _followed(memory: AroundMemory, look: _Look) -> AroundMemory:
+    """Return the memory with its corners as they are followed into a frame, and what they show."""
+    uv, kept = _follow(memory, look.above, look.shown)
+    sums = memory.sums[kept] + look.read(uv)
+    of = heights_of(sums, look.disc_radius_m)
+    stood = _stood(memory, kept, look.at)
+    finding = _finding(memory.finding, look, of, look.places(uv), stood)
+    return replace(memory, at=look.at, corners=memory.corners[kept], uv=uv, sums=sums, of=of, stood=stood, finding=finding)
+
+
+def _stood(memory: AroundMemory, kept: NDArray[np.intp], at: MonoNs) -> F64:
+    """Return the corners that stood and were lost lately, with those that are not among the ones kept."""
+    is_lost = memory.of.stands.copy()
+    is_lost[kept] = False
+    rows = np.column_stack([memory.of.place[is_lost], memory.of.z[is_lost], np.full(is_lost.sum(), memory.at * 1e-9)])
+    return np.concatenate([memory.stood[at * 1e-9 - memory.stood[:, 3] < _LOST_S], rows])
+
+
+def _finding(old: Finding, look: _Look, of: Heights, q: F64, stood: F64) -> Finding:
+    """Return what is found after one more reading of corners at places on the deck, (N, 2) m."""
+    new, known = _nearest_of(of, q, stood, look.disc_radius_m), old.near(look.at)
+    if new is not None and (known is None or new.height_m > 0.0 or known.height_m == 0.0):
+        times = old.shown if known is not None and _is_same(known, new, old.shown) else 0
+        return Finding(new, look.at, max(1, times + (of.flat < _ASTRAY)))
+    if known is None or old.shown >= (_SURE if known.height_m > 0.0 else _MOVED_SURE) or not is_shown(known, look.shown, _STEP_M):
+        return old
+    return old.without(_FADES)
+
+
+def _is_same(known: NearThing, new: NearThing, times: int) -> bool:
+    """Return whether a thing is the one that was shown so many times before."""
+    if (known.height_m > 0.0) != (new.height_m > 0.0):
+        return False
+    apart_m = math.hypot(known.forward_m - new.forward_m, known.right_m - new.right_m)
+    return apart_m < CLUSTER_M or times >= _SURE or new.height_m == 0.0
+
+
+def _new_picture(look: _Look, uv: F64, sums: F64, stood: F64, finding: Finding) -> AroundMemory:
+    """Return the memory that follows a frame's picture: corners that go on, and new ones beside them."""
+    more = _corners(look.above, look.shown, look.disc_radius_m, uv)
+    uv, sums = np.concatenate([uv, more]), np.concatenate([sums, look.read(more)])
+    of = heights_of(sums, look.disc_radius_m)
+    return AroundMemory(look.at, look.at, look.above, look.height_m, uv, uv, sums, of, len(uv), stood, finding)
 
 
 def _follow(memory: AroundMemory, above: U8, shown: U8) -> tuple[F64, NDArray[np.intp]]:
@@ -185,78 +243,22 @@ def _corners(above: U8, shown: U8, disc_radius_m: float, old: F64) -> F64:
     cv2.circle(mask, (middle, middle), math.ceil(_OFF_DISC * disc_radius_m / _STEP_M), 0, -1)
     for x, y in np.rint(old).astype(int).tolist():
         cv2.circle(mask, (x, y), _APART_PX, 0, -1)
-    found = cv2.goodFeaturesToTrack(above, 3 * _CORNERS, 0.02, _APART_PX, mask=mask, blockSize=5)
+    found = cv2.goodFeaturesToTrack(above, 3 * _CORNERS, _QUALITY, _APART_PX, mask=mask, blockSize=5)
     corners = np.empty((0, 2)) if found is None else found[:, 0].astype(float)
-    far = np.hypot(*(corners - middle).T) * _STEP_M > disc_radius_m + _STANDS_REACH_M
+    far = np.hypot(*(corners - middle).T) * _STEP_M > disc_radius_m + STANDS_REACH_M
     return np.asarray(corners[np.argsort(far, kind="stable")][: max(0, _CORNERS - len(old))])
 
 
-def _reading(q: F64, below: F64, height_m: float, px_m: float) -> F64:
-    """Return the weighted sums, (N, 16), of one reading of corners that are seen at places on the deck, (N, 2) m."""
-    sigma = np.sqrt((_SIGMA_PX * px_m) ** 2 + _SIGMA_M**2 + (_SIGMA_AWAY * np.hypot(*q.T)) ** 2)
-    w, off = 1.0 / np.maximum(sigma, 1e-6) ** 2, q - below
-    a = off / max(height_m, 0.05)
-    rows = [
-        np.ones(len(q)), *q.T, *a.T, (a * q).sum(axis=1), (a * a).sum(axis=1), (q * q).sum(axis=1),
-        *(height_m * off).T, np.full(len(q), height_m**2), (off * off).sum(axis=1), np.full(len(q), height_m), *off.T,
-    ]  # fmt: skip
-    return np.column_stack([np.column_stack(rows) * w[:, None], np.ones(len(q))])
-
-
-def _heights(sums: F64, disc_radius_m: float) -> _Heights:
-    w = sums[:, 0]
-    mean_q, mean_a = sums[:, 1:3] / w[:, None], sums[:, 3:5] / w[:, None]
-    aa = np.maximum(1e-9, sums[:, 6] - w * np.square(mean_a).sum(axis=1))
-    aq = sums[:, 5] - w * (mean_a * mean_q).sum(axis=1)
-    qq = np.maximum(0.0, sums[:, 7] - w * np.square(mean_q).sum(axis=1))
-    z = aq / aa
-    left = np.maximum(0.0, qq - aq * aq / aa)
-    reads, own = sums[:, 15], _left_by_own(sums)
-    often = (reads >= _READS) & (own > _OWN * left)
-    place = mean_q - z[:, None] * mean_a
-    freedom = np.maximum(1.0, 2.0 * reads - 3.0)
-    # Most corners lie flat: how far their heights are off says what a standard deviation is worth in this approach.
-    sure, flat = np.sqrt(aa), _SIGMAS_ARE[1]
-    if np.count_nonzero(often) >= _FLAT_LEAST:
-        flat = float(_MAD * median(np.abs(z * sure)[often]))
-    # What is high turns and grows on the way down, and its corners are followed less well. On the deck more is left than here, as
-    # q = (p - c z/h) / (1 - z/h): glitter that goes its own way would seem to stand just below the camera.
-    on_deck = left / np.square(np.clip(1.0 - z / np.sqrt(sums[:, 10] / w), 1.0 - _BELOW, 1.0))
-    stays = on_deck < _STAYS * freedom + np.minimum(_STAYS_PART * np.maximum(0.0, aq * z), _STAYS_M**2 * w)
-    stands = (
-        (reads >= _READS_STANDS)
-        & (own > left + _STANDS_SIGMAS**2 * freedom)
-        & (z > np.maximum(_STANDS_M, float(np.clip(flat, *_SIGMAS_ARE)) * _STANDS_SIGMAS / sure))
-        & stays
-    )
-    stands &= (np.hypot(*place.T) < disc_radius_m + _STANDS_REACH_M + _CLUSTER_M) & (z < _BELOW * np.sqrt(sums[:, 10] / w))
-    moves = often & (left / w > _MOVES_M**2) & (left > _MOVES_TIMES**2 * freedom) & (z > -_STANDS_M)
-    return _Heights(place, z, stays, stands, moves, flat)
-
-
-def _left_by_own(sums: F64) -> F64:
-    """Return what the drone's own shadow leaves of each corner's squares, (N,).
-
-    A corner of it is seen at q = c + r + s h: the shadow keeps its size, r, while its middle, s h, comes nearer.
-    """
-    hh = np.maximum(sums[:, 10], 1e-9)
-    own = np.maximum(0.0, sums[:, 11] - np.square(sums[:, 8:10]).sum(axis=1) / hh)
-    aside = sums[:, 13:15] - (sums[:, 12] / hh)[:, None] * sums[:, 8:10]
-    weight = np.maximum(0.0, sums[:, 0] - sums[:, 12] ** 2 / hh) + _OWN_SIGMA_M**-2
-    within = np.hypot(*aside.T) < _OWN_M * weight
-    return np.asarray(np.where(within, np.maximum(0.0, own - np.square(aside).sum(axis=1) / weight), own))
-
-
-def _nearest_of(of: _Heights, q: F64, stood: F64, disc_radius_m: float) -> NearThing | None:
+def _nearest_of(of: Heights, q: F64, stood: F64, disc_radius_m: float) -> NearThing | None:
     """Return the nearest thing that several corners agree on, with those that stood and were lost."""
     standing = np.concatenate([of.place[of.stands], stood[:, :2]]), np.concatenate([of.z[of.stands], stood[:, 2]])
     seen: list[NearThing] = []
     moving = q[of.moves], np.zeros(np.count_nonzero(of.moves))
-    for (those, up), reach_m in ((standing, disc_radius_m + _STANDS_REACH_M), (moving, math.inf)):
+    for (those, up), reach_m in ((standing, disc_radius_m + STANDS_REACH_M), (moving, math.inf)):
         if len(those) < _AGREE:
             continue
         # One thing has one height: corners that were followed wrongly may stand near each other, and each has its own.
-        near = np.hypot(*(those[:, None] - those[None]).transpose(2, 0, 1)) < _CLUSTER_M
+        near = np.hypot(*(those[:, None] - those[None]).transpose(2, 0, 1)) < CLUSTER_M
         near &= np.abs(up[:, None] - up[None]) <= np.maximum(_LEVEL_M, _LEVEL_PART * up)[:, None]
         agree = near.sum(axis=1)
         # What was lost confirms what is followed, and nothing alone, nor one corner alone.

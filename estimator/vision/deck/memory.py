@@ -33,7 +33,7 @@ class DeckMemory:
     def check(self, at: MonoNs) -> PadCheck | None:
         """Return what was lately seen on the pad and about it, what moves first; None if nothing was read or is there."""
         surface = None if self.surface is None or seconds_between(self.surface.at, at) > LASTS_S else self.surface.check
-        there = [(near, each.at) for each in (self.around, self.passing) if each is not None and (near := each.near(at))]
+        there = [(near, each.at) for each in (self.around, self.passing) if each is not None and (near := each.finding.near(at))]
         if not there:
             return surface
         near, read = min(there, key=lambda of: (of[0].height_m > 0.0, of[0].from_centre_m))

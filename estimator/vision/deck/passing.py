@@ -9,7 +9,7 @@ among its neighbours.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -17,30 +17,50 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera.pose import PadPose
-from estimator.vision.deck.above import Found, from_above, is_shown
+from estimator.vision.deck.above import Finding, from_above, is_shown
 from estimator.vision.deck.clear_deck import median
 from estimator.vision.detect.pyramid import U8, FrameView
 from estimator.vision.detect.template import F32
 from estimator.vision.detection import NearThing
 
-PASS_PERIOD_S, LOW_PERIOD_S, LOW_M = 0.19, 0.09, 1.0
-"""Time between two frames that are read, and from this height down, where a thing is in view for a shorter time."""
-_SINCE_S, _PASS_GAP_S = 0.15, 0.7
-"""Least and most time between two that are compared, s."""
-_CELL_M, _PASS_MESH, _REACH_M = 0.04, 4, 0.5
-"""Size of a cell, of the mesh on which cells are drawn, in cells, and what is read beyond the disc."""
+PASS_PERIOD_S = 0.19
+"""Time between two frames that are read."""
+LOW_M = 1.0
+"""Height from which down a thing is in view for a shorter time, and one reading of it is enough."""
+LOW_PERIOD_S = 0.09
+"""Time between two frames that are read from there down."""
+_SINCE_S = 0.15
+"""Least time between two frames that are compared."""
+_GAP_S = 0.7
+"""Most time between two frames; after more the mean begins again."""
+_CELL_M = 0.04
+"""Size of a cell."""
+_MESH = 4
+"""Size of the mesh on which cells are drawn, in cells."""
+_REACH_M = 0.5
+"""What is read beyond the disc."""
 _STEP = 4
 """Most by which the mean changes a frame, values of a pixel."""
-_ONE, _FLOOR = 64, 8
-"""Share of the mean's light that is all of it. Second: value added to both where it is taken: dark values are noise."""
-_LEAST, _LEAST_VALUE, _NOISES = 0.25, 10.0, 4.0
-"""Change that counts: of the mean's light, in values of a pixel, and in mean changes of the cell."""
+_ONE = 64
+"""Share of the mean's light that is all of it."""
+_FLOOR = 8
+"""Value added to light and mean where the share is taken: dark values are noise."""
+_LEAST = 0.25
+"""Least change that counts, of the mean's light."""
+_LEAST_VALUE = 10.0
+"""The same, in values of a pixel."""
+_NOISES = 4.0
+"""The same, in mean changes of the cell."""
+_SLOW = 0.1
+"""Weight of a frame in a cell's mean change."""
 _CELLS_LEAST = 8
 """Least number of cells of a thing."""
-_PASSED_SURE, _PASSED_FADES = 3, 10
-"""Number of readings that show what passes from which on it counts for `MOVED_LASTS_S`; below `LOW_M` one is enough. Second:
-number of readings of its place without it after which one that was shown less often is nothing: a flash, or a drop that fell."""
+_SURE = 3
+"""Number of readings that show what passes from which on it counts for its whole time."""
+_FADES = 10
+"""Readings of a place without a thing after which one that was shown less often is nothing: a flash, or a drop that fell."""
 _BOX = np.ones((3, 3), np.uint8)
+"""A cell and its neighbours."""
 _DRONE_M = 0.3
 """Half the width of the drone's shadow, which does not shrink with its cone."""
 
@@ -59,7 +79,7 @@ class _Reading:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PassMemory(Found):
+class PassMemory:
     """The deck's slow mean, and the last readings."""
 
     mean: U8
@@ -68,6 +88,7 @@ class PassMemory(Found):
     noise: F32
     """Mean change of each cell, values of a pixel."""
     readings: tuple[_Reading, ...]
+    finding: Finding = field(default_factory=Finding)
 
     @property
     def at(self) -> MonoNs:
@@ -80,42 +101,56 @@ def watch_passing(memory: PassMemory | None, view: FrameView, pose: PadPose, at:
     since_s = math.inf if memory is None else seconds_between(memory.at, at)
     if memory is not None and 0.0 <= since_s < (LOW_PERIOD_S if pose.range_m < LOW_M else PASS_PERIOD_S):
         return memory
-    light, shown = from_above(view, pose, view.pad.disc_radius_m + _REACH_M, _CELL_M, _PASS_MESH, 3)
-    centre = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
-    old = memory or Found()
-    found, found_at, times, missed = old.found, old.found_at, old.shown, old.missed
-    if memory is None or not 0.0 <= since_s <= _PASS_GAP_S:
+    light, shown = from_above(view, pose, view.pad.disc_radius_m + _REACH_M, _CELL_M, _MESH, 3)
+    camera = -pose.R_cam_pad.matrix.T @ pose.t_cam_pad
+    below, height_m = camera[:2], float(-camera[2])
+    if memory is None or not 0.0 <= since_s <= _GAP_S:
         # Its share of a mean that is itself says nothing: a shadow that is there already would seem to come.
-        now = _Reading(at, light, np.full_like(light, _ONE), np.zeros_like(shown), centre[:2], float(-centre[2]))
-        noise = np.zeros(shown.shape, np.float32)
-        return PassMemory(light, shown, noise, (now,), found=found, found_at=found_at, shown=times, missed=missed)
-    both = ((shown > 0) & (memory.known > 0))[::2, ::2]
-    bright, was = (of[::2, ::2, 1][both].astype(np.float32) + _FLOOR for of in (light, memory.mean))
-    mean = cv2.convertScaleAbs(memory.mean, alpha=float(median(bright / was)) if len(was) else 1.0)  # by the exposure
-    cv2.copyTo(light, cv2.bitwise_not(memory.known), mean)
-    bright, usual = (np.add(of, _FLOOR, dtype=np.float32) for of in (light, mean))
-    share = cv2.divide(bright, usual, scale=_ONE, dtype=cv2.CV_8U)
-    now = _Reading(at, light, np.asarray(share, np.uint8), shown, centre[:2], float(-centre[2]))
-    noise = memory.noise
+        now = _Reading(at, light, np.full_like(light, _ONE), np.zeros_like(shown), below, height_m)
+        return PassMemory(
+            light, shown, np.zeros(shown.shape, np.float32), (now,), Finding() if memory is None else memory.finding
+        )
+    mean = _mean_in(memory, light, shown)
+    now = _Reading(at, light, _share_of(light, mean), shown, below, height_m)
     before = next((each for each in reversed(memory.readings) if seconds_between(each.at, at) >= _SINCE_S), None)
+    noise, finding = memory.noise, memory.finding
     if before is not None:
-        change, noise = _compare(before, now, np.asarray(mean, np.uint8), noise)
-        new, known = _largest(change), memory.near(at)
-        if new is not None:
-            times = _PASSED_SURE if now.height_m < LOW_M else 1 + (0 if known is None else times)
-            found, found_at, missed = new, at, 0
-        elif known is not None and times < _PASSED_SURE and is_shown(known, shown, _CELL_M):
-            missed += 1
-            found, found_at = (None, None) if missed >= _PASSED_FADES else (found, found_at)
-    more, less = (np.minimum(off, np.uint8(_STEP)) for off in (cv2.subtract(light, mean), cv2.subtract(mean, light)))
-    nearer = cv2.subtract(cv2.add(mean, more), less)
-    cv2.copyTo(nearer, shown, mean)
+        change, noise = _compare(before, now, mean, noise)
+        finding = _finding(finding, now, _largest(change))
     kept = tuple(each for each in memory.readings if seconds_between(each.at, at) < _SINCE_S)
     last = memory.readings[: len(memory.readings) - len(kept)][-1:]
-    return PassMemory(
-        np.asarray(mean, np.uint8), memory.known | shown, noise, (*last, *kept, now),
-        found=found, found_at=found_at, shown=times, missed=missed,
-    )  # fmt: skip
+    return PassMemory(_nearer(mean, light, shown), memory.known | shown, noise, (*last, *kept, now), finding)
+
+
+def _mean_in(memory: PassMemory, light: U8, shown: U8) -> U8:
+    """Return the slow mean by a frame's exposure; the frame's light in cells that the mean does not know."""
+    both = ((shown > 0) & (memory.known > 0))[::2, ::2]
+    bright, was = (of[::2, ::2, 1][both].astype(np.float32) + _FLOOR for of in (light, memory.mean))
+    mean = cv2.convertScaleAbs(memory.mean, alpha=float(median(bright / was)) if len(was) else 1.0)
+    cv2.copyTo(light, cv2.bitwise_not(memory.known), mean)
+    return np.asarray(mean, np.uint8)
+
+
+def _share_of(light: U8, mean: U8) -> U8:
+    bright, usual = (np.add(of, _FLOOR, dtype=np.float32) for of in (light, mean))
+    return np.asarray(cv2.divide(bright, usual, scale=_ONE, dtype=cv2.CV_8U), np.uint8)
+
+
+def _nearer(mean: U8, light: U8, shown: U8) -> U8:
+    """Bring the mean, in place, a step nearer to a frame's light where that is shown; return it."""
+    more, less = (np.minimum(off, np.uint8(_STEP)) for off in (cv2.subtract(light, mean), cv2.subtract(mean, light)))
+    cv2.copyTo(cv2.subtract(cv2.add(mean, more), less), shown, mean)
+    return mean
+
+
+def _finding(old: Finding, now: _Reading, new: NearThing | None) -> Finding:
+    """Return what is found after one more reading."""
+    known = old.near(now.at)
+    if new is not None:
+        return Finding(new, now.at, _SURE if now.height_m < LOW_M else 1 + (0 if known is None else old.shown))
+    if known is None or old.shown >= _SURE or not is_shown(known, now.shown, _CELL_M):
+        return old
+    return old.without(_FADES)
 
 
 def _compare(before: _Reading, now: _Reading, mean: U8, noise: F32) -> tuple[U8, F32]:
@@ -139,7 +174,7 @@ def _compare(before: _Reading, now: _Reading, mean: U8, noise: F32) -> tuple[U8,
         change = cv2.min(change, _most(np.asarray(off, np.uint8)))
     values = np.asarray(change, np.float32)
     least = np.maximum(np.maximum(_LEAST * _most(mean).astype(np.float32), _LEAST_VALUE), _NOISES * noise)
-    return (values > least).astype(np.uint8), noise + np.float32(0.1) * (values - noise)
+    return (values > least).astype(np.uint8), noise + np.float32(_SLOW) * (values - noise)
 
 
 def _off(now: U8, before: U8, far: int) -> U8:

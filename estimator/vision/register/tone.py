@@ -6,6 +6,8 @@ again one step beside, and the step is kept if the rest explains more. Noise alo
 neither is learnt from.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -42,6 +44,11 @@ class ToneMemory:
     failed: int = 0
     """Trials since a step was kept."""
     next_at: MonoNs = _AT_ONCE
+
+    def relaxed(self) -> ToneMemory:
+        """Return the memory one step nearer to sRGB."""
+        back = (self.steps < 0) - (self.steps > 0)
+        return replace(self, steps=self.steps + back) if back else self
 
     def is_due(self, found: Registration, at: MonoNs) -> bool:
         """Return whether something may be learnt from a registration."""

@@ -12,7 +12,6 @@ is reported beside it (`Detection.elsewhere`), because a belief can be wrong, an
 
 from __future__ import annotations
 
-import dataclasses
 from types import MappingProxyType
 
 import numpy as np
@@ -21,62 +20,78 @@ from msgspec import structs
 from estimator.contracts.estimates import CENTRE, Feature, Method, RelativeState, Sighting
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera.camera import Camera
-from estimator.vision.camera.pose import Orientation
-from estimator.vision.deck.memory import DeckMemory
-from estimator.vision.detect.acquire import FRESH_SEARCH
-from estimator.vision.detect.pyramid import FrameView, Pyramid
+from estimator.vision.detect.acquire import FRESH_SEARCH, SearchMemory
 from estimator.vision.detect.template import fade
 from estimator.vision.detection import Detection, PadCheck, covered, fuse
 from estimator.vision.pad.information import alike_headings
-from estimator.vision.register.tone import with_tone
 from estimator.vision.track.config import TrackerConfig
 from estimator.vision.track.expected import ExpectedPlace
-from estimator.vision.track.memory import Now, Registered, TrackerMemory
-from estimator.vision.track.read_deck import COVER_NS, shows_deck
-from estimator.vision.track.register import by_thesis, rays_of, register, verify_cues
+from estimator.vision.track.memory import Now, Registered, Seen, TrackerMemory
+from estimator.vision.track.read_deck import shows_deck
+from estimator.vision.track.register import by_thesis, register, verify_cues
 
-_NEAR_DRAWN_M, _SQUARE = 0.4, 0.5 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])
-"""Width of the outline of something about the pad, whose own is not known; an outline of one metre."""
+_NEAR_DRAWN_M = 0.4
+"""Width of the outline of something about the pad, whose own is not known."""
+_SQUARE = 0.5 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])
+"""An outline of one metre."""
 
 
 def by_paint(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
 ) -> tuple[Detection, TrackerMemory]:
     """Return the detection of the painted pad, and the new memory, in which the rest of the frame is unread."""
-    if memory.tone.steps:
-        tracker = dataclasses.replace(tracker, camera=with_tone(tracker.camera, memory.tone.steps))
-    place = ExpectedPlace.of(belief, frame, tracker, memory.alike_yaw_rad)
-    orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
-    now = Now(tracker, frame, FrameView(Pyramid(frame.px), tracker.camera, tracker.pad), attitude, orientation, memory)
+    now = Now.of(tracker, memory, frame, attitude)
+    place = ExpectedPlace.of(belief, frame, now.tracker, memory.alike_yaw_rad)
     registered, left = register(now, belief, place)
     thesis = None
     if tracker.options.method != "registration":
-        thesis, registered = verify_cues(now, by_thesis(tracker, frame, attitude), registered, place)
-    settled, at = registered.settled(), frame.stamp.measured_at
-    best, elsewhere = settled.tracked, None if settled.elsewhere is None else settled.elsewhere.sighting
-    is_sure, deck = best is not None and best.is_sure, memory.deck if tracker.watches else DeckMemory()
-    check = deck.check(at)
-    found = None if best is None else _add_outlines(best, check, tracker.camera)
-    opinions = None if best is None else best.opinions
-    methods: dict[Method, Sighting | None] = {**({} if thesis is None else thesis.methods), "registration": found}
-    selected, chosen = found, None if found is None else found.method
+        thesis, registered = verify_cues(now, by_thesis(now.tracker, frame, attitude), registered, place)
+    settled = registered.settled()
+    seen = _detection(now, settled, thesis, place)
+    return structs.replace(seen, unfinished=left is not FRESH_SEARCH), _remembered(now, settled.tracked, left, belief)
+
+
+def _detection(now: Now, settled: Seen, thesis: Detection | None, place: ExpectedPlace) -> Detection:
+    """Return a frame's detection: the best registration, or all methods fused if the thesis' are among them."""
+    best, check = settled.tracked, now.deck.check(now.at)
+    selected = found = None if best is None else _add_outlines(best, check, now.tracker.camera)
+    methods: dict[Method, Sighting | None] = {"registration": found}
     if thesis is not None:
+        methods = {**thesis.methods, "registration": found}
         selected = fuse(cue for cue in methods.values() if cue is not None and not place.excludes(cue))
-        chosen = None if selected is None else selected.method
-    selected, elsewhere, unfinished = covered(selected), covered(elsewhere), left is not FRESH_SEARCH
-    seen = Detection(selected, chosen, MappingProxyType(methods), opinions, elsewhere, check, unfinished=unfinished)
-    alike = best is not None and is_sure and best.sighting.yaw_ambiguous and alike_headings(tracker.pad) > 1
-    yaw_rad = best.sighting.yaw_rad if best is not None and alike else None
-    paint = fade(memory.paint) if best is None else best.paint
-    tone, back = memory.tone, (memory.tone.steps < 0) - (memory.tone.steps > 0)
-    tone = tone if is_sure or not back else dataclasses.replace(tone, steps=tone.steps + back)
-    pose = best.found.pose if best is not None and is_sure and shows_deck(now, best, belief) else None
-    due = (tracker.watches and deck.is_due(at, now.view, pose)) or (best is not None and is_sure and tone.is_due(best.found, at))
-    unread, cover = (now, best, belief) if due else None, None
-    if best is not None and is_sure and best.cut is not None:
-        is_known = memory.cover is not None and 0 <= at - memory.cover[1] < COVER_NS
-        cover = memory.cover if is_known else (rays_of(best.found.pose).T @ best.cut, at)
-    return seen, TrackerMemory(paint, left, yaw_rad, deck=deck, tone=tone, cover=cover, unread=unread)
+    return Detection(
+        covered(selected),
+        None if selected is None else selected.method,
+        MappingProxyType(methods),
+        None if best is None else best.opinions,
+        covered(None if settled.elsewhere is None else settled.elsewhere.sighting),
+        check,
+    )
+
+
+def _remembered(now: Now, best: Registered | None, left: SearchMemory, belief: RelativeState | None) -> TrackerMemory:
+    """Return the memory after a frame: what a sure registration teaches, and what is left to read.
+
+    Args:
+        best: the tracked pad.
+        left: what the search leaves.
+    """
+    sure, memory = best if best is not None and best.is_sure else None, now.memory
+    alike = sure is not None and sure.sighting.yaw_ambiguous and alike_headings(now.tracker.pad) > 1
+    pose = sure.found.pose if sure is not None and shows_deck(now, sure, belief) else None
+    tone = memory.tone.relaxed() if sure is None else memory.tone
+    due = now.tracker.watches and now.deck.is_due(now.at, now.view, pose)
+    due = due or (sure is not None and tone.is_due(sure.found, now.at))
+    cover = None if sure is None or sure.cut is None else (sure.found.pose.rays().T @ sure.cut, now.at)
+    return TrackerMemory(
+        fade(memory.paint) if best is None else best.paint,
+        left,
+        sure.sighting.yaw_rad if sure is not None and alike else None,
+        deck=now.deck,
+        tone=tone,
+        cover=cover and (memory.cover_at(now.at) or cover),
+        unread=(now, best, belief) if due else None,
+    )
 
 
 def _add_outlines(best: Registered, check: PadCheck | None, camera: Camera) -> Sighting:

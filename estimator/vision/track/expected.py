@@ -18,13 +18,19 @@ from estimator.vision.track.config import TrackerConfig
 
 _FRESH_S = 1.0
 """Age of the newest fused sighting up to which a belief excludes places."""
-_REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
-"""Reach of tracking, as fractions of the disc's radius and of the height. Tracking is tried if two standard deviations of
-the expected position lie within the sum.
+EXPECTED_SIGMAS = 3.0
+"""Standard deviations of the expected position within which what is found counts as expected."""
+_REACH_OF_DISC = 0.6
+"""Reach of tracking, as a fraction of the disc's radius. Tracking is tried if two standard deviations of the expected position
+lie within this and the next.
 
 Much of the belief's uncertainty comes from the attitude and does not show in the frame. A start that is too far off only costs a
 search.
 """
+_REACH_OF_HEIGHT = 0.04
+"""What is added to that, as a fraction of the height."""
+_SIGMA_YAW_RAD = 0.3
+"""Largest standard deviation of a heading that tracking starts from."""
 
 
 class ExpectedPlace(Struct, frozen=True, eq=False):
@@ -78,7 +84,7 @@ def near_enough(belief: RelativeState, sigma_m: float, pad: Pad, alike_yaw_rad: 
     remembered = belief.yaw_rad is None and alike_yaw_rad is not None
     sigma_yaw = 0.0 if remembered else math.sqrt(float(belief.cov[6, 6]))
     reach_m = _REACH_OF_DISC * pad.disc_radius_m + _REACH_OF_HEIGHT * belief.height_m
-    return 2.0 * sigma_m < reach_m and sigma_yaw < 0.3
+    return 2.0 * sigma_m < reach_m and sigma_yaw < _SIGMA_YAW_RAD
 
 
 def sigma_of(belief: RelativeState) -> float:

@@ -24,12 +24,10 @@ from estimator.vision.pad.lamps import Lamp, places_of
 from estimator.vision.pad.pad import Pad
 from estimator.vision.register.sighting import sighting_in_level
 from estimator.vision.track.config import TrackerConfig as TrackerConfig
-from estimator.vision.track.expected import expected, sigma_of
+from estimator.vision.track.expected import EXPECTED_SIGMAS, expected, sigma_of
 from estimator.vision.track.memory import TrackerMemory as TrackerMemory
 
 _FOUND = 1
-_EXPECTED_SIGMAS = 3.0
-"""Standard deviations of the expected position within which the pad is expected."""
 REACH_PX = 40.0
 """Largest reach about the expected position in which lamps are assigned to spots; beyond it the frame is searched for them."""
 
@@ -106,6 +104,6 @@ def by_lamps(
     if belief is not None and attitude is not None:
         start = expected(belief, attitude, tracker.camera, memory.alike_yaw_rad)
         if start is not None and start.t_cam_pad[2] > 0.05:
-            reach_px = _EXPECTED_SIGMAS * sigma_of(belief) * tracker.camera.fx / float(start.t_cam_pad[2])
+            reach_px = EXPECTED_SIGMAS * sigma_of(belief) * tracker.camera.fx / float(start.t_cam_pad[2])
     near = start is not None and 0.0 < reach_px < REACH_PX
     return detect_lamps(frame, tracker.camera, tracker.pad, orientation, start if near else None, reach_px)

@@ -16,22 +16,29 @@ from estimator.contracts.time import MonoNs
 from estimator.vision.camera.pose import Orientation
 from estimator.vision.deck.memory import DeckMemory
 from estimator.vision.detect.acquire import FRESH_SEARCH, SearchMemory
-from estimator.vision.detect.pyramid import FrameView
+from estimator.vision.detect.pyramid import FrameView, Pyramid
 from estimator.vision.detect.template import FRESH, PaintMemory
 from estimator.vision.detection import Opinions
 from estimator.vision.register.registration import Registration
-from estimator.vision.register.tone import SRGB, ToneMemory
+from estimator.vision.register.tone import SRGB, ToneMemory, with_tone
 from estimator.vision.register.verified import SURE
 from estimator.vision.track.config import TrackerConfig
 from estimator.vision.track.expected import ExpectedPlace
 
-_AGREES, _WORTH_ANOTHER, _BETTER = 0.6, 0.85, 0.15
-"""Share of a near pad's visible edges that agree with a registration: below the first the belief's place is searched for again,
-below the second another start is tried, and the third is the difference by which the other one is better. Edges repeat on a near
-pad, and a registration from a start one edge off holds 0.06 to 0.66 of them at any confidence, from the right one 0.99 and more.
+_AGREES = 0.6
+"""Share of a near pad's visible edges that agree, below which the belief's place is searched again.
+
+Edges repeat on a near pad, and a registration from a start one edge off holds 0.06 to 0.66 of them at any confidence, from the
+right one 0.99 and more.
 """
+WORTH_ANOTHER = 0.85
+"""Share below which another start is tried."""
+_BETTER = 0.15
+"""Difference in that share by which one registration is better than another."""
 _SUPPORTED = 0.2
 """Confidence from which what is found at the expected place is the tracked pad although something else is surer."""
+_COVER_NS = 250_000_000
+"""Time for which a cover is taken to lie where it was found."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +62,10 @@ class TrackerMemory:
     unread: tuple[Now, Registered | None, RelativeState | None] | None = None
     """The newest frame, the pad that it shows, and the belief about it, if it is left to `read_deck`."""
 
+    def cover_at(self, at: MonoNs) -> tuple[F64, MonoNs] | None:
+        """Return the cover if it is still taken to lie where it was found."""
+        return self.cover if self.cover is not None and 0 <= at - self.cover[1] < _COVER_NS else None
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Now:
@@ -67,6 +78,24 @@ class Now:
     orientation: Orientation
     """The attitude at the exposure and the deck's expected tilt."""
     memory: TrackerMemory
+
+    @staticmethod
+    def of(tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None) -> Now:
+        """Return a frame's inputs, by the camera's tone as it was learnt."""
+        if memory.tone.steps:
+            tracker = dataclasses.replace(tracker, camera=with_tone(tracker.camera, memory.tone.steps))
+        orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
+        return Now(tracker, frame, FrameView(Pyramid(frame.px), tracker.camera, tracker.pad), attitude, orientation, memory)
+
+    @property
+    def at(self) -> MonoNs:
+        """The exposure."""
+        return self.frame.stamp.measured_at
+
+    @property
+    def deck(self) -> DeckMemory:
+        """The memory of things on the pad and about it; an empty one if they are not looked for."""
+        return self.memory.deck if self.tracker.watches else DeckMemory()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +161,7 @@ def _spread(best: Registered, a: Registered | None, b: Registered) -> Registered
     """
     if a is None or min(a.sighting.confidence, b.sighting.confidence) < SURE:
         return best
-    if abs(a.agreement - b.agreement) > _BETTER or max(a.agreement, b.agreement) >= _WORTH_ANOTHER:
+    if abs(a.agreement - b.agreement) > _BETTER or max(a.agreement, b.agreement) >= WORTH_ANOTHER:
         return best
     one, other = a.sighting, b.sighting
     turn = 0.0 if one.yaw_rad is None or other.yaw_rad is None else math.remainder(one.yaw_rad - other.yaw_rad, math.tau)

@@ -18,15 +18,17 @@ from estimator.vision.detection import Detection
 from estimator.vision.pad.information import alike_headings
 from estimator.vision.register.registration import Registration
 from estimator.vision.register.tone import learn_tone
-from estimator.vision.track.expected import expected, sigma_of
+from estimator.vision.track.expected import EXPECTED_SIGMAS, expected, sigma_of
 from estimator.vision.track.memory import Now, Registered, TrackerMemory
-from estimator.vision.track.register import EXPECTED_SIGMAS
 
-COVER_NS, _COVER_SURE = 250_000_000, 0.9
-"""Time for which a cover is taken to lie where it was found, and the least confidence and agreement of what is seen beside it."""
-_SHOWS, _PLACE_M, _TURNED_RAD = 0.5, 0.08, 0.1
-"""Limits for reading the pad's surface. First: share of the edges that agree with a registration. Second, without a
-registration: standard deviation of the predicted place, in radii of the disc. Third: how far a heading is off the belief's."""
+_SHOWS = 0.5
+"""Least share of the edges that agree with a registration at which the deck is read."""
+_PLACE_RADII = 0.08
+"""Largest standard deviation, in radii of the disc, of a predicted place at which it is read without a registration."""
+_TURNED_RAD = 0.1
+"""Largest difference of a heading from the belief's."""
+_UNSEEN_BLUR_PX = 1.0
+"""Blur that is assumed without a registration."""
 
 
 def read_deck(seen: Detection, memory: TrackerMemory) -> tuple[Detection, TrackerMemory]:
@@ -37,12 +39,11 @@ def read_deck(seen: Detection, memory: TrackerMemory) -> tuple[Detection, Tracke
     if memory.unread is None:
         return seen, memory
     (now, best, belief), deck, tone = memory.unread, memory.deck, memory.tone
-    at = now.frame.stamp.measured_at
     if now.tracker.watches:
         deck = _watch_deck(now, deck, best, belief)
     if best is not None and best.is_sure and deck.around is memory.deck.around and deck.passing is memory.deck.passing:
-        tone = learn_tone(tone, now.view, best.found, now.orientation, at)
-    seen = seen if seen.chosen == "lamps" else structs.replace(seen, on_pad=deck.check(at))
+        tone = learn_tone(tone, now.view, best.found, now.orientation, now.at)
+    seen = seen if seen.chosen == "lamps" else structs.replace(seen, on_pad=deck.check(now.at))
     return seen, dataclasses.replace(memory, deck=deck, tone=tone, unread=None)
 
 
@@ -51,7 +52,7 @@ def _watch_deck(now: Now, memory: DeckMemory, best: Registered | None, belief: R
 
     A frame in which one of them is read has cost enough: the others follow in the next ones.
     """
-    at = now.frame.stamp.measured_at
+    at = now.at
     shows = best is not None and shows_deck(now, best, belief)
     where = _surface_of(now, best.found if best is not None and shows else None, best is not None and best.is_sure, belief)
     if where is not None:
@@ -85,14 +86,14 @@ def _surface_of(
     if belief is None or now.attitude is None or not belief.consistent:
         return None
     sigma_m = math.hypot(sigma_of(belief), belief.height_m * math.sqrt(float(now.orientation.cov_tilt.diagonal().max())))
-    if sigma_m > _PLACE_M * now.tracker.pad.disc_radius_m:
+    if sigma_m > _PLACE_RADII * now.tracker.pad.disc_radius_m:
         return None
     start = expected(belief, now.attitude, now.tracker.camera, now.memory.alike_yaw_rad)
     if start is None or start.t_cam_pad[2] < 0.05:
         return None
     if registered is not None and float(np.linalg.norm(registered[0].t_cam_pad - start.t_cam_pad)) < EXPECTED_SIGMAS * sigma_m:
         return registered
-    return start, 1.0, sigma_m
+    return start, _UNSEEN_BLUR_PX, sigma_m
 
 
 def shows_deck(now: Now, best: Registered, belief: RelativeState | None) -> bool:

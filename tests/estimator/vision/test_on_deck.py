@@ -18,7 +18,7 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
 from estimator.vision.camera.pose import PadPose
-from estimator.vision.deck import around as about_pad
+from estimator.vision.deck import around
 from estimator.vision.deck.above import MOVED_LASTS_S, STANDING_LASTS_S
 from estimator.vision.deck.around import AroundMemory, watch_around
 from estimator.vision.deck.clear_deck import LASTS_S, SurfaceMemory, check_surface
@@ -182,7 +182,7 @@ def came_down(
 def test_what_lies_flat_and_what_is_light_or_sea_is_nothing(surroundings: Surroundings, light: Light) -> None:
     memory = came_down(watch_around, 4.5, 1.5, scene=surroundings, light=light)
     assert memory.began > 5
-    assert memory.near(memory.at) is None
+    assert memory.finding.near(memory.at) is None
     blank, far = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), PadPose(Rotation.identity(), np.array([0.0, 0.0, 40.0]))
     view, at = FrameView(Pyramid(blank), CAMERA, PAD), MonoNs(memory.at + 1)
     assert not DeckMemory(None, memory, watch_passing(None, view, far, memory.at)).is_due(at, view, far), "too far to read"
@@ -199,13 +199,13 @@ def test_what_lies_flat_and_what_is_light_or_sea_is_nothing(surroundings: Surrou
 )
 def test_what_is_about_the_pad_is_seen_with_its_height_for_a_time(body, height_m, lasts_s) -> None:
     memory = came_down(watch_around, 4.5, 1.5, body, light=USUAL)
-    near, at = memory.near(memory.at), memory.found_at
+    near, at = memory.finding.near(memory.at), memory.finding.at
     assert at is not None
     assert height_m[0] <= near.height_m <= height_m[1]
     if not body.speed_m_s:
         assert math.hypot(near.forward_m - body.forward_m, near.right_m - body.right_m) < 0.25
-    assert memory.near(MonoNs(at + round(1e9 * (lasts_s - 0.1)))) is not None
-    assert memory.near(MonoNs(at + round(1e9 * (lasts_s + 0.1)))) is None
+    assert memory.finding.near(MonoNs(at + round(1e9 * (lasts_s - 0.1)))) is not None
+    assert memory.finding.near(MonoNs(at + round(1e9 * (lasts_s + 0.1)))) is None
 
 
 @pytest.mark.parametrize(
@@ -215,21 +215,22 @@ def test_what_is_about_the_pad_is_seen_with_its_height_for_a_time(body, height_m
 )
 def test_what_later_looks_at_its_place_do_not_confirm_fades_unless_many_did_before(watch, way, body, times, is_kept) -> None:
     """Corners that were followed wrongly agree once, and light flashes; what was often seen counts for a drone that waits."""
-    memory = dataclasses.replace(came_down(watch, *way, body), shown=times)
+    memory = came_down(watch, *way, body)
+    memory = dataclasses.replace(memory, finding=dataclasses.replace(memory.finding, shown=times))
     memory = came_down(watch, *way, memory=memory, readings=range(14, 44))
-    assert (memory.near(memory.at) is not None) is is_kept
+    assert (memory.finding.near(memory.at) is not None) is is_kept
 
 
 @pytest.mark.parametrize(("apart_m", "spread", "times"), [(0.0, 1.0, 4), (0.4, 1.0, 4), (0.6, 1.0, 1), (0.0, 2.5, 3)])
 def test_a_picture_confirms_a_finding_in_its_place_alone_and_not_if_it_is_registered_wrongly(
     apart_m: float, spread: float, times: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    memory, heights = came_down(watch_around, 4.5, 1.5, CRATE), about_pad._heights
-    assert memory.found is not None
-    found = replace(memory.found, forward_m=memory.found.forward_m + apart_m)
-    monkeypatch.setattr(about_pad, "_heights", lambda *of: dataclasses.replace(heights(*of), flat=spread))
-    memory = dataclasses.replace(memory, found=found, shown=3)
-    assert came_down(watch_around, 4.5, 1.5, CRATE, memory=memory, readings=range(14, 15)).shown == times
+    memory, heights = came_down(watch_around, 4.5, 1.5, CRATE), around.heights_of
+    assert memory.finding.thing is not None
+    thing = replace(memory.finding.thing, forward_m=memory.finding.thing.forward_m + apart_m)
+    monkeypatch.setattr(around, "heights_of", lambda *of: dataclasses.replace(heights(*of), flat=spread))
+    memory = dataclasses.replace(memory, finding=dataclasses.replace(memory.finding, thing=thing, shown=3))
+    assert came_down(watch_around, 4.5, 1.5, CRATE, memory=memory, readings=range(14, 15)).finding.shown == times
 
 
 @pytest.mark.parametrize(
@@ -257,11 +258,11 @@ def test_a_camera_that_leans_and_swings_sees_a_crate_beside_the_pad() -> None:
 )
 def test_what_crosses_the_pad_once_is_seen_where_it_is_and_for_a_time(from_m: float, to_m: float, body: Bystander) -> None:
     memory = came_down(watch_passing, from_m, to_m, body)
-    near, at = memory.near(memory.at), memory.found_at
+    near, at = memory.finding.near(memory.at), memory.finding.at
     assert near.from_centre_m < PAD.disc_radius_m + 1.2
-    assert memory.shown >= 3 or from_m > 1.0, "low over the pad one look is enough"
-    assert memory.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S - 0.1)))) == near
-    assert memory.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S + 0.1)))) is None
+    assert memory.finding.shown >= 3 or from_m > 1.0, "low over the pad one look is enough"
+    assert memory.finding.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S - 0.1)))) == near
+    assert memory.finding.near(MonoNs(at + round(1e9 * (MOVED_LASTS_S + 0.1)))) is None
 
 
 @pytest.mark.parametrize("heights", [(4.8, 3.6), (2.4, 1.2), (0.7, 0.2)])
@@ -277,5 +278,5 @@ def test_what_crosses_the_pad_once_is_seen_where_it_is_and_for_a_time(from_m: fl
 )
 def test_light_and_waves_do_not_pass(scene: Surroundings, light: Light, gain: float, heights: tuple[float, float]) -> None:
     memory = came_down(watch_passing, *heights, scene=scene, light=light, gain=gain)
-    assert memory.near(memory.at) is None
+    assert memory.finding.near(memory.at) is None
     assert (memory.known > 0).any()
